@@ -1,0 +1,19 @@
+"""The control core: plain floats, no ROS, no files, no clocks."""
+
+from hpid_ros.control.gains import Gains
+from hpid_ros.control.homogeneity import CanonicalNorm, WeightedNorm
+from hpid_ros.control.homogeneous_pid import HomogeneousPid
+from hpid_ros.control.joint_loop import JointLoop
+from hpid_ros.control.pid import Pid
+from hpid_ros.control.settings import LOOP_PARAMETERS, LoopSettings
+
+__all__ = [
+    "LOOP_PARAMETERS",
+    "CanonicalNorm",
+    "Gains",
+    "HomogeneousPid",
+    "JointLoop",
+    "LoopSettings",
+    "Pid",
+    "WeightedNorm",
+]

@@ -1,0 +1,152 @@
+"""The paper's law.
+
+Sign convention, once for the whole package: the paper writes ``e = y - y*`` with negative
+gains; here, as everywhere in ROS, ``error = reference - measurement`` with positive gains. Both
+give the same effort.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Protocol
+
+from hpid_ros.control.gains import Gains
+from hpid_ros.control.pid import Terms
+from hpid_ros.errors import NormError
+
+
+class HomogeneousNorm(Protocol):
+    """Anything that is called as a homogeneous norm and knows its degree."""
+
+    @property
+    def degree(self) -> float:
+        """Homogeneity degree mu."""
+
+    def __call__(self, error: float, error_rate: float) -> float:
+        """Return the norm of (error, error rate)."""
+
+
+class HomogeneousPid:
+    r"""Homogeneous PID, by forward Euler.
+
+    .. math:: u = k_p n^{2\mu} e + k_d n^{\mu} \dot e + I, \qquad \dot I = k_i n^{3\mu} e
+
+    with n the norm of (e, de/dt): the PID whose bandwidth is multiplied by :math:`n^\mu`. At
+    degree zero it is the PID to the bit.
+
+    Source: the paper, equation (8).
+
+    Args:
+        gains: The gains of the PID that it upgrades.
+        norm: A homogeneous norm; its degree is the law's.
+        norm_floor: The norm is not let below this, see
+            :func:`~hpid_ros.control.homogeneity.norm_floor`. Zero gives the paper's law exactly.
+        norm_cap: The norm is not let above this.
+
+    Raises:
+        NormError: The floor is negative or not below the cap.
+    """
+
+    __slots__ = (
+        "_cap",
+        "_degree",
+        "_derivative",
+        "_floor",
+        "_integral",
+        "_integral_used",
+        "_proportional",
+        "gains",
+        "norm",
+    )
+
+    _integral: float
+    _integral_used: float
+    _proportional: float
+    _derivative: float
+
+    def __init__(
+        self,
+        gains: Gains,
+        norm: HomogeneousNorm,
+        norm_floor: float = 0.0,
+        norm_cap: float = math.inf,
+    ) -> None:
+        if not 0.0 <= norm_floor < norm_cap:
+            raise NormError(
+                f"the norm's floor must not be negative and lie below its cap {norm_cap}, "
+                f"not {norm_floor}"
+            )
+        self.gains = gains
+        self.norm = norm
+        self._degree = norm.degree
+        self._floor = norm_floor
+        self._cap = norm_cap
+        self.reset()
+
+    @property
+    def norm_floor(self) -> float:
+        """The least value that the norm is let to."""
+        return self._floor
+
+    @property
+    def norm_cap(self) -> float:
+        """The largest value that the norm is let to."""
+        return self._cap
+
+    @property
+    def integral(self) -> float:
+        """The integral term that the next sample uses, in [N m]."""
+        return self._integral
+
+    @property
+    def terms(self) -> Terms:
+        """The terms of the last sample."""
+        return Terms(self._proportional, self._integral_used, self._derivative)
+
+    def multiplier(self, error: float, error_rate: float) -> float:
+        r"""Return :math:`n^\mu`, the factor of the loop's bandwidth.
+
+        Zero at the origin when there is no floor: there the proportional and derivative terms
+        and the increment of the integral are zero in the limit.
+
+        Args:
+            error: Reference minus measured position, in [rad].
+            error_rate: Its time derivative, in [rad/s].
+        """
+        n = min(max(self.norm(error, error_rate), self._floor), self._cap)
+        return n**self._degree if n > 0.0 or self._degree == 0.0 else 0.0
+
+    def update(self, error: float, error_rate: float, dt: float) -> float:
+        """Take one sample.
+
+        Args:
+            error: Reference minus measured position, in [rad].
+            error_rate: Its time derivative, in [rad/s].
+            dt: Time over which the error is integrated, in [s].
+
+        Returns:
+            The effort in [N m], with the integral before this sample's increment.
+        """
+        gains, integral = self.gains, self._integral
+        multiplier = self.multiplier(error, error_rate)
+        square = multiplier * multiplier
+        proportional = gains.p * square * error
+        derivative = gains.d * multiplier * error_rate
+        self._proportional = proportional
+        self._derivative = derivative
+        self._integral_used = integral
+        self._integral = integral + dt * (gains.i * (square * multiplier) * error)
+        return proportional + derivative + integral
+
+    def reset(self) -> None:
+        """Forget the integral and the last terms."""
+        self._integral = self._integral_used = 0.0
+        self._proportional = self._derivative = 0.0
+
+    def restore_integral(self, integral: float) -> None:
+        """Replace the integral term, as anti-windup and a change of law do.
+
+        Args:
+            integral: In [N m].
+        """
+        self._integral = integral

@@ -1,0 +1,135 @@
+"""Reads the hot messages at fixed offsets, and learns the offsets anew when they change."""
+
+from __future__ import annotations
+
+import struct
+from typing import NamedTuple
+
+from hpid_ros.errors import MessageError
+from hpid_ros.messages.joint_state import (
+    NAMES_OFFSET,
+    NANOSECONDS,
+    STAMP_OFFSET,
+    JointStateLayout,
+    decode_joint_state,
+)
+
+
+class JointSample(NamedTuple):
+    """One joint's part of a JointState.
+
+    Attributes:
+        stamp_ns: Stamp of the message in [ns].
+        position: In [rad] or [m].
+        velocity: In [rad/s] or [m/s]; None when the message has no velocities.
+    """
+
+    stamp_ns: int
+    position: float
+    velocity: float | None
+
+
+class JointReader:
+    """Finds one joint's numbers in serialised JointStates.
+
+    The offsets are learned from the first message and used as long as the layout stays; any
+    other layout takes the general decoder once.
+
+    Args:
+        joint: The joint to look for.
+    """
+
+    def __init__(self, joint: str) -> None:
+        self.joint = joint
+        self._layout: JointStateLayout | None = None
+        self._numbers = struct.Struct("")
+        self._has_velocity = False
+
+    def read(self, raw: bytes) -> JointSample | None:
+        """Return this joint's sample, or None when the message is about other joints.
+
+        Raises:
+            MessageError: The bytes are no JointState, or an array that holds this joint has
+                another length than the names.
+        """
+        layout = self._layout
+        if layout is None or not layout.matches(raw):
+            return self._learn(raw)
+        if self._has_velocity:
+            seconds, nanoseconds, position, velocity = self._numbers.unpack_from(raw, STAMP_OFFSET)
+            return JointSample(seconds * NANOSECONDS + nanoseconds, position, velocity)
+        seconds, nanoseconds, position = self._numbers.unpack_from(raw, STAMP_OFFSET)
+        return JointSample(seconds * NANOSECONDS + nanoseconds, position, None)
+
+    def _learn(self, raw: bytes) -> JointSample | None:
+        fields = decode_joint_state(raw)
+        if self.joint not in fields.names:
+            return None
+        index = fields.names.index(self.joint)
+        count = len(fields.names)
+        if len(fields.position) != count or len(fields.velocity) not in (0, count):
+            raise MessageError(
+                f"a JointState of {count} names must have {count} positions and 0 or {count} "
+                f"velocities, not {len(fields.position)} and {len(fields.velocity)}"
+            )
+        velocity = fields.velocity[index] if fields.velocity else None
+        self._remember(raw, index)
+        return JointSample(fields.stamp_ns, fields.position[index], velocity)
+
+    def _remember(self, raw: bytes, index: int) -> None:
+        try:
+            layout = JointStateLayout.of(raw)
+        except MessageError:  # big-endian or oddly padded: readable, but not at fixed offsets
+            self._layout = None
+            return
+        position = layout.position + 8 * index
+        numbers = f"<iI{position - NAMES_OFFSET}xd"
+        self._has_velocity = layout.velocity > 0
+        if self._has_velocity:
+            numbers += f"{layout.velocity + 8 * index - position - 8}xd"
+        self._numbers = struct.Struct(numbers)
+        self._layout = layout
+
+
+class EffortReader:
+    """Reads serialised effort commands from any number of publishers.
+
+    A command with one name and one effort is recognised by everything between its stamp and
+    its last eight bytes; that key is remembered with the name it stands for.
+    """
+
+    _KEYS_AT_MOST = 1024
+
+    def __init__(self) -> None:
+        self._names: dict[bytes, tuple[str, ...]] = {}
+        self._stamp = struct.Struct("<iI")
+        self._effort = struct.Struct("<d")
+
+    def read(self, raw: bytes) -> tuple[int, tuple[str, ...], tuple[float, ...]]:
+        """Return stamp in [ns], joint names and their efforts in [N m].
+
+        Raises:
+            MessageError: The bytes are no JointState, or do not have one effort for each name.
+        """
+        names = self._names.get(raw[NAMES_OFFSET:-8])
+        if names is None:
+            return self._learn(raw)
+        seconds, nanoseconds = self._stamp.unpack_from(raw, STAMP_OFFSET)
+        return (
+            seconds * NANOSECONDS + nanoseconds,
+            names,
+            self._effort.unpack_from(raw, len(raw) - 8),
+        )
+
+    def _learn(self, raw: bytes) -> tuple[int, tuple[str, ...], tuple[float, ...]]:
+        fields = decode_joint_state(raw)
+        if len(fields.effort) != len(fields.names):
+            raise MessageError(
+                f"a command must have one effort for each name, not {len(fields.effort)} "
+                f"efforts for {len(fields.names)} names"
+            )
+        if len(fields.names) == 1 and not fields.position and not fields.velocity:
+            expected = JointStateLayout.for_fields(fields.names, fields.frame_id, (0, 0, 1))
+            if expected.matches(raw) and len(self._names) < self._KEYS_AT_MOST:
+                self._names[raw[NAMES_OFFSET:-8]] = fields.names
+        return fields.stamp_ns, fields.names, fields.effort

@@ -1,0 +1,18 @@
+"""Reference trajectories: sampling by joint_trajectory_controller's rules, and generators."""
+
+from hpid_ros.trajectory.generators import GENERATORS, minimum_jerk, sine, step
+from hpid_ros.trajectory.joint_trajectory import JointTrajectory, TrajectoryPoint
+from hpid_ros.trajectory.spline import Column, Knot, ReferenceSample, SplineReference
+
+__all__ = [
+    "GENERATORS",
+    "Column",
+    "JointTrajectory",
+    "Knot",
+    "ReferenceSample",
+    "SplineReference",
+    "TrajectoryPoint",
+    "minimum_jerk",
+    "sine",
+    "step",
+]

@@ -1,0 +1,111 @@
+"""A trajectory of several joints, checked as a whole, without ROS.
+
+Source: ``trajectory_msgs/msg/JointTrajectory``; the checks are those with which
+``joint_trajectory_controller`` rejects a message.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from hpid_ros.errors import TrajectoryError, unknown_name
+from hpid_ros.trajectory.spline import Column, Knot
+
+
+class TrajectoryPoint(NamedTuple):
+    """One instant of all joints.
+
+    Attributes:
+        time_from_start_ns: In [ns].
+        positions: One for each joint, in [rad].
+        velocities: One for each joint in [rad/s], or empty.
+        accelerations: One for each joint in [rad/s^2], or empty.
+    """
+
+    time_from_start_ns: int
+    positions: tuple[float, ...]
+    velocities: tuple[float, ...] = ()
+    accelerations: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True)
+class JointTrajectory:
+    """A checked trajectory.
+
+    Attributes:
+        joint_names: The joints, each once.
+        points: At least one point; times from the start strictly increase from 0 or later.
+        stamp_ns: When it starts in [ns]; 0 means with the next state.
+
+    Raises:
+        TrajectoryError: No joint, a joint twice, no point, times that do not increase, an
+            array of another length than the joints, a number that is not finite.
+    """
+
+    joint_names: tuple[str, ...]
+    points: tuple[TrajectoryPoint, ...]
+    stamp_ns: int = 0
+
+    def __post_init__(self) -> None:
+        if not self.joint_names or len(set(self.joint_names)) != len(self.joint_names):
+            raise TrajectoryError(
+                f"a trajectory must name each of its joints once, not {list(self.joint_names)}"
+            )
+        if not self.points:
+            raise TrajectoryError("a trajectory must have at least one point, not none")
+        if self.stamp_ns < 0:
+            raise TrajectoryError(f"a trajectory cannot start at {self.stamp_ns} ns, before 0")
+        before = -1
+        for index, point in enumerate(self.points):
+            if point.time_from_start_ns <= before:
+                raise TrajectoryError(
+                    f"times must increase from 0 on; point {index} has "
+                    f"{point.time_from_start_ns} ns after {before} ns"
+                )
+            before = point.time_from_start_ns
+            self._check_point(index, point)
+
+    def _check_point(self, index: int, point: TrajectoryPoint) -> None:
+        count = len(self.joint_names)
+        arrays: tuple[tuple[str, Sequence[float], tuple[int, ...]], ...] = (
+            ("positions", point.positions, (count,)),
+            ("velocities", point.velocities, (0, count)),
+            ("accelerations", point.accelerations, (0, count)),
+        )
+        for name, values, lengths in arrays:
+            if len(values) not in lengths:
+                allowed = " or ".join(str(length) for length in lengths)
+                raise TrajectoryError(
+                    f"point {index} must have {allowed} {name}, not {len(values)}"
+                )
+            for joint, value in zip(self.joint_names, values, strict=False):
+                if not math.isfinite(value):
+                    raise TrajectoryError(
+                        f"{name} of point {index} must be finite, not {value} for {joint!r}"
+                    )
+
+    def column(self, joint: str) -> Column:
+        """Return one joint's part.
+
+        Args:
+            joint: A joint of the trajectory.
+
+        Raises:
+            TrajectoryError: The trajectory has no such joint.
+        """
+        if joint not in self.joint_names:
+            raise TrajectoryError(unknown_name("joint", joint, self.joint_names))
+        index = self.joint_names.index(joint)
+        knots = tuple(
+            Knot(
+                point.time_from_start_ns,
+                point.positions[index],
+                point.velocities[index] if point.velocities else None,
+                point.accelerations[index] if point.accelerations else None,
+            )
+            for point in self.points
+        )
+        return Column(joint, knots, self.stamp_ns)

@@ -1,0 +1,164 @@
+"""One joint's column of a trajectory, and the spline that samples it.
+
+Interpolation follows ``joint_trajectory_controller``: a segment is linear, cubic or quintic by
+the derivatives that *both* of its ends give; before the first knot the reference runs from
+where it stood when the trajectory took over; after the last knot it holds. Unlike there, the
+hold has zero velocity and acceleration whatever the last knot says, since a position that
+stands still has no velocity to track.
+
+Source: ``ros2_controllers``, ``joint_trajectory_controller/src/trajectory.cpp``, functions
+``sample`` and ``interpolate_between_points``.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+SECONDS_PER_NANOSECOND = 1e-9
+_FOREVER = 2**63 - 1
+
+_Coefficients = tuple[float, float, float, float, float, float]
+
+
+class Knot(NamedTuple):
+    """One point of one joint.
+
+    Attributes:
+        time_ns: Time from the start of the trajectory in [ns].
+        position: In [rad].
+        velocity: In [rad/s], or None.
+        acceleration: In [rad/s^2], or None.
+    """
+
+    time_ns: int
+    position: float
+    velocity: float | None = None
+    acceleration: float | None = None
+
+
+class ReferenceSample(NamedTuple):
+    """A reference at one instant.
+
+    Attributes:
+        position: In [rad].
+        velocity: In [rad/s].
+        acceleration: In [rad/s^2].
+    """
+
+    position: float
+    velocity: float
+    acceleration: float
+
+
+@dataclass(frozen=True)
+class Column:
+    """One joint's knots; the trajectory message keeps them as one column of its points.
+
+    Attributes:
+        joint: The joint's name.
+        knots: At least one, with strictly increasing times.
+        stamp_ns: When the trajectory starts in [ns]; 0 means with the next state.
+    """
+
+    joint: str
+    knots: tuple[Knot, ...]
+    stamp_ns: int = 0
+
+    def start(self, now_ns: int, position: float, velocity: float = 0.0) -> SplineReference:
+        """Take over at an instant.
+
+        Args:
+            now_ns: The control clock now in [ns]; also the start when ``stamp_ns`` is 0.
+            position: Where the reference stands now in [rad].
+            velocity: How fast it moves now in [rad/s].
+
+        Returns:
+            The reference from now on.
+        """
+        start_ns = self.stamp_ns or now_ns
+        return SplineReference(self.knots, start_ns, Knot(now_ns - start_ns, position, velocity))
+
+
+class SplineReference:
+    """Samples a column on the control clock; made by :meth:`Column.start`.
+
+    Args:
+        knots: Knots with times from the start.
+        start_ns: The instant of time zero on the control clock in [ns].
+        before: Where the reference stood when it took over; ``time_ns`` from the start.
+    """
+
+    def __init__(self, knots: Sequence[Knot], start_ns: int, before: Knot) -> None:
+        first = knots[0]
+        if before.time_ns < first.time_ns:
+            before = before._replace(acceleration=None if first.acceleration is None else 0.0)
+            knots = [before, *knots]
+        self._knots = list(knots)
+        self._times = [start_ns + knot.time_ns for knot in self._knots]
+        self._from_ns = self._to_ns = 0
+        self._coefficients: _Coefficients = (0.0,) * 6
+
+    @property
+    def end_ns(self) -> int:
+        """The instant of the last knot on the control clock in [ns]."""
+        return self._times[-1]
+
+    def sample(self, stamp_ns: int) -> ReferenceSample:
+        """Return the reference at an instant.
+
+        Args:
+            stamp_ns: The control clock in [ns], in any order.
+        """
+        if not self._from_ns <= stamp_ns < self._to_ns:
+            self._enter(stamp_ns)
+        t = (stamp_ns - self._from_ns) * SECONDS_PER_NANOSECOND
+        c0, c1, c2, c3, c4, c5 = self._coefficients
+        return ReferenceSample(
+            c0 + t * (c1 + t * (c2 + t * (c3 + t * (c4 + t * c5)))),
+            c1 + t * (2.0 * c2 + t * (3.0 * c3 + t * (4.0 * c4 + t * 5.0 * c5))),
+            2.0 * c2 + t * (6.0 * c3 + t * (12.0 * c4 + t * 20.0 * c5)),
+        )
+
+    def _enter(self, stamp_ns: int) -> None:
+        """Find the segment of an instant and compute its polynomial once."""
+        index = bisect_right(self._times, stamp_ns) - 1
+        if index < 0:
+            self._from_ns, self._to_ns = min(stamp_ns, 0), self._times[0]
+            self._coefficients = (self._knots[0].position, 0.0, 0.0, 0.0, 0.0, 0.0)
+        elif index == len(self._knots) - 1:
+            self._from_ns, self._to_ns = self._times[-1], _FOREVER
+            self._coefficients = (self._knots[-1].position, 0.0, 0.0, 0.0, 0.0, 0.0)
+        else:
+            self._from_ns, self._to_ns = self._times[index], self._times[index + 1]
+            self._coefficients = segment(self._knots[index], self._knots[index + 1])
+
+
+def segment(start: Knot, end: Knot) -> _Coefficients:
+    """Return the polynomial between two knots, lowest power first, time from the first knot.
+
+    Quintic when both ends give velocity and acceleration, cubic when both give velocity,
+    linear otherwise.
+
+    Args:
+        start: Left end.
+        end: Right end, later than the left one.
+    """
+    T = (end.time_ns - start.time_ns) * SECONDS_PER_NANOSECOND
+    distance = end.position - start.position
+    if start.velocity is None or end.velocity is None:
+        return (start.position, distance / T, 0.0, 0.0, 0.0, 0.0)
+    v0, v1 = start.velocity, end.velocity
+    if start.acceleration is None or end.acceleration is None:
+        c2 = (3.0 * distance - (2.0 * v0 + v1) * T) / T**2
+        c3 = (-2.0 * distance + (v0 + v1) * T) / T**3
+        return (start.position, v0, c2, c3, 0.0, 0.0)
+    a0, a1 = start.acceleration, end.acceleration
+    c3 = (20.0 * distance - (12.0 * v0 + 8.0 * v1) * T - (3.0 * a0 - a1) * T**2) / (2.0 * T**3)
+    c4 = (-30.0 * distance + (16.0 * v0 + 14.0 * v1) * T + (3.0 * a0 - 2.0 * a1) * T**2) / (
+        2.0 * T**4
+    )
+    c5 = (12.0 * distance - 6.0 * (v0 + v1) * T - (a0 - a1) * T**2) / (2.0 * T**5)
+    return (start.position, v0, 0.5 * a0, c3, c4, c5)
