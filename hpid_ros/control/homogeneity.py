@@ -105,6 +105,7 @@ class CanonicalNorm:
 
     __slots__ = ("_fastest", "_p11", "_p12", "_p22", "_slowest", "degree")
 
+    _SLOPE_MARGIN = 1e-6
     _TOLERANCE = 1e-15
     _ITERATIONS_AT_MOST = 60
 
@@ -129,7 +130,8 @@ class CanonicalNorm:
     def _slopes(self) -> tuple[float, float]:
         """Return the least and largest slope of -0.5 ln(y'Py) in ln n.
 
-        They are the generalised eigenvalues of ((PG + GP)/2, P), the roots of a quadratic.
+        They are the generalised eigenvalues of ((PG + GP)/2, P), the roots of a quadratic, which
+        is a double one when mu p12 = 0; the margin covers what the root loses to rounding then.
         """
         r = 1.0 - self.degree
         a, b, c = r * self._p11, 0.5 * (1.0 + r) * self._p12, self._p22
@@ -138,7 +140,8 @@ class CanonicalNorm:
         constant = a * c - b * b
         root = math.sqrt(max(linear * linear - 4.0 * quadratic * constant, 0.0))
         fastest = (linear + root) / (2.0 * quadratic)
-        return constant / (quadratic * fastest), fastest
+        slowest = constant / (quadratic * fastest)
+        return slowest * (1.0 - self._SLOPE_MARGIN), fastest * (1.0 + self._SLOPE_MARGIN)
 
     def __call__(self, error: float, error_rate: float) -> float:
         """Return the norm; zero only at the origin.
@@ -167,8 +170,7 @@ class CanonicalNorm:
         square = p11 * error * error + 2.0 * p12 * error * error_rate + p22 * error_rate**2
         start = 0.5 * math.log(square)
         ends = (start / self._fastest, start / self._slowest)
-        margin = 1e-12 * (1.0 + abs(start))
-        low, high = min(ends) - margin, max(ends) + margin
+        low, high = min(ends) - self._SLOPE_MARGIN, max(ends) + self._SLOPE_MARGIN
         s = min(max(start, low), high)
         for _ in range(self._ITERATIONS_AT_MOST):
             y1, y2 = error * math.exp(-r * s), error_rate * math.exp(-s)
