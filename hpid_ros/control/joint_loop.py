@@ -128,6 +128,21 @@ class JointLoop:
         return self._reference_position, self._reference_velocity
 
     @property
+    def error(self) -> float:
+        """Reference minus measured position of the last sample in [rad]."""
+        return self._error
+
+    @property
+    def stamp_ns(self) -> int | None:
+        """Stamp of the last state in [ns]; None before the first one."""
+        return self._stamp_ns
+
+    @property
+    def has_motion(self) -> bool:
+        """Whether the loop was told to follow anything."""
+        return self._motion is not None
+
+    @property
     def velocity(self) -> float:
         """The velocity that the last sample used, in [rad/s]."""
         return self._rate
@@ -175,7 +190,7 @@ class JointLoop:
         self._pending = self._motion
         self._reference = None
         self._reference_position = self._reference_velocity = 0.0
-        self._rate = 0.0
+        self._rate = self._error = 0.0
         self._stamp_ns = None
         self._effort = 0.0
         self._state = LoopState.WAITING
@@ -201,7 +216,7 @@ class JointLoop:
         self._stamp_ns = stamp_ns
         self._sample_reference(stamp_ns, position)
         self._rate = rate = self._velocity.update(position, velocity, dt)
-        error = self._reference_position - position
+        self._error = error = self._reference_position - position
         return self._control(error, self._reference_velocity - rate, dt)
 
     def _elapsed(self, stamp_ns: int) -> float:

@@ -1,11 +1,11 @@
 """Reference trajectories: sampling by joint_trajectory_controller's rules, and generators."""
 
-from hpid_ros.trajectory.generators import GENERATORS, minimum_jerk, sine, step
+from hpid_ros.trajectory.generators import minimum_jerk, sine, step
 from hpid_ros.trajectory.joint_trajectory import JointTrajectory, TrajectoryPoint
+from hpid_ros.trajectory.section import reference_from
 from hpid_ros.trajectory.spline import Column, Knot, ReferenceSample, SplineReference
 
 __all__ = [
-    "GENERATORS",
     "Column",
     "JointTrajectory",
     "Knot",
@@ -13,6 +13,7 @@ __all__ = [
     "SplineReference",
     "TrajectoryPoint",
     "minimum_jerk",
+    "reference_from",
     "sine",
     "step",
 ]

@@ -7,7 +7,7 @@ what is published, recorded and sampled is one and the same thing.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 from hpid_ros.errors import TrajectoryError
 from hpid_ros.trajectory.joint_trajectory import JointTrajectory, TrajectoryPoint
@@ -110,14 +110,6 @@ def sine(
             )
         )
     return JointTrajectory(tuple(positions), tuple(points))
-
-
-GENERATORS: Mapping[str, Callable[..., JointTrajectory]] = {
-    "minimum_jerk": minimum_jerk,
-    "step": step,
-    "sine": sine,
-}
-"""The generators by the name that ``kind`` has in a reference section."""
 
 
 def _check_lengths(times: Sequence[float], positions: Mapping[str, Sequence[float]]) -> None:
