@@ -1,0 +1,10 @@
+"""What a URDF says about a robot, and the rigid-body dynamics that follow from it.
+
+:mod:`~hpid_ros.robot.description` needs the standard library only;
+:mod:`~hpid_ros.robot.dynamics` is the only importer of Pinocchio and is imported by name.
+"""
+
+from hpid_ros.robot.description import RobotDescription
+from hpid_ros.robot.joints import JointDescription
+
+__all__ = ["JointDescription", "RobotDescription"]

@@ -1,0 +1,199 @@
+"""Rigid-body dynamics of a robot, with the rotors of its geared motors.
+
+The only importer of Pinocchio.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import pinocchio
+
+from hpid_ros.errors import RobotDescriptionError, SettingError, unknown_name
+from hpid_ros.robot.description import RobotDescription
+from hpid_ros.robot.joints import JointDescription
+
+Vector = npt.NDArray[np.float64]
+
+
+class InertiaRange(NamedTuple):
+    """What one joint's motor has to accelerate, over the poses of a robot, in [kg m^2].
+
+    Attributes:
+        minimum: Least effective inertia met.
+        nominal: Effective inertia in the nominal pose.
+        maximum: Greatest effective inertia met.
+    """
+
+    minimum: float
+    nominal: float
+    maximum: float
+
+
+class Dynamics:
+    """Mass matrix and gravity of a robot in free space.
+
+    Contact with the ground is not part of it: on a fixed base a wheel turns freely, on a
+    floating one the robot flies.
+
+    Attributes:
+        description: The robot.
+    """
+
+    def __init__(self, description: RobotDescription, fixed_base: bool = True) -> None:
+        """Build the model.
+
+        Args:
+            description: The robot.
+            fixed_base: The root link does not move; otherwise it is free in all six directions.
+
+        Raises:
+            RobotDescriptionError: Pinocchio cannot build a model of the URDF.
+        """
+        self.description = description
+        root = () if fixed_base else (pinocchio.JointModelFreeFlyer(),)
+        try:
+            self._model = pinocchio.buildModelFromXML(description.xml, *root)
+        except (ValueError, RuntimeError) as error:
+            reason = " ".join(str(error).split())
+            raise RobotDescriptionError(f"Pinocchio cannot read the robot: {reason}") from error
+        armature = np.zeros(self._model.nv)
+        for joint in description.joints.values():
+            armature[self._velocity_index(joint.name)] = joint.reflected_inertia
+        self._model.armature = armature
+        self._data = self._model.createData()
+
+    def mass_matrix(self, names: Iterable[str], positions: Mapping[str, float]) -> Vector:
+        """Return the joints' block of the mass matrix, rotors included, in [kg m^2].
+
+        Args:
+            names: Joints of the rows and columns, in order.
+            positions: Position of each joint, in [rad]; joints left out are at 0.
+
+        Raises:
+            RobotDescriptionError: The robot lacks a joint.
+            SettingError: A position is not finite.
+        """
+        rows = self._rows(names)
+        return self._mass(positions)[np.ix_(rows, rows)]
+
+    def joint_inertias(
+        self, names: Iterable[str], positions: Mapping[str, float]
+    ) -> dict[str, float]:
+        """Return what each joint's motor has to accelerate while the others are free to move.
+
+        .. math:: m_j = 1 / (M^{-1})_{jj}
+
+        with :math:`J_r N^2` of each rotor on the diagonal of M.
+
+        Source: the paper, section "Implementation of hPID on the mobile manipulator", B = M^{-1}.
+
+        Args:
+            names: Joints asked for.
+            positions: Position of each joint, in [rad]; joints left out are at 0.
+
+        Returns:
+            Effective inertia by joint, in [kg m^2].
+
+        Raises:
+            RobotDescriptionError: The robot lacks a joint.
+            SettingError: A position is not finite.
+        """
+        wanted = tuple(names)
+        rows = self._rows(wanted)
+        mobility = np.diagonal(np.linalg.inv(self._mass(positions)))
+        return {name: float(1.0 / mobility[row]) for name, row in zip(wanted, rows, strict=True)}
+
+    def inertia_range(
+        self,
+        names: Iterable[str],
+        samples: int,
+        seed: int,
+        nominal: Mapping[str, float] | None = None,
+    ) -> dict[str, InertiaRange]:
+        """Return the effective inertias over poses drawn evenly within the joints' limits.
+
+        Args:
+            names: Joints asked for.
+            samples: Number of poses besides the nominal one.
+            seed: Seed of the draw.
+            nominal: The nominal pose, in [rad]; joints left out, or all, are at 0.
+
+        Returns:
+            Least, nominal and greatest inertia by joint.
+
+        Raises:
+            RobotDescriptionError: The robot lacks a joint.
+            SettingError: There is less than one sample, or a position is not finite.
+        """
+        if samples < 1:
+            raise SettingError(f"samples {samples} must be >= 1")
+        wanted = tuple(names)
+        generator = np.random.default_rng(seed)
+        centre = self.joint_inertias(wanted, nominal or {})
+        poses = [self._draw(generator) for _ in range(samples)]
+        met = [centre, *(self.joint_inertias(wanted, pose) for pose in poses)]
+        return {
+            name: InertiaRange(
+                min(one[name] for one in met), centre[name], max(one[name] for one in met)
+            )
+            for name in wanted
+        }
+
+    def gravity_torques(
+        self, names: Iterable[str], positions: Mapping[str, float]
+    ) -> dict[str, float]:
+        """Return the efforts that hold a pose against gravity, in [N m].
+
+        Args:
+            names: Joints asked for.
+            positions: Position of each joint, in [rad]; joints left out are at 0.
+
+        Raises:
+            RobotDescriptionError: The robot lacks a joint.
+            SettingError: A position is not finite.
+        """
+        wanted = tuple(names)
+        rows = self._rows(wanted)
+        configuration = self._configuration(positions)
+        torques = pinocchio.computeGeneralizedGravity(self._model, self._data, configuration)
+        return {name: float(torques[row]) for name, row in zip(wanted, rows, strict=True)}
+
+    def _mass(self, positions: Mapping[str, float]) -> Vector:
+        """Return the whole mass matrix; Pinocchio fills the upper triangle only."""
+        mass = pinocchio.crba(self._model, self._data, self._configuration(positions))
+        upper = np.triu(mass)
+        return upper + np.triu(mass, 1).T
+
+    def _configuration(self, positions: Mapping[str, float]) -> Vector:
+        """Return Pinocchio's configuration; a continuous joint's is cosine and sine."""
+        motion = np.zeros(self._model.nv)
+        for name, position in positions.items():
+            row = self._velocity_index(name)
+            if not np.isfinite(position):
+                raise SettingError(f"position {position} of joint {name!r} is not finite")
+            motion[row] = position
+        return pinocchio.integrate(self._model, pinocchio.neutral(self._model), motion)
+
+    def _rows(self, names: Iterable[str]) -> list[int]:
+        return [self._velocity_index(name) for name in names]
+
+    def _velocity_index(self, name: str) -> int:
+        if name not in self.description.joints:
+            raise RobotDescriptionError(unknown_name("joint", name, self.description.joints))
+        return int(self._model.joints[self._model.getJointId(name)].idx_v)
+
+    def _draw(self, generator: np.random.Generator) -> dict[str, float]:
+        """Return a pose within the limits; a joint without limits turns all the way round."""
+        return {
+            joint.name: float(generator.uniform(*_bounds(joint)))
+            for joint in self.description.joints.values()
+        }
+
+
+def _bounds(joint: JointDescription) -> tuple[float, float]:
+    """Return finite bounds of a joint's position, in [rad]."""
+    return max(joint.lower, -np.pi), min(joint.upper, np.pi)

@@ -1,0 +1,49 @@
+"""The whole loop without ROS: the same joint loops and world, and the same numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+from hpid_ros.control import JointLoop
+from hpid_ros.simulation.world import World
+
+
+class Sample(NamedTuple):
+    """One state and the commands that answer it.
+
+    Attributes:
+        stamp_ns: Stamp of both in [ns].
+        positions: Measured positions of the driven joints in [rad].
+        applied: Efforts that the motors gave in the period before, in [N m].
+        efforts: The commands in [N m].
+    """
+
+    stamp_ns: int
+    positions: Sequence[float]
+    applied: Sequence[float]
+    efforts: Sequence[float]
+
+
+def run_in_process(
+    world: World,
+    loops: Sequence[JointLoop],
+    periods: int,
+    observe: Callable[[Sample], None],
+) -> None:
+    """Run a world under control from its present state on.
+
+    Args:
+        world: The world.
+        loops: One loop for each driven joint, in the world's order.
+        periods: Control periods to run; there is one state more.
+        observe: Called with every sample, the last one included.
+    """
+    for period in range(periods + 1):
+        stamp_ns, positions, applied = world.time_ns, world.read(), world.applied_efforts()
+        efforts = [
+            loop.step(stamp_ns, position) for loop, position in zip(loops, positions, strict=True)
+        ]
+        observe(Sample(stamp_ns, positions, applied, efforts))
+        if period < periods:
+            world.step(efforts)

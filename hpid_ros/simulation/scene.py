@@ -1,0 +1,236 @@
+"""Building the physics of one world: the ground, the robot, its joints, its starting pose."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from hpid_ros.errors import RobotDescriptionError
+from hpid_ros.robot.description import RobotDescription
+from hpid_ros.simulation.bullet import captured, pybullet
+from hpid_ros.simulation.rotors import ROTOR_SUFFIX, couple_rotors, geared, rotor_name
+from hpid_ros.simulation.settings import WorldSettings
+
+# Sequential impulses stop at this squared change of velocity or after this many sweeps. Measured
+# on the package's robot, a joint and its rotor then agree to 6e-6 rad/s; Bullet's own 1e-7 and 50
+# leave 3e-4. A stiffly held joint creeps by 1e-5 rad/s at most, and 1e-12 costs a tenth more.
+SOLVER_RESIDUAL = 1e-10
+SOLVER_ITERATIONS = 100
+GROUND_FRICTION = 1.0  # Bullet multiplies the two surfaces' coefficients: the robot's decides
+SETTLING_TIME = 0.25  # [s]
+LOCK_FORCE = 1e6  # [N m]
+NO_SPEED_LIMIT = 1e6  # [rad/s], Bullet's own is 100: rotors turn faster
+PAYLOAD_EDGE = 0.08  # [m]
+NEARBY = 1e3  # [m], how far the robot may be from the ground before it is put down
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A loaded robot, in Bullet's numbers.
+
+    Attributes:
+        body: The robot.
+        driven: Bullet's indices of the driven joints, in the settings' order.
+        links: Bullet's index of every link; -1 is the root.
+        payload: Index of the payload link; None where the robot has none.
+        payload_own: Mass in [kg] and moments in [kg m^2] of the bare payload link.
+    """
+
+    body: int
+    driven: tuple[int, ...]
+    links: Mapping[str, int]
+    payload: int | None
+    payload_own: tuple[float, tuple[float, float, float]]
+
+    def load_payload(self, client: int, mass: float) -> None:
+        """Put a solid cube at the payload link's centre of mass.
+
+        Args:
+            client: PyBullet's client.
+            mass: Mass of the cube, in [kg].
+        """
+        own_mass, own_moments = self.payload_own
+        moment = mass * PAYLOAD_EDGE**2 / 6.0
+        pybullet.changeDynamics(
+            self.body,
+            self.payload,
+            mass=own_mass + mass,
+            localInertiaDiagonal=[own + moment for own in own_moments],
+            physicsClientId=client,
+        )
+
+
+def build_scene(
+    client: int, urdf: str, description: RobotDescription, settings: WorldSettings
+) -> Scene:
+    """Build everything anew in an empty simulation.
+
+    Args:
+        client: PyBullet's client, just connected or reset.
+        urdf: The text that Bullet loads, from :func:`~hpid_ros.simulation.model.bullet_urdf`.
+        description: The robot.
+        settings: Settings of the world.
+
+    Returns:
+        The scene at rest in its starting pose.
+
+    Raises:
+        RobotDescriptionError: Bullet cannot load the URDF.
+    """
+    pybullet.setGravity(0.0, 0.0, -settings.gravity, physicsClientId=client)
+    pybullet.setTimeStep(settings.physics_period, physicsClientId=client)
+    pybullet.setPhysicsEngineParameter(
+        numSolverIterations=SOLVER_ITERATIONS,
+        solverResidualThreshold=SOLVER_RESIDUAL,
+        deterministicOverlappingPairs=1,
+        enableFileCaching=0,
+        physicsClientId=client,
+    )
+    body = _load(client, urdf, settings.fixed_base)
+    joints, links = _indices(client, body)
+    scene = _scene(client, body, joints, links, settings)
+    _prepare_links(client, scene)
+    if settings.payload_mass:
+        scene.load_payload(client, settings.payload_mass)
+    couple_rotors(client, body, joints, description.joints.values())
+    start = settings.start(description)
+    _place_joints(client, body, joints, start)
+    if not settings.fixed_base:
+        _put_on_ground(client, body)
+        _settle(client, body, joints, settings)
+        _place_joints(client, body, joints, start)
+    _release_joints(client, body, joints, description)
+    return scene
+
+
+def _load(client: int, urdf: str, fixed_base: bool) -> int:
+    """Load URDF text through a file that is gone again afterwards."""
+    handle, path = tempfile.mkstemp(prefix="hpid_ros_", suffix=".urdf")
+    try:
+        with os.fdopen(handle, "w", encoding="utf-8") as file:
+            file.write(urdf)
+        with captured() as lines:
+            try:
+                return pybullet.loadURDF(
+                    path,
+                    useFixedBase=fixed_base,
+                    # Without this flag Bullet computes inertias of its own from the shapes.
+                    flags=pybullet.URDF_USE_INERTIA_FROM_FILE,
+                    physicsClientId=client,
+                )
+            except pybullet.error as error:
+                failure = error
+        said = "; ".join(lines[-2:]) or str(failure)
+        raise RobotDescriptionError(f"PyBullet cannot load the robot description: {said}")
+    finally:
+        Path(path).unlink(missing_ok=True)
+
+
+def _indices(client: int, body: int) -> tuple[dict[str, int], dict[str, int]]:
+    """Return Bullet's indices of joints and of links, by name."""
+    root = pybullet.getBodyInfo(body, physicsClientId=client)[0].decode()
+    joints: dict[str, int] = {}
+    links = {root: -1}
+    for index in range(pybullet.getNumJoints(body, physicsClientId=client)):
+        info = pybullet.getJointInfo(body, index, physicsClientId=client)
+        joints[info[1].decode()] = index
+        links[info[12].decode()] = index
+    return joints, links
+
+
+def _scene(
+    client: int,
+    body: int,
+    joints: Mapping[str, int],
+    links: Mapping[str, int],
+    settings: WorldSettings,
+) -> Scene:
+    """Note what the world needs to know of a robot just loaded."""
+    payload = links.get(settings.payload_link)
+    own = (0.0, (0.0, 0.0, 0.0))
+    if payload is not None:
+        info = pybullet.getDynamicsInfo(body, payload, physicsClientId=client)
+        own = (info[0], info[2])
+    driven = tuple(joints[name] for name in settings.joints)
+    return Scene(body, driven, links, payload, own)
+
+
+def _prepare_links(client: int, scene: Scene) -> None:
+    """Take away the damping and the speed limit that Bullet gives every link."""
+    for index in scene.links.values():
+        pybullet.changeDynamics(
+            scene.body,
+            index,
+            linearDamping=0.0,
+            angularDamping=0.0,
+            maxJointVelocity=NO_SPEED_LIMIT,
+            physicsClientId=client,
+        )
+
+
+def _place_joints(
+    client: int, body: int, joints: Mapping[str, int], start: Mapping[str, float]
+) -> None:
+    """Put every joint at its starting position, at rest, and its rotor at rest."""
+    for name, position in start.items():
+        pybullet.resetJointState(body, joints[name], position, 0.0, physicsClientId=client)
+        rotor = joints.get(name + ROTOR_SUFFIX)
+        if rotor is not None:
+            pybullet.resetJointState(body, rotor, 0.0, 0.0, physicsClientId=client)
+
+
+def _put_on_ground(client: int, body: int) -> None:
+    """Make the ground, and set the robot down so that its lowest point touches it."""
+    plane = pybullet.createCollisionShape(pybullet.GEOM_PLANE, physicsClientId=client)
+    ground = pybullet.createMultiBody(0.0, plane, physicsClientId=client)
+    pybullet.changeDynamics(ground, -1, lateralFriction=GROUND_FRICTION, physicsClientId=client)
+    near = pybullet.getClosestPoints(body, ground, NEARBY, physicsClientId=client)
+    if not near:
+        return  # a robot without collision shapes falls, wherever it starts
+    gap = min(point[8] for point in near)
+    position, orientation = pybullet.getBasePositionAndOrientation(body, physicsClientId=client)
+    lowered = (position[0], position[1], position[2] - gap)
+    pybullet.resetBasePositionAndOrientation(body, lowered, orientation, physicsClientId=client)
+
+
+def _settle(client: int, body: int, joints: Mapping[str, int], settings: WorldSettings) -> None:
+    """Let the robot sink into its tyres with every joint locked, then take away all speed."""
+    indices = list(joints.values())
+    _set_joint_brakes(client, body, indices, [LOCK_FORCE] * len(indices))
+    for _ in range(max(1, round(SETTLING_TIME / settings.physics_period))):
+        pybullet.stepSimulation(physicsClientId=client)
+    still = (0.0, 0.0, 0.0)
+    pybullet.resetBaseVelocity(body, still, still, physicsClientId=client)
+
+
+def _release_joints(
+    client: int, body: int, joints: Mapping[str, int], description: RobotDescription
+) -> None:
+    """Free every joint of Bullet's default motor and leave it with its own friction.
+
+    Coulomb friction is a motor whose target speed is 0 and whose force is the friction's: an
+    implicit constraint of the solver, so a joint sticks truly and cannot chatter about zero.
+    """
+    moving = description.joints.values()
+    friction = {joint.name: joint.friction for joint in moving}
+    friction.update({rotor_name(joint): 0.0 for joint in geared(moving)})
+    indices = [joints[name] for name in friction]
+    _set_joint_brakes(client, body, indices, list(friction.values()))
+    for joint in moving:
+        pybullet.changeDynamics(
+            body, joints[joint.name], jointDamping=joint.damping, physicsClientId=client
+        )
+
+
+def _set_joint_brakes(client: int, body: int, indices: list[int], forces: list[float]) -> None:
+    pybullet.setJointMotorControlArray(
+        body,
+        indices,
+        pybullet.VELOCITY_CONTROL,
+        targetVelocities=[0.0] * len(indices),
+        forces=forces,
+        physicsClientId=client,
+    )

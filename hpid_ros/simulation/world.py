@@ -1,0 +1,215 @@
+"""The simulated robot: efforts in, measured positions out, one control period at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from types import TracebackType
+
+from hpid_ros.errors import SettingError
+from hpid_ros.robot.description import RobotDescription
+from hpid_ros.simulation.actuators import EffortActuator
+from hpid_ros.simulation.bullet import captured, pybullet
+from hpid_ros.simulation.encoders import Encoder
+from hpid_ros.simulation.model import bullet_urdf
+from hpid_ros.simulation.poses import ROOT, Pose, Twist, link_pose, root_twist
+from hpid_ros.simulation.scene import build_scene
+from hpid_ros.simulation.settings import WorldSettings, require_mass
+from hpid_ros.simulation.wrenches import Pulse, vector
+
+
+class World:
+    """A robot in PyBullet, driven by joint torques.
+
+    There is no control inside. The same sequence of calls gives the same numbers to the last
+    bit, in any process. Joints that are not driven move freely against their friction.
+
+    At time 0 the robot rests: its lowest point is put on the ground, it sinks into its elastic
+    tyres for 0.25 s with every joint locked, then all speeds are set to zero and the joints to
+    their initial positions.
+
+    Attributes:
+        settings: Settings of the world.
+        description: The robot.
+    """
+
+    def __init__(self, settings: WorldSettings) -> None:
+        """Build the world.
+
+        Raises:
+            RobotDescriptionError: The URDF cannot be read, or lacks a driven joint.
+            SettingError: An initial position is impossible, or the payload has no link.
+        """
+        self.settings = settings
+        self.description = RobotDescription.load(settings.robot_description)
+        selected = self.description.select(settings.joints)
+        settings.start(self.description)
+        self._actuators = [EffortActuator(joint.name, joint.effort) for joint in selected]
+        self._encoders = [Encoder(counts) for counts in settings.counts]
+        if settings.payload_mass:
+            self.description.link(settings.payload_link)
+        self._urdf = bullet_urdf(self.description)
+        self._states: Sequence[tuple[float, float]] | None = None
+        self._client = -1
+        with captured():
+            self._client = pybullet.connect(pybullet.GUI if settings.gui else pybullet.DIRECT)
+        try:
+            self._build()
+        except BaseException:
+            self.close()
+            raise
+
+    def __enter__(self) -> World:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Disconnect from PyBullet; a second call does nothing."""
+        client, self._client = self._client, -1
+        if client >= 0:
+            with captured():
+                pybullet.disconnect(physicsClientId=client)
+
+    def reset(self) -> None:
+        """Go back to time 0; what follows is what would follow in a fresh world."""
+        with captured():
+            pybullet.resetSimulation(physicsClientId=self._client)
+        self._build()
+
+    @property
+    def time_ns(self) -> int:
+        """Simulated time, a whole number of control periods, in [ns]."""
+        return self._periods * self.settings.control_period_ns
+
+    def read(self) -> tuple[float, ...]:
+        """Return the encoders' positions of the driven joints, in [rad]."""
+        return tuple(
+            [
+                encoder.read(state[0])
+                for encoder, state in zip(self._encoders, self._joint_states(), strict=True)
+            ]
+        )
+
+    def true_positions(self) -> tuple[float, ...]:
+        """Return the exact positions of the driven joints, in [rad]."""
+        return tuple([state[0] for state in self._joint_states()])
+
+    def true_velocities(self) -> tuple[float, ...]:
+        """Return the exact velocities of the driven joints, in [rad/s]."""
+        return tuple([state[1] for state in self._joint_states()])
+
+    def applied_efforts(self) -> tuple[float, ...]:
+        """Return what the motors gave in the last control period, in [N m]; 0 at time 0."""
+        return self._applied
+
+    def step(self, efforts: Sequence[float]) -> None:
+        """Advance by one control period; the torques act in every physics step of it.
+
+        Args:
+            efforts: Commanded effort of each driven joint, in [N m]; held to the URDF's limits.
+
+        Raises:
+            SettingError: There is not one finite effort for each driven joint.
+        """
+        if len(efforts) != len(self._actuators):
+            raise SettingError(f"{len(efforts)} efforts for {len(self._actuators)} driven joints")
+        torques = [
+            actuator.torque(effort)
+            for actuator, effort in zip(self._actuators, efforts, strict=True)
+        ]
+        client, body, driven = self._client, self._scene.body, self._scene.driven
+        for _ in range(self.settings.physics_steps):
+            if self._pulses:
+                self._push()
+            # Bullet forgets applied torques after every step.
+            pybullet.setJointMotorControlArray(
+                body, driven, pybullet.TORQUE_CONTROL, forces=torques, physicsClientId=client
+            )
+            pybullet.stepSimulation(physicsClientId=client)
+        self._applied = tuple(torques)
+        self._periods += 1
+        self._states = None
+
+    def link_pose(self, name: str) -> Pose:
+        """Return the pose of a link's frame.
+
+        Raises:
+            RobotDescriptionError: The robot has no such link.
+        """
+        return link_pose(self._client, self._scene.body, self._link(name))
+
+    def base_pose(self) -> Pose:
+        """Return the pose of the robot's root link."""
+        return link_pose(self._client, self._scene.body, ROOT)
+
+    def base_velocity(self) -> Twist:
+        """Return the velocity of the robot's root link, in that link's frame."""
+        return root_twist(self._client, self._scene.body)
+
+    def apply_wrench(
+        self, link: str, force: Sequence[float], torque: Sequence[float], duration_ns: int
+    ) -> None:
+        """Push a link from the next step on.
+
+        Args:
+            link: Name of the link.
+            force: Force on the origin of the link's frame, in the world frame, in [N].
+            torque: Torque, in the world frame, in [N m].
+            duration_ns: How long, in [ns]; rounded to whole physics steps, at least one.
+
+        Raises:
+            RobotDescriptionError: The robot has no such link.
+            SettingError: A component is not finite, or the duration is not positive.
+        """
+        if duration_ns <= 0:
+            raise SettingError(f"duration {duration_ns} ns of a wrench must be positive")
+        settings = self.settings
+        steps = round(duration_ns * settings.physics_steps / settings.control_period_ns)
+        push = vector("force", force), vector("torque", torque)
+        self._pulses.append(Pulse(self._link(link), *push, max(1, steps)))
+
+    def set_payload(self, mass: float) -> None:
+        """Change the payload, a solid cube at the payload link; until the next reset.
+
+        Args:
+            mass: Mass, in [kg].
+
+        Raises:
+            RobotDescriptionError: The robot has no payload link.
+            SettingError: The mass is negative or not finite.
+        """
+        self._link(self.settings.payload_link)
+        self._scene.load_payload(self._client, require_mass(mass))
+
+    def _build(self) -> None:
+        """Build the scene in an empty simulation."""
+        self._scene = build_scene(self._client, self._urdf, self.description, self.settings)
+        self._periods = 0
+        self._applied = (0.0,) * len(self._actuators)
+        self._pulses: list[Pulse] = []
+        self._states = None
+
+    def _link(self, name: str) -> int:
+        """Return Bullet's index of a link that exists."""
+        return self._scene.links[self.description.link(name)]
+
+    def _joint_states(self) -> Sequence[tuple[float, float]]:
+        """Return Bullet's states of the driven joints, asked for once a period."""
+        states = self._states
+        if states is None:
+            states = self._states = pybullet.getJointStates(
+                self._scene.body, self._scene.driven, physicsClientId=self._client
+            )
+        return states
+
+    def _push(self) -> None:
+        """Let the pulses act on the next physics step, and drop those that are over."""
+        for pulse in self._pulses:
+            pulse.act(self._client, self._scene.body)
+        self._pulses = [pulse for pulse in self._pulses if pulse.steps_left]

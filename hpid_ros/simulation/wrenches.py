@@ -1,0 +1,65 @@
+"""Pulses of force and torque on links."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from hpid_ros.errors import SettingError
+from hpid_ros.simulation.bullet import pybullet
+from hpid_ros.simulation.poses import centre_of_mass, link_pose
+
+Vector = tuple[float, float, float]
+
+
+@dataclass
+class Pulse:
+    """A wrench that acts for a number of physics steps.
+
+    Attributes:
+        link: Bullet's index of the link.
+        force: Force on the origin of the link's frame, in the world frame, in [N].
+        torque: Torque, in the world frame, in [N m].
+        steps_left: Physics steps that it still acts.
+    """
+
+    link: int
+    force: Vector
+    torque: Vector
+    steps_left: int
+
+    def act(self, client: int, body: int) -> None:
+        """Act on the next physics step of a robot."""
+        self.steps_left -= 1
+        origin = link_pose(client, body, self.link).position
+        centre = centre_of_mass(client, body, self.link)
+        x, y, z = (a - b for a, b in zip(origin, centre, strict=True))
+        fx, fy, fz = self.force
+        tx, ty, tz = self.torque
+        pybullet.applyExternalForce(
+            body,
+            self.link,
+            self.force,
+            centre,
+            pybullet.WORLD_FRAME,
+            physicsClientId=client,
+        )
+        pybullet.applyExternalTorque(
+            body,
+            self.link,
+            (tx + y * fz - z * fy, ty + z * fx - x * fz, tz + x * fy - y * fx),
+            pybullet.WORLD_FRAME,
+            physicsClientId=client,
+        )
+
+
+def vector(name: str, values: Sequence[float]) -> Vector:
+    """Return three finite numbers.
+
+    Raises:
+        SettingError: They are not three, or not finite.
+    """
+    if len(values) != 3 or not all(math.isfinite(value) for value in values):
+        raise SettingError(f"{name} {list(values)} must be three finite numbers")
+    return float(values[0]), float(values[1]), float(values[2])

@@ -1,0 +1,136 @@
+from __future__ import annotations
+
+import math
+from dataclasses import FrozenInstanceError
+from pathlib import Path
+
+import pytest
+
+from hpid_ros.errors import RobotDescriptionError
+from hpid_ros.robot import RobotDescription
+
+XML = """<robot name="pair" xmlns:drake="http://drake.mit.edu">
+  <link name="base"/><link name="upper"/><link name="lower"/><link name="tip"/>
+  <joint name="shoulder" type="revolute">
+    <parent link="base"/><child link="upper"/><axis xyz="0 1 0"/>
+    <limit lower="-1.5" upper="2" effort="7" velocity="3"/>
+    <dynamics damping="0.2" friction="0.1"/>
+  </joint>
+  <joint name="roll" type="continuous">
+    <parent link="upper"/><child link="lower"/><limit lower="-1" upper="1" effort="4"/>
+  </joint>
+  <joint name="mount" type="fixed"><parent link="lower"/><child link="tip"/></joint>
+  <transmission name="t">
+    <joint name="shoulder"/>
+    <actuator name="m">
+      <drake:rotor_inertia value="2e-6"/><drake:gear_ratio value="100"/>
+    </actuator>
+  </transmission>
+</robot>"""
+
+
+def test_every_entry_of_a_joint_is_read():
+    shoulder = RobotDescription.load(XML).joints["shoulder"]
+    assert (shoulder.type, shoulder.axis) == ("revolute", (0.0, 1.0, 0.0))
+    assert (shoulder.parent, shoulder.child) == ("base", "upper")
+    assert (shoulder.lower, shoulder.upper) == (-1.5, 2.0)
+    assert (shoulder.effort, shoulder.velocity) == (7.0, 3.0)
+    assert (shoulder.damping, shoulder.friction) == (0.2, 0.1)
+    assert (shoulder.rotor_inertia, shoulder.gear_ratio) == (2e-6, 100.0)
+    assert shoulder.reflected_inertia == pytest.approx(0.02)
+
+
+def test_what_a_urdf_leaves_out_is_unlimited_and_frictionless():
+    roll = RobotDescription.load(XML).joints["roll"]
+    # A continuous joint turns on whatever its limit element says.
+    assert (roll.lower, roll.upper) == (-math.inf, math.inf)
+    assert (roll.effort, roll.velocity) == (4.0, math.inf)
+    assert (roll.damping, roll.friction, roll.reflected_inertia) == (0.0, 0.0, 0.0)
+    assert roll.axis == (1.0, 0.0, 0.0)
+
+
+def test_only_moving_joints_are_joints_and_all_links_are_links():
+    robot = RobotDescription.load(XML)
+    assert robot.name == "pair"
+    assert list(robot.joints) == ["shoulder", "roll"]
+    assert robot.links == ("base", "upper", "lower", "tip")
+    assert (robot.root, robot.last_link) == ("base", "tip")
+
+
+def test_text_and_file_give_the_same_robot(tmp_path: Path):
+    path = tmp_path / "pair.urdf"
+    path.write_text('<?xml version="1.0" encoding="utf-8"?>\n' + XML, encoding="utf-8")
+    from_file, from_text = RobotDescription.load(path), RobotDescription.load("\n " + XML)
+    assert from_file.joints == from_text.joints == RobotDescription.load(str(path)).joints
+    assert (from_file.folder, from_text.folder) == (tmp_path.resolve(), None)
+
+
+def test_selected_joints_come_in_the_order_asked_for():
+    chosen = RobotDescription.load(XML).select(["roll", "shoulder"])
+    assert [joint.name for joint in chosen] == ["roll", "shoulder"]
+
+
+def test_an_unknown_joint_is_answered_with_the_nearest_and_all_names():
+    with pytest.raises(RobotDescriptionError) as caught:
+        RobotDescription.load(XML).select(["roll", "sholder"])
+    message = str(caught.value)
+    assert "unknown joint 'sholder'" in message
+    assert "did you mean 'shoulder'?" in message
+    assert "known: roll, shoulder" in message
+
+
+def test_a_joint_is_not_selected_twice():
+    with pytest.raises(RobotDescriptionError, match="'roll' is given twice"):
+        RobotDescription.load(XML).select(["roll", "roll"])
+
+
+def test_an_unknown_link_is_answered_with_the_nearest():
+    with pytest.raises(RobotDescriptionError, match="did you mean 'lower'"):
+        RobotDescription.load(XML).link("lowr")
+
+
+def test_the_record_cannot_be_changed():
+    robot = RobotDescription.load(XML)
+    with pytest.raises(FrozenInstanceError):
+        robot.name = "other"  # type: ignore[misc]
+    with pytest.raises(TypeError):
+        robot.joints["roll"] = robot.joints["shoulder"]  # type: ignore[index]
+
+
+@pytest.mark.parametrize(
+    ("broken", "says"),
+    [
+        ("<robot", "not readable XML"),
+        ("<sdf/>", "root is <sdf>"),
+        ('<robot name="r"/>', "one root link, not 0: none"),
+        ('<robot><link name="a"/><link name="b"/></robot>', "one root link, not 2: a, b"),
+        (XML.replace('lower="-1.5"', 'lower="low"'), "lower='low' is not a finite number"),
+        (XML.replace('damping="0.2"', 'damping="nan"'), "damping='nan'"),
+        (XML.replace('xyz="0 1 0"', 'xyz="0 1"'), "axis '0 1' is not a direction"),
+        (XML.replace('xyz="0 1 0"', 'xyz="0 0 0"'), "axis '0 0 0' is not a direction"),
+        (XML.replace('"revolute"', '"revolut"'), "did you mean 'revolute'"),
+        (XML.replace('name="roll"', 'name="shoulder"'), "two joints of the name 'shoulder'"),
+        (XML.replace('<child link="upper"/>', ""), "no <child link"),
+        (XML.replace('"2e-6"', '"-1"'), "rotor inertia -1.0"),
+        (XML.replace(' xmlns:drake="http://drake.mit.edu"', ""), "unbound prefix"),
+    ],
+)
+def test_a_broken_description_is_one_clear_line(broken: str, says: str):
+    with pytest.raises(RobotDescriptionError) as caught:
+        RobotDescription.load(broken)
+    assert says in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_file_that_cannot_be_read_is_one_clear_line(tmp_path: Path):
+    binary = tmp_path / "robot.urdf"
+    binary.write_bytes(b"\xff\xfe\x00\x80")
+    for path, says in (
+        (tmp_path / "missing.urdf", "does not exist"),
+        (tmp_path, "directory"),
+        (binary, "codec"),
+    ):
+        with pytest.raises(RobotDescriptionError, match=says) as caught:
+            RobotDescription.load(path)
+        assert "\n" not in str(caught.value)
+        assert str(path) in str(caught.value)
