@@ -1,0 +1,163 @@
+"""The paper's five figures: positions, efforts and errors by joint, and their norms over joints.
+
+matplotlib through its objects only: no pyplot, no figure that outlives its function, and the
+same bytes for the same runs.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Protocol
+
+from matplotlib.figure import Figure
+
+from hpid_ros.analysis.indices import EFFORT_L2, ERROR_L2, Quantity, run_indices
+from hpid_ros.analysis.panels import SignalOf, joint_panels, single_panel
+from hpid_ros.analysis.plot_style import DOTS_PER_INCH, figure_style
+from hpid_ros.analysis.series import JointSeries, RunSeries, SeriesError
+from hpid_ros.analysis.signals import Signal, norm_over_joints
+from hpid_ros.errors import unknown_name
+
+FORMATS = ("png", "pdf", "svg")
+# Detail of a line: three times the pixels of a panel in a PNG, so that a PDF can be enlarged.
+BUCKETS = 2000
+
+# Dates and versions would make two files of the same run differ.
+_METADATA: Mapping[str, dict[str, Any]] = {
+    "png": {"Software": None},
+    "pdf": {"CreationDate": None, "Producer": None, "Creator": None},
+    "svg": {"Date": None, "Creator": None},
+}
+
+
+def _position(series: JointSeries) -> Signal:
+    return Signal(series.state_stamps_ns, series.position)
+
+
+def _reference(series: JointSeries) -> Signal:
+    return Signal(series.state_stamps_ns, series.reference)
+
+
+def _error(series: JointSeries) -> Signal:
+    return Signal(series.state_stamps_ns, series.error)
+
+
+def _effort(series: JointSeries) -> Signal:
+    return Signal(series.command_stamps_ns, series.effort)
+
+
+class DrawRuns(Protocol):
+    """A function that draws runs at some detail; the first run is the baseline."""
+
+    def __call__(self, runs: Sequence[RunSeries], buckets: int = BUCKETS) -> Figure:
+        """Return the figure."""
+        ...
+
+
+@figure_style()
+def positions_figure(runs: Sequence[RunSeries], buckets: int = BUCKETS) -> Figure:
+    """Return measured positions over the first run's reference, one panel a joint, in [rad].
+
+    Args:
+        runs: The runs, the baseline first.
+        buckets: Detail of each line, see :func:`~hpid_ros.analysis.signals.envelope`.
+
+    Raises:
+        SeriesError: If there is no run, or the runs' joints differ.
+    """
+    return joint_panels(runs, "position [rad]", _position, buckets, _reference)
+
+
+@figure_style()
+def efforts_figure(runs: Sequence[RunSeries], buckets: int = BUCKETS) -> Figure:
+    """Return efforts, one panel a joint, in [N m]; see :func:`positions_figure`."""
+    return joint_panels(runs, "effort [N m]", _effort, buckets)
+
+
+@figure_style()
+def errors_figure(runs: Sequence[RunSeries], buckets: int = BUCKETS) -> Figure:
+    """Return reference minus position by joint, in [rad]; see :func:`positions_figure`."""
+    return joint_panels(runs, "error [rad]", _error, buckets)
+
+
+@figure_style()
+def effort_norm_figure(runs: Sequence[RunSeries], buckets: int = BUCKETS) -> Figure:
+    """Return the effort's norm over joints, in [N m]; see :func:`positions_figure`."""
+    return _norm_figure(runs, r"$\|u(t)\|_2$ over all joints [N m]", _effort, EFFORT_L2, buckets)
+
+
+@figure_style()
+def error_norm_figure(runs: Sequence[RunSeries], buckets: int = BUCKETS) -> Figure:
+    """Return the error's norm over joints, in [rad]; see :func:`positions_figure`."""
+    return _norm_figure(runs, r"$\|e(t)\|_2$ over all joints [rad]", _error, ERROR_L2, buckets)
+
+
+FIGURES: Mapping[str, DrawRuns] = {
+    "positions": positions_figure,
+    "efforts": efforts_figure,
+    "errors": errors_figure,
+    "effort_norm": effort_norm_figure,
+    "error_norm": error_norm_figure,
+}
+
+
+def save_figures(
+    runs: Sequence[RunSeries], folder: Path, formats: Iterable[str] = ("png", "pdf")
+) -> list[Path]:
+    """Draw all figures into a folder, which must exist; files of the same name are replaced.
+
+    Args:
+        runs: The runs, the baseline first.
+        folder: Where they go.
+        formats: Any of :data:`FORMATS`.
+
+    Returns:
+        The files written, by figure, then format.
+
+    Raises:
+        SeriesError: If a format is unknown, there is no run, or the runs' joints differ.
+    """
+    wanted = tuple(formats)
+    for form in wanted:
+        if form not in FORMATS:
+            raise SeriesError(unknown_name("figure format", form, FORMATS))
+    paths: list[Path] = []
+    for name, draw in FIGURES.items():
+        figure = draw(runs)
+        for form in wanted:
+            path = Path(folder) / f"{name}.{form}"
+            path.write_bytes(render(figure, form))
+            paths.append(path)
+    return paths
+
+
+@figure_style()
+def render(figure: Figure, form: str, transparent: bool = False) -> bytes:
+    """Return a figure as the bytes of a file; the same figure gives the same bytes.
+
+    Args:
+        figure: One of this module's figures.
+        form: One of :data:`FORMATS`.
+        transparent: Whether the paper is left out.
+    """
+    buffer = io.BytesIO()
+    figure.savefig(
+        buffer,
+        format=form,
+        dpi=DOTS_PER_INCH,
+        metadata=_METADATA[form],
+        transparent=transparent,
+    )
+    return buffer.getvalue()
+
+
+def _norm_figure(
+    runs: Sequence[RunSeries], label: str, signal_of: SignalOf, quantity: Quantity, buckets: int
+) -> Figure:
+    signals = [norm_over_joints([signal_of(s) for s in run.joints]) for run in runs]
+    values = [run_indices(run).value(quantity) for run in runs]
+    unit = quantity.unit.replace("^0.5", "$^{0.5}$")
+    notes = [f"{quantity.meaning} {value:.4g} {unit}" for value in values]
+    return single_panel(runs, label, signals, notes, buckets)

@@ -1,0 +1,139 @@
+"""The report's tables of plain facts: settings, losses, provenance."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from html import escape
+
+from hpid_ros.analysis.series import RunSeries
+
+# Settings by parameter name, of each joint, of each run's label.
+Parameters = Mapping[str, Mapping[str, Mapping[str, object]]]
+
+
+def losses(runs: Sequence[RunSeries]) -> Iterator[str]:
+    """Yield for each run what went missing: a line if nothing did, else a table by joint.
+
+    Args:
+        runs: The runs.
+    """
+    for run in runs:
+        counts = {(len(s.state_stamps_ns), len(s.command_stamps_ns)) for s in run.joints}
+        if not any(run.losses.values()) and len(counts) == 1:
+            states, commands = counts.pop()
+            text = f"{run.label}: none. Each joint has {states} states and {commands} commands."
+            yield f"<p>{escape(text)}</p>"
+            continue
+        rows = [
+            (
+                series.joint,
+                len(series.state_stamps_ns),
+                len(series.command_stamps_ns),
+                run.losses[series.joint].unanswered_states,
+                run.losses[series.joint].repeated_commands,
+            )
+            for series in run.joints
+        ]
+        columns = ("joint", "states", "commands", "unanswered states", "repeated commands")
+        yield f"<h3>{escape(run.label)}</h3>"
+        yield plain_table(f"Losses of {run.label}", columns, rows)
+
+
+def parameter_tables(parameters: Parameters) -> Iterator[str]:
+    """Yield for each run a heading, the settings that all joints share, and those that differ.
+
+    Args:
+        parameters: Settings by run, joint and parameter.
+    """
+    for label, joints in parameters.items():
+        yield f"<h3>{escape(label)}</h3>"
+        names = list(dict.fromkeys(name for settings in joints.values() for name in settings))
+        texts = {
+            name: [_text(settings.get(name)) for settings in joints.values()] for name in names
+        }
+        shared = [name for name in names if len(joints) > 1 and len(set(texts[name])) == 1]
+        own = [name for name in names if name not in shared]
+        if own:
+            rows = ((joint, *(texts[name][k] for name in own)) for k, joint in enumerate(joints))
+            yield plain_table(f"Parameters of {label}", ("joint", *own), rows)
+        if shared:
+            settings = ", ".join(f"{name} = {texts[name][0]}" for name in shared)
+            yield f"<p>The same for all joints: {escape(settings)}.</p>"
+
+
+def provenance_table(provenance: Mapping[str, object]) -> str:
+    """Return where the numbers come from; nested entries get dotted names.
+
+    Args:
+        provenance: Any mapping of plain values and mappings.
+    """
+    rows = "".join(
+        f'<tr><th scope="row">{escape(name)}</th><td>{escape(_text(value))}</td></tr>'
+        for name, value in _flatten(provenance)
+    )
+    return scrolling("Provenance", f'<table class="wrap"><tbody>{rows}</tbody></table>')
+
+
+def plain_table(name: str, columns: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    """Return a table of texts and numbers with one line of headings.
+
+    Args:
+        name: What a screen reader calls it.
+        columns: The headings.
+        rows: The rows, each as long as the headings.
+    """
+    texts = [[_text(value) for value in row] for row in rows]
+    kinds = [
+        "" if all(_is_number(row[k]) for row in texts) else ' class="text"'
+        for k in range(len(columns))
+    ]
+    head = "".join(
+        f'<th{kind} scope="col">{escape(column)}</th>'
+        for kind, column in zip(kinds, columns, strict=True)
+    )
+    body = "".join(
+        "<tr>"
+        + "".join(f"<td{k}>{escape(t)}</td>" for k, t in zip(kinds, row, strict=True))
+        + "</tr>"
+        for row in texts
+    )
+    return scrolling(name, f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>")
+
+
+def scrolling(name: str, markup: str) -> str:
+    """Return markup in a box that scrolls by itself, so that the page never does sideways.
+
+    Args:
+        name: What a screen reader calls it.
+        markup: What is in it.
+    """
+    label = escape(name)
+    return f'<div class="scroll" tabindex="0" role="region" aria-label="{label}">{markup}</div>'
+
+
+def _flatten(entries: Mapping[str, object], prefix: str = "") -> Iterator[tuple[str, object]]:
+    for name, value in entries.items():
+        if isinstance(value, Mapping):
+            yield from _flatten(value, f"{prefix}{name}.")
+        else:
+            yield f"{prefix}{name}", value
+
+
+def _text(value: object) -> str:
+    if value is None:
+        return "–"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, (list, tuple)):
+        return ", ".join(_text(item) for item in value)
+    return str(value)
+
+
+def _is_number(text: str) -> bool:
+    if text == "–":
+        return True
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True

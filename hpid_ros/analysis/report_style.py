@@ -1,0 +1,84 @@
+"""The style sheet of the report: light and dark, wide and narrow, on screen and on paper."""
+
+from __future__ import annotations
+
+from hpid_ros.analysis.plot_style import GRID, INK, REFERENCE, RUN_STYLES
+
+# The same hues as on paper, light enough for a dark page: line and tint of each run.
+DARK_RUNS = (
+    ("#6cb4ff", "#6cb4ff"),
+    ("#ff9a52", "#7a4a2c"),
+    ("#63d29b", "#2c5c47"),
+    ("#c99bea", "#594070"),
+)
+
+_LIGHT_VARIABLES = "".join(
+    f"--run-{k}:{style.color};--tint-{k}:{style.tint};" for k, style in enumerate(RUN_STYLES)
+)
+_DARK_VARIABLES = "".join(
+    f"--run-{k}:{color};--tint-{k}:{tint};" for k, (color, tint) in enumerate(DARK_RUNS)
+)
+
+STYLE_SHEET = (
+    f"""
+:root {{
+  color-scheme: light dark;
+  --page: #ffffff; --ink: {INK}; --soft: #5b6472; --line: #d5d9e0; --panel: #f4f6f9;
+  --grid: {GRID}; --reference: {REFERENCE}; --better: #14713d; --worse: #b3261e;
+  {_LIGHT_VARIABLES}
+}}
+@media (prefers-color-scheme: dark) {{
+  :root {{
+    --page: #14171c; --ink: #e6e9ee; --soft: #a2abb8; --line: #39404b; --panel: #1d2229;
+    --grid: #2c323b; --reference: #5c6675; --better: #6fd198; --worse: #ff8f86;
+    {_DARK_VARIABLES}
+  }}
+}}
+"""
+    + """
+* { box-sizing: border-box; }
+body {
+  margin: 0; background: var(--page); color: var(--ink);
+  font: 16px/1.5 system-ui, -apple-system, "Segoe UI", Roboto, "DejaVu Sans", sans-serif;
+}
+main { max-width: 72rem; margin: 0 auto; padding: 1.5rem 1.25rem 4rem; }
+h1 { font-size: 1.6rem; line-height: 1.25; margin: 0 0 .75rem; overflow-wrap: anywhere; }
+h2 { font-size: 1.2rem; margin: 2.5rem 0 .75rem; }
+h3 { font-size: 1rem; margin: 1.5rem 0 .5rem; }
+p { margin: .5rem 0; max-width: 46rem; overflow-wrap: anywhere; }
+.answer {
+  font-size: 1.15rem; padding: .9rem 1.1rem; background: var(--panel);
+  border-left: 4px solid var(--run-1); max-width: none;
+}
+.warning { border-left: 4px solid var(--worse); padding: .4rem 1.1rem; }
+.soft { color: var(--soft); font-size: .9rem; }
+.scroll { overflow-x: auto; max-width: 100%; position: relative; }
+.scroll + .scroll { margin-top: 1.5rem; }
+sup { line-height: 0; }
+.scroll:focus-visible { outline: 2px solid var(--run-0); outline-offset: 2px; }
+table { border-collapse: collapse; font-size: .92rem; font-variant-numeric: tabular-nums; }
+th, td { padding: .3rem .6rem; text-align: right; white-space: nowrap; }
+th { font-weight: 600; }
+th[scope=row], .text { text-align: left; }
+thead th { border-bottom: 1px solid var(--line); vertical-align: bottom; }
+thead th.group { text-align: center; border-bottom: 0; }
+td.first, th.first { padding-left: 1.6rem; }
+tr { background: var(--page); }
+th[scope=row], thead th.text { position: sticky; left: 0; background: inherit; }
+tbody tr:nth-child(even) { background: var(--panel); }
+tfoot th, tfoot td { border-top: 2px solid var(--line); font-weight: 700; }
+.wrap td { white-space: normal; overflow-wrap: anywhere; text-align: left; min-width: 8rem; }
+.wrap th { vertical-align: top; }
+.better { color: var(--better); }
+.worse { color: var(--worse); }
+.unseen {
+  position: absolute; width: 1px; height: 1px; overflow: hidden; clip-path: inset(50%);
+  white-space: nowrap;
+}
+figure { margin: 0 0 2rem; }
+figure svg { display: block; width: 100%; min-width: 42rem; height: auto; }
+figure svg text { font-family: "DejaVu Sans", Verdana, system-ui, sans-serif !important; }
+figcaption { color: var(--soft); font-size: .9rem; margin-top: .35rem; }
+@media print { .scroll { overflow: visible; } figure { break-inside: avoid; } }
+"""
+)

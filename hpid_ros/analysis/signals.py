@@ -1,0 +1,68 @@
+"""Signals between a run's arrays and a drawing: their norm over joints, and fewer samples."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hpid_ros.analysis.series import seconds_since
+
+
+class Signal(NamedTuple):
+    """One signal: integer stamps in [ns], (N,), and its values at them, (N,)."""
+
+    stamps_ns: NDArray[np.int64]
+    values: NDArray[np.float64]
+
+
+def norm_over_joints(signals: Sequence[Signal]) -> Signal:
+    """Return the Euclidean norm over joints of their signals, at all stamps that any has.
+
+    Between its samples a joint's value lies on a straight line, as the indices see it; before
+    its first and after its last sample it counts as zero.
+
+    Source: the paper's equation of the norm over joints in the experimental section.
+
+    Args:
+        signals: One signal a joint, at least one.
+    """
+    stamps = np.unique(np.concatenate([signal.stamps_ns for signal in signals]))
+    squares = np.zeros(stamps.size)
+    for stamps_ns, values in signals:
+        if stamps_ns.size == stamps.size:  # as many as there are: the same ones
+            squares += np.square(values)
+        elif stamps_ns.size:
+            origin = int(stamps[0])
+            at, known = seconds_since(stamps, origin), seconds_since(stamps_ns, origin)
+            squares += np.square(np.interp(at, known, values, left=0.0, right=0.0))
+    return Signal(stamps, np.sqrt(squares))
+
+
+def envelope(signal: Signal, buckets: int) -> Signal:
+    """Return the samples of a signal that a drawing of some width needs; no peak is lost.
+
+    The signal is cut into buckets of equally many samples; of each, the first, the lowest, the
+    highest and the last stay. Drawn with at least one bucket a pixel, the line covers the same
+    pixels as the whole signal.
+
+    Args:
+        signal: The signal.
+        buckets: Number of buckets, at least one.
+
+    Returns:
+        At most 4 buckets samples of it, in order; the signal itself when it has no more.
+    """
+    stamps_ns, values = signal
+    if values.size <= 4 * buckets:
+        return signal
+    edges = np.linspace(0, values.size, buckets + 1).astype(np.intp)
+    kept = [edges[:-1], edges[1:] - 1]
+    for first, stop in itertools.pairwise(edges):
+        bucket = values[first:stop]
+        kept.append(first + np.array([bucket.argmin(), bucket.argmax()]))
+    indices = np.unique(np.concatenate(kept))
+    return Signal(stamps_ns[indices], values[indices])
