@@ -1,0 +1,15 @@
+"""Bags: written as the bytes came, read as arrays. The only importer of rosbags."""
+
+from hpid_ros.bags.bag_file import BagReader, RawMessage, TopicSummary
+from hpid_ros.bags.reader import read_run
+from hpid_ros.bags.writer import BagTopic, BagWriter, TopicQos
+
+__all__ = [
+    "BagReader",
+    "BagTopic",
+    "BagWriter",
+    "RawMessage",
+    "TopicQos",
+    "TopicSummary",
+    "read_run",
+]

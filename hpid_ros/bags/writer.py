@@ -1,0 +1,235 @@
+"""Writing raw ROS messages into an MCAP bag that any rosbag2 or MCAP reader opens."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, NamedTuple
+
+from rosbags.interfaces import (
+    Connection,
+    Qos,
+    QosDurability,
+    QosHistory,
+    QosLiveliness,
+    QosReliability,
+    QosTime,
+)
+from rosbags.rosbag2 import WriterError
+
+from hpid_ros.bags.mcap_storage import SoonOnDiskWriter
+from hpid_ros.bags.message_types import jazzy_types
+from hpid_ros.errors import BagError, ResultExistsError, unknown_name
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
+
+_FOREVER = QosTime(9_223_372_036, 854_775_807)
+"""RMW_DURATION_INFINITE, as rosbag2 writes an unset deadline, lifespan or lease."""
+
+_MAX_TIME_NS = 2**63
+
+
+class TopicQos(NamedTuple):
+    """Offered quality of service of a recorded topic, so that a replay offers the same.
+
+    Attributes:
+        reliable: Reliable if True, best effort if False.
+        transient_local: The last message reaches late subscribers; volatile if False.
+        depth: Messages kept (keep last).
+    """
+
+    reliable: bool = True
+    transient_local: bool = False
+    depth: int = 10
+
+
+class BagTopic(NamedTuple):
+    """A topic of an open bag; :meth:`BagWriter.write` takes it.
+
+    Attributes:
+        name: The topic's name.
+        type: Its type, for instance ``"sensor_msgs/msg/JointState"``.
+        connection: The same in the words of rosbags.
+    """
+
+    name: str
+    type: str
+    connection: Connection
+
+
+class BagWriter:
+    """A new bag folder with one MCAP file (rosbag2 version 9, Jazzy's message definitions).
+
+    Messages are taken as they came off the wire. What has been written is in the file after half
+    a second of log time or 1 MiB, whichever comes first, or after :meth:`flush`. Leaving the
+    ``with`` block finishes the bag in any case, also when the block raised. Not safe to share
+    between threads.
+
+    Args:
+        path: The folder to create, parents included.
+        metadata: Free text by name, kept in the bag's ``custom_data``.
+
+    Raises:
+        ResultExistsError: If the path exists; nothing is touched.
+        BagError: If the folder cannot be written.
+    """
+
+    def __init__(self, path: Path | str, *, metadata: Mapping[str, str] | None = None) -> None:
+        self.path = Path(path)
+        self._topics: list[BagTopic] = []
+        self._failure: str | None = None
+        self._is_closed = False
+        try:
+            self._writer = SoonOnDiskWriter(self.path)
+            for name, text in (metadata or {}).items():
+                self._writer.set_custom_data(name, text)
+            self._writer.open()
+        except WriterError as error:
+            if self.path.exists():
+                raise ResultExistsError(
+                    f"bag {self.path} exists already, nothing is overwritten"
+                ) from error
+            raise BagError(f"cannot create bag {self.path}: {error}") from error
+        except OSError as error:
+            raise BagError(f"cannot create bag {self.path}: {error.strerror or error}") from error
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Messages taken so far, by topic; after a failure or closing, those in the file."""
+        counts = self._writer.counts
+        return {topic.name: counts[topic.connection.id] for topic in self._topics}
+
+    def add_topic(self, name: str, type: str, qos: TopicQos | None = None) -> BagTopic:
+        """Add a topic.
+
+        Args:
+            name: Its name, with the leading slash as ROS 2 resolves it.
+            type: A type of ROS 2 Jazzy, for instance ``"sensor_msgs/msg/JointState"``.
+            qos: What its publisher offers; reliable and volatile if not given.
+
+        Raises:
+            BagError: If the type is unknown, the topic is there already or the bag is closed.
+        """
+        self._check_open()
+        types = jazzy_types()
+        if type not in types.types:
+            raise BagError(f"bag {self.path}: {unknown_name('message type', type, types.types)}")
+        if any(topic.name == name for topic in self._topics):
+            raise BagError(f"bag {self.path}: topic {name!r} was added before")
+        connection = self._writer.add_connection(
+            name,
+            type,
+            typestore=types,
+            offered_qos_profiles=[_rosbags_qos(TopicQos() if qos is None else qos)],
+        )
+        self._topics.append(topic := BagTopic(name, type, connection))
+        return topic
+
+    def write(self, topic: BagTopic, log_time_ns: int, raw: bytes) -> None:
+        """Write one message.
+
+        Args:
+            topic: What :meth:`add_topic` returned.
+            log_time_ns: When it was received, in [ns], not negative.
+            raw: The serialised message with its CDR header.
+
+        Raises:
+            BagError: If the bag is closed, the disk is full, the time is negative or the topic is
+                another bag's. After a full disk every further call raises, and closing keeps all
+                that had reached the file.
+        """
+        if self._failure is not None or not 0 <= log_time_ns < _MAX_TIME_NS:
+            self._check_open()
+            raise BagError(
+                f"bag {self.path}: log time {log_time_ns} ns of {topic.name} is not in [0, 2^63)"
+            )
+        try:
+            self._writer.write(topic.connection, log_time_ns, raw)
+        except OSError as error:
+            raise self._fail(error) from error
+        except WriterError as error:
+            self._check_open()
+            raise BagError(f"bag {self.path}: {topic.name} is no topic of it") from error
+
+    def flush(self) -> None:
+        """Hand everything that was written to the operating system, for instance when idle.
+
+        Raises:
+            BagError: If the bag is closed or the disk is full.
+        """
+        self._check_open()
+        try:
+            if (mcap := self._writer.mcap) is not None:
+                mcap.flush()
+        except OSError as error:
+            raise self._fail(error) from error
+
+    def close(self) -> None:
+        """Write all that is left, the index and ``metadata.yaml``; does nothing the second time.
+
+        Raises:
+            BagError: If that fails. Without its index the bag cannot be opened.
+        """
+        if self._is_closed:
+            return
+        self._is_closed = True
+        try:
+            if self._failure is None:
+                self.flush()
+        finally:
+            self._finish()
+            self._failure = self._failure or "is closed"
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if error is None:
+            self.close()
+        else:
+            # The error that ended the block says more than a bag that could not be finished.
+            with suppress(BagError):
+                self.close()
+
+    def _finish(self) -> None:
+        try:
+            self._writer.close()
+        except OSError as error:
+            with suppress(OSError):
+                if (mcap := self._writer.mcap) is not None:
+                    mcap.bio.close()
+            raise BagError(f"cannot finish bag {self.path}: {error.strerror or error}") from error
+
+    def _fail(self, error: OSError) -> BagError:
+        self._failure = f"cannot be written: {error.strerror or error}"
+        self._writer.count_what_is_stored()
+        return BagError(f"bag {self.path} {self._failure}")
+
+    def _check_open(self) -> None:
+        if self._failure is not None:
+            raise BagError(f"bag {self.path} {self._failure}")
+
+
+def _rosbags_qos(qos: TopicQos) -> Qos:
+    """Return the profile in the words of rosbags."""
+    return Qos(
+        history=QosHistory.KEEP_LAST,
+        depth=qos.depth,
+        reliability=QosReliability.RELIABLE if qos.reliable else QosReliability.BEST_EFFORT,
+        durability=QosDurability.TRANSIENT_LOCAL
+        if qos.transient_local
+        else QosDurability.VOLATILE,
+        deadline=_FOREVER,
+        lifespan=_FOREVER,
+        liveliness=QosLiveliness.AUTOMATIC,
+        liveliness_lease_duration=_FOREVER,
+        avoid_ros_namespace_conventions=False,
+    )
