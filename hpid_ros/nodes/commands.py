@@ -1,0 +1,118 @@
+"""How an effort leaves a controller: the message that the hardware side understands."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Protocol
+
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64, Float64MultiArray
+
+from hpid_ros.errors import SettingError
+from hpid_ros.messages import JointStateTemplate
+from hpid_ros.nodes.qos import OFFERED, overridable
+
+
+class CommandSink(Protocol):
+    """Publishes one joint's efforts."""
+
+    publisher: Publisher
+
+    def send(self, stamp_ns: int, effort: float) -> None:
+        """Publish an effort.
+
+        Args:
+            stamp_ns: Stamp of the state that it answers in [ns].
+            effort: In [N m].
+        """
+
+
+class JointStateCommands:
+    """One name and one effort in a JointState, stamped with the state that it answers.
+
+    The convention of Isaac Sim and of ``topic_based_ros2_control``.
+
+    Args:
+        node: The node that publishes.
+        joint: The joint.
+    """
+
+    def __init__(self, node: Node, joint: str) -> None:
+        self.publisher = node.create_publisher(
+            JointState, "joint_commands", OFFERED, qos_overriding_options=overridable()
+        )
+        self._template = JointStateTemplate([joint], effort=True)
+
+    def send(self, stamp_ns: int, effort: float) -> None:
+        """Publish an effort in [N m]."""
+        self.publisher.publish(self._template.encode(stamp_ns, effort=(effort,)))
+
+
+class Float64MultiArrayCommands:
+    """An array of one, for the forward and effort group controllers of ros2_control.
+
+    Args:
+        node: The node that publishes, on ``~/commands``.
+        joint: The joint.
+    """
+
+    def __init__(self, node: Node, joint: str) -> None:
+        self.publisher = node.create_publisher(
+            Float64MultiArray, "~/commands", OFFERED, qos_overriding_options=overridable()
+        )
+        self._message = Float64MultiArray(data=[0.0])
+
+    def send(self, stamp_ns: int, effort: float) -> None:
+        """Publish an effort in [N m]; the message has no stamp."""
+        self._message.data[0] = effort
+        self.publisher.publish(self._message)
+
+
+class Float64Commands:
+    """A bare number, for Gazebo's joint force topics.
+
+    Args:
+        node: The node that publishes, on ``~/command``.
+        joint: The joint.
+    """
+
+    def __init__(self, node: Node, joint: str) -> None:
+        self.publisher = node.create_publisher(
+            Float64, "~/command", OFFERED, qos_overriding_options=overridable()
+        )
+        self._message = Float64()
+
+    def send(self, stamp_ns: int, effort: float) -> None:
+        """Publish an effort in [N m]; the message has no stamp."""
+        self._message.data = effort
+        self.publisher.publish(self._message)
+
+
+_SINKS: dict[str, Callable[[Node, str], CommandSink]] = {
+    "joint_state": JointStateCommands,
+    "float64_multi_array": Float64MultiArrayCommands,
+    "float64": Float64Commands,
+}
+
+COMMAND_INTERFACES = tuple(_SINKS)
+"""The names that the parameter ``command_interface`` may have."""
+
+
+def command_sink(node: Node, joint: str, interface: str) -> CommandSink:
+    """Return the sink of this name.
+
+    Args:
+        node: The node that publishes.
+        joint: The joint.
+        interface: One of :data:`COMMAND_INTERFACES`.
+
+    Raises:
+        SettingError: There is no such interface.
+    """
+    if interface not in _SINKS:
+        raise SettingError(
+            f"command_interface must be one of {', '.join(_SINKS)}, not {interface!r}"
+        )
+    return _SINKS[interface](node, joint)

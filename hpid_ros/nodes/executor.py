@@ -1,0 +1,186 @@
+"""How a process of nodes starts, spins and stops.
+
+``EventsExecutor`` is several times faster than the wait-set executors. Two of its traits need
+care: ``spin()`` without a deadline starves callbacks, so it is always given one; and with
+rclpy's own signal handlers the context is dead before a last command could be sent. Signals
+are therefore taken through a wake-up pipe, which works while the executor is idle, and end the
+spinning; the nodes close while the context still lives, and the context is shut down last.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from types import FrameType
+from typing import Any
+
+import rclpy
+from rclpy.exceptions import (
+    InvalidParameterTypeException,
+    InvalidParameterValueException,
+    ParameterException,
+)
+from rclpy.executors import Executor, SingleThreadedExecutor
+from rclpy.logging import get_logger
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+from rclpy.task import Future
+from rclpy.utilities import remove_ros_args
+
+from hpid_ros.errors import HpidError, SettingError
+
+BAD_INPUT = 2
+"""Exit code of a process whose parameters or arguments cannot be used."""
+
+_DEADLINE = 86400.0  # [s]; any finite one: spinning goes on when it passes
+
+
+class Stop:
+    """The end of a process: asked for by a signal or by a node, once."""
+
+    def __init__(self) -> None:
+        self.future: Future = Future()
+
+    def request(self, code: int = 0) -> None:
+        """Ask for the end.
+
+        Args:
+            code: Exit code of the process; the first request decides.
+        """
+        if not self.future.done():
+            self.future.set_result(code)
+
+
+class ClosingNode(Node):
+    """A node that has something to do before its context is gone."""
+
+    stop: Stop | None = None
+
+    def close(self) -> None:
+        """Send or write what must not be lost; called once, while the context is alive."""
+
+    def request_stop(self, code: int = 0) -> None:
+        """End this node's process.
+
+        Args:
+            code: Exit code of the process.
+        """
+        if self.stop is not None:
+            self.stop.request(code)
+
+
+def run(make_nodes: Callable[[], Sequence[ClosingNode]], args: Sequence[str] | None = None) -> int:
+    """Run nodes until a signal or one of them ends the process.
+
+    Args:
+        make_nodes: Makes the nodes once the context is there.
+        args: Command line with ROS arguments; None for that of the process.
+
+    Returns:
+        The exit code: 0 after a signal, 2 when arguments or parameters cannot be used.
+    """
+    command_line = list(sys.argv if args is None else args)
+    surplus = remove_ros_args(command_line)[1:]
+    if surplus:
+        return _refuse(f"unknown arguments {' '.join(surplus)}; parameters follow --ros-args -p")
+    try:
+        rclpy.init(args=command_line, signal_handler_options=SignalHandlerOptions.NO)
+    except (rclpy.exceptions.ROSInterruptException, RuntimeError, ValueError) as error:
+        return _refuse(str(error).splitlines()[0])
+    try:
+        with _signals_to(Stop()) as stop:
+            return _run_in_context(make_nodes, stop)
+    finally:
+        rclpy.try_shutdown()
+
+
+def _run_in_context(make_nodes: Callable[[], Sequence[ClosingNode]], stop: Stop) -> int:
+    try:
+        nodes = make_nodes()
+        for node in nodes:
+            _require_known_parameters(node)
+    except (HpidError, ParameterException) as error:
+        return _refuse(_parameter_error(error))
+    executor = _make_executor()
+    for node in nodes:
+        node.stop = stop
+        executor.add_node(node)
+    try:
+        while not stop.future.done():
+            executor.spin_until_future_complete(stop.future, _DEADLINE)
+    finally:
+        for node in nodes:
+            node.close()
+    return int(stop.future.result())
+
+
+def _make_executor() -> Executor:
+    try:
+        from rclpy.experimental import EventsExecutor
+    except ImportError:
+        get_logger("hpid_ros").warning(
+            "this rclpy has no EventsExecutor; SingleThreadedExecutor is several times slower"
+        )
+        return SingleThreadedExecutor()
+    return EventsExecutor()
+
+
+def _require_known_parameters(node: Node) -> None:
+    """Refuse parameters that were given and that the node does not have.
+
+    rclpy ignores them silently, and a mistyped gain would be a gain of zero.
+    """
+    from hpid_ros.errors import unknown_name
+
+    for name in node._parameter_overrides:  # rclpy has no public way to ask what was given
+        if not node.has_parameter(name) and not name.startswith("qos_overrides."):
+            known = [p for p in node._parameters if not p.startswith("qos_overrides.")]
+            raise SettingError(f"{node.get_name()}: {unknown_name('parameter', name, known)}")
+
+
+def _parameter_error(error: Exception) -> str:
+    if isinstance(error, InvalidParameterTypeException):
+        return f"{error} (numbers with a fraction are written 1.0, not 1)"
+    if isinstance(error, InvalidParameterValueException):
+        return " ".join(str(error).split())
+    return str(error)
+
+
+def _refuse(line: str) -> int:
+    print(line, file=sys.stderr)
+    return BAD_INPUT
+
+
+@contextmanager
+def _signals_to(stop: Stop) -> Iterator[Stop]:
+    """Turn SIGINT and SIGTERM into the end of the process, from a thread that reads a pipe."""
+    reader, writer = os.pipe()
+    os.set_blocking(writer, False)
+
+    def wait() -> None:
+        while os.read(reader, 1) not in (b"", b"\0"):
+            stop.request(0)
+
+    def ignore(number: int, frame: FrameType | None) -> None:
+        """Python must have a handler for the wake-up pipe to be written."""
+
+    handlers: dict[int, Any] = {
+        number: signal.signal(number, ignore) for number in (signal.SIGINT, signal.SIGTERM)
+    }
+    before = signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
+    thread = threading.Thread(target=wait, name="signals", daemon=True)
+    thread.start()
+    try:
+        yield stop
+    finally:
+        signal.set_wakeup_fd(before)
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+        os.write(writer, b"\0")
+        thread.join()
+        os.close(reader)
+        os.close(writer)

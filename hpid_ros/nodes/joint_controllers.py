@@ -1,0 +1,59 @@
+"""All joints of a configuration in one process, still one node for each joint."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+
+from rclpy.parameter import Parameter
+
+from hpid_ros.errors import SettingError
+from hpid_ros.names import controller_name
+from hpid_ros.nodes import executor
+from hpid_ros.nodes.joint_controller import JointController
+from hpid_ros.nodes.parameters import read_only
+
+
+class Composition(executor.ClosingNode):
+    """Says which joints are controlled in this process."""
+
+    def __init__(self) -> None:
+        super().__init__("joint_controllers")
+        self.joints: Sequence[str] = (
+            read_only(
+                self,
+                "joints",
+                Parameter.Type.STRING_ARRAY,
+                "Joints to control; each gets the node JOINT_controller, with its parameters",
+            )
+            or ()
+        )
+
+
+def make_nodes() -> list[executor.ClosingNode]:
+    """Make one controller for each joint of the parameter ``joints``.
+
+    Raises:
+        SettingError: The parameter names no joint, or one twice.
+    """
+    composition = Composition()
+    joints = list(composition.joints)
+    if not joints or len(set(joints)) != len(joints):
+        raise SettingError(f"the parameter joints must name each joint once, not {joints}")
+    controllers = [
+        JointController(
+            controller_name(joint),
+            parameter_overrides=[Parameter("joint", Parameter.Type.STRING, joint)],
+        )
+        for joint in joints
+    ]
+    return [composition, *controllers]
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the controllers."""
+    return executor.run(make_nodes, args)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,229 @@
+"""Stands in for the robot: efforts in, joint states out."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Sequence
+from typing import Any
+
+from sensor_msgs.msg import JointState
+
+from hpid_ros.errors import MessageError, SettingError
+from hpid_ros.messages import EffortReader, JointStateTemplate
+from hpid_ros.nodes import executor
+from hpid_ros.nodes.bridge_reports import BridgeReports
+from hpid_ros.nodes.bridge_services import BridgeServices
+from hpid_ros.nodes.diagnostics import OK, WARN, Diagnostics
+from hpid_ros.nodes.parameters import read_only
+from hpid_ros.nodes.qos import ALL_COMMANDS, OFFERED, overridable
+from hpid_ros.nodes.status_pipe import StatusPipe
+from hpid_ros.nodes.world_parameters import world_settings
+from hpid_ros.simulation.lockstep import Barrier
+from hpid_ros.simulation.world import World
+
+MODES = ("lockstep", "realtime")
+
+_READINESS_PERIOD = 0.01  # [s]
+_PROGRESS_PERIOD = 0.1  # [s]
+_NANOSECONDS = 1_000_000_000
+
+
+class PybulletBridge(executor.ClosingNode):
+    """A simulated robot behind the topics of a real one.
+
+    In ``lockstep`` every state waits for the command of every driven joint that carries its
+    stamp, then the physics advance by one control period. In ``realtime`` the wall clock paces
+    the states, and each joint gets its newest command.
+
+    Raises:
+        HpidError: The parameters given at start cannot be used.
+    """
+
+    def __init__(self) -> None:
+        super().__init__("pybullet_bridge")
+        settings = world_settings(self)
+        self._read_parameters(len(settings.joints))
+        self._status = StatusPipe(self)
+        self._world = World(settings)
+        self._barrier = Barrier(settings.joints)
+        self._reader = EffortReader()
+        self._template = JointStateTemplate(settings.joints, position=True, effort=True)
+        self._end_ns = round(self._duration * _NANOSECONDS) if self._duration > 0.0 else None
+        self._states = self.create_publisher(
+            JointState, "joint_states", OFFERED, qos_overriding_options=overridable()
+        )
+        self.create_subscription(
+            JointState,
+            "joint_commands",
+            self._on_command,
+            ALL_COMMANDS,
+            raw=True,
+            qos_overriding_options=overridable(),
+        )
+        self._reports = BridgeReports(self, self._world)
+        self._simulation = BridgeServices(self, self._world, self._reset, self._resume)
+        self._diagnostics = Diagnostics(self, self._world.description.name)
+        self._misread = 0
+        self._is_done = False
+        self._started: float | None = None
+        self._asked = self._progressed = time.monotonic()
+        self._asked_again = False
+        self._readiness = self.create_timer(_READINESS_PERIOD, self._start_when_ready)
+        self.create_timer(1.0, self._report)
+
+    def _read_parameters(self, joints: int) -> None:
+        mode = read_only(self, "mode", "lockstep", f"Pace of the states: {', '.join(MODES)}")
+        if mode not in MODES:
+            raise SettingError(f"mode must be one of {', '.join(MODES)}, not {mode!r}")
+        self._is_lockstep = mode == "lockstep"
+        self._duration = float(
+            read_only(self, "duration", 0.0, "Stamp of the last state [s]; 0 runs for ever")
+        )
+        self._exits = bool(
+            read_only(self, "exit_when_done", True, "End the process after the last state")
+        )
+        self._factor = float(
+            read_only(self, "real_time_factor", 1.0, "Simulated time per wall time in realtime")
+        )
+        self._timeout = float(
+            read_only(
+                self, "answer_timeout", 2.0, "Wall time that lockstep waits for one answer [s]"
+            )
+        )
+        for name, value in (("real_time_factor", self._factor), ("answer_timeout", self._timeout)):
+            if not 0.0 < value < 1e6:
+                raise SettingError(f"{name} must lie above 0 and below 1e6, not {value}")
+        everyone = joints if self._is_lockstep else 0
+        self._listeners = read_only(
+            self, "wait_for_subscribers", everyone, "Subscribers that states must have first"
+        )
+        self._commanders = read_only(
+            self, "wait_for_publishers", everyone, "Publishers that commands must have first"
+        )
+
+    def _start_when_ready(self) -> None:
+        listeners = self._states.get_subscription_count()
+        commanders = self.count_publishers("joint_commands")
+        if listeners < self._listeners or commanders < self._commanders:
+            if time.monotonic() - self._progressed > 1.0:
+                self._progressed = time.monotonic()
+                self._status.send("waiting", listeners=listeners, commanders=commanders)
+            return
+        self._readiness.cancel()
+        self._started = time.monotonic()
+        self._status.send("started")
+        if self._is_lockstep:
+            self.create_timer(self._timeout / 4.0, self._watch)
+            self._publish_state()
+        else:
+            period = self._world.settings.control_period_ns / _NANOSECONDS / self._factor
+            self._publish_state()
+            self.create_timer(period, self._tick)
+
+    def _on_command(self, raw: bytes) -> None:
+        try:
+            stamp_ns, names, efforts = self._reader.read(raw)
+        except MessageError as error:
+            self._misread += 1
+            self.get_logger().warning(str(error), throttle_duration_sec=1.0)
+            return
+        if self._barrier.answer(stamp_ns, names, efforts) and self._is_lockstep:
+            self._resume()
+
+    def _resume(self) -> None:
+        """Advance if nothing is missing and nobody has paused the simulation."""
+        if self._started is None or self._is_done or self._barrier.missing:
+            return
+        if self._simulation.may_advance():
+            self._advance()
+
+    def _advance(self) -> None:
+        efforts = self._barrier.finish()
+        if self._end_ns is not None and self._world.time_ns >= self._end_ns:
+            self._finish()
+            return
+        self._world.step(efforts)
+        self._publish_state()
+
+    def _publish_state(self) -> None:
+        stamp_ns = self._world.time_ns
+        self._barrier.begin(stamp_ns)
+        self._last_state = self._template.encode(
+            stamp_ns, position=self._world.read(), effort=self._world.applied_efforts()
+        )
+        self._states.publish(self._last_state)
+        self._reports.sample(stamp_ns)
+        self._asked, self._asked_again = time.monotonic(), False
+        if self._asked - self._progressed > _PROGRESS_PERIOD:
+            self._progressed = self._asked
+            self._status.send("progress", stamp_ns=stamp_ns, silent=self._barrier.silent)
+
+    def _tick(self) -> None:
+        """Advance by the wall clock, each joint with its newest command."""
+        self._barrier.give_up()
+        self._resume()
+
+    def _watch(self) -> None:
+        """Ask again when an answer is late, and go on without it when it is too late."""
+        waited = time.monotonic() - self._asked
+        if not self._barrier.missing or self._is_done:
+            return
+        if waited > self._timeout:
+            given_up = self._barrier.give_up()
+            self.get_logger().warning(f"no answer within {self._timeout} s: {', '.join(given_up)}")
+            self._status.send("silent", joints=given_up, stamp_ns=self._world.time_ns)
+            if not self._barrier.is_abandoned:
+                self._resume()
+        elif waited > self._timeout / 2.0 and not self._asked_again:
+            self._asked_again = True
+            self._states.publish(self._last_state)
+
+    def _reset(self) -> None:
+        self._world.reset()
+        self._is_done = False
+        if self._started is not None:
+            self._publish_state()
+
+    def _finish(self) -> None:
+        self._is_done = True
+        self._status.send(
+            "finished",
+            states=self._world.time_ns // self._world.settings.control_period_ns + 1,
+            counts={joint: vars(counts) for joint, counts in self._barrier.counts.items()},
+            foreign=self._barrier.foreign,
+        )
+        if self._exits:
+            self.request_stop()
+
+    def _report(self) -> None:
+        silent = self._barrier.silent if self._is_lockstep else ()
+        message = f"no answer from {', '.join(silent)}" if silent else "running"
+        if self._started is None:
+            message = "waiting for controllers"
+        counts = self._barrier.counts.values()
+        values: dict[str, Any] = {
+            "simulated time [s]": self._world.time_ns / _NANOSECONDS,
+            "misread commands": self._misread,
+            "commands for other joints": self._barrier.foreign,
+            "unanswered": sum(count.unanswered for count in counts),
+            "stale answers": sum(count.stale for count in counts),
+        }
+        if self._started is not None:
+            wall = max(time.monotonic() - self._started, 1e-9)
+            values["real-time factor"] = values["simulated time [s]"] / wall
+        is_well = self._started is not None and not silent
+        self._diagnostics.publish(OK if is_well else WARN, message, values)
+
+    def close(self) -> None:
+        """Leave PyBullet."""
+        self._world.close()
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the bridge."""
+    return executor.run(lambda: [PybulletBridge()], args)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,42 @@
+"""Lines for a parent process, on a file descriptor that it passed down.
+
+A parent that runs nodes as children needs to know when they are ready and when they are done,
+before and after there is a graph to ask. Each event is one JSON object on one line.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+
+from rclpy.node import Node
+
+from hpid_ros.nodes.parameters import read_only
+
+
+class StatusPipe:
+    """Writes events for a parent; does nothing when there is none.
+
+    Args:
+        node: The node; it gets the parameter ``status_fd``.
+    """
+
+    def __init__(self, node: Node) -> None:
+        self._fd = read_only(
+            node, "status_fd", -1, "File descriptor for one JSON line per event; -1 for none"
+        )
+
+    def send(self, event: str, **values: object) -> None:
+        """Write one event.
+
+        Args:
+            event: Its name.
+            values: What belongs to it; numbers, texts, lists and mappings of those.
+        """
+        if self._fd < 0:
+            return
+        line = json.dumps({"event": event, **values}) + "\n"
+        try:
+            os.write(self._fd, line.encode())
+        except OSError:  # the parent is gone; the node's own stop is not this pipe's business
+            self._fd = -1
