@@ -1,0 +1,182 @@
+"""One controller of an experiment on the real graph: every node in a process of its own."""
+
+from __future__ import annotations
+
+import selectors
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from hpid_ros.errors import RunError
+from hpid_ros.experiment.description import Experiment
+from hpid_ros.experiment.isolation import closed_environment, own_domain, require_no_sockets
+from hpid_ros.experiment.node_process import NodeGroup, NodeProcess
+from hpid_ros.experiment.parameter_files import (
+    bridge_document,
+    controllers_document,
+    write_parameters,
+)
+from hpid_ros.experiment.progress import Progress, RunReport
+from hpid_ros.names import controller_name
+
+BRIDGE, RECORDER, REFERENCE = "pybullet_bridge", "bag_recorder", "trajectory_publisher"
+
+_START_WITHIN = 60.0  # [s] from the first process to the first state
+_RECORD_WITHIN = 10.0  # [s] from the last answer to the last message in the bag
+_CLOSE_WITHIN = 30.0  # [s] for the recorder to finish the bag
+
+
+def run_on_graph(
+    experiment: Experiment, label: str, bag: Path, folder: Path, progress: Progress
+) -> RunReport:
+    """Run one controller on the real ROS 2 graph and record it.
+
+    The graph is closed to everything outside this run. Whatever ends the run, also an
+    interrupt, ends every process, and the recorder finishes its bag.
+
+    Args:
+        experiment: The experiment.
+        label: Which of its controllers.
+        bag: Folder of the bag to create.
+        folder: Existing folder for parameter files and logs of the nodes.
+        progress: Is told how far the run is.
+
+    Raises:
+        RunError: A node failed, or something was not recorded.
+    """
+    write_parameters(folder / "bridge.yaml", bridge_document(experiment))
+    write_parameters(
+        folder / "controllers.yaml", controllers_document(experiment.controllers[label])
+    )
+    with (
+        own_domain() as domain,
+        NodeGroup(closed_environment(domain), folder) as group,
+    ):
+        run = _GraphRun(experiment, label, group, progress)
+        run.start(bag, folder)
+        run.wait_for("started", BRIDGE, _START_WITHIN, "every node to find the others")
+        begin = time.monotonic()
+        run.wait_for("finished", BRIDGE, None, "the last state")
+        wall_time = time.monotonic() - begin
+        run.wait_until_recorded(_RECORD_WITHIN)
+        # First, so that the zero efforts with which the controllers leave are not in the bag.
+        group.stop([RECORDER], patience=_CLOSE_WITHIN)
+        states = int(run.events[BRIDGE, "finished"]["states"])
+        return RunReport(label, wall_time, states, len(group.nodes), run.warnings)
+
+
+class _GraphRun:
+    """Watches the nodes of one run through their event pipes."""
+
+    def __init__(
+        self, experiment: Experiment, label: str, group: NodeGroup, progress: Progress
+    ) -> None:
+        self._experiment, self._label = experiment, label
+        self._group, self._progress = group, progress
+        self._selector = selectors.DefaultSelector()
+        self.events: dict[tuple[str, str], Mapping[str, Any]] = {}
+        self.warnings: list[str] = []
+        self._excused: set[str] = set()
+
+    def start(self, bag: Path, folder: Path) -> None:
+        """Start every node."""
+        self._progress.phase(self._label, "starting the nodes")
+        joints = self._experiment.world.joints
+        reference = ["-p", f"reference_file:={self._experiment.path}"]
+        self._start(REFERENCE, "trajectory_publisher", reference)
+        self._start(RECORDER, "bag_recorder", ["-p", f"bag:={bag}"])
+        parameters = ["--params-file", str(folder / "controllers.yaml")]
+        for joint in joints:
+            options = ["-p", "wait_for_command_subscribers:=2", "-p", "wait_for_reference:=true"]
+            options += ["-p", "introspection_rate:=0.0"]
+            self._start(controller_name(joint), "joint_controller", [*parameters, *options])
+        bridge = ["--params-file", str(folder / "bridge.yaml"), "-p", "exit_when_done:=false"]
+        bridge += ["-p", f"wait_for_subscribers:={len(joints) + 1}", "-p", "report_rate:=0.0"]
+        self._start(BRIDGE, "pybullet_bridge", bridge)
+
+    def _start(self, name: str, executable: str, arguments: list[str]) -> None:
+        node = self._group.start(name, executable, arguments)
+        self._selector.register(node.events, selectors.EVENT_READ, node)
+
+    def wait_for(self, event: str, node: str, within: float | None, what: str) -> None:
+        """Wait for an event of a node.
+
+        Raises:
+            RunError: It did not come in time, or a node that is needed has ended.
+        """
+        self._wait(lambda: (node, event) in self.events, within, what)
+
+    def wait_until_recorded(self, within: float) -> None:
+        """Wait until the bag holds every state and every command that was answered."""
+        self._progress.phase(self._label, "closing the bag")
+        finished = self.events[BRIDGE, "finished"]
+        answers = sum(
+            counts["answered"] + counts["repeated"] for counts in finished["counts"].values()
+        )
+        expected = {"/joint_states": finished["states"], "/joint_commands": answers}
+
+        def is_recorded() -> bool:
+            counts = self.events.get((RECORDER, "recorded"), {}).get("counts", {})
+            return all(counts.get(topic, 0) >= count for topic, count in expected.items())
+
+        self._wait(is_recorded, within, f"the recorder to have {expected}")
+
+    def _wait(self, is_true: Callable[[], bool], within: float | None, what: str) -> None:
+        deadline = None if within is None else time.monotonic() + within
+        while not is_true():
+            ready = self._selector.select(timeout=0.05)
+            for key, _ in ready:
+                self._take_events(key.data)
+            self._look_after_nodes()
+            if deadline is not None and time.monotonic() > deadline and not is_true():
+                raise RunError(f"{self._label}: waited {within:g} s in vain for {what}")
+
+    def _take_events(self, node: NodeProcess) -> None:
+        events = node.read_events()
+        if not events and node.process.poll() is not None:
+            self._selector.unregister(node.events)
+        for event in events:
+            self._on_event(node.name, event)
+
+    def _on_event(self, node: str, event: Mapping[str, Any]) -> None:
+        name = str(event["event"])
+        self.events[node, name] = event
+        if name == "progress":
+            self._progress.advanced(self._label, event["stamp_ns"] * 1e-9)
+        elif name == "started":
+            require_no_sockets(
+                each.pid for each in self._group.nodes.values() if each.process.poll() is None
+            )
+            self._progress.phase(self._label, "running")
+        elif name == "silent":
+            seconds = event["stamp_ns"] * 1e-9
+            joints = ", ".join(event["joints"])
+            self.warnings.append(f"no answer from {joints} from {seconds:.3f} s on: no effort")
+        elif name == "failed":
+            raise RunError(f"{self._label}: {event['reason']}")
+
+    def _look_after_nodes(self) -> None:
+        """Raise when a node ended that the run cannot do without."""
+        for name, node in self._group.nodes.items():
+            code = node.process.poll()
+            if code is None or name in self._excused:
+                continue
+            for event in node.read_events():
+                self._on_event(name, event)
+            is_controller = name not in (BRIDGE, RECORDER, REFERENCE)
+            if is_controller and (BRIDGE, "started") in self.events and self._others_run(name):
+                self._excused.add(name)
+                self.warnings.append(f"{name} ended with code {code}; the other joints go on")
+                continue
+            raise RunError(
+                f"{self._label}: {name} ended with code {code}: {node.last_words()} "
+                f"(log: {node.log})"
+            )
+
+    def _others_run(self, name: str) -> bool:
+        return any(
+            node.process.poll() is None
+            for other, node in self._group.nodes.items()
+            if other not in (name, BRIDGE, RECORDER, REFERENCE)
+        )

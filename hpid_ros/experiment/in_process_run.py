@@ -1,0 +1,82 @@
+"""One controller of an experiment without ROS, recorded like the graph would be."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+from hpid_ros.bags.message_types import (
+    JOINT_STATE,
+    JOINT_TRAJECTORY,
+    encode_joint_trajectory,
+)
+from hpid_ros.bags.writer import BagWriter, TopicQos
+from hpid_ros.control import JointLoop
+from hpid_ros.experiment.description import Experiment
+from hpid_ros.experiment.progress import Progress, RunReport
+from hpid_ros.messages import JointStateTemplate
+from hpid_ros.simulation.in_process import Sample, run_in_process
+from hpid_ros.simulation.world import World
+
+_PROGRESS_EVERY = 200  # samples
+
+
+def run_without_ros(
+    experiment: Experiment, label: str, bag: Path, progress: Progress
+) -> RunReport:
+    """Run one controller in this process and record it.
+
+    Args:
+        experiment: The experiment.
+        label: Which of its controllers.
+        bag: Folder of the bag to create.
+        progress: Is told how far the run is.
+
+    Raises:
+        HpidError: The world cannot be built or the bag cannot be written.
+    """
+    settings = experiment.controllers[label]
+    loops = [JointLoop(each) for each in settings]
+    for loop in loops:
+        loop.follow(experiment.trajectory.column(loop.settings.joint))
+    progress.phase(label, "running in this process")
+    with World(experiment.world) as world, BagWriter(bag) as writer:
+        recorder = _Recorder(writer, experiment, label, progress)
+        begin = time.monotonic()
+        run_in_process(world, loops, experiment.periods, recorder.observe)
+        wall_time = time.monotonic() - begin
+    return RunReport(label, wall_time, experiment.periods + 1, 1)
+
+
+class _Recorder:
+    """Writes the messages that the nodes would have sent."""
+
+    def __init__(
+        self, writer: BagWriter, experiment: Experiment, label: str, progress: Progress
+    ) -> None:
+        joints = experiment.world.joints
+        self._writer, self._label, self._progress = writer, label, progress
+        self._state = JointStateTemplate(joints, position=True, effort=True)
+        self._commands = [JointStateTemplate([joint], effort=True) for joint in joints]
+        latched = TopicQos(transient_local=True, depth=1)
+        trajectory = writer.add_topic("/joint_trajectory", JOINT_TRAJECTORY, latched)
+        self._command_topic = writer.add_topic("/joint_commands", JOINT_STATE)
+        self._state_topic = writer.add_topic("/joint_states", JOINT_STATE)
+        writer.write(trajectory, time.time_ns(), encode_joint_trajectory(experiment.trajectory))
+        self._count = 0
+
+    def observe(self, sample: Sample) -> None:
+        """Write one state and its commands."""
+        now = time.time_ns()
+        stamp_ns = sample.stamp_ns
+        self._writer.write(
+            self._state_topic,
+            now,
+            self._state.encode(stamp_ns, position=sample.positions, effort=sample.applied),
+        )
+        for template, effort in zip(self._commands, sample.efforts, strict=True):
+            raw = template.encode(stamp_ns, effort=(effort,))
+            self._writer.write(self._command_topic, now, raw)
+        self._count += 1
+        if self._count % _PROGRESS_EVERY == 0:
+            self._progress.advanced(self._label, stamp_ns * 1e-9)

@@ -1,0 +1,147 @@
+"""A node as a child process, and a group of them that never outlives its parent."""
+
+from __future__ import annotations
+
+import ctypes
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+_PR_SET_PDEATHSIG = 1
+_LIBC = ctypes.CDLL(None)
+
+
+def _die_with_parent() -> None:
+    """Let the kernel end this child when its parent is gone, however that came about."""
+    _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
+
+
+class NodeProcess:
+    """One node in a process of its own, in a session of its own, with a pipe for its events.
+
+    Args:
+        name: Name of the node and of its log file.
+        executable: Module below ``hpid_ros.nodes``.
+        arguments: ROS arguments, for instance ``["-p", "joint:=elbow"]``.
+        environment: Its whole environment.
+        log: File for what it prints.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        executable: str,
+        arguments: Sequence[str],
+        environment: Mapping[str, str],
+        log: Path,
+    ) -> None:
+        self.name = name
+        self.log = log
+        self._buffer = b""
+        reader, writer = os.pipe()
+        os.set_blocking(reader, False)
+        self.events = reader
+        command = [
+            *(sys.executable, "-m", f"hpid_ros.nodes.{executable}", "--ros-args"),
+            *("-r", f"__node:={name}", "-p", f"status_fd:={writer}"),
+            *arguments,
+        ]
+        with log.open("wb") as output:
+            self.process = subprocess.Popen(
+                command,
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=subprocess.STDOUT,
+                env=dict(environment),
+                pass_fds=[writer],
+                start_new_session=True,
+                preexec_fn=_die_with_parent,
+            )
+        os.close(writer)
+
+    @property
+    def pid(self) -> int:
+        """Process id."""
+        return self.process.pid
+
+    def read_events(self) -> list[dict[str, Any]]:
+        """Return the events that have come since the last call."""
+        try:
+            while chunk := os.read(self.events, 65536):
+                self._buffer += chunk
+        except BlockingIOError:
+            pass
+        *lines, self._buffer = self._buffer.split(b"\n")
+        return [json.loads(line) for line in lines]
+
+    def last_words(self) -> str:
+        """Return the last line that the node printed, for an error message."""
+        lines = self.log.read_text(errors="replace").strip().splitlines()
+        return lines[-1] if lines else "it printed nothing"
+
+
+class NodeGroup:
+    """Starts nodes and ends all of them, whatever happens.
+
+    Args:
+        environment: Environment of every node.
+        logs: Folder for their logs.
+    """
+
+    def __init__(self, environment: Mapping[str, str], logs: Path) -> None:
+        self._environment = environment
+        self._logs = logs
+        self.nodes: dict[str, NodeProcess] = {}
+
+    def start(self, name: str, executable: str, arguments: Sequence[str]) -> NodeProcess:
+        """Start a node.
+
+        Args:
+            name: Its name.
+            executable: Module below ``hpid_ros.nodes``.
+            arguments: ROS arguments.
+        """
+        node = NodeProcess(
+            name, executable, arguments, self._environment, self._logs / f"{name}.log"
+        )
+        self.nodes[name] = node
+        return node
+
+    def stop(self, names: Sequence[str] | None = None, patience: float = 1.5) -> None:
+        """End nodes: ask all of them, then kill those that have not gone.
+
+        Args:
+            names: The nodes; None for all.
+            patience: Time to go in [s].
+        """
+        nodes = [self.nodes[name] for name in (self.nodes if names is None else names)]
+        running = [node for node in nodes if node.process.poll() is None]
+        for node in running:
+            node.process.terminate()
+        deadline = time.monotonic() + patience
+        for node in running:
+            try:
+                node.process.wait(max(0.0, deadline - time.monotonic()))
+            except subprocess.TimeoutExpired:
+                node.process.kill()
+                node.process.wait()
+
+    def __enter__(self) -> NodeGroup:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.stop()
+        for node in self.nodes.values():
+            os.close(node.events)

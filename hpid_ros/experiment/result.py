@@ -1,0 +1,123 @@
+"""From the bags of a comparison to its numbers, tables, figures and report."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from hpid_ros.analysis import Comparison, RunSeries, run_indices
+from hpid_ros.bags import read_run
+from hpid_ros.experiment.description import Experiment
+from hpid_ros.experiment.progress import RunReport
+from hpid_ros.experiment.provenance import versions
+from hpid_ros.experiment.result_folder import ResultFolder
+
+
+@dataclass(frozen=True)
+class Result:
+    """A comparison, computed.
+
+    Attributes:
+        experiment: What was compared.
+        runs: The recorded runs, the baseline first.
+        comparison: Their numbers.
+    """
+
+    experiment: Experiment
+    runs: tuple[RunSeries, ...]
+    comparison: Comparison
+
+    def as_mapping(self) -> dict[str, object]:
+        """Return everything that the experiment determines, and nothing that the clock does.
+
+        Two runs of the same experiment with the same versions give the same mapping to the
+        last bit, on the graph and in one process.
+        """
+        experiment = self.experiment
+        return {
+            "experiment": experiment.name,
+            "sha256": experiment.digest,
+            "seed": experiment.seed,
+            "duration": experiment.duration,
+            "control_period": experiment.world.control_period_ns * 1e-9,
+            "versions": versions(),
+            "indices": self.comparison.as_mapping(),
+            "samples": {
+                run.label: {
+                    series.joint: {
+                        "states": len(series.position),
+                        "commands": len(series.effort),
+                        **dataclasses.asdict(run.losses[series.joint]),
+                    }
+                    for series in run.joints
+                }
+                for run in self.runs
+            },
+            "parameters": self.parameters(),
+        }
+
+    def parameters(self) -> dict[str, dict[str, dict[str, object]]]:
+        """Return every parameter by run, joint and name."""
+        return {
+            label: {each.joint: dict(each.to_parameters()) for each in settings}
+            for label, settings in self.experiment.controllers.items()
+        }
+
+
+def compute(experiment: Experiment, bags: Mapping[str, Path]) -> Result:
+    """Read the bags and compute the indices.
+
+    Args:
+        experiment: What was run.
+        bags: The bag of each controller, the baseline first.
+
+    Raises:
+        HpidError: A bag cannot be read or lacks something.
+    """
+    joints = experiment.world.joints
+    runs = tuple(read_run(bag, label, joints=joints) for label, bag in bags.items())
+    return Result(experiment, runs, Comparison(tuple(run_indices(run) for run in runs)))
+
+
+def save(result: Result, folder: ResultFolder, reports: Sequence[RunReport], how: str) -> None:
+    """Write the result: first the numbers, then what is drawn from them.
+
+    Args:
+        result: The result.
+        folder: Its folder.
+        reports: How the runs went.
+        how: On what they ran, for instance ``"ROS 2 graph"``.
+    """
+    # Drawing is slow to import, and numbers that are saved survive a failure to draw them.
+    folder.write("result.json", json.dumps(result.as_mapping(), indent=2) + "\n")
+    timing = {"ran": how, "runs": {each.label: _timing(each) for each in reports}}
+    folder.write("timing.json", json.dumps(timing, indent=2) + "\n")
+
+    from hpid_ros.analysis.plots import save_figures
+    from hpid_ros.analysis.report import render_report
+    from hpid_ros.analysis.table import table_text
+    from hpid_ros.analysis.table_export import table_csv, table_latex
+
+    folder.write("table.txt", table_text(result.comparison))
+    folder.write("table.csv", table_csv(result.comparison))
+    folder.write("table.tex", table_latex(result.comparison))
+    save_figures(result.runs, folder.figures)
+    provenance = {
+        "experiment": result.experiment.name,
+        "ran": how,
+        "command": f"hpid compare {result.experiment.path.name}",
+        "seed": result.experiment.seed,
+        "SHA-256 of experiment and robot": result.experiment.digest,
+        "versions": versions(),
+    }
+    folder.write(
+        "report.html",
+        render_report(result.comparison, result.runs, provenance, result.parameters()),
+    )
+
+
+def _timing(report: RunReport) -> dict[str, object]:
+    return {**dataclasses.asdict(report), "rate": report.rate}

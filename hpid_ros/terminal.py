@@ -1,0 +1,112 @@
+"""What a person sees in the terminal while an experiment runs, and at its end."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from types import TracebackType
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskID, TaskProgressColumn, TextColumn
+from rich.table import Table
+
+from hpid_ros.experiment.progress import RunReport
+
+
+class RunProgress:
+    """A progress bar for each run, with simulated time, rate and real-time factor.
+
+    Args:
+        console: The terminal.
+        duration: Length of each run in [s].
+        labels: The controllers, in their order.
+        period: Control period in [s].
+    """
+
+    def __init__(
+        self, console: Console, duration: float, labels: Sequence[str], period: float
+    ) -> None:
+        self._duration, self._labels, self._period = duration, tuple(labels), period
+        self._progress = Progress(
+            TextColumn("{task.description}", style="bold"),
+            BarColumn(bar_width=24),
+            TaskProgressColumn(),
+            TextColumn("{task.fields[figures]}"),
+            TextColumn("{task.fields[phase]}", style="dim"),
+            console=console,
+            refresh_per_second=10,
+        )
+        self._tasks: dict[str, TaskID] = {}
+        self._begun: dict[str, tuple[float, float]] = {}
+
+    def __enter__(self) -> RunProgress:
+        self._progress.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._progress.stop()
+
+    def phase(self, label: str, what: str) -> None:
+        """Show what a run is doing; the empty label stands for the work after all runs."""
+        if label and label not in self._tasks:
+            width = max(len(each) for each in self._labels)
+            self._tasks[label] = self._progress.add_task(
+                label.ljust(width), total=self._duration, figures="", phase=what
+            )
+        if label:
+            self._progress.update(self._tasks[label], phase=what)
+        else:
+            self._progress.console.print(f"{what} ...", style="dim")
+
+    def advanced(self, label: str, simulated: float) -> None:
+        """Move a run's bar, with the rate since its first report."""
+        now = time.monotonic()
+        first, begun = self._begun.setdefault(label, (simulated, now))
+        figures = f"{simulated:5.2f} s"
+        if now - begun > 0.2:
+            factor = (simulated - first) / (now - begun)
+            figures += f"  {factor / self._period:6.0f} Hz  {factor:5.2f} x real time"
+        is_done = simulated >= self._duration
+        if not is_done or simulated > first:
+            self._progress.update(self._tasks[label], completed=simulated, figures=figures)
+        if is_done:
+            self._progress.update(self._tasks[label], completed=simulated, phase="")
+
+
+def print_reports(
+    console: Console, reports: Sequence[RunReport], duration: float, folder: Path
+) -> None:
+    """Print how the runs went, and where the result lies.
+
+    Args:
+        console: The terminal.
+        reports: One for each run.
+        duration: Length of each run in [s].
+        folder: Folder of the result.
+    """
+    table = Table(box=None, header_style="dim", padding=(0, 2, 0, 0))
+    for heading in ("run", "states", "processes", "wall time", "rate", "real time"):
+        table.add_column(heading, justify="left" if heading == "run" else "right")
+    for report in reports:
+        table.add_row(
+            report.label,
+            str(report.states),
+            str(report.processes),
+            f"{report.wall_time:.2f} s",
+            f"{report.rate:.0f} Hz",
+            f"{duration / report.wall_time:.2f} x",
+        )
+    console.print()
+    console.print(table)
+    for report in reports:
+        for warning in report.warnings:
+            console.print(f"{report.label}: {warning}", style="yellow", highlight=False)
+    console.print()
+    console.print(f"result: {folder}", soft_wrap=True, highlight=False)
+    console.print(f"report: {folder / 'report.html'}", soft_wrap=True, highlight=False)
