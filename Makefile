@@ -1,0 +1,36 @@
+# Two commands do everything on a fresh machine:
+#   make compare   set up .venv and run the paper's comparison
+#   make test      set up .venv with the test extras and run the suite
+# Options for hpid compare: make compare ARGS="FILE --output FOLDER --in-process"
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+
+.PHONY: compare test lint clean
+
+$(BIN)/python:
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --upgrade pip
+
+$(VENV)/.installed: setup.py setup.cfg package.xml | $(BIN)/python
+	$(BIN)/python -m pip install --quiet --editable ".[ros]"
+	touch $@
+
+$(VENV)/.test-installed: $(VENV)/.installed
+	$(BIN)/python -m pip install --quiet --editable ".[ros,test]"
+	touch $@
+
+compare: $(VENV)/.installed
+	$(BIN)/hpid compare $(ARGS)
+
+test: $(VENV)/.test-installed
+	$(BIN)/python -m pytest $(ARGS)
+
+lint: $(VENV)/.test-installed
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+clean:
+	rm -rf $(VENV) build install log *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis

@@ -1,0 +1,94 @@
+"""Build of an ament_python package; also a plain pip install.
+
+This is the one place where versions are pinned. Lower bounds are the oldest that the suite was
+run with; upper bounds stop at the next version that may break an interface.
+"""
+
+from pathlib import Path
+
+from setuptools import find_packages, setup
+
+PACKAGE = "hpid_ros"
+
+INSTALL_REQUIRES = [
+    "numpy>=1.26,<3",
+    "scipy>=1.11,<2",
+    "pin>=3.4,<5",  # Pinocchio; its 2.x has no armature in the forward dynamics
+    "pybullet>=3.2.6,<3.3",  # results are reproducible to the last bit within one version only
+    "rosbags>=0.11,<0.12",  # the MCAP writer is extended, and every minor version changes it
+    "matplotlib>=3.8,<4",
+    "rich>=13.7,<16",
+    "PyYAML>=6.0,<7",
+]
+
+EXTRAS = {
+    # Never part of a plain install: a ROS installation brings its own rclpy, and these wheels
+    # would shadow it. Exact, because they are one build of one distribution.
+    "ros": [
+        "ros-jazzy-rclpy==7.1.6",
+        "ros-jazzy-rmw-fastrtps-cpp==8.4.3",  # rclpy does not require the rmw that it loads
+        "ros-jazzy-common-interfaces==5.3.6",
+    ],
+    "test": [
+        "pytest>=8,<9",  # launch_testing of ROS stops any run of pytest 9
+        "pytest-timeout>=2.3,<3",
+        "hypothesis>=6.100,<7",
+        "mcap>=1.2,<2",  # a reader of bags that is not the one that wrote them
+        "mcap-ros2-support>=0.5.5,<1",
+        "colcon-common-extensions>=0.3,<0.4",
+        "colcon-ros>=0.5,<0.6",
+        "setuptools>=68,<80",  # colcon --symlink-install needs setup.py develop
+        "ruff>=0.6,<1",
+        "mypy>=1.11,<3",
+    ],
+}
+
+EXECUTABLES = [
+    "joint_controller",
+    "joint_controllers",
+    "pybullet_bridge",
+    "trajectory_publisher",
+    "bag_recorder",
+    "bag_metrics",
+]
+
+
+def folder(path, target=None):
+    """Return data_files entries that install every file below a folder of the source."""
+    target = target or path
+    entries = {}
+    for file in sorted(Path(path).rglob("*")):
+        if file.is_file() and "__pycache__" not in file.parts:
+            place = Path("share", PACKAGE, target, file.relative_to(path)).parent
+            entries.setdefault(str(place), []).append(str(file))
+    return list(entries.items())
+
+
+setup(
+    name=PACKAGE,
+    version="0.1.0",
+    packages=find_packages(include=[PACKAGE, f"{PACKAGE}.*"]),
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
+        (f"share/{PACKAGE}", ["package.xml"]),
+        *folder("config"),
+        *folder("launch"),
+        *folder("urdf"),
+    ],
+    package_data={PACKAGE: ["py.typed"]},
+    python_requires=">=3.10",
+    install_requires=["setuptools", *INSTALL_REQUIRES],
+    extras_require=EXTRAS,
+    zip_safe=False,
+    author="The hpid_ros developers",
+    maintainer="The hpid_ros developers",
+    maintainer_email="maintainers@hpid-ros.org",
+    description="Decentralised joint control on ROS 2 with the homogeneous PID",
+    license="Apache-2.0",
+    entry_points={
+        "console_scripts": [
+            *(f"{name} = {PACKAGE}.nodes.{name}:main" for name in EXECUTABLES),
+            f"hpid = {PACKAGE}.cli:main",
+        ],
+    },
+)
