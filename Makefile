@@ -13,12 +13,13 @@ $(BIN)/python:
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --upgrade pip
 
+# setuptools warns of every editable install; it is meant to be one.
 $(VENV)/.installed: setup.py setup.cfg package.xml | $(BIN)/python
-	$(BIN)/python -m pip install --quiet --editable ".[ros]"
+	PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet --editable ".[ros]"
 	touch $@
 
 $(VENV)/.test-installed: $(VENV)/.installed
-	$(BIN)/python -m pip install --quiet --editable ".[ros,test]"
+	PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet --editable ".[ros,test]"
 	touch $@
 
 compare: $(VENV)/.installed

@@ -1,0 +1,101 @@
+"""The simulated robot with its controllers on the open graph, to look into and to retune.
+
+ros2 launch hpid_ros robot.launch.py [experiment:=FILE] [controller:=hPID] [mode:=realtime]
+                                     [composed:=false] [bag:=FOLDER]
+"""
+
+import tempfile
+from pathlib import Path
+
+from launch import LaunchDescription
+from launch.actions import DeclareLaunchArgument, OpaqueFunction
+from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
+from launch_ros.actions import Node
+from launch_ros.substitutions import FindPackageShare
+
+from hpid_ros.experiment.description import load_experiment
+from hpid_ros.experiment.parameter_files import (
+    bridge_document,
+    controllers_document,
+    write_parameters,
+)
+from hpid_ros.names import controller_name
+
+ARGUMENTS = {
+    "controller": ("", "label under compare in the experiment file; the last one if empty"),
+    "mode": ("realtime", "realtime, or lockstep: as fast as the machine allows"),
+    "composed": ("false", "all controllers in one process"),
+    "bag": ("", "record into this new folder"),
+    "gui": ("false", "show PyBullet's window"),
+}
+
+
+def generate_launch_description():
+    default = [FindPackageShare("hpid_ros"), "config", "experiments", "paper.yaml"]
+    return LaunchDescription(
+        [
+            DeclareLaunchArgument(
+                "experiment",
+                default_value=PathJoinSubstitution(default),
+                description="experiment file",
+            ),
+            *(
+                DeclareLaunchArgument(name, default_value=value, description=description)
+                for name, (value, description) in ARGUMENTS.items()
+            ),
+            OpaqueFunction(function=nodes),
+        ]
+    )
+
+
+def nodes(context):
+    value = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
+    experiment = load_experiment(LaunchConfiguration("experiment").perform(context))
+    label = value["controller"] or list(experiment.controllers)[-1]
+    if label not in experiment.controllers:
+        raise RuntimeError(
+            f"controller must be one of {list(experiment.controllers)}, not {label}"
+        )
+    folder = Path(tempfile.mkdtemp(prefix="hpid_ros_"))
+    controllers, bridge = folder / "controllers.yaml", folder / "bridge.yaml"
+    write_parameters(controllers, controllers_document(experiment.controllers[label]))
+    write_parameters(bridge, bridge_document(experiment))
+    started = [
+        Node(
+            package="hpid_ros",
+            executable="trajectory_publisher",
+            parameters=[{"reference_file": str(experiment.path)}],
+        ),
+        Node(
+            package="hpid_ros",
+            executable="pybullet_bridge",
+            parameters=[
+                str(bridge),
+                {"mode": value["mode"], "gui": value["gui"] == "true", "duration": 0.0},
+            ],
+        ),
+    ]
+    if value["composed"] == "true":
+        # Without a name: a name would be given to every node of the process.
+        started.append(
+            Node(
+                package="hpid_ros",
+                executable="joint_controllers",
+                ros_arguments=["--params-file", str(controllers)],
+            )
+        )
+    else:
+        started += [
+            Node(
+                package="hpid_ros",
+                executable="joint_controller",
+                name=controller_name(joint),
+                parameters=[str(controllers)],
+            )
+            for joint in experiment.world.joints
+        ]
+    if value["bag"]:
+        started.append(
+            Node(package="hpid_ros", executable="bag_recorder", parameters=[{"bag": value["bag"]}])
+        )
+    return started
