@@ -16,7 +16,6 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from types import FrameType
-from typing import Any
 
 import rclpy
 from rclpy.exceptions import (
@@ -168,9 +167,8 @@ def _signals_to(stop: Stop) -> Iterator[Stop]:
     def ignore(number: int, frame: FrameType | None) -> None:
         """Python must have a handler for the wake-up pipe to be written."""
 
-    handlers: dict[int, Any] = {
-        number: signal.signal(number, ignore) for number in (signal.SIGINT, signal.SIGTERM)
-    }
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, ignore)
     before = signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
     thread = threading.Thread(target=wait, name="signals", daemon=True)
     thread.start()
@@ -178,8 +176,9 @@ def _signals_to(stop: Stop) -> Iterator[Stop]:
         yield stop
     finally:
         signal.set_wakeup_fd(before)
-        for number, handler in handlers.items():
-            signal.signal(number, handler)
+        # The process is ending: a second signal, as launch sends it, must not spoil that.
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, signal.SIG_IGN)
         os.write(writer, b"\0")
         thread.join()
         os.close(reader)
