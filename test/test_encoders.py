@@ -11,17 +11,18 @@ from hpid_ros.simulation.encoders import Encoder
 
 POSITIONS = st.floats(-1e3, 1e3)
 COUNTS = st.integers(1, 1_000_000)
+ENCODERS = st.builds(Encoder, COUNTS, st.floats(-0.5, 0.5))
 ROUNDING = 1e-12  # [rad], of the arithmetic itself at 1e3 rad
 
 
-@given(position=POSITIONS, counts=COUNTS)
-def test_the_error_is_at_most_half_a_count(position: float, counts: int):
-    assert abs(Encoder(counts).read(position) - position) <= math.pi / counts + ROUNDING
+@given(position=POSITIONS, encoder=ENCODERS)
+def test_the_error_is_at_most_half_a_count(position: float, encoder: Encoder):
+    assert abs(encoder.read(position) - position) <= math.pi / encoder.counts + ROUNDING
 
 
-@given(position=POSITIONS, counts=COUNTS)
-def test_a_reading_is_a_whole_number_of_counts(position: float, counts: int):
-    count = Encoder(counts).read(position) / math.tau * counts
+@given(position=POSITIONS, encoder=ENCODERS)
+def test_readings_are_whole_counts_apart(position: float, encoder: Encoder):
+    count = (encoder.read(position) - encoder.read(0.0)) / math.tau * encoder.counts
     assert count == pytest.approx(round(count), abs=1e-6)
 
 
@@ -31,10 +32,10 @@ def test_reading_a_reading_changes_nothing(position: float, counts: int):
     assert encoder.read(encoder.read(position)) == encoder.read(position)
 
 
-@given(first=POSITIONS, second=POSITIONS, counts=COUNTS)
-def test_readings_keep_the_order_of_positions(first: float, second: float, counts: int):
+@given(first=POSITIONS, second=POSITIONS, encoder=ENCODERS)
+def test_readings_keep_the_order_of_positions(first: float, second: float, encoder: Encoder):
     low, high = sorted((first, second))
-    assert Encoder(counts).read(low) <= Encoder(counts).read(high)
+    assert encoder.read(low) <= encoder.read(high)
 
 
 @given(position=POSITIONS)
@@ -52,3 +53,9 @@ def test_two_positions_a_count_apart_read_differently():
 def test_counts_that_are_not_a_whole_number_are_refused(counts: object):
     with pytest.raises(SettingError, match="whole number"):
         Encoder(counts)  # type: ignore[arg-type]
+
+
+def test_the_phase_moves_where_a_count_ends():
+    third = math.tau / 4096 / 3.0
+    assert Encoder(4096).read(third) == Encoder(4096).read(-third)
+    assert Encoder(4096, 0.25).read(third) != Encoder(4096, 0.25).read(-third)

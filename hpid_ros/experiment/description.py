@@ -123,6 +123,7 @@ def _world(
         physics_steps=physics.whole("physics_steps", 4, least=1, most=1000),
         initial_positions={joint: positions.number(joint) for joint in positions.items()},
         encoder_counts=_counts(sensors, joints),
+        seed=seed,
         fixed_base=robot.flag("fixed_base", False),
         payload_mass=robot.number("payload", 0.0, least=0.0),
     )

@@ -78,6 +78,7 @@ class _GraphRun:
         self.events: dict[tuple[str, str], Mapping[str, Any]] = {}
         self.warnings: list[str] = []
         self._excused: set[str] = set()
+        self._closed: set[str] = set()
 
     def start(self, bag: Path, folder: Path) -> None:
         """Start every node."""
@@ -141,13 +142,13 @@ class _GraphRun:
 
     def _on_event(self, node: str, event: Mapping[str, Any]) -> None:
         name = str(event["event"])
+        self._require_closed(node)
         self.events[node, name] = event
         if name == "progress":
             self._progress.advanced(self._label, event["stamp_ns"] * 1e-9)
         elif name == "started":
-            require_no_sockets(
-                each.pid for each in self._group.nodes.values() if each.process.poll() is None
-            )
+            for each in self._group.nodes:
+                self._require_closed(each)
             self._progress.phase(self._label, "running")
         elif name == "silent":
             seconds = event["stamp_ns"] * 1e-9
@@ -155,6 +156,13 @@ class _GraphRun:
             self.warnings.append(f"no answer from {joints} from {seconds:.3f} s on: no effort")
         elif name == "failed":
             raise RunError(f"{self._label}: {event['reason']}")
+
+    def _require_closed(self, name: str) -> None:
+        """Look once at every node that is up whether it is closed to the network."""
+        node = self._group.nodes[name]
+        if name not in self._closed and node.process.poll() is None:
+            require_no_sockets([node.pid])
+            self._closed.add(name)
 
     def _look_after_nodes(self) -> None:
         """Raise when a node ended that the run cannot do without."""

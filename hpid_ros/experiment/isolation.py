@@ -92,7 +92,7 @@ def require_no_sockets(pids: Iterable[int]) -> None:
         if addresses:
             raise RunError(
                 f"the closed mode is not closed: process {pid} has network sockets "
-                f"({', '.join(sorted(addresses))}); nothing was started"
+                f"({', '.join(sorted(addresses))}); the run is ended"
             )
 
 

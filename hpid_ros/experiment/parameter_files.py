@@ -47,6 +47,7 @@ def bridge_document(experiment: Experiment) -> dict[str, Any]:
                     float(world.initial_positions.get(joint, 0.0)) for joint in world.joints
                 ],
                 "encoder_counts": list(world.counts),
+                "seed": world.seed,
                 "fixed_base": world.fixed_base,
                 "payload_mass": world.payload_mass,
                 "duration": experiment.duration,

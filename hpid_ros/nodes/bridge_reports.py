@@ -9,7 +9,7 @@ from nav_msgs.msg import Odometry
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 
-from hpid_ros.nodes.parameters import read_only
+from hpid_ros.nodes.parameters import read_number, read_only
 from hpid_ros.nodes.qos import RARE
 from hpid_ros.simulation.poses import Pose
 from hpid_ros.simulation.world import World
@@ -29,12 +29,17 @@ class BridgeReports:
 
     Raises:
         RobotDescriptionError: The robot lacks the link of ``ee_link``.
+        SettingError: The rate is out of range.
     """
 
     def __init__(self, node: Node, world: World) -> None:
         self._world = world
-        rate = float(
-            read_only(node, "report_rate", 50.0, "Rate of clock, odom and ee_pose [Hz]; 0 is off")
+        rate = read_number(
+            node,
+            "report_rate",
+            50.0,
+            "Rate of clock, odom and ee_pose [Hz]; 0 is off",
+            (0.0, 1e6),
         )
         self._link = str(
             read_only(node, "ee_link", "", "Link whose pose is ee_pose; the last one if empty")

@@ -9,7 +9,7 @@ from rclpy.node import Node
 from std_srvs.srv import SetBool, Trigger
 
 from hpid_ros.errors import HpidError
-from hpid_ros.nodes.parameters import read_only
+from hpid_ros.nodes.parameters import read_number
 from hpid_ros.nodes.qos import RARE
 from hpid_ros.simulation.world import World
 
@@ -24,6 +24,9 @@ class BridgeServices:
         world: Its world.
         reset: Called to go back to time zero.
         resume: Called when the simulation may go on.
+
+    Raises:
+        SettingError: The parameter ``wrench_duration`` is out of range.
     """
 
     def __init__(
@@ -35,10 +38,14 @@ class BridgeServices:
         self._resume = resume
         self._is_paused = False
         self._steps = 0
-        duration = read_only(
-            node, "wrench_duration", 0.1, "How long one message on ~/wrench pushes [s]"
+        duration = read_number(
+            node,
+            "wrench_duration",
+            0.1,
+            "How long one message on ~/wrench pushes [s]",
+            (1e-6, 3600.0),
         )
-        self._wrench_ns = round(float(duration) * _NANOSECONDS)
+        self._wrench_ns = round(duration * _NANOSECONDS)
         node.create_service(SetBool, "~/pause", self._on_pause)
         node.create_service(Trigger, "~/step", self._on_step)
         node.create_service(Trigger, "~/reset", self._on_reset)

@@ -7,7 +7,7 @@ from sensor_msgs.msg import JointState
 
 from hpid_ros.control import JointLoop
 from hpid_ros.messages import JointStateTemplate
-from hpid_ros.nodes.parameters import read_only
+from hpid_ros.nodes.parameters import read_number
 from hpid_ros.nodes.qos import RARE
 
 _NANOSECONDS = 1_000_000_000
@@ -19,14 +19,18 @@ class Introspection:
     Args:
         node: The controller's node; it gets the parameter ``introspection_rate``.
         joint: The joint.
+
+    Raises:
+        SettingError: The rate is not a number.
     """
 
     def __init__(self, node: Node, joint: str) -> None:
-        rate = read_only(
+        rate = read_number(
             node,
             "introspection_rate",
             20.0,
             "Rate of ~/reference and ~/terms [Hz]; 0 is off, negative is every sample",
+            (-1e6, 1e6),
         )
         self._period_ns = round(_NANOSECONDS / rate) if rate > 0.0 else 0
         self._is_on = rate != 0.0

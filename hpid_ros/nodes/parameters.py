@@ -11,7 +11,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from hpid_ros.control.settings import ParameterSpec, Value
-from hpid_ros.errors import HpidError
+from hpid_ros.errors import HpidError, SettingError
 
 
 def descriptor(spec: ParameterSpec, *, read_only: bool = False) -> ParameterDescriptor:
@@ -62,6 +62,28 @@ def read_only(node: Node, name: str, default: object, description: str) -> Any:
         name, default, ParameterDescriptor(description=description, read_only=True)
     )
     return parameter.value
+
+
+def read_number(
+    node: Node, name: str, default: float, description: str, limits: tuple[float, float]
+) -> float:
+    """Declare one number that is fixed when the node starts, and return its value.
+
+    Args:
+        node: The node that gets it.
+        name: Its name.
+        default: Its default.
+        description: What it is, with the unit in brackets.
+        limits: Least and largest allowed value.
+
+    Raises:
+        SettingError: It is out of range or not a number.
+    """
+    value = float(read_only(node, name, default, description))
+    low, high = limits
+    if not low <= value <= high:
+        raise SettingError(f"{name} must lie in [{low:g}, {high:g}], not {value}")
+    return value
 
 
 def merged(node: Node, names: Iterable[str], changes: Iterable[Parameter]) -> dict[str, Value]:

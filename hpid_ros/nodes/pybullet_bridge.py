@@ -15,7 +15,8 @@ from hpid_ros.nodes import executor
 from hpid_ros.nodes.bridge_reports import BridgeReports
 from hpid_ros.nodes.bridge_services import BridgeServices
 from hpid_ros.nodes.diagnostics import OK, WARN, Diagnostics
-from hpid_ros.nodes.parameters import read_only
+from hpid_ros.nodes.held_commands import HeldCommands
+from hpid_ros.nodes.parameters import read_number, read_only
 from hpid_ros.nodes.qos import ALL_COMMANDS, OFFERED, overridable
 from hpid_ros.nodes.status_pipe import StatusPipe
 from hpid_ros.nodes.world_parameters import world_settings
@@ -26,6 +27,7 @@ MODES = ("lockstep", "realtime")
 
 _READINESS_PERIOD = 0.01  # [s]
 _PROGRESS_PERIOD = 0.1  # [s]
+_POSITIVE = (1e-6, 1e6)
 _NANOSECONDS = 1_000_000_000
 
 
@@ -46,7 +48,11 @@ class PybulletBridge(executor.ClosingNode):
         self._read_parameters(len(settings.joints))
         self._status = StatusPipe(self)
         self._world = World(settings)
-        self._barrier = Barrier(settings.joints)
+        self._barrier: Barrier | HeldCommands = (
+            Barrier(settings.joints)
+            if self._is_lockstep
+            else HeldCommands(settings.joints, round(self._command_timeout * _NANOSECONDS))
+        )
         self._reader = EffortReader()
         self._template = JointStateTemplate(settings.joints, position=True, effort=True)
         self._end_ns = round(self._duration * _NANOSECONDS) if self._duration > 0.0 else None
@@ -77,23 +83,33 @@ class PybulletBridge(executor.ClosingNode):
         if mode not in MODES:
             raise SettingError(f"mode must be one of {', '.join(MODES)}, not {mode!r}")
         self._is_lockstep = mode == "lockstep"
-        self._duration = float(
-            read_only(self, "duration", 0.0, "Stamp of the last state [s]; 0 runs for ever")
+        self._duration = read_number(
+            self, "duration", 0.0, "Stamp of the last state [s]; 0 runs for ever", (0.0, 1e9)
         )
         self._exits = bool(
             read_only(self, "exit_when_done", True, "End the process after the last state")
         )
-        self._factor = float(
-            read_only(self, "real_time_factor", 1.0, "Simulated time per wall time in realtime")
+        self._factor = read_number(
+            self,
+            "real_time_factor",
+            1.0,
+            "Simulated time per wall time in realtime",
+            _POSITIVE,
         )
-        self._timeout = float(
-            read_only(
-                self, "answer_timeout", 2.0, "Wall time that lockstep waits for one answer [s]"
-            )
+        self._timeout = read_number(
+            self,
+            "answer_timeout",
+            2.0,
+            "Wall time that lockstep waits for one answer [s]",
+            _POSITIVE,
         )
-        for name, value in (("real_time_factor", self._factor), ("answer_timeout", self._timeout)):
-            if not 0.0 < value < 1e6:
-                raise SettingError(f"{name} must lie above 0 and below 1e6, not {value}")
+        self._command_timeout = read_number(
+            self,
+            "command_timeout",
+            0.1,
+            "Simulated time for which a command stands in realtime [s]",
+            _POSITIVE,
+        )
         everyone = joints if self._is_lockstep else 0
         self._listeners = read_only(
             self, "wait_for_subscribers", everyone, "Subscribers that states must have first"
@@ -161,7 +177,6 @@ class PybulletBridge(executor.ClosingNode):
 
     def _tick(self) -> None:
         """Advance by the wall clock, each joint with its newest command."""
-        self._barrier.give_up()
         self._resume()
 
     def _watch(self) -> None:

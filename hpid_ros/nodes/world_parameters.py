@@ -72,6 +72,7 @@ def world_settings(node: Node) -> WorldSettings:
         ),
         initial_positions=dict(zip(joints, positions, strict=True)) if positions else {},
         encoder_counts=counts or 0,
+        seed=int(read_only(node, "seed", 0, "Of where each encoder's counts begin")),
         fixed_base=bool(
             read_only(node, "fixed_base", False, "Hold the robot's root, without a ground")
         ),

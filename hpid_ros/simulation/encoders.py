@@ -12,18 +12,20 @@ from hpid_ros.errors import SettingError
 class Encoder:
     """A position sensor with a finite number of counts per revolution.
 
-    A position is rounded to the nearest count, as by a quadrature encoder that was homed to the
-    middle of a count: the error is at most half a count, pi / counts, either way.
+    A position is rounded to the middle of its count: the error is at most half a count,
+    pi / counts, either way. Where the counts begin is a matter of how the disc was mounted.
 
     Attributes:
         counts: Counts per revolution of the joint's output shaft (all four edges of each line);
             0 is an ideal sensor.
+        phase: Where zero lies in its count, from the middle, in [counts].
 
     Raises:
         SettingError: The number of counts is negative or not a whole number.
     """
 
     counts: int = 0
+    phase: float = 0.0
 
     def __post_init__(self) -> None:
         if isinstance(self.counts, bool) or not isinstance(self.counts, int) or self.counts < 0:
@@ -47,4 +49,5 @@ class Encoder:
         """
         if not self.counts:
             return position
-        return round(position * self.counts / math.tau) * math.tau / self.counts
+        count = round(position * self.counts / math.tau + self.phase)
+        return (count - self.phase) * math.tau / self.counts

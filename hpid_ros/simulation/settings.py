@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+import random
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from hpid_ros.errors import SettingError, unknown_name
 from hpid_ros.robot.description import RobotDescription
+from hpid_ros.simulation.encoders import Encoder
 
 
 @dataclass(frozen=True)
@@ -23,6 +25,7 @@ class WorldSettings:
         initial_positions: Positions at time 0, by joint, in [rad]; others start at 0.
         encoder_counts: Counts per revolution of each joint's output shaft, one number for all
             or a tuple along ``joints``; 0 is an ideal sensor.
+        seed: Of what is drawn by chance: where each encoder's counts begin.
         fixed_base: The robot's root is held at the world's origin, as on a test stand, and
             there is no ground; otherwise the robot stands on the ground.
         payload_mass: Mass at the payload link, in [kg].
@@ -40,6 +43,7 @@ class WorldSettings:
     physics_steps: int = 4
     initial_positions: Mapping[str, float] = field(default_factory=dict)
     encoder_counts: int | tuple[int, ...] = 0
+    seed: int = 0
     fixed_base: bool = False
     payload_mass: float = 0.0
     payload_link: str = "payload"
@@ -72,6 +76,12 @@ class WorldSettings:
         """Encoder counts of each driven joint."""
         counts = self.encoder_counts
         return (counts,) * len(self.joints) if isinstance(counts, int) else tuple(counts)
+
+    @property
+    def encoders(self) -> list[Encoder]:
+        """The encoder of each driven joint, mounted by chance."""
+        chance = random.Random(self.seed)
+        return [Encoder(counts, chance.random() - 0.5) for counts in self.counts]
 
     def start(self, description: RobotDescription) -> dict[str, float]:
         """Return the position at time 0 of every moving joint, in [rad].

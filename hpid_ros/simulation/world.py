@@ -9,7 +9,6 @@ from hpid_ros.errors import SettingError
 from hpid_ros.robot.description import RobotDescription
 from hpid_ros.simulation.actuators import EffortActuator
 from hpid_ros.simulation.bullet import captured, pybullet
-from hpid_ros.simulation.encoders import Encoder
 from hpid_ros.simulation.model import bullet_urdf
 from hpid_ros.simulation.poses import ROOT, Pose, Twist, link_pose, root_twist
 from hpid_ros.simulation.scene import build_scene
@@ -44,7 +43,7 @@ class World:
         selected = self.description.select(settings.joints)
         settings.start(self.description)
         self._actuators = [EffortActuator(joint.name, joint.effort) for joint in selected]
-        self._encoders = [Encoder(counts) for counts in settings.counts]
+        self._encoders = settings.encoders
         if settings.payload_mass:
             self.description.link(settings.payload_link)
         self._urdf = bullet_urdf(self.description)

@@ -1,0 +1,112 @@
+"""A node inside the test that talks to real nodes in real processes."""
+
+import time
+
+import rclpy
+from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
+from rcl_interfaces.srv import SetParameters, SetParametersAtomically
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.signals import SignalHandlerOptions
+from sensor_msgs.msg import JointState
+
+from hpid_ros.experiment.node_process import NodeGroup
+from hpid_ros.messages import JointStateTemplate, decode_joint_state
+from hpid_ros.nodes.qos import ALL_COMMANDS, OFFERED
+
+_VALUES = {
+    bool: (ParameterType.PARAMETER_BOOL, "bool_value"),
+    float: (ParameterType.PARAMETER_DOUBLE, "double_value"),
+    int: (ParameterType.PARAMETER_INTEGER, "integer_value"),
+    str: (ParameterType.PARAMETER_STRING, "string_value"),
+}
+
+
+class Harness:
+    """The robot's side of the graph, played by the test."""
+
+    def __init__(self, domain, environment, folder):
+        self.context = rclpy.Context()
+        rclpy.init(
+            args=[],
+            context=self.context,
+            domain_id=domain,
+            signal_handler_options=SignalHandlerOptions.NO,
+        )
+        self.node = rclpy.create_node("robot", context=self.context)
+        self.executor = SingleThreadedExecutor(context=self.context)
+        self.executor.add_node(self.node)
+        self.processes = NodeGroup(environment, folder)
+        self.commands = []
+        self.states = self.node.create_publisher(JointState, "joint_states", OFFERED)
+        self.node.create_subscription(
+            JointState, "joint_commands", self._on_command, ALL_COMMANDS, raw=True
+        )
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *error):
+        self.processes.__exit__(*error)
+        self.executor.shutdown()
+        self.node.destroy_node()
+        rclpy.shutdown(context=self.context)
+
+    def _on_command(self, raw):
+        self.commands.append(decode_joint_state(raw))
+
+    def wait(self, condition, within=20.0, what="the condition"):
+        """Spin until a condition holds."""
+        deadline = time.monotonic() + within
+        while not condition():
+            self.executor.spin_once(timeout_sec=0.02)
+            assert time.monotonic() < deadline, f"waited {within} s in vain for {what}"
+
+    def start_controller(self, name="elbow_controller", joint="elbow", **parameters):
+        """Start a controller and wait until it listens to the states."""
+        process = self.processes.start(
+            name, "joint_controller", ros_arguments(joint=joint, **parameters)
+        )
+        self.wait(lambda: self.states.get_subscription_count() > 0, what=f"{name} to listen")
+        return process
+
+    def ask(self, stamp_ns, position, velocity=0.0, joint="elbow"):
+        """Publish one state and return the effort that answers it."""
+        template = JointStateTemplate([joint], position=True, velocity=True)
+        self.states.publish(template.encode(stamp_ns, position=[position], velocity=[velocity]))
+        self.wait(
+            lambda: any(each.stamp_ns == stamp_ns for each in self.commands),
+            what=f"the answer to {stamp_ns}",
+        )
+        return next(each.effort[0] for each in self.commands if each.stamp_ns == stamp_ns)
+
+    def set_parameters(self, node, atomically=True, **values):
+        """Set parameters of a node as a whole and return (successful, reason)."""
+        service = SetParametersAtomically if atomically else SetParameters
+        name = "set_parameters_atomically" if atomically else "set_parameters"
+        client = self.node.create_client(service, f"{node}/{name}")
+        self.wait(client.service_is_ready, what=f"{node} to take parameters")
+        future = client.call_async(
+            service.Request(
+                parameters=[
+                    _parameter(key.replace("__", "."), value) for key, value in values.items()
+                ]
+            )
+        )
+        self.wait(future.done, what="the answer to a set of parameters")
+        answer = future.result()
+        result = answer.result if atomically else answer.results[0]
+        return result.successful, result.reason
+
+
+def _parameter(name, value):
+    kind, field = _VALUES[type(value)]
+    return Parameter(name=name, value=ParameterValue(type=kind, **{field: value}))
+
+
+def ros_arguments(**parameters):
+    """Return ``-p name:=value`` for each parameter; ``__`` stands for a dot."""
+    arguments = []
+    for name, value in parameters.items():
+        text = str(value).lower() if isinstance(value, bool) else str(value)
+        arguments += ["-p", f"{name.replace('__', '.')}:={text}"]
+    return arguments

@@ -1,0 +1,167 @@
+"""One controller in a process of its own; the test plays the robot."""
+
+import math
+import signal
+import subprocess
+import sys
+
+import pytest
+from harness import ros_arguments
+from rcl_interfaces.srv import DescribeParameters
+from std_msgs.msg import Float64
+from trajectory_msgs.msg import JointTrajectory
+
+from hpid_ros.control import LOOP_PARAMETERS, JointLoop, LoopSettings
+from hpid_ros.experiment.isolation import network_sockets
+from hpid_ros.nodes.qos import LATCHED, RARE
+from hpid_ros.nodes.trajectories import to_message
+from hpid_ros.trajectory import minimum_jerk
+
+MS = 1_000_000
+GAINS = {"gains__p": 10.0, "gains__i": 4.0, "gains__d": 2.0}
+
+
+def pure_loop(**parameters):
+    values = {"joint": "elbow", **parameters}
+    return JointLoop(
+        LoopSettings.from_parameters({k.replace("__", "."): v for k, v in values.items()})
+    )
+
+
+def states(count, start=0):
+    return [(k * MS, 0.3 * math.sin(0.01 * k), 3.0 * math.cos(0.01 * k)) for k in range(count)][
+        start:
+    ]
+
+
+def test_node_answers_exactly_as_the_pure_loop(harness):
+    harness.start_controller(law="hpid", mu=-0.2, **GAINS)
+    twin = pure_loop(law="hpid", mu=-0.2, **GAINS)
+    for state in states(50):
+        assert harness.ask(*state) == twin.step(*state)
+
+
+def test_a_set_is_in_force_as_a_whole_from_the_next_sample_on(harness):
+    harness.start_controller(law="pid", **GAINS)
+    twin = pure_loop(law="pid", **GAINS)
+    for state in states(20):
+        assert harness.ask(*state) == twin.step(*state)
+    changes = {"law": "hpid", "mu": 0.3, "gains__p": 30.0, "gains__d": 3.0}
+    assert harness.set_parameters("elbow_controller", **changes) == (True, "")
+    twin.retune(pure_loop(**{**GAINS, **changes}).settings)
+    for state in states(40, start=20):
+        assert harness.ask(*state) == twin.step(*state)
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"gains__p": 20.0, "mu": 0.5}, "(-0.5, 0.5), not 0.5"),
+        ({"gains__p": 20.0, "gains__d": math.nan}, "gains.d"),
+        ({"gains__p": 20.0, "gains__i": 1000.0}, "p d = 40 must exceed i x inertia = 500"),
+        ({"gains__p": 20.0, "law": "PID"}, "law must be one of hpid, pid, not 'PID'"),
+        ({"gains__p": 20.0, "joint": "wrist"}, "read-only"),
+        ({"u_clamp_min": 1.0, "u_clamp_max": -1.0}, "u_clamp_min = 1.0 must not exceed"),
+    ],
+)
+def test_a_refused_set_says_why_and_leaves_no_trace(harness, changes, reason):
+    harness.start_controller(law="pid", inertia=0.5, **GAINS)
+    twin = pure_loop(law="pid", **GAINS)
+    for state in states(5):
+        assert harness.ask(*state) == twin.step(*state)
+    is_successful, why = harness.set_parameters("elbow_controller", **changes)
+    assert not is_successful
+    assert reason in why
+    assert "\n" not in why
+    for state in states(10, start=5):
+        assert harness.ask(*state) == twin.step(*state)
+
+
+def test_trajectory_and_setpoint_reach_the_loop(harness):
+    trajectory = minimum_jerk([0.0, 1.0], {"wrist": [0.0, 9.0], "elbow": [0.5, 1.5]})
+    publisher = harness.node.create_publisher(JointTrajectory, "joint_trajectory", LATCHED)
+    publisher.publish(to_message(trajectory))
+    harness.start_controller(law="pid", wait_for_reference=True, **GAINS)
+    twin = pure_loop(law="pid", **GAINS)
+    twin.follow(trajectory.column("elbow"))
+    for state in states(10):
+        assert harness.ask(*state) == twin.step(*state)
+    setpoint = harness.node.create_publisher(Float64, "elbow_controller/setpoint", RARE)
+    harness.wait(lambda: setpoint.get_subscription_count() > 0, what="the setpoint's subscriber")
+    setpoint.publish(Float64(data=0.25))
+    stamps = iter(range(10 * MS, 10_000 * MS, MS))
+
+    def holds():  # at the setpoint, at rest, the proportional term is gone
+        return abs(harness.ask(next(stamps), 0.25)) < 0.2
+
+    harness.wait(holds, what="the loop to hold the setpoint")
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_the_last_command_is_zero_and_the_exit_code_too(harness, number):
+    process = harness.start_controller(law="pid", **GAINS).process
+    harness.ask(0, 0.0)
+    assert harness.ask(MS, -0.5) != 0.0
+    process.send_signal(number)
+    harness.wait(lambda: process.poll() is not None, within=5.0, what="the controller to end")
+    harness.wait(lambda: harness.commands[-1].effort == (0.0,), what="a last command of zero")
+    assert process.returncode == 0
+
+
+def test_no_network_socket_is_opened_in_the_closed_mode(harness):
+    process = harness.start_controller(law="pid", **GAINS)
+    harness.ask(0, 0.0)
+    assert network_sockets(process.pid) == set()
+
+
+def test_parameters_are_described_with_their_ranges(harness):
+    harness.start_controller(law="pid", **GAINS)
+    client = harness.node.create_client(DescribeParameters, "elbow_controller/describe_parameters")
+    harness.wait(client.service_is_ready, what="the parameter services")
+    future = client.call_async(DescribeParameters.Request(names=list(LOOP_PARAMETERS)))
+    harness.wait(future.done, what="the descriptions")
+    for described in future.result().descriptors:
+        spec = LOOP_PARAMETERS[described.name]
+        assert described.description == spec.description
+        if isinstance(spec.default, float):
+            (bounds,) = described.floating_point_range
+            assert (bounds.from_value, bounds.to_value) == (spec.minimum, spec.maximum)
+
+
+@pytest.mark.parametrize(
+    ("executable", "parameters", "line"),
+    [
+        ("joint_controller", {}, "the parameter joint must name the joint"),
+        ("joint_controller", {"joint": "a", "gain.p": 1.0}, "did you mean 'gains.p'"),
+        ("joint_controller", {"joint": "a", "mu": 0.5}, "(-0.5, 0.5), not 0.5"),
+        ("joint_controller", {"joint": "a", "gains.p": ".nan"}, "gains.p"),
+        ("joint_controller", {"joint": "a", "gains.p": 100}, "1.0, not 1"),
+        ("joint_controller", {"joint": "a", "command_interface": "can"}, "command_interface"),
+        ("joint_controllers", {}, "the parameter joints must name each joint once"),
+        ("pybullet_bridge", {"mode": "fast"}, "mode must be one of lockstep, realtime"),
+        ("pybullet_bridge", {"joints": "[arm_joint_9]"}, "did you mean 'arm_joint_"),
+        ("pybullet_bridge", {"robot_description": "none.urdf"}, "there is no file none.urdf"),
+        ("trajectory_publisher", {}, "the parameter reference_file must name"),
+        ("trajectory_publisher", {"reference_file": "none.yaml"}, "cannot read none.yaml"),
+        ("bag_recorder", {}, "the parameters bag and topics must name"),
+        ("bag_recorder", {"bag": "."}, "exists already"),
+        ("bag_metrics", {}, "the parameter bags must name"),
+        ("bag_metrics", {"bags": "[none]"}, "none"),
+    ],
+)
+def test_a_node_that_cannot_start_says_one_line_and_ends_with_two(
+    harness, tmp_path, executable, parameters, line
+):
+    command = [sys.executable, "-m", f"hpid_ros.nodes.{executable}", "--ros-args"]
+    ended = subprocess.run(
+        [*command, *ros_arguments(**parameters)],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        cwd=tmp_path,
+        check=False,
+    )
+    assert ended.returncode == 2
+    assert line in ended.stderr
+    assert "Traceback" not in ended.stderr
+    assert len(ended.stderr.strip().splitlines()) == 1

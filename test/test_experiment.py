@@ -1,0 +1,121 @@
+"""Experiment files: what they give, and how bad ones are refused."""
+
+import pytest
+import yaml
+
+from hpid_ros.errors import ExperimentError
+from hpid_ros.experiment.description import load_experiment
+from hpid_ros.experiment.parameter_files import bridge_document, controllers_document
+
+
+def test_the_paper_is_eight_joints_nine_seconds_and_two_controllers(experiment_file):
+    experiment = load_experiment(experiment_file(duration=9.0))
+    assert len(experiment.world.joints) == 8
+    assert experiment.periods == 9000
+    pid, hpid = experiment.controllers.values()
+    for linear, homogeneous in zip(pid, hpid, strict=True):
+        assert linear.gains == homogeneous.gains
+        assert (linear.law, homogeneous.law) == ("pid", "hpid")
+        assert homogeneous.mu != 0.0
+
+
+def test_later_layers_win(experiment_file):
+    path = experiment_file(
+        controllers__common__mu=0.1,
+        controllers__joints__arm_joint_1__mu=0.2,
+        compare__hPID={"mu": 0.3},
+        compare__PID={"law": "pid"},
+    )
+    experiment = load_experiment(path)
+    assert {each.mu for each in experiment.controllers["hPID"]} == {0.3}
+    by_joint = {each.joint: each.mu for each in experiment.controllers["PID"]}
+    assert (by_joint["arm_joint_1"], by_joint["arm_joint_2"]) == (0.2, 0.1)
+
+
+def test_encoder_resolution_reaches_the_loops(experiment_file):
+    experiment = load_experiment(experiment_file(sensors__encoder_counts=1000))
+    for each in experiment.controllers["PID"]:
+        assert each.encoder_resolution == pytest.approx(6.283185307 / 1000)
+
+
+def test_digest_changes_with_the_file_and_with_nothing_else(experiment_file):
+    one = load_experiment(experiment_file("one.yaml"))
+    same = load_experiment(experiment_file("same.yaml"))
+    other = load_experiment(experiment_file("other.yaml", seed=2))
+    assert one.digest == same.digest != other.digest
+
+
+def test_parameter_files_say_what_the_experiment_says(experiment_file):
+    experiment = load_experiment(experiment_file())
+    document = yaml.safe_load(yaml.safe_dump(controllers_document(experiment.controllers["hPID"])))
+    for each in experiment.controllers["hPID"]:
+        parameters = document[f"{each.joint}_controller"]["ros__parameters"]
+        assert parameters["gains"]["p"] == each.gains.p
+        assert parameters["mu"] == each.mu
+    bridge = bridge_document(experiment)["pybullet_bridge"]["ros__parameters"]
+    assert bridge["control_rate"] == 1000.0
+    assert bridge["joints"] == list(experiment.world.joints)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"durations": 3.0}, "did you mean 'duration'"),
+        ({"controllers__common__gian": 1.0}, "unknown key 'controllers.common.gian'"),
+        ({"controllers__common__norm": {"tpye": "weighted"}}, "controllers.common.norm.type'"),
+        ({"compare__hPID": {"mu": 0.5}}, r"controller 'hPID', .*\(-0.5, 0.5\), not 0.5"),
+        ({"compare__hPID": {"gains": {"p": float("nan")}}}, "gains.p must lie in"),
+        ({"compare__hPID": {"gains": {"i": 9e5}}}, "the loop is unstable"),
+        ({"compare": {}}, "compare must name at least one controller"),
+        ({"duration": -1.0}, "duration must be above 0"),
+        ({"duration": 0.0005}, "not a whole number of control periods"),
+        ({"seed": 1.5}, "seed must be a whole number"),
+        ({"robot__description": "none.urdf"}, "there is no file none.urdf"),
+        ({"robot__initial_positions": {"arm_joint_1": 99.0}}, "not within its limits"),
+        ({"reference__kind": "sinus"}, "did you mean 'sine'"),
+        ({"reference__positions": {"elbow": [0.0, 1.0, 0.0, 0.0, 0.0]}}, "unknown joint 'elbow'"),
+        ({"controllers__joints": {"arm_joint_7": {}}}, "did you mean 'arm_joint_"),
+        ({"control__rate": "fast"}, "control.rate must be a number, not 'fast'"),
+        ({"name": None}, "name must be a text"),
+    ],
+)
+def test_bad_experiments_are_refused_in_one_line_that_names_the_place(
+    experiment_file, changes, message
+):
+    path = experiment_file(**changes)
+    with pytest.raises(ExperimentError, match=message) as refusal:
+        load_experiment(path)
+    assert str(refusal.value).startswith(str(path))
+    assert "\n" not in str(refusal.value)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"", "the document must be a mapping, not None"),
+        (b"a: [1", "line 1"),
+        (b"\xff\xfe\x00", "not UTF-8"),
+        (b"- 1", "must be a mapping"),
+        (b"1: 2", "must be a mapping"),
+    ],
+)
+def test_files_that_are_no_experiment_are_refused_in_one_line(tmp_path, content, message):
+    path = tmp_path / "bad.yaml"
+    path.write_bytes(content)
+    with pytest.raises(ExperimentError, match=message) as refusal:
+        load_experiment(path)
+    assert "\n" not in str(refusal.value)
+
+
+def test_a_missing_file_is_named(tmp_path):
+    with pytest.raises(ExperimentError, match=r"cannot read .*none\.yaml: no such file"):
+        load_experiment(tmp_path / "none.yaml")
+
+
+def test_the_seed_decides_how_the_encoders_are_mounted(experiment_file):
+    def phases(**changes):
+        experiment = load_experiment(experiment_file(**changes))
+        return [encoder.phase for encoder in experiment.world.encoders]
+
+    assert phases(seed=1) == phases(seed=1) != phases(seed=2)
+    assert len(set(phases(seed=1))) == 8

@@ -1,0 +1,237 @@
+"""Comparisons on the real graph: equal to the in-process engine, whole, closed, and robust."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap_ros2.reader import read_ros2_messages
+
+from hpid_ros.bags import read_run
+from hpid_ros.errors import RunError
+from hpid_ros.experiment.compare import compare
+from hpid_ros.experiment.description import load_experiment
+from hpid_ros.experiment.graph_run import run_on_graph
+from hpid_ros.experiment.isolation import (
+    closed_environment,
+    network_sockets,
+    own_domain,
+    require_no_sockets,
+)
+from hpid_ros.experiment.progress import Silence
+
+
+def run_compare(experiment, folder, **options):
+    return compare(experiment, folder, Silence(), **options)
+
+
+def test_graph_and_in_process_engine_agree_to_the_last_bit(experiment_file, tmp_path):
+    experiment = load_experiment(experiment_file())
+    results = [
+        run_compare(experiment, tmp_path / name, in_process=name == "in-process")
+        for name in ("graph", "again", "in-process")
+    ]
+    first, *others = [(each.folder.path / "result.json").read_bytes() for each in results]
+    assert others == [first, first]
+    graph, _, in_process = (read_run(each.folder.bag("hPID"), "run").joints for each in results)
+    for one, other in zip(graph, in_process, strict=True):
+        assert np.array_equal(one.position, other.position)
+        assert np.array_equal(one.effort, other.effort)
+
+
+def test_result_folder_is_whole(experiment_file, tmp_path):
+    experiment = load_experiment(experiment_file())
+    folder = run_compare(experiment, tmp_path / "result").folder.path
+    for name in ("result.json", "table.txt", "table.csv", "table.tex", "report.html"):
+        assert (folder / name).stat().st_size > 100
+    figures = {path.stem for path in (folder / "figures").glob("*.png")}
+    assert figures == {"positions", "efforts", "errors", "effort_norm", "error_norm"}
+    result = json.loads((folder / "result.json").read_text())
+    assert result["sha256"] == experiment.digest
+    for samples in result["samples"].values():
+        for joint in samples.values():
+            assert joint == {
+                "states": 301,
+                "commands": 301,
+                "unanswered_states": 0,
+                "repeated_commands": 0,
+            }
+
+
+def test_another_reader_finds_every_state_and_its_eight_commands(experiment_file, tmp_path):
+    experiment = load_experiment(experiment_file())
+    folder = tmp_path / "nodes"
+    folder.mkdir()
+    report = run_on_graph(experiment, "hPID", tmp_path / "bag", folder, Silence())
+    assert report.warnings == []
+    (mcap,) = (tmp_path / "bag").glob("*.mcap")
+    states, commands = [], {}
+    for message in read_ros2_messages(mcap):
+        stamp = message.ros_msg.header.stamp
+        stamp_ns = stamp.sec * 10**9 + stamp.nanosec
+        if message.channel.topic == "/joint_states":
+            states.append(stamp_ns)
+        elif message.channel.topic == "/joint_commands":
+            commands.setdefault(stamp_ns, []).extend(message.ros_msg.name)
+    assert states == [k * 1_000_000 for k in range(301)]
+    assert list(commands) == states
+    joints = sorted(experiment.world.joints)
+    assert all(sorted(names) == joints for names in commands.values())
+
+
+class KillerOf(Silence):
+    """Kills a node of the running graph when the simulation has come far enough."""
+
+    def __init__(self, node, when):
+        self._node, self._when, self.killed_at = node, when, None
+
+    def advanced(self, label, simulated):
+        if self.killed_at is None and simulated >= self._when:
+            self.killed_at = simulated
+            os.kill(child_of(self._node), signal.SIGKILL)
+
+
+def children():
+    """Return command lines of this process's children by pid."""
+    found = {}
+    for path in Path("/proc").glob("[0-9]*"):
+        try:
+            parent = int((path / "stat").read_text().rpartition(")")[2].split()[1])
+            command = (path / "cmdline").read_text().split("\0")
+        except (FileNotFoundError, ProcessLookupError):
+            continue
+        if parent == os.getpid():
+            found[int(path.name)] = command
+    return found
+
+
+def child_of(node):
+    return next(pid for pid, line in children().items() if f"__node:={node}" in line)
+
+
+def test_a_killed_controller_leaves_the_others_at_work(experiment_file, tmp_path):
+    """Its joint gets no effort, the run says so, and nobody else misses a sample."""
+    experiment = load_experiment(
+        experiment_file(duration=1.0, control={"rate": 1000, "answer_timeout": 0.5})
+    )
+    folder = tmp_path / "nodes"
+    folder.mkdir()
+    killer = KillerOf("arm_joint_2_controller", 0.2)
+    report = run_on_graph(experiment, "hPID", tmp_path / "bag", folder, killer)
+    assert killer.killed_at is not None
+    assert report.states == 1001
+    assert any("no answer from arm_joint_2" in line for line in report.warnings)
+    assert any("arm_joint_2_controller ended" in line for line in report.warnings)
+    run = read_run(tmp_path / "bag", "run")
+    for series in run.joints:
+        lost = run.losses[series.joint].unanswered_states
+        if series.joint == "arm_joint_2":
+            assert lost == 1001 - len(series.effort) > 300
+        else:
+            assert (lost, len(series.effort)) == (0, 1001)
+    assert applied_after(tmp_path / "bag", "arm_joint_2", 0.95) == 0.0
+
+
+def applied_after(bag, joint, seconds):
+    """Return the largest effort that a joint's motor gave after an instant."""
+    (mcap,) = bag.glob("*.mcap")
+    largest = 0.0
+    for message in read_ros2_messages(mcap, topics=["/joint_states"]):
+        state = message.ros_msg
+        if state.header.stamp.sec + state.header.stamp.nanosec * 1e-9 > seconds:
+            largest = max(largest, abs(state.effort[state.name.index(joint)]))
+    return largest
+
+
+@pytest.mark.parametrize("node", ["pybullet_bridge", "bag_recorder"])
+def test_a_run_that_loses_what_it_cannot_do_without_fails_in_one_line(
+    experiment_file, tmp_path, node
+):
+    experiment = load_experiment(experiment_file(duration=5.0))
+    folder = tmp_path / "nodes"
+    folder.mkdir()
+    with pytest.raises(RunError, match=f"{node} ended with code -9") as failure:
+        run_on_graph(experiment, "hPID", tmp_path / "bag", folder, KillerOf(node, 0.1))
+    assert "\n" not in str(failure.value)
+    assert not [line for line in children().values() if "hpid_ros" in " ".join(line)]
+
+
+def processes_below(pid):
+    below = subprocess.run(
+        ["ps", "-o", "pid=", "--ppid", str(pid)], capture_output=True, text=True, check=False
+    )
+    return [int(each) for each in below.stdout.split()]
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_whatever_ends_a_comparison_ends_its_nodes_and_leaves_a_readable_bag(
+    experiment_file, tmp_path, number
+):
+    folder = tmp_path / "result"
+    command = [sys.executable, "-m", "hpid_ros.cli", "compare", experiment_file(duration=100.0)]
+    hpid = subprocess.Popen(
+        [*command, "--output", folder], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE
+    )
+    try:
+        mcap = folder / "bags" / "PID" / "PID.mcap"
+        wait_for(lambda: mcap.exists() and mcap.stat().st_size > 200_000, 60.0)
+        nodes = processes_below(hpid.pid)
+        assert len(nodes) == 11
+        begin = time.monotonic()
+        hpid.send_signal(number)
+        hpid.wait(timeout=10)
+        wait_for(lambda: not [pid for pid in nodes if Path(f"/proc/{pid}").exists()], 10.0)
+        assert time.monotonic() - begin < 2.0 + 1.0  # the promise, and a busy machine
+    finally:
+        hpid.kill()
+        hpid.wait()
+    run = read_run(folder / "bags" / "PID", "PID")
+    assert len(run.joints) == 8
+    assert len(run.joints[0].position) > 100
+    if number == signal.SIGINT:
+        assert hpid.returncode == 130
+        assert b"Traceback" not in hpid.stderr.read()
+
+
+def wait_for(condition, within):
+    deadline = time.monotonic() + within
+    while not condition():
+        assert time.monotonic() < deadline
+        os.sched_yield()
+
+
+def test_domains_are_not_shared():
+    with own_domain() as one, own_domain() as other:
+        assert one != other
+    with own_domain() as again:
+        assert again == one
+
+
+def test_the_self_check_sees_a_network_socket(tmp_path):
+    """Each setting of the closed mode alone leaves the door open; the check must notice."""
+    with own_domain() as domain:
+        environment = closed_environment(domain)
+        del environment["FASTDDS_BUILTIN_TRANSPORTS"]
+        code = (
+            "import rclpy, sys; rclpy.init(); n = rclpy.create_node('open'); print('up'); "
+            "sys.stdout.flush(); sys.stdin.read()"
+        )
+        node = subprocess.Popen(
+            [sys.executable, "-c", code],
+            env=environment,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+        )
+        try:
+            assert node.stdout.readline() == b"up\n"
+            assert "udp" in network_sockets(node.pid)
+            with pytest.raises(RunError, match=r"not closed: .*\(udp"):
+                require_no_sockets([node.pid])
+        finally:
+            node.kill()
+            node.wait()
