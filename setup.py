@@ -37,7 +37,7 @@ EXTRAS = {
         "mcap-ros2-support>=0.5.5,<1",
         "colcon-common-extensions>=0.3,<0.4",
         "colcon-ros>=0.5,<0.6",
-        "setuptools>=68,<80",  # colcon --symlink-install needs setup.py develop
+        "setuptools>=71,<80",  # colcon --symlink-install needs setup.py develop
         "ruff>=0.6,<1",
         "mypy>=1.11,<3",
     ],

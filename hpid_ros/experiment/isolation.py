@@ -88,7 +88,10 @@ def require_no_sockets(pids: Iterable[int]) -> None:
         RunError: One of them has.
     """
     for pid in pids:
-        addresses = network_sockets(pid)
+        try:
+            addresses = network_sockets(pid)
+        except (FileNotFoundError, ProcessLookupError):  # it has just ended
+            continue
         if addresses:
             raise RunError(
                 f"the closed mode is not closed: process {pid} has network sockets "

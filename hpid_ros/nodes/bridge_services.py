@@ -51,6 +51,11 @@ class BridgeServices:
         node.create_service(Trigger, "~/reset", self._on_reset)
         node.create_subscription(WrenchStamped, "~/wrench", self._on_wrench, RARE)
 
+    @property
+    def is_paused(self) -> bool:
+        """Whether time stands still but for single steps."""
+        return self._is_paused
+
     def may_advance(self) -> bool:
         """Tell whether one more control period may be simulated, and use up a single step."""
         if not self._is_paused:

@@ -74,6 +74,10 @@ class HeldCommands:
             self._held[name] = self._stamp_ns, effort
         return False
 
+    def give_up(self) -> tuple[str, ...]:
+        """Return the joints that are no longer waited for: none ever was."""
+        return ()
+
     def finish(self) -> list[float]:
         """Count who is silent, and return the efforts for the physics in [N m]."""
         efforts = []

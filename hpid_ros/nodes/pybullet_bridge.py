@@ -9,25 +9,22 @@ from typing import Any
 
 from sensor_msgs.msg import JointState
 
-from hpid_ros.errors import MessageError, SettingError
+from hpid_ros.errors import MessageError
 from hpid_ros.messages import EffortReader, JointStateTemplate
 from hpid_ros.nodes import executor
+from hpid_ros.nodes.bridge_pace import read_pace
 from hpid_ros.nodes.bridge_reports import BridgeReports
 from hpid_ros.nodes.bridge_services import BridgeServices
 from hpid_ros.nodes.diagnostics import OK, WARN, Diagnostics
 from hpid_ros.nodes.held_commands import HeldCommands
-from hpid_ros.nodes.parameters import read_number, read_only
 from hpid_ros.nodes.qos import ALL_COMMANDS, OFFERED, overridable
 from hpid_ros.nodes.status_pipe import StatusPipe
 from hpid_ros.nodes.world_parameters import world_settings
 from hpid_ros.simulation.lockstep import Barrier
 from hpid_ros.simulation.world import World
 
-MODES = ("lockstep", "realtime")
-
 _READINESS_PERIOD = 0.01  # [s]
 _PROGRESS_PERIOD = 0.1  # [s]
-_POSITIVE = (1e-6, 1e6)
 _NANOSECONDS = 1_000_000_000
 
 
@@ -45,17 +42,16 @@ class PybulletBridge(executor.ClosingNode):
     def __init__(self) -> None:
         super().__init__("pybullet_bridge")
         settings = world_settings(self)
-        self._read_parameters(len(settings.joints))
+        self._pace = pace = read_pace(self, len(settings.joints))
         self._status = StatusPipe(self)
         self._world = World(settings)
         self._barrier: Barrier | HeldCommands = (
             Barrier(settings.joints)
-            if self._is_lockstep
-            else HeldCommands(settings.joints, round(self._command_timeout * _NANOSECONDS))
+            if pace.is_lockstep
+            else HeldCommands(settings.joints, pace.command_timeout_ns)
         )
         self._reader = EffortReader()
         self._template = JointStateTemplate(settings.joints, position=True, effort=True)
-        self._end_ns = round(self._duration * _NANOSECONDS) if self._duration > 0.0 else None
         self._states = self.create_publisher(
             JointState, "joint_states", OFFERED, qos_overriding_options=overridable()
         )
@@ -72,70 +68,36 @@ class PybulletBridge(executor.ClosingNode):
         self._diagnostics = Diagnostics(self, self._world.description.name)
         self._misread = 0
         self._is_done = False
-        self._started: float | None = None
+        self._is_started = False
         self._asked = self._progressed = time.monotonic()
+        self._reported = self._asked, 0.0
         self._asked_again = False
         self._readiness = self.create_timer(_READINESS_PERIOD, self._start_when_ready)
         self.create_timer(1.0, self._report)
 
-    def _read_parameters(self, joints: int) -> None:
-        mode = read_only(self, "mode", "lockstep", f"Pace of the states: {', '.join(MODES)}")
-        if mode not in MODES:
-            raise SettingError(f"mode must be one of {', '.join(MODES)}, not {mode!r}")
-        self._is_lockstep = mode == "lockstep"
-        self._duration = read_number(
-            self, "duration", 0.0, "Stamp of the last state [s]; 0 runs for ever", (0.0, 1e9)
-        )
-        self._exits = bool(
-            read_only(self, "exit_when_done", True, "End the process after the last state")
-        )
-        self._factor = read_number(
-            self,
-            "real_time_factor",
-            1.0,
-            "Simulated time per wall time in realtime",
-            _POSITIVE,
-        )
-        self._timeout = read_number(
-            self,
-            "answer_timeout",
-            2.0,
-            "Wall time that lockstep waits for one answer [s]",
-            _POSITIVE,
-        )
-        self._command_timeout = read_number(
-            self,
-            "command_timeout",
-            0.1,
-            "Simulated time for which a command stands in realtime [s]",
-            _POSITIVE,
-        )
-        everyone = joints if self._is_lockstep else 0
-        self._listeners = read_only(
-            self, "wait_for_subscribers", everyone, "Subscribers that states must have first"
-        )
-        self._commanders = read_only(
-            self, "wait_for_publishers", everyone, "Publishers that commands must have first"
-        )
-
     def _start_when_ready(self) -> None:
         listeners = self._states.get_subscription_count()
         commanders = self.count_publishers("joint_commands")
-        if listeners < self._listeners or commanders < self._commanders:
+        if listeners < self._pace.subscribers or commanders < self._pace.publishers:
             if time.monotonic() - self._progressed > 1.0:
                 self._progressed = time.monotonic()
                 self._status.send("waiting", listeners=listeners, commanders=commanders)
+                self.get_logger().info(
+                    f"waiting: {listeners} of {self._pace.subscribers} subscribers of the states, "
+                    f"{commanders} of {self._pace.publishers} publishers of commands",
+                    throttle_duration_sec=5.0,
+                )
             return
         self._readiness.cancel()
-        self._started = time.monotonic()
+        self._is_started = True
         self._status.send("started")
-        if self._is_lockstep:
-            self.create_timer(self._timeout / 4.0, self._watch)
+        if self._pace.is_lockstep:
+            self.create_timer(self._pace.answer_timeout / 4.0, self._watch)
             self._publish_state()
         else:
-            period = self._world.settings.control_period_ns / _NANOSECONDS / self._factor
+            period = self._world.settings.control_period_ns / _NANOSECONDS / self._pace.real_time_factor
             self._publish_state()
-            self.create_timer(period, self._tick)
+            self.create_timer(period, self._resume)
 
     def _on_command(self, raw: bytes) -> None:
         try:
@@ -144,19 +106,21 @@ class PybulletBridge(executor.ClosingNode):
             self._misread += 1
             self.get_logger().warning(str(error), throttle_duration_sec=1.0)
             return
-        if self._barrier.answer(stamp_ns, names, efforts) and self._is_lockstep:
+        was_abandoned = self._barrier.is_abandoned
+        is_complete = self._barrier.answer(stamp_ns, names, efforts)
+        if is_complete or (was_abandoned and not self._barrier.is_abandoned):
             self._resume()
 
     def _resume(self) -> None:
         """Advance if nothing is missing and nobody has paused the simulation."""
-        if self._started is None or self._is_done or self._barrier.missing:
+        if not self._is_started or self._is_done or self._barrier.missing:
             return
         if self._simulation.may_advance():
             self._advance()
 
     def _advance(self) -> None:
         efforts = self._barrier.finish()
-        if self._end_ns is not None and self._world.time_ns >= self._end_ns:
+        if self._pace.end_ns is not None and self._world.time_ns >= self._pace.end_ns:
             self._finish()
             return
         self._world.step(efforts)
@@ -175,29 +139,27 @@ class PybulletBridge(executor.ClosingNode):
             self._progressed = self._asked
             self._status.send("progress", stamp_ns=stamp_ns, silent=self._barrier.silent)
 
-    def _tick(self) -> None:
-        """Advance by the wall clock, each joint with its newest command."""
-        self._resume()
-
     def _watch(self) -> None:
         """Ask again when an answer is late, and go on without it when it is too late."""
         waited = time.monotonic() - self._asked
+        if self._barrier.is_abandoned:  # somebody may come back, and needs a state to answer
+            self._states.publish(self._last_state)
         if not self._barrier.missing or self._is_done:
             return
-        if waited > self._timeout:
+        if waited > self._pace.answer_timeout:
             given_up = self._barrier.give_up()
-            self.get_logger().warning(f"no answer within {self._timeout} s: {', '.join(given_up)}")
+            self.get_logger().warning(f"no answer within {self._pace.answer_timeout} s: {', '.join(given_up)}")
             self._status.send("silent", joints=given_up, stamp_ns=self._world.time_ns)
             if not self._barrier.is_abandoned:
                 self._resume()
-        elif waited > self._timeout / 2.0 and not self._asked_again:
+        elif waited > self._pace.answer_timeout / 2.0 and not self._asked_again:
             self._asked_again = True
             self._states.publish(self._last_state)
 
     def _reset(self) -> None:
         self._world.reset()
         self._is_done = False
-        if self._started is not None:
+        if self._is_started:
             self._publish_state()
 
     def _finish(self) -> None:
@@ -208,13 +170,15 @@ class PybulletBridge(executor.ClosingNode):
             counts={joint: vars(counts) for joint, counts in self._barrier.counts.items()},
             foreign=self._barrier.foreign,
         )
-        if self._exits:
+        if self._pace.exits:
             self.request_stop()
 
     def _report(self) -> None:
-        silent = self._barrier.silent if self._is_lockstep else ()
+        silent = self._barrier.silent
         message = f"no answer from {', '.join(silent)}" if silent else "running"
-        if self._started is None:
+        if self._simulation.is_paused:
+            message = "paused"
+        if not self._is_started:
             message = "waiting for controllers"
         counts = self._barrier.counts.values()
         values: dict[str, Any] = {
@@ -224,10 +188,12 @@ class PybulletBridge(executor.ClosingNode):
             "unanswered": sum(count.unanswered for count in counts),
             "stale answers": sum(count.stale for count in counts),
         }
-        if self._started is not None:
-            wall = max(time.monotonic() - self._started, 1e-9)
-            values["real-time factor"] = values["simulated time [s]"] / wall
-        is_well = self._started is not None and not silent
+        now, simulated = time.monotonic(), self._world.time_ns / _NANOSECONDS
+        reported, before = self._reported
+        self._reported = now, simulated
+        if self._is_started and simulated >= before:
+            values["real-time factor"] = (simulated - before) / max(now - reported, 1e-9)
+        is_well = self._is_started and not silent
         self._diagnostics.publish(OK if is_well else WARN, message, values)
 
     def close(self) -> None:

@@ -1,0 +1,137 @@
+"""The hpid command: exit codes, one clear line for bad input, nothing overwritten."""
+
+import json
+import math
+import subprocess
+import sys
+
+import pytest
+import yaml
+
+from hpid_ros.cli import BAD_INPUT, DONE, main
+from hpid_ros.resources import share_folder
+
+
+def test_in_process_comparison_prints_the_table_and_leaves_the_result(
+    experiment_file, tmp_path, capsys
+):
+    folder = tmp_path / "result"
+    assert main(["compare", str(experiment_file()), "--in-process", "-o", str(folder)]) == DONE
+    printed = capsys.readouterr().out
+    for word in ("IVC", "IAVC", "ITAE", "arm_joint_6", "total", "report.html"):
+        assert word in printed
+    result = json.loads((folder / "result.json").read_text())
+    assert set(result["indices"]["runs"]) == {"PID", "hPID"}
+    capsys.readouterr()
+    bags = [str(folder / "bags" / label) for label in ("PID", "hPID")]
+    assert main(["metrics", *bags, "--format", "json"]) == DONE
+    assert json.loads(capsys.readouterr().out) == result["indices"]
+
+
+def test_the_default_experiment_is_the_papers():
+    from hpid_ros.cli import DEFAULT_EXPERIMENT
+    from hpid_ros.experiment.description import load_experiment
+
+    experiment = load_experiment(share_folder() / DEFAULT_EXPERIMENT)
+    assert (experiment.name, experiment.duration) == ("paper", 9.0)
+    assert experiment.world.control_period_ns == 1_000_000
+
+
+def refused(arguments, capsys):
+    assert main(arguments) == BAD_INPUT
+    streams = capsys.readouterr()
+    lines = streams.err.strip().splitlines()
+    assert len(lines) == 1
+    assert lines[0].startswith("hpid: ")
+    return lines[0]
+
+
+def test_a_missing_file_is_one_line(capsys):
+    assert "cannot read none.yaml" in refused(["compare", "none.yaml"], capsys)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"durration": 1.0}, "did you mean 'duration'"),
+        ({"compare": {"hPID": {"mu": 0.5}}}, "(-0.5, 0.5), not 0.5"),
+        ({"compare": {"hPID": {"gains": {"p": math.nan}}}}, "gains.p must lie in"),
+        ({"controllers__joints__arm_joint_9": {}}, "unknown joint 'arm_joint_9'"),
+        ({"reference__positions": {"spine": [0.0] * 5}}, "unknown joint 'spine'"),
+    ],
+)
+def test_a_bad_experiment_is_one_line_and_leaves_no_folder(
+    experiment_file, tmp_path, capsys, changes, words
+):
+    folder = tmp_path / "result"
+    path = experiment_file(**changes)
+    assert words in refused(["compare", str(path), "-o", str(folder)], capsys)
+    assert not folder.exists()
+
+
+def test_nothing_is_overwritten_without_force(experiment_file, tmp_path, capsys):
+    folder = tmp_path / "result"
+    command = ["compare", str(experiment_file()), "--in-process", "-o", str(folder)]
+    assert main(command) == DONE
+    before = (folder / "result.json").read_bytes()
+    (folder / "note.txt").write_text("mine")
+    capsys.readouterr()
+    assert "--force" in refused(command, capsys)
+    assert (folder / "note.txt").exists()
+    assert main([*command, "--force"]) == DONE
+    assert (folder / "result.json").read_bytes() == before
+    assert not (folder / "note.txt").exists()
+
+
+def test_force_never_replaces_what_is_no_result(experiment_file, tmp_path, capsys):
+    folder = tmp_path / "thesis"
+    folder.mkdir()
+    (folder / "chapter.tex").write_text("years of work")
+    command = ["compare", str(experiment_file()), "--in-process", "-o", str(folder), "--force"]
+    assert "is not a result" in refused(command, capsys)
+    assert (folder / "chapter.tex").exists()
+
+
+@pytest.mark.parametrize("content", [None, b"", b"not a bag", b"\x89MCAP0\r\n" + b"\0" * 40])
+def test_an_unreadable_bag_is_one_line(tmp_path, capsys, content):
+    bag = tmp_path / "run.mcap"
+    if content is not None:
+        bag.write_bytes(content)
+    assert "run.mcap" in refused(["metrics", str(bag)], capsys)
+
+
+def test_labels_must_fit_the_bags(tmp_path, capsys):
+    command = ["metrics", str(tmp_path), "--labels", "a", "b"]
+    assert "one label for each of 1 bags, not 2" in refused(command, capsys)
+
+
+def test_an_unwritable_place_is_one_line(experiment_file, capsys):
+    command = ["compare", str(experiment_file()), "--in-process", "-o", "/proc/result"]
+    assert "cannot make the result folder /proc/result" in refused(command, capsys)
+
+
+def test_usage_errors_end_with_two():
+    for arguments in ([], ["compare", "--speed"], ["metrics"], ["dance"]):
+        with pytest.raises(SystemExit) as end:
+            main(arguments)
+        assert end.value.code == BAD_INPUT
+
+
+def test_in_process_needs_no_ros(experiment_file, tmp_path):
+    """People without ROS, and sweeps, run the same experiment file."""
+    code = (
+        "import sys; sys.modules['rclpy'] = None; from hpid_ros.cli import main; "
+        f"sys.exit(main(['compare', {str(experiment_file())!r}, '--in-process', "
+        f"'-o', {str(tmp_path / 'result')!r}]))"
+    )
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, check=False)
+    assert ended.returncode == DONE, ended.stderr.decode()
+
+
+def test_every_shipped_experiment_is_valid():
+    from hpid_ros.experiment.description import load_experiment
+
+    files = sorted((share_folder() / "config" / "experiments").glob("*.yaml"))
+    assert files
+    for file in files:
+        assert yaml.safe_load(file.read_text())["name"] == load_experiment(file).name
