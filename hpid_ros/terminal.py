@@ -50,19 +50,19 @@ class RunProgress:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
+        for task in self._tasks.values() if error is None else ():
+            self._progress.update(task, phase="")
         self._progress.stop()
 
     def phase(self, label: str, what: str) -> None:
         """Show what a run is doing; the empty label stands for the work after all runs."""
-        if label and label not in self._tasks:
+        label = label or self._labels[-1]
+        if label not in self._tasks:
             width = max(len(each) for each in self._labels)
             self._tasks[label] = self._progress.add_task(
                 label.ljust(width), total=self._duration, figures="", phase=what
             )
-        if label:
-            self._progress.update(self._tasks[label], phase=what)
-        else:
-            self._progress.console.print(f"{what} ...", style="dim")
+        self._progress.update(self._tasks[label], phase=what)
 
     def advanced(self, label: str, simulated: float) -> None:
         """Move a run's bar, with the rate since its first report."""

@@ -8,7 +8,7 @@ import tempfile
 from pathlib import Path
 
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, OpaqueFunction
+from launch.actions import DeclareLaunchArgument, OpaqueFunction, Shutdown
 from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
 from launch_ros.actions import Node
 from launch_ros.substitutions import FindPackageShare
@@ -22,11 +22,11 @@ from hpid_ros.experiment.parameter_files import (
 from hpid_ros.names import controller_name
 
 ARGUMENTS = {
-    "controller": ("", "label under compare in the experiment file; the last one if empty"),
-    "mode": ("realtime", "realtime, or lockstep: as fast as the machine allows"),
-    "composed": ("false", "all controllers in one process"),
-    "bag": ("", "record into this new folder"),
-    "gui": ("false", "show PyBullet's window"),
+    "controller": ("", None, "label under compare in the experiment file; the last one if empty"),
+    "mode": ("realtime", ["realtime", "lockstep"], "lockstep: as fast as the machine allows"),
+    "composed": ("false", ["true", "false"], "all controllers in one process"),
+    "bag": ("", None, "record into this new folder"),
+    "gui": ("false", ["true", "false"], "show PyBullet's window"),
 }
 
 
@@ -40,8 +40,10 @@ def generate_launch_description():
                 description="experiment file",
             ),
             *(
-                DeclareLaunchArgument(name, default_value=value, description=description)
-                for name, (value, description) in ARGUMENTS.items()
+                DeclareLaunchArgument(
+                    name, default_value=value, choices=choices, description=description
+                )
+                for name, (value, choices, description) in ARGUMENTS.items()
             ),
             OpaqueFunction(function=nodes),
         ]
@@ -69,9 +71,17 @@ def nodes(context):
         Node(
             package="hpid_ros",
             executable="pybullet_bridge",
+            on_exit=Shutdown(),
             parameters=[
                 str(bridge),
-                {"mode": value["mode"], "gui": value["gui"] == "true", "duration": 0.0},
+                {
+                    "mode": value["mode"],
+                    "gui": value["gui"] == "true",
+                    "duration": 0.0,
+                    # The robot would fall while its controllers are still starting.
+                    "wait_for_subscribers": len(experiment.world.joints),
+                    "wait_for_publishers": len(experiment.world.joints),
+                },
             ],
         ),
     ]

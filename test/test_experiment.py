@@ -38,6 +38,16 @@ def test_encoder_resolution_reaches_the_loops(experiment_file):
         assert each.encoder_resolution == pytest.approx(6.283185307 / 1000)
 
 
+def test_efforts_are_limited_as_the_robot_is_unless_the_file_says_otherwise(experiment_file):
+    path = experiment_file(controllers__joints__arm_joint_2={"u_clamp_max": 3.0})
+    limits = {
+        each.joint: (each.u_clamp_min, each.u_clamp_max)
+        for each in load_experiment(path).controllers["PID"]
+    }
+    assert limits["arm_joint_1"] == (-30.0, 30.0)
+    assert limits["arm_joint_2"] == (-45.0, 3.0)
+
+
 def test_digest_changes_with_the_file_and_with_nothing_else(experiment_file):
     one = load_experiment(experiment_file("one.yaml"))
     same = load_experiment(experiment_file("same.yaml"))

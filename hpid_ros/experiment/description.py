@@ -11,6 +11,7 @@ from hpid_ros.control import LOOP_PARAMETERS, LoopSettings
 from hpid_ros.errors import ExperimentError, HpidError, unknown_name
 from hpid_ros.resources import find_resource
 from hpid_ros.robot.description import RobotDescription
+from hpid_ros.robot.joints import JointDescription
 from hpid_ros.sections import Section
 from hpid_ros.simulation.settings import WorldSettings
 from hpid_ros.trajectory import JointTrajectory, reference_from
@@ -156,12 +157,13 @@ def _controllers(root: Section, world: WorldSettings) -> dict[str, tuple[LoopSet
     labels = compared.items()
     if not labels:
         raise ExperimentError("compare must name at least one controller")
+    joints = RobotDescription.load(world.robot_description).select(world.joints)
     result = {}
     for label in labels:
         changes = _parameters(compared, label)
         result[label] = tuple(
-            _settings(label, joint, counts, world, [common, own.get(joint, {}), changes])
-            for joint, counts in zip(world.joints, world.counts, strict=True)
+            _settings(label, joint, counts, world, [common, own.get(joint.name, {}), changes])
+            for joint, counts in zip(joints, world.counts, strict=True)
         )
     return result
 
@@ -184,20 +186,22 @@ def _parameters(section: Section, key: str) -> dict[str, object]:
 
 def _settings(
     label: str,
-    joint: str,
+    joint: JointDescription,
     counts: int,
     world: WorldSettings,
     layers: list[dict[str, object]],
 ) -> LoopSettings:
-    """Return one joint's settings; later layers win over earlier ones."""
+    """Return one joint's settings; later layers win, and the robot gives the defaults."""
     values: dict[str, object] = {
-        "joint": joint,
+        "joint": joint.name,
         "control_period": world.control_period_ns / _NANOSECONDS,
         "encoder_resolution": _FULL_TURN / counts if counts else 0.0,
     }
+    if joint.effort < LOOP_PARAMETERS["u_clamp_max"].maximum:
+        values |= {"u_clamp_max": joint.effort, "u_clamp_min": -joint.effort}
     for layer in layers:
         values.update(layer)
     try:
         return LoopSettings.from_parameters(values)
     except HpidError as error:
-        raise ExperimentError(f"controller {label!r}, joint {joint!r}: {error}") from None
+        raise ExperimentError(f"controller {label!r}, joint {joint.name!r}: {error}") from None

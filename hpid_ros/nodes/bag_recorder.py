@@ -11,6 +11,7 @@ from typing import Any
 
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.topic_endpoint_info import TopicEndpointInfo
+from rclpy.validate_topic_name import validate_topic_name
 
 from hpid_ros.bags.writer import BagTopic, BagWriter, TopicQos
 from hpid_ros.errors import BagError, SettingError
@@ -31,7 +32,8 @@ class BagRecorder(executor.ClosingNode):
     last, whoever waits for a subscriber of the states has a recorder for all that answers them.
 
     Raises:
-        SettingError: No bag or no topic was named.
+        SettingError: No bag or no topic was named, or a topic twice.
+        InvalidTopicNameException: A topic's name is none.
         HpidError: The bag cannot be created.
     """
 
@@ -43,8 +45,12 @@ class BagRecorder(executor.ClosingNode):
         )
         if not path or not topics:
             raise SettingError("the parameters bag and topics must name a new folder and topics")
+        for topic in topics:
+            validate_topic_name(topic)
         self._status = StatusPipe(self)
         self._waiting = [self.resolve_topic_name(topic) for topic in topics]
+        if len(set(self._waiting)) != len(self._waiting):
+            raise SettingError(f"topics must name each topic once, not {', '.join(topics)}")
         self._writer = BagWriter(path)
         self._failed = False
         self._reported: dict[str, int] = {}

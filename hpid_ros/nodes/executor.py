@@ -10,6 +10,7 @@ spinning; the nodes close while the context still lives, and the context is shut
 from __future__ import annotations
 
 import os
+import re
 import signal
 import sys
 import threading
@@ -20,7 +21,7 @@ from types import FrameType
 import rclpy
 from rclpy.exceptions import (
     InvalidParameterTypeException,
-    InvalidParameterValueException,
+    NameValidationException,
     ParameterException,
 )
 from rclpy.executors import Executor, SingleThreadedExecutor
@@ -30,7 +31,7 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 from rclpy.utilities import remove_ros_args
 
-from hpid_ros.errors import HpidError, SettingError
+from hpid_ros.errors import HpidError, SettingError, unknown_name
 
 BAD_INPUT = 2
 """Exit code of a process whose parameters or arguments cannot be used."""
@@ -83,13 +84,14 @@ def run(make_nodes: Callable[[], Sequence[ClosingNode]], args: Sequence[str] | N
         The exit code: 0 after a signal, 2 when arguments or parameters cannot be used.
     """
     command_line = list(sys.argv if args is None else args)
-    surplus = remove_ros_args(command_line)[1:]
-    if surplus:
-        return _refuse(f"unknown arguments {' '.join(surplus)}; parameters follow --ros-args -p")
     try:
+        surplus = remove_ros_args(command_line)[1:]
+        if surplus:
+            what = " ".join(surplus)
+            return _refuse(f"unknown arguments {what}; parameters follow --ros-args -p")
         rclpy.init(args=command_line, signal_handler_options=SignalHandlerOptions.NO)
-    except (rclpy.exceptions.ROSInterruptException, RuntimeError, ValueError) as error:
-        return _refuse(str(error).splitlines()[0])
+    except (RuntimeError, ValueError) as error:
+        return _refuse(_ros_error(error))
     try:
         with _signals_to(Stop()) as stop:
             return _run_in_context(make_nodes, stop)
@@ -100,10 +102,9 @@ def run(make_nodes: Callable[[], Sequence[ClosingNode]], args: Sequence[str] | N
 def _run_in_context(make_nodes: Callable[[], Sequence[ClosingNode]], stop: Stop) -> int:
     try:
         nodes = make_nodes()
-        for node in nodes:
-            _require_known_parameters(node)
-    except (HpidError, ParameterException) as error:
-        return _refuse(_parameter_error(error))
+        _require_known_parameters(nodes)
+    except (HpidError, ParameterException, NameValidationException) as error:
+        return _refuse(_input_error(error))
     executor = _make_executor()
     for node in nodes:
         node.stop = stop
@@ -111,6 +112,8 @@ def _run_in_context(make_nodes: Callable[[], Sequence[ClosingNode]], stop: Stop)
     try:
         while not stop.future.done():
             executor.spin_until_future_complete(stop.future, _DEADLINE)
+    except HpidError as error:  # what only the graph shows, for instance a topic's type
+        stop.request(_refuse(str(error)))
     finally:
         for node in nodes:
             node.close()
@@ -128,25 +131,32 @@ def _make_executor() -> Executor:
     return EventsExecutor()
 
 
-def _require_known_parameters(node: Node) -> None:
-    """Refuse parameters that were given and that the node does not have.
+def _require_known_parameters(nodes: Sequence[Node]) -> None:
+    """Refuse parameters that were given and that no node of the process has.
 
-    rclpy ignores them silently, and a mistyped gain would be a gain of zero.
+    rclpy ignores them silently, and a mistyped gain would be a gain of zero. What is given on
+    the command line goes to every node of a process, so it is enough that one of them has it.
     """
-    from hpid_ros.errors import unknown_name
+    everywhere = {name for node in nodes for name in node._parameters}
+    for node in nodes:
+        for name in node._parameter_overrides:  # rclpy has no public way to ask what was given
+            if name not in everywhere and not name.startswith("qos_overrides."):
+                known = [p for p in everywhere if not p.startswith("qos_overrides.")]
+                raise SettingError(f"{node.get_name()}: {unknown_name('parameter', name, known)}")
 
-    for name in node._parameter_overrides:  # rclpy has no public way to ask what was given
-        if not node.has_parameter(name) and not name.startswith("qos_overrides."):
-            known = [p for p in node._parameters if not p.startswith("qos_overrides.")]
-            raise SettingError(f"{node.get_name()}: {unknown_name('parameter', name, known)}")
+
+def _input_error(error: Exception) -> str:
+    """Return one line for an error of parameters or names."""
+    line = " ".join(str(error).split())
+    if isinstance(error, InvalidParameterTypeException) and "'INTEGER', expecting" in line:
+        return f"{line} (numbers with a fraction are written 1.0, not 1)"
+    return line.rstrip(" ^")
 
 
-def _parameter_error(error: Exception) -> str:
-    if isinstance(error, InvalidParameterTypeException):
-        return f"{error} (numbers with a fraction are written 1.0, not 1)"
-    if isinstance(error, InvalidParameterValueException):
-        return " ".join(str(error).split())
-    return str(error)
+def _ros_error(error: Exception) -> str:
+    """Return one line for an error of rcl, without the places in its source."""
+    line = " ".join(re.sub(r"\s*, at /\S+:\d+", "", str(error)).split())
+    return f"unknown ROS arguments {line}" if line.startswith("[") else line
 
 
 def _refuse(line: str) -> int:

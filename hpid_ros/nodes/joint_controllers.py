@@ -6,6 +6,7 @@ import sys
 from collections.abc import Sequence
 
 from rclpy.parameter import Parameter
+from rclpy.validate_node_name import validate_node_name
 
 from hpid_ros.errors import SettingError
 from hpid_ros.names import controller_name
@@ -35,9 +36,12 @@ def make_nodes() -> list[executor.ClosingNode]:
 
     Raises:
         SettingError: The parameter names no joint, or one twice.
+        InvalidNodeNameException: A joint's name has a character that a node's may not have.
     """
     composition = Composition()
     joints = list(composition.joints)
+    for joint in joints:
+        validate_node_name(controller_name(joint))
     if not joints or len(set(joints)) != len(joints):
         raise SettingError(f"the parameter joints must name each joint once, not {joints}")
     controllers = [

@@ -95,9 +95,9 @@ class PybulletBridge(executor.ClosingNode):
             self.create_timer(self._pace.answer_timeout / 4.0, self._watch)
             self._publish_state()
         else:
-            period = self._world.settings.control_period_ns / _NANOSECONDS / self._pace.real_time_factor
+            period = self._world.settings.control_period_ns / _NANOSECONDS
             self._publish_state()
-            self.create_timer(period, self._resume)
+            self.create_timer(period / self._pace.real_time_factor, self._resume)
 
     def _on_command(self, raw: bytes) -> None:
         try:
@@ -141,18 +141,18 @@ class PybulletBridge(executor.ClosingNode):
 
     def _watch(self) -> None:
         """Ask again when an answer is late, and go on without it when it is too late."""
-        waited = time.monotonic() - self._asked
+        waited, timeout = time.monotonic() - self._asked, self._pace.answer_timeout
         if self._barrier.is_abandoned:  # somebody may come back, and needs a state to answer
             self._states.publish(self._last_state)
         if not self._barrier.missing or self._is_done:
             return
-        if waited > self._pace.answer_timeout:
+        if waited > timeout:
             given_up = self._barrier.give_up()
-            self.get_logger().warning(f"no answer within {self._pace.answer_timeout} s: {', '.join(given_up)}")
+            self.get_logger().warning(f"no answer within {timeout} s: {', '.join(given_up)}")
             self._status.send("silent", joints=given_up, stamp_ns=self._world.time_ns)
             if not self._barrier.is_abandoned:
                 self._resume()
-        elif waited > self._pace.answer_timeout / 2.0 and not self._asked_again:
+        elif waited > timeout / 2.0 and not self._asked_again:
             self._asked_again = True
             self._states.publish(self._last_state)
 
@@ -186,7 +186,7 @@ class PybulletBridge(executor.ClosingNode):
             "misread commands": self._misread,
             "commands for other joints": self._barrier.foreign,
             "unanswered": sum(count.unanswered for count in counts),
-            "stale answers": sum(count.stale for count in counts),
+            "answers to earlier states": sum(count.stale for count in counts),
         }
         now, simulated = time.monotonic(), self._world.time_ns / _NANOSECONDS
         reported, before = self._reported

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import sys
 from typing import Any
 
 from rclpy.node import Node
@@ -34,6 +36,8 @@ def world_settings(node: Node) -> WorldSettings:
             "URDF of the robot: its XML text, a path, or a path in this package's share folder",
         )
     )
+    if not source.strip():
+        raise SettingError("robot_description must be a URDF or name one, it is empty")
     if not source.lstrip().startswith("<"):
         source = str(find_resource(source))
     joints = read_only(
@@ -77,8 +81,16 @@ def world_settings(node: Node) -> WorldSettings:
             read_only(node, "fixed_base", False, "Hold the robot's root, without a ground")
         ),
         payload_mass=float(read_only(node, "payload_mass", 0.0, "Mass in the gripper [kg]")),
-        gui=bool(read_only(node, "gui", False, "Show PyBullet's window")),
+        gui=_gui(node),
     )
+
+
+def _gui(node: Node) -> bool:
+    wanted = bool(read_only(node, "gui", False, "Show PyBullet's window"))
+    # Without a display Bullet would end the process without a word.
+    if wanted and sys.platform.startswith("linux") and not os.environ.get("DISPLAY"):
+        raise SettingError("gui needs a display, and the variable DISPLAY names none")
+    return wanted
 
 
 def _along(joints: tuple[str, ...], name: str, values: Any) -> tuple[Any, ...]:

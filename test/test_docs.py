@@ -1,0 +1,42 @@
+"""The documentation says what the code says."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from hpid_ros.control import LOOP_PARAMETERS
+
+ROOT = Path(__file__).parents[1]
+INTERFACES = (ROOT / "docs" / "interfaces.md").read_text()
+
+
+@pytest.mark.parametrize("spec", LOOP_PARAMETERS.values(), ids=lambda spec: spec.name)
+def test_every_parameter_is_documented_as_it_is(spec):
+    (row,) = [line for line in INTERFACES.splitlines() if line.startswith(f"| `{spec.name}` |")]
+    _, _, default, allowed, meaning, _ = (cell.strip() for cell in row.split("|"))
+    assert meaning == spec.description
+    if isinstance(spec.default, float):
+        assert float(default) == spec.default
+        assert [float(each) for each in allowed.split(" to ")] == [spec.minimum, spec.maximum]
+    elif spec.choices:
+        assert default == spec.default
+        assert re.findall(r"`(\w+)`", allowed) == list(spec.choices)
+
+
+@pytest.mark.parametrize("page", [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))])
+def test_links_lead_somewhere(page):
+    for target in re.findall(r"\]\(([^)#:]+)\)", page.read_text()):
+        assert (page.parent / target).exists(), f"{page.name}: {target}"
+
+
+@pytest.mark.parametrize("example", sorted((ROOT / "examples").glob("*.py")), ids=lambda e: e.stem)
+def test_every_example_runs_alone(example, tmp_path):
+    import subprocess
+    import sys
+
+    ended = subprocess.run(
+        [sys.executable, example], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert ended.returncode == 0, ended.stderr
+    assert ended.stdout.strip()
