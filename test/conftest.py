@@ -5,9 +5,13 @@ import os
 import pytest
 import yaml
 from harness import Harness
+from hypothesis import settings
 
 from hpid_ros.experiment.isolation import closed_environment, own_domain
 from hpid_ros.resources import share_folder
+
+settings.register_profile("suite", deadline=None)  # a busy machine is not a failure
+settings.load_profile("suite")
 
 PAPER = share_folder() / "config" / "experiments" / "paper.yaml"
 
