@@ -12,6 +12,7 @@ from rich.console import Console
 
 from hpid_ros import __version__
 from hpid_ros.errors import HpidError, RunError
+from hpid_ros.interrupts import heed_interrupts
 from hpid_ros.resources import find_resource
 from hpid_ros.terminal import RunProgress, print_reports
 
@@ -28,6 +29,7 @@ def main(args: Sequence[str] | None = None) -> int:
         args: Arguments after the program's name; None for those of the process.
     """
     options = _parser().parse_args(args)
+    heed_interrupts()
     command: Callable[[argparse.Namespace], int] = options.command
     try:
         return command(options)

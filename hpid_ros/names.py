@@ -10,3 +10,18 @@ def controller_name(joint: str) -> str:
         joint: Name of the joint.
     """
     return f"{joint}_controller"
+
+
+NODE_PARAMETERS = frozenset(
+    {
+        "command_interface",
+        "introspection_rate",
+        "qos_overrides",
+        "start_type_description_service",
+        "status_fd",
+        "use_sim_time",
+        "wait_for_command_subscribers",
+        "wait_for_reference",
+    }
+)
+"""A controller node's parameters beside those of its loop, by the first part of the name."""

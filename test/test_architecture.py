@@ -19,12 +19,13 @@ ALLOWED = {
     "bags": {"analysis", "messages", "trajectory"},
     "simulation": {"control", "robot"},
     "nodes": {"analysis", "bags", "control", "messages", "robot", "simulation", "trajectory"},
+    "tuning": {"analysis", "bags", "control", "robot", "simulation", "trajectory"},
     "experiment": {
         *("analysis", "bags", "control", "messages", "robot", "simulation", "trajectory"),
     },
 }
 EVERYWHERE = {"errors", "names", "sections"}  # pure, and below every room
-FILES = {"resources", "yaml_files"}  # read files: for shells alone
+SHELL = {"resources", "yaml_files", "interrupts"}  # files and signals: for shells alone
 ONLY_IN = {
     "rclpy": "nodes",
     "pybullet": "simulation",
@@ -32,6 +33,7 @@ ONLY_IN = {
     "rosbags": "bags",
     "matplotlib": "analysis",
 }
+SHELLS = {"nodes", "experiment", "tuning"}
 PURE = {"control", "trajectory", "messages"}
 PURE_LIBRARIES = {"numpy", "scipy"}
 
@@ -68,7 +70,7 @@ def test_imports_point_inward(path):
         target = rest[0] if rest else None
         if here is None or target in (None, here, "__version__") or target in EVERYWHERE:
             continue
-        allowed = ALLOWED[here] | (FILES if here in ("nodes", "experiment") else set())
+        allowed = ALLOWED[here] | (SHELL if here in SHELLS else set())
         assert target in allowed, f"{here} must not import {name}"
 
 

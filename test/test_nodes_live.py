@@ -12,6 +12,7 @@ from hpid_ros.messages import JointStateTemplate, decode_joint_state
 from hpid_ros.nodes.held_commands import HeldCommands
 from hpid_ros.nodes.qos import ALL_COMMANDS, LATCHED, OFFERED, RARE
 from hpid_ros.nodes.trajectories import to_message
+from hpid_ros.nodes.trajectory_subscriptions import TrajectorySubscriptions
 from hpid_ros.trajectory import minimum_jerk
 
 MS = 1_000_000
@@ -95,6 +96,26 @@ def test_trajectories_come_from_volatile_and_latched_publishers(harness, profile
             lambda wanted=at_goal: abs(harness.ask(next(stamps), 0.5) - wanted) < 1e-6,
             what=f"the loop to follow to {goal}",
         )
+
+
+def test_what_a_latched_publisher_sends_to_both_subscriptions_is_taken_once():
+    callbacks, taken = [], []
+
+    class Node:
+        def create_subscription(self, kind, topic, callback, *rest, **options):
+            callbacks.append(callback)
+
+    TrajectorySubscriptions(Node(), taken.append)
+    latched, volatile = callbacks
+    first, second = (JointTrajectory(joint_names=[name]) for name in ("elbow", "wrist"))
+    for receive, message in (
+        *((latched, first), (volatile, first)),  # both copies, in either order
+        *((volatile, second), (latched, second)),
+        *((latched, second), (volatile, second)),  # published once more
+        (volatile, second),  # by somebody who does not latch
+    ):
+        receive(message)
+    assert taken == [first, second, second, second]
 
 
 @pytest.mark.parametrize(

@@ -18,6 +18,7 @@ from hpid_ros.experiment.parameter_files import (
     write_parameters,
 )
 from hpid_ros.experiment.progress import Progress, RunReport
+from hpid_ros.interrupts import raise_if_interrupted
 from hpid_ros.names import controller_name
 
 BRIDGE, RECORDER, REFERENCE = "pybullet_bridge", "bag_recorder", "trajectory_publisher"
@@ -130,6 +131,7 @@ class _GraphRun:
             for key, _ in ready:
                 self._take_events(key.data)
             self._look_after_nodes()
+            raise_if_interrupted()
             if deadline is not None and time.monotonic() > deadline and not is_true():
                 raise RunError(f"{self._label}: waited {within:g} s in vain for {what}")
 

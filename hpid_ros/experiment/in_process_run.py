@@ -14,6 +14,7 @@ from hpid_ros.bags.writer import BagWriter, TopicQos
 from hpid_ros.control import JointLoop
 from hpid_ros.experiment.description import Experiment
 from hpid_ros.experiment.progress import Progress, RunReport
+from hpid_ros.interrupts import raise_if_interrupted
 from hpid_ros.messages import JointStateTemplate
 from hpid_ros.simulation.in_process import Sample, run_in_process
 from hpid_ros.simulation.world import World
@@ -80,3 +81,4 @@ class _Recorder:
         self._count += 1
         if self._count % _PROGRESS_EVERY == 0:
             self._progress.advanced(self._label, stamp_ns * 1e-9)
+            raise_if_interrupted()
