@@ -59,9 +59,9 @@ def nodes(context):
             f"controller must be one of {list(experiment.controllers)}, not {label}"
         )
     folder = Path(tempfile.mkdtemp(prefix="hpid_ros_"))
-    controllers, bridge = folder / "controllers.yaml", folder / "bridge.yaml"
-    write_parameters(controllers, controllers_document(experiment.controllers[label]))
-    write_parameters(bridge, bridge_document(experiment))
+    controllers, bridge = str(folder / "controllers.yaml"), str(folder / "bridge.yaml")
+    write_parameters(Path(controllers), controllers_document(experiment.controllers[label]))
+    write_parameters(Path(bridge), bridge_document(experiment))
     started = [
         Node(
             package="hpid_ros",
@@ -73,25 +73,28 @@ def nodes(context):
             executable="pybullet_bridge",
             on_exit=Shutdown(),
             parameters=[
-                str(bridge),
+                bridge,
                 {
                     "mode": value["mode"],
                     "gui": value["gui"] == "true",
                     "duration": 0.0,
-                    # The robot would fall while its controllers are still starting.
-                    "wait_for_subscribers": len(experiment.world.joints),
+                    # The robot would fall while its controllers are still starting, and a bag
+                    # without its beginning cannot be compared.
+                    "wait_for_subscribers": len(experiment.world.joints) + bool(value["bag"]),
                     "wait_for_publishers": len(experiment.world.joints),
                 },
             ],
         ),
     ]
+    # The reference starts for each joint with the first state that its controller takes: they
+    # wait for it, so that all joints start together.
     if value["composed"] == "true":
         # Without a name: a name would be given to every node of the process.
         started.append(
             Node(
                 package="hpid_ros",
                 executable="joint_controllers",
-                ros_arguments=["--params-file", str(controllers)],
+                ros_arguments=["--params-file", controllers, "-p", "wait_for_reference:=true"],
             )
         )
     else:
@@ -100,12 +103,17 @@ def nodes(context):
                 package="hpid_ros",
                 executable="joint_controller",
                 name=controller_name(joint),
-                parameters=[str(controllers)],
+                parameters=[controllers, {"wait_for_reference": True}],
             )
             for joint in experiment.world.joints
         ]
     if value["bag"]:
         started.append(
-            Node(package="hpid_ros", executable="bag_recorder", parameters=[{"bag": value["bag"]}])
+            Node(
+                package="hpid_ros",
+                executable="bag_recorder",
+                on_exit=Shutdown(),
+                parameters=[{"bag": value["bag"]}],
+            )
         )
     return started

@@ -21,9 +21,10 @@ from hpid_ros.nodes.commands import COMMAND_INTERFACES, command_sink
 from hpid_ros.nodes.diagnostics import OK, WARN, Diagnostics
 from hpid_ros.nodes.introspection import Introspection
 from hpid_ros.nodes.parameters import declare, merged, read_only, verdict
-from hpid_ros.nodes.qos import LATCHED, NEWEST_STATE, RARE, overridable
+from hpid_ros.nodes.qos import NEWEST_STATE, RARE, overridable
 from hpid_ros.nodes.status_pipe import StatusPipe
 from hpid_ros.nodes.trajectories import from_message
+from hpid_ros.nodes.trajectory_subscriptions import TrajectorySubscriptions
 
 _READINESS_PERIOD = 0.02  # [s]
 _DIAGNOSTICS_PERIOD = 1.0  # [s]
@@ -72,13 +73,7 @@ class JointController(executor.ClosingNode):
         self.add_post_set_parameters_callback(self._retune)
 
     def _subscribe(self) -> None:
-        self.create_subscription(
-            JointTrajectoryMessage,
-            "joint_trajectory",
-            self._on_trajectory,
-            LATCHED,
-            qos_overriding_options=overridable(),
-        )
+        TrajectorySubscriptions(self, self._on_trajectory)
         self.create_subscription(Float64, "~/setpoint", self._on_setpoint, RARE)
         self._states: Any = None
         self._readiness = self.create_timer(_READINESS_PERIOD, self._start_when_ready)
