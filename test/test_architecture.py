@@ -20,12 +20,18 @@ ALLOWED = {
     "simulation": {"control", "robot"},
     "nodes": {"analysis", "bags", "control", "messages", "robot", "simulation", "trajectory"},
     "tuning": {"analysis", "bags", "control", "robot", "simulation", "trajectory"},
+    "commands": {"analysis", "bags", "control", "experiment", "robot", "tuning"},
     "experiment": {
         *("analysis", "bags", "control", "messages", "robot", "simulation", "trajectory"),
     },
 }
 EVERYWHERE = {"errors", "names", "sections"}  # pure, and below every room
-SHELL = {"resources", "yaml_files", "interrupts"}  # files and signals: for shells alone
+SHELL = {
+    "resources",
+    "yaml_files",
+    "interrupts",
+    "terminal",
+}  # files and signals: for shells alone
 ONLY_IN = {
     "rclpy": "nodes",
     "pybullet": "simulation",
@@ -33,7 +39,7 @@ ONLY_IN = {
     "rosbags": "bags",
     "matplotlib": "analysis",
 }
-SHELLS = {"nodes", "experiment", "tuning"}
+SHELLS = {"nodes", "experiment", "tuning", "commands"}
 PURE = {"control", "trajectory", "messages"}
 PURE_LIBRARIES = {"numpy", "scipy"}
 

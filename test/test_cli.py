@@ -8,7 +8,8 @@ import sys
 import pytest
 import yaml
 
-from hpid_ros.cli import BAD_INPUT, DONE, main
+from hpid_ros.cli import main
+from hpid_ros.commands import BAD_INPUT, DONE
 from hpid_ros.resources import share_folder
 
 
@@ -29,7 +30,7 @@ def test_in_process_comparison_prints_the_table_and_leaves_the_result(
 
 
 def test_the_default_experiment_is_the_papers():
-    from hpid_ros.cli import DEFAULT_EXPERIMENT
+    from hpid_ros.commands.compare import DEFAULT_EXPERIMENT
     from hpid_ros.experiment.description import load_experiment
 
     experiment = load_experiment(share_folder() / DEFAULT_EXPERIMENT)

@@ -1,11 +1,34 @@
-"""Stability of the loop around one joint."""
+"""Stability of the loop around one joint: what is certain, and how certain.
+
+A linear PID is stable if and only if its gains are Hurwitz. The homogeneous PID with the same
+gains is stable for degrees close to zero; how close is what a certificate says.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from typing import TYPE_CHECKING
 
+from hpid_ros.control.certificate import Certificate, CertifiedSpan, DegreeInterval
 from hpid_ros.control.gains import Gains
-from hpid_ros.errors import GainError
+from hpid_ros.control.homogeneity import CanonicalNorm, WeightedNorm
+from hpid_ros.errors import GainError, SettingError
+
+if TYPE_CHECKING:
+    from hpid_ros.control.certificate_check import Margins
+
+__all__ = [
+    "Certificate",
+    "DegreeInterval",
+    "certified_degree_interval",
+    "certify_degree",
+    "is_hurwitz",
+    "require_hurwitz",
+    "verify_certificate",
+]
+
+Norm = WeightedNorm | CanonicalNorm
 
 
 def is_hurwitz(gains: Gains, inertia: float = 1.0) -> bool:
@@ -39,4 +62,114 @@ def require_hurwitz(gains: Gains, inertia: float) -> None:
             f"the loop is unstable: p d = {gains.p * gains.d:g} must exceed "
             f"i x inertia = {gains.i * inertia:g} (p {gains.p:g}, i {gains.i:g}, d {gains.d:g}, "
             f"inertia {inertia:g} kg m^2), and p and d must be positive"
+        )
+
+
+def certified_degree_interval(
+    gains: Gains,
+    norm_of_degree: Callable[[float], Norm],
+    inertia: float | tuple[float, float] = 1.0,
+    tolerance: float = 2e-3,
+) -> DegreeInterval:
+    """Return degrees around zero for which the homogeneous PID is certified stable.
+
+    Certified is the ideal loop, the law without floor or cap on a double integrator of constant
+    inertia. The certificate holds one quadratic form for each span of at most 0.05 in the
+    degree, seen to hold at the span's ends and middle on a fine grid; it is not necessary for
+    stability, so a loop may well be stable outside the interval.
+
+    Args:
+        gains: Gains of the linear PID, with integral action.
+        norm_of_degree: The law's norm at a degree, for instance
+            ``lambda degree: WeightedNorm(degree, 1.0, 0.1)``. A degree at which it raises a
+            NormError ends the interval.
+        inertia: What one unit of effort accelerates in [kg m^2], or its least and largest
+            value: then the ends and the middle are certified.
+        tolerance: How far an end may fall short of what the search can certify.
+
+    Raises:
+        GainError: The gains are not Hurwitz, have no integral action, or are so close to the
+            limit that not even degree zero is certified; an impossible inertia.
+        NormError: The law has no norm at degree zero, or not one of this package.
+        SettingError: A tolerance that is not positive.
+    """
+    # Imported here: a controller that only checks Routh and Hurwitz does not wait for numpy.
+    from hpid_ros.control.certificate_search import CertificateSearch
+
+    if not tolerance > 0.0:
+        raise SettingError(f"the tolerance of a degree must be positive, not {tolerance}")
+    spans: list[CertifiedSpan] = []
+    for each in _inertias(gains, inertia):
+        search = CertificateSearch(gains, each, norm_of_degree)
+        spans += reversed(search.outward(-1.0, tolerance))
+        spans += search.outward(1.0, tolerance)
+    certificate = Certificate(gains, tuple(spans))
+    return DegreeInterval(certificate.lower, certificate.upper, certificate)
+
+
+def certify_degree(
+    gains: Gains, norm: Norm, inertia: float | tuple[float, float] = 1.0
+) -> Certificate:
+    """Return a certificate of one degree, its decay made as fast as the search can.
+
+    Args:
+        gains: Gains of the linear PID, with integral action.
+        norm: The law's norm; its degree is the one to certify.
+        inertia: As for :func:`certified_degree_interval`.
+
+    Raises:
+        GainError: As there, or no certificate was found.
+        NormError: The norm is not one of this package.
+    """
+    from hpid_ros.control.certificate_search import CertificateSearch
+
+    spans = [
+        CertificateSearch(gains, each, lambda degree: norm).at(norm.degree)
+        for each in _inertias(gains, inertia)
+    ]
+    return Certificate(gains, tuple(spans))
+
+
+def verify_certificate(certificate: Certificate) -> Margins:
+    """Check a certificate anew, without anything of the search that found it.
+
+    Other points, and the field from the law's definition; see
+    :mod:`hpid_ros.control.certificate_check`. Checked is every degree whose norm it holds.
+
+    Args:
+        certificate: As found, or read with :meth:`Certificate.from_mapping`.
+
+    Returns:
+        The least margins.
+
+    Raises:
+        GainError: It does not hold, or its gains are not Hurwitz.
+    """
+    from hpid_ros.control.certificate_check import check_certificate
+
+    for inertia in certificate.inertias:
+        _require_integral_action(certificate.gains)
+        require_hurwitz(certificate.gains, inertia)
+    return check_certificate(certificate)
+
+
+def _inertias(gains: Gains, inertia: float | tuple[float, float]) -> list[float]:
+    """Return the inertias to certify, all of them checked."""
+    if isinstance(inertia, int | float):
+        values = [float(inertia)]
+    else:
+        low, high = inertia
+        if not low <= high:
+            raise GainError(f"the least inertia {low} must not exceed the largest {high} kg m^2")
+        values = sorted({float(low), 0.5 * (low + high), float(high)})
+    _require_integral_action(gains)
+    for value in values:
+        require_hurwitz(gains, value)
+    return values
+
+
+def _require_integral_action(gains: Gains) -> None:
+    if not gains.i > 0.0:
+        raise GainError(
+            f"a certificate needs integral action: i must be positive, not {gains.i:g}"
         )

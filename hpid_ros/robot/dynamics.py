@@ -43,15 +43,25 @@ class Dynamics:
         description: The robot.
     """
 
-    def __init__(self, description: RobotDescription, fixed_base: bool = True) -> None:
+    def __init__(
+        self,
+        description: RobotDescription,
+        fixed_base: bool = True,
+        payload_mass: float = 0.0,
+        payload_link: str = "payload",
+    ) -> None:
         """Build the model.
 
         Args:
             description: The robot.
             fixed_base: The root link does not move; otherwise it is free in all six directions.
+            payload_mass: Point mass at the payload link, in [kg].
+            payload_link: Link that carries the payload.
 
         Raises:
-            RobotDescriptionError: Pinocchio cannot build a model of the URDF.
+            RobotDescriptionError: Pinocchio cannot build a model of the URDF, or the robot has
+                a payload and no link for it.
+            SettingError: The payload's mass is negative or not finite.
         """
         self.description = description
         root = () if fixed_base else (pinocchio.JointModelFreeFlyer(),)
@@ -64,6 +74,12 @@ class Dynamics:
         for joint in description.joints.values():
             armature[self._velocity_index(joint.name)] = joint.reflected_inertia
         self._model.armature = armature
+        if not (np.isfinite(payload_mass) and payload_mass >= 0.0):
+            raise SettingError(f"payload_mass {payload_mass!r} must be a finite number >= 0 [kg]")
+        if payload_mass:
+            frame = self._model.frames[self._model.getFrameId(description.link(payload_link))]
+            load = pinocchio.Inertia(payload_mass, np.zeros(3), np.zeros((3, 3)))
+            self._model.appendBodyToJoint(frame.parentJoint, load, frame.placement)
         self._data = self._model.createData()
 
     def mass_matrix(self, names: Iterable[str], positions: Mapping[str, float]) -> Vector:

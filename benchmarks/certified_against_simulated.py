@@ -1,0 +1,181 @@
+"""Random loops: is every degree that the tool certifies stable in simulation?
+
+    python benchmarks/certified_against_simulated.py --loops 520 --seed 1 --processes 2
+
+For every loop the certified interval is computed, checked again at its ends and simulated there,
+at a degree inside, and at a degree drawn without looking at it. A simulation follows the ideal
+loop in the time in which it is homogeneous of degree zero, so that a degree of either sign grows
+or shrinks like an exponential, from several points of a sphere; it is unstable when one of them
+does not shrink. Ends with exit code 1 if anything certified is unstable.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import sys
+import time
+from multiprocessing import Pool
+
+import numpy as np
+from scipy.integrate import solve_ivp
+
+from hpid_ros.control import CanonicalNorm, Gains, WeightedNorm
+from hpid_ros.control.certificate_check import margins_at
+from hpid_ros.control.loop_figures import integral_ratio
+from hpid_ros.control.stability import certified_degree_interval
+from hpid_ros.errors import GainError, NormError
+
+STARTS = 6
+HORIZON = 400.0  # in units of 1 / ki^(1/3)
+SHRUNK, GROWN = 1e-6, 1e4  # of the state's homogeneous norm
+LARGEST_DEGREE = 0.495
+TOLERANCE = 2e-2  # of the intervals: coarser than the tool's own, for the sake of time
+
+
+class SimulatedLoop:
+    """The ideal loop in its own time unit 1 / ki^(1/3), by the scalar norm of the law itself."""
+
+    def __init__(self, gains, norm):
+        self.unit = gains.i ** (1.0 / 3.0)
+        self.a, self.b = gains.p / self.unit**2, gains.d / self.unit
+        self.norm, self.degree = norm, norm.degree
+
+    def size(self, x):
+        """Return a homogeneous norm of the state."""
+        mu = self.degree
+        return abs(x[0]) ** (1.0 / (1.0 - mu)) + abs(x[1]) + abs(x[2]) ** (1.0 / (1.0 + mu))
+
+    def field(self, _, x):
+        """Return the derivative in the time dt size^mu, of degree zero."""
+        n = self.norm(x[0], self.unit * x[1])
+        multiplier = n**self.degree if n > 0.0 else 0.0
+        pace = self.size(x) ** -self.degree
+        acceleration = x[2] - self.a * multiplier**2 * x[0] - self.b * multiplier * x[1]
+        return pace * x[1], pace * acceleration, -pace * multiplier**3 * x[0]
+
+    def is_stable_from(self, start):
+        """Tell whether the state shrinks for good from one point."""
+
+        def shrunk(_, x):
+            return math.log(self.size(x)) - math.log(SHRUNK)
+
+        def grown(_, x):
+            return math.log(self.size(x)) - math.log(GROWN)
+
+        shrunk.terminal = grown.terminal = True
+        solution = solve_ivp(
+            self.field, (0.0, HORIZON), start, "LSODA", rtol=1e-8, atol=1e-13,
+            events=(shrunk, grown),
+        )  # fmt: skip
+        if solution.status == 1:
+            return len(solution.t_events[0]) > 0
+        sizes = np.array([self.size(x) for x in solution.y.T])
+        third = solution.t[-1] / 3.0
+        early = sizes[(solution.t > third) & (solution.t < 2.0 * third)].max()
+        late = sizes[solution.t >= 2.0 * third].max()
+        return solution.status == 0 and late < early
+
+    def is_stable(self, random):
+        """Tell whether the state shrinks from every one of some points on a sphere."""
+        for _ in range(STARTS):
+            direction = random.normal(size=3)
+            start = direction / np.linalg.norm(direction)
+            if not self.is_stable_from(start):
+                return False
+        return True
+
+
+def random_loop(random):
+    """Return gains, and the norm of every degree."""
+    gain_p, gain_d = 10.0 ** random.uniform(-0.5, 2.5, size=2)
+    rho = random.uniform(0.02, 0.95)
+    gains = Gains(gain_p, rho * gain_p * gain_d, gain_d)
+    if random.random() < 0.5:
+        scale, rate = 10.0 ** random.uniform(-1.5, 1.5, size=2)
+        return gains, "weighted", lambda degree: WeightedNorm.scaled(degree, scale, rate)
+    p11, p22 = 10.0 ** random.uniform(-2.0, 2.0, size=2)
+    p12 = random.uniform(-0.8, 0.8) * math.sqrt(p11 * p22)
+    return gains, "canonical", lambda degree: CanonicalNorm(degree, [[p11, p12], [p12, p22]])
+
+
+def try_loop(seed):
+    """Return what one loop gave."""
+    random = np.random.default_rng(seed)
+    gains, kind, norm_of_degree = random_loop(random)
+    drawn = random.uniform(-LARGEST_DEGREE, LARGEST_DEGREE)
+    result = {"seed": seed, "norm": kind, "rho": integral_ratio(gains)}
+    started = time.process_time()
+    try:
+        interval = certified_degree_interval(gains, norm_of_degree, tolerance=TOLERANCE)
+    except GainError as error:
+        return result | {"refused": str(error), "degrees": []}
+    result |= {"lower": interval.lower, "upper": interval.upper}
+    result["seconds"] = time.process_time() - started
+    inside = random.uniform(interval.lower, interval.upper)
+    degrees = []
+    for degree in (interval.lower, inside, interval.upper, drawn):
+        try:
+            norm = norm_of_degree(degree)
+        except NormError:  # a canonical norm's P is not monotone there: there is no such law
+            continue
+        is_certified = interval.contains(degree)
+        if is_certified:
+            margins_at(interval.certificate, norm)  # raises if the check disagrees
+        is_stable = SimulatedLoop(gains, norm).is_stable(random)
+        degrees.append([degree, is_certified, is_stable])
+    return result | {"degrees": degrees}
+
+
+def main():
+    """Run and print the counts."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--loops", type=int, default=520)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--processes", type=int, default=1)
+    parser.add_argument("--output", help="a JSON line for each loop")
+    arguments = parser.parse_args()
+    seeds = [1_000_000 * arguments.seed + k for k in range(arguments.loops)]
+    results = []
+    output = open(arguments.output, "w") if arguments.output else None  # noqa: PTH123, SIM115
+    with Pool(arguments.processes) as pool:
+        for done, result in enumerate(pool.imap_unordered(try_loop, seeds), 1):
+            results.append(result)
+            if output:
+                print(json.dumps(result), file=output, flush=True)
+            if done % 20 == 0:
+                print(f"{done} of {len(seeds)} loops", file=sys.stderr, flush=True)
+    return report(results)
+
+
+def report(results):
+    """Print the counts and return the exit code."""
+    tried = [(r, *each) for r in results for each in r["degrees"]]
+    wrong = [t for t in tried if t[2] and not t[3]]
+    seconds = [r["seconds"] for r in results if "seconds" in r]
+    kinds = {kind: sum(r["norm"] == kind for r in results) for kind in ("weighted", "canonical")}
+    print(f"loops                        {len(results)} {kinds}")
+    print(f"refused                      {sum('refused' in r for r in results)}")
+    print(f"degrees simulated            {len(tried)}, from {STARTS} points each")
+    print(f"certified and stable         {sum(t[2] and t[3] for t in tried)}")
+    print(f"certified and unstable       {len(wrong)}")
+    print(f"not certified, stable        {sum(not t[2] and t[3] for t in tried)}")
+    print(f"not certified, unstable      {sum(not t[2] and not t[3] for t in tried)}")
+    for low, high in ((0.0, 0.3), (0.3, 0.6), (0.6, 0.95)):
+        widths = [
+            r["upper"] - r["lower"] for r in results if "upper" in r and low <= r["rho"] < high
+        ]
+        if widths:
+            print(
+                f"rho {low} to {high}: median width {np.median(widths):.3f} of {len(widths)} loops"
+            )
+    print(f"CPU time of an interval      median {np.median(seconds):.2f} s, "
+          f"largest {max(seconds):.2f} s")  # fmt: skip
+    for result, degree, *_ in wrong:
+        print(f"WRONG: seed {result['seed']} degree {degree}")
+    return 1 if wrong else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

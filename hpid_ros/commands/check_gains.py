@@ -1,0 +1,161 @@
+"""``hpid check-gains``: is every joint's loop certified, and with what margins."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hpid_ros.commands import DONE, FAILED
+from hpid_ros.errors import HpidError, RunError, SettingError
+
+if TYPE_CHECKING:
+    from hpid_ros.control import LoopSettings
+
+_GIVEN = {
+    "p": "gains.p",
+    "i": "gains.i",
+    "d": "gains.d",
+    "mu": "mu",
+    "norm": "norm.type",
+    "error_scale": "norm.error_scale",
+    "rate_weight": "norm.rate_weight",
+    "period": "control_period",
+}
+
+
+def add(commands: Any) -> None:
+    """Add the command to the parser."""
+    parser = commands.add_parser(
+        "check-gains",
+        help="say for which degrees gains are certified stable",
+        description="Check gains given as options, in a controller parameter file or experiment, "
+        "or of the controllers that are running. Exit code 0 only if every joint is certified.",
+    )
+    parser.add_argument(
+        "file", nargs="?", type=Path, metavar="FILE", help="parameter file or experiment"
+    )
+    parser.add_argument("--live", action="store_true", help="of all running joint controllers")
+    for name, parameter in _GIVEN.items():
+        kind = str if name == "norm" else float
+        parser.add_argument(f"--{name.replace('_', '-')}", type=kind, help=f"as {parameter}")
+    parser.add_argument(
+        "--inertia", nargs="+", type=float, metavar="M", help="of the joint, or least and largest"
+    )
+    parser.add_argument("--urdf", help="compute inertias over the joints' ranges from this robot")
+    parser.add_argument(
+        "--payload", type=float, default=0.0, metavar="KG", help="largest payload, with --urdf"
+    )
+    parser.add_argument("--poses", type=int, default=200, help="poses sampled, with --urdf")
+    parser.add_argument("--json", action="store_true", help="everything, with the certificates")
+    parser.set_defaults(command=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Check the gains and print the verdicts."""
+    from rich.console import Console
+
+    from hpid_ros.tuning.gain_check import check_gains, inertia_of
+    from hpid_ros.tuning.gain_table import GainTable
+
+    loops = _loops(options)
+    known = _inertias(options, loops)
+    verdicts = check_gains(
+        [
+            (settings, inertia_of(settings, known.get(settings.joint)))
+            for settings in loops.values()
+        ]
+    )
+    names = [name.strip("/").removesuffix("_controller") for name in loops]
+    by_name = dict(zip(names, verdicts, strict=True))
+    if options.json:
+        print(json.dumps({name: each.as_mapping() for name, each in by_name.items()}, indent=2))
+    else:
+        Console().print(GainTable(by_name))
+    return DONE if all(each.is_certified for each in verdicts) else FAILED
+
+
+def _loops(options: argparse.Namespace) -> dict[str, LoopSettings]:
+    """Return the loops to check by the name to show them under."""
+    given = {
+        parameter: getattr(options, name)
+        for name, parameter in _GIVEN.items()
+        if getattr(options, name) is not None
+    }
+    sources = [bool(options.file), options.live, bool(given)]
+    if sum(sources) != 1:
+        raise SettingError(
+            "check-gains needs one source: a FILE, --live, or gains given as --p --i --d"
+        )
+    if options.live:
+        return _running()
+    if options.file:
+        return _from_file(options.file)
+    from hpid_ros.control import LoopSettings
+
+    missing = [f"--{name}" for name in "pid" if getattr(options, name) is None]
+    if missing:
+        raise SettingError(f"gains given as options lack {', '.join(missing)}")
+    law = "hpid" if options.mu is not None else "pid"
+    return {"joint": LoopSettings.from_parameters({"joint": "joint", "law": law, **given})}
+
+
+def _from_file(path: Path) -> dict[str, LoopSettings]:
+    from hpid_ros.experiment.description import load_experiment
+    from hpid_ros.tuning.controller_files import settings_from_parameters
+    from hpid_ros.yaml_files import load_yaml
+
+    document = load_yaml(path, SettingError)
+    if isinstance(document, Mapping) and "compare" in document:
+        experiment = load_experiment(path)
+        return {
+            f"{label} {each.joint}": each
+            for label, settings in experiment.controllers.items()
+            for each in settings
+        }
+    return settings_from_parameters(document, str(path))
+
+
+def _running() -> dict[str, LoopSettings]:
+    """Ask the graph, in a process of its own: this one need not have ROS."""
+    from hpid_ros.tuning.controller_files import settings_from_parameters
+
+    reader = subprocess.run(
+        [sys.executable, "-m", "hpid_ros.nodes.parameter_reader"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    if reader.returncode:
+        lines = reader.stderr.strip().splitlines()
+        raise RunError(f"cannot read the running graph: {lines[-1] if lines else 'no answer'}")
+    return settings_from_parameters(json.loads(reader.stdout), "the running graph")
+
+
+def _inertias(
+    options: argparse.Namespace, loops: Mapping[str, LoopSettings]
+) -> dict[str, tuple[float, float]]:
+    """Return the known inertias by joint."""
+    joints = [settings.joint for settings in loops.values()]
+    if options.inertia:
+        if options.urdf or len(options.inertia) > 2:
+            raise SettingError(
+                "--inertia takes one number, or the least and the largest, and not --urdf as well"
+            )
+        low, high = options.inertia[0], options.inertia[-1]
+        return dict.fromkeys(joints, (low, high))
+    if not options.urdf:
+        return {}
+    from hpid_ros.resources import find_resource
+    from hpid_ros.robot.description import RobotDescription
+    from hpid_ros.tuning.inertias import inertia_ranges
+
+    try:
+        description = RobotDescription.load(find_resource(options.urdf))
+        return inertia_ranges(description, joints, options.payload, options.poses)
+    except HpidError as error:
+        raise SettingError(f"{options.urdf}: {error}") from None

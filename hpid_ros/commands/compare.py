@@ -1,0 +1,60 @@
+"""``hpid compare``: run the controllers of an experiment and compare them."""
+
+from __future__ import annotations
+
+import argparse
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from hpid_ros.commands import DONE
+from hpid_ros.resources import find_resource
+
+DEFAULT_EXPERIMENT = "config/experiments/paper.yaml"
+
+
+def add(commands: Any) -> None:
+    """Add the command to the parser."""
+    parser = commands.add_parser(
+        "compare",
+        help="run the controllers of an experiment, one process per joint, and compare them",
+        description="Run the controllers of an experiment on the real ROS 2 graph, one process "
+        "per joint, record everything, and leave tables, figures and a report.",
+    )
+    parser.add_argument(
+        "experiment", nargs="?", metavar="FILE", help="experiment file (the paper's comparison)"
+    )
+    parser.add_argument(
+        "-o", "--output", type=Path, metavar="FOLDER", help="result folder (results/NAME-TIME)"
+    )
+    parser.add_argument("--force", action="store_true", help="replace an existing result")
+    parser.add_argument(
+        "--in-process", action="store_true", help="run without ROS; the numbers are the same"
+    )
+    parser.set_defaults(command=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the comparison and print what it gave."""
+    # Imported here, as in every command: --help and errors do not wait for them.
+    from rich.console import Console
+
+    from hpid_ros.analysis.table import ComparisonTable
+    from hpid_ros.experiment.compare import compare
+    from hpid_ros.experiment.description import load_experiment
+    from hpid_ros.terminal import RunProgress, print_reports
+
+    experiment = load_experiment(options.experiment or find_resource(DEFAULT_EXPERIMENT))
+    output = (
+        options.output or Path("results") / f"{experiment.name}-{datetime.now():%Y%m%d-%H%M%S}"
+    )
+    console = Console()
+    period = experiment.world.control_period_ns * 1e-9
+    labels = tuple(experiment.controllers)
+    with RunProgress(console, experiment.duration, labels, period) as progress:
+        compared = compare(
+            experiment, output, progress, in_process=options.in_process, force=options.force
+        )
+    console.print(ComparisonTable(compared.result.comparison))
+    print_reports(console, compared.reports, experiment.duration, compared.folder.path)
+    return DONE

@@ -1,0 +1,178 @@
+"""The search for certificates: outward from degree zero, a P for each span of degrees.
+
+What the search accepts was seen on a fine grid; :mod:`hpid_ros.control.certificate` proves the
+same statement again on another one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+from hpid_ros.control.certificate import CertifiedSpan
+from hpid_ros.control.closed_loop import effective_gains
+from hpid_ros.control.gains import Gains
+from hpid_ros.control.lyapunov import first_shapes, improved, scaled_loop, worst_rate
+from hpid_ros.control.norm_arrays import Array, Norm, require_known_norm
+from hpid_ros.control.sphere_grid import SphereGrid, time_unit
+from hpid_ros.errors import GainError, NormError
+
+NormOfDegree = Callable[[float], Norm]
+
+OUTERMOST_DEGREE = 0.495
+"""Where the search ends on either side."""
+
+_MARGIN = 1e-3  # of the rate in units of ki^(1/3), on the fine grid
+_MARGIN_OF_SLOW_LOOP = 0.05  # of the loop's slowest pole, where that is less
+_WIDEST_SPAN = 0.05
+_COARSE = (20, 28)
+_MEDIUM = (48, 72)
+_FINE = (160, 260)
+_REFINED = 4
+_AMPLE = 3.0
+
+
+class CertificateSearch:
+    """Finds certificates of one loop.
+
+    Args:
+        gains: Gains of the loop, Hurwitz for this inertia, integral action included.
+        inertia: What one unit of effort accelerates, in [kg m^2].
+        norm_of_degree: The norm that the law has at a degree.
+    """
+
+    def __init__(self, gains: Gains, inertia: float, norm_of_degree: NormOfDegree) -> None:
+        self._inertia = inertia
+        self._effective = effective_gains(gains, inertia)
+        self._norm_of_degree = norm_of_degree
+        slowest = -np.linalg.eigvals(scaled_loop(self._effective)).real.max()
+        self._margin = min(_MARGIN, _MARGIN_OF_SLOW_LOOP * float(slowest))
+        self._first_shapes = first_shapes(self._effective)
+
+    def norm(self, degree: float) -> Norm:
+        """Return the law's norm at a degree.
+
+        Raises:
+            NormError: There is none, or it is not one of this degree.
+        """
+        norm = self._norm_of_degree(degree)
+        require_known_norm(norm)
+        if norm.degree != degree:
+            raise NormError(
+                f"norm_of_degree must give a norm of the degree it is asked for: "
+                f"asked {degree}, got {norm!r}"
+            )
+        return norm
+
+    def outward(self, direction: float, tolerance: float) -> list[CertifiedSpan]:
+        """Return certified spans that follow each other from degree zero.
+
+        Args:
+            direction: 1 for positive degrees, -1 for negative ones.
+            tolerance: How far the end may fall short of what the search can certify.
+
+        Raises:
+            NormError: There is no norm of degree zero.
+            GainError: Not even degree zero is certified.
+        """
+        here, width = 0.0, _WIDEST_SPAN
+        spans: list[CertifiedSpan] = []
+        shape: Array | None = None
+        while abs(here) < OUTERMOST_DEGREE and width >= 0.5 * tolerance:
+            there = direction * round(min(abs(here) + width, OUTERMOST_DEGREE), 12)
+            found = self._find((here, 0.5 * (here + there), there), shape)
+            if found is None:
+                width *= 0.5
+                continue
+            shape, span = found
+            spans.append(span)
+            here = there
+        return spans or [self.at(0.0)]
+
+    def at(self, degree: float) -> CertifiedSpan:
+        """Return a certificate of one degree alone, its decay made as fast as the search can.
+
+        Raises:
+            NormError: There is no norm of this degree.
+            GainError: None was found.
+        """
+        self.norm(degree)
+        found = self._find((degree,), None)
+        if found is None:
+            raise GainError(
+                f"degree {degree:g} is not certified for effective gains p "
+                f"{self._effective.p:g}, i {self._effective.i:g}, d {self._effective.d:g}: "
+                f"choose one closer to 0, or gains with p d further above i"
+            )
+        shape, span = found
+        faster = improved(self._grids((degree,), _COARSE), shape, relative=True)
+        return self._accepted((degree,), faster) or span
+
+    def _find(
+        self, degrees: tuple[float, ...], near: Array | None
+    ) -> tuple[Array, CertifiedSpan] | None:
+        """Return a shape that is accepted at all of these degrees, or None."""
+        ends = (degrees[0], degrees[-1])[: len(degrees)]
+        try:
+            coarse = self._grids(ends, _COARSE)
+        except NormError:
+            if degrees[0] == degrees[-1]:
+                raise
+            self.norm(0.0)  # the law must have one there
+            return None
+        for shape in self._candidates(coarse, ends, near):
+            span = self._accepted(degrees, shape)
+            if span is not None:
+                return shape, span
+        return None
+
+    def _candidates(
+        self, coarse: list[SphereGrid], ends: tuple[float, ...], near: Array | None
+    ) -> Iterator[Array]:
+        """Yield shapes worth a look on the fine grid, the cheapest first."""
+        enough = -_AMPLE * self._margin
+        # A narrower span is asked for after a wider one failed, and is close to what is known.
+        is_widest = near is None or abs(ends[-1] - ends[0]) > 0.99 * _WIDEST_SPAN
+        for start in self._starts(coarse, near, is_widest):
+            yield start
+            shape = improved(coarse, start, enough=enough)
+            yield shape
+            if worst_rate(coarse, shape) < -self._margin:  # but too bad between the points
+                yield improved(self._grids(ends, _MEDIUM), shape, enough=enough)
+
+    def _starts(
+        self, grids: list[SphereGrid], near: Array | None, is_widest: bool
+    ) -> Iterator[Array]:
+        if near is not None:
+            yield near
+        # The best shape of each scale: from scales that are far apart, the search ends in
+        # different optima.
+        best = [
+            min(((worst_rate(grids, shape), k, shape) for k, shape in enumerate(shapes)))
+            for shapes in self._first_shapes
+        ]
+        best.sort(key=lambda each: each[0])
+        yield from [shape for *_, shape in best[: _REFINED if is_widest else 1]]
+
+    def _accepted(self, degrees: tuple[float, ...], shape: Array) -> CertifiedSpan | None:
+        """Return the span that a shape certifies on the fine grid, or None."""
+        worst = -np.inf
+        for size in (_COARSE, _FINE):
+            for grid in self._grids(degrees, size):
+                worst = max(worst, worst_rate([grid], shape))
+                if worst > -self._margin:
+                    return None
+        unit = time_unit(self._effective)
+        to_units = np.array([1.0, 1.0 / unit, 1.0 / unit**2])
+        physical = shape * np.multiply.outer(to_units, to_units)
+        physical = 0.5 * (physical + physical.T)
+        return CertifiedSpan(
+            inertia=self._inertia,
+            norms=tuple(self.norm(degree) for degree in sorted(degrees)),
+            shape=tuple(tuple(float(x) for x in row) for row in physical),
+            rate=-worst * unit,
+        )
+
+    def _grids(self, degrees: tuple[float, ...], size: tuple[int, int]) -> list[SphereGrid]:
+        return [SphereGrid(self._effective, self.norm(degree), *size) for degree in degrees]

@@ -1,0 +1,185 @@
+r"""Quadratic shapes for one loop: where to look for a P, and how to improve one.
+
+The P of a certificate is not unique. Good ones are near the Lyapunov solutions of the linear
+loop; the P-norm's sphere may sit anywhere along the dilation, which is the scale of P.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import product
+
+import numpy as np
+
+from hpid_ros.control.gains import Gains
+from hpid_ros.control.norm_arrays import Array
+from hpid_ros.control.sphere_grid import (
+    LEAST_MONOTONICITY,
+    SphereGrid,
+    fastest_dilation,
+    monotonicity,
+    time_unit,
+)
+
+_COST_WEIGHTS = (0.03, 0.3, 3.0, 30.0)
+_SCALES = tuple(10.0 ** (0.75 * k) for k in range(-4, 5))  # 1e-3 to 1e3
+_FIRST_RADIUS = 0.3  # of the trust region, relative to the shape
+_LEAST_RADIUS = 1e-4
+_DIFFERENCE = 1e-6
+_STEEP = 1e3 * _DIFFERENCE  # stands for the slope into what is not allowed
+_LEAST_GAIN = 0.01
+_STALLED = 5  # steps without that gain
+_ACTIVE = 200  # points that a linear program looks at
+_STRETCH = np.tril_indices(3)
+
+
+def scaled_loop(gains: Gains) -> Array:
+    """Return the linear loop's matrix on (e, de/dt, p - I), in units of ki^(1/3).
+
+    Args:
+        gains: Effective gains, over the inertia.
+    """
+    unit = time_unit(gains)
+    return np.array(
+        [[0.0, 1.0, 0.0], [-gains.p / unit**2, -gains.d / unit, 1.0], [-1.0, 0.0, 0.0]]
+    )
+
+
+def lyapunov_solution(loop: Array, cost: Sequence[float]) -> Array:
+    """Return the P that solves A'P + PA = -diag(cost).
+
+    Args:
+        loop: The Hurwitz matrix A, 3x3.
+        cost: Diagonal of the right side, positive.
+    """
+    eye = np.eye(3)
+    equations = np.kron(loop.T, eye) + np.kron(eye, loop.T)
+    shape = np.linalg.solve(equations, -np.diag(cost).ravel()).reshape(3, 3)
+    symmetric: Array = 0.5 * (shape + shape.T)
+    return symmetric
+
+
+def first_shapes(gains: Gains) -> list[list[Array]]:
+    """Return the shapes that a search starts from: sixteen at each of nine scales.
+
+    Args:
+        gains: Effective gains, over the inertia; Hurwitz.
+    """
+    loop = scaled_loop(gains)
+    solutions = [
+        lyapunov_solution(loop, (1.0, q2, q3)) for q2, q3 in product(_COST_WEIGHTS, repeat=2)
+    ]
+    return [[scale * p / (np.trace(p) / 3.0) for p in solutions] for scale in _SCALES]
+
+
+def worst_rate(grids: Sequence[SphereGrid], shape: Array) -> float:
+    """Return the largest x'P f(x) on the sphere over several degrees.
+
+    Args:
+        grids: One for each degree.
+        shape: A symmetric 3x3 matrix.
+
+    Returns:
+        The rate in units of ki^(1/3), good when negative; infinite when P is not positive
+        definite or the dilation not monotone enough.
+    """
+    return float(_values(grids, shape, relative=False).max())
+
+
+def improved(
+    grids: Sequence[SphereGrid],
+    shape: Array,
+    *,
+    enough: float = -np.inf,
+    relative: bool = False,
+    steps: int = 40,
+) -> Array:
+    """Return a shape nearby with a lower worst rate.
+
+    The worst rate is the largest of many smooth functions of P. Each step linearises them in a
+    stretch of P's Cholesky factor and solves the linear program of their maximum in a trust
+    region: near the optimum, where several are equal, this converges as Newton's method does.
+
+    Args:
+        grids: One for each degree.
+        shape: A positive definite start; one whose worst rate is infinite is returned as it is.
+        enough: Stop at a worst rate below this.
+        relative: Lower the rate over the fastest growth of the P-norm along the dilation, which
+            bounds the decay of the canonical norm, instead of the rate itself.
+        steps: Linear programs at most.
+    """
+    radius, stalled = _FIRST_RADIUS, 0
+    values = _values(grids, shape, relative)
+    if not np.isfinite(values).all():
+        return shape
+    for _ in range(steps):
+        value = values.max()
+        if value < enough or radius < _LEAST_RADIUS or stalled == _STALLED:
+            break
+        move = _linear_program(grids, shape, values, radius, relative)
+        candidate = _stretched(shape, move)
+        after = _values(grids, candidate, relative)
+        stalled = stalled + 1 if after.max() > value - _LEAST_GAIN * abs(value) else 0
+        if after.max() < value:
+            radius *= 2.0 if after.max() < value - 0.5 * abs(value) * radius else 1.0
+            shape, values = candidate, after
+        else:
+            radius *= 0.35
+    return shape
+
+
+def _linear_program(
+    grids: Sequence[SphereGrid], shape: Array, values: Array, radius: float, relative: bool
+) -> Array:
+    """Return the move within the radius that lowers the linearised maximum most."""
+    # Imported here: a controller that only checks Routh and Hurwitz does not wait for scipy.
+    from scipy.optimize import linprog
+
+    active = np.argpartition(values, -_ACTIVE)[-_ACTIVE:]
+    spare = _spare_monotonicity(grids, shape)
+    slopes, losses = np.empty((_ACTIVE, 6)), np.empty((len(grids), 6))
+    for k, direction in enumerate(np.eye(6)):
+        moved = _stretched(shape, _DIFFERENCE * direction)
+        change = np.minimum(_values(grids, moved, relative)[active] - values[active], _STEEP)
+        slopes[:, k] = change / _DIFFERENCE
+        losses[:, k] = (spare - _spare_monotonicity(grids, moved)) / _DIFFERENCE
+    scale = np.abs(slopes).max() or 1.0
+    found = linprog(
+        c=[0.0] * 6 + [1.0],
+        A_ub=np.vstack(
+            [
+                np.hstack([slopes / scale, -np.ones((_ACTIVE, 1))]),
+                np.hstack([losses, np.zeros((len(grids), 1))]),
+            ]
+        ),
+        b_ub=np.concatenate([-values[active] / scale, spare]),
+        bounds=[(-radius, radius)] * 6 + [(None, None)],
+        method="highs",
+    )
+    move: Array = found.x[:6] if found.success else np.zeros(6)
+    return move
+
+
+def _spare_monotonicity(grids: Sequence[SphereGrid], shape: Array) -> Array:
+    return np.array([monotonicity(shape, grid.degree) - LEAST_MONOTONICITY for grid in grids])
+
+
+def _values(grids: Sequence[SphereGrid], shape: Array, relative: bool) -> Array:
+    if _spare_monotonicity(grids, shape).min() <= 0.0:
+        return np.full(sum(grid.size for grid in grids), np.inf)
+    return np.concatenate(
+        [
+            grid.rates(shape) / (fastest_dilation(shape, grid.degree) if relative else 1.0)
+            for grid in grids
+        ]
+    )
+
+
+def _stretched(shape: Array, parameters: Array) -> Array:
+    """Return L T T' L' for P = L L' and a lower triangular T near one, exp on its diagonal."""
+    stretch = np.zeros((3, 3))
+    stretch[_STRETCH] = parameters
+    stretch[np.diag_indices(3)] = np.exp(np.diag(stretch))
+    factor = np.linalg.cholesky(shape) @ stretch
+    result: Array = factor @ factor.T
+    return result

@@ -1,0 +1,135 @@
+"""The homogeneous norms on whole arrays, for the search of certificates and its proof.
+
+The scalar norms of :mod:`hpid_ros.control.homogeneity` are what a loop calls; these give the same
+values for many points at once.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hpid_ros.control.homogeneity import CanonicalNorm, WeightedNorm
+from hpid_ros.errors import NormError
+
+Array = NDArray[np.float64]
+Norm = WeightedNorm | CanonicalNorm
+
+_NEWTON_STEPS = 60
+_TOLERANCE = 1e-14
+
+
+def require_known_norm(norm: object) -> None:
+    """Refuse a norm that is neither weighted nor canonical.
+
+    Raises:
+        NormError: It is something else.
+    """
+    if not isinstance(norm, WeightedNorm | CanonicalNorm):
+        raise NormError(
+            f"the norm must be a WeightedNorm or a CanonicalNorm, not {type(norm).__name__}"
+        )
+
+
+def norm_values(norm: Norm, errors: ArrayLike, rates: ArrayLike) -> Array:
+    """Return the norm of many points.
+
+    Args:
+        norm: A norm of this package.
+        errors: Position errors in [rad].
+        rates: Their time derivatives in [rad/s], of a shape that broadcasts with ``errors``.
+
+    Returns:
+        The norms, of the common shape; zero only at the origin.
+
+    Raises:
+        NormError: The norm is neither weighted nor canonical.
+    """
+    require_known_norm(norm)
+    e, de = np.broadcast_arrays(np.asarray(errors, float), np.asarray(rates, float))
+    if isinstance(norm, WeightedNorm):
+        power = np.abs(e) ** (1.0 / (1.0 - norm.degree))
+        weighted: Array = norm.error_weight * power + norm.rate_weight * np.abs(de)
+        return weighted
+    (p11, p12), (_, p22) = norm.shape
+    return canonical_values(norm.degree, (p11, p12, p22), e, de)
+
+
+def canonical_values(
+    degree: float, shape: tuple[float, float, float], e: Array, de: Array
+) -> Array:
+    """Return the canonical norm of many points.
+
+    Newton's method in s = ln n on all points at once. The function is strictly monotone with
+    slopes between the eigenvalues of the dilation's generator, so that a bracket exists; a point
+    whose step leaves its own bracket is bisected.
+
+    Args:
+        degree: Homogeneity degree mu; the dilation is diag(e^{(1-mu)s}, e^s).
+        shape: p11, p12, p22 of a P for which that dilation is monotone.
+        e: First coordinates.
+        de: Second coordinates, of the same shape.
+    """
+    p11, p12, p22 = shape
+    r = 1.0 - degree
+    with np.errstate(divide="ignore"):
+        scale = np.maximum(np.log(np.abs(e)) / r, np.log(np.abs(de)))
+    is_zero = np.isneginf(scale)
+    scale = np.where(is_zero, 0.0, scale)
+    y1, y2 = e * np.exp(-r * scale), de * np.exp(-scale)
+    y1 = np.where(is_zero, 1.0, y1)  # any point that is not zero; its norm is discarded
+    s = np.zeros_like(scale)
+    low, high = np.full_like(s, -np.inf), np.full_like(s, np.inf)
+    for _ in range(_NEWTON_STEPS):
+        u, v = y1 * np.exp(-r * s), y2 * np.exp(-s)
+        square = p11 * u * u + 2.0 * p12 * u * v + p22 * v * v
+        value = np.log(square)
+        low = np.where(value > 0.0, s, low)
+        high = np.where(value > 0.0, high, s)
+        slope = 2.0 * (r * p11 * u * u + (1.0 + r) * p12 * u * v + p22 * v * v) / square
+        after = s + value / slope
+        outside = ~((low <= after) & (after <= high))
+        if outside.any():
+            middle = np.where(np.isfinite(low + high), 0.5 * (low + high), after)
+            after = np.where(outside, middle, after)
+        moved = np.abs(after - s) > _TOLERANCE * (1.0 + np.abs(after))
+        s = after
+        if not moved.any():
+            break
+    norms: Array = np.where(is_zero, 0.0, np.exp(scale + s))
+    return norms
+
+
+def unit_curve(norm: Norm, count: int) -> Array:
+    """Return points on the curve norm = 1, closely spaced near the axes.
+
+    Args:
+        norm: A norm of this package.
+        count: Points in each of the four quadrants; the axes are among them.
+
+    Returns:
+        Array of shape (4 count, 2): error in [rad] and error rate in [rad/s].
+
+    Raises:
+        NormError: The norm is neither weighted nor canonical.
+    """
+    require_known_norm(norm)
+    angle = np.linspace(0.0, 0.5 * np.pi, count)
+    if isinstance(norm, WeightedNorm):
+        share = np.sin(angle) ** 2
+        error = (share / norm.error_weight) ** (1.0 - norm.degree)
+        rate = (1.0 - share) / norm.rate_weight
+        quadrant = np.stack([error, rate], axis=1)
+        signs = np.array([[1.0, 1.0], [1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]])
+        return (signs[:, None, :] * quadrant[None, :, :]).reshape(-1, 2)
+    around = (angle[None, :] + 0.5 * np.pi * np.arange(4.0)[:, None]).ravel()
+    (p11, p12), (_, p22) = norm.shape
+    # Directions are spread evenly in units in which P has a unit diagonal.
+    direction = np.stack([np.cos(around) / np.sqrt(p11), np.sin(around) / np.sqrt(p22)], axis=1)
+    square = (
+        p11 * direction[:, 0] ** 2
+        + 2.0 * p12 * direction[:, 0] * direction[:, 1]
+        + p22 * direction[:, 1] ** 2
+    )
+    points: Array = direction / np.sqrt(square)[:, None]
+    return points

@@ -1,0 +1,86 @@
+"""Controller settings as they stand in ROS parameter files, experiments and dumps."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from hpid_ros.control import LOOP_PARAMETERS, LoopSettings
+from hpid_ros.errors import HpidError, SettingError, unknown_name
+from hpid_ros.names import NODE_PARAMETERS
+from hpid_ros.yaml_files import load_yaml
+
+
+def settings_from_parameter_file(path: Path) -> dict[str, LoopSettings]:
+    """Return the settings of every joint controller in a ROS parameter file.
+
+    Args:
+        path: A file as ``ros2 param dump`` and ``hpid compare`` write them.
+
+    Returns:
+        By node name, in the order of the file.
+
+    Raises:
+        SettingError: The file is no parameter file, has no controller, or one that cannot be
+            used; the line names file and node.
+    """
+    return settings_from_parameters(load_yaml(path, SettingError), str(path))
+
+
+def settings_from_parameters(document: object, where: str) -> dict[str, LoopSettings]:
+    """Return the settings of every joint controller in the content of a parameter file.
+
+    Args:
+        document: Node names to ``{"ros__parameters": {...}}``; ``/**`` applies to all.
+        where: What the messages call it.
+
+    Raises:
+        SettingError: As for :func:`settings_from_parameter_file`.
+    """
+    if not isinstance(document, Mapping):
+        raise SettingError(f"{where} is no ROS parameter file: it must map node names")
+    nodes = {str(name): _flat(_parameters(name, node, where)) for name, node in document.items()}
+    everywhere = nodes.pop("/**", {})
+    found = {}
+    for name, own in nodes.items():
+        values = {**everywhere, **own}
+        if "joint" in values:
+            found[name] = _settings(values, f"{where}: {name}")
+    if not found:
+        raise SettingError(
+            f"{where} has no joint controller: no node in it has the parameter joint "
+            f"(nodes: {', '.join(nodes) or 'none'})"
+        )
+    return found
+
+
+def _parameters(name: object, node: object, where: str) -> Mapping[str, Any]:
+    parameters = node.get("ros__parameters") if isinstance(node, Mapping) else None
+    if not isinstance(parameters, Mapping):
+        raise SettingError(f"{where}: {name} has no mapping ros__parameters")
+    return parameters
+
+
+def _flat(parameters: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    flat: dict[str, Any] = {}
+    for key, value in parameters.items():
+        name = f"{prefix}{key}"
+        if isinstance(value, Mapping):
+            flat.update(_flat(value, f"{name}."))
+        else:
+            flat[name] = value
+    return flat
+
+
+def _settings(values: Mapping[str, Any], where: str) -> LoopSettings:
+    loop = {}
+    for name, value in values.items():
+        if name in LOOP_PARAMETERS:
+            loop[name] = value
+        elif name.split(".")[0] not in NODE_PARAMETERS:
+            raise SettingError(f"{where}: {unknown_name('parameter', name, LOOP_PARAMETERS)}")
+    try:
+        return LoopSettings.from_parameters(loop)
+    except HpidError as error:
+        raise SettingError(f"{where}: {error}") from None

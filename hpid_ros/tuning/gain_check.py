@@ -1,0 +1,182 @@
+"""What can be said of one joint's gains: stable or not, for which degrees, with what margins."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from typing import Any
+
+from hpid_ros.control import HomogeneousPid, LoopSettings
+from hpid_ros.control.homogeneity import CanonicalNorm, WeightedNorm
+from hpid_ros.control.loop_figures import (
+    GOOD_SAMPLING_MARGIN,
+    gain_multiplier_range,
+    integral_ratio,
+    sampling_margin,
+    settling_time_bound,
+)
+from hpid_ros.control.stability import certified_degree_interval, is_hurwitz
+from hpid_ros.errors import GainError, SettingError
+
+_LARGEST_NORM = 2.0
+"""The error at ``norm.error_scale`` while the rate adds as much: where figures are quoted."""
+
+
+@dataclass(frozen=True)
+class GainVerdict:
+    """What is known of one joint's loop.
+
+    Attributes:
+        joint: The joint.
+        law: ``pid`` or ``hpid``.
+        degree: The configured degree; 0 for the linear law.
+        inertia: Least and largest inertia, in [kg m^2].
+        is_certified: Whether the loop is certified at the configured degree and every inertia.
+        reason: Why it is not; empty when it is.
+        interval: Certified degrees, or None when there are none.
+        integral_ratio: rho = m ki / (kp kd) at the largest inertia.
+        sampling_margin: T kd lam_max / m at the least inertia.
+        multipliers: Least and largest factor of the bandwidth, up to norm 2.
+        settling_bound: Time in [s] after which an error of ``norm.error_scale`` has certainly
+            come down to a hundredth; None where there is no certificate.
+        certificate: The certificate as plain data, or None.
+    """
+
+    joint: str
+    law: str
+    degree: float
+    inertia: tuple[float, float]
+    is_certified: bool
+    reason: str
+    interval: tuple[float, float] | None
+    integral_ratio: float
+    sampling_margin: float
+    multipliers: tuple[float, float]
+    settling_bound: float | None
+    certificate: dict[str, Any] | None
+
+    @property
+    def is_sampled_fast_enough(self) -> bool:
+        """Whether sampling is not felt."""
+        return self.sampling_margin <= GOOD_SAMPLING_MARGIN
+
+    def as_mapping(self) -> dict[str, Any]:
+        """Return plain data for JSON."""
+        return dataclasses.asdict(self)
+
+
+def check_gains(
+    loops: Sequence[tuple[LoopSettings, tuple[float, float]]],
+) -> list[GainVerdict]:
+    """Judge several loops, side by side on the machine's cores.
+
+    Args:
+        loops: Settings and the least and largest inertia [kg m^2] of each.
+
+    Raises:
+        GainError: An inertia is impossible.
+    """
+    if len(loops) == 1:
+        return [judge(*loops[0])]
+    with ProcessPoolExecutor() as pool:
+        return list(pool.map(judge, *zip(*loops, strict=True)))
+
+
+def judge(settings: LoopSettings, inertia: tuple[float, float]) -> GainVerdict:
+    """Judge one loop.
+
+    Args:
+        settings: Its settings.
+        inertia: Least and largest inertia, in [kg m^2].
+
+    Raises:
+        GainError: The inertia is impossible.
+    """
+    low, high = inertia
+    if not 0.0 < low <= high < float("inf"):
+        raise GainError(
+            f"the inertia of {settings.joint!r} must be positive and finite, its least value not "
+            f"above its largest, not {low} to {high} kg m^2"
+        )
+    gains = settings.gains
+    degree = settings.mu if settings.law == "hpid" else 0.0
+    multipliers = _multipliers(settings)
+    margin = sampling_margin(gains, settings.control_period, multipliers[1], low)
+    interval, certificate, bound, reason = None, None, None, ""
+    if not is_hurwitz(gains, high):
+        reason = (
+            f"unstable as a linear PID: p d = {gains.p * gains.d:g} must exceed i x inertia = "
+            f"{gains.i * high:g}"
+        )
+    else:
+        try:
+            found = certified_degree_interval(gains, norm_family(settings), inertia)
+        except GainError as error:
+            reason = "" if degree == 0.0 else str(error)  # Hurwitz decides for the linear law
+        else:
+            interval, certificate = (found.lower, found.upper), found.certificate.to_mapping()
+            if found.lower <= degree <= found.upper:
+                norm = norm_family(settings)(degree)
+                bound = settling_time_bound(
+                    found.certificate, norm, (settings.norm_error_scale, 0.0, 0.0)
+                )
+            elif settings.law == "hpid":
+                reason = f"mu = {degree:g} is outside the certified interval"
+    return GainVerdict(
+        joint=settings.joint,
+        law=settings.law,
+        degree=degree,
+        inertia=inertia,
+        is_certified=not reason,
+        reason=reason,
+        interval=interval,
+        integral_ratio=integral_ratio(gains, high),
+        sampling_margin=margin,
+        multipliers=multipliers,
+        settling_bound=bound,
+        certificate=certificate,
+    )
+
+
+def norm_family(settings: LoopSettings) -> Callable[[float], WeightedNorm | CanonicalNorm]:
+    """Return the loop's norm as a function of the degree, everything else as configured."""
+
+    def norm(degree: float) -> WeightedNorm | CanonicalNorm:
+        return dataclasses.replace(settings, mu=degree).make_norm()
+
+    return norm
+
+
+def inertia_of(
+    settings: LoopSettings, known: tuple[float, float] | None = None
+) -> tuple[float, float]:
+    """Return the inertia to judge a loop with.
+
+    Args:
+        settings: The loop; its own ``inertia`` serves when nothing better is known.
+        known: Least and largest inertia from a model or a person, in [kg m^2].
+
+    Raises:
+        SettingError: Nobody knows it.
+    """
+    if known is not None:
+        return known
+    if settings.inertia > 0.0:
+        return settings.inertia, settings.inertia
+    raise SettingError(
+        f"the inertia of {settings.joint!r} is unknown: give --inertia or --urdf, or set the "
+        f"parameter inertia"
+    )
+
+
+def _multipliers(settings: LoopSettings) -> tuple[float, float]:
+    law = settings.make_law()
+    if not isinstance(law, HomogeneousPid):
+        return 1.0, 1.0
+    cap = min(law.norm_cap, _LARGEST_NORM)
+    least, largest = gain_multiplier_range(
+        settings.make_norm(), floor=min(law.norm_floor, cap), cap=cap
+    )
+    return least, largest
