@@ -24,6 +24,15 @@ def test_every_parameter_is_documented_as_it_is(spec):
         assert re.findall(r"`(\w+)`", allowed) == list(spec.choices)
 
 
+def test_every_other_parameter_of_a_node_is_documented():
+    declared = set()
+    for path in (ROOT / "hpid_ros" / "nodes").glob("*.py"):
+        pattern = r'(?:read_only|read_number|positive)\(\s*(?:(?:self|node),\s*)?"(\w+)"'
+        declared |= set(re.findall(pattern, path.read_text()))
+    assert {"command_interface", "bag", "mode", "command_timeout", "seed"} <= declared
+    assert not {name for name in declared if f"`{name}`" not in INTERFACES}
+
+
 @pytest.mark.parametrize("page", [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))])
 def test_links_lead_somewhere(page):
     for target in re.findall(r"\]\(([^)#:]+)\)", page.read_text()):

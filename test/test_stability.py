@@ -1,13 +1,29 @@
-"""Hurwitz against the eigenvalues of the linear loop."""
+"""Hurwitz against the eigenvalues of the linear loop; certified intervals and figures."""
+
+import math
+import time
 
 import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from hpid_ros.control.gains import Gains
-from hpid_ros.control.stability import is_hurwitz, require_hurwitz
-from hpid_ros.errors import GainError
+from hpid_ros.control import CanonicalNorm, Gains, WeightedNorm
+from hpid_ros.control.loop_figures import (
+    decay_time,
+    gain_multiplier_range,
+    integral_ratio,
+    sampling_margin,
+    settling_time_bound,
+)
+from hpid_ros.control.stability import (
+    certified_degree_interval,
+    certify_degree,
+    is_hurwitz,
+    require_hurwitz,
+    verify_certificate,
+)
+from hpid_ros.errors import GainError, NormError, SettingError
 
 POSITIVE = st.floats(0.05, 50.0)
 
@@ -30,3 +46,133 @@ def test_a_pd_is_stable_and_an_undamped_one_is_not():
 def test_an_impossible_inertia_is_refused(inertia):
     with pytest.raises(GainError, match="inertia must be positive"):
         require_hurwitz(Gains(1.0, 1.0, 1.0), inertia)
+
+
+def test_stiff_gains_are_certified_almost_everywhere_and_at_once():
+    started = time.process_time()
+    interval = certified_degree_interval(
+        Gains(p=100.0, i=100.0, d=20.0), lambda degree: WeightedNorm(degree, 1.0, 0.1)
+    )
+    assert time.process_time() - started < 2.0
+    assert interval.lower <= -0.49
+    assert interval.upper >= 0.49
+    assert min(verify_certificate(interval.certificate)) > 0.0
+
+
+def test_gains_near_the_limit_are_certified_as_far_as_known_and_no_further():
+    interval = certified_degree_interval(
+        Gains(p=5.0, i=9.0, d=2.0), lambda degree: WeightedNorm(degree, 1.0, 3.0)
+    )
+    assert -0.187 < interval.lower <= -0.050
+    assert 0.092 <= interval.upper < 0.5
+    assert interval.contains(0.0)
+    assert not interval.contains(-0.187)
+    verify_certificate(interval.certificate)
+
+
+def test_gains_and_inertia_count_by_their_quotient():
+    def norm_of_degree(degree):
+        return WeightedNorm(degree, 1.0, 0.5)
+
+    light = certified_degree_interval(Gains(10.0, 15.0, 5.0), norm_of_degree, 1.0, 0.02)
+    heavy = certified_degree_interval(Gains(40.0, 60.0, 20.0), norm_of_degree, 4.0, 0.02)
+    assert heavy[:2] == light[:2]
+    verify_certificate(heavy.certificate)
+
+
+def test_a_range_of_inertia_is_certified_at_its_ends_and_middle():
+    def norm_of_degree(degree):
+        return CanonicalNorm(degree, ((1.0, 0.1), (0.1, 0.3)))
+
+    gains = Gains(10.0, 10.0, 5.0)
+    both = certified_degree_interval(gains, norm_of_degree, (1.0, 3.0), 0.05)
+    assert both.certificate.inertias == (1.0, 2.0, 3.0)
+    each = [certified_degree_interval(gains, norm_of_degree, m, 0.05) for m in (1.0, 2.0, 3.0)]
+    assert both.lower == max(one.lower for one in each) < -0.04
+    assert both.upper == min(one.upper for one in each) > 0.04
+
+
+def test_an_interval_ends_where_the_norm_does():
+    """This P is monotone for the dilation of degrees below 1/3 alone."""
+    shape = ((1.0, 0.97), (0.97, 1.0))
+    with pytest.raises(NormError):
+        CanonicalNorm(0.4, shape)
+    interval = certified_degree_interval(
+        Gains(30.0, 10.0, 10.0), lambda degree: CanonicalNorm(degree, shape), tolerance=0.02
+    )
+    assert 0.0 <= interval.upper < 0.4
+
+
+@pytest.mark.parametrize("inertia", [1.0, (0.5, 1.0)])
+def test_unstable_gains_are_refused_with_both_sides_of_the_inequality(inertia):
+    with pytest.raises(GainError, match=r"p d = 10 must exceed i x inertia = 11"):
+        certified_degree_interval(
+            Gains(5.0, 11.0, 2.0), lambda degree: WeightedNorm(degree, 1.0, 1.0), inertia
+        )
+
+
+@pytest.mark.parametrize("inertia", [0.0, -1.0, float("nan"), (0.0, 1.0), (2.0, 1.0)])
+def test_an_interval_for_an_impossible_inertia_is_refused(inertia):
+    with pytest.raises(GainError, match="inertia"):
+        certified_degree_interval(
+            Gains(5.0, 1.0, 2.0), lambda degree: WeightedNorm(degree, 1.0, 1.0), inertia
+        )
+
+
+def test_a_pd_and_a_tolerance_of_nothing_are_refused():
+    with pytest.raises(GainError, match="integral action"):
+        certify_degree(Gains(5.0, 0.0, 2.0), WeightedNorm(0.1, 1.0, 1.0))
+    with pytest.raises(SettingError, match="tolerance"):
+        certified_degree_interval(
+            Gains(5.0, 1.0, 2.0), lambda degree: WeightedNorm(degree, 1.0, 1.0), tolerance=0.0
+        )
+
+
+def test_integral_ratio_is_one_at_the_limit():
+    assert integral_ratio(Gains(5.0, 20.0, 2.0), inertia=0.5) == 1.0
+    assert integral_ratio(Gains(5.0, 0.0, 2.0)) == 0.0
+    assert integral_ratio(Gains(5.0, 1.0, 0.0)) == math.inf
+
+
+@given(st.floats(-0.49, 0.49), st.floats(-4.0, 1.0), st.floats(-4.0, 1.0))
+def test_multipliers_lie_in_their_range(degree, log_error, log_rate):
+    norm = WeightedNorm(degree, 2.0, 0.3)
+    limits = gain_multiplier_range(
+        norm, floor=1e-3, cap=5.0, largest_error=10.0, largest_error_rate=10.0
+    )
+    n = min(max(norm(10.0**log_error, 10.0**log_rate), 1e-3), 5.0)
+    assert limits.least * (1 - 1e-12) <= n**degree <= limits.largest * (1 + 1e-12)
+
+
+def test_multiplier_range_without_limits_is_open():
+    assert gain_multiplier_range(WeightedNorm(-0.2, 1.0, 1.0), floor=0.0) == (0.0, math.inf)
+    assert gain_multiplier_range(WeightedNorm(0.0, 1.0, 1.0), floor=0.0) == (1.0, 1.0)
+
+
+def test_sampling_margin_is_the_derivative_loop_in_one_period():
+    assert sampling_margin(Gains(1.0, 1.0, 20.0), 0.001, 5.0, inertia=0.5) == pytest.approx(0.2)
+
+
+@given(st.floats(-0.49, 0.49), st.floats(0.1, 10.0), st.floats(0.5, 2.0), st.floats(0.01, 0.4))
+def test_decay_time_is_the_integral_of_the_decay(degree, decay, start, end):
+    values = np.geomspace(end, start, 4001)
+    rates = 1.0 / (decay * values ** (1.0 + degree))
+    expected = np.sum(0.5 * (rates[1:] + rates[:-1]) * np.diff(values))
+    assert decay_time(degree, decay, start, end) == pytest.approx(expected, rel=1e-4)
+
+
+def test_decay_time_knows_the_three_classes():
+    assert math.isfinite(decay_time(-0.2, 1.0, 1.0, 0.0))
+    assert decay_time(-0.2, 1.0, math.inf, 1.0) == math.inf
+    assert decay_time(0.0, 1.0, 1.0, 0.0) == math.inf
+    assert math.isfinite(decay_time(0.2, 1.0, math.inf, 1.0))
+    assert decay_time(0.2, 1.0, 1.0, 0.0) == math.inf
+    with pytest.raises(SettingError, match="decay must be positive"):
+        decay_time(0.1, -1.0, 1.0, 0.5)
+
+
+def test_a_settling_bound_at_rest_is_refused():
+    norm = WeightedNorm(0.0, 1.0, 1.0)
+    certificate = certify_degree(Gains(3.0, 1.0, 3.0), norm)
+    with pytest.raises(SettingError, match="must not be zero"):
+        settling_time_bound(certificate, norm, (0.0, 0.0, 0.0))

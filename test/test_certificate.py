@@ -1,0 +1,221 @@
+"""Certificates: arrays against scalars, the search against the check, lies found out."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+
+from hpid_ros.control import CanonicalNorm, Gains, HomogeneousPid, WeightedNorm
+from hpid_ros.control.certificate_check import margins_at, span_margins
+from hpid_ros.control.closed_loop import closed_loop_field, dilated, state_norm
+from hpid_ros.control.loop_figures import settling_time_bound
+from hpid_ros.control.lyapunov import lyapunov_solution, scaled_loop
+from hpid_ros.control.norm_arrays import norm_values, unit_curve
+from hpid_ros.control.sphere_grid import SphereGrid, monotonicity, time_unit
+from hpid_ros.control.stability import (
+    Certificate,
+    certified_degree_interval,
+    certify_degree,
+    verify_certificate,
+)
+from hpid_ros.errors import GainError, NormError, SettingError
+
+DEGREES = st.floats(-0.49, 0.49)
+WEIGHTS = st.floats(-1.5, 1.5).map(lambda power: 10.0**power)
+COORDINATES = st.floats(-1e6, 1e6).filter(lambda x: x == 0.0 or abs(x) > 1e-12)
+
+
+@st.composite
+def norms(draw):
+    degree, first, second = draw(DEGREES), draw(WEIGHTS), draw(WEIGHTS)
+    if draw(st.booleans()):
+        return WeightedNorm(degree, first, second)
+    cross = draw(st.floats(-0.9, 0.9)) * np.sqrt(
+        first * second * min(1.0, 4.0 * (1.0 - degree) / (2.0 - degree) ** 2)
+    )
+    return CanonicalNorm(degree, [[first, cross], [cross, second]])
+
+
+STATES = st.tuples(*[st.floats(-5.0, 5.0)] * 3).map(np.array).filter(np.any)
+GAINS = st.builds(
+    lambda p, d, rho: Gains(p, rho * p * d, d),
+    st.floats(0.5, 50.0),
+    st.floats(0.5, 50.0),
+    st.floats(0.05, 0.9),
+)
+
+
+@given(norms(), st.lists(st.tuples(COORDINATES, COORDINATES), min_size=1, max_size=20))
+def test_norms_of_arrays_are_those_of_numbers(norm, points):
+    errors, rates = np.array(points).T
+    expected = [norm(error, rate) for error, rate in points]
+    assert norm_values(norm, errors, rates) == pytest.approx(expected, rel=1e-12)
+
+
+@given(norms())
+def test_unit_curve_has_norm_one_on_either_side_of_every_axis(norm):
+    curve = unit_curve(norm, 9)
+    assert norm_values(norm, *curve.T) == pytest.approx(1.0, rel=1e-12)
+    assert len({(error > 0.0, rate > 0.0) for error, rate in curve}) == 4
+
+
+@given(GAINS, norms(), STATES, st.floats(-3.0, 3.0), st.floats(0.1, 10.0))
+def test_closed_loop_is_homogeneous_of_the_degree(gains, norm, state, s, inertia):
+    field = closed_loop_field(gains, norm, state, inertia)
+    there = closed_loop_field(gains, norm, dilated(norm.degree, state, s), inertia)
+    expected = np.exp(norm.degree * s) * dilated(norm.degree, field, s)
+    assert there == pytest.approx(expected, rel=1e-9, abs=1e-9 * np.abs(expected).max())
+
+
+@given(GAINS, norms(), STATES)
+def test_closed_loop_is_driven_by_the_law_itself(gains, norm, state):
+    error, rate, disturbance = (float(x) for x in state)
+    law, inertia, dt = HomogeneousPid(gains, norm), 0.7, 1e-3
+    effort = law.update(error, rate, dt)
+    expected = [rate, disturbance - effort / inertia, -law.integral / dt / inertia]
+    found = closed_loop_field(gains, norm, state, inertia)
+    assert found == pytest.approx(expected, rel=1e-9, abs=1e-12)
+
+
+@given(GAINS, DEGREES, STATES, st.floats(-3.0, 3.0))
+def test_state_norm_is_homogeneous_and_one_on_its_sphere(gains, degree, state, s):
+    shape = lyapunov_solution(scaled_loop(gains), (1.0, 1.0, 1.0))
+    if monotonicity(shape, degree) <= 0.05:
+        return
+    on_sphere = dilated(degree, state, -np.log(state_norm(shape, degree, state)))
+    assert on_sphere @ shape @ on_sphere == pytest.approx(1.0, rel=1e-9)
+    moved = state_norm(shape, degree, dilated(degree, state, s))
+    assert moved == pytest.approx(np.exp(s) * state_norm(shape, degree, state), rel=1e-9)
+
+
+@settings(max_examples=15, deadline=None)
+@given(GAINS, norms(), st.floats(-2.0, 2.0), st.floats(0.2, 5.0))
+def test_search_and_check_see_the_same_sphere(gains, norm, log_scale, q):
+    """The two share nothing but P: other points, other units, another form of the field."""
+    unit = time_unit(gains)
+    shape = 10.0**log_scale * lyapunov_solution(scaled_loop(gains), (1.0, q, 1.0 / q))
+    if monotonicity(shape, norm.degree) <= 0.05:
+        return
+    seen = -unit * SphereGrid(gains, norm, 100, 160).rates(shape).max()
+    units = np.array([1.0, 1.0 / unit, 1.0 / unit**2])
+    span = dataclasses.replace(
+        certify_degree(Gains(3.0, 1.0, 3.0), WeightedNorm(0.0, 1.0, 1.0)).spans[0],
+        shape=tuple(map(tuple, shape * np.outer(units, units))),
+    )
+    checked = span_margins(gains, span, norm)
+    assert checked.monotonicity == pytest.approx(monotonicity(shape, norm.degree), rel=1e-6)
+    assert checked.rate == pytest.approx(seen, rel=0.03, abs=0.01 * unit)
+
+
+@pytest.fixture(scope="module")
+def interval():
+    gains = Gains(10.0, 15.0, 5.0)
+    return certified_degree_interval(gains, lambda mu: WeightedNorm(mu, 1.0, 0.5), tolerance=0.02)
+
+
+def test_a_certificate_survives_a_file_and_holds_when_checked_anew(interval):
+    read = Certificate.from_mapping(json.loads(json.dumps(interval.certificate.to_mapping())))
+    assert read.to_mapping() == interval.certificate.to_mapping()
+    margins = verify_certificate(read)
+    assert min(margins) > 0.0
+    assert interval.lower < -0.1
+    assert interval.upper > 0.1
+    assert interval.lower == min(span.lower for span in read.spans)
+    assert all(span.upper - span.lower <= 0.0501 for span in read.spans)
+
+
+def test_a_certificate_holds_between_the_degrees_that_it_names(interval):
+    for degree in np.linspace(interval.lower, interval.upper, 23):
+        norm = WeightedNorm(float(degree), 1.0, 0.5)
+        assert margins_at(interval.certificate, norm).rate > 0.0
+    with pytest.raises(GainError, match="reaches from degree"):
+        margins_at(interval.certificate, WeightedNorm(interval.upper + 0.01, 1.0, 0.5))
+
+
+def with_first_span(certificate, **changes):
+    first, *others = certificate.spans
+    return dataclasses.replace(certificate, spans=(dataclasses.replace(first, **changes), *others))
+
+
+@pytest.mark.parametrize(
+    "shape",
+    [
+        ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
+        ((1.0, 0.1, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
+        ((1.0, 2.0, 0.0), (2.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
+        ((1.0, float("nan"), 0.0), (float("nan"), 1.0, 0.0), (0.0, 0.0, 1.0)),
+    ],
+    ids=["not decreasing", "not symmetric", "not positive", "not a number"],
+)
+def test_a_certificate_with_another_matrix_is_found_out(interval, shape):
+    with pytest.raises(GainError, match="certificate"):
+        verify_certificate(with_first_span(interval.certificate, shape=shape))
+
+
+def test_a_certificate_of_other_gains_or_another_norm_is_found_out(interval):
+    certificate = interval.certificate
+    with pytest.raises(GainError, match="does not hold"):
+        verify_certificate(dataclasses.replace(certificate, gains=Gains(10.0, 45.0, 5.0)))
+    with pytest.raises(GainError, match="must exceed"):
+        verify_certificate(dataclasses.replace(certificate, gains=Gains(10.0, 60.0, 5.0)))
+    norms = tuple(WeightedNorm(n.degree, 1.0, 500.0) for n in certificate.spans[0].norms)
+    with pytest.raises(GainError, match="does not hold"):
+        verify_certificate(with_first_span(certificate, norms=norms))
+
+
+def test_spans_with_a_hole_between_them_are_no_certificate(interval):
+    first, _, *others = interval.certificate.spans
+    with pytest.raises(SettingError, match="follow each other"):
+        dataclasses.replace(interval.certificate, spans=(first, *others))
+
+
+def test_a_loop_that_diverges_in_simulation_has_no_certificate():
+    """kp, kd, ki = 5, 2, 9 is stable for degree zero and unstable for -0.25."""
+    gains, norm = Gains(5.0, 9.0, 2.0), WeightedNorm(-0.25, 1.0, 3.0)
+    with pytest.raises(GainError, match="not certified"):
+        certify_degree(gains, norm)
+
+
+@pytest.mark.parametrize("mapping", [{}, {"format": "other"}, [], None])
+def test_a_mapping_that_is_no_certificate_is_refused(mapping):
+    with pytest.raises(SettingError, match="format"):
+        Certificate.from_mapping(mapping)
+
+
+@pytest.mark.parametrize("missing", ["gains", "spans"])
+def test_a_certificate_that_lacks_an_entry_is_refused(interval, missing):
+    mapping = interval.certificate.to_mapping()
+    del mapping[missing]
+    with pytest.raises(SettingError, match=missing):
+        Certificate.from_mapping(mapping)
+
+
+@pytest.mark.parametrize("degree", [-0.2, 0.0, 0.2])
+def test_no_simulation_settles_later_than_the_bound(degree):
+    gains, norm, start = Gains(3.0, 1.0, 3.0), WeightedNorm(degree, 1.0, 1.0), (1.0, -0.5, 2.0)
+    certificate = certify_degree(gains, norm)
+    bound = settling_time_bound(certificate, norm, start, remaining=0.05)
+    shape = certificate.spans[0].shape
+    solution = solve_ivp(
+        lambda _, x: closed_loop_field(gains, norm, x),
+        (0.0, bound),
+        start,
+        "LSODA",
+        rtol=1e-8,
+        atol=1e-10,
+    )
+    sizes = state_norm(shape, degree, solution.y.T)
+    assert sizes[-1] <= 0.05 * sizes[0]
+    assert np.diff(sizes).max() < 1e-6 * sizes[0]
+
+
+def test_a_norm_of_another_degree_or_another_kind_is_refused():
+    gains = Gains(3.0, 1.0, 3.0)
+    with pytest.raises(NormError, match="asked"):
+        certified_degree_interval(gains, lambda degree: WeightedNorm(0.1, 1.0, 1.0))
+    with pytest.raises(NormError, match="not function"):
+        certified_degree_interval(gains, lambda degree: lambda e, de: abs(e) + abs(de))
