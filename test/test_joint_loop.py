@@ -256,3 +256,49 @@ def test_every_parameter_has_a_description_and_a_range_that_holds_its_default():
         if isinstance(spec.default, float):
             assert math.isfinite(spec.minimum)
             assert math.isfinite(spec.maximum)
+
+
+@pytest.mark.parametrize("law", ["pid", "hpid"])
+def test_semi_implicit_step_holds_a_joint_that_the_explicit_one_loses(law):
+    """Two poles at -150 rad/s and a weak integral, sampled at 10 ms: T kd = 3."""
+
+    def largest_late_error(discretization):
+        loop = JointLoop(
+            settings(
+                law=law,
+                mu=-0.1,
+                norm_floor=1e-3,
+                gains=Gains(150.0**2, 0.01 * 150.0**3, 300.0),
+                inertia=1.0,
+                control_period=0.01,
+                discretization=discretization,
+            )
+        )
+        loop.follow(Setpoint(0.5))
+        position = velocity = 0.0
+        late = 0.0
+        for k in range(400):
+            effort = loop.step(k * 10 * MS, position, velocity)
+            for _ in range(10):
+                velocity += 1e-3 * min(max(effort, -1e9), 1e9)
+                position += 1e-3 * velocity
+            if k > 300:
+                late = max(late, abs(position - 0.5))
+        return late
+
+    assert largest_late_error("semi_implicit") < 0.01
+    assert not largest_late_error("explicit") < 0.01
+
+
+def test_semi_implicit_step_needs_the_inertia():
+    with pytest.raises(SettingError, match="needs the inertia"):
+        settings(discretization="semi_implicit")
+
+
+def test_the_differentiator_is_a_velocity_source_of_the_loop():
+    loop = JointLoop(
+        settings(velocity_source="homogeneous_differentiator", acceleration_bound=20.0)
+    )
+    for k in range(1000):
+        loop.step(k * MS, 0.5 * 4.0 * (k * 1e-3) ** 2)
+    assert loop.velocity == pytest.approx(4.0 * 0.999, abs=0.01)

@@ -13,6 +13,7 @@ from hpid_ros.control.settings import LoopSettings
 from hpid_ros.errors import SettingError
 
 _SECONDS_PER_NANOSECOND = 1e-9
+_OF_THE_VELOCITY = ("velocity_source", "velocity_filter_time_constant", "acceleration_bound")
 
 
 class Reference(Protocol):
@@ -175,10 +176,7 @@ class JointLoop:
         law = settings.make_law()
         law.restore_integral(self._law.integral)
         before = self.settings
-        if (settings.velocity_source, settings.velocity_filter_time_constant) != (
-            before.velocity_source,
-            before.velocity_filter_time_constant,
-        ):
+        if any(getattr(settings, name) != getattr(before, name) for name in _OF_THE_VELOCITY):
             self._velocity = settings.make_velocity_source()
         self._anti_windup = settings.make_anti_windup()
         self._law, self.settings = law, settings

@@ -7,20 +7,27 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from hpid_ros.control.anti_windup import STRATEGIES, AntiWindup, anti_windup
 from hpid_ros.control.gains import Gains
 from hpid_ros.control.homogeneity import CanonicalNorm, WeightedNorm, norm_floor, require_degree
 from hpid_ros.control.homogeneous_pid import HomogeneousPid
 from hpid_ros.control.pid import Pid
+from hpid_ros.control.semi_implicit import SemiImplicitHomogeneousPid
 from hpid_ros.control.stability import require_hurwitz
-from hpid_ros.control.velocity import FilteredVelocity, MeasuredVelocity, VelocitySource
+from hpid_ros.control.velocity import (
+    FilteredVelocity,
+    HomogeneousDifferentiator,
+    MeasuredVelocity,
+    VelocitySource,
+)
 from hpid_ros.errors import SettingError, unknown_name
 
 LAWS = ("hpid", "pid")
 NORMS = ("weighted", "canonical")
-VELOCITY_SOURCES = ("measured", "filtered")
+VELOCITY_SOURCES = ("measured", "filtered", "homogeneous_differentiator")
+DISCRETIZATIONS = ("explicit", "semi_implicit")
 
 _LARGEST_GAIN = 1e6
 _LARGEST_EFFORT = 1e6
@@ -153,11 +160,25 @@ _TABLE = (
         "velocity_source",
         "measured",
         "Where the velocity comes from: the message (filtered differences where it has none), "
-        "or always filtered differences of the position",
+        "always filtered differences of the position, or Levant's differentiator",
         choices=VELOCITY_SOURCES,
     ),
     ParameterSpec(
         "velocity_filter_time_constant", 0.005, "Of the first-order velocity filter [s]", 0.0, 10.0
+    ),
+    ParameterSpec(
+        "acceleration_bound",
+        50.0,
+        "Acceleration that the joint does not exceed, for homogeneous_differentiator [rad/s^2]",
+        1e-3,
+        1e6,
+    ),
+    ParameterSpec(
+        "discretization",
+        "explicit",
+        "Step of the law: explicit, or semi_implicit for periods from 5 ms on with a weak "
+        "integral (needs inertia)",
+        choices=DISCRETIZATIONS,
     ),
     ParameterSpec(
         "state_timeout", 0.1, "A longer time between two states is a gap [s]", 1e-6, 1e3
@@ -207,6 +228,8 @@ class LoopSettings:
     tracking_time_constant: float = 0.0
     velocity_source: str = "measured"
     velocity_filter_time_constant: float = 0.005
+    acceleration_bound: float = 50.0
+    discretization: str = "explicit"
     state_timeout: float = 0.1
     control_period: float = 0.001
     encoder_resolution: float = 0.0
@@ -220,6 +243,8 @@ class LoopSettings:
             low, high = getattr(self, f"{name}_min"), getattr(self, f"{name}_max")
             if not low <= high:
                 raise SettingError(f"{name}_min = {low} must not exceed {name}_max = {high}")
+        if self.discretization == "semi_implicit" and self.inertia == 0.0:
+            raise SettingError("discretization semi_implicit needs the inertia, which is unknown")
         if self.inertia > 0.0:
             require_hurwitz(self.gains, self.inertia)
         self.make_law()
@@ -267,22 +292,32 @@ class LoopSettings:
 
     def make_law(self) -> Pid | HomogeneousPid:
         """Return the control law, its integral at zero."""
+        if self.discretization == "semi_implicit":
+            degree = 0.0 if self.law == "pid" else self.mu
+            norm = replace(self, mu=degree, discretization="explicit").make_norm()
+            return SemiImplicitHomogeneousPid(
+                self.gains, norm, self._floor(norm), self.norm_cap, inertia=self.inertia
+            )
         if self.law == "pid":
             return Pid(self.gains)
         norm = self.make_norm()
-        floor = self.norm_floor
-        if floor < 0.0:
-            floor = norm_floor(
-                norm,
-                period=self.control_period,
-                derivative_gain=self.gains.d / (self.inertia or 1.0),
-                resolution=self.encoder_resolution,
-                filter_time_constant=self.velocity_filter_time_constant,
-            )
-        return HomogeneousPid(self.gains, norm, floor, self.norm_cap)
+        return HomogeneousPid(self.gains, norm, self._floor(norm), self.norm_cap)
+
+    def _floor(self, norm: WeightedNorm | CanonicalNorm) -> float:
+        if self.norm_floor >= 0.0:
+            return self.norm_floor
+        return norm_floor(
+            norm,
+            period=self.control_period,
+            derivative_gain=self.gains.d / (self.inertia or 1.0),
+            resolution=self.encoder_resolution,
+            filter_time_constant=self.velocity_filter_time_constant,
+        )
 
     def make_velocity_source(self) -> VelocitySource:
         """Return the velocity source, without a past."""
+        if self.velocity_source == "homogeneous_differentiator":
+            return HomogeneousDifferentiator(self.acceleration_bound)
         if self.velocity_source == "filtered":
             return FilteredVelocity(self.velocity_filter_time_constant)
         return MeasuredVelocity(self.velocity_filter_time_constant)
