@@ -4,8 +4,9 @@ from hpid_ros.control.gains import Gains
 from hpid_ros.control.homogeneity import CanonicalNorm, WeightedNorm
 from hpid_ros.control.homogeneous_pid import HomogeneousPid
 from hpid_ros.control.joint_loop import JointLoop
+from hpid_ros.control.parameters import LOOP_PARAMETERS
 from hpid_ros.control.pid import Pid
-from hpid_ros.control.settings import LOOP_PARAMETERS, LoopSettings
+from hpid_ros.control.settings import LoopSettings
 
 __all__ = [
     "LOOP_PARAMETERS",

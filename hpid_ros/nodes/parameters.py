@@ -10,7 +10,7 @@ from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor, SetParam
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from hpid_ros.control.settings import ParameterSpec, Value
+from hpid_ros.control.parameters import ParameterSpec, Value
 from hpid_ros.errors import HpidError, SettingError
 
 
