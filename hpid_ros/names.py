@@ -14,9 +14,11 @@ def controller_name(joint: str) -> str:
 
 NODE_PARAMETERS = frozenset(
     {
+        "certify",
         "command_interface",
         "introspection_rate",
         "qos_overrides",
+        "require_certificate",
         "start_type_description_service",
         "status_fd",
         "use_sim_time",

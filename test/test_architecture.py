@@ -18,7 +18,10 @@ ALLOWED = {
     "analysis": set(),
     "bags": {"analysis", "messages", "trajectory"},
     "simulation": {"control", "robot"},
-    "nodes": {"analysis", "bags", "control", "messages", "robot", "simulation", "trajectory"},
+    "nodes": {
+        *("analysis", "bags", "control", "messages", "robot", "simulation", "trajectory"),
+        "tuning",
+    },
     "tuning": {"analysis", "bags", "control", "robot", "simulation", "trajectory"},
     "commands": {"analysis", "bags", "control", "experiment", "robot", "tuning"},
     "experiment": {

@@ -91,7 +91,7 @@ class _GraphRun:
         parameters = ["--params-file", str(folder / "controllers.yaml")]
         for joint in joints:
             options = ["-p", "wait_for_command_subscribers:=2", "-p", "wait_for_reference:=true"]
-            options += ["-p", "introspection_rate:=0.0"]
+            options += ["-p", "introspection_rate:=0.0", "-p", "certify:=false"]
             self._start(controller_name(joint), "joint_controller", [*parameters, *options])
         bridge = ["--params-file", str(folder / "bridge.yaml"), "-p", "exit_when_done:=false"]
         bridge += ["-p", f"wait_for_subscribers:={len(joints) + 1}", "-p", "report_rate:=0.0"]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from rcl_interfaces.msg import SetParametersResult
@@ -14,9 +14,11 @@ from trajectory_msgs.msg import JointTrajectory as JointTrajectoryMessage
 
 from hpid_ros.control import LOOP_PARAMETERS, JointLoop, LoopSettings
 from hpid_ros.control.joint_loop import LoopState, Setpoint
+from hpid_ros.control.parameters import Value
 from hpid_ros.errors import MessageError, TrajectoryError
 from hpid_ros.messages import JointReader
 from hpid_ros.nodes import executor
+from hpid_ros.nodes.certification import Certification
 from hpid_ros.nodes.commands import COMMAND_INTERFACES, command_sink
 from hpid_ros.nodes.diagnostics import OK, WARN, Diagnostics
 from hpid_ros.nodes.introspection import Introspection
@@ -66,6 +68,7 @@ class JointController(executor.ClosingNode):
         self._introspection = Introspection(self, self.joint)
         self._diagnostics = Diagnostics(self, self.joint)
         self._status = StatusPipe(self)
+        self._certification = Certification(self, self._loop.settings)
         self._misread = 0
         self._last_fault = ""
         self._subscribe()
@@ -126,11 +129,18 @@ class JointController(executor.ClosingNode):
         return LoopSettings.from_parameters(merged(self, LOOP_PARAMETERS, changes))
 
     def _check(self, changes: Sequence[Parameter]) -> SetParametersResult:
-        return verdict(merged(self, LOOP_PARAMETERS, changes), LoopSettings.from_parameters)
+        if not any(change.name in LOOP_PARAMETERS for change in changes):
+            return SetParametersResult(successful=True)
+        return verdict(merged(self, LOOP_PARAMETERS, changes), self._require)
+
+    def _require(self, values: Mapping[str, Value]) -> None:
+        self._certification.require(LoopSettings.from_parameters(values))
 
     def _retune(self, changes: Sequence[Parameter]) -> None:
         if any(change.name in LOOP_PARAMETERS for change in changes):
-            self._loop.retune(self._settings(changes))
+            settings = self._settings(changes)
+            self._loop.retune(settings)
+            self._certification.accept(settings)
 
     def _fault(self, line: str) -> None:
         self._last_fault = line
@@ -139,12 +149,15 @@ class JointController(executor.ClosingNode):
     def _report(self) -> None:
         loop, counts = self._loop, self._loop.counts
         message = "waiting for a subscriber of the commands" if self._states is None else ""
+        message = message or self._certification.warning
         is_well = loop.state is not LoopState.FAULT and not message
         self._diagnostics.publish(
             OK if is_well else WARN,
             message or loop.state.value,
             {
                 "law": loop.settings.law,
+                "degree mu": loop.settings.mu,
+                "certified degrees": self._certification.degrees,
                 "samples": counts.samples,
                 "gaps": counts.gaps,
                 "repeats": counts.repeats,
@@ -162,6 +175,7 @@ class JointController(executor.ClosingNode):
         """Leave the joint without effort: the last command is zero."""
         if self._loop.stamp_ns is not None:
             self._commands.send(self._loop.stamp_ns, 0.0)
+        self._certification.close()
 
 
 def main(args: Sequence[str] | None = None) -> int:

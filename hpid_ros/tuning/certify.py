@@ -1,0 +1,38 @@
+"""Certifies one loop in a process of its own: parameters as JSON in, the interval as JSON out.
+
+``python -m hpid_ros.tuning.certify < parameters.json``. It is as polite as a process can be: a
+control loop on the same cores comes first.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+
+from hpid_ros.control import LoopSettings
+from hpid_ros.control.stability import certified_degree_interval
+from hpid_ros.errors import HpidError
+from hpid_ros.tuning.gain_check import norm_family
+
+_LEAST_PRIORITY = 19
+
+
+def main() -> int:
+    """Read parameters, write ``{"lower": .., "upper": ..}`` or ``{"reason": ..}``."""
+    os.nice(_LEAST_PRIORITY)
+    try:
+        settings = LoopSettings.from_parameters(json.load(sys.stdin))
+        interval = certified_degree_interval(
+            settings.gains, norm_family(settings), settings.inertia
+        )
+    except HpidError as error:
+        answer: dict[str, object] = {"reason": str(error)}
+    else:
+        answer = {"lower": interval.lower, "upper": interval.upper}
+    print(json.dumps(answer))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
