@@ -7,7 +7,15 @@ import sys
 from collections.abc import Callable, Sequence
 
 from hpid_ros import __version__
-from hpid_ros.commands import BAD_INPUT, FAILED, INTERRUPTED, check_gains, compare, metrics
+from hpid_ros.commands import (
+    BAD_INPUT,
+    FAILED,
+    INTERRUPTED,
+    check_gains,
+    compare,
+    metrics,
+    upgrade,
+)
 from hpid_ros.errors import HpidError, RunError
 from hpid_ros.interrupts import heed_interrupts
 
@@ -40,7 +48,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"hpid_ros {__version__}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    for each in (compare, metrics, check_gains):
+    for each in (compare, metrics, check_gains, upgrade):
         each.add(commands)
     return parser
 

@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hpid_ros.commands import DONE, FAILED
-from hpid_ros.errors import HpidError, RunError, SettingError
+from hpid_ros.commands.robot_options import add_robot_options, inertias_from
+from hpid_ros.errors import RunError, SettingError
 
 if TYPE_CHECKING:
     from hpid_ros.control import LoopSettings
@@ -43,14 +44,7 @@ def add(commands: Any) -> None:
     for name, parameter in _GIVEN.items():
         kind = str if name == "norm" else float
         parser.add_argument(f"--{name.replace('_', '-')}", type=kind, help=f"as {parameter}")
-    parser.add_argument(
-        "--inertia", nargs="+", type=float, metavar="M", help="of the joint, or least and largest"
-    )
-    parser.add_argument("--urdf", help="compute inertias over the joints' ranges from this robot")
-    parser.add_argument(
-        "--payload", type=float, default=0.0, metavar="KG", help="largest payload, with --urdf"
-    )
-    parser.add_argument("--poses", type=int, default=200, help="poses sampled, with --urdf")
+    add_robot_options(parser)
     parser.add_argument("--json", action="store_true", help="everything, with the certificates")
     parser.set_defaults(command=run)
 
@@ -63,7 +57,7 @@ def run(options: argparse.Namespace) -> int:
     from hpid_ros.tuning.gain_table import GainTable
 
     loops = _loops(options)
-    known = _inertias(options, loops)
+    known = inertias_from(options, [settings.joint for settings in loops.values()])
     verdicts = check_gains(
         [
             (settings, inertia_of(settings, known.get(settings.joint)))
@@ -134,28 +128,3 @@ def _running() -> dict[str, LoopSettings]:
         lines = reader.stderr.strip().splitlines()
         raise RunError(f"cannot read the running graph: {lines[-1] if lines else 'no answer'}")
     return settings_from_parameters(json.loads(reader.stdout), "the running graph")
-
-
-def _inertias(
-    options: argparse.Namespace, loops: Mapping[str, LoopSettings]
-) -> dict[str, tuple[float, float]]:
-    """Return the known inertias by joint."""
-    joints = [settings.joint for settings in loops.values()]
-    if options.inertia:
-        if options.urdf or len(options.inertia) > 2:
-            raise SettingError(
-                "--inertia takes one number, or the least and the largest, and not --urdf as well"
-            )
-        low, high = options.inertia[0], options.inertia[-1]
-        return dict.fromkeys(joints, (low, high))
-    if not options.urdf:
-        return {}
-    from hpid_ros.resources import find_resource
-    from hpid_ros.robot.description import RobotDescription
-    from hpid_ros.tuning.inertias import inertia_ranges
-
-    try:
-        description = RobotDescription.load(find_resource(options.urdf))
-        return inertia_ranges(description, joints, options.payload, options.poses)
-    except HpidError as error:
-        raise SettingError(f"{options.urdf}: {error}") from None

@@ -155,16 +155,19 @@ def inertia_of(
     """Return the inertia to judge a loop with.
 
     Args:
-        settings: The loop; its own ``inertia`` serves when nothing better is known.
+        settings: The loop; its own ``inertia`` counts as well.
         known: Least and largest inertia from a model or a person, in [kg m^2].
 
     Raises:
         SettingError: Nobody knows it.
     """
+    own = (settings.inertia, settings.inertia) if settings.inertia > 0.0 else None
+    if known is not None and own is not None:
+        return min(known[0], own[0]), max(known[1], own[1])
     if known is not None:
         return known
-    if settings.inertia > 0.0:
-        return settings.inertia, settings.inertia
+    if own is not None:
+        return own
     raise SettingError(
         f"the inertia of {settings.joint!r} is unknown: give --inertia or --urdf, or set the "
         f"parameter inertia"

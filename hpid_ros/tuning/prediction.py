@@ -1,0 +1,101 @@
+"""What an upgrade would change, simulated in this process on the robot's model."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from hpid_ros.analysis import Comparison, JointSeries, RunSeries, run_indices
+from hpid_ros.control import JointLoop, LoopSettings
+from hpid_ros.control.joint_loop import Motion
+from hpid_ros.simulation import World, WorldSettings
+from hpid_ros.simulation.in_process import Sample, run_in_process
+from hpid_ros.trajectory import Column, Knot
+
+_NANOSECONDS = 1_000_000_000
+_STEP_DURATION = 3.0  # [s]
+
+
+def predict(
+    robot: str,
+    loops: Mapping[str, Sequence[LoopSettings]],
+    recorded: Sequence[JointSeries],
+) -> Comparison:
+    """Simulate controllers on a robot and compare them.
+
+    The reference is the recorded one, from the recorded start; without a recording each joint
+    steps by its ``norm.error_scale``.
+
+    Args:
+        robot: The robot's URDF, path or XML.
+        loops: Settings of the same joints, in the same order, by the controller's label.
+        recorded: The recorded joints, or none.
+
+    Raises:
+        HpidError: The robot lacks a joint, or cannot start where the recording does.
+    """
+    first = next(iter(loops.values()))
+    joints = tuple(each.joint for each in first)
+    series = {each.joint: each for each in recorded if each.joint in joints}
+    period_ns = round(first[0].control_period * _NANOSECONDS)
+    world = WorldSettings(
+        robot_description=robot,
+        joints=joints,
+        control_period_ns=period_ns,
+        initial_positions={name: float(each.position[0]) for name, each in series.items()},
+        encoder_counts=tuple(_counts(each) for each in first),
+    )
+    motions = {each.joint: _motion(each, series.get(each.joint)) for each in first}
+    duration = max((float(each.time[-1]) for each in series.values()), default=_STEP_DURATION)
+    periods = math.floor(duration * _NANOSECONDS / period_ns)
+    runs = [_run(label, world, each, motions, periods) for label, each in loops.items()]
+    return Comparison(tuple(run_indices(run) for run in runs))
+
+
+def _run(
+    label: str,
+    world: WorldSettings,
+    settings: Sequence[LoopSettings],
+    motions: Mapping[str, Column],
+    periods: int,
+) -> RunSeries:
+    loops = [JointLoop(each) for each in settings]
+    for loop in loops:
+        motion: Motion = motions[loop.settings.joint]
+        loop.follow(motion)
+    samples: list[Sample] = []
+    references: list[list[float]] = []
+
+    def observe(sample: Sample) -> None:
+        samples.append(sample)
+        references.append([loop.reference[0] for loop in loops])
+
+    with World(world) as robot:
+        run_in_process(robot, loops, periods, observe)
+    stamps = np.array([sample.stamp_ns for sample in samples])
+    positions = np.array([sample.positions for sample in samples])
+    efforts = np.array([sample.efforts for sample in samples])
+    wanted = np.array(references)
+    return RunSeries(
+        label,
+        tuple(
+            JointSeries(joint, stamps, positions[:, k], wanted[:, k], stamps, efforts[:, k])
+            for k, joint in enumerate(world.joints)
+        ),
+    )
+
+
+def _motion(settings: LoopSettings, series: JointSeries | None) -> Column:
+    """Return the recorded reference, or a step."""
+    if series is None:
+        return Column(settings.joint, (Knot(0, settings.norm_error_scale),))
+    stamps = series.state_stamps_ns - series.state_stamps_ns[0]
+    knots = (Knot(int(t), float(x)) for t, x in zip(stamps, series.reference, strict=True))
+    return Column(settings.joint, tuple(knots))
+
+
+def _counts(settings: LoopSettings) -> int:
+    resolution = settings.encoder_resolution
+    return round(math.tau / resolution) if resolution > 0.0 else 0
