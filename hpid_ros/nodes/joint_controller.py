@@ -23,7 +23,7 @@ from hpid_ros.nodes.commands import COMMAND_INTERFACES, command_sink
 from hpid_ros.nodes.diagnostics import OK, WARN, Diagnostics
 from hpid_ros.nodes.introspection import Introspection
 from hpid_ros.nodes.parameters import declare, merged, read_only, verdict
-from hpid_ros.nodes.qos import NEWEST_STATE, RARE, overridable
+from hpid_ros.nodes.qos import NEWEST_STATES, RARE, overridable
 from hpid_ros.nodes.status_pipe import StatusPipe
 from hpid_ros.nodes.trajectories import from_message
 from hpid_ros.nodes.trajectory_subscriptions import TrajectorySubscriptions
@@ -92,7 +92,7 @@ class JointController(executor.ClosingNode):
             JointState,
             "joint_states",
             self._on_state,
-            NEWEST_STATE,
+            NEWEST_STATES,
             raw=True,
             qos_overriding_options=overridable(),
         )

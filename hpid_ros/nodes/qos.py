@@ -17,6 +17,7 @@ from rclpy.qos import (
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
 _BEHIND_AT_MOST = 4000  # messages that a reliable subscriber may fall behind
+_STATES_AT_ONCE = 5  # that a controller may fall behind before it forgets the oldest
 _COMMANDS_AT_ONCE = 256  # joints that may answer one state before the bridge has looked
 
 
@@ -32,8 +33,8 @@ def _profile(reliability: ReliabilityPolicy, depth: int) -> QoSProfile:
 OFFERED = _profile(ReliabilityPolicy.RELIABLE, _BEHIND_AT_MOST)
 """States and commands, as they are published."""
 
-NEWEST_STATE = _profile(ReliabilityPolicy.BEST_EFFORT, 1)
-"""States, as a controller takes them: an older one would be control of the past."""
+NEWEST_STATES = _profile(ReliabilityPolicy.BEST_EFFORT, _STATES_AT_ONCE)
+"""States, as a controller takes them: a hiccup is caught up, anything older is the past."""
 
 ALL_COMMANDS = _profile(ReliabilityPolicy.BEST_EFFORT, _COMMANDS_AT_ONCE)
 """Commands, as the bridge takes them."""

@@ -1,13 +1,11 @@
 """Certifies one loop in a process of its own: parameters as JSON in, the interval as JSON out.
 
-``python -m hpid_ros.tuning.certify < parameters.json``. It is as polite as a process can be: a
-control loop on the same cores comes first.
+``python -m hpid_ros.tuning.certify < parameters.json``
 """
 
 from __future__ import annotations
 
 import json
-import os
 import sys
 
 from hpid_ros.control import LoopSettings
@@ -15,12 +13,9 @@ from hpid_ros.control.stability import certified_degree_interval
 from hpid_ros.errors import HpidError
 from hpid_ros.tuning.gain_check import norm_family
 
-_LEAST_PRIORITY = 19
-
 
 def main() -> int:
     """Read parameters, write ``{"lower": .., "upper": ..}`` or ``{"reason": ..}``."""
-    os.nice(_LEAST_PRIORITY)
     try:
         settings = LoopSettings.from_parameters(json.load(sys.stdin))
         interval = certified_degree_interval(
