@@ -11,7 +11,7 @@ import math
 from typing import Protocol
 
 from hpid_ros.control.gains import Gains
-from hpid_ros.control.pid import Terms
+from hpid_ros.control.pid import Pid
 from hpid_ros.errors import NormError
 
 
@@ -26,7 +26,7 @@ class HomogeneousNorm(Protocol):
         """Return the norm of (error, error rate)."""
 
 
-class HomogeneousPid:
+class HomogeneousPid(Pid):
     r"""Homogeneous PID, by forward Euler.
 
     .. math:: u = k_p n^{2\mu} e + k_d n^{\mu} \dot e + I, \qquad \dot I = k_i n^{3\mu} e
@@ -47,22 +47,7 @@ class HomogeneousPid:
         NormError: The floor is negative or not below the cap.
     """
 
-    __slots__ = (
-        "_cap",
-        "_degree",
-        "_derivative",
-        "_floor",
-        "_integral",
-        "_integral_used",
-        "_proportional",
-        "gains",
-        "norm",
-    )
-
-    _integral: float
-    _integral_used: float
-    _proportional: float
-    _derivative: float
+    __slots__ = ("_cap", "_degree", "_floor", "norm")
 
     def __init__(
         self,
@@ -76,12 +61,11 @@ class HomogeneousPid:
                 f"the norm's floor must not be negative and lie below its cap {norm_cap}, "
                 f"not {norm_floor}"
             )
-        self.gains = gains
+        super().__init__(gains)
         self.norm = norm
         self._degree = norm.degree
         self._floor = norm_floor
         self._cap = norm_cap
-        self.reset()
 
     @property
     def norm_floor(self) -> float:
@@ -92,16 +76,6 @@ class HomogeneousPid:
     def norm_cap(self) -> float:
         """The largest value that the norm is let to."""
         return self._cap
-
-    @property
-    def integral(self) -> float:
-        """The integral term that the next sample uses, in [N m]."""
-        return self._integral
-
-    @property
-    def terms(self) -> Terms:
-        """The terms of the last sample."""
-        return Terms(self._proportional, self._integral_used, self._derivative)
 
     def multiplier(self, error: float, error_rate: float) -> float:
         r"""Return :math:`n^\mu`, the factor of the loop's bandwidth.
@@ -137,16 +111,3 @@ class HomogeneousPid:
         self._integral_used = integral
         self._integral = integral + dt * (gains.i * (square * multiplier) * error)
         return proportional + derivative + integral
-
-    def reset(self) -> None:
-        """Forget the integral and the last terms."""
-        self._integral = self._integral_used = 0.0
-        self._proportional = self._derivative = 0.0
-
-    def restore_integral(self, integral: float) -> None:
-        """Replace the integral term, as anti-windup and a change of law do.
-
-        Args:
-            integral: In [N m].
-        """
-        self._integral = integral
