@@ -27,9 +27,9 @@ from hpid_ros.control.loop_figures import integral_ratio
 from hpid_ros.control.stability import certified_degree_interval
 from hpid_ros.errors import GainError, NormError
 
-STARTS = 6
-HORIZON = 400.0  # in units of 1 / ki^(1/3)
-SHRUNK, GROWN = 1e-6, 1e4  # of the state's homogeneous norm
+STARTS = 4
+HORIZON = 250.0  # in units of 1 / ki^(1/3)
+SHRUNK, GROWN = 1e-2, 1e2  # of the state's homogeneous norm
 LARGEST_DEGREE = 0.495
 TOLERANCE = 2e-2  # of the intervals: coarser than the tool's own, for the sake of time
 
@@ -66,7 +66,7 @@ class SimulatedLoop:
 
         shrunk.terminal = grown.terminal = True
         solution = solve_ivp(
-            self.field, (0.0, HORIZON), start, "LSODA", rtol=1e-8, atol=1e-13,
+            self.field, (0.0, HORIZON), start, "LSODA", rtol=1e-7, atol=1e-13,
             events=(shrunk, grown),
         )  # fmt: skip
         if solution.status == 1:
@@ -89,15 +89,19 @@ class SimulatedLoop:
 
 def random_loop(random):
     """Return gains, and the norm of every degree."""
-    gain_p, gain_d = 10.0 ** random.uniform(-0.5, 2.5, size=2)
-    rho = random.uniform(0.02, 0.95)
-    gains = Gains(gain_p, rho * gain_p * gain_d, gain_d)
+    gain_p = float(10.0 ** random.uniform(-0.5, 2.5))
+    damping = float(10.0 ** random.uniform(-0.7, 0.7))
+    gain_d = 2.0 * damping * math.sqrt(gain_p)
+    gains = Gains(gain_p, random.uniform(0.02, 0.95) * gain_p * gain_d, gain_d)
+    # The error at rest and the rate at which the norm is 1; the rate is that of the loop's own
+    # oscillation about such an error, within an order and a half.
+    error = float(10.0 ** random.uniform(-1.5, 1.5))
+    rate = error * math.sqrt(gain_p) * float(10.0 ** random.uniform(-1.5, 1.5))
     if random.random() < 0.5:
-        scale, rate = 10.0 ** random.uniform(-1.5, 1.5, size=2)
-        return gains, "weighted", lambda degree: WeightedNorm.scaled(degree, scale, rate)
-    p11, p22 = 10.0 ** random.uniform(-2.0, 2.0, size=2)
-    p12 = random.uniform(-0.8, 0.8) * math.sqrt(p11 * p22)
-    return gains, "canonical", lambda degree: CanonicalNorm(degree, [[p11, p12], [p12, p22]])
+        return gains, "weighted", lambda degree: WeightedNorm.scaled(degree, error, 1.0 / rate)
+    cross = random.uniform(-0.8, 0.8) / (error * rate)
+    shape = [[error**-2, cross], [cross, rate**-2]]
+    return gains, "canonical", lambda degree: CanonicalNorm(degree, shape)
 
 
 def try_loop(seed):
@@ -110,22 +114,25 @@ def try_loop(seed):
     try:
         interval = certified_degree_interval(gains, norm_of_degree, tolerance=TOLERANCE)
     except GainError as error:
-        return result | {"refused": str(error), "degrees": []}
+        return result | {"refused": str(error), "degrees": [], "disputed": 0}
     result |= {"lower": interval.lower, "upper": interval.upper}
     result["seconds"] = time.process_time() - started
     inside = random.uniform(interval.lower, interval.upper)
-    degrees = []
-    for degree in (interval.lower, inside, interval.upper, drawn):
+    degrees, disputed = [], 0
+    for degree in sorted({interval.lower, inside, interval.upper, drawn}):
         try:
             norm = norm_of_degree(degree)
         except NormError:  # a canonical norm's P is not monotone there: there is no such law
             continue
         is_certified = interval.contains(degree)
         if is_certified:
-            margins_at(interval.certificate, norm)  # raises if the check disagrees
+            try:
+                margins_at(interval.certificate, norm)
+            except GainError:
+                disputed += 1
         is_stable = SimulatedLoop(gains, norm).is_stable(random)
         degrees.append([degree, is_certified, is_stable])
-    return result | {"degrees": degrees}
+    return result | {"degrees": degrees, "disputed": disputed}
 
 
 def main():
@@ -160,6 +167,7 @@ def report(results):
     print(f"degrees simulated            {len(tried)}, from {STARTS} points each")
     print(f"certified and stable         {sum(t[2] and t[3] for t in tried)}")
     print(f"certified and unstable       {len(wrong)}")
+    print(f"certified, check disputes it {sum(r['disputed'] for r in results)}")
     print(f"not certified, stable        {sum(not t[2] and t[3] for t in tried)}")
     print(f"not certified, unstable      {sum(not t[2] and not t[3] for t in tried)}")
     for low, high in ((0.0, 0.3), (0.3, 0.6), (0.6, 0.95)):
@@ -174,7 +182,7 @@ def report(results):
           f"largest {max(seconds):.2f} s")  # fmt: skip
     for result, degree, *_ in wrong:
         print(f"WRONG: seed {result['seed']} degree {degree}")
-    return 1 if wrong else 0
+    return 1 if wrong or any(r["disputed"] for r in results) else 0
 
 
 if __name__ == "__main__":

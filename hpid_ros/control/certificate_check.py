@@ -14,12 +14,13 @@ from typing import NamedTuple
 import numpy as np
 
 from hpid_ros.control.certificate import Certificate, CertifiedSpan, Norm
-from hpid_ros.control.closed_loop import closed_loop_field, state_norm
+from hpid_ros.control.closed_loop import closed_loop_field
 from hpid_ros.control.gains import Gains
 from hpid_ros.control.norm_arrays import Array
 from hpid_ros.errors import GainError
 
-_ANGLES_EVEN, _ANGLES_NEAR_AXES = 48, 48  # in each quadrant
+_ANGLES_EVEN = 240
+_ANGLES_NEAR_AXES = 48  # in each quadrant
 _DEPTHS = 160
 _LEAST_TANGENT = 1e-6
 _DEEPEST = 450.0  # in ln n; beyond it the coordinates underflow
@@ -121,7 +122,7 @@ def span_margins(gains: Gains, span: CertifiedSpan, norm: Norm) -> Margins:
         return inward, inward / np.einsum("...i,...i->...", states @ product, states)
 
     pole = shape[1, 2] / shape[2, 2]  # at e = de = 0 the field is (0, x3, 0)
-    rate, decay = _largest(rates)
+    rate, decay = _largest(sphere.angles(), rates)
     return Margins(-max(rate, pole), monotonicity, -max(decay, pole / exponents[2]))
 
 
@@ -135,39 +136,48 @@ def _require_margins(span: CertifiedSpan, degree: float, margins: Margins) -> No
 
 
 class _Sphere:
-    """The half x3 >= 0 of the sphere's rim and cap; the other half is its mirror image."""
+    """The half of the sphere that lies above its rim; the other half is its mirror image.
+
+    A point has an angle, its direction in coordinates in which the rim is a circle, and a depth
+    from 0 on the rim to 1 close to the pole, along the dilation.
+    """
 
     def __init__(self, shape: Array, degree: float) -> None:
         self._shape, self._degree = shape, degree
-        self._schur = shape[:2, :2] - np.outer(shape[:2, 2], shape[2, :2]) / shape[2, 2]
+        schur = shape[:2, :2] - np.outer(shape[:2, 2], shape[2, :2]) / shape[2, 2]
+        self._schur, self._to_circle = schur, np.linalg.cholesky(schur).T
         slowest = min(1.0 + 2.0 * degree, 1.0 - degree)
         self._depth = min(_NEGLIGIBLE / slowest, _DEEPEST)
 
+    def angles(self) -> Array:
+        """Return angles all around in [rad], even and closely spaced at e = 0 and de = 0."""
+        even = np.linspace(-np.pi, np.pi, _ANGLES_EVEN, endpoint=False)
+        tangents = np.geomspace(_LEAST_TANGENT, 1.0 / _LEAST_TANGENT, _ANGLES_NEAR_AXES)
+        quadrant = np.arctan(tangents)
+        plane = (quadrant[None, :] + 0.5 * np.pi * np.arange(4.0)[:, None]).ravel()
+        sides = np.sqrt(np.diag(self._schur))
+        x, y = self._to_circle @ (np.stack([np.cos(plane), np.sin(plane)]) / sides[:, None])
+        return np.unique(np.concatenate([even, np.arctan2(y, x)]))
+
     def states(self, angles: Array, depths: Array) -> Array:
         """Return the points of the sphere at these angles [rad] and depths in [0, 1]."""
-        schur, p = self._schur, self._shape
-        circle = np.stack(
-            [np.cos(angles) / np.sqrt(schur[0, 0]), np.sin(angles) / np.sqrt(schur[1, 1])], axis=-1
-        )
-        # A plane with the same dilation: the third coordinate is left out by a zero.
-        flat = np.eye(3)
-        flat[:2, :2] = schur
-        rim = -np.log(
-            state_norm(flat, self._degree, np.append(circle, 0.0 * circle[..., :1], axis=-1))
-        )
-        s = rim - self._depth * depths**3
-        first = np.exp((1.0 - self._degree) * s) * circle[..., 0]
-        second = np.exp(s) * circle[..., 1]
+        circle = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+        rim = circle @ np.linalg.inv(self._to_circle).T
+        s = -self._depth * depths**3
+        first = np.exp((1.0 - self._degree) * s) * rim[..., 0]
+        second = np.exp(s) * rim[..., 1]
         plane = np.stack([first, second], axis=-1)
-        square = np.einsum("...i,ij,...j->...", plane, schur, plane)
-        height = np.sqrt(np.maximum(1.0 - square, 0.0) / p[2, 2])
-        third = height - plane @ p[:2, 2] / p[2, 2]
-        return np.stack([first, second, third], axis=-1)
+        p33, coupling = self._shape[2, 2], self._shape[:2, 2]
+        square = np.einsum("...i,...i->...", plane @ self._schur, plane)
+        height = np.sqrt(np.maximum(1.0 - square, 0.0) / p33)
+        return np.stack([first, second, height - plane @ coupling / p33], axis=-1)
 
 
-def _largest(function: Callable[[Array, Array], tuple[Array, Array]]) -> tuple[float, float]:
+def _largest(
+    angles: Array, function: Callable[[Array, Array], tuple[Array, Array]]
+) -> tuple[float, float]:
     """Return the largest values over all angles and depths, looking closer where one is large."""
-    angles, depths = _angles(), np.linspace(0.0, 1.0, _DEPTHS)
+    depths = np.linspace(0.0, 1.0, _DEPTHS)
     gaps = np.diff(angles, append=angles[0] + 2.0 * np.pi)
     steps = np.maximum(gaps, np.roll(gaps, 1))
     first, second = function(angles[:, None], depths[None, :])
@@ -194,14 +204,6 @@ def _largest(function: Callable[[Array, Array], tuple[Array, Array]]) -> tuple[f
 def _around(centres: Array, widths: Array) -> Array:
     spread: Array = centres[:, None] + widths[:, None] * np.linspace(-1.0, 1.0, _ZOOM)
     return spread
-
-
-def _angles() -> Array:
-    """Return angles over the whole circle, closely spaced near the axes."""
-    even = np.linspace(0.0, 0.5 * np.pi, _ANGLES_EVEN)
-    tangents = np.geomspace(_LEAST_TANGENT, 1.0 / _LEAST_TANGENT, _ANGLES_NEAR_AXES)
-    quadrant = np.unique(np.concatenate([even[:-1], np.arctan(tangents)]))
-    return (quadrant[None, :] + 0.5 * np.pi * np.arange(4.0)[:, None]).ravel()
 
 
 def _require_shape(span: CertifiedSpan) -> None:

@@ -26,9 +26,9 @@ OUTERMOST_DEGREE = 0.495
 _MARGIN = 1e-3  # of the rate in units of ki^(1/3), on the fine grid
 _MARGIN_OF_SLOW_LOOP = 0.05  # of the loop's slowest pole, where that is less
 _WIDEST_SPAN = 0.05
-_COARSE = (20, 28)
-_MEDIUM = (48, 72)
-_FINE = (160, 260)
+_COARSE = (12, 24)
+_MEDIUM = (30, 60)
+_FINE = (80, 260)
 _REFINED = 4
 _AMPLE = 3.0
 
@@ -40,15 +40,25 @@ class CertificateSearch:
         gains: Gains of the loop, Hurwitz for this inertia, integral action included.
         inertia: What one unit of effort accelerates, in [kg m^2].
         norm_of_degree: The norm that the law has at a degree.
+        first_degree: Where the search begins; there must be a norm.
+
+    Raises:
+        NormError: There is none, or it is not one of this degree.
     """
 
-    def __init__(self, gains: Gains, inertia: float, norm_of_degree: NormOfDegree) -> None:
+    def __init__(
+        self,
+        gains: Gains,
+        inertia: float,
+        norm_of_degree: NormOfDegree,
+        first_degree: float = 0.0,
+    ) -> None:
         self._inertia = inertia
         self._effective = effective_gains(gains, inertia)
         self._norm_of_degree = norm_of_degree
         slowest = -np.linalg.eigvals(scaled_loop(self._effective)).real.max()
         self._margin = min(_MARGIN, _MARGIN_OF_SLOW_LOOP * float(slowest))
-        self._first_shapes = first_shapes(self._effective)
+        self._first_shapes = first_shapes(self._effective, self.norm(first_degree))
 
     def norm(self, degree: float) -> Norm:
         """Return the law's norm at a degree.
@@ -73,7 +83,6 @@ class CertificateSearch:
             tolerance: How far the end may fall short of what the search can certify.
 
         Raises:
-            NormError: There is no norm of degree zero.
             GainError: Not even degree zero is certified.
         """
         here, width = 0.0, _WIDEST_SPAN
@@ -94,10 +103,8 @@ class CertificateSearch:
         """Return a certificate of one degree alone, its decay made as fast as the search can.
 
         Raises:
-            NormError: There is no norm of this degree.
-            GainError: None was found.
+            GainError: None was found, or there is no norm of this degree.
         """
-        self.norm(degree)
         found = self._find((degree,), None)
         if found is None:
             raise GainError(
@@ -117,10 +124,7 @@ class CertificateSearch:
         try:
             coarse = self._grids(ends, _COARSE)
         except NormError:
-            if degrees[0] == degrees[-1]:
-                raise
-            self.norm(0.0)  # the law must have one there
-            return None
+            return None  # the law has none there
         for shape in self._candidates(coarse, ends, near):
             span = self._accepted(degrees, shape)
             if span is not None:

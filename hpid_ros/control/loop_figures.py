@@ -14,6 +14,8 @@ GOOD_SAMPLING_MARGIN = 0.25
 """T kd lam up to which sampling is not felt; the sampled loop breaks at about 2.0, and at 0.85
 when a sample is answered one period late, as over a topic."""
 
+_NEGLIGIBLE_DEGREE = 1e-100  # a quotient of two such numbers has no digits
+
 
 def integral_ratio(gains: Gains, inertia: float = 1.0) -> float:
     """Return rho = m ki / (kp kd): 0 without integral action, 1 at Routh's limit.
@@ -107,9 +109,14 @@ def decay_time(degree: float, decay: float, start: float, end: float) -> float:
         raise SettingError(
             f"the decay must be positive and 0 <= end < start, not {decay}, {end}, {start}"
         )
-    if degree == 0.0:
-        return math.inf if end == 0.0 else math.log(start / end) / decay
-    return (_power(end, -degree) - _power(start, -degree)) / (decay * degree)
+    if end == 0.0 or start == math.inf:
+        at_end, at_start = (_power(each, -degree) for each in (end, start))
+        return (at_end - at_start) / (decay * degree) if degree != 0.0 else math.inf
+    logarithm = math.log(start / end)
+    if abs(degree) < _NEGLIGIBLE_DEGREE:
+        return logarithm / decay
+    # end^-mu - start^-mu, without the loss of digits for a small degree.
+    return _power(end, -degree) * -math.expm1(-degree * logarithm) / (decay * degree)
 
 
 def settling_time_bound(

@@ -12,7 +12,7 @@ from itertools import product
 import numpy as np
 
 from hpid_ros.control.gains import Gains
-from hpid_ros.control.norm_arrays import Array
+from hpid_ros.control.norm_arrays import Array, Norm
 from hpid_ros.control.sphere_grid import (
     LEAST_MONOTONICITY,
     SphereGrid,
@@ -21,14 +21,14 @@ from hpid_ros.control.sphere_grid import (
     time_unit,
 )
 
-_COST_WEIGHTS = (0.03, 0.3, 3.0, 30.0)
+_LEAST_COST, _LARGEST_COST, _COSTS = 0.03, 30.0, 4
 _SCALES = tuple(10.0 ** (0.75 * k) for k in range(-4, 5))  # 1e-3 to 1e3
 _FIRST_RADIUS = 0.3  # of the trust region, relative to the shape
 _LEAST_RADIUS = 1e-4
 _DIFFERENCE = 1e-6
 _STEEP = 1e3 * _DIFFERENCE  # stands for the slope into what is not allowed
-_LEAST_GAIN = 0.01
-_STALLED = 5  # steps without that gain
+_LEAST_GAIN = 0.03
+_STALLED = 3  # steps without that gain
 _ACTIVE = 200  # points that a linear program looks at
 _STRETCH = np.tril_indices(3)
 
@@ -59,17 +59,29 @@ def lyapunov_solution(loop: Array, cost: Sequence[float]) -> Array:
     return symmetric
 
 
-def first_shapes(gains: Gains) -> list[list[Array]]:
+def first_shapes(gains: Gains, norm: Norm) -> list[list[Array]]:
     """Return the shapes that a search starts from: sixteen at each of nine scales.
+
+    The costs reach from units of the integral action to units of the oscillation sqrt(kp), which
+    are far apart in a loop with little integral action. At the middle scale the norm is about 1
+    on the sphere's rim, where the linear loop is the loop itself.
 
     Args:
         gains: Effective gains, over the inertia; Hurwitz.
+        norm: The law's norm at degree zero.
     """
-    loop = scaled_loop(gains)
-    solutions = [
-        lyapunov_solution(loop, (1.0, q2, q3)) for q2, q3 in product(_COST_WEIGHTS, repeat=2)
+    loop, unit = scaled_loop(gains), time_unit(gains)
+    slowness = min(1.0, unit / gains.p**0.5)
+    costs = [
+        np.geomspace(_LEAST_COST * slowness**power, _LARGEST_COST, _COSTS) for power in (2, 4)
     ]
-    return [[scale * p / (np.trace(p) / 3.0) for p in solutions] for scale in _SCALES]
+    solutions = []
+    for q2, q3 in product(*costs):
+        solution = lyapunov_solution(loop, (1.0, q2, q3))
+        width = np.sqrt(np.diag(np.linalg.inv(solution))[:2])  # of the rim, in e and de
+        rim = norm(width[0], 0.0) * norm(0.0, unit * width[1])
+        solutions.append(solution * rim)
+    return [[scale * solution for solution in solutions] for scale in _SCALES]
 
 
 def worst_rate(grids: Sequence[SphereGrid], shape: Array) -> float:

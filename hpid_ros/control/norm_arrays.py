@@ -17,6 +17,7 @@ Norm = WeightedNorm | CanonicalNorm
 
 _NEWTON_STEPS = 60
 _TOLERANCE = 1e-14
+_LEAST = np.finfo(float).tiny
 
 
 def require_known_norm(norm: object) -> None:
@@ -72,6 +73,8 @@ def canonical_values(
     """
     p11, p12, p22 = shape
     r = 1.0 - degree
+    # Brought to unit size, the inverse of a subnormal number would overflow.
+    e, de = (np.where(np.abs(x) < _LEAST, 0.0, x) for x in (e, de))
     with np.errstate(divide="ignore"):
         scale = np.maximum(np.log(np.abs(e)) / r, np.log(np.abs(de)))
     is_zero = np.isneginf(scale)

@@ -13,12 +13,12 @@ from __future__ import annotations
 import numpy as np
 
 from hpid_ros.control.gains import Gains
-from hpid_ros.control.norm_arrays import Array, Norm, canonical_values, unit_curve
+from hpid_ros.control.norm_arrays import Array, Norm, canonical_values, norm_values, unit_curve
 
 LEAST_MONOTONICITY = 0.05
 """Least eigenvalue of the dilation's generator, relative to P, that is accepted."""
 
-_STEEPEST_SPACING = 40.0
+_DEEP = 14.0  # in ln of a power of the norm: there it is negligible
 
 
 def time_unit(gains: Gains) -> float:
@@ -70,32 +70,34 @@ def _monotonicity_range(shape: Array, degree: float) -> tuple[float, float]:
 class SphereGrid:
     """The points on which a P is tried for one loop of one degree.
 
-    Works in the loop's own units: time in 1/ki^(1/3), so that the integral gain is one.
+    Works in the loop's own units: time in 1/ki^(1/3), so that the integral gain is one. Half of
+    the directions in the plane of error and rate are even for the norm, half for the sphere,
+    whose ends may be thin.
 
     Args:
         gains: Effective gains, over the inertia; all positive.
         norm: The norm; its degree is the law's.
-        along: Points in each quadrant of the curve of unit norm.
-        inward: Points from the curve to the pole.
+        along: Points in each quadrant, of the norm's curve and of the sphere's rim each.
+        inward: Points from the rim to the pole.
     """
 
     def __init__(self, gains: Gains, norm: Norm, along: int, inward: int) -> None:
-        unit = time_unit(gains)
+        self._unit = unit = time_unit(gains)
+        self._norm = norm
         self.degree = degree = norm.degree
+        self._gains = np.array([gains.p / unit**2, gains.d / unit])
         curve = unit_curve(norm, along)
-        self._error = curve[:, 0]
-        self._rate = curve[:, 1] / unit
-        self._pull = gains.p / unit**2 * self._error + gains.d / unit * self._rate
-        # The slowest growing power of the norm becomes linear in the parameter, and the outer
-        # end is dense, where the third coordinate is a square root.
-        spacing = min(_STEEPEST_SPACING, 1.0 / min(1.0 + 2.0 * degree, 1.0 - degree))
-        angle = np.linspace(0.0, 0.5 * np.pi, inward + 1)[1:]
-        self._inward = np.sin(angle) ** spacing
+        self._error, self._rate = curve[:, 0], curve[:, 1] / unit
+        around = np.linspace(0.0, 2.0 * np.pi, 4 * along, endpoint=False)
+        self._circle = np.stack([np.cos(around), np.sin(around)])
+        depths = _depths(min(1.0 + 2.0 * degree, 1.0 - degree), inward)
+        exponents = (1.0 - degree, 1.0, 1.0 + degree, 1.0 + 2.0 * degree)
+        self._inward = [np.exp(-exponent * depths) for exponent in exponents]
 
     @property
     def size(self) -> int:
         """How many points there are, the pole included."""
-        return self._error.size * self._inward.size + 1
+        return 2 * self._error.size * self._inward[0].size + 1
 
     def rates(self, shape: Array) -> Array:
         """Return x'P f(x) at every point of x'P x = 1, in units of ki^(1/3); negative is good.
@@ -110,15 +112,7 @@ class SphereGrid:
         s11 = shape[0, 0] - p13 * p13 / p33
         s12 = shape[0, 1] - p13 * p23 / p33
         s22 = shape[1, 1] - p23 * p23 / p33
-        mu = self.degree
-        outer = 1.0 / canonical_values(mu, (s11, s12, s22), self._error, self._rate)
-        inward = self._inward
-        x1 = np.multiply.outer(outer ** (1.0 - mu) * self._error, inward ** (1.0 - mu))
-        x2 = np.multiply.outer(outer * self._rate, inward)
-        pull = np.multiply.outer(outer ** (1.0 + mu) * self._pull, inward ** (1.0 + mu))
-        draw = np.multiply.outer(
-            outer ** (1.0 + 2.0 * mu) * self._error, inward ** (1.0 + 2.0 * mu)
-        )
+        x1, x2, pull, draw = self._plane(s11, s12, s22)
         first = s11 * x1 + s12 * x2
         second = s12 * x1 + s22 * x2
         height = np.sqrt(np.maximum(1.0 - first * x1 - second * x2, 0.0) / p33)
@@ -127,3 +121,34 @@ class SphereGrid:
         second += p23 * height
         rates = first * x2 + second * (x3 - pull) - p33 * height * draw
         return np.append(rates, p23 / p33)
+
+    def _plane(self, s11: float, s12: float, s22: float) -> list[Array]:
+        """Return e, de/dt, (a lam^2 e + b lam de/dt) and lam^3 e at the points."""
+        mu = self.degree
+        outer = 1.0 / canonical_values(mu, (s11, s12, s22), self._error, self._rate)
+        # The rim itself: x'Sx = 1 by the factor of S; its norm is the outer value there.
+        root = np.sqrt(s11)
+        second = self._circle[1] / np.sqrt(s22 - s12 * s12 / s11)
+        first = self._circle[0] / root - s12 / s11 * second
+        rim = norm_values(self._norm, first, self._unit * second)
+        error = np.concatenate([outer ** (1.0 - mu) * self._error, first])
+        rate = np.concatenate([outer * self._rate, second])
+        multiplier = np.concatenate([outer, rim]) ** mu
+        pull = multiplier * (self._gains[0] * multiplier * error + self._gains[1] * rate)
+        values = (error, rate, pull, multiplier**3 * error)
+        return [np.multiply.outer(*each) for each in zip(values, self._inward, strict=True)]
+
+
+def _depths(slowest: float, count: int) -> Array:
+    """Return depths below the rim in ln n, from 0 to where the slowest power of n vanishes.
+
+    Dense at the rim, where the third coordinate is a square root, and even in the logarithm
+    further in, where a stiff loop has its slow manifold. For degrees close to -1/2 the powers
+    of n vanish at very different depths, and a third of the points is for the slowest.
+    """
+    deepest = _DEEP / slowest
+    if deepest < 2.0 * _DEEP:
+        return deepest * np.linspace(0.0, 1.0, count) ** 2
+    further = count // 3
+    near = _DEEP * np.linspace(0.0, 1.0, count - further) ** 2
+    return np.append(near, np.geomspace(_DEEP, deepest, further + 1)[1:])

@@ -122,9 +122,11 @@ def certify_degree(
         NormError: The norm is not one of this package.
     """
     from hpid_ros.control.certificate_search import CertificateSearch
+    from hpid_ros.control.norm_arrays import require_known_norm
 
+    require_known_norm(norm)
     spans = [
-        CertificateSearch(gains, each, lambda degree: norm).at(norm.degree)
+        CertificateSearch(gains, each, lambda degree: norm, norm.degree).at(norm.degree)
         for each in _inertias(gains, inertia)
     ]
     return Certificate(gains, tuple(spans))
