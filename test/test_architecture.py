@@ -26,6 +26,7 @@ ALLOWED = {
     "commands": {"analysis", "bags", "control", "experiment", "robot", "tuning"},
     "experiment": {
         *("analysis", "bags", "control", "messages", "robot", "simulation", "trajectory"),
+        "tuning",
     },
 }
 EVERYWHERE = {"errors", "names", "sections"}  # pure, and below every room

@@ -114,6 +114,23 @@ def test_search_and_check_see_the_same_sphere(gains, norm, log_scale, q):
     assert checked.rate == pytest.approx(seen, rel=0.03, abs=0.01 * unit)
 
 
+@pytest.mark.parametrize(
+    ("gains", "norm", "cost"),
+    [
+        (Gains(1.0, 4.0, 8.0), CanonicalNorm(0.25, ((1.0, 0.0), (0.0, 1.0))), (1.0, 1.0, 1.0)),
+        (Gains(100.0, 1.0, 20.0), WeightedNorm(0.01, 1.0, 0.1), (1.0, 0.01, 1.0)),
+        (Gains(100.0, 1e-3, 20.0), WeightedNorm(0.05, 1.0, 0.1), (1.0, 1e-4, 1e-4)),
+    ],
+    ids=["thin ellipse", "little integral action", "hardly any"],
+)
+def test_even_the_coarse_grid_misses_nothing_of_a_thin_sphere(gains, norm, cost):
+    """Grids that were even on the norm's curve, or in n, called these P good or better."""
+    shape = lyapunov_solution(scaled_loop(gains), cost)
+    coarse = SphereGrid(gains, norm, 12, 24).rates(shape).max()
+    fine = SphereGrid(gains, norm, 300, 600).rates(shape).max()
+    assert coarse == pytest.approx(fine, rel=0.1)
+
+
 @pytest.fixture(scope="module")
 def interval():
     gains = Gains(10.0, 15.0, 5.0)

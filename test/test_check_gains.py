@@ -129,3 +129,21 @@ def test_running_controllers_are_found_and_checked(harness, capsys):
 def test_an_empty_graph_is_said(harness, capsys):
     assert main(["check-gains", "--live"]) == BAD_INPUT
     assert "the running graph has no joint controller" in capsys.readouterr().err
+
+
+def test_certificates_of_a_result_are_verified_from_the_file(experiment_file, tmp_path, capsys):
+    folder = tmp_path / "result"
+    experiment = str(experiment_file(duration=0.05))
+    assert main(["compare", experiment, "--in-process", "-o", str(folder)]) == DONE
+    capsys.readouterr()
+    file = folder / "certificates.json"
+    assert main(["check-gains", str(file)]) == DONE
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == 8
+    assert all(line.startswith("hPID ") and ": holds, mu -0.4" in line for line in lines)
+    document = json.loads(file.read_text())
+    spans = document["certificates"]["hPID arm_joint_1"]["spans"]
+    spans[0]["shape"][0][0] *= 0.5
+    file.write_text(json.dumps(document))
+    assert main(["check-gains", str(file)]) == FAILED
+    assert "hPID arm_joint_1: does NOT hold" in capsys.readouterr().out

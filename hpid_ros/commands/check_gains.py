@@ -38,7 +38,11 @@ def add(commands: Any) -> None:
         "or of the controllers that are running. Exit code 0 only if every joint is certified.",
     )
     parser.add_argument(
-        "file", nargs="?", type=Path, metavar="FILE", help="parameter file or experiment"
+        "file",
+        nargs="?",
+        type=Path,
+        metavar="FILE",
+        help="parameter file, experiment, or certificates.json of a result, to verify",
     )
     parser.add_argument("--live", action="store_true", help="of all running joint controllers")
     for name, parameter in _GIVEN.items():
@@ -55,7 +59,12 @@ def run(options: argparse.Namespace) -> int:
 
     from hpid_ros.tuning.gain_check import check_gains, inertia_of
     from hpid_ros.tuning.gain_table import GainTable
+    from hpid_ros.tuning.saved_certificates import saved_certificates
 
+    if options.file:
+        saved = saved_certificates(options.file)
+        if saved:
+            return _verify(saved, options.json)
     loops = _loops(options)
     known = inertias_from(options, [settings.joint for settings in loops.values()])
     verdicts = check_gains(
@@ -71,6 +80,19 @@ def run(options: argparse.Namespace) -> int:
     else:
         Console().print(GainTable(by_name))
     return DONE if all(each.is_certified for each in verdicts) else FAILED
+
+
+def _verify(saved: Mapping[str, Mapping[str, Any]], as_json: bool) -> int:
+    """Check saved certificates anew, each on its own."""
+    from hpid_ros.tuning.saved_certificates import verify
+
+    findings = {name: verify(each) for name, each in saved.items()}
+    if as_json:
+        print(json.dumps({name: each._asdict() for name, each in findings.items()}, indent=2))
+    else:
+        for name, each in findings.items():
+            print(f"{name}: {each.text}")
+    return DONE if all(each.holds for each in findings.values()) else FAILED
 
 
 def _loops(options: argparse.Namespace) -> dict[str, LoopSettings]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,6 +12,7 @@ from hpid_ros.experiment.in_process_run import run_without_ros
 from hpid_ros.experiment.progress import Progress, RunReport
 from hpid_ros.experiment.result import Result, compute, save
 from hpid_ros.experiment.result_folder import ResultFolder
+from hpid_ros.tuning.saved_certificates import certificates
 
 
 @dataclass(frozen=True)
@@ -36,7 +38,7 @@ def compare(
     in_process: bool = False,
     force: bool = False,
 ) -> Compared:
-    """Run an experiment's controllers one after the other, record, compute, draw.
+    """Run an experiment's controllers one after the other, record, compute, draw, certify.
 
     Args:
         experiment: The experiment.
@@ -63,4 +65,6 @@ def compare(
     bags = {label: folder.bag(label) for label in experiment.controllers}
     result = compute(experiment, bags)
     save(result, folder, reports, "in one process" if in_process else "ROS 2 graph")
+    progress.phase("", "certifying the degrees")
+    folder.write("certificates.json", json.dumps(certificates(experiment.controllers)) + "\n")
     return Compared(result, tuple(reports), folder)

@@ -78,8 +78,8 @@ def check_gains(
     Raises:
         GainError: An inertia is impossible.
     """
-    if len(loops) == 1:
-        return [judge(*loops[0])]
+    if len(loops) <= 1:
+        return [judge(*loop) for loop in loops]
     with ProcessPoolExecutor() as pool:
         return list(pool.map(judge, *zip(*loops, strict=True)))
 
