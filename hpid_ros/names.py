@@ -16,9 +16,11 @@ NODE_PARAMETERS = frozenset(
     {
         "certify",
         "command_interface",
+        "compensation",
         "introspection_rate",
         "qos_overrides",
         "require_certificate",
+        "robot_description",
         "start_type_description_service",
         "status_fd",
         "use_sim_time",

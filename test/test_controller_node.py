@@ -77,6 +77,23 @@ def test_a_refused_set_says_why_and_leaves_no_trace(harness, changes, reason):
         assert harness.ask(*state) == twin.step(*state)
 
 
+def test_the_robots_effort_limit_holds_whatever_the_clamps_say(harness):
+    joint = "arm_joint_6"  # 4 N m in the URDF
+    harness.start_controller(
+        joint=joint,
+        law="pid",
+        robot_description="urdf/mobile_manipulator.urdf",
+        compensation="none",
+        **GAINS,
+    )
+    harness.ask(0, 0.0, joint=joint)
+    assert harness.ask(MS, -5.0, joint=joint) == 4.0
+    assert harness.set_parameters("elbow_controller", u_clamp_max=2.5)[0]
+    assert harness.ask(2 * MS, -5.0, joint=joint) == 2.5
+    assert harness.set_parameters("elbow_controller", u_clamp_max=99.0)[0]
+    assert harness.ask(3 * MS, -5.0, joint=joint) == 4.0
+
+
 def test_trajectory_and_setpoint_reach_the_loop(harness):
     trajectory = minimum_jerk([0.0, 1.0], {"wrist": [0.0, 9.0], "elbow": [0.5, 1.5]})
     publisher = harness.node.create_publisher(JointTrajectory, "joint_trajectory", LATCHED)
@@ -137,6 +154,12 @@ def test_parameters_are_described_with_their_ranges(harness):
         ("joint_controller", {"joint": "a", "gains.p": ".nan"}, "gains.p"),
         ("joint_controller", {"joint": "a", "gains.p": 100}, "1.0, not 1"),
         ("joint_controller", {"joint": "a", "command_interface": "can"}, "command_interface"),
+        ("joint_controller", {"joint": "a", "compensation": "gravity"}, "must be none"),
+        (
+            "joint_controller",
+            {"joint": "arm_joint_9", "robot_description": "urdf/mobile_manipulator.urdf"},
+            "did you mean 'arm_joint_",
+        ),
         ("joint_controllers", {}, "the parameter joints must name each joint once"),
         ("pybullet_bridge", {"mode": "fast"}, "mode must be one of lockstep, realtime"),
         ("pybullet_bridge", {"joints": "[arm_joint_9]"}, "did you mean 'arm_joint_"),

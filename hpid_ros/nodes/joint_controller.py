@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 from rcl_interfaces.msg import SetParametersResult
@@ -22,6 +23,7 @@ from hpid_ros.nodes.certification import Certification
 from hpid_ros.nodes.commands import COMMAND_INTERFACES, command_sink
 from hpid_ros.nodes.diagnostics import OK, WARN, Diagnostics
 from hpid_ros.nodes.introspection import Introspection
+from hpid_ros.nodes.model_parameters import effort_limit, require_no_compensation
 from hpid_ros.nodes.parameters import declare, merged, read_only, verdict
 from hpid_ros.nodes.qos import NEWEST_STATES, RARE, overridable
 from hpid_ros.nodes.status_pipe import StatusPipe
@@ -49,6 +51,7 @@ class JointController(executor.ClosingNode):
     def __init__(self, name: str = "joint_controller", **options: Any) -> None:
         super().__init__(name, **options)
         declare(self, LOOP_PARAMETERS.values(), read_only=["joint"])
+        self._limit = effort_limit(self)
         self._loop = JointLoop(self._settings(()))
         self.joint = self._loop.settings.joint
         self._reader = JointReader(self.joint)
@@ -58,6 +61,7 @@ class JointController(executor.ClosingNode):
             "joint_state",
             f"Message of the commands: {', '.join(COMMAND_INTERFACES)}",
         )
+        require_no_compensation(self)
         self._listeners = read_only(
             self, "wait_for_command_subscribers", 1, "Subscribers that commands must have first"
         )
@@ -126,7 +130,16 @@ class JointController(executor.ClosingNode):
         self._loop.follow(Setpoint(message.data))
 
     def _settings(self, changes: Sequence[Parameter]) -> LoopSettings:
-        return LoopSettings.from_parameters(merged(self, LOOP_PARAMETERS, changes))
+        return self._limited(merged(self, LOOP_PARAMETERS, changes))
+
+    def _limited(self, values: Mapping[str, Value]) -> LoopSettings:
+        """Return checked settings, their efforts within the robot's limit."""
+        settings = LoopSettings.from_parameters(values)
+        return replace(
+            settings,
+            u_clamp_max=min(settings.u_clamp_max, self._limit),
+            u_clamp_min=max(settings.u_clamp_min, -self._limit),
+        )
 
     def _check(self, changes: Sequence[Parameter]) -> SetParametersResult:
         if not any(change.name in LOOP_PARAMETERS for change in changes):
@@ -134,7 +147,7 @@ class JointController(executor.ClosingNode):
         return verdict(merged(self, LOOP_PARAMETERS, changes), self._require)
 
     def _require(self, values: Mapping[str, Value]) -> None:
-        self._certification.require(LoopSettings.from_parameters(values))
+        self._certification.require(self._limited(values))
 
     def _retune(self, changes: Sequence[Parameter]) -> None:
         if any(change.name in LOOP_PARAMETERS for change in changes):
