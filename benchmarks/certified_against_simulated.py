@@ -29,7 +29,7 @@ from hpid_ros.errors import GainError, NormError
 
 STARTS = 4
 HORIZON = 250.0  # in units of 1 / ki^(1/3)
-SHRUNK, GROWN = 1e-2, 1e2  # of the state's homogeneous norm
+SHRUNK, GROWN = 1e-5, 1e5  # of the size below, which a stable loop may raise a hundredfold first
 LARGEST_DEGREE = 0.495
 TOLERANCE = 2e-2  # of the intervals: coarser than the tool's own, for the sake of time
 
