@@ -28,7 +28,7 @@ from hpid_ros.control.stability import certified_degree_interval
 from hpid_ros.errors import GainError, NormError
 
 STARTS = 4
-HORIZON = 250.0  # in units of 1 / ki^(1/3)
+HORIZONS = (250.0, 3000.0)  # in units of 1 / ki^(1/3); the second where the first decides nothing
 SHRUNK, GROWN = 1e-5, 1e5  # of the size below, which a stable loop may raise a hundredfold first
 LARGEST_DEGREE = 0.495
 TOLERANCE = 2e-2  # of the intervals: coarser than the tool's own, for the sake of time
@@ -41,6 +41,7 @@ class SimulatedLoop:
         self.unit = gains.i ** (1.0 / 3.0)
         self.a, self.b = gains.p / self.unit**2, gains.d / self.unit
         self.norm, self.degree = norm, norm.degree
+        self.scale = (norm(1.0, 0.0) * norm(0.0, self.unit)) ** 0.5  # the norm at size 1, about
 
     def size(self, x):
         """Return a homogeneous norm of the state."""
@@ -51,7 +52,7 @@ class SimulatedLoop:
         """Return the derivative in the time dt size^mu, of degree zero."""
         n = self.norm(x[0], self.unit * x[1])
         multiplier = n**self.degree if n > 0.0 else 0.0
-        pace = self.size(x) ** -self.degree
+        pace = (self.scale * self.size(x)) ** -self.degree
         acceleration = x[2] - self.a * multiplier**2 * x[0] - self.b * multiplier * x[1]
         return pace * x[1], pace * acceleration, -pace * multiplier**3 * x[0]
 
@@ -65,17 +66,18 @@ class SimulatedLoop:
             return math.log(self.size(x)) - math.log(GROWN)
 
         shrunk.terminal = grown.terminal = True
-        solution = solve_ivp(
-            self.field, (0.0, HORIZON), start, "LSODA", rtol=1e-7, atol=1e-13,
-            events=(shrunk, grown),
-        )  # fmt: skip
-        if solution.status == 1:
-            return len(solution.t_events[0]) > 0
+        for horizon in HORIZONS:
+            solution = solve_ivp(
+                self.field, (0.0, horizon), start, "LSODA", rtol=1e-7, atol=1e-13,
+                events=(shrunk, grown),
+            )  # fmt: skip
+            if solution.status == 1:
+                return len(solution.t_events[0]) > 0
         sizes = np.array([self.size(x) for x in solution.y.T])
         third = solution.t[-1] / 3.0
         early = sizes[(solution.t > third) & (solution.t < 2.0 * third)].max()
         late = sizes[solution.t >= 2.0 * third].max()
-        return solution.status == 0 and late < early
+        return bool(solution.status == 0 and late < early)
 
     def is_stable(self, random):
         """Tell whether the state shrinks from every one of some points on a sphere."""
