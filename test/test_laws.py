@@ -95,6 +95,24 @@ def test_floor_and_cap_bound_the_multiplier(error, rate):
     assert 0.05**-0.4 <= law.multiplier(error, rate) <= 0.01**-0.4
 
 
+class OwnNorm(WeightedNorm):
+    """The weighted norm as somebody else's: the law has to call it."""
+
+
+@given(GAINS, DEGREES, SIGNALS, st.floats(0.0, 0.5), st.floats(0.6, 5.0))
+def test_written_out_norm_is_the_called_one_to_the_bit(gains, degree, signal, floor, cap):
+    law, other = (
+        HomogeneousPid(gains, kind(degree, 1.3, 0.4), floor, cap)
+        for kind in (WeightedNorm, OwnNorm)
+    )
+    for error, rate, dt in signal:
+        multiplier = other.multiplier(error, rate)
+        assert law.update(error, rate, dt) == other.update(error, rate, dt)
+        assert law.terms == other.terms
+        assert law.terms.p == gains.p * (multiplier * multiplier) * error
+        assert law.integral == other.integral
+
+
 def test_integral_is_read_only_and_reset_forgets_it():
     law = HomogeneousPid(Gains(1.0, 1.0, 1.0), WeightedNorm(0.1, 1.0, 1.0))
     law.update(1.0, 0.0, 1.0)

@@ -43,7 +43,7 @@ class WeightedNorm:
         NormError: The degree is out of range or a weight is not positive and finite.
     """
 
-    __slots__ = ("_exponent", "degree", "error_weight", "rate_weight")
+    __slots__ = ("degree", "error_exponent", "error_weight", "rate_weight")
 
     def __init__(self, degree: float, error_weight: float, rate_weight: float) -> None:
         require_degree(degree)
@@ -52,7 +52,7 @@ class WeightedNorm:
         self.degree = float(degree)
         self.error_weight = float(error_weight)
         self.rate_weight = float(rate_weight)
-        self._exponent = 1.0 / (1.0 - degree)
+        self.error_exponent = 1.0 / (1.0 - degree)
 
     @classmethod
     def scaled(cls, degree: float, error_scale: float, rate_weight: float) -> WeightedNorm:
@@ -80,7 +80,7 @@ class WeightedNorm:
             error: Reference minus measured position, in [rad].
             error_rate: Its time derivative, in [rad/s].
         """
-        weighted_error: float = self.error_weight * abs(error) ** self._exponent
+        weighted_error: float = self.error_weight * abs(error) ** self.error_exponent
         return weighted_error + self.rate_weight * abs(error_rate)
 
     def __repr__(self) -> str:

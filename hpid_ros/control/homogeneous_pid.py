@@ -11,6 +11,7 @@ import math
 from typing import Protocol
 
 from hpid_ros.control.gains import Gains
+from hpid_ros.control.homogeneity import WeightedNorm
 from hpid_ros.control.pid import Pid
 from hpid_ros.errors import NormError
 
@@ -47,7 +48,7 @@ class HomogeneousPid(Pid):
         NormError: The floor is negative or not below the cap.
     """
 
-    __slots__ = ("_cap", "_degree", "_floor", "norm")
+    __slots__ = ("_at_zero", "_cap", "_degree", "_floor", "_weights", "norm")
 
     def __init__(
         self,
@@ -66,6 +67,10 @@ class HomogeneousPid(Pid):
         self._degree = norm.degree
         self._floor = norm_floor
         self._cap = norm_cap
+        self._at_zero = 1.0 if norm.degree == 0.0 else 0.0
+        self._weights: tuple[float, float, float] | None = None
+        if type(norm) is WeightedNorm:
+            self._weights = norm.error_weight, norm.error_exponent, norm.rate_weight
 
     @property
     def norm_floor(self) -> float:
@@ -88,7 +93,7 @@ class HomogeneousPid(Pid):
             error_rate: Its time derivative, in [rad/s].
         """
         n = min(max(self.norm(error, error_rate), self._floor), self._cap)
-        return n**self._degree if n > 0.0 or self._degree == 0.0 else 0.0
+        return n**self._degree if n else self._at_zero
 
     def update(self, error: float, error_rate: float, dt: float) -> float:
         """Take one sample.
@@ -101,13 +106,23 @@ class HomogeneousPid(Pid):
         Returns:
             The effort in [N m], with the integral before this sample's increment.
         """
+        # The weighted norm and the multiplier are written out: in Python the calls would cost as
+        # much as all the arithmetic.
+        weights = self._weights
+        if weights is None:
+            n = self.norm(error, error_rate)
+        else:
+            error_weight, exponent, rate_weight = weights
+            n = error_weight * abs(error) ** exponent + rate_weight * abs(error_rate)
+        if n < self._floor:
+            n = self._floor
+        elif n > self._cap:
+            n = self._cap
+        multiplier = n**self._degree if n else self._at_zero
         gains, integral = self.gains, self._integral
-        multiplier = self.multiplier(error, error_rate)
         square = multiplier * multiplier
-        proportional = gains.p * square * error
-        derivative = gains.d * multiplier * error_rate
-        self._proportional = proportional
-        self._derivative = derivative
+        self._proportional = proportional = gains.p * square * error
+        self._derivative = derivative = gains.d * multiplier * error_rate
         self._integral_used = integral
         self._integral = integral + dt * (gains.i * (square * multiplier) * error)
         return proportional + derivative + integral
