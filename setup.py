@@ -46,6 +46,7 @@ EXTRAS = {
 EXECUTABLES = [
     "joint_controller",
     "joint_controllers",
+    "single_process",
     "pybullet_bridge",
     "trajectory_publisher",
     "bag_recorder",

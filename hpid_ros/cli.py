@@ -14,6 +14,7 @@ from hpid_ros.commands import (
     check_gains,
     compare,
     metrics,
+    run,
     upgrade,
 )
 from hpid_ros.errors import HpidError, RunError
@@ -48,7 +49,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"hpid_ros {__version__}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    for each in (compare, metrics, check_gains, upgrade):
+    for each in (compare, run, metrics, check_gains, upgrade):
         each.add(commands)
     return parser
 

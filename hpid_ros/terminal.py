@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 
@@ -82,7 +82,7 @@ class RunProgress:
 def print_reports(
     console: Console, reports: Sequence[RunReport], duration: float, folder: Path
 ) -> None:
-    """Print how the runs went, and where the result lies.
+    """Print how the runs of a comparison went, and where the result lies.
 
     Args:
         console: The terminal.
@@ -90,9 +90,48 @@ def print_reports(
         duration: Length of each run in [s].
         folder: Folder of the result.
     """
-    table = Table(box=None, header_style="dim", padding=(0, 2, 0, 0))
-    for heading in ("run", "states", "processes", "wall time", "rate", "real time"):
-        table.add_column(heading, justify="left" if heading == "run" else "right")
+    _print_runs(console, reports, duration)
+    print_result_places(console, {"result": folder, "report": folder / "report.html"})
+
+
+def print_timing(console: Console, report: RunReport, duration: float) -> None:
+    """Print how one run went, and where the time of its nodes went.
+
+    Args:
+        console: The terminal.
+        report: The run.
+        duration: Its length in [s].
+    """
+    _print_runs(console, [report], duration)
+    if report.timing is None:
+        return
+    headings = ["joint, in us", "period", "p99", "compute", "p99", "latency", "p99"]
+    table = _table([*headings, "missed", "silent"])
+    cycle = report.timing.cycle
+    table.add_row("(bridge)", *_microseconds(cycle.median, cycle.p99))
+    for joint, each in report.timing.joints.items():
+        period, compute, latency = each.period, each.compute, each.latency
+        figures = (period.median, period.p99, compute.median, compute.p99)
+        figures += (latency.median, latency.p99)
+        table.add_row(joint, *_microseconds(*figures), str(each.missed), str(each.unanswered))
+    console.print()
+    console.print(table)
+
+
+def print_result_places(console: Console, places: Mapping[str, Path]) -> None:
+    """Print where a result lies.
+
+    Args:
+        console: The terminal.
+        places: Paths by what lies there.
+    """
+    console.print()
+    for what, path in places.items():
+        console.print(f"{what}: {path}", soft_wrap=True, highlight=False)
+
+
+def _print_runs(console: Console, reports: Sequence[RunReport], duration: float) -> None:
+    table = _table(["run", "states", "processes", "wall time", "rate", "real time"])
     for report in reports:
         table.add_row(
             report.label,
@@ -107,6 +146,15 @@ def print_reports(
     for report in reports:
         for warning in report.warnings:
             console.print(f"{report.label}: {warning}", style="yellow", highlight=False)
-    console.print()
-    console.print(f"result: {folder}", soft_wrap=True, highlight=False)
-    console.print(f"report: {folder / 'report.html'}", soft_wrap=True, highlight=False)
+
+
+def _table(headings: Sequence[str]) -> Table:
+    """Return an empty table whose first column is text."""
+    table = Table(box=None, header_style="dim", padding=(0, 2, 0, 0))
+    for index, heading in enumerate(headings):
+        table.add_column(heading, justify="right" if index else "left", no_wrap=True)
+    return table
+
+
+def _microseconds(*values: float) -> list[str]:
+    return [f"{value:.0f}" if value >= 100.0 else f"{value:.1f}" for value in values]

@@ -1,11 +1,14 @@
 """One controller in a process of its own; the test plays the robot."""
 
 import math
+import os
 import signal
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
+from diagnostic_msgs.msg import DiagnosticArray
 from harness import ros_arguments
 from rcl_interfaces.srv import DescribeParameters
 from std_msgs.msg import Float64
@@ -188,3 +191,62 @@ def test_a_node_that_cannot_start_says_one_line_and_ends_with_two(
     assert line in ended.stderr
     assert "Traceback" not in ended.stderr
     assert len(ended.stderr.strip().splitlines()) == 1
+
+
+def test_health_tells_period_compute_time_and_missed_samples(harness):
+    reports = []
+    harness.node.create_subscription(DiagnosticArray, "/diagnostics", reports.append, 10)
+    harness.start_controller(law="pid", **GAINS)
+    for k in (0, 1, 2, 5):
+        harness.ask(k * MS, 0.0)
+
+    def figures():
+        values = [each.values for report in reports for each in report.status]
+        found = [{pair.key: pair.value for pair in each} for each in values]
+        return [each for each in found if each.get("samples") == "4"]
+
+    harness.wait(figures, what="a report of all samples")
+    told = figures()[0]
+    assert told["missed samples"] == "2"
+    assert told["scheduling"] == "ordinary"
+    assert float(told["compute time, median [us]"]) > 0.0
+    median, p99 = (float(told[f"period, {x} [us]"]) for x in ("median", "99th percentile"))
+    assert 0.0 < median <= p99
+    assert float(told["jitter [us]"]) == pytest.approx(p99 - median, rel=1e-3)
+
+
+def test_priority_and_affinity_reach_every_thread_or_are_told_as_refused(harness):
+    cpu = min(os.sched_getaffinity(0))
+    process = harness.processes.start(
+        "elbow_controller",
+        "joint_controller",
+        [
+            *ros_arguments(joint="elbow", law="pid", realtime_priority=5, **GAINS),
+            *("-p", f"cpu_affinity:=[{cpu}]"),
+        ],
+    )
+    harness.wait(lambda: harness.states.get_subscription_count() > 0, what="the controller")
+    threads = [int(path.name) for path in Path(f"/proc/{process.pid}/task").iterdir()]
+    # Python's own thread for signals is made last, and never runs while there is none.
+    policies = [os.sched_getscheduler(thread) & ~os.SCHED_RESET_ON_FORK for thread in threads]
+    if "refused by the system" in process.log.read_text():
+        assert os.SCHED_FIFO not in policies
+    else:
+        assert policies.count(os.SCHED_FIFO) >= len(threads) - 1
+    assert all(os.sched_getaffinity(thread) == {cpu} for thread in threads)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["-p", "cpu_affinity:=[4096]"], "not [4096]"),
+        (["-p", "realtime_priority:=100"], "[0, 99], not 100"),
+    ],
+)
+def test_impossible_scheduling_is_one_line(harness, arguments, said):
+    process = harness.processes.start(
+        "elbow_controller", "joint_controller", ros_arguments(joint="elbow", **GAINS) + arguments
+    )
+    harness.wait(lambda: process.process.poll() is not None, what="the controller to refuse")
+    assert process.process.returncode == 2
+    assert said in process.last_words()

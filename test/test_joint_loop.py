@@ -302,3 +302,14 @@ def test_the_differentiator_is_a_velocity_source_of_the_loop():
     for k in range(1000):
         loop.step(k * MS, 0.5 * 4.0 * (k * 1e-3) ** 2)
     assert loop.velocity == pytest.approx(4.0 * 0.999, abs=0.01)
+
+
+@given(st.lists(st.integers(1, 40), min_size=1, max_size=30))
+def test_missed_samples_are_counted_from_the_stamps(steps):
+    loop = JointLoop(settings(control_period=0.001))
+    stamp_ns = 0
+    loop.step(stamp_ns, 0.0, 0.0)
+    for periods in steps:
+        stamp_ns += periods * 1_000_000
+        loop.step(stamp_ns, 0.0, 0.0)
+    assert loop.counts.missed == sum(steps) - len(steps)

@@ -13,6 +13,7 @@ from hpid_ros.control.settings import LoopSettings
 from hpid_ros.errors import SettingError
 
 _SECONDS_PER_NANOSECOND = 1e-9
+_LATE = 1.5  # control periods between two states: there was none in between
 _OF_THE_VELOCITY = ("velocity_source", "velocity_filter_time_constant", "acceleration_bound")
 
 
@@ -67,6 +68,7 @@ class LoopCounts:
         repeats: States with the stamp of the one before.
         resets: States older than the one before: the clock went back.
         gaps: States later than ``state_timeout`` after the one before.
+        missed: States that must have been lost, by the stamps and ``control_period``.
         saturated: Samples whose effort was limited.
         rejected: States that were not finite, or made the law's effort so.
     """
@@ -75,6 +77,7 @@ class LoopCounts:
     repeats: int = 0
     resets: int = 0
     gaps: int = 0
+    missed: int = 0
     saturated: int = 0
     rejected: int = 0
 
@@ -226,6 +229,9 @@ class JointLoop:
             self.counts.resets += 1
             self.reset()
             return 0.0
+        period = self.settings.control_period
+        if dt > _LATE * period:
+            self.counts.missed += round(dt / period) - 1
         if dt > self.settings.state_timeout:
             self.counts.gaps += 1
             self._velocity.reset()

@@ -1,4 +1,4 @@
-"""One controller of an experiment on the real graph: every node in a process of its own."""
+"""One controller of an experiment on the real graph of ROS 2."""
 
 from __future__ import annotations
 
@@ -10,18 +10,13 @@ from typing import Any
 
 from hpid_ros.errors import RunError
 from hpid_ros.experiment.description import Experiment
+from hpid_ros.experiment.graph_nodes import GraphNodes
+from hpid_ros.experiment.graph_options import GraphOptions
 from hpid_ros.experiment.isolation import closed_environment, own_domain, require_no_sockets
 from hpid_ros.experiment.node_process import NodeGroup, NodeProcess
-from hpid_ros.experiment.parameter_files import (
-    bridge_document,
-    controllers_document,
-    write_parameters,
-)
 from hpid_ros.experiment.progress import Progress, RunReport
+from hpid_ros.experiment.run_timing import run_timing
 from hpid_ros.interrupts import raise_if_interrupted
-from hpid_ros.names import controller_name
-
-BRIDGE, RECORDER, REFERENCE = "pybullet_bridge", "bag_recorder", "trajectory_publisher"
 
 _START_WITHIN = 60.0  # [s] from the first process to the first state
 _RECORD_WITHIN = 10.0  # [s] from the last answer to the last message in the bag
@@ -29,7 +24,12 @@ _CLOSE_WITHIN = 30.0  # [s] for the recorder to finish the bag
 
 
 def run_on_graph(
-    experiment: Experiment, label: str, bag: Path, folder: Path, progress: Progress
+    experiment: Experiment,
+    label: str,
+    bag: Path | None,
+    folder: Path,
+    progress: Progress,
+    options: GraphOptions | None = None,
 ) -> RunReport:
     """Run one controller on the real ROS 2 graph and record it.
 
@@ -39,67 +39,69 @@ def run_on_graph(
     Args:
         experiment: The experiment.
         label: Which of its controllers.
-        bag: Folder of the bag to create.
+        bag: Folder of the bag to create; not used when nothing is recorded.
         folder: Existing folder for parameter files and logs of the nodes.
         progress: Is told how far the run is.
+        options: How it is spread over processes, paced and recorded; by default every node has
+            a process of its own, in lock-step, recorded.
 
     Raises:
         RunError: A node failed, or something was not recorded.
     """
-    write_parameters(folder / "bridge.yaml", bridge_document(experiment))
-    write_parameters(
-        folder / "controllers.yaml", controllers_document(experiment.controllers[label])
-    )
+    options = options or GraphOptions()
+    nodes = GraphNodes(experiment, label, bag, folder, options)
     with (
         own_domain() as domain,
         NodeGroup(closed_environment(domain), folder) as group,
     ):
-        run = _GraphRun(experiment, label, group, progress)
-        run.start(bag, folder)
-        run.wait_for("started", BRIDGE, _START_WITHIN, "every node to find the others")
-        begin = time.monotonic()
-        run.wait_for("finished", BRIDGE, None, "the last state")
-        wall_time = time.monotonic() - begin
-        run.wait_until_recorded(_RECORD_WITHIN)
-        # First, so that the zero efforts with which the controllers leave are not in the bag.
-        group.stop([RECORDER], patience=_CLOSE_WITHIN)
-        states = int(run.events[BRIDGE, "finished"]["states"])
-        return RunReport(label, wall_time, states, len(group.nodes), run.warnings)
+        run = _GraphRun(nodes, label, group, progress)
+        run.start()
+        run.wait_for("started", nodes.bridge, _START_WITHIN, "every node to find the others")
+        run.wait_for("finished", nodes.bridge, None, "the last state")
+        if options.is_recorded:
+            run.wait_until_recorded(_RECORD_WITHIN)
+            # First, so that the zero efforts with which the controllers leave are not in the bag.
+            group.stop([nodes.recorder], patience=_CLOSE_WITHIN)
+        processes = len(group.nodes)
+        group.stop()
+        run.take_last_events()
+        finished = run.events[nodes.bridge, "finished"]
+        timing = run_timing(finished, run.timing)
+        return RunReport(
+            label,
+            wall_time=finished["wall_time"],
+            states=finished["states"],
+            processes=processes,
+            warnings=run.warnings,
+            timing=timing,
+        )
 
 
 class _GraphRun:
     """Watches the nodes of one run through their event pipes."""
 
     def __init__(
-        self, experiment: Experiment, label: str, group: NodeGroup, progress: Progress
+        self, nodes: GraphNodes, label: str, group: NodeGroup, progress: Progress
     ) -> None:
-        self._experiment, self._label = experiment, label
+        self._nodes, self._label = nodes, label
         self._group, self._progress = group, progress
         self._selector = selectors.DefaultSelector()
         self.events: dict[tuple[str, str], Mapping[str, Any]] = {}
+        self.timing: dict[str, Mapping[str, Any]] = {}
         self.warnings: list[str] = []
         self._excused: set[str] = set()
         self._closed: set[str] = set()
 
-    def start(self, bag: Path, folder: Path) -> None:
+    def start(self) -> None:
         """Start every node."""
         self._progress.phase(self._label, "starting the nodes")
-        joints = self._experiment.world.joints
-        reference = ["-p", f"reference_file:={self._experiment.path}"]
-        self._start(REFERENCE, "trajectory_publisher", reference)
-        self._start(RECORDER, "bag_recorder", ["-p", f"bag:={bag}"])
-        parameters = ["--params-file", str(folder / "controllers.yaml")]
-        for joint in joints:
-            options = ["-p", "wait_for_command_subscribers:=2", "-p", "wait_for_reference:=true"]
-            options += ["-p", "introspection_rate:=0.0", "-p", "certify:=false"]
-            self._start(controller_name(joint), "joint_controller", [*parameters, *options])
-        bridge = ["--params-file", str(folder / "bridge.yaml"), "-p", "exit_when_done:=false"]
-        bridge += ["-p", f"wait_for_subscribers:={len(joints) + 1}", "-p", "report_rate:=0.0"]
-        self._start(BRIDGE, "pybullet_bridge", bridge)
+        for node in self._nodes.start(self._group):
+            self._selector.register(node.events, selectors.EVENT_READ, node)
 
-    def _start(self, name: str, executable: str, arguments: list[str]) -> None:
-        node = self._group.start(name, executable, arguments)
-        self._selector.register(node.events, selectors.EVENT_READ, node)
+    def take_last_events(self) -> None:
+        """Read what the nodes said when they ended."""
+        for node in self._group.nodes.values():
+            self._take_events(node)
 
     def wait_for(self, event: str, node: str, within: float | None, what: str) -> None:
         """Wait for an event of a node.
@@ -107,24 +109,30 @@ class _GraphRun:
         Raises:
             RunError: It did not come in time, or a node that is needed has ended.
         """
-        self._wait(lambda: (node, event) in self.events, within, what)
+        self._wait(lambda: (node, event) in self.events, within, lambda: what)
 
     def wait_until_recorded(self, within: float) -> None:
         """Wait until the bag holds every state and every command that was answered."""
         self._progress.phase(self._label, "closing the bag")
-        finished = self.events[BRIDGE, "finished"]
+        finished = self.events[self._nodes.bridge, "finished"]
         answers = sum(
             counts["answered"] + counts["repeated"] for counts in finished["counts"].values()
         )
         expected = {"/joint_states": finished["states"], "/joint_commands": answers}
 
-        def is_recorded() -> bool:
-            counts = self.events.get((RECORDER, "recorded"), {}).get("counts", {})
-            return all(counts.get(topic, 0) >= count for topic, count in expected.items())
+        def missing() -> dict[str, int]:
+            counts = self.events.get((self._nodes.recorder, "recorded"), {}).get("counts", {})
+            return {
+                topic: count - counts.get(topic, 0)
+                for topic, count in expected.items()
+                if counts.get(topic, 0) < count
+            }
 
-        self._wait(is_recorded, within, f"the recorder to have {expected}")
+        self._wait(lambda: not missing(), within, lambda: f"the recorder: it lacks {missing()}")
 
-    def _wait(self, is_true: Callable[[], bool], within: float | None, what: str) -> None:
+    def _wait(
+        self, is_true: Callable[[], bool], within: float | None, what: Callable[[], str]
+    ) -> None:
         deadline = None if within is None else time.monotonic() + within
         while not is_true():
             ready = self._selector.select(timeout=0.05)
@@ -133,19 +141,25 @@ class _GraphRun:
             self._look_after_nodes()
             raise_if_interrupted()
             if deadline is not None and time.monotonic() > deadline and not is_true():
-                raise RunError(f"{self._label}: waited {within:g} s in vain for {what}")
+                raise RunError(f"{self._label}: waited {within:g} s in vain for {what()}")
 
     def _take_events(self, node: NodeProcess) -> None:
         events = node.read_events()
         if not events and node.process.poll() is not None:
-            self._selector.unregister(node.events)
+            self._forget(node)
         for event in events:
             self._on_event(node.name, event)
+
+    def _forget(self, node: NodeProcess) -> None:
+        if node.events in self._selector.get_map():
+            self._selector.unregister(node.events)
 
     def _on_event(self, node: str, event: Mapping[str, Any]) -> None:
         name = str(event["event"])
         self._require_closed(node)
         self.events[node, name] = event
+        if name == "timing":
+            self.timing[event["joint"]] = event
         if name == "progress":
             self._progress.advanced(self._label, event["stamp_ns"] * 1e-9)
         elif name == "started":
@@ -174,8 +188,8 @@ class _GraphRun:
                 continue
             for event in node.read_events():
                 self._on_event(name, event)
-            is_controller = name not in (BRIDGE, RECORDER, REFERENCE)
-            if is_controller and (BRIDGE, "started") in self.events and self._others_run(name):
+            has_started = (self._nodes.bridge, "started") in self.events
+            if name not in self._nodes.vital and has_started and self._others_run(name):
                 self._excused.add(name)
                 self.warnings.append(f"{name} ended with code {code}; the other joints go on")
                 continue
@@ -188,5 +202,5 @@ class _GraphRun:
         return any(
             node.process.poll() is None
             for other, node in self._group.nodes.items()
-            if other not in (name, BRIDGE, RECORDER, REFERENCE)
+            if other != name and other not in self._nodes.vital
         )

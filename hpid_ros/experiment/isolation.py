@@ -30,9 +30,9 @@ _OPENING = (
     "ROS_LOCALHOST_ONLY",
     "ROS_DISCOVERY_SERVER",
     "ROS_NAMESPACE",
-    "FASTRTPS_DEFAULT_PROFILES_FILE",
-    "FASTDDS_DEFAULT_PROFILES_FILE",
 )
+# Fast DDS 2, which Jazzy has, reads the first; its successors the second.
+_PROFILE_FILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
 _DOMAINS = range(1, 102)
 _SOCKET_TABLES = ("tcp", "tcp6", "udp", "udp6", "raw", "raw6")
 
@@ -46,7 +46,8 @@ def closed_environment(domain: int) -> dict[str, str]:
     environment = {name: value for name, value in os.environ.items() if name not in _OPENING}
     environment.update(CLOSED_MODE)
     environment["ROS_DOMAIN_ID"] = str(domain)
-    environment["FASTDDS_DEFAULT_PROFILES_FILE"] = str(find_resource("config/fastdds.xml"))
+    profile = str(find_resource("config/fastdds.xml"))
+    environment |= dict.fromkeys(_PROFILE_FILES, profile)
     environment["PYTHONUNBUFFERED"] = "1"
     return environment
 

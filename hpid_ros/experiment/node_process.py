@@ -32,6 +32,8 @@ class NodeProcess:
         arguments: ROS arguments, for instance ``["-p", "joint:=elbow"]``.
         environment: Its whole environment.
         log: File for what it prints.
+        is_renamed: Whether the name is given to its node; a process of several nodes keeps
+            their names.
     """
 
     def __init__(
@@ -41,6 +43,7 @@ class NodeProcess:
         arguments: Sequence[str],
         environment: Mapping[str, str],
         log: Path,
+        is_renamed: bool = True,
     ) -> None:
         self.name = name
         self.log = log
@@ -50,7 +53,8 @@ class NodeProcess:
         self.events = reader
         command = [
             *(sys.executable, "-m", f"hpid_ros.nodes.{executable}", "--ros-args"),
-            *("-r", f"__node:={name}", "-p", f"status_fd:={writer}"),
+            *(("-r", f"__node:={name}") if is_renamed else ()),
+            *("-p", f"status_fd:={writer}"),
             *arguments,
         ]
         with log.open("wb") as output:
@@ -100,17 +104,19 @@ class NodeGroup:
         self._logs = logs
         self.nodes: dict[str, NodeProcess] = {}
 
-    def start(self, name: str, executable: str, arguments: Sequence[str]) -> NodeProcess:
+    def start(
+        self, name: str, executable: str, arguments: Sequence[str], *, is_renamed: bool = True
+    ) -> NodeProcess:
         """Start a node.
 
         Args:
             name: Its name.
             executable: Module below ``hpid_ros.nodes``.
             arguments: ROS arguments.
+            is_renamed: As for :class:`NodeProcess`.
         """
-        node = NodeProcess(
-            name, executable, arguments, self._environment, self._logs / f"{name}.log"
-        )
+        log = self._logs / f"{name}.log"
+        node = NodeProcess(name, executable, arguments, self._environment, log, is_renamed)
         self.nodes[name] = node
         return node
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Protocol
 
+from hpid_ros.experiment.run_timing import RunTiming
+
 
 class Progress(Protocol):
     """Is told how far a run is."""
@@ -46,6 +48,7 @@ class RunReport:
         states: States of the run.
         processes: Processes that took part.
         warnings: What went otherwise than planned, one line each.
+        timing: What the nodes measured; None without nodes.
     """
 
     label: str
@@ -53,6 +56,12 @@ class RunReport:
     states: int
     processes: int
     warnings: list[str] = field(default_factory=list)
+    timing: RunTiming | None = None
+
+    def as_mapping(self) -> dict[str, object]:
+        """Return everything, ready for JSON."""
+        timing = self.timing.as_mapping() if self.timing else None
+        return {**vars(self), "rate": self.rate, "timing": timing}
 
     @property
     def rate(self) -> float:

@@ -82,6 +82,30 @@ def compute(experiment: Experiment, bags: Mapping[str, Path]) -> Result:
     return Result(experiment, runs, Comparison(tuple(run_indices(run) for run in runs)))
 
 
+def save_numbers(
+    result: Result, folder: ResultFolder, reports: Sequence[RunReport], how: str
+) -> None:
+    """Write the numbers of a result: indices and table, and how long everything took.
+
+    Args:
+        result: The result.
+        folder: Its folder.
+        reports: How the runs went.
+        how: On what they ran, for instance ``"ROS 2 graph"``.
+    """
+    from hpid_ros.analysis.table import table_text
+
+    folder.write("result.json", json.dumps(result.as_mapping(), indent=2) + "\n")
+    folder.write("table.txt", table_text(result.comparison))
+    save_timing(folder, reports, how)
+
+
+def save_timing(folder: ResultFolder, reports: Sequence[RunReport], how: str) -> None:
+    """Write how long the runs took, as for :func:`save_numbers`."""
+    timing = {"ran": how, "runs": {each.label: each.as_mapping() for each in reports}}
+    folder.write("timing.json", json.dumps(timing, indent=2) + "\n")
+
+
 def save(result: Result, folder: ResultFolder, reports: Sequence[RunReport], how: str) -> None:
     """Write the result: first the numbers, then what is drawn from them.
 
@@ -91,17 +115,13 @@ def save(result: Result, folder: ResultFolder, reports: Sequence[RunReport], how
         reports: How the runs went.
         how: On what they ran, for instance ``"ROS 2 graph"``.
     """
-    # Drawing is slow to import, and numbers that are saved survive a failure to draw them.
-    folder.write("result.json", json.dumps(result.as_mapping(), indent=2) + "\n")
-    timing = {"ran": how, "runs": {each.label: _timing(each) for each in reports}}
-    folder.write("timing.json", json.dumps(timing, indent=2) + "\n")
+    save_numbers(result, folder, reports, how)
 
+    # Drawing is slow to import, and numbers that are saved survive a failure to draw them.
     from hpid_ros.analysis.plots import save_figures
     from hpid_ros.analysis.report import render_report
-    from hpid_ros.analysis.table import table_text
     from hpid_ros.analysis.table_export import table_csv, table_latex
 
-    folder.write("table.txt", table_text(result.comparison))
     folder.write("table.csv", table_csv(result.comparison))
     folder.write("table.tex", table_latex(result.comparison))
     save_figures(result.runs, folder.figures)
@@ -117,7 +137,3 @@ def save(result: Result, folder: ResultFolder, reports: Sequence[RunReport], how
         "report.html",
         render_report(result.comparison, result.runs, provenance, result.parameters()),
     )
-
-
-def _timing(report: RunReport) -> dict[str, object]:
-    return {**dataclasses.asdict(report), "rate": report.rate}

@@ -9,6 +9,7 @@ spinning; the nodes close while the context still lives, and the context is shut
 
 from __future__ import annotations
 
+import gc
 import os
 import re
 import signal
@@ -109,6 +110,9 @@ def _run_in_context(make_nodes: Callable[[], Sequence[ClosingNode]], stop: Stop)
     for node in nodes:
         node.stop = stop
         executor.add_node(node)
+    # What is there now stays: no collection looks at it again while the loop runs.
+    gc.collect()
+    gc.freeze()
     try:
         while not stop.future.done():
             executor.spin_until_future_complete(stop.future, _DEADLINE)

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import sys
+import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
 from rcl_interfaces.msg import SetParametersResult
+from rclpy.duration import Duration
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
@@ -23,15 +25,19 @@ from hpid_ros.nodes.certification import Certification
 from hpid_ros.nodes.commands import COMMAND_INTERFACES, command_sink
 from hpid_ros.nodes.diagnostics import OK, WARN, Diagnostics
 from hpid_ros.nodes.introspection import Introspection
+from hpid_ros.nodes.loop_timing import LoopTiming
 from hpid_ros.nodes.model_parameters import effort_limit, require_no_compensation
 from hpid_ros.nodes.parameters import declare, merged, read_only, verdict
 from hpid_ros.nodes.qos import NEWEST_STATES, RARE, overridable
+from hpid_ros.nodes.scheduling import schedule
 from hpid_ros.nodes.status_pipe import StatusPipe
 from hpid_ros.nodes.trajectories import from_message
 from hpid_ros.nodes.trajectory_subscriptions import TrajectorySubscriptions
 
 _READINESS_PERIOD = 0.02  # [s]
 _DIAGNOSTICS_PERIOD = 1.0  # [s]
+_LAST_COMMAND_WITHIN = Duration(seconds=0.5)
+_MANY_MISSED = 0.5  # of the states of a report
 
 
 class JointController(executor.ClosingNode):
@@ -73,11 +79,13 @@ class JointController(executor.ClosingNode):
         self._diagnostics = Diagnostics(self, self.joint)
         self._status = StatusPipe(self)
         self._certification = Certification(self, self._loop.settings)
-        self._misread = 0
+        self._timing = LoopTiming()
+        self._misread = self._missed = 0
         self._last_fault = ""
         self._subscribe()
         self.add_on_set_parameters_callback(self._check)
         self.add_post_set_parameters_callback(self._retune)
+        self._scheduling = schedule(self)
 
     def _subscribe(self) -> None:
         TrajectorySubscriptions(self, self._on_trajectory)
@@ -103,6 +111,7 @@ class JointController(executor.ClosingNode):
         self._status.send("listening")
 
     def _on_state(self, raw: bytes) -> None:
+        began_ns = time.perf_counter_ns()
         try:
             sample = self._reader.read(raw)
         except MessageError as error:
@@ -113,6 +122,7 @@ class JointController(executor.ClosingNode):
             return
         effort = self._loop.step(*sample)
         self._commands.send(sample.stamp_ns, effort)
+        self._timing.note(began_ns, time.perf_counter_ns())
         self._introspection.sample(sample.stamp_ns, self._loop)
 
     def _on_trajectory(self, message: JointTrajectoryMessage) -> None:
@@ -162,7 +172,7 @@ class JointController(executor.ClosingNode):
     def _report(self) -> None:
         loop, counts = self._loop, self._loop.counts
         message = "waiting for a subscriber of the commands" if self._states is None else ""
-        message = message or self._certification.warning
+        message = message or self._certification.warning or self._slowness()
         is_well = loop.state is not LoopState.FAULT and not message
         self._diagnostics.publish(
             OK if is_well else WARN,
@@ -173,6 +183,7 @@ class JointController(executor.ClosingNode):
                 "certified degrees": self._certification.degrees,
                 "samples": counts.samples,
                 "gaps": counts.gaps,
+                "missed samples": counts.missed,
                 "repeats": counts.repeats,
                 "clock resets": counts.resets,
                 "saturated samples": counts.saturated,
@@ -180,14 +191,28 @@ class JointController(executor.ClosingNode):
                 "effort [N m]": loop.effort,
                 "integral term [N m]": loop.integral,
                 "error [rad]": loop.error,
+                **self._timing.recent(),
+                "scheduling": self._scheduling,
                 "last fault": self._last_fault or "none",
             },
         )
 
+    def _slowness(self) -> str:
+        """Return a warning when most states of the last report seem lost."""
+        missed = self._loop.counts.missed - self._missed
+        self._missed += missed
+        settings = self._loop.settings
+        if missed < _MANY_MISSED * _DIAGNOSTICS_PERIOD / settings.control_period:
+            return ""
+        return f"states come more slowly than control_period = {settings.control_period:g} s says"
+
     def close(self) -> None:
-        """Leave the joint without effort: the last command is zero."""
+        """Leave the joint without effort: the last command is zero, and reliably heard."""
         if self._loop.stamp_ns is not None:
             self._commands.send(self._loop.stamp_ns, 0.0)
+            self._commands.publisher.wait_for_all_acked(_LAST_COMMAND_WITHIN)
+        counts = {"samples": self._loop.counts.samples, "missed": self._loop.counts.missed}
+        self._status.send("timing", joint=self.joint, **counts, **self._timing.whole())
         self._certification.close()
 
 

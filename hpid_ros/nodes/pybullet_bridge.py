@@ -15,16 +15,18 @@ from hpid_ros.nodes import executor
 from hpid_ros.nodes.bridge_pace import read_pace
 from hpid_ros.nodes.bridge_reports import BridgeReports
 from hpid_ros.nodes.bridge_services import BridgeServices
+from hpid_ros.nodes.bridge_timing import BridgeTiming
 from hpid_ros.nodes.diagnostics import OK, WARN, Diagnostics
 from hpid_ros.nodes.held_commands import HeldCommands
 from hpid_ros.nodes.qos import ALL_COMMANDS, OFFERED, overridable
+from hpid_ros.nodes.scheduling import schedule
 from hpid_ros.nodes.status_pipe import StatusPipe
 from hpid_ros.nodes.world_parameters import world_settings
 from hpid_ros.simulation.lockstep import Barrier
 from hpid_ros.simulation.world import World
 
 _READINESS_PERIOD = 0.01  # [s]
-_PROGRESS_PERIOD = 0.1  # [s]
+_PROGRESS_PERIOD_NS = 100_000_000
 _NANOSECONDS = 1_000_000_000
 
 
@@ -69,18 +71,21 @@ class PybulletBridge(executor.ClosingNode):
         self._misread = 0
         self._is_done = False
         self._is_started = False
-        self._asked = self._progressed = time.monotonic()
-        self._reported = self._asked, 0.0
+        self._timing = BridgeTiming(settings.joints)
+        self._stamp_ns = -1
+        self._progressed_ns = time.perf_counter_ns()
         self._asked_again = False
         self._readiness = self.create_timer(_READINESS_PERIOD, self._start_when_ready)
         self.create_timer(1.0, self._report)
+        self._scheduling = schedule(self)
 
     def _start_when_ready(self) -> None:
         listeners = self._states.get_subscription_count()
         commanders = self.count_publishers("joint_commands")
         if listeners < self._pace.subscribers or commanders < self._pace.publishers:
-            if time.monotonic() - self._progressed > 1.0:
-                self._progressed = time.monotonic()
+            now_ns = time.perf_counter_ns()
+            if now_ns - self._progressed_ns > _NANOSECONDS:
+                self._progressed_ns = now_ns
                 self._status.send("waiting", listeners=listeners, commanders=commanders)
                 self.get_logger().info(
                     f"waiting: {listeners} of {self._pace.subscribers} subscribers of the states, "
@@ -106,9 +111,9 @@ class PybulletBridge(executor.ClosingNode):
             self._misread += 1
             self.get_logger().warning(str(error), throttle_duration_sec=1.0)
             return
-        was_abandoned = self._barrier.is_abandoned
-        is_complete = self._barrier.answer(stamp_ns, names, efforts)
-        if is_complete or (was_abandoned and not self._barrier.is_abandoned):
+        if stamp_ns == self._stamp_ns:
+            self._timing.answered(names[0])
+        if self._barrier.answer(stamp_ns, names, efforts):
             self._resume()
 
     def _resume(self) -> None:
@@ -127,21 +132,23 @@ class PybulletBridge(executor.ClosingNode):
         self._publish_state()
 
     def _publish_state(self) -> None:
-        stamp_ns = self._world.time_ns
+        self._stamp_ns = stamp_ns = self._world.time_ns
         self._barrier.begin(stamp_ns)
         self._last_state = self._template.encode(
             stamp_ns, position=self._world.read(), effort=self._world.applied_efforts()
         )
+        self._timing.published()
         self._states.publish(self._last_state)
         self._reports.sample(stamp_ns)
-        self._asked, self._asked_again = time.monotonic(), False
-        if self._asked - self._progressed > _PROGRESS_PERIOD:
-            self._progressed = self._asked
+        self._asked_again = False
+        if self._timing.published_ns - self._progressed_ns > _PROGRESS_PERIOD_NS:
+            self._progressed_ns = self._timing.published_ns
             self._status.send("progress", stamp_ns=stamp_ns, silent=self._barrier.silent)
 
     def _watch(self) -> None:
         """Ask again when an answer is late, and go on without it when it is too late."""
-        waited, timeout = time.monotonic() - self._asked, self._pace.answer_timeout
+        waited = (time.perf_counter_ns() - self._timing.published_ns) / _NANOSECONDS
+        timeout = self._pace.answer_timeout
         if self._barrier.is_abandoned:  # somebody may come back, and needs a state to answer
             self._states.publish(self._last_state)
         if not self._barrier.missing or self._is_done:
@@ -169,6 +176,8 @@ class PybulletBridge(executor.ClosingNode):
             states=self._world.time_ns // self._world.settings.control_period_ns + 1,
             counts={joint: vars(counts) for joint, counts in self._barrier.counts.items()},
             foreign=self._barrier.foreign,
+            wall_time=self._timing.elapsed,
+            timing=self._timing.whole(),
         )
         if self._pace.exits:
             self.request_stop()
@@ -188,11 +197,8 @@ class PybulletBridge(executor.ClosingNode):
             "unanswered": sum(count.unanswered for count in counts),
             "answers to earlier states": sum(count.stale for count in counts),
         }
-        now, simulated = time.monotonic(), self._world.time_ns / _NANOSECONDS
-        reported, before = self._reported
-        self._reported = now, simulated
-        if self._is_started and simulated >= before:
-            values["real-time factor"] = (simulated - before) / max(now - reported, 1e-9)
+        values |= self._timing.recent(self._world.time_ns) if self._is_started else {}
+        values["scheduling"] = self._scheduling
         is_well = self._is_started and not silent
         self._diagnostics.publish(OK if is_well else WARN, message, values)
 

@@ -41,11 +41,11 @@ class Barrier:
         self.counts = {joint: AnswerCounts() for joint in self.joints}
         self.foreign = 0
         self._index = {joint: index for index, joint in enumerate(self.joints)}
+        self._everyone = frozenset(self.joints)
         self._silent: set[str] = set()
         self._stamp_ns: int | None = None
-        self._missing: set[str] = set()
+        self._missing: set[str] = set()  # of the present state; never also silent
         self._efforts = [0.0] * len(self.joints)
-        self._answered: set[str] = set()
 
     @property
     def silent(self) -> tuple[str, ...]:
@@ -74,8 +74,7 @@ class Barrier:
             stamp_ns: Its stamp in [ns].
         """
         self._stamp_ns = stamp_ns
-        self._missing = set(self.joints) - self._silent
-        self._answered = set()
+        self._missing = set(self._everyone - self._silent)
         self._efforts = [0.0] * len(self.joints)
 
     def answer(self, stamp_ns: int, names: Sequence[str], efforts: Sequence[float]) -> bool:
@@ -87,9 +86,10 @@ class Barrier:
             efforts: Their efforts in [N m].
 
         Returns:
-            Whether this command completed the answers to the present state.
+            Whether this command ended the waiting: it completed the answers to the present
+            state, or it is the first after everybody had been given up.
         """
-        was_waiting = bool(self._missing)
+        was_waiting = bool(self._missing) or self.is_abandoned
         for name, effort in zip(names, efforts, strict=True):
             counts = self.counts.get(name)
             if counts is None:
@@ -98,20 +98,21 @@ class Barrier:
                 counts.stale += 1
             else:
                 self._accept(name, counts, effort)
-        return was_waiting and not self._missing
+        return was_waiting and not self._missing and not self.is_abandoned
 
     def _accept(self, name: str, counts: AnswerCounts, effort: float) -> None:
-        if name in self._answered:
-            counts.repeated += 1
-        else:
+        if name in self._missing:
+            self._missing.remove(name)
             counts.answered += 1
-            self._answered.add(name)
+        elif name in self._silent:
+            self._silent.remove(name)
+            counts.answered += 1
+        else:
+            counts.repeated += 1
         if not math.isfinite(effort):
             counts.invalid += 1
             effort = 0.0
         self._efforts[self._index[name]] = effort
-        self._missing.discard(name)
-        self._silent.discard(name)
 
     def give_up(self) -> tuple[str, ...]:
         """Stop waiting for those that have not answered.
@@ -127,6 +128,5 @@ class Barrier:
     def finish(self) -> list[float]:
         """Count who did not answer, and return the efforts for the physics in [N m]."""
         for joint in self._silent:
-            if joint not in self._answered:
-                self.counts[joint].unanswered += 1
+            self.counts[joint].unanswered += 1
         return self._efforts

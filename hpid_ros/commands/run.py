@@ -1,0 +1,89 @@
+"""``hpid run``: one controller of an experiment on the graph, and how its time was spent."""
+
+from __future__ import annotations
+
+import argparse
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from hpid_ros.commands import DONE
+from hpid_ros.commands.compare import DEFAULT_EXPERIMENT
+from hpid_ros.resources import find_resource
+
+
+def add(commands: Any) -> None:
+    """Add the command to the parser."""
+    parser = commands.add_parser(
+        "run",
+        help="run one controller of an experiment and show how its time was spent",
+        description="Run one controller of an experiment on the real ROS 2 graph, record it, and "
+        "end with its indices and with a table of periods, compute times, latencies and losses.",
+    )
+    parser.add_argument(
+        "experiment", nargs="?", metavar="FILE", help="experiment file (the paper's comparison)"
+    )
+    parser.add_argument(
+        "--controller", metavar="LABEL", help="which of its controllers (the last one)"
+    )
+    spread = parser.add_mutually_exclusive_group()
+    spread.add_argument(
+        "--composed", action="store_true", help="all controllers in one process, not one each"
+    )
+    spread.add_argument(
+        "--single-process", action="store_true", help="controllers and robot in one process"
+    )
+    parser.add_argument(
+        "--realtime", action="store_true", help="paced by the wall clock, not in lock-step"
+    )
+    parser.add_argument(
+        "--realtime-priority",
+        type=int,
+        default=0,
+        metavar="N",
+        help="SCHED_FIFO priority of the control loop, 1 to 99",
+    )
+    parser.add_argument("--no-record", action="store_true", help="leave no bag and no indices")
+    parser.add_argument(
+        "-o", "--output", type=Path, metavar="FOLDER", help="result folder (results/NAME-TIME)"
+    )
+    parser.add_argument("--force", action="store_true", help="replace an existing result")
+    parser.set_defaults(command=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the controller and print what it gave."""
+    from rich.console import Console
+
+    from hpid_ros.analysis.table import ComparisonTable
+    from hpid_ros.experiment.description import load_experiment
+    from hpid_ros.experiment.graph_options import GraphOptions
+    from hpid_ros.experiment.single_run import run_controller
+    from hpid_ros.terminal import RunProgress, print_result_places, print_timing
+
+    graph = GraphOptions(
+        processes=_processes(options),
+        is_recorded=not options.no_record,
+        is_realtime=options.realtime,
+        realtime_priority=options.realtime_priority,
+    )
+    experiment = load_experiment(options.experiment or find_resource(DEFAULT_EXPERIMENT))
+    label = options.controller or list(experiment.controllers)[-1]
+    output = (
+        options.output or Path("results") / f"{experiment.name}-{datetime.now():%Y%m%d-%H%M%S}"
+    )
+    console = Console()
+    period = experiment.world.control_period_ns * 1e-9
+    with RunProgress(console, experiment.duration, [label], period) as progress:
+        ran = run_controller(experiment, label, output, progress, graph, force=options.force)
+    if ran.result:
+        console.print(ComparisonTable(ran.result.comparison))
+    print_timing(console, ran.report, experiment.duration)
+    print_result_places(console, {"result": ran.folder.path})
+    return DONE
+
+
+def _processes(options: argparse.Namespace) -> str:
+    if options.single_process:
+        return "single"
+    return "composed" if options.composed else "each"

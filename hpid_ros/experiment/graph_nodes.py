@@ -1,0 +1,110 @@
+"""The processes of one run on the graph: which there are, and what each is told."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from hpid_ros.experiment.description import Experiment
+from hpid_ros.experiment.graph_options import GraphOptions
+from hpid_ros.experiment.node_process import NodeGroup, NodeProcess
+from hpid_ros.experiment.parameter_files import (
+    bridge_document,
+    controllers_document,
+    write_parameters,
+)
+from hpid_ros.names import controller_name
+
+BRIDGE, RECORDER, REFERENCE = "pybullet_bridge", "bag_recorder", "trajectory_publisher"
+COMPOSED, SINGLE = "joint_controllers", "single_process"
+
+
+class GraphNodes:
+    """Starts the nodes of one run.
+
+    Attributes:
+        bridge: Name of the process that holds the bridge.
+        recorder: Name of the process that holds the recorder.
+        vital: Names of the processes that a run cannot do without.
+
+    Args:
+        experiment: The experiment.
+        label: Which of its controllers.
+        bag: Folder of the bag to create.
+        folder: Existing folder for parameter files and logs.
+        options: How the run is spread over processes, paced and recorded.
+    """
+
+    def __init__(
+        self,
+        experiment: Experiment,
+        label: str,
+        bag: Path | None,
+        folder: Path,
+        options: GraphOptions,
+    ) -> None:
+        self._experiment, self._label, self._options = experiment, label, options
+        self._bag, self._folder = bag, folder
+        is_single = options.processes == "single"
+        self.bridge = SINGLE if is_single else BRIDGE
+        self.recorder = SINGLE if is_single else RECORDER
+        self.vital = frozenset({self.bridge, self.recorder, REFERENCE})
+
+    def start(self, group: NodeGroup) -> list[NodeProcess]:
+        """Write the parameter files and start every process.
+
+        Args:
+            group: Takes the processes.
+        """
+        settings = self._experiment.controllers[self._label]
+        write_parameters(self._folder / "bridge.yaml", bridge_document(self._experiment))
+        write_parameters(self._folder / "controllers.yaml", controllers_document(settings))
+        reference = _parameters(reference_file=self._experiment.path)
+        nodes = [group.start(REFERENCE, REFERENCE, reference)]
+        of_recorder = _parameters(bag=self._bag) if self._options.is_recorded else []
+        of_all = _parameters(realtime_priority=self._options.realtime_priority)
+        controllers, bridge = self._of_controllers() + of_all, self._of_bridge() + of_all
+        if self._options.processes == "single":
+            of_recorder += _parameters(record=self._options.is_recorded)
+            everything = [*controllers, *bridge, *of_recorder]
+            return [*nodes, group.start(SINGLE, SINGLE, everything, is_renamed=False)]
+        if self._options.is_recorded:
+            nodes.append(group.start(RECORDER, RECORDER, of_recorder))
+        if self._options.processes == "composed":
+            nodes.append(group.start(COMPOSED, COMPOSED, controllers, is_renamed=False))
+        else:
+            names = [controller_name(each.joint) for each in settings]
+            nodes += [group.start(name, "joint_controller", controllers) for name in names]
+        return [*nodes, group.start(BRIDGE, BRIDGE, bridge)]
+
+    def _of_controllers(self) -> list[str]:
+        return [
+            *("--params-file", str(self._folder / "controllers.yaml")),
+            *_parameters(
+                wait_for_command_subscribers=1 + self._options.is_recorded,
+                wait_for_reference=True,
+                introspection_rate=0.0,
+                certify=False,
+            ),
+        ]
+
+    def _of_bridge(self) -> list[str]:
+        joints = len(self._experiment.world.joints)
+        return [
+            *("--params-file", str(self._folder / "bridge.yaml")),
+            *_parameters(
+                mode="realtime" if self._options.is_realtime else "lockstep",
+                exit_when_done=False,
+                wait_for_subscribers=joints + self._options.is_recorded,
+                wait_for_publishers=joints,
+                report_rate=0.0,
+            ),
+        ]
+
+
+def _parameters(**values: object) -> list[str]:
+    """Return ROS arguments that set parameters."""
+    arguments = []
+    for name, value in values.items():
+        text = str(value).lower() if isinstance(value, bool) else str(value)
+        arguments += ["-p", f"{name}:={text}"]
+    return arguments

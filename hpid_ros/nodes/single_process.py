@@ -1,0 +1,43 @@
+"""The simulated robot and all its controllers in one process, on the same nodes and topics."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+
+from hpid_ros.nodes import executor, joint_controllers
+from hpid_ros.nodes.bag_recorder import BagRecorder
+from hpid_ros.nodes.parameters import read_only
+from hpid_ros.nodes.pybullet_bridge import PybulletBridge
+
+
+class SingleProcess(executor.ClosingNode):
+    """Says whether this process also records."""
+
+    def __init__(self) -> None:
+        super().__init__("single_process")
+        self.records: bool = read_only(
+            self, "record", False, "Run bag_recorder in this process too, with its parameters"
+        )
+
+
+def make_nodes() -> list[executor.ClosingNode]:
+    """Make the bridge, one controller for each joint of ``joint_controllers``, and a recorder.
+
+    Raises:
+        HpidError: A parameter given at start cannot be used.
+        InvalidNodeNameException: A joint's name has a character that a node's may not have.
+    """
+    process = SingleProcess()
+    nodes = [process, PybulletBridge(), *joint_controllers.make_nodes()]
+    # The last to be closed: it keeps what the others still say.
+    return [*nodes, BagRecorder()] if process.records else nodes
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the bridge, the controllers and the recorder."""
+    return executor.run(make_nodes, args)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
