@@ -19,6 +19,7 @@ INSTALL_REQUIRES = [
     "matplotlib>=3.8,<4",
     "rich>=13.7,<16",
     "PyYAML>=6.0,<7",
+    "joblib>=1.4,<2",  # batches over processes
 ]
 
 EXTRAS = {

@@ -15,6 +15,7 @@ from hpid_ros.commands import (
     compare,
     metrics,
     run,
+    sweep,
     upgrade,
 )
 from hpid_ros.errors import HpidError, RunError
@@ -49,7 +50,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"hpid_ros {__version__}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    for each in (compare, run, metrics, check_gains, upgrade):
+    for each in (compare, run, sweep, metrics, check_gains, upgrade):
         each.add(commands)
     return parser
 

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Sequence
 from pathlib import Path
 
 from hpid_ros.errors import ExperimentError, ResultExistsError
 
 _MARK = "experiment.yaml"
+_PARTS = ("bags", "figures", "nodes")
 
 
 class ResultFolder:
@@ -21,12 +23,15 @@ class ResultFolder:
         self.path = path
 
     @classmethod
-    def create(cls, path: Path, *, force: bool = False) -> ResultFolder:
+    def create(
+        cls, path: Path, *, force: bool = False, parts: Sequence[str] = _PARTS
+    ) -> ResultFolder:
         """Make the folder.
 
         Args:
             path: Where; it must not exist.
             force: Replace a result that is there already. Anything else is never replaced.
+            parts: Folders to make inside it.
 
         Raises:
             ResultExistsError: The path exists and is not to be replaced.
@@ -35,7 +40,7 @@ class ResultFolder:
         try:
             if path.exists():
                 cls._remove(path, force)
-            for folder in (path, path / "bags", path / "figures", path / "nodes"):
+            for folder in (path, *(path / part for part in parts)):
                 folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             reason = (error.strerror or str(error)).lower()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from types import TracebackType
 
 from hpid_ros.errors import SettingError
@@ -46,7 +47,6 @@ class World:
         self._encoders = settings.encoders
         if settings.payload_mass:
             self.description.link(settings.payload_link)
-        self._urdf = bullet_urdf(self.description)
         self._states: Sequence[tuple[float, float]] | None = None
         self._client = -1
         with captured():
@@ -75,11 +75,19 @@ class World:
             with captured():
                 pybullet.disconnect(physicsClientId=client)
 
-    def reset(self) -> None:
-        """Go back to time 0; what follows is what would follow in a fresh world."""
-        with captured():
-            pybullet.resetSimulation(physicsClientId=self._client)
-        self._build()
+    def reset(self, seed: int | None = None) -> None:
+        """Go back to time 0; what follows is what would follow in a fresh world.
+
+        Args:
+            seed: What is drawn by chance is drawn anew from it; if None, from the seed as it is.
+        """
+        if seed is not None:
+            self.settings = replace(self.settings, seed=seed)
+        self._encoders = self.settings.encoders
+        if self._scene.payload is not None:
+            self._scene.load_payload(self._client, self.settings.payload_mass)
+        pybullet.restoreState(self._at_start, physicsClientId=self._client)
+        self._begin()
 
     @property
     def time_ns(self) -> int:
@@ -187,8 +195,14 @@ class World:
         self._scene.load_payload(self._client, require_mass(mass))
 
     def _build(self) -> None:
-        """Build the scene in an empty simulation."""
-        self._scene = build_scene(self._client, self._urdf, self.description, self.settings)
+        """Build the scene in an empty simulation, and keep its state for every reset."""
+        urdf = bullet_urdf(self.description)
+        self._scene = build_scene(self._client, urdf, self.description, self.settings)
+        self._at_start: int = pybullet.saveState(physicsClientId=self._client)
+        self._begin()
+
+    def _begin(self) -> None:
+        """Start counting at time 0."""
         self._periods = 0
         self._applied = (0.0,) * len(self._actuators)
         self._pulses: list[Pulse] = []

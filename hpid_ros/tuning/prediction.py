@@ -5,13 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
-import numpy as np
-
 from hpid_ros.analysis import Comparison, JointSeries, RunSeries, run_indices
+from hpid_ros.analysis.complete_run import complete_run
 from hpid_ros.control import JointLoop, LoopSettings
 from hpid_ros.control.joint_loop import Motion
 from hpid_ros.simulation import World, WorldSettings
-from hpid_ros.simulation.in_process import Sample, run_in_process
+from hpid_ros.simulation.recording import record_run
 from hpid_ros.trajectory import Column, Knot
 
 _NANOSECONDS = 1_000_000_000
@@ -65,26 +64,9 @@ def _run(
     for loop in loops:
         motion: Motion = motions[loop.settings.joint]
         loop.follow(motion)
-    samples: list[Sample] = []
-    references: list[list[float]] = []
-
-    def observe(sample: Sample) -> None:
-        samples.append(sample)
-        references.append([loop.reference[0] for loop in loops])
-
     with World(world) as robot:
-        run_in_process(robot, loops, periods, observe)
-    stamps = np.array([sample.stamp_ns for sample in samples])
-    positions = np.array([sample.positions for sample in samples])
-    efforts = np.array([sample.efforts for sample in samples])
-    wanted = np.array(references)
-    return RunSeries(
-        label,
-        tuple(
-            JointSeries(joint, stamps, positions[:, k], wanted[:, k], stamps, efforts[:, k])
-            for k, joint in enumerate(world.joints)
-        ),
-    )
+        stamps_ns, *columns = record_run(robot, loops, periods)
+    return complete_run(label, world.joints, stamps_ns, columns)
 
 
 def _motion(settings: LoopSettings, series: JointSeries | None) -> Column:

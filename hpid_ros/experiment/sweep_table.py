@@ -1,0 +1,120 @@
+"""A sweep's table, for a terminal and as plain text."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterable, Sequence
+
+from rich.box import SIMPLE
+from rich.console import Console, ConsoleOptions, RenderResult
+from rich.measure import Measurement
+from rich.table import Table
+from rich.text import Text
+
+from hpid_ros.analysis.comparison import verdict
+from hpid_ros.analysis.indices import Quantity
+from hpid_ros.analysis.number_text import format_ratio, format_values
+from hpid_ros.analysis.table import ASCII_MARKS, MARKS, STYLES, UNLIMITED_WIDTH
+from hpid_ros.experiment.sweep_axes import shown
+from hpid_ros.experiment.sweep_result import QUANTITIES, Quartiles, SweepResult
+from hpid_ros.experiment.sweep_rows import Row
+
+_NOTHING = "-"
+
+
+class SweepTable:
+    """Rows are points; columns are parameters, then median, quartiles and ratio of each index.
+
+    All indices stand side by side while the width allows, else one below the other.
+
+    Attributes:
+        result: What it shows.
+    """
+
+    def __init__(self, result: SweepResult) -> None:
+        self.result = result
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        is_ascii = options.ascii_only
+        wide = self._table(QUANTITIES, is_ascii)
+        unlimited = options.update_width(UNLIMITED_WIDTH)
+        if Measurement.get(console, unlimited, wide).maximum <= options.max_width:
+            yield wide
+        else:
+            for quantity in QUANTITIES:
+                yield self._table((quantity,), is_ascii)
+        yield self._legend()
+
+    def _table(self, quantities: Sequence[Quantity], is_ascii: bool) -> Table:
+        sweep = self.result.sweep
+        places = range(len(sweep.rows))
+        table = Table(box=SIMPLE, show_edge=False, padding=(0, 1, 0, 0))
+        columns: list[tuple[str, list[Text]]] = [
+            ("controller", [_label(row) for row in sweep.rows])
+        ]
+        for axis in sweep.axes:
+            values = [row.values.get(axis.name) for row in sweep.rows]
+            texts = [Text(_NOTHING if each is None else shown(each)) for each in values]
+            columns.append((axis.name, texts))
+        for quantity in quantities:
+            columns += self._columns(quantity, is_ascii)
+        notes = [Text(self.result.note(place)) for place in places]
+        for name, _ in columns:
+            left = name == "controller"
+            table.add_column(Text(name), justify="left" if left else "right", overflow="fold")
+        if any(notes):
+            table.add_column("note", overflow="fold")
+            columns.append(("note", notes))
+        for cells in zip(*(column for _, column in columns), strict=True):
+            table.add_row(*cells)
+        return table
+
+    def _columns(self, quantity: Quantity, is_ascii: bool) -> list[tuple[str, list[Text]]]:
+        places = range(len(self.result.sweep.rows))
+        own = [self.result.quartiles(place, quantity) for place in places]
+        ratios = [self.result.ratios(place, quantity) for place in places]
+        numbers = iter(format_values([x for each in own if each for x in each]))
+        texts = [None if each is None else [next(numbers) for _ in each] for each in own]
+        dash = "-" if is_ascii else "–"
+        return [
+            (f"{quantity.symbol} [{quantity.unit}]", _cells(t[1] if t else None for t in texts)),
+            ("quartiles", _cells(f"{t[0]}{dash}{t[2]}" if t else None for t in texts)),
+            ("ratio", [_ratio(each, is_ascii) for each in ratios]),
+        ]
+
+    def _legend(self) -> Text:
+        sweep = self.result.sweep
+        count = len(sweep.seeds)
+        joints = ", ".join(sweep.joints) or f"all {len(sweep.experiment.world.joints)} joints"
+        return Text(
+            f"Medians and quartiles over {count} seed{'s' * (count > 1)}, totals over {joints}.\n"
+            f"Ratio: run / {sweep.baseline} with the same seed on the same robot; median.",
+            style="dim",
+        )
+
+
+def sweep_text(result: SweepResult) -> str:
+    """Return the table as plain text, one line a row however long it is."""
+    console = Console(
+        file=io.StringIO(), width=UNLIMITED_WIDTH, color_system=None, legacy_windows=False
+    )
+    with console.capture() as capture:
+        console.print(SweepTable(result))
+    lines = (line.rstrip() for line in capture.get().splitlines())
+    return "\n".join(lines).strip("\n") + "\n"
+
+
+def _label(row: Row) -> Text:
+    return Text(row.label if row.baseline is not None else f"{row.label} (baseline)")
+
+
+def _cells(texts: Iterable[str | None]) -> list[Text]:
+    return [Text(_NOTHING if each is None else each) for each in texts]
+
+
+def _ratio(ratios: Quartiles | None, is_ascii: bool) -> Text:
+    if ratios is None:
+        return Text(_NOTHING)
+    kind = verdict(ratios.median)
+    marks = ASCII_MARKS if is_ascii else MARKS
+    return Text(f"{format_ratio(ratios.median)}{marks[kind]}", style=STYLES[kind])

@@ -1,0 +1,478 @@
+"""Sweeps and batches: every run as on its own, whatever else runs, and nothing lost in silence."""
+
+import csv
+import io
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hpid_ros.analysis.indices import INDICES, IVC, JointIndices, RunIndices
+from hpid_ros.cli import main
+from hpid_ros.commands import BAD_INPUT, DONE, FAILED, INTERRUPTED
+from hpid_ros.control import JointLoop
+from hpid_ros.errors import RunError, SettingError
+from hpid_ros.experiment import batch
+from hpid_ros.experiment.batch import Outcome, run_batch
+from hpid_ros.experiment.description import load_experiment
+from hpid_ros.experiment.in_process_run import run_without_ros
+from hpid_ros.experiment.progress import Silence
+from hpid_ros.experiment.result import compute
+from hpid_ros.experiment.simulated_run import RunTask, WorldKeeper, simulate, simulated_indices
+from hpid_ros.experiment.sweep import plan_sweep
+from hpid_ros.experiment.sweep_axes import Axis
+from hpid_ros.experiment.sweep_result import QUANTITIES, SweepResult
+from hpid_ros.simulation import World
+from hpid_ros.simulation.in_process import run_in_process
+from hpid_ros.trajectory import JointTrajectory, TrajectoryPoint
+
+
+@pytest.fixture
+def experiment(experiment_file):
+    """Return the paper's experiment, a tenth of a second long."""
+    return load_experiment(experiment_file(duration=0.1))
+
+
+def seeded(experiment, label, count):
+    task = RunTask.of(experiment, label)
+    return [
+        replace(task, label=f"seed={k}", world=replace(experiment.world, seed=k))
+        for k in range(count)
+    ]
+
+
+def numbers(indices):
+    """Return every number of a run."""
+    joints = {j: [indices.value(q, j) for q in INDICES] for j in indices.joints}
+    return joints, [indices.value(quantity) for quantity in QUANTITIES]
+
+
+def test_numbers_are_those_of_the_comparison_to_the_last_bit(experiment_file, tmp_path):
+    experiment = load_experiment(experiment_file(duration=0.3))
+    bags = {label: tmp_path / label for label in experiment.controllers}
+    for label, bag in bags.items():
+        run_without_ros(experiment, label, bag, Silence())
+    for compared in compute(experiment, bags).comparison.runs:
+        with WorldKeeper() as keeper:
+            found = simulated_indices(RunTask.of(experiment, compared.label), keeper)
+        assert numbers(found) == numbers(compared)
+        assert found.label == compared.label
+
+
+def trace(world, experiment):
+    """Return everything that a controlled run shows of a world."""
+    loops = [JointLoop(each) for each in experiment.controllers["hPID"]]
+    for loop in loops:
+        loop.follow(experiment.trajectory.column(loop.settings.joint))
+    seen = []
+
+    def look(sample):
+        base = (world.base_pose(), world.base_velocity())
+        seen.append((*sample, world.true_positions(), world.true_velocities(), *base))
+
+    run_in_process(world, loops, 200, look)
+    return seen
+
+
+@pytest.mark.parametrize("changes", [{}, {"payload_mass": 2.0}, {"fixed_base": True}], ids=str)
+def test_a_reset_world_is_a_fresh_one_whatever_happened_to_it(experiment, changes):
+    settings = replace(experiment.world, seed=7, **changes)
+    with World(settings) as world:
+        fresh = trace(world, experiment)
+    chance = random.Random(1)
+    with World(replace(settings, seed=3)) as world:
+        for _ in range(2):
+            world.set_payload(1.3)
+            world.apply_wrench("payload", (0.0, 40.0, 400.0), (30.0, 0.0, 0.0), 200_000_000)
+            for _ in range(300):
+                world.step([chance.uniform(-50.0, 50.0) for _ in settings.joints])
+            world.reset(seed=7)
+            assert world.time_ns == 0
+            assert trace(world, experiment) == fresh
+
+
+def test_a_kept_world_changes_no_number_and_only_the_seed_keeps_it(experiment):
+    first, second = seeded(experiment, "hPID", 2)
+    with WorldKeeper() as keeper:
+        world = keeper.at_start(first.world)
+        assert keeper.at_start(second.world) is world
+        kept = [numbers(simulated_indices(task, keeper)) for task in (first, second, first)]
+        assert keeper.at_start(replace(first.world, payload_mass=1.0)) is not world
+    with WorldKeeper() as alone:
+        assert kept[1] == numbers(simulated_indices(second, alone))
+    assert kept[0] == kept[2] != kept[1]
+
+
+def test_the_record_is_what_the_loops_saw(experiment):
+    with WorldKeeper() as keeper:
+        run = simulate(RunTask.of(experiment, "hPID"), keeper)
+    assert run.joint_names == experiment.world.joints
+    for series in run.joints:
+        assert np.array_equal(series.state_stamps_ns, np.arange(101) * 1_000_000)
+        column = experiment.trajectory.column(series.joint)
+        reference = column.start(0, float(series.position[0]))
+        wanted = [reference.sample(stamp).position for stamp in series.state_stamps_ns.tolist()]
+        assert series.reference.tolist() == wanted
+
+
+def test_outcomes_depend_neither_on_the_processes_nor_on_the_order(experiment):
+    tasks = [*seeded(experiment, "hPID", 3), *seeded(experiment, "PID", 2)]
+    alone = {o.place: numbers(o.indices) for o in run_batch(tasks, 1)}
+    assert list(alone) == list(range(5))
+    together = {o.place: numbers(o.indices) for o in run_batch(tasks, 2)}
+    assert together == alone
+    backwards = {4 - o.place: numbers(o.indices) for o in run_batch(tasks[::-1], 3)}
+    assert backwards == alone
+    assert list(run_batch([], 2)) == []
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_a_run_that_fails_is_named_and_the_others_go_on(experiment, jobs):
+    tasks = seeded(experiment, "hPID", 4)
+    of_one_joint = JointTrajectory(("wheel_left_joint",), (TrajectoryPoint(0, (0.0,)),))
+    tasks[1] = replace(tasks[1], trajectory=of_one_joint)
+    outcomes = sorted(run_batch(tasks, jobs), key=lambda outcome: outcome.place)
+    assert [bool(outcome.failure) for outcome in outcomes] == [False, True, False, False]
+    assert "unknown joint 'wheel_right_joint'" in outcomes[1].failure
+    assert outcomes[1].indices is None
+
+
+class Deadly(JointTrajectory):
+    """A trajectory that ends the process that follows it."""
+
+    def column(self, joint):
+        os._exit(3)
+
+
+def test_a_process_that_dies_ends_the_batch_and_its_runs_are_named(experiment):
+    tasks = seeded(experiment, "hPID", 6)
+    deadly = Deadly(experiment.trajectory.joint_names, experiment.trajectory.points)
+    tasks[2] = replace(tasks[2], trajectory=deadly)
+    with pytest.raises(RunError, match=r"a process died during one of these runs: .*seed=2"):
+        list(run_batch(tasks, 2))
+
+
+def test_leaving_a_batch_early_ends_its_processes_and_is_nothing_to_warn_of(experiment, recwarn):
+    outcomes = run_batch(seeded(experiment, "hPID", 50), 2)
+    next(outcomes)
+    before = workers(os.getpid())
+    assert len(before) == 2
+    outcomes.close()
+    wait_until(lambda: not any(is_alive(each) for each in before))
+    assert not recwarn.list
+
+
+def workers(parent):
+    """Return the processes of a batch."""
+    found = []
+    for status in Path("/proc").glob("[0-9]*/status"):
+        try:
+            is_child = f"\nPPid:\t{parent}\n" in status.read_text()
+            if is_child and b"LokyProcess" in (status.parent / "cmdline").read_bytes():
+                found.append(int(status.parent.name))
+        except OSError:  # it has just ended
+            continue
+    return found
+
+
+def is_alive(process):
+    try:
+        return "\nState:\tZ" not in Path(f"/proc/{process}/status").read_text()
+    except OSError:
+        return False
+
+
+def blocked_signals(process):
+    status = Path(f"/proc/{process}/status").read_text().splitlines()
+    (mask,) = [int(line.split()[1], 16) for line in status if line.startswith("SigBlk:")]
+    return [number for number in signal.valid_signals() if mask >> (number - 1) & 1]
+
+
+def wait_until(is_true, within=60.0):
+    deadline = time.monotonic() + within
+    while not is_true():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+@pytest.mark.parametrize("is_warm", [False, True])
+def test_an_interrupt_ends_every_process_and_leaves_what_was_run(
+    experiment_file, tmp_path, is_warm
+):
+    folder = tmp_path / "sweep"
+    command = [sys.executable, "-m", "hpid_ros.cli", "sweep", str(experiment_file(duration=2.0))]
+    command += ["--vary", "mu=-0.2:0.2:50", "--jobs", "2", "-o", str(folder)]
+    process = subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
+    )
+    wait_until(lambda: len(workers(process.pid)) == 2)
+    children = workers(process.pid)
+    if is_warm:  # they have begun to compute, in one thread each
+        wait_until(
+            lambda: all("pybullet" in Path(f"/proc/{k}/maps").read_text() for k in children)
+        )
+        for each in children:
+            assert b"OMP_NUM_THREADS=1\0" in Path(f"/proc/{each}/environ").read_bytes()
+            assert signal.SIGINT in blocked_signals(each)  # so that none of them says anything
+    os.killpg(process.pid, signal.SIGINT)  # to all, as a terminal does
+    out, err = process.communicate(timeout=60.0)
+    assert process.returncode == INTERRUPTED
+    assert err.splitlines() == [f"what was run: {folder}", "hpid: interrupted"]
+    assert out == ""
+    wait_until(lambda: not any(is_alive(each) for each in children))
+    rows = (folder / "sweep.csv").read_text().splitlines()
+    assert json.loads((folder / "sweep.json").read_text())["runs"]["made"] == len(rows) - 1
+
+
+@pytest.mark.parametrize(
+    ("text", "values"),
+    [
+        ("mu=-0.3:0.3:7", (-0.3, -0.2, -0.1, 0.0, 0.1, 0.2, 0.3)),
+        ("norm.error_scale = 0.1, 0.3,1", (0.1, 0.3, 1.0)),
+        ("gains.p=1e2:2e2:2", (100.0, 200.0)),
+        ("norm.type=weighted,canonical", ("weighted", "canonical")),
+        ("payload=0:2:5", (0.0, 0.5, 1.0, 1.5, 2.0)),
+    ],
+)
+def test_axes_are_what_a_person_means(text, values):
+    assert Axis.parse(text).values == values
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("mu", "must be NAME=START:STOP:COUNT"),
+        ("=1", "must be NAME="),
+        ("mu=", "must be NAME="),
+        ("mu=0.1,", "'' is not a number"),
+        ("mu=small", "'small' is not a number"),
+        ("mu=0.1:0.3", "must be START:STOP:COUNT"),
+        ("mu=0.1:0.3:1", "for one value write NAME=VALUE"),
+        ("mu=0.1:0.3:2.5", "COUNT must be a whole number"),
+        ("mu=0.1:0.3:1e9", "from 2 to 10000"),
+        ("mu=0.1:0.1:2", "0.1 is there twice"),
+        ("mu=nan", "not finite"),
+        ("muu=0.1", "did you mean 'mu'"),
+        ("joint=elbow", "unknown parameter 'joint'"),
+        ("law=pdi", "one of hpid, pid"),
+    ],
+)
+def test_bad_axes_are_refused_in_a_line_that_repeats_them(text, words):
+    with pytest.raises(SettingError) as refusal:
+        Axis.parse(text)
+    assert words in str(refusal.value)
+    assert repr(text) in str(refusal.value)
+    assert "\n" not in str(refusal.value)
+
+
+@pytest.mark.parametrize(
+    ("texts", "options", "words"),
+    [
+        ([], {}, "nothing is varied"),
+        (["mu=0.1", "mu=0.2"], {}, "mu is varied twice"),
+        (["mu=0.1"], {"controller": "hPI"}, "did you mean 'hPID'"),
+        (["mu=0.1"], {"controller": "PID"}, "no effect on controller 'PID'"),
+        (["mu=0.1"], {"joints": ["arm_joint_7"]}, "unknown joint 'arm_joint_7'"),
+        (["mu=0.1"], {"seeds": 0}, "seeds must be at least 1"),
+        (["mu=-0.4:0.4:9999"], {"seeds": 1000}, "9999000 runs are too many"),
+        (["mu=0.5:0.9:3"], {}, r"no point can run; hPID mu=0.5: .*\(-0.5, 0.5\)"),
+    ],
+)
+def test_grids_that_make_no_sense_are_refused(experiment, texts, options, words):
+    with pytest.raises(SettingError, match=words):
+        plan_sweep(experiment, [Axis.parse(text) for text in texts], **options)
+
+
+def planned(experiment, *texts, **options):
+    return plan_sweep(experiment, [Axis.parse(text) for text in texts], **options)
+
+
+def test_a_grid_is_every_combination_with_every_seed(experiment):
+    sweep = planned(experiment, "mu=-0.1,0.1", "norm.error_scale=0.2,0.3,0.4", seeds=3)
+    assert sweep.seeds == (1, 2, 3)
+    baseline, *points = sweep.rows
+    assert baseline.loops == experiment.controllers["PID"]
+    assert [tuple(row.values.values()) for row in points] == [
+        (mu, scale) for mu in (-0.1, 0.1) for scale in (0.2, 0.3, 0.4)
+    ]
+    for row in points:
+        assert {(e.mu, e.norm_error_scale) for e in row.loops} == {tuple(row.values.values())}
+    tasks = sweep.tasks()
+    assert len(tasks) == len({task.label for task in tasks.values()}) == 7 * 3
+    assert all(task.world.seed == seed for (_, seed), task in tasks.items())
+
+
+def test_named_joints_alone_are_varied_and_judged(experiment):
+    sweep = planned(experiment, "mu=0.2", joints=["arm_joint_2"], seeds=1)
+    changed = {each.joint for each in sweep.rows[1].loops if each.mu == 0.2}
+    assert changed == {"arm_joint_2"}
+    (outcome, _) = run_batch(list(sweep.tasks().values()), 1)
+    assert list(outcome.indices.joints) == ["arm_joint_2"]
+    assert outcome.indices.totals.ivc == outcome.indices.joints["arm_joint_2"].ivc
+
+
+def test_each_robot_has_its_own_baseline(experiment):
+    sweep = planned(experiment, "payload=0,2", "encoder_counts=0,1000,1.5", "mu=0.1", seeds=1)
+    robots = [row for row in sweep.rows if row.baseline is None]
+    assert len(robots) == 6
+    for row in sweep.rows:
+        if row.values["encoder_counts"] == 1.5:
+            assert "whole number" in row.refusal
+            continue
+        assert row.world.payload_mass == row.values["payload"]
+        counts = row.values["encoder_counts"]
+        resolution = 2.0 * np.pi / counts if counts else 0.0
+        assert {each.encoder_resolution for each in row.loops} == {resolution}
+        if row.baseline is not None:
+            against = sweep.rows[row.baseline]
+            assert against.world == row.world
+            assert against.loops[0].law == "pid"
+
+
+def test_gains_that_a_loop_refuses_stay_in_the_table_with_the_reason(experiment):
+    sweep = planned(experiment, "gains.i=132,9e5", joints=["arm_joint_1"], seeds=1)
+    fine, refused = sweep.rows[1:]
+    assert not fine.refusal
+    assert refused.refusal.startswith("arm_joint_1: ")
+    assert "unstable" in refused.refusal
+    result = SweepResult(sweep, {})
+    assert refused.refusal in result.note(2)
+    assert refused.refusal in result.runs_csv()
+    assert refused.refusal in result.summary_csv()
+    assert [place for place, _ in sweep.tasks()] == [0, 1]
+
+
+def made_up(sweep, values):
+    """Return a result whose IVCs are given by row."""
+
+    def indices(ivc):
+        totals = JointIndices(ivc, 1.0, 1.0)
+        return RunIndices("run", {"j": totals}, totals, 1.0, 1.0)
+
+    return SweepResult(
+        sweep,
+        {
+            (place, seed): Outcome(0, indices(ivc))
+            for place, row in enumerate(values)
+            for seed, ivc in zip(sweep.seeds, row, strict=True)
+            if ivc is not None
+        },
+    )
+
+
+def test_ratios_are_taken_seed_by_seed_before_the_median(experiment):
+    sweep = planned(experiment, "mu=0.1", seeds=5)
+    result = made_up(sweep, [(1.0, 10.0, 100.0, 4.0, 5.0), (2.0, 10.0, 50.0, 12.0, None)])
+    assert result.quartiles(0, IVC) == (4.0, 5.0, 10.0)
+    assert result.quartiles(1, IVC) == (8.0, 11.0, 21.5)
+    assert result.ratios(0, IVC) is None
+    assert result.ratios(1, IVC) == (0.875, 1.5, 2.25)
+    assert "1 of 5 runs were not made" in result.note(1)
+
+
+def run_cli(arguments, capsys):
+    code = main(["sweep", *map(str, arguments)])
+    streams = capsys.readouterr()
+    return code, streams.out, streams.err
+
+
+def test_a_point_that_is_the_baseline_has_ratio_one(experiment_file, tmp_path, capsys):
+    path = experiment_file(duration=0.1)
+    options = [path, "--vary", "law=pid,hpid", "--vary", "mu=-0.1", "--seeds", 2]
+    code, out, _ = run_cli([*options, "-o", tmp_path / "s", "--format", "csv"], capsys)
+    assert code == DONE
+    _, same, other = csv.DictReader(io.StringIO(out))
+    for quantity in QUANTITIES:
+        assert float(same[f"{quantity.key}_ratio"]) == 1.0
+    assert float(other["itae_ratio"]) != 1.0
+
+
+def test_what_is_saved_depends_on_the_sweep_alone(experiment_file, tmp_path, capsys):
+    path = experiment_file(duration=0.1)
+    options = [path, "--vary", "mu=-0.2,0.1,0.6", "--seeds", 2]
+    code, out, err = run_cli([*options, "--jobs", 1, "-o", tmp_path / "one"], capsys)
+    assert code == DONE
+    assert "\x1b" not in out + err
+    assert err == f"result: {tmp_path / 'one'}\n"
+    (refused,) = [line for line in out.splitlines() if " 0.6 " in line]
+    assert "mu must lie in [-0.5, 0.5], not 0.6" in refused
+    assert out == (tmp_path / "one" / "table.txt").read_text()
+    code, out, _ = run_cli(
+        [*options, "--jobs", 7, "-o", tmp_path / "many", "--format", "json"], capsys
+    )
+    assert code == DONE
+    names = {each.name for each in (tmp_path / "one").iterdir()}
+    assert names == {"experiment.yaml", "sweep.csv", "sweep.json", "table.txt"}
+    for name in names:
+        one, many = (tmp_path / folder / name for folder in ("one", "many"))
+        assert one.read_bytes() == many.read_bytes()
+    saved = json.loads(out)
+    experiment = load_experiment(path)
+    assert saved["sha256"] == experiment.digest
+    assert saved["seeds"] == [1, 2]
+    assert saved["runs"] == {"planned": 6, "made": 6}
+    assert {"hpid_ros", "pybullet", "numpy"} <= set(saved["versions"])
+    runs = list(csv.DictReader((tmp_path / "one" / "sweep.csv").read_text().splitlines()))
+    assert [(run["mu"], run["seed"]) for run in runs] == [
+        *(("", "1"), ("", "2"), ("-0.2", "1"), ("-0.2", "2"), ("0.1", "1"), ("0.1", "2")),
+        ("0.6", ""),
+    ]
+    assert len({run["ivc"] for run in runs if run["seed"]}) == 6
+
+
+def test_a_failed_run_is_told_and_makes_the_exit_code(
+    experiment_file, tmp_path, capsys, monkeypatch
+):
+    def fragile(task, keeper):
+        if task.label == "hPID mu=0.1 seed=2":
+            raise ZeroDivisionError("by zero")
+        return simulated_indices(task, keeper)
+
+    monkeypatch.setattr(batch, "simulated_indices", fragile)
+    options = [experiment_file(duration=0.1), "--vary", "mu=0.1", "--seeds", 3, "--jobs", 1]
+    code, out, _ = run_cli([*options, "-o", tmp_path / "s"], capsys)
+    assert code == FAILED
+    assert "1 of 3 runs failed: ZeroDivisionError: by zero" in out
+    runs = list(csv.DictReader((tmp_path / "s" / "sweep.csv").read_text().splitlines()))
+    assert [run["failure"] for run in runs if run["failure"]] == ["ZeroDivisionError: by zero"]
+
+
+def test_a_sweep_overwrites_nothing_unasked(experiment_file, tmp_path, capsys):
+    folder = tmp_path / "s"
+    options = [experiment_file(duration=0.1), "--vary", "mu=0.1", "--seeds", 1, "--jobs", 1]
+    options += ["-o", folder]
+    assert run_cli(options, capsys)[0] == DONE
+    (folder / "note.txt").write_text("mine")
+    code, out, err = run_cli(options, capsys)
+    assert (code, out) == (BAD_INPUT, "")
+    assert "--force" in err
+    assert (folder / "note.txt").exists()
+    assert run_cli([*options, "--force"], capsys)[0] == DONE
+    assert not (folder / "note.txt").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--vary", "mu=a"], "'a' is not a number"),
+        (["--vary", "mu=0.1", "--jobs", "0"], "--jobs must be at least 1"),
+        (["--vary", "mu=0.6"], "no point can run"),
+    ],
+)
+def test_bad_input_is_one_line_and_leaves_no_folder(
+    experiment_file, tmp_path, capsys, arguments, words
+):
+    folder = tmp_path / "s"
+    code, out, err = run_cli([experiment_file(), *arguments, "-o", folder], capsys)
+    assert (code, out) == (BAD_INPUT, "")
+    assert len(err.splitlines()) == 1
+    assert words in err
+    assert not folder.exists()
