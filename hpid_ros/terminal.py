@@ -110,9 +110,8 @@ def print_timing(console: Console, report: RunReport, duration: float) -> None:
     cycle = report.timing.cycle
     table.add_row("(bridge)", *_microseconds(cycle.median, cycle.p99))
     for joint, each in report.timing.joints.items():
-        period, compute, latency = each.period, each.compute, each.latency
-        figures = (period.median, period.p99, compute.median, compute.p99)
-        figures += (latency.median, latency.p99)
+        spreads = (each.period, each.compute, each.latency)
+        figures = [figure for spread in spreads for figure in (spread.median, spread.p99)]
         table.add_row(joint, *_microseconds(*figures), str(each.missed), str(each.unanswered))
     console.print()
     console.print(table)

@@ -16,6 +16,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from hpid_ros.errors import RunError
+from hpid_ros.experiment.shared_memory import clear_dead
 from hpid_ros.resources import find_resource
 
 CLOSED_MODE: Mapping[str, str] = {
@@ -54,7 +55,7 @@ def closed_environment(domain: int) -> dict[str, str]:
 
 @contextmanager
 def own_domain() -> Iterator[int]:
-    """Reserve a ROS domain that no other experiment on this machine has.
+    """Reserve a ROS domain that no other experiment on this machine has, free of dead ports.
 
     Yields:
         The domain.
@@ -64,6 +65,7 @@ def own_domain() -> Iterator[int]:
     """
     folder = Path(tempfile.gettempdir()) / f"hpid_ros_domains_{os.getuid()}"
     folder.mkdir(mode=0o700, exist_ok=True)
+    clear_dead()
     for domain in _DOMAINS:
         lock = os.open(folder / str(domain), os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
         try:

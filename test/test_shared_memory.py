@@ -1,0 +1,68 @@
+"""What dead processes left in shared memory goes, what living ones hold stays."""
+
+import fcntl
+import os
+from pathlib import Path
+
+import pytest
+
+from hpid_ros.experiment.shared_memory import SHARED_MEMORY, clear_dead
+
+SEGMENT, PORT = "fastrtps_0123456789abcdef", "fastrtps_port7651"
+
+
+def leave(folder, name, *locks):
+    files = [
+        folder / name,
+        folder / f"sem.{name}_mutex",
+        *(folder / (name + lock) for lock in locks),
+    ]
+    for file in files:
+        file.write_bytes(b"x")
+    return files
+
+
+def test_dead_segments_and_ports_go_and_nothing_else(tmp_path):
+    other = leave(tmp_path, "somebody_elses", "_el")
+    for name, locks in ((SEGMENT, ("_el",)), (PORT, ("_el",)), ("fastrtps_port7650", ("_sl",))):
+        leave(tmp_path, name, *locks)
+    assert clear_dead(tmp_path, least_age=0.0) == 3
+    assert sorted(tmp_path.iterdir()) == sorted(other)
+
+
+@pytest.mark.parametrize(("lock", "kind"), [("_el", fcntl.LOCK_EX), ("_sl", fcntl.LOCK_SH)])
+def test_what_is_held_stays(tmp_path, lock, kind):
+    files = leave(tmp_path, PORT, lock)
+    with (tmp_path / (PORT + lock)).open("rb+") as held:
+        fcntl.flock(held, kind)
+        assert clear_dead(tmp_path, least_age=0.0) == 0
+        assert all(file.exists() for file in files)
+    assert clear_dead(tmp_path, least_age=0.0) == 1
+
+
+def test_what_was_just_made_stays(tmp_path):
+    leave(tmp_path, SEGMENT)
+    assert clear_dead(tmp_path) == 0
+    assert clear_dead(tmp_path / "nowhere") == 0
+
+
+def test_a_living_node_keeps_its_shared_memory_and_a_killed_one_does_not(harness):
+    process = harness.start_controller(gains__p=1.0, gains__d=1.0, law="pid").process
+    harness.ask(0, 0.0)
+
+    def mapped(pid):
+        lines = Path(f"/proc/{pid}/maps").read_text().splitlines()
+        found = {line.split()[-1] for line in lines if f"{SHARED_MEMORY}/fastrtps_" in line}
+        return {Path(path) for path in found}
+
+    alive = mapped(process.pid)
+    clear_dead(least_age=0.0)
+    assert alive
+    assert all(path.exists() for path in alive)
+    harness.ask(1_000_000, 0.1)
+    process.kill()
+    process.wait()
+    clear_dead(least_age=0.0)
+    assert not all(path.exists() for path in alive)
+    # The test's own node lives on.
+    assert any(path.exists() for path in mapped(os.getpid()))
