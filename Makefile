@@ -7,7 +7,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: compare test lint clean
+.PHONY: compare test bench lint clean
 
 $(BIN)/python:
 	$(PYTHON) -m venv $(VENV)
@@ -22,11 +22,18 @@ $(VENV)/.test-installed: $(VENV)/.installed
 	PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet --editable ".[ros,test]"
 	touch $@
 
+$(VENV)/.bench-installed: $(VENV)/.installed
+	PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet --editable ".[ros,bench]"
+	touch $@
+
 compare: $(VENV)/.installed
 	$(BIN)/hpid compare $(ARGS)
 
 test: $(VENV)/.test-installed
 	$(BIN)/python -m pytest $(ARGS)
+
+bench: $(VENV)/.bench-installed
+	$(BIN)/python -m benchmarks $(ARGS)
 
 lint: $(VENV)/.test-installed
 	$(BIN)/ruff check .

@@ -30,6 +30,7 @@ EXTRAS = {
         "ros-jazzy-rmw-fastrtps-cpp==8.4.3",  # rclpy does not require the rmw that it loads
         "ros-jazzy-common-interfaces==5.3.6",
     ],
+    "bench": ["simple-pid>=2.0,<3"],  # the peer of the laws
     "test": [
         "pytest>=8,<9",  # launch_testing of ROS stops any run of pytest 9
         "pytest-timeout>=2.3,<3",
@@ -39,6 +40,7 @@ EXTRAS = {
         "colcon-common-extensions>=0.3,<0.4",
         "colcon-ros>=0.5,<0.6",
         "setuptools>=71,<80",  # colcon --symlink-install needs setup.py develop
+        "simple-pid>=2.0,<3",  # the benchmarks are tested too
         "ruff>=0.6,<1",
         "mypy>=1.11,<3",
     ],

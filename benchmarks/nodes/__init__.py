@@ -1,0 +1,1 @@
+"""The nodes of the graphs that the package is measured against."""

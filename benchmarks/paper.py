@@ -1,0 +1,29 @@
+"""The experiment that every loop here runs: the paper's, shortened or changed where said."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+from hpid_ros.experiment.description import Experiment, load_experiment
+from hpid_ros.resources import find_resource
+
+
+def paper(physics_steps: int | None = None, duration: float | None = None) -> Experiment:
+    """Return the paper's experiment.
+
+    Args:
+        physics_steps: Physics steps in one control period; None for the file's own.
+        duration: Stamp of the last state in [s]; None for the file's own.
+    """
+    experiment = _load()
+    if physics_steps is not None:
+        experiment = replace(
+            experiment, world=replace(experiment.world, physics_steps=physics_steps)
+        )
+    return experiment if duration is None else replace(experiment, duration=duration)
+
+
+@cache
+def _load() -> Experiment:
+    return load_experiment(find_resource("config/experiments/paper.yaml"))

@@ -1,0 +1,126 @@
+"""Scripts of this folder as child processes that never outlive their parent."""
+
+from __future__ import annotations
+
+import ctypes
+import json
+import os
+import selectors
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from hpid_ros.errors import RunError
+from hpid_ros.interrupts import raise_if_interrupted
+
+ROOT = Path(__file__).resolve().parents[1]
+
+_PR_SET_PDEATHSIG = 1
+_LIBC = ctypes.CDLL(None)
+_PATIENCE = 3.0  # [s] for all to end when asked
+_LOOK_EVERY = 0.2  # [s]
+
+
+def _die_with_parent() -> None:
+    _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+
+
+class Scripts:
+    """Runs modules of ``benchmarks.nodes`` and ends all of them, whatever happens.
+
+    Args:
+        environment: Their whole environment.
+        logs: Existing folder for what they print to stderr.
+    """
+
+    def __init__(self, environment: Mapping[str, str], logs: Path) -> None:
+        self._environment = dict(environment)
+        self._environment["PYTHONPATH"] = os.pathsep.join(
+            [str(ROOT), *filter(None, [environment.get("PYTHONPATH")])]
+        )
+        self._logs = logs
+        self.processes: dict[str, subprocess.Popen[bytes]] = {}
+
+    def start(self, name: str, module: str, arguments: Sequence[str]) -> None:
+        """Start a script.
+
+        Args:
+            name: Its name here and that of its log.
+            module: Module below ``benchmarks.nodes``.
+            arguments: Its arguments.
+        """
+        with (self._logs / f"{name}.log").open("wb") as log:
+            self.processes[name] = subprocess.Popen(
+                [sys.executable, "-m", f"benchmarks.nodes.{module}", *arguments],
+                cwd=ROOT,
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=log,
+                env=self._environment,
+                start_new_session=True,
+                preexec_fn=_die_with_parent,
+            )
+
+    def result(self, name: str, within: float) -> dict[str, Any]:
+        """Wait for the line that a script prints at its end.
+
+        Args:
+            name: The script.
+            within: How long, in [s].
+
+        Raises:
+            RunError: The line did not come, or any of the scripts has failed.
+        """
+        output = self.processes[name].stdout
+        assert output is not None
+        deadline = time.monotonic() + within
+        with selectors.DefaultSelector() as selector:
+            selector.register(output, selectors.EVENT_READ)
+            while not selector.select(_LOOK_EVERY):
+                raise_if_interrupted()
+                self._require_alive()
+                if time.monotonic() > deadline:
+                    raise RunError(f"waited {within:g} s in vain for the result of {name}")
+        line = output.readline()
+        if not line:
+            self.processes[name].wait()
+            self._require_alive()
+            raise RunError(f"{name} ended without a result")
+        return dict(json.loads(line))
+
+    def _require_alive(self) -> None:
+        for name, process in self.processes.items():
+            code = process.poll()
+            if code:
+                raise RunError(f"{name} ended with code {code}: {self._last_words(name)}")
+
+    def _last_words(self, name: str) -> str:
+        lines = (self._logs / f"{name}.log").read_text(errors="replace").strip().splitlines()
+        return lines[-1] if lines else "it printed nothing"
+
+    def __enter__(self) -> Scripts:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        for process in self.processes.values():
+            if process.poll() is None:
+                process.terminate()
+        deadline = time.monotonic() + _PATIENCE
+        for process in self.processes.values():
+            try:
+                process.wait(max(0.0, deadline - time.monotonic()))
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+            if process.stdout is not None:
+                process.stdout.close()
