@@ -44,7 +44,7 @@ def run_floor(
     with (
         tempfile.TemporaryDirectory(prefix="hpid_bench_") as folder,
         own_domain() as domain,
-        Scripts(closed_environment(domain), Path(folder)) as scripts,
+        Scripts(closed_environment(domain), Path(folder), is_batch=True) as scripts,
     ):
         for name, arguments in _echoes(joints, processes).items():
             scripts.start(name, "floor", arguments)

@@ -30,15 +30,24 @@ def _die_with_parent() -> None:
     _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
 
 
+def _begin_as_batch() -> None:
+    _die_with_parent()
+    os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
+
+
 class Scripts:
     """Runs modules of ``benchmarks.nodes`` and ends all of them, whatever happens.
 
     Args:
         environment: Their whole environment.
         logs: Existing folder for what they print to stderr.
+        is_batch: Schedule them as batch jobs, as the package schedules its nodes in lock-step.
     """
 
-    def __init__(self, environment: Mapping[str, str], logs: Path) -> None:
+    def __init__(
+        self, environment: Mapping[str, str], logs: Path, *, is_batch: bool = False
+    ) -> None:
+        self._begin = _begin_as_batch if is_batch else _die_with_parent
         self._environment = dict(environment)
         self._environment["PYTHONPATH"] = os.pathsep.join(
             [str(ROOT), *filter(None, [environment.get("PYTHONPATH")])]
@@ -63,7 +72,7 @@ class Scripts:
                 stderr=log,
                 env=self._environment,
                 start_new_session=True,
-                preexec_fn=_die_with_parent,
+                preexec_fn=self._begin,
             )
 
     def result(self, name: str, within: float) -> dict[str, Any]:

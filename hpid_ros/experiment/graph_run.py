@@ -52,7 +52,7 @@ def run_on_graph(
     nodes = GraphNodes(experiment, label, bag, folder, options)
     with (
         own_domain() as domain,
-        NodeGroup(closed_environment(domain), folder) as group,
+        NodeGroup(closed_environment(domain), folder, is_batch=not options.is_realtime) as group,
     ):
         run = _GraphRun(nodes, label, group, progress)
         run.start()

@@ -23,6 +23,11 @@ def _die_with_parent() -> None:
     _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
 
 
+def _begin_as_batch() -> None:
+    _die_with_parent()
+    os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
+
+
 class NodeProcess:
     """One node in a process of its own, in a session of its own, with a pipe for its events.
 
@@ -34,6 +39,9 @@ class NodeProcess:
         log: File for what it prints.
         is_renamed: Whether the name is given to its node; a process of several nodes keeps
             their names.
+        is_batch: Schedule it as a batch job: it yields the processor to nobody by waking
+            somebody. In lock-step a bridge then has woken all controllers before one of them
+            runs on its processor.
     """
 
     def __init__(
@@ -44,6 +52,7 @@ class NodeProcess:
         environment: Mapping[str, str],
         log: Path,
         is_renamed: bool = True,
+        is_batch: bool = False,
     ) -> None:
         self.name = name
         self.log = log
@@ -66,7 +75,7 @@ class NodeProcess:
                 env=dict(environment),
                 pass_fds=[writer],
                 start_new_session=True,
-                preexec_fn=_die_with_parent,
+                preexec_fn=_begin_as_batch if is_batch else _die_with_parent,
             )
         os.close(writer)
 
@@ -97,9 +106,13 @@ class NodeGroup:
     Args:
         environment: Environment of every node.
         logs: Folder for their logs.
+        is_batch: As for :class:`NodeProcess`.
     """
 
-    def __init__(self, environment: Mapping[str, str], logs: Path) -> None:
+    def __init__(
+        self, environment: Mapping[str, str], logs: Path, *, is_batch: bool = False
+    ) -> None:
+        self._is_batch = is_batch
         self._environment = environment
         self._logs = logs
         self.nodes: dict[str, NodeProcess] = {}
@@ -116,7 +129,15 @@ class NodeGroup:
             is_renamed: As for :class:`NodeProcess`.
         """
         log = self._logs / f"{name}.log"
-        node = NodeProcess(name, executable, arguments, self._environment, log, is_renamed)
+        node = NodeProcess(
+            name,
+            executable,
+            arguments,
+            self._environment,
+            log,
+            is_renamed=is_renamed,
+            is_batch=self._is_batch,
+        )
         self.nodes[name] = node
         return node
 
