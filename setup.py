@@ -15,6 +15,8 @@ INSTALL_REQUIRES = [
     "scipy>=1.11,<2",
     "pin>=3.4,<5",  # Pinocchio; its 2.x has no armature in the forward dynamics
     "pybullet>=3.2.6,<3.3",  # results are reproducible to the last bit within one version only
+    "lz4>=4,<5",  # this and zstd: compressed bags; rosbags requires them too
+    "backports.zstd>=1,<2; python_version < '3.14'",
     "rosbags>=0.11,<0.12",  # the MCAP writer is extended, and every minor version changes it
     "matplotlib>=3.8,<4",
     "rich>=13.7,<16",
@@ -41,6 +43,7 @@ EXTRAS = {
         "colcon-ros>=0.5,<0.6",
         "setuptools>=71,<80",  # colcon --symlink-install needs setup.py develop
         "simple-pid>=2.0,<3",  # the benchmarks are tested too
+        "playwright>=1.40,<2",  # the report in a browser, where there is one
         "ruff>=0.6,<1",
         "mypy>=1.11,<3",
     ],

@@ -10,76 +10,31 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
+from bag_builder import (
+    JOINT_STATE,
+    JOINT_TRAJECTORY,
+    MS,
+    TYPES,
+    Log,
+    S,
+    command,
+    convert,
+    ramp,
+    small_log,
+    state,
+    trajectory,
+    write_bag,
+)
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
-from rosbags.typesys import Stores, get_typestore
+from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
 from hpid_ros.analysis.series import JointSeries, Losses
-from hpid_ros.bags import BagReader, BagWriter, read_run
+from hpid_ros.bags import BagReader, BagSelection, BagWriter, read_run
 from hpid_ros.errors import BagError
 from hpid_ros.messages.joint_state import JointStateTemplate, decode_joint_state
-from hpid_ros.trajectory import JointTrajectory, TrajectoryPoint
-
-JOINT_STATE = "sensor_msgs/msg/JointState"
-JOINT_TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
-TYPES = get_typestore(Stores.ROS2_JAZZY)
-S = 1_000_000_000
-MS = 1_000_000
-
-Log = Sequence[tuple[str, int, bytes]]
-
-
-def state(stamp_ns: int, **positions: float) -> tuple[str, int, bytes]:
-    template = JointStateTemplate(list(positions), position=True)
-    return "joint_states", stamp_ns, template.encode(stamp_ns, position=list(positions.values()))
-
-
-def command(stamp_ns: int, **efforts: float) -> tuple[str, int, bytes]:
-    template = JointStateTemplate(list(efforts), effort=True)
-    return "joint_commands", stamp_ns, template.encode(stamp_ns, effort=list(efforts.values()))
-
-
-def trajectory(log_time_ns: int, what: JointTrajectory) -> tuple[str, int, bytes]:
-    types = TYPES.types
-    time, duration = types["builtin_interfaces/msg/Time"], types["builtin_interfaces/msg/Duration"]
-    header = types["std_msgs/msg/Header"](time(*divmod(what.stamp_ns, S)), "")
-    points = [
-        types["trajectory_msgs/msg/JointTrajectoryPoint"](
-            np.array(point.positions),
-            np.array(point.velocities),
-            np.array(point.accelerations),
-            np.zeros(0),
-            duration(*divmod(point.time_from_start_ns, S)),
-        )
-        for point in what.points
-    ]
-    message = types[JOINT_TRAJECTORY](header, list(what.joint_names), points)
-    raw = TYPES.serialize_cdr(message, JOINT_TRAJECTORY)
-    return "joint_trajectory", log_time_ns, bytes(raw)
-
-
-def ramp(joint: str, *, stamp_ns: int = 0, **at_seconds: float) -> JointTrajectory:
-    """Return a piecewise linear trajectory; ``t2=5.0`` is 5 rad two seconds after the start."""
-    points = tuple(
-        TrajectoryPoint(int(time[1:]) * S, (position,)) for time, position in at_seconds.items()
-    )
-    return JointTrajectory((joint,), points, stamp_ns)
-
-
-def write_bag(path: Path, log: Log, namespace: str = "/") -> Path:
-    with BagWriter(path) as bag:
-        topics = {
-            name: bag.add_topic(namespace + name, kind)
-            for name, kind in (
-                ("joint_states", JOINT_STATE),
-                ("joint_commands", JOINT_STATE),
-                ("joint_trajectory", JOINT_TRAJECTORY),
-            )
-        }
-        for name, log_time_ns, raw in log:
-            bag.write(topics[name], log_time_ns, raw)
-    return path
+from hpid_ros.trajectory import JointTrajectory
 
 
 def read_one(path: Path, log: Log, joint: str = "a") -> tuple[JointSeries, Losses]:
@@ -214,7 +169,9 @@ def references(path: Path, *log: tuple[str, int, bytes], last: int = 7) -> list[
 def test_without_a_trajectory_the_reference_is_the_first_position(tmp_path):
     assert references(tmp_path / "bag", last=4) == [0.25, 0.25, 0.25]
     assert (
-        read_run(tmp_path / "bag", "run", trajectory=None).joints[0].reference.tolist()
+        read_run(tmp_path / "bag", "run", selection=BagSelection(reference="hold"))
+        .joints[0]
+        .reference.tolist()
         == [0.25] * 3
     )
 
@@ -301,7 +258,8 @@ def test_the_reference_is_the_one_that_the_joint_loop_follows(tmp_path):
 def test_a_topic_is_found_with_or_without_its_namespace(tmp_path, name):
     log = [state(1, a=1.0), command(1, a=0.0)]
     path = write_bag(tmp_path / "bag", log, namespace="/arm/")
-    assert read_run(path, "run", states=name).joints[0].position.tolist() == [1.0]
+    run = read_run(path, "run", selection=BagSelection(states=name))
+    assert run.joints[0].position.tolist() == [1.0]
 
 
 def test_an_exact_topic_comes_before_a_namespaced_one_and_two_of_those_are_refused(tmp_path):
@@ -314,26 +272,6 @@ def test_an_exact_topic_comes_before_a_namespaced_one_and_two_of_those_are_refus
             bag.find_topic("joint_states", JOINT_STATE)
         with pytest.raises(BagError, match="unknown topic '/joint_states'"):
             bag.find_topic("/joint_states", JOINT_STATE)
-
-
-def convert(source: Path, target: Path, storage: StoragePlugin, mode: CompressionMode) -> None:
-    """Write the same messages with rosbags alone."""
-    writer = Writer(target, version=9, storage_plugin=storage)
-    writer.set_compression(mode, CompressionFormat.ZSTD)
-    with writer, BagReader(source) as bag:
-        connections = {
-            name: writer.add_connection(name, topic.type, typestore=TYPES)
-            for name, topic in bag.topics.items()
-        }
-        for name, log_time_ns, raw in bag.messages():
-            writer.write(connections[name], log_time_ns, raw)
-
-
-def small_log() -> list[tuple[str, int, bytes]]:
-    log = [trajectory(0, ramp("a", t0=0.0, t1=1.0))]
-    for k in range(1, 60):
-        log += [state(k * 20 * MS, a=k * 0.1, b=0.0), command(k * 20 * MS, a=k * 0.01)]
-    return log
 
 
 @pytest.mark.parametrize(
@@ -369,7 +307,7 @@ def assert_same_run(path: Path, other: Path) -> None:
 
 def refused(path: Path, **options: object) -> str:
     with pytest.raises(BagError) as caught:
-        read_run(path, "run", **options)  # type: ignore[arg-type]
+        read_run(path, "run", selection=BagSelection(**options))  # type: ignore[arg-type]
     line = str(caught.value)
     assert "\n" not in line
     assert str(path) in line
@@ -386,7 +324,7 @@ def error_line(path: Path) -> str:
 
 def test_what_is_no_bag_is_one_line(tmp_path):
     assert "no such file or folder" in refused(tmp_path / "missing")
-    assert "no metadata.yaml" in refused(tmp_path)
+    assert "the folder has no .mcap and no .db3 file" in refused(tmp_path)
     for name, content in (
         ("bag.txt", "x"),
         ("bag.mcap", ""),
@@ -399,7 +337,10 @@ def test_what_is_no_bag_is_one_line(tmp_path):
         folder = tmp_path / f"folder{number}"
         folder.mkdir()
         (folder / "metadata.yaml").write_text(text)
-        assert "cannot read bag" in refused(folder)
+        assert "no .mcap and no .db3 file" in refused(folder)
+    named = {"rosbag2_bagfile_information": {"relative_file_paths": ["gone.mcap"]}}
+    (tmp_path / "folder0" / "metadata.yaml").write_text(yaml.safe_dump(named))
+    assert "gone.mcap: the file is missing" in refused(tmp_path / "folder0")
 
 
 def test_a_missing_topic_joint_or_message_is_named_with_what_there_is(tmp_path):
@@ -411,7 +352,10 @@ def test_a_missing_topic_joint_or_message_is_named_with_what_there_is(tmp_path):
     assert "is trajectory_msgs/msg/JointTrajectory, but must be" in refused(
         path, states="joint_trajectory"
     )
-    assert "is sensor_msgs/msg/JointState, but must be" in refused(path, trajectory="joint_states")
+    assert "is trajectory_msgs/msg/JointTrajectory, but must be" in refused(
+        path, commands="joint_trajectory"
+    )
+    assert "unknown topic 'nowhere'" in refused(path, reference="nowhere")
     empty = write_bag(tmp_path / "empty", [])
     assert "no message on /joint_states" in refused(empty)
     silent = write_bag(tmp_path / "silent", [state(1, a=1.0)])
@@ -436,20 +380,36 @@ def test_values_that_no_analysis_can_use_are_named(tmp_path):
 
 @pytest.mark.parametrize("storage", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
 @pytest.mark.parametrize("kept", [0.0, 0.001, 0.3, 0.7, 0.95])
-def test_a_truncated_file_is_one_line(tmp_path, storage, kept):
+def test_a_truncated_file_gives_what_is_left_or_one_line(tmp_path, storage, kept):
     path = write_bag(tmp_path / "ours", small_log())
     convert(path, tmp_path / "bag", storage, CompressionMode.NONE)
     (file,) = (tmp_path / "bag").glob("bag.*")
     raw = file.read_bytes()
     file.write_bytes(raw[: int(len(raw) * kept)])
-    assert "cannot read bag" in refused(tmp_path / "bag")
+    (whole,) = read_run(path, "run").joints
+    if line := error_line(tmp_path / "bag"):
+        assert "\n" not in line
+        assert str(tmp_path / "bag") in line
+        return
+    run = read_run(tmp_path / "bag", "run")
+    (part,) = run.joints
+    assert set(part.state_stamps_ns) <= set(whole.state_stamps_ns)
+    assert set(part.position) <= set(whole.position)
+    assert set(part.effort) <= set(whole.effort)
+    assert run.quality.unreadable
+    assert not run.quality.is_complete
 
 
-def test_fewer_messages_than_the_index_counts_are_one_line(tmp_path):
+def test_counts_that_differ_from_the_metadata_are_reported(tmp_path, caplog):
     path = write_bag(tmp_path / "bag", small_log())
     index = path / "metadata.yaml"
     index.write_text(index.read_text().replace("message_count: 59", "message_count: 60"))
-    assert "its index counts +2 messages" in refused(path)
+    run = read_run(path, "run")
+    assert run.quality.unreadable == tuple(
+        f"metadata.yaml counts 60 messages on /joint_{name}, not 59"
+        for name in ("commands", "states")
+    )
+    assert run.quality.unreadable[0] in caplog.text
 
 
 @pytest.fixture(scope="module", params=["mcap", "db3", "metadata.yaml"])

@@ -112,7 +112,7 @@ def test_an_unwritable_place_is_one_line(experiment_file, capsys):
 
 
 def test_usage_errors_end_with_two():
-    for arguments in ([], ["compare", "--speed"], ["metrics"], ["dance"]):
+    for arguments in ([], ["compare", "--speed"], ["metrics", "--speed"], ["dance"]):
         with pytest.raises(SystemExit) as end:
             main(arguments)
         assert end.value.code == BAD_INPUT

@@ -22,8 +22,9 @@ from hpid_ros.analysis.indices import (
     JointIndices,
     RunIndices,
 )
+from hpid_ros.analysis.number_text import format_ratio, format_values
 from hpid_ros.analysis.series import SeriesError
-from hpid_ros.analysis.table import ComparisonTable, format_ratio, format_values, table_text
+from hpid_ros.analysis.table import ComparisonTable, table_text
 from hpid_ros.analysis.table_export import CSV_COLUMNS, table_csv, table_latex
 
 # The paper's Table I and norms.

@@ -20,6 +20,7 @@ from hpid_ros.analysis.indices import (
     run_indices,
     total_variation,
 )
+from hpid_ros.analysis.quantities import QUANTITIES
 from hpid_ros.analysis.series import JointSeries, Losses, RunSeries, SeriesError
 
 # Closed forms for u = sin t and e = exp(-t) on [0, 9], to ten digits.
@@ -195,7 +196,8 @@ def test_the_numbers_as_a_mapping_are_json_and_name_their_units():
     run = run_indices(RunSeries("x", (series("a", [1.0, 2.0], [0.1, 0.2]),)))
     mapping = json.loads(json.dumps(run.as_mapping(), allow_nan=False))
     assert mapping["joints"]["a"]["ivc"] == run.value(IVC, "a")
-    assert set(mapping["units"]) == {"ivc", "iavc", "itae", "effort_l2", "error_l2"}
+    assert set(mapping["units"]) == set(QUANTITIES)
+    assert set(mapping["joints"]["a"]) <= set(QUANTITIES)
     assert mapping["units"]["itae"] == "rad s^2"
 
 
@@ -271,5 +273,7 @@ def test_a_value_is_asked_by_quantity_and_joint():
     assert run.value(ITAE, "elbow") == run.joints["elbow"].itae
     with pytest.raises(SeriesError, match="did you mean 'elbow'"):
         run.value(ITAE, "elbo")
-    with pytest.raises(SeriesError, match="over all joints"):
-        run.value(EFFORT_L2, "elbow")
+    assert run.value(EFFORT_L2, "elbow") == run.effort_l2
+    bare = dataclasses.replace(run, quantities=INDICES)
+    with pytest.raises(SeriesError, match=r"run 'x': unknown index 'effort_l2'.*iavc, itae, ivc"):
+        bare.value(EFFORT_L2)

@@ -29,6 +29,7 @@ from hpid_ros.trajectory import SplineReference
 
 LABEL = "PID"
 
+_STUCK_AFTER = 0.25  # [s]
 _READINESS_PERIOD = 0.01  # [s]
 _QUEUE = 10
 _NANOSECONDS = 1_000_000_000
@@ -70,6 +71,9 @@ class NaivePid:
         if self.reference is None:
             self.reference = self.trajectory.start(now.nanoseconds, position, 0.0)
             dt = 0.0
+        elif time_s == self.last_time:  # asked again
+            self.publisher.publish(self.answer)
+            return
         else:
             dt = time_s - self.last_time
             difference = (position - self.last_position) / dt
@@ -82,9 +86,9 @@ class NaivePid:
         limited = max(-self.limit, min(self.limit, effort))
         if limited == effort:
             self.integral += self.gains.i * error * dt
-        answer = Float64()
-        answer.data = limited
-        self.publisher.publish(answer)
+        self.answer = Float64()
+        self.answer.data = limited
+        self.publisher.publish(self.answer)
 
 
 class NaiveRobot:
@@ -101,7 +105,7 @@ class NaiveRobot:
         self.joints = world.settings.joints
         self.end_ns = round(seconds * _NANOSECONDS)
         self.efforts: dict[str, float] = {}
-        self.states = 0
+        self.states = self.seen = 0
         self.begin = self.wall_time = 0.0
         self.publisher = node.create_publisher(JointState, "joint_states", _QUEUE)
         for joint in self.joints:
@@ -115,6 +119,7 @@ class NaiveRobot:
             self.readiness.cancel()
             self.begin = time.perf_counter()
             self.publish_state()
+            self.node.create_timer(_STUCK_AFTER, self.ask_again)
 
     def publish_state(self) -> None:
         """Publish where the joints are."""
@@ -124,7 +129,14 @@ class NaiveRobot:
         message.position = list(self.world.read())
         message.effort = list(self.world.applied_efforts())
         self.states += 1
+        self.message = message
         self.publisher.publish(message)
+
+    def ask_again(self) -> None:
+        """Publish the state again when nothing has moved: a first message may be lost."""
+        if self.seen == self.states:
+            self.publisher.publish(self.message)
+        self.seen = self.states
 
     def on_effort(self, joint: str, message: Float64) -> None:
         """Take an effort, and go on when it was the last one missing."""

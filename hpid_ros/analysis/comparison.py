@@ -23,6 +23,7 @@ class Verdict(Enum):
     BETTER = "lowered {}"
     WORSE = "raised {}"
     EQUAL = "left {} unchanged"
+    UNKNOWN = "has no comparable {}"
 
 
 @dataclass(frozen=True)
@@ -31,12 +32,17 @@ class Comparison:
 
     Attributes:
         runs: The numbers of each run, at least one.
+        indices: What tables show of each joint and of all.
+        norms: What they show of all joints alone.
 
     Raises:
-        SeriesError: If there is no run, a label occurs twice, or the runs' joints differ.
+        SeriesError: If there is no run, a label occurs twice, or the runs' joints, their units
+            of angles or what was computed of them differ.
     """
 
     runs: tuple[RunIndices, ...]
+    indices: tuple[Quantity, ...] = INDICES
+    norms: tuple[Quantity, ...] = NORMS
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "runs", tuple(self.runs))
@@ -52,6 +58,14 @@ class Comparison:
                     f"runs {self.baseline.label!r} and {run.label!r} do not have the same "
                     f"joints: only one of them has {', '.join(unlike)}"
                 )
+            if run.angle_unit != self.angle_unit:
+                raise SeriesError(
+                    f"runs {self.baseline.label!r} and {run.label!r} differ in the unit of "
+                    f"angles: {self.angle_unit} and {run.angle_unit}"
+                )
+        for quantity in (*self.indices, *self.norms):
+            for run in self.runs:
+                run.value(quantity)  # raises if it was not computed
 
     @property
     def baseline(self) -> RunIndices:
@@ -62,6 +76,19 @@ class Comparison:
     def others(self) -> tuple[RunIndices, ...]:
         """All runs but the baseline."""
         return self.runs[1:]
+
+    @property
+    def angle_unit(self) -> str:
+        """The unit of angles in all numbers."""
+        return self.baseline.angle_unit
+
+    def unit(self, quantity: Quantity) -> str:
+        """Return the unit of a quantity in this comparison.
+
+        Args:
+            quantity: Which one.
+        """
+        return quantity.unit_in(self.angle_unit)
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -108,35 +135,51 @@ class Comparison:
             value = self.ratio(label, quantity, joint)
             return value if math.isfinite(value) else None
 
-        joints = {name: {q.key: finite(q, name) for q in INDICES} for name in self.joint_names}
-        totals = {quantity.key: finite(quantity) for quantity in INDICES}
+        shared = self._shared(self.run(label))
+        joints = {
+            name: {q.key: finite(q, name) for q in shared if self._is_defined(label, q, name)}
+            for name in self.joint_names
+        }
+        of_all = [q for q in shared if q not in NORMS and self._is_defined(label, q)]
+        totals = {quantity.key: finite(quantity) for quantity in of_all}
         return {
             "joints": joints,
             "totals": totals,
             **{quantity.key: finite(quantity) for quantity in NORMS},
         }
 
+    def _shared(self, run: RunIndices) -> list[Quantity]:
+        return [q for q in self.baseline.quantities if q in run.quantities]
+
+    def _is_defined(self, label: str, quantity: Quantity, joint: str | None = None) -> bool:
+        return not math.isnan(self.ratio(label, quantity, joint))
+
 
 def ratio(value: float, baseline: float) -> float:
     """Return value / baseline for two costs.
 
-    Two zeros have the ratio one (nothing changed); anything against zero is infinite.
+    Two zeros and two infinities have the ratio one (nothing changed); anything against zero is
+    infinite; what is not defined (nan) has no ratio (nan).
 
     Args:
         value: The cost in question, not negative.
         baseline: The cost it is measured against, not negative.
     """
-    if baseline == 0.0:
-        return 1.0 if value == 0.0 else math.inf
-    return value / baseline
+    if math.isnan(value) or math.isnan(baseline):
+        return math.nan
+    if value == baseline:
+        return 1.0
+    return value / baseline if baseline else math.inf
 
 
 def verdict(ratio: float) -> Verdict:
     """Return what a ratio says; what a table would show as 1.000 is equal.
 
     Args:
-        ratio: A cost over the baseline's.
+        ratio: A cost over the baseline's; nan says nothing.
     """
+    if math.isnan(ratio):
+        return Verdict.UNKNOWN
     if abs(ratio - 1.0) < EQUAL_WITHIN:
         return Verdict.EQUAL
     return Verdict.BETTER if ratio < 1.0 else Verdict.WORSE

@@ -1,200 +1,108 @@
 r"""Performance indices of a run, and nothing else: arrays in, named numbers out.
 
 IVC, IAVC, ITAE of each joint and the L2 norms over all joints, as in the paper's section
-"Experimental assessment of HPID on the mobile manipulator".
+"Experimental assessment of HPID on the mobile manipulator"; and further ones: docs/indices.md.
 
-Quadrature: the composite trapezoidal rule on the real stamps, second order in the step. A
-lost sample is bridged by a straight line. Every sum is correctly rounded (:func:`math.fsum`),
-so that a number depends neither on the order of the joints nor on numpy's version or SIMD width.
+Quadrature: see :mod:`~hpid_ros.analysis.integrals`.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
 
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
-
-from hpid_ros.analysis.series import JointSeries, RunSeries, SeriesError, require_finite
+from hpid_ros.analysis.conditions import conditions_of
+from hpid_ros.analysis.effort_figures import chatter, energy, saturation_share
+from hpid_ros.analysis.integrals import (
+    integral_of_absolute,
+    itae,
+    l2_norm,
+    root_mean_square,
+    square_integral,
+    total_variation,
+)
+from hpid_ros.analysis.quantities import (
+    EFFORT_L2,
+    ERROR_L2,
+    IAVC,
+    INDICES,
+    ITAE,
+    IVC,
+    NORMS,
+    QUANTITIES,
+    STEP_QUANTITIES,
+    Quantity,
+    folded,
+)
+from hpid_ros.analysis.results import JointIndices, RunIndices
+from hpid_ros.analysis.series import JointSeries, RunSeries, SeriesError
+from hpid_ros.analysis.step_response import find_steps, step_response
 from hpid_ros.errors import unknown_name
 
+__all__ = [
+    "EFFORT_L2",
+    "ERROR_L2",
+    "IAVC",
+    "INDICES",
+    "ITAE",
+    "IVC",
+    "NORMS",
+    "IndexSettings",
+    "JointIndices",
+    "Quantity",
+    "RunIndices",
+    "integral_of_absolute",
+    "itae",
+    "joint_indices",
+    "l2_norm",
+    "run_indices",
+    "total_variation",
+]
 
-@dataclass(frozen=True)
-class Quantity:
-    """What a number of this module is called.
-
-    Attributes:
-        key: Name of its attribute and of its entry in files.
-        symbol: Short name in tables.
-        unit: Its unit, without brackets.
-        meaning: Plain words.
-    """
-
-    key: str
-    symbol: str
-    unit: str
-    meaning: str
-
-
-IVC = Quantity("ivc", "IVC", "N m", "variation of the effort")
-IAVC = Quantity("iavc", "IAVC", "N m s", "effort spent")
-ITAE = Quantity("itae", "ITAE", "rad s^2", "time-weighted error")
-EFFORT_L2 = Quantity("effort_l2", "||u||", "N m s^0.5", "L2 norm of the effort")
-ERROR_L2 = Quantity("error_l2", "||e||", "rad s^0.5", "L2 norm of the error")
-INDICES = (IVC, IAVC, ITAE)
-NORMS = (EFFORT_L2, ERROR_L2)
+DEFAULT_CUTOFF = 20.0
+"""Above what motions of an arm hold and below what its drives follow, in [Hz]."""
 
 
 @dataclass(frozen=True)
-class JointIndices:
-    """The three indices of one joint, or their sums over joints.
+class IndexSettings:
+    """What some of the indices need beside the arrays.
 
     Attributes:
-        ivc: Total variation of the effort, in [N m].
-        iavc: Integral of the absolute effort, in [N m s].
-        itae: Integral of the absolute error times the time since the first state, in [rad s^2].
-    """
-
-    ivc: float
-    iavc: float
-    itae: float
-
-
-@dataclass(frozen=True)
-class RunIndices:
-    """All numbers of one run.
-
-    Attributes:
-        label: Name of the run.
-        joints: Indices by joint name, in the run's order.
-        totals: Their sums over all joints.
-        effort_l2: L2 norm of the effort over all joints, in [N m s^0.5].
-        error_l2: L2 norm of the error over all joints, in [rad s^0.5].
-    """
-
-    label: str
-    joints: Mapping[str, JointIndices]
-    totals: JointIndices
-    effort_l2: float
-    error_l2: float
-
-    def value(self, quantity: Quantity, joint: str | None = None) -> float:
-        """Return one number of this run.
-
-        Args:
-            quantity: Which one, of :data:`INDICES` or :data:`NORMS`.
-            joint: The joint, or None for all of them. A norm has no value for a single joint.
-
-        Raises:
-            SeriesError: If the run has no such joint, or a norm is asked of one joint.
-        """
-        if quantity in NORMS:
-            if joint is not None:
-                raise SeriesError(f"{quantity.symbol} is over all joints, got joint {joint!r}")
-            return float(getattr(self, quantity.key))
-        if joint is not None and joint not in self.joints:
-            raise SeriesError(unknown_name("joint", joint, self.joints))
-        return float(getattr(self.totals if joint is None else self.joints[joint], quantity.key))
-
-    def as_mapping(self) -> dict[str, object]:
-        """Return the numbers with their units as plain dicts, ready for JSON."""
-        return {
-            "label": self.label,
-            "units": {quantity.key: quantity.unit for quantity in (*INDICES, *NORMS)},
-            "joints": {name: _as_mapping(indices) for name, indices in self.joints.items()},
-            "totals": _as_mapping(self.totals),
-            "effort_l2": self.effort_l2,
-            "error_l2": self.error_l2,
-        }
-
-
-def total_variation(u: ArrayLike) -> float:
-    r"""Total variation of a sampled signal: the IVC of an effort.
-
-    .. math:: \sum_k |u_{k+1} - u_k|
-
-    The sampled form of the paper's :math:`\int |du/dt|\,dt`. It needs no stamps: a step counts
-    by its height, however long it took.
-
-    Args:
-        u: Samples, (M,).
-
-    Returns:
-        The variation, in the unit of u; zero for fewer than two samples.
+        cutoff: Frequency above which effort counts as chatter, in [Hz].
+        effort_limits: Largest magnitude of each joint's effort, in [N m]; a joint that is not
+            named has its limits found in its efforts.
 
     Raises:
-        SeriesError: If u is not a line of finite numbers.
+        SeriesError: A value is not positive and finite.
     """
-    samples = _line("u", u)
-    return math.fsum(np.abs(np.diff(samples)).tolist())
+
+    cutoff: float = DEFAULT_CUTOFF
+    effort_limits: Mapping[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        limits = {f"effort limit of {name}": value for name, value in self.effort_limits.items()}
+        for name, value in {"cut-off": self.cutoff, **limits}.items():
+            if not (math.isfinite(value) and value > 0.0):
+                raise SeriesError(f"the {name} must be positive and finite, not {value}")
 
 
-def integral_of_absolute(t: ArrayLike, x: ArrayLike) -> float:
-    r"""Integral of an absolute value, :math:`\int |x|\,dt`: the IAVC of an effort.
-
-    Args:
-        t: Increasing times, (M,), in [s].
-        x: Samples, (M,).
-
-    Returns:
-        The integral, in the unit of x times [s]; zero for fewer than two samples.
-
-    Raises:
-        SeriesError: If the two are not lines of finite numbers of one length, or t falls.
-    """
-    times, samples = _lines(t, x)
-    return _trapezoid(times, np.abs(samples))
-
-
-def itae(t: ArrayLike, e: ArrayLike) -> float:
-    r"""Integral of the time-weighted absolute error, :math:`\int t |e|\,dt`.
-
-    Args:
-        t: Increasing times since the start of the experiment, (N,), in [s].
-        e: Error, (N,), in [rad].
-
-    Returns:
-        The integral, in [rad s^2]; zero for fewer than two samples.
-
-    Raises:
-        SeriesError: If the two are not lines of finite numbers of one length, or t falls.
-    """
-    times, samples = _lines(t, e)
-    return _trapezoid(times, times * np.abs(samples))
-
-
-def l2_norm(t: ArrayLike, x: ArrayLike) -> float:
-    r"""L2 norm of a signal, :math:`(\int x^2\,dt)^{1/2}`.
-
-    Args:
-        t: Increasing times, (M,), in [s].
-        x: Samples, (M,).
-
-    Returns:
-        The norm, in the unit of x times [s^0.5]; zero for fewer than two samples.
-
-    Raises:
-        SeriesError: If the two are not lines of finite numbers of one length, or t falls.
-    """
-    return math.sqrt(_square_integral(t, x))
-
-
-def joint_indices(series: JointSeries) -> JointIndices:
-    """Return the three indices of one joint; time counts from its first state.
+def joint_indices(series: JointSeries, settings: IndexSettings | None = None) -> JointIndices:
+    """Return the indices of one joint; time counts from its first state.
 
     Args:
         series: The joint.
+        settings: What some of them need beside the arrays.
     """
     return JointIndices(
         ivc=total_variation(series.effort),
         iavc=integral_of_absolute(series.command_time, series.effort),
         itae=itae(series.time, series.error),
+        further=_further(series, settings or IndexSettings()),
     )
 
 
-def run_indices(run: RunSeries) -> RunIndices:
+def run_indices(run: RunSeries, settings: IndexSettings | None = None) -> RunIndices:
     """Return all numbers of one run.
 
     The squares of the L2 norms are sums of the joints' own integrals, which equals the paper's
@@ -202,48 +110,65 @@ def run_indices(run: RunSeries) -> RunIndices:
 
     Args:
         run: The run.
+        settings: What some of them need beside the arrays.
+
+    Raises:
+        SeriesError: An effort limit names a joint that the run does not have.
     """
-    joints = {series.joint: joint_indices(series) for series in run.joints}
-    totals = {
-        q.key: math.fsum(getattr(joint, q.key) for joint in joints.values()) for q in INDICES
-    }
-    effort = math.fsum(_square_integral(s.command_time, s.effort) for s in run.joints)
-    error = math.fsum(_square_integral(s.time, s.error) for s in run.joints)
+    settings = settings or IndexSettings()
+    for name in settings.effort_limits:
+        if name not in run.joint_names:
+            raise SeriesError(unknown_name("joint", name, run.joint_names))
+    joints = {series.joint: joint_indices(series, settings) for series in run.joints}
+    effort = math.fsum(square_integral(s.command_time, s.effort) for s in run.joints)
+    error = math.fsum(square_integral(s.time, s.error) for s in run.joints)
     return RunIndices(
         label=run.label,
         joints=joints,
-        totals=JointIndices(**totals),
+        totals=_totals(joints.values()),
         effort_l2=math.sqrt(effort),
         error_l2=math.sqrt(error),
+        quantities=tuple(QUANTITIES.values()),
+        conditions=conditions_of(run, settings.cutoff),
     )
 
 
-def _as_mapping(indices: JointIndices) -> dict[str, float]:
-    return {quantity.key: getattr(indices, quantity.key) for quantity in INDICES}
+def _totals(joints: Iterable[JointIndices]) -> JointIndices:
+    numbers = list(joints)
+    sums = {each.key: math.fsum(joint.value(each) for joint in numbers) for each in INDICES}
+    further = {}
+    for key, quantity in QUANTITIES.items():
+        if quantity in INDICES or quantity in NORMS:
+            continue
+        values = (joint.further[key] for joint in numbers if key in joint.further)
+        total = folded(quantity.fold, values)
+        if total is not None:
+            further[key] = total
+    return JointIndices(**sums, further=further)
 
 
-def _square_integral(t: ArrayLike, x: ArrayLike) -> float:
-    times, samples = _lines(t, x)
-    return _trapezoid(times, np.square(samples))
+def _further(series: JointSeries, settings: IndexSettings) -> dict[str, float]:
+    t, error = series.time, series.error
+    ise = square_integral(t, error)
+    numbers: dict[str, float | None] = {
+        "iae": integral_of_absolute(t, error),
+        "ise": ise,
+        "rmse": root_mean_square(t, error),
+        "error_max": max(float(error.max()), -float(error.min())),
+        "effort_l2": l2_norm(series.command_time, series.effort),
+        "error_l2": math.sqrt(ise),
+        **_worst_step(series),
+        "saturation": saturation_share(series, settings.effort_limits.get(series.joint)),
+        "chatter": chatter(series, settings.cutoff),
+        "energy": energy(series),
+    }
+    return {key: value for key, value in numbers.items() if value is not None}
 
 
-def _trapezoid(t: NDArray[np.float64], y: NDArray[np.float64]) -> float:
-    # numpy's own rule changed its name between 1.26 and 2, and sums in an order of its own.
-    return math.fsum((0.5 * np.diff(t) * (y[1:] + y[:-1])).tolist())
-
-
-def _lines(t: ArrayLike, x: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    times, samples = _line("t", t), _line("x", x)
-    if times.size != samples.size:
-        raise SeriesError(f"t and x must be of one length, got {times.size} and {samples.size}")
-    if np.any(np.diff(times) < 0.0):
-        raise SeriesError("t must not fall: sort the samples by their stamps first")
-    return times, samples
-
-
-def _line(name: str, values: ArrayLike) -> NDArray[np.float64]:
-    line = np.asarray(values, dtype=np.float64)
-    if line.ndim != 1:
-        raise SeriesError(f"{name} must be one-dimensional, got shape {line.shape}")
-    require_finite(name, line)
-    return line
+def _worst_step(series: JointSeries) -> dict[str, float | None]:
+    """Return each number of the steps' responses at its worst; nothing without a step."""
+    responses = [step_response(series, step) for step in find_steps(series)]
+    return {
+        quantity.key: max((getattr(each, quantity.key) for each in responses), default=None)
+        for quantity in STEP_QUANTITIES
+    }

@@ -6,12 +6,13 @@ import math
 from collections.abc import Callable, Sequence
 
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.lines import Line2D
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
-from hpid_ros.analysis.indices import total_variation
+from hpid_ros.analysis.integrals import total_variation
 from hpid_ros.analysis.plot_style import (
     DOTS_PER_INCH,
     INK,
@@ -28,9 +29,12 @@ from hpid_ros.analysis.tick_labels import TickLabels
 
 TIME_LABEL = "time [s]"
 REFERENCE_LABEL = "reference"
+RETUNE_LABEL = "retuned"
 TICK_STEPS = (1, 2, 2.5, 5, 10)
+# Width of a legend's character, and of a line with the air around it.
+CHARACTER_IN, HANDLE_IN = 0.085, 0.85
 
-SignalOf = Callable[[JointSeries], Signal]
+SignalOf = Callable[[RunSeries, JointSeries], Signal]
 
 
 def joint_panels(
@@ -39,44 +43,44 @@ def joint_panels(
     signal_of: SignalOf,
     buckets: int,
     reference_of: SignalOf | None = None,
+    level: float | None = 0.0,
+    is_log: bool = False,
 ) -> Figure:
     """Return a figure with one panel a joint, the joints' names above, one legend for all.
 
     Args:
         runs: The runs, the baseline first.
         label: Name and unit of the signal.
-        signal_of: The signal of a joint.
+        signal_of: The signal of a joint of a run.
         buckets: Detail of each line, see :func:`~hpid_ros.analysis.signals.envelope`.
         reference_of: What is drawn behind the runs, from the first run.
+        level: Where a thin line stands if there is no reference.
+        is_log: Whether the signal's axis is logarithmic.
 
     Raises:
         SeriesError: If there is no run, or the runs' joints differ.
     """
-    names = _joint_names(runs)
-    rows, columns = _grid(len(names))
-    size = (WIDTH_IN, 0.8 + PANEL_HEIGHT_IN * rows)
-    figure = Figure(figsize=size, dpi=DOTS_PER_INCH)
-    axes = figure.subplots(rows, columns, sharex=True, squeeze=False)
-    for k, name in enumerate(names):
-        panel = axes[k // columns, k % columns]
-        panel.set_title(name)
-        series = [run.joints[run.joint_names.index(name)] for run in runs]
+    names = joint_names(runs)
+    figure, panels = panel_grid(names, TIME_LABEL, label)
+    for name, panel in zip(names, panels, strict=True):
+        series = series_of(runs, name)
         if reference_of is not None:
-            _draw_reference(panel, runs[0], reference_of(series[0]), buckets)
-        else:
-            panel.axhline(0.0, color=INK, linewidth=0.5)
-        draw_runs(panel, runs, [signal_of(joint) for joint in series], buckets)
-        # The last panel of each column carries the time, also where the last row has gaps.
-        panel.tick_params(labelbottom=k + columns >= len(names))
-    for panel in axes.flat[len(names) :]:
-        panel.set_visible(False)
-    figure.supxlabel(TIME_LABEL)
-    figure.supylabel(label)
-    handles = [_handle(run.label, style) for run, style in zip(runs, run_styles(), strict=False)]
+            _draw_reference(panel, runs[0], reference_of(runs[0], series[0]), buckets)
+        elif level is not None:
+            panel.axhline(level, color=INK, linewidth=0.5)
+        signals = [signal_of(run, joint) for run, joint in zip(runs, series, strict=True)]
+        draw_runs(panel, runs, signals, buckets)
+        if is_log:
+            panel.set_yscale("log")
+            panel.yaxis.set_major_locator(LogLocator(10.0, numticks=5))
+            panel.yaxis.set_minor_locator(NullLocator())
+    handles = run_handles([run.label for run in runs])
     if reference_of is not None:
         handles.append(_reference_line(REFERENCE_LABEL))
-    figure.legend(handles=handles, loc="outside upper center", ncols=len(handles))
-    return _laid_out(figure)
+    if any(run.retunes for run in runs):
+        handles.append(_retune_line())
+    add_legend(figure, handles)
+    return laid_out(figure)
 
 
 def single_panel(
@@ -98,19 +102,44 @@ def single_panel(
     Raises:
         SeriesError: If there is no run, or the runs' joints differ.
     """
-    _joint_names(runs)
+    joint_names(runs)
     figure = Figure(figsize=(WIDTH_IN, NORM_HEIGHT_IN), dpi=DOTS_PER_INCH)
     panel = figure.subplots()
     draw_runs(panel, runs, signals, buckets)
     panel.set_ylim(bottom=0.0)
     panel.set_xlabel(TIME_LABEL)
     panel.set_ylabel(label)
-    handles = [
-        _handle(f"{run.label}: {note}", style)
-        for run, note, style in zip(runs, notes, run_styles(), strict=False)
-    ]
-    figure.legend(handles=handles, loc="outside upper center", ncols=min(2, len(handles)))
-    return _laid_out(figure)
+    handles = run_handles([f"{run.label}: {n}" for run, n in zip(runs, notes, strict=True)])
+    if any(run.retunes for run in runs):
+        handles.append(_retune_line())
+    add_legend(figure, handles, columns_at_most=2)
+    return laid_out(figure)
+
+
+def panel_grid(
+    names: Sequence[str], x_label: str, y_label: str, shares_x: bool = True
+) -> tuple[Figure, list[Axes]]:
+    """Return a figure with one titled panel for each name, and the panels.
+
+    Args:
+        names: The titles.
+        x_label: What is below all panels.
+        y_label: What is beside them.
+        shares_x: Whether all panels have one range of x; only the lowest are labelled then.
+    """
+    rows, columns = _grid(len(names))
+    figure = Figure(figsize=(WIDTH_IN, 0.8 + PANEL_HEIGHT_IN * rows), dpi=DOTS_PER_INCH)
+    axes = figure.subplots(rows, columns, sharex=shares_x, squeeze=False)
+    panels: list[Axes] = list(axes.flat[: len(names)])
+    for k, (name, panel) in enumerate(zip(names, panels, strict=True)):
+        panel.set_title(name)
+        # The last panel of each column carries the labels, also where the last row has gaps.
+        panel.tick_params(labelbottom=not shares_x or k + columns >= len(names))
+    for panel in axes.flat[len(names) :]:
+        panel.set_visible(False)
+    figure.supxlabel(x_label)
+    figure.supylabel(y_label)
+    return figure, panels
 
 
 def draw_runs(
@@ -128,32 +157,36 @@ def draw_runs(
     back_to_front = sorted(range(len(runs)), key=lambda k: -roughness[k])
     for k, (run, signal, style) in enumerate(zip(runs, signals, run_styles(), strict=False)):
         stamps_ns, values = envelope(signal, buckets)
-        line = _line(style)
+        line = styled_line(style)
         line.set_data(seconds_since(stamps_ns, run.start_ns), values)
         line.set_zorder(3 + back_to_front.index(k))
         panel.add_line(line)
+        for retune in run.retunes:
+            at = (retune.stamp_ns - run.start_ns) / 1e9
+            panel.axvline(at, color=style.color, linewidth=0.9, linestyle=":", zorder=2)
     panel.autoscale_view()
     seconds = max(run.duration for run in runs)
-    panel.xaxis.set_major_locator(MaxNLocator(10, steps=TICK_STEPS, integer=seconds >= 5.0))
-    panel.yaxis.set_major_locator(MaxNLocator(5, steps=TICK_STEPS))
-    for axis in (panel.xaxis, panel.yaxis):
-        axis.set_major_formatter(TickLabels())
+    plain_ticks(panel.xaxis, MaxNLocator(10, steps=TICK_STEPS, integer=seconds >= 5.0))
+    plain_ticks(panel.yaxis, MaxNLocator(5, steps=TICK_STEPS))
 
 
-def _draw_reference(panel: Axes, run: RunSeries, signal: Signal, buckets: int) -> None:
-    stamps_ns, values = envelope(signal, buckets)
-    line = _reference_line()
-    line.set_data(seconds_since(stamps_ns, run.start_ns), values)
-    panel.add_line(line)
+def plain_ticks(axis: Axis, locator: MaxNLocator) -> None:
+    """Give an axis ticks whose numbers stand for themselves."""
+    axis.set_major_locator(locator)
+    axis.set_major_formatter(TickLabels())
 
 
-def _laid_out(figure: Figure) -> Figure:
-    """Fix the layout, so that all formats share one and it is computed once."""
-    ConstrainedLayoutEngine().execute(figure)
-    return figure
+def series_of(runs: Sequence[RunSeries], joint: str) -> list[JointSeries]:
+    """Return one joint's series of each run."""
+    return [run.joints[run.joint_names.index(joint)] for run in runs]
 
 
-def _joint_names(runs: Sequence[RunSeries]) -> tuple[str, ...]:
+def joint_names(runs: Sequence[RunSeries]) -> tuple[str, ...]:
+    """Return the joints of the runs.
+
+    Raises:
+        SeriesError: If there is no run, or the runs' joints differ.
+    """
     if not runs:
         raise SeriesError("a figure needs at least one run, got none")
     names = runs[0].joint_names
@@ -166,24 +199,54 @@ def _joint_names(runs: Sequence[RunSeries]) -> tuple[str, ...]:
     return names
 
 
-def _grid(count: int) -> tuple[int, int]:
-    """Return rows and columns for so many panels: wide ones while they fit on a page."""
-    columns = 1 if count <= 3 else 2 if count <= 12 else 3
-    return math.ceil(count / columns), columns
+def run_handles(labels: Sequence[str]) -> list[Line2D]:
+    """Return the legend's lines of the runs, in order."""
+    handles = []
+    for label, style in zip(labels, run_styles(), strict=False):
+        handle = styled_line(style)
+        handle.set(label=label, linewidth=style.width + 0.5)
+        handles.append(handle)
+    return handles
 
 
-def _line(style: RunStyle) -> Line2D:
+def add_legend(figure: Figure, handles: Sequence[Line2D], columns_at_most: int = 8) -> None:
+    """Put one legend above all panels, in as many columns as the width has room for."""
+    widest = max(len(str(handle.get_label())) for handle in handles)
+    room = int((WIDTH_IN - 0.4) / (HANDLE_IN + CHARACTER_IN * widest))
+    columns = max(1, min(columns_at_most, len(handles), room))
+    figure.legend(handles=list(handles), loc="outside upper center", ncols=columns)
+
+
+def laid_out(figure: Figure) -> Figure:
+    """Fix the layout, so that all formats share one and it is computed once."""
+    ConstrainedLayoutEngine().execute(figure)
+    return figure
+
+
+def styled_line(style: RunStyle) -> Line2D:
+    """Return an empty line of a run's style."""
     line = Line2D([], [], color=style.color, linewidth=style.width)
     if style.dashes is not None:
         line.set(linestyle=(0, style.dashes), gapcolor=style.tint, dash_capstyle="butt")
     return line
 
 
-def _handle(label: str, style: RunStyle) -> Line2D:
-    handle = _line(style)
-    handle.set(label=label, linewidth=style.width + 0.5)
-    return handle
+def _draw_reference(panel: Axes, run: RunSeries, signal: Signal, buckets: int) -> None:
+    stamps_ns, values = envelope(signal, buckets)
+    line = _reference_line()
+    line.set_data(seconds_since(stamps_ns, run.start_ns), values)
+    panel.add_line(line)
+
+
+def _grid(count: int) -> tuple[int, int]:
+    """Return rows and columns for so many panels: wide ones while they fit on a page."""
+    columns = 1 if count <= 3 else 2 if count <= 12 else 3
+    return math.ceil(count / columns), columns
 
 
 def _reference_line(label: str = "") -> Line2D:
     return Line2D([], [], color=REFERENCE, linewidth=4.0, solid_capstyle="butt", label=label)
+
+
+def _retune_line() -> Line2D:
+    return Line2D([], [], color=INK, linewidth=0.9, linestyle=":", label=RETUNE_LABEL)

@@ -42,12 +42,18 @@ class RunStyle:
     width: float
 
 
-# Dark blue, orange, green, purple: their lightness differs as well as their hue.
+# Dark blue, orange, green, purple: their lightness differs as well as their hue. Four more hues
+# with dashes of their own follow; after eight runs they begin again.
+MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
 RUN_STYLES = (
     RunStyle("#0b4a8f", "#0b4a8f", None, 1.3),
     RunStyle("#e8590c", "#f7bf9c", (7.0, 1.8), 1.3),
     RunStyle("#2b8a5b", "#a9d8c1", (2.0, 1.2), 1.3),
     RunStyle("#8f4bb8", "#d6bce6", (7.0, 1.5, 1.5, 1.5), 1.3),
+    RunStyle("#8a0f2e", "#d9a3b0", (11.0, 1.5), 1.3),
+    RunStyle("#0b8fa3", "#a6d9e0", (4.0, 1.2), 1.3),
+    RunStyle("#6b5200", "#cfc39c", (1.2, 1.0), 1.3),
+    RunStyle("#5a6572", "#c3c9d0", (9.0, 1.2, 1.2, 1.2, 1.2, 1.2), 1.3),
 )
 
 _RC = {

@@ -1,4 +1,4 @@
-"""The paper's five figures: positions, efforts and errors by joint, and their norms over joints.
+"""The figures of runs: the paper's five, the effort's spectrum, the phase portrait, and more.
 
 matplotlib through its objects only: no pyplot, no figure that outlives its function, and the
 same bytes for the same runs.
@@ -7,17 +7,23 @@ same bytes for the same runs.
 from __future__ import annotations
 
 import io
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
 
 from matplotlib.figure import Figure
 
+from hpid_ros.analysis.comparison import Comparison
+from hpid_ros.analysis.gain_plots import multiplier_figure, norm_figure
 from hpid_ros.analysis.indices import EFFORT_L2, ERROR_L2, Quantity, run_indices
 from hpid_ros.analysis.panels import SignalOf, joint_panels, single_panel
 from hpid_ros.analysis.plot_style import DOTS_PER_INCH, figure_style
+from hpid_ros.analysis.portraits import phase_panels, spectrum_panels
+from hpid_ros.analysis.results import RunIndices
 from hpid_ros.analysis.series import JointSeries, RunSeries, SeriesError
-from hpid_ros.analysis.signals import Signal, norm_over_joints
+from hpid_ros.analysis.signals import Gains, Signal, norm_over_joints
+from hpid_ros.analysis.trade_off import trade_off_figure
 from hpid_ros.errors import unknown_name
 
 FORMATS = ("png", "pdf", "svg")
@@ -32,19 +38,19 @@ _METADATA: Mapping[str, dict[str, Any]] = {
 }
 
 
-def _position(series: JointSeries) -> Signal:
+def _position(run: RunSeries, series: JointSeries) -> Signal:
     return Signal(series.state_stamps_ns, series.position)
 
 
-def _reference(series: JointSeries) -> Signal:
+def _reference(run: RunSeries, series: JointSeries) -> Signal:
     return Signal(series.state_stamps_ns, series.reference)
 
 
-def _error(series: JointSeries) -> Signal:
+def _error(run: RunSeries, series: JointSeries) -> Signal:
     return Signal(series.state_stamps_ns, series.error)
 
 
-def _effort(series: JointSeries) -> Signal:
+def _effort(run: RunSeries, series: JointSeries) -> Signal:
     return Signal(series.command_stamps_ns, series.effort)
 
 
@@ -94,43 +100,87 @@ def error_norm_figure(runs: Sequence[RunSeries], buckets: int = BUCKETS) -> Figu
     return _norm_figure(runs, r"$\|e(t)\|_2$ over all joints [rad]", _error, ERROR_L2, buckets)
 
 
+@figure_style()
+def spectrum_figure(runs: Sequence[RunSeries], buckets: int = BUCKETS) -> Figure:
+    """Return the spectrum of the effort by joint, in [N m / Hz^0.5]."""
+    return spectrum_panels(runs)
+
+
+@figure_style()
+def phase_figure(runs: Sequence[RunSeries], buckets: int = BUCKETS) -> Figure:
+    """Return error rate over error by joint, in [rad/s], [rad]; see :func:`positions_figure`."""
+    return phase_panels(runs, 4 * buckets)
+
+
 FIGURES: Mapping[str, DrawRuns] = {
     "positions": positions_figure,
     "efforts": efforts_figure,
     "errors": errors_figure,
     "effort_norm": effort_norm_figure,
     "error_norm": error_norm_figure,
+    "spectrum": spectrum_figure,
+    "phase": phase_figure,
 }
 
 
 def save_figures(
-    runs: Sequence[RunSeries], folder: Path, formats: Iterable[str] = ("png", "pdf")
+    runs: Sequence[RunSeries],
+    folder: Path,
+    formats: Iterable[str] = ("png", "pdf"),
+    *,
+    comparison: Comparison | None = None,
+    repeats: Sequence[RunIndices] = (),
+    gains: Gains | None = None,
 ) -> list[Path]:
     """Draw all figures into a folder, which must exist; files of the same name are replaced.
 
     Args:
-        runs: The runs, the baseline first.
+        runs: The runs, the baseline first; none if only numbers are there.
         folder: Where they go.
         formats: Any of :data:`FORMATS`.
+        comparison: The numbers, for the figure of error against effort.
+        repeats: The single runs of the comparison's medians.
+        gains: What the runs' laws did to their gains; runs that are not in it are left out.
 
     Returns:
         The files written, by figure, then format.
 
     Raises:
-        SeriesError: If a format is unknown, there is no run, or the runs' joints differ.
+        SeriesError: If a format is unknown, there is nothing to draw, or the runs' joints differ.
     """
     wanted = tuple(formats)
     for form in wanted:
         if form not in FORMATS:
             raise SeriesError(unknown_name("figure format", form, FORMATS))
+    if not runs and comparison is None:
+        raise SeriesError("figures need at least one run, got none")
     paths: list[Path] = []
-    for name, draw in FIGURES.items():
-        figure = draw(runs)
+    for name, draw in _drawings(runs, comparison, repeats, gains or {}).items():
+        figure = draw()
         for form in wanted:
             path = Path(folder) / f"{name}.{form}"
             path.write_bytes(render(figure, form))
             paths.append(path)
     return paths
+
+
+def _drawings(
+    runs: Sequence[RunSeries],
+    comparison: Comparison | None,
+    repeats: Sequence[RunIndices],
+    gains: Gains,
+) -> dict[str, Callable[[], Figure]]:
+    """Return what can be drawn, by name."""
+    drawings: dict[str, Callable[[], Figure]] = {}
+    if runs:
+        drawings = {name: partial(draw, runs) for name, draw in FIGURES.items()}
+    known = [run for run in runs if run.label in gains]
+    if known:
+        drawings["norm"] = partial(norm_figure, known, gains, BUCKETS)
+        drawings["multiplier"] = partial(multiplier_figure, known, gains, BUCKETS)
+    if comparison is not None and comparison.others:
+        drawings["trade_off"] = partial(trade_off_figure, comparison, repeats)
+    return drawings
 
 
 @figure_style()
@@ -156,7 +206,7 @@ def render(figure: Figure, form: str, transparent: bool = False) -> bytes:
 def _norm_figure(
     runs: Sequence[RunSeries], label: str, signal_of: SignalOf, quantity: Quantity, buckets: int
 ) -> Figure:
-    signals = [norm_over_joints([signal_of(s) for s in run.joints]) for run in runs]
+    signals = [norm_over_joints([signal_of(run, s) for s in run.joints]) for run in runs]
     values = [run_indices(run).value(quantity) for run in runs]
     unit = quantity.unit.replace("^0.5", "$^{0.5}$")
     notes = [f"{quantity.meaning} {value:.4g} {unit}" for value in values]

@@ -7,21 +7,29 @@ escaped.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from html import escape
 
 from hpid_ros.analysis.comparison import Comparison, answer
+from hpid_ros.analysis.report_data import figures_data
 from hpid_ros.analysis.report_facts import (
     Parameters,
+    data_quality,
     losses,
     parameter_tables,
     provenance_table,
-    scrolling,
+    retunes,
 )
-from hpid_ros.analysis.report_figures import page_figures
+from hpid_ros.analysis.report_packing import Figure, page_data
+from hpid_ros.analysis.report_script import SCRIPT
 from hpid_ros.analysis.report_style import STYLE_SHEET
-from hpid_ros.analysis.report_tables import index_table, legend, norm_table
+from hpid_ros.analysis.report_tables import further_tables, index_table, legend, norm_table
+from hpid_ros.analysis.results import RunIndices
 from hpid_ros.analysis.series import RunSeries, SeriesError
+from hpid_ros.analysis.signals import Gains
+
+_UNKNOWN = "<p>The parameters of the controllers are not known.</p>"
+_NO_RECORDING = "<p>The numbers were saved without their recordings.</p>"
 
 
 def render_report(
@@ -29,48 +37,73 @@ def render_report(
     runs: Sequence[RunSeries],
     provenance: Mapping[str, object],
     parameters: Parameters,
+    *,
+    warnings: Sequence[str] = (),
+    repeats: Sequence[RunIndices] = (),
+    gains: Gains | None = None,
 ) -> str:
     """Return the report as the text of an HTML file.
 
     Args:
         comparison: The numbers.
-        runs: The runs that the numbers are of, in the same order.
+        runs: Recordings of the comparison's runs, in its order; some or all may be missing.
         provenance: Where they come from: versions, seed, hash, command; may be nested.
         parameters: What each controller was set to, by run, joint and parameter.
+        warnings: What keeps the runs from being compared fairly, one line each.
+        repeats: The single runs that the comparison's medians are of.
+        gains: What the runs' laws did to their gains, of those for which it is known.
 
     Raises:
         SeriesError: If the runs are not those of the comparison.
     """
-    labels = [run.label for run in runs]
-    if labels != [run.label for run in comparison.runs]:
+    labels = [run.label for run in comparison.runs]
+    if [run.label for run in runs] != [x for x in labels if x in {run.label for run in runs}]:
         raise SeriesError(
-            f"the report's runs are {', '.join(labels)}, but the comparison's are "
-            f"{', '.join(run.label for run in comparison.runs)}"
+            f"the report's runs are {', '.join(run.label for run in runs)}, but the comparison's "
+            f"are {', '.join(labels)}"
         )
     others = " and ".join(labels[1:])
     title = f"{others} against {labels[0]}" if others else labels[0]
-    sections = {
-        "Indices": [index_table(comparison), norm_table(comparison), legend(comparison)],
-        "Figures": _figures(runs),
-        "Parameters": parameter_tables(parameters),
-        "Losses": losses(runs),
+    figures = figures_data(runs, comparison, repeats, gains or {})
+    body = [
+        f"<header><h1>{escape(title)}</h1></header>",
+        f'<p class="answer">{escape(answer(comparison))}</p>',
+        *(f'<p class="warning">{escape(text)}</p>' for text in warnings),
+        *_losses_warning(runs),
+        "<h2>Indices</h2>",
+        *([index_table(comparison)] if comparison.indices else []),
+        *([norm_table(comparison)] if comparison.norms else []),
+        legend(comparison),
+    ]
+    sections: dict[str, Iterable[str]] = {
+        "Figures": _figures(figures),
+        "All indices": further_tables(comparison),
+        "Parameters": parameter_tables(parameters) if parameters else [_UNKNOWN],
+        "Data": ["<h3>Losses</h3>", *losses(runs), *retunes(runs), *data_quality(runs)]
+        if runs
+        else [_NO_RECORDING],
         "Provenance": [provenance_table(provenance)],
     }
-    body = [
-        f"<h1>{escape(title)}</h1>",
-        f'<p class="answer">{escape(answer(comparison))}</p>',
-        *_losses_warning(runs),
-    ]
     for heading, parts in sections.items():
-        body += [f"<section>\n<h2>{heading}</h2>", *parts, "</section>"]
-    return _page(title, "\n".join(body))
+        name = heading.lower().replace(" ", "-")
+        body += [f'<section id="{name}" data-tab="{heading}">', f"<h2>{heading}</h2>"]
+        body += [*parts, "</section>"]
+    return _page(title, "\n".join(body), page_data(figures, labels))
 
 
-def _figures(runs: Sequence[RunSeries]) -> Iterator[str]:
-    for name, caption, svg in page_figures(runs):
+def _figures(figures: Sequence[Figure]) -> Iterator[str]:
+    if not figures:
+        yield _NO_RECORDING
+        return
+    yield "<noscript><p>The figures need JavaScript; the numbers do not.</p></noscript>"
+    yield (
+        '<p class="soft">Drag across a chart to zoom, double click for the whole. On a focused '
+        "chart: arrows read values, shift and arrows move, + and − zoom, 0 shows the whole.</p>"
+    )
+    for figure in figures:
         yield (
-            f'<figure id="{name}">{scrolling(caption, svg)}'
-            f"<figcaption>{escape(caption)}</figcaption></figure>"
+            f'<figure id="{figure["name"]}">'
+            f"<figcaption>{escape(figure['caption'])}</figcaption></figure>"
         )
 
 
@@ -83,15 +116,17 @@ def _losses_warning(runs: Sequence[RunSeries]) -> Iterator[str]:
             repeated = sum(loss.repeated_commands for loss in lost.values())
             text = (
                 f"{run.label} lost samples in {', '.join(lost)}: unanswered states {unanswered}, "
-                f"repeated commands {repeated}; see Losses."
+                f"repeated commands {repeated}; see Data."
             )
             yield f'<p class="warning">{escape(text)}</p>'
 
 
-def _page(title: str, body: str) -> str:
+def _page(title: str, body: str, data: str) -> str:
     return (
         '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
         f"<title>{escape(title)}</title>\n<style>{STYLE_SHEET}</style>\n</head>\n"
-        f"<body>\n<main>\n{body}\n</main>\n</body>\n</html>\n"
+        f"<body>\n<main>\n{body}\n</main>\n"
+        f'<script type="application/json" id="report-data">{data}</script>\n'
+        f"<script>\n{SCRIPT}</script>\n</body>\n</html>\n"
     )

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from html import escape
 
+from hpid_ros.analysis.quality_text import COLUMNS, quality_rows
 from hpid_ros.analysis.series import RunSeries
 
 # Settings by parameter name, of each joint, of each run's label.
@@ -39,6 +40,41 @@ def losses(runs: Sequence[RunSeries]) -> Iterator[str]:
         yield plain_table(f"Losses of {run.label}", columns, rows)
 
 
+def data_quality(runs: Sequence[RunSeries]) -> Iterator[str]:
+    """Yield for each run that was read from a recording what it was made of.
+
+    Args:
+        runs: The runs.
+    """
+    for run in runs:
+        quality = run.quality
+        if not quality.joints:
+            continue
+        yield f"<h3>Recording of {escape(run.label)}</h3>"
+        for line in (*quality.unreadable, *quality.notes):
+            yield f"<p>{escape(line)}</p>"
+        references = {each.reference for each in quality.joints.values()}
+        yield f"<p>Reference: {escape(', '.join(sorted(references)))}.</p>"
+        rows = [row for joint, each in quality.joints.items() for row in quality_rows(joint, each)]
+        yield plain_table(f"Recording of {run.label}", COLUMNS, rows)
+
+
+def retunes(runs: Sequence[RunSeries]) -> Iterator[str]:
+    """Yield a table of the changes of parameters while runs were recorded; nothing without one.
+
+    Args:
+        runs: The runs.
+    """
+    rows = [
+        (run.label, f"{(each.stamp_ns - run.start_ns) / 1e9:.3f}", each.node, each.change)
+        for run in runs
+        for each in run.retunes
+    ]
+    if rows:
+        yield "<h3>Retuned while running</h3>"
+        yield plain_table("Changes of parameters", ("run", "t [s]", "node", "change"), rows)
+
+
 def parameter_tables(parameters: Parameters) -> Iterator[str]:
     """Yield for each run a heading, the settings that all joints share, and those that differ.
 
@@ -48,6 +84,7 @@ def parameter_tables(parameters: Parameters) -> Iterator[str]:
     for label, joints in parameters.items():
         yield f"<h3>{escape(label)}</h3>"
         names = list(dict.fromkeys(name for settings in joints.values() for name in settings))
+        names = [name for name in names if name != "joint"]  # the rows' own name
         texts = {
             name: [_text(settings.get(name)) for settings in joints.values()] for name in names
         }

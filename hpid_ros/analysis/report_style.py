@@ -10,6 +10,10 @@ DARK_RUNS = (
     ("#ff9a52", "#7a4a2c"),
     ("#63d29b", "#2c5c47"),
     ("#c99bea", "#594070"),
+    ("#ff8fa3", "#713d49"),
+    ("#5fd4e6", "#2c5c66"),
+    ("#d8bd5a", "#5d522a"),
+    ("#aab6c4", "#4a525c"),
 )
 
 _LIGHT_VARIABLES = "".join(
@@ -19,21 +23,26 @@ _DARK_VARIABLES = "".join(
     f"--run-{k}:{color};--tint-{k}:{tint};" for k, (color, tint) in enumerate(DARK_RUNS)
 )
 
+_DARK = f"""
+    --page: #14171c; --ink: #e6e9ee; --soft: #a2abb8; --line: #39404b; --panel: #1d2229;
+    --grid: #2c323b; --reference: #5c6675; --better: #6fd198; --worse: #ff8f86;
+    --selection: #6cb4ff44;
+    {_DARK_VARIABLES}
+"""
+
 STYLE_SHEET = (
     f"""
 :root {{
   color-scheme: light dark;
   --page: #ffffff; --ink: {INK}; --soft: #5b6472; --line: #d5d9e0; --panel: #f4f6f9;
   --grid: {GRID}; --reference: {REFERENCE}; --better: #14713d; --worse: #b3261e;
+  --selection: #0b4a8f33;
   {_LIGHT_VARIABLES}
 }}
-@media (prefers-color-scheme: dark) {{
-  :root {{
-    --page: #14171c; --ink: #e6e9ee; --soft: #a2abb8; --line: #39404b; --panel: #1d2229;
-    --grid: #2c323b; --reference: #5c6675; --better: #6fd198; --worse: #ff8f86;
-    {_DARK_VARIABLES}
-  }}
-}}
+@media screen and (prefers-color-scheme: dark) {{ :root:not([data-theme=light]) {{{_DARK}}} }}
+@media screen {{ :root[data-theme=dark] {{{_DARK}}} }}
+:root[data-theme=dark] {{ color-scheme: dark; }}
+:root[data-theme=light] {{ color-scheme: light; }}
 """
     + """
 * { box-sizing: border-box; }
@@ -51,11 +60,10 @@ p { margin: .5rem 0; max-width: 46rem; overflow-wrap: anywhere; }
   border-left: 4px solid var(--run-1); max-width: none;
 }
 .warning { border-left: 4px solid var(--worse); padding: .4rem 1.1rem; }
-.soft { color: var(--soft); font-size: .9rem; }
+.soft { color: var(--soft); font-size: .9rem; font-weight: 400; }
 .scroll { overflow-x: auto; max-width: 100%; position: relative; }
 .scroll + .scroll { margin-top: 1.5rem; }
 sup { line-height: 0; }
-.scroll:focus-visible { outline: 2px solid var(--run-0); outline-offset: 2px; }
 table { border-collapse: collapse; font-size: .92rem; font-variant-numeric: tabular-nums; }
 th, td { padding: .3rem .6rem; text-align: right; white-space: nowrap; }
 th { font-weight: 600; }
@@ -75,10 +83,47 @@ tfoot th, tfoot td { border-top: 2px solid var(--line); font-weight: 700; }
   position: absolute; width: 1px; height: 1px; overflow: hidden; clip-path: inset(50%);
   white-space: nowrap;
 }
-figure { margin: 0 0 2rem; }
-figure svg { display: block; width: 100%; min-width: 42rem; height: auto; }
-figure svg text { font-family: "DejaVu Sans", Verdana, system-ui, sans-serif !important; }
-figcaption { color: var(--soft); font-size: .9rem; margin-top: .35rem; }
-@media print { .scroll { overflow: visible; } figure { break-inside: avoid; } }
+header { display: flex; gap: 1rem; align-items: flex-start; justify-content: space-between; }
+button {
+  font: inherit; font-size: .9rem; color: var(--ink); background: var(--panel); cursor: pointer;
+  border: 1px solid var(--line); border-radius: .35rem; padding: .2rem .6rem; min-height: 2rem;
+}
+button:hover { border-color: var(--soft); }
+:focus-visible { outline: 2px solid var(--run-0); outline-offset: 2px; }
+.theme { flex: none; }
+[role=tablist] {
+  display: flex; flex-wrap: wrap; gap: .35rem; margin: 2rem 0 0;
+  border-bottom: 1px solid var(--line); position: sticky; top: 0; z-index: 2;
+  background: var(--page); padding: .4rem 0;
+}
+[role=tab][aria-selected=true] { background: var(--ink); color: var(--page); }
+[role=tabpanel] > h2 { margin-top: 1.25rem; }
+details { margin: .5rem 0; }
+summary { cursor: pointer; padding: .2rem 0; }
+figure { margin: 0 0 2.5rem; }
+.controls { display: flex; flex-wrap: wrap; gap: .4rem .75rem; align-items: center; }
+.controls .zoom { margin-left: auto; display: flex; gap: .25rem; }
+.run[aria-pressed=false] { opacity: .45; text-decoration: line-through; }
+.swatch {
+  display: inline-block; width: 1.8rem; border-top: 3px; margin-right: .4rem;
+  vertical-align: middle;
+}
+.panels { display: grid; grid-template-columns: repeat(auto-fill, minmax(min(100%, 26rem), 1fr)); }
+.panels.single { grid-template-columns: 1fr; }
+.panel { min-width: 0; padding: .35rem 0; }
+.title { font-size: .9rem; overflow-wrap: anywhere; }
+canvas { display: block; width: 100%; height: 11rem; touch-action: pan-y; cursor: crosshair; }
+.single canvas { height: 17rem; }
+output {
+  display: block; min-height: 1.3rem; font-size: .82rem; color: var(--soft);
+  font-variant-numeric: tabular-nums; overflow-wrap: anywhere;
+}
+figcaption { font-weight: 600; margin-bottom: .4rem; }
+@media print {
+  [role=tablist], .theme, .zoom { display: none; }
+  section[hidden] { display: block !important; }
+  .scroll { overflow: visible; }
+  .panel { break-inside: avoid; }
+}
 """
 )

@@ -7,11 +7,17 @@ from collections.abc import Sequence
 from html import escape
 
 from hpid_ros.analysis.comparison import Comparison, Verdict, verdict
-from hpid_ros.analysis.indices import INDICES, NORMS, Quantity
+from hpid_ros.analysis.number_text import format_ratio, format_values
+from hpid_ros.analysis.quantities import QUANTITIES, Quantity
 from hpid_ros.analysis.report_facts import scrolling
-from hpid_ros.analysis.table import MARKS, format_ratio, format_values
+from hpid_ros.analysis.table import MARKS, heading_of, quartiles_of, total_name
 
-_SPOKEN = {Verdict.BETTER: "lower", Verdict.WORSE: "higher", Verdict.EQUAL: "equal"}
+_SPOKEN = {
+    Verdict.BETTER: "lower",
+    Verdict.WORSE: "higher",
+    Verdict.EQUAL: "equal",
+    Verdict.UNKNOWN: "not defined",
+}
 
 
 def index_table(comparison: Comparison) -> str:
@@ -23,15 +29,16 @@ def index_table(comparison: Comparison) -> str:
     headings = _run_headings(comparison)
     groups = "".join(
         f'<th class="group first" scope="colgroup" colspan="{len(headings)}">'
-        f"{quantity.symbol} [{_unit(quantity)}]</th>"
-        for quantity in INDICES
+        f"{escape(quantity.symbol)} [{_unit(comparison, quantity)}]</th>"
+        for quantity in comparison.indices
     )
-    labels = "".join(_group_cells("th", headings)) * len(INDICES)
+    labels = "".join(_group_cells("th", headings)) * len(comparison.indices)
     joints = (*comparison.joint_names, None)
-    cells = {quantity: _index_cells(comparison, quantity, joints) for quantity in INDICES}
+    cells = {q: _index_cells(comparison, q, joints) for q in comparison.indices}
+    total = total_name(comparison.indices)
     rows = [
-        f'<tr><th scope="row">{escape(joint or "total")}</th>'
-        f"{''.join(''.join(cells[quantity][k]) for quantity in INDICES)}</tr>"
+        f'<tr><th scope="row">{escape(joint or total)}</th>'
+        f"{''.join(''.join(cells[quantity][k]) for quantity in comparison.indices)}</tr>"
         for k, joint in enumerate(joints)
     ]
     return scrolling(
@@ -43,22 +50,33 @@ def index_table(comparison: Comparison) -> str:
 
 
 def norm_table(comparison: Comparison) -> str:
-    """Return the L2 norms over all joints.
+    """Return what the comparison shows over all joints alone: the L2 norms.
 
     Args:
         comparison: What it shows.
     """
-    rows = []
-    for quantity in NORMS:
-        name = f"{quantity.meaning} [{_unit(quantity)}]"
-        cells = "".join(_index_cells(comparison, quantity, (None,))[0])
-        rows.append(f'<tr><th scope="row">{name[0].upper()}{name[1:]}</th>{cells}</tr>')
-    labels = "".join(_group_cells("th", _run_headings(comparison)))
-    return scrolling(
-        "L2 norms over all joints",
-        f'<table><thead><tr><th class="text" scope="col">over all joints</th>{labels}</tr></thead>'
-        f"<tbody>{''.join(rows)}</tbody></table>",
-    )
+    return _overall_table(comparison, comparison.norms, "L2 norms over all joints")
+
+
+def further_tables(comparison: Comparison) -> list[str]:
+    """Return every quantity that all runs have: over all joints, then each one by joint.
+
+    Args:
+        comparison: What it shows.
+    """
+    quantities = [
+        quantity
+        for quantity in QUANTITIES.values()
+        if all(quantity in run.quantities for run in comparison.runs)
+    ]
+    parts = [_overall_table(comparison, quantities, "All indices over all joints")]
+    for quantity in quantities:
+        table = _joint_table(comparison, quantity)
+        title = f"{escape(quantity.symbol)} [{_unit(comparison, quantity)}]"
+        parts.append(
+            f"<details><summary>{title}: {escape(quantity.meaning)}</summary>{table}</details>"
+        )
+    return parts
 
 
 def legend(comparison: Comparison) -> str:
@@ -67,7 +85,10 @@ def legend(comparison: Comparison) -> str:
     Args:
         comparison: What the tables show.
     """
-    text = "; ".join(f"{quantity.symbol}: {quantity.meaning}" for quantity in INDICES) + "."
+    shown = comparison.indices or comparison.norms
+    text = "; ".join(f"{quantity.symbol}: {quantity.meaning}" for quantity in shown) + "."
+    if any(run.spread for run in comparison.runs):
+        text += " A number in brackets: median of so many runs, with first and third quartile."
     if comparison.others:
         text += (
             f" Ratio: run / {comparison.baseline.label}; {MARKS[Verdict.BETTER]} lower, which "
@@ -76,10 +97,43 @@ def legend(comparison: Comparison) -> str:
     return f'<p class="soft">{escape(text)}</p>'
 
 
+def _overall_table(comparison: Comparison, quantities: Sequence[Quantity], name: str) -> str:
+    rows = []
+    for quantity in quantities:
+        title = f"{escape(quantity.symbol)} [{_unit(comparison, quantity)}]"
+        cells = "".join(_index_cells(comparison, quantity, (None,))[0])
+        meaning = f'<span class="soft">{escape(quantity.meaning)}</span>'
+        rows.append(f'<tr><th scope="row">{title} {meaning}</th>{cells}</tr>')
+    labels = "".join(_group_cells("th", _run_headings(comparison)))
+    return scrolling(
+        name,
+        f'<table><thead><tr><th class="text" scope="col">over all joints</th>{labels}</tr></thead>'
+        f"<tbody>{''.join(rows)}</tbody></table>",
+    )
+
+
+def _joint_table(comparison: Comparison, quantity: Quantity) -> str:
+    joints = (*comparison.joint_names, None)
+    cells = _index_cells(comparison, quantity, joints)
+    last = f"all: {quantity.fold.value}"
+    rows = [
+        f'<tr><th scope="row">{escape(joint or last)}</th>{"".join(cells[k])}</tr>'
+        for k, joint in enumerate(joints)
+    ]
+    labels = "".join(_group_cells("th", _run_headings(comparison)))
+    return scrolling(
+        f"{quantity.meaning} of each joint",
+        f'<table><thead><tr><th class="text" scope="col">joint</th>{labels}</tr></thead>'
+        f"<tbody>{''.join(rows[:-1])}</tbody><tfoot>{rows[-1]}</tfoot></table>",
+    )
+
+
 def _run_headings(comparison: Comparison) -> list[str]:
-    headings = [escape(comparison.baseline.label)]
-    for run in comparison.others:
-        headings += [escape(run.label), "ratio"]
+    headings: list[str] = []
+    for run in comparison.runs:
+        headings.append(escape(heading_of(run)))
+        headings += [] if run.spread is None else ["quartiles"]
+        headings += [] if run is comparison.baseline else ["ratio"]
     return headings
 
 
@@ -91,9 +145,12 @@ def _index_cells(
     texts = iter(format_values(values))
     rows = []
     for joint in joints:
-        contents = [next(texts)]
-        for run in comparison.others:
-            contents += [next(texts), _ratio(comparison.ratio(run.label, quantity, joint))]
+        contents: list[str] = []
+        for run in comparison.runs:
+            contents.append(next(texts))
+            contents += [] if run.spread is None else [quartiles_of(run, quantity, joint)]
+            if run is not comparison.baseline:
+                contents.append(_ratio(comparison.ratio(run.label, quantity, joint)))
         rows.append(_group_cells("td", contents))
     return rows
 
@@ -116,5 +173,5 @@ def _ratio(ratio: float) -> str:
     )
 
 
-def _unit(quantity: Quantity) -> str:
-    return re.sub(r"\^([\d.]+)", r"<sup>\1</sup>", escape(quantity.unit))
+def _unit(comparison: Comparison, quantity: Quantity) -> str:
+    return re.sub(r"\^([\d.]+)", r"<sup>\1</sup>", escape(comparison.unit(quantity)))

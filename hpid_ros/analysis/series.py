@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from hpid_ros.analysis.quality import RecordingQuality
 from hpid_ros.errors import HpidError
 
 NANOSECONDS_PER_SECOND = 1e9
@@ -24,7 +25,7 @@ class SeriesError(HpidError, ValueError):
 
 @dataclass(frozen=True, eq=False)
 class JointSeries:
-    """One joint of one run. The arrays are copied and made read-only.
+    """One joint of one run. The arrays are read-only; those that were not before are copied.
 
     Attributes:
         joint: Name of the joint.
@@ -83,7 +84,7 @@ class JointSeries:
             raise SeriesError(
                 f"{where} must be a line of integers, got {raw.dtype} of shape {raw.shape}"
             )
-        stamps = raw.astype(np.int64)
+        stamps = _own(raw, np.int64)
         late = np.flatnonzero(np.diff(stamps) <= 0)
         if late.size:
             k = int(late[0])
@@ -94,7 +95,7 @@ class JointSeries:
         return stamps
 
     def _samples(self, name: str, length: int) -> NDArray[np.float64]:
-        samples = np.array(getattr(self, name), dtype=np.float64)
+        samples = _own(getattr(self, name), np.float64)
         where = f"joint {self.joint!r}: {name}"
         if samples.shape != (length,):
             raise SeriesError(
@@ -124,6 +125,21 @@ class Losses:
         return self.unanswered_states > 0 or self.repeated_commands > 0
 
 
+@dataclass(frozen=True)
+class Retune:
+    """A change of a controller's parameters while it ran.
+
+    Attributes:
+        stamp_ns: Stamp of the last state before it, in [ns].
+        node: Name of the controller's node.
+        change: What was set, for instance ``"mu = -0.2"``.
+    """
+
+    stamp_ns: int
+    node: str
+    change: str
+
+
 @dataclass(frozen=True, eq=False)
 class RunSeries:
     """All joints of one run under one controller.
@@ -132,6 +148,8 @@ class RunSeries:
         label: Name of the run in tables and legends, for instance ``"hPID"``.
         joints: The series of each joint, in the order in which they are shown.
         losses: Losses by joint name; a joint that is not named lost nothing.
+        retunes: Changes of parameters while it ran, as far as they were recorded.
+        quality: How complete the recording is, and on which clock and reference it stands.
 
     Raises:
         SeriesError: If there is no label or no joint, a joint is there twice, or losses name
@@ -141,6 +159,8 @@ class RunSeries:
     label: str
     joints: tuple[JointSeries, ...]
     losses: Mapping[str, Losses] = field(default_factory=dict)
+    retunes: tuple[Retune, ...] = ()
+    quality: RecordingQuality = field(default_factory=RecordingQuality)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "joints", tuple(self.joints))
@@ -175,6 +195,18 @@ class RunSeries:
         """Time from the first to the last state of any joint, in [s]."""
         last_ns = max(int(series.state_stamps_ns[-1]) for series in self.joints)
         return (last_ns - self.start_ns) / NANOSECONDS_PER_SECOND
+
+
+def _own(values: ArrayLike, kind: type[np.generic]) -> NDArray[Any]:
+    """Return an array that nobody changes: a copy, or one that is read-only and no view."""
+    if (
+        isinstance(values, np.ndarray)
+        and values.dtype == kind
+        and values.flags.owndata
+        and not values.flags.writeable
+    ):
+        return values
+    return np.array(values, dtype=kind)
 
 
 def seconds_since(stamps_ns: NDArray[np.int64], origin_ns: int) -> NDArray[np.float64]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -19,6 +19,23 @@ class Signal(NamedTuple):
     values: NDArray[np.float64]
 
 
+class GainSignals(NamedTuple):
+    """What a joint's homogeneous law did to its gains.
+
+    Attributes:
+        norm: Homogeneous norm of error and error rate at each state, before floor and cap.
+        multiplier: Factor of the loop's bandwidth: the norm, within floor and cap, to the power
+            of the degree; one for a linear PID.
+    """
+
+    norm: Signal
+    multiplier: Signal
+
+
+Gains = Mapping[str, Mapping[str, GainSignals]]
+"""What the laws did, by label and joint."""
+
+
 def norm_over_joints(signals: Sequence[Signal]) -> Signal:
     """Return the Euclidean norm over joints of their signals, at all stamps that any has.
 
@@ -30,7 +47,9 @@ def norm_over_joints(signals: Sequence[Signal]) -> Signal:
     Args:
         signals: One signal a joint, at least one.
     """
-    stamps = np.unique(np.concatenate([signal.stamps_ns for signal in signals]))
+    stamps = signals[0].stamps_ns
+    if not all(np.array_equal(stamps, signal.stamps_ns) for signal in signals[1:]):
+        stamps = np.unique(np.concatenate([signal.stamps_ns for signal in signals]))
     squares = np.zeros(stamps.size)
     for stamps_ns, values in signals:
         if stamps_ns.size == stamps.size:  # as many as there are: the same ones

@@ -1,15 +1,13 @@
 """The paper's Table I for our runs, for a terminal and as plain text.
 
-Three forms of one table: side by side as in the paper while the width allows, else one block
-for each index. A ratio carries a mark besides its colour, so that better and worse read
-without it.
+Blocks of one index each stand side by side as in the paper, as many as the width allows. A
+ratio carries a mark besides its colour, so that better and worse read without it.
 """
 
 from __future__ import annotations
 
 import io
-import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 from rich.box import SIMPLE
@@ -19,51 +17,26 @@ from rich.table import Table
 from rich.text import Text
 
 from hpid_ros.analysis.comparison import Comparison, Verdict, verdict
-from hpid_ros.analysis.indices import INDICES, NORMS, Quantity
+from hpid_ros.analysis.number_text import (
+    SIGNIFICANT_DIGITS,
+    format_quartiles,
+    format_ratio,
+    format_values,
+)
+from hpid_ros.analysis.quantities import Fold, Quantity
+from hpid_ros.analysis.results import RunIndices
 
-MARKS = {Verdict.BETTER: "▼", Verdict.WORSE: "▲", Verdict.EQUAL: "="}
-ASCII_MARKS = {Verdict.BETTER: "v", Verdict.WORSE: "^", Verdict.EQUAL: "="}
-STYLES = {Verdict.BETTER: "green", Verdict.WORSE: "red", Verdict.EQUAL: "dim"}
-SIGNIFICANT_DIGITS = 5
-# Beyond these a column is scientific: plain digits would be many, or zeros.
-SMALLEST_PLAIN, LARGEST_PLAIN = 1e-3, 1e6
+MARKS = {Verdict.BETTER: "▼", Verdict.WORSE: "▲", Verdict.EQUAL: "=", Verdict.UNKNOWN: " "}
+ASCII_MARKS = {**MARKS, Verdict.BETTER: "v", Verdict.WORSE: "^"}
+STYLES = {
+    Verdict.BETTER: "green",
+    Verdict.WORSE: "red",
+    Verdict.EQUAL: "dim",
+    Verdict.UNKNOWN: "dim",
+}
 UNLIMITED_WIDTH = 10_000
 # Spaces between blocks and digits of the largest number, from roomy to tight.
 LAYOUTS = ((3, 5), (2, 5), (1, 5), (1, 4))
-
-
-def format_values(values: Iterable[float], digits: int = SIGNIFICANT_DIGITS) -> list[str]:
-    """Return numbers of one column with the same decimals, so that their points line up.
-
-    The largest decides: it shows about `digits` digits. A number that would read as zero
-    without being zero, and a column of very large or small numbers, are scientific.
-
-    Args:
-        values: The column.
-        digits: Digits of the largest number, and the decimals' limit plus one.
-    """
-    column = list(values)
-    largest = max((abs(value) for value in column), default=0.0)
-    if largest and not SMALLEST_PLAIN <= largest < LARGEST_PLAIN:
-        return [_scientific(value) for value in column]
-    whole = max(1, math.floor(math.log10(largest)) + 1) if largest else 1
-    decimals = max(0, digits - whole)
-    smallest = 0.5 * 10.0**-decimals
-    return [
-        _scientific(value) if value and abs(value) < smallest else f"{value:.{decimals}f}"
-        for value in column
-    ]
-
-
-def format_ratio(ratio: float) -> str:
-    """Return a ratio in at most five characters or so: 0.612, 12.35, 1.2e5, inf.
-
-    Args:
-        ratio: A cost over the baseline's.
-    """
-    if math.isinf(ratio) or ratio < 10.0:
-        return f"{ratio:.3f}"
-    return f"{ratio:.4g}" if ratio < 1e4 else _scientific(ratio)
 
 
 class ComparisonTable:
@@ -77,21 +50,41 @@ class ComparisonTable:
         self.comparison = comparison
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        blocks = _Blocks(self.comparison, ASCII_MARKS if options.ascii_only else MARKS)
+        ascii_only = options.ascii_only
+        blocks = _Blocks(self.comparison, ASCII_MARKS if ascii_only else MARKS)
+        if self.comparison.indices:
+            yield from self._indices(blocks, console, options)
+            yield ""
+        if self.comparison.norms:
+            yield blocks.of_norms()
+            yield ""
+        legend = blocks.legend()
+        yield Text(legend.plain.replace("–", "-"), style="dim") if ascii_only else legend
+
+    def _indices(self, blocks: _Blocks, console: Console, options: ConsoleOptions) -> RenderResult:
         unlimited = options.update_width(UNLIMITED_WIDTH)
+
+        def fits(table: Table) -> bool:
+            return Measurement.get(console, unlimited, table).maximum <= options.max_width
+
         for gap, digits in LAYOUTS:
-            wide = blocks.side_by_side(gap, digits)
-            if Measurement.get(console, unlimited, wide).maximum <= options.max_width:
+            wide = blocks.side_by_side(self.comparison.indices, gap, digits)
+            if fits(wide):
                 yield wide
-                break
-        else:
-            for quantity in INDICES:
-                yield blocks.of_index(quantity)
+                return
+        waiting = list(self.comparison.indices)
+        gap, digits = LAYOUTS[0]
+        while waiting:
+            count = len(waiting)
+            while count > 1 and not fits(blocks.side_by_side(waiting[:count], gap, digits)):
+                count -= 1
+            if count == 1:
+                yield blocks.of_index(waiting[0])
+            else:
+                yield blocks.side_by_side(waiting[:count], gap, digits)
+            del waiting[:count]
+            if waiting:
                 yield ""
-        yield ""
-        yield blocks.of_norms()
-        yield ""
-        yield blocks.legend()
 
 
 def table_text(comparison: Comparison, width: int = 100) -> str:
@@ -118,49 +111,56 @@ class _Blocks:
         self._comparison = comparison
         self._marks = marks
 
-    def side_by_side(self, gap: int, digits: int) -> Table:
-        """Return the paper's table: the joints' names, then the blocks of all indices."""
+    def side_by_side(self, quantities: Sequence[Quantity], gap: int, digits: int) -> Table:
+        """Return the paper's table: the joints' names, then the blocks of some indices."""
         grid = Table.grid(padding=(0, gap, 0, 0), pad_edge=False)
         grid.add_row(
-            _block(" ", [self.names()]),
-            *(_block(_title(q), self._columns(q, digits)) for q in INDICES),
+            _block(" ", [self.names(quantities)]),
+            *(_block(self._title(q), self._columns(q, digits)) for q in quantities),
         )
         return grid
 
     def of_index(self, quantity: Quantity) -> Table:
         """Return one index alone: the joints' names, then its runs and ratios."""
-        columns = [self.names(), *self._columns(quantity, SIGNIFICANT_DIGITS)]
-        return _block(_title(quantity), columns)
+        columns = [self.names([quantity]), *self._columns(quantity, SIGNIFICANT_DIGITS)]
+        return _block(self._title(quantity), columns)
 
     def of_norms(self) -> Table:
-        """Return the L2 norms over all joints, one row each."""
+        """Return what is shown over all joints alone, one row each."""
+        are_l2 = all("L2" in quantity.meaning for quantity in self._comparison.norms)
         block = Table(box=SIMPLE, show_edge=False, padding=(0, 1, 0, 0))
-        block.add_column(Text("L2, all joints"), overflow="fold")
+        block.add_column(Text("L2, all joints" if are_l2 else "all joints"), overflow="fold")
         for k, run in enumerate(self._comparison.runs):
-            block.add_column(Text(run.label), justify="right", overflow="fold")
+            for heading in (heading_of(run), *_quartiles_heading(run)):
+                block.add_column(Text(heading), justify="right", overflow="fold")
             if k:
                 block.add_column("ratio", justify="right", overflow="fold")
-        for quantity in NORMS:
-            block.add_row(Text(f"{quantity.symbol} [{quantity.unit}]"), *self._norm_row(quantity))
+        for quantity in self._comparison.norms:
+            block.add_row(Text(self._title(quantity)), *self._norm_row(quantity))
         return block
 
     def legend(self) -> Text:
         """Return what symbols and marks mean."""
-        names = ", ".join(f"{q.symbol} {q.meaning}" for q in INDICES)
-        if not self._comparison.others:
-            return Text(f"{names}.", style="dim")
-        marks = self._marks
-        baseline = self._comparison.baseline.label
-        return Text(
-            f"{names}.\nRatio: run / {baseline}; {marks[Verdict.BETTER]} lower, which is better, "
-            f"{marks[Verdict.WORSE]} higher, {marks[Verdict.EQUAL]} equal.",
-            style="dim",
-        )
+        comparison = self._comparison
+        shown = comparison.indices or comparison.norms
+        lines = [", ".join(f"{q.symbol} {q.meaning}" for q in shown) + "."]
+        if any(run.spread for run in comparison.runs):
+            lines.append("(n): median of n runs, with the first and third quartile.")
+        if comparison.others:
+            marks = self._marks
+            lines.append(
+                f"Ratio: run / {comparison.baseline.label}; {marks[Verdict.BETTER]} lower, which "
+                f"is better, {marks[Verdict.WORSE]} higher, {marks[Verdict.EQUAL]} equal."
+            )
+        return Text("\n".join(lines), style="dim")
 
-    def names(self) -> _Column:
+    def names(self, quantities: Sequence[Quantity]) -> _Column:
         """Return the names of the rows."""
         names = [Text(name) for name in self._comparison.joint_names]
-        return _Column("joint", [*names, Text("total")], "left")
+        return _Column("joint", [*names, Text(total_name(quantities))], "left")
+
+    def _title(self, quantity: Quantity) -> str:
+        return f"{quantity.symbol} [{self._comparison.unit(quantity)}]"
 
     def _columns(self, quantity: Quantity, digits: int) -> list[_Column]:
         joints = (*self._comparison.joint_names, None)
@@ -169,7 +169,11 @@ class _Blocks:
         texts = [Text(text) for text in format_values(values, digits)]
         columns: list[_Column] = []
         for k, run in enumerate(runs):
-            columns.append(_Column(run.label, texts[k * len(joints) : (k + 1) * len(joints)]))
+            cells = texts[k * len(joints) : (k + 1) * len(joints)]
+            columns.append(_Column(heading_of(run), cells))
+            for heading in _quartiles_heading(run):
+                spreads = [Text(quartiles_of(run, quantity, joint)) for joint in joints]
+                columns.append(_Column(heading, spreads))
             if k:
                 ratios = (self._comparison.ratio(run.label, quantity, joint) for joint in joints)
                 columns.append(_Column("ratio", [self._ratio(ratio) for ratio in ratios]))
@@ -178,9 +182,12 @@ class _Blocks:
     def _norm_row(self, quantity: Quantity) -> list[Text]:
         runs = self._comparison.runs
         texts = format_values(run.value(quantity) for run in runs)
-        row = [Text(texts[0])]
-        for run, text in zip(runs[1:], texts[1:], strict=True):
-            row += [Text(text), self._ratio(self._comparison.ratio(run.label, quantity))]
+        row: list[Text] = []
+        for k, (run, text) in enumerate(zip(runs, texts, strict=True)):
+            row.append(Text(text))
+            row += [Text(quartiles_of(run, quantity, None)) for _ in _quartiles_heading(run)]
+            if k:
+                row.append(self._ratio(self._comparison.ratio(run.label, quantity)))
         return row
 
     def _ratio(self, ratio: float) -> Text:
@@ -194,8 +201,24 @@ class _Column(NamedTuple):
     justify: JustifyMethod = "right"
 
 
-def _title(quantity: Quantity) -> str:
-    return f"{quantity.symbol} [{quantity.unit}]"
+def heading_of(run: RunIndices) -> str:
+    """Return a run's label, with the number of its repeats where there are several."""
+    return run.label if run.spread is None else f"{run.label} ({run.spread.repeats})"
+
+
+def quartiles_of(run: RunIndices, quantity: Quantity, joint: str | None) -> str:
+    """Return the quartiles of a number of a run of repeats, as a text."""
+    quartiles = {} if run.spread is None else run.spread.quartiles[joint]
+    return format_quartiles(quartiles.get(quantity.key))
+
+
+def total_name(quantities: Sequence[Quantity]) -> str:
+    """Return what the last line of a table is called."""
+    return "total" if all(quantity.fold is Fold.SUM for quantity in quantities) else "all"
+
+
+def _quartiles_heading(run: RunIndices) -> list[str]:
+    return [] if run.spread is None else ["quartiles"]
 
 
 def _block(title: str, columns: Sequence[_Column]) -> Table:
@@ -215,8 +238,3 @@ def _block(title: str, columns: Sequence[_Column]) -> Table:
     for row in zip(*(column.cells[:-1] for column in columns), strict=True):
         block.add_row(*row)
     return block
-
-
-def _scientific(value: float) -> str:
-    mantissa, exponent = f"{value:.1e}".split("e")
-    return f"{mantissa}e{int(exponent)}"

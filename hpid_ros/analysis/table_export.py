@@ -4,12 +4,26 @@ from __future__ import annotations
 
 import csv
 import io
+import math
+import re
 
 from hpid_ros.analysis.comparison import Comparison
-from hpid_ros.analysis.indices import INDICES, NORMS, Quantity, RunIndices
-from hpid_ros.analysis.table import format_ratio, format_values
+from hpid_ros.analysis.number_text import UNDEFINED, format_ratio, format_values
+from hpid_ros.analysis.quantities import (
+    EFFORT_L2,
+    ERROR_L2,
+    ERROR_MAX,
+    STEADY_STATE_ERROR,
+    Fold,
+    Quantity,
+)
+from hpid_ros.analysis.results import RunIndices
+from hpid_ros.analysis.table import heading_of, total_name
 
-CSV_COLUMNS = ("run", "scope", "joint", "quantity", "unit", "value", "ratio")
+CSV_COLUMNS = (
+    *("run", "scope", "joint", "quantity", "unit", "value", "ratio"),
+    *("repeats", "first_quartile", "third_quartile"),
+)
 
 _LATEX_SPECIAL = str.maketrans(
     {
@@ -20,22 +34,22 @@ _LATEX_SPECIAL = str.maketrans(
         **{character: f"\\{character}" for character in "&%$#_{}"},
     }
 )
-_LATEX_UNITS = {
-    "N m": r"N\,m",
-    "N m s": r"N\,m\,s",
-    "rad s^2": r"rad\,s$^2$",
-    "N m s^0.5": r"N\,m\,s$^{1/2}$",
-    "rad s^0.5": r"rad\,s$^{1/2}$",
+_LATEX_SYMBOLS = {
+    EFFORT_L2.key: r"$\|u\|_{L^2}$",
+    ERROR_L2.key: r"$\|e\|_{L^2}$",
+    ERROR_MAX.key: r"$\max|e|$",
+    STEADY_STATE_ERROR.key: r"$e_{ss}$",
 }
-_LATEX_NORMS = {"effort_l2": r"$\|u\|_{L^2}$", "error_l2": r"$\|e\|_{L^2}$"}
 
 
 def table_csv(comparison: Comparison) -> str:
     """Return every number in long form, one a row, at full precision.
 
-    Columns: :data:`CSV_COLUMNS`. ``scope`` is ``joint``, ``total`` (the sum over joints) or
-    ``norm`` (over all joints), and ``joint`` is empty but for the first; ``ratio`` is the value
-    over the baseline's (``inf`` against zero) and empty in the baseline's own rows.
+    Columns: :data:`CSV_COLUMNS`. ``scope`` is ``joint``, ``total`` (the sum over joints),
+    ``all`` (folded in another way) or ``norm`` (over all joints), and ``joint`` is empty but for
+    the first; ``value`` is empty where it is not defined; ``ratio`` is the value over the
+    baseline's (``inf`` against zero) and empty in the baseline's own rows; the last three are
+    empty for a single run.
 
     Args:
         comparison: What it holds.
@@ -43,22 +57,34 @@ def table_csv(comparison: Comparison) -> str:
     text = io.StringIO()
     rows = csv.writer(text, lineterminator="\n")
     rows.writerow(CSV_COLUMNS)
-    scopes: list[tuple[str, str | None, tuple[Quantity, ...]]] = [
-        *(("joint", joint, INDICES) for joint in comparison.joint_names),
-        ("total", None, INDICES),
-        ("norm", None, NORMS),
-    ]
     for run in comparison.runs:
-        for scope, joint, quantities in scopes:
-            for quantity in quantities:
-                value = repr(run.value(quantity, joint))
-                ratio = ""
-                if run is not comparison.baseline:
-                    ratio = repr(comparison.ratio(run.label, quantity, joint))
-                rows.writerow(
-                    (run.label, scope, joint or "", quantity.key, quantity.unit, value, ratio)
-                )
+        for joint in comparison.joint_names:
+            for quantity in comparison.indices:
+                rows.writerow(_csv_row(comparison, run, "joint", joint, quantity))
+        for quantity in comparison.indices:
+            scope = "total" if quantity.fold is Fold.SUM else "all"
+            rows.writerow(_csv_row(comparison, run, scope, None, quantity))
+        for quantity in comparison.norms:
+            rows.writerow(_csv_row(comparison, run, "norm", None, quantity))
     return text.getvalue()
+
+
+def _csv_row(
+    comparison: Comparison, run: RunIndices, scope: str, joint: str | None, quantity: Quantity
+) -> tuple[str, ...]:
+    ratio = ""
+    if run is not comparison.baseline:
+        ratio = _plain(comparison.ratio(run.label, quantity, joint))
+    spread: tuple[str, ...] = ("", "", "")
+    if run.spread is not None:
+        quartiles = run.spread.quartiles[joint].get(quantity.key, (math.nan, math.nan))
+        spread = (str(run.spread.repeats), *(_plain(value) for value in quartiles))
+    value, unit = _plain(run.value(quantity, joint)), comparison.unit(quantity)
+    return (run.label, scope, joint or "", quantity.key, unit, value, ratio, *spread)
+
+
+def _plain(value: float) -> str:
+    return "" if math.isnan(value) else repr(value)
 
 
 def table_latex(comparison: Comparison) -> str:
@@ -70,30 +96,40 @@ def table_latex(comparison: Comparison) -> str:
     Args:
         comparison: What it holds.
     """
-    runs = comparison.runs
-    columns = "|".join("r" * len(runs) for _ in INDICES)
-    labels = " & ".join(_escape(run.label) for run in runs)
+    lines = ["% Lower is better; bold: the lowest."]
+    if comparison.indices:
+        lines += _index_lines(comparison)
+    if comparison.indices and comparison.norms:
+        lines.append(r"\par\medskip")
+    if comparison.norms:
+        lines += _norm_lines(comparison)
+    return "\n".join(lines) + "\n"
+
+
+def _index_lines(comparison: Comparison) -> list[str]:
+    runs, indices = comparison.runs, comparison.indices
+    columns = "|".join("r" * len(runs) for _ in indices)
+    labels = " & ".join(_escape(heading_of(run)) for run in runs)
     joints = (*comparison.joint_names, None)
-    columns_of = {quantity: _index_cells(runs, quantity, joints) for quantity in INDICES}
+    columns_of = {quantity: _index_cells(runs, quantity, joints) for quantity in indices}
+    titles = [f"{_symbol(q)} [{_unit(comparison.unit(q))}]" for q in indices]
     lines = [
-        r"% IVC, IAVC, ITAE of each joint and L2 norms over all joints; lower is better.",
         rf"\begin{{tabular}}{{|l|{columns}|}}",
         r"\hline",
-        f"Joint & {_spanning([f'{q.symbol} [{_LATEX_UNITS[q.unit]}]' for q in INDICES], runs)}",
-        " & ".join(["", *[labels] * len(INDICES)]).lstrip() + r" \\ \hline",
+        f"Joint & {_spanning(titles, runs)}",
+        " & ".join(["", *[labels] * len(indices)]).lstrip() + r" \\ \hline",
     ]
     for k, joint in enumerate(joints):
-        name = "Total" if joint is None else _escape(joint)
-        row = [name, *(columns_of[quantity][k] for quantity in INDICES)]
+        name = total_name(indices).capitalize() if joint is None else _escape(joint)
+        row = [name, *(columns_of[quantity][k] for quantity in indices)]
         if joint is None:
             lines.append(r"\hline")
         lines.append(" & ".join(row) + r" \\ \hline")
     for run in comparison.others:
-        ratios = [format_ratio(comparison.ratio(run.label, quantity)) for quantity in INDICES]
+        ratios = [format_ratio(comparison.ratio(run.label, quantity)) for quantity in indices]
         name = f"{_escape(run.label)} / {_escape(comparison.baseline.label)}"
         lines.append(f"{name} & {_spanning([_number(ratio) for ratio in ratios], runs)}")
-    lines += [r"\end{tabular}", r"\par\medskip", *_norm_lines(comparison)]
-    return "\n".join(lines) + "\n"
+    return [*lines, r"\end{tabular}"]
 
 
 def _index_cells(
@@ -106,15 +142,15 @@ def _index_cells(
 
 
 def _norm_lines(comparison: Comparison) -> list[str]:
-    labels = " & ".join(_escape(run.label) for run in comparison.runs)
+    labels = " & ".join(_escape(heading_of(run)) for run in comparison.runs)
     lines = [
         rf"\begin{{tabular}}{{|l|{'r|' * len(comparison.runs)}}}",
         r"\hline",
-        rf"Norm over all joints & {labels} \\ \hline",
+        rf"Over all joints & {labels} \\ \hline",
     ]
-    for quantity in NORMS:
+    for quantity in comparison.norms:
         values = [run.value(quantity) for run in comparison.runs]
-        name = f"{_LATEX_NORMS[quantity.key]} [{_LATEX_UNITS[quantity.unit]}]"
+        name = f"{_symbol(quantity)} [{_unit(comparison.unit(quantity))}]"
         cells = _emphasise(values, format_values(values))
         lines.append(" & ".join([name, *cells]) + r" \\ \hline")
     return [*lines, r"\end{tabular}"]
@@ -127,7 +163,8 @@ def _spanning(texts: list[str], runs: tuple[RunIndices, ...]) -> str:
 
 def _emphasise(values: list[float], texts: list[str]) -> list[str]:
     """Return the texts as LaTeX, in bold where a value is lower than some other one."""
-    lowest, highest = min(values), max(values)
+    known = [value for value in values if not math.isnan(value)]
+    lowest, highest = min(known, default=0.0), max(known, default=0.0)
     return [
         rf"\textbf{{{_number(text)}}}" if value == lowest < highest else _number(text)
         for value, text in zip(values, texts, strict=True)
@@ -137,8 +174,23 @@ def _emphasise(values: list[float], texts: list[str]) -> list[str]:
 def _number(text: str) -> str:
     if text == "inf":
         return r"$\infty$"
+    if text == UNDEFINED:
+        return "--"
     mantissa, _, exponent = text.partition("e")
     return rf"${mantissa} \cdot 10^{{{exponent}}}$" if exponent else text
+
+
+def _symbol(quantity: Quantity) -> str:
+    return _LATEX_SYMBOLS.get(quantity.key) or _escape(quantity.symbol)
+
+
+def _unit(unit: str) -> str:
+    r"""Return a unit as LaTeX: ``rad s^2`` as ``rad\,s$^2$``."""
+    powers = {"0.5": "{1/2}"}
+    parts = _escape(unit.replace("^", "*")).split(" ")
+    return r"\,".join(
+        re.sub(r"\*([\d.]+)", lambda m: f"$^{powers.get(m[1], m[1])}$", part) for part in parts
+    )
 
 
 def _escape(text: str) -> str:

@@ -2,14 +2,18 @@
 
 from hpid_ros.bags.bag_file import BagReader, RawMessage, TopicSummary
 from hpid_ros.bags.reader import read_run
+from hpid_ros.bags.selection import BagSelection, CommandTopic, parse_command_topics
 from hpid_ros.bags.writer import BagTopic, BagWriter, TopicQos
 
 __all__ = [
     "BagReader",
+    "BagSelection",
     "BagTopic",
     "BagWriter",
+    "CommandTopic",
     "RawMessage",
     "TopicQos",
     "TopicSummary",
+    "parse_command_topics",
     "read_run",
 ]

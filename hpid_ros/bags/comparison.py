@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from hpid_ros.analysis import Comparison, RunSeries, run_indices
 from hpid_ros.bags.reader import read_run
+from hpid_ros.bags.selection import BagSelection
+from hpid_ros.bags.storage import Progress
 from hpid_ros.errors import BagError
 
 
 def read_runs(
-    paths: Sequence[Path], labels: Sequence[str] = (), joints: Sequence[str] | None = None
+    paths: Sequence[Path],
+    labels: Sequence[str] = (),
+    joints: Sequence[str] | None = None,
+    *,
+    selection: BagSelection | None = None,
+    progress: Progress | None = None,
 ) -> tuple[RunSeries, ...]:
     """Read the runs of several bags.
 
@@ -20,20 +27,22 @@ def read_runs(
         labels: One for each bag; their folders' names if empty, with as much of the path as
             tells them apart.
         joints: Only these joints; all that are controlled if None.
+        selection: What is read of each bag.
+        progress: Takes the share of all bags that has been read, in [0, 1].
 
     Raises:
         BagError: A bag cannot be read, or there is not one label for each bag.
     """
-    if labels and len(labels) != len(paths):
-        raise BagError(f"there must be one label for each of {len(paths)} bags, not {len(labels)}")
-    names = labels or _distinct_names(paths)
-    return tuple(
-        read_run(path, label, joints=joints) for path, label in zip(paths, names, strict=True)
-    )
+    return tuple(_each_run(paths, labels, joints, selection, progress))
 
 
 def compare_bags(
-    paths: Sequence[Path], labels: Sequence[str] = (), joints: Sequence[str] | None = None
+    paths: Sequence[Path],
+    labels: Sequence[str] = (),
+    joints: Sequence[str] | None = None,
+    *,
+    selection: BagSelection | None = None,
+    progress: Progress | None = None,
 ) -> Comparison:
     """Return the indices of several bags, the first one the baseline.
 
@@ -41,12 +50,35 @@ def compare_bags(
         paths: The bags.
         labels: As for :func:`read_runs`.
         joints: As for :func:`read_runs`.
+        selection: As for :func:`read_runs`.
+        progress: As for :func:`read_runs`.
 
     Raises:
         BagError: As for :func:`read_runs`.
         SeriesError: The bags' joints differ, or two labels are equal.
     """
-    return Comparison(tuple(run_indices(run) for run in read_runs(paths, labels, joints)))
+    runs = _each_run(paths, labels, joints, selection, progress)
+    return Comparison(tuple(run_indices(run) for run in runs))
+
+
+def _each_run(
+    paths: Sequence[Path],
+    labels: Sequence[str],
+    joints: Sequence[str] | None,
+    selection: BagSelection | None,
+    progress: Progress | None,
+) -> Iterator[RunSeries]:
+    """Yield the runs one after the other, so that the caller need not hold them all."""
+    if labels and len(labels) != len(paths):
+        raise BagError(f"there must be one label for each of {len(paths)} bags, not {len(labels)}")
+    names = labels or _distinct_names(paths)
+    for number, (path, label) in enumerate(zip(paths, names, strict=True)):
+
+        def told(share: float, number: int = number) -> None:
+            if progress is not None:
+                progress((number + share) / len(paths))
+
+        yield read_run(path, label, joints=joints, selection=selection, progress=told)
 
 
 def _distinct_names(paths: Sequence[Path]) -> list[str]:

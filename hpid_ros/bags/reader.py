@@ -3,157 +3,169 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
 
-import numpy as np
-
-from hpid_ros.analysis.series import JointSeries, Losses, RunSeries, SeriesError
+from hpid_ros.analysis.quality import RecordingQuality
+from hpid_ros.analysis.series import RunSeries, SeriesError
 from hpid_ros.bags.bag_file import BagReader, RawMessage, TopicSummary
-from hpid_ros.bags.joint_blocks import JointStateBlock, joint_column, joint_state_blocks
-from hpid_ros.bags.message_types import JOINT_STATE, JOINT_TRAJECTORY, decode_joint_trajectory
-from hpid_ros.bags.references import LoggedTrajectory, sample_reference
-from hpid_ros.errors import BagError, MessageError, TrajectoryError, unknown_name
+from hpid_ros.bags.batches import TopicInfo
+from hpid_ros.bags.joint_run import JointRun, Window
+from hpid_ros.bags.recording import Recording
+from hpid_ros.bags.selection import BagSelection
+from hpid_ros.bags.storage import Progress, Storage
+from hpid_ros.bags.streams import OrderNeededError
+from hpid_ros.bags.topic_choice import choose_topics
+from hpid_ros.errors import BagError, unknown_name
 
 __all__ = ["BagReader", "RawMessage", "TopicSummary", "read_run"]
 
 _log = logging.getLogger(__name__)
 
 
-class _Topics(NamedTuple):
-    """Full names of the topics of a run; no trajectory topic means that every joint holds."""
-
-    states: str
-    commands: str
-    trajectory: str | None
-
-
-class _Recording(NamedTuple):
-    """A run's messages as arrays and trajectories."""
-
-    states: list[JointStateBlock]
-    commands: list[JointStateBlock]
-    trajectories: list[LoggedTrajectory]
-
-
 def read_run(
     path: Path | str,
     label: str,
     *,
-    states: str = "joint_states",
-    commands: str = "joint_commands",
-    trajectory: str | None = "joint_trajectory",
     joints: Sequence[str] | None = None,
+    selection: BagSelection | None = None,
+    progress: Progress | None = None,
 ) -> RunSeries:
     """Read one run from a bag.
 
     States and commands are ordered by their stamps; of several with one stamp the last stands.
     A command answers the state whose stamp it carries. Messages that carry no position (state)
-    or no effort (command) for a joint do not concern it.
+    or no effort (command) for a joint do not concern it, and numbers that are not finite are left
+    out. What could not be read, and what is missing, is in the result's ``quality``; parts that
+    could not be read are logged as warnings too.
 
     Args:
-        path: A bag folder, or one ``.mcap`` or ``.db3`` file.
+        path: A bag folder, with ``metadata.yaml`` or without, or one ``.mcap`` or ``.db3`` file.
         label: Name of the run in tables and figures.
-        states: Topic of the states; names as in :meth:`BagReader.find_topic`.
-        commands: Topic of the commands.
-        trajectory: Topic of the references; None if every joint holds its first position.
-        joints: The joints to read. If not given, those of the states that are commanded or
-            have a reference, in the order of the states.
+        joints: The joints to read, before those of the selection.
+        selection: Topics, joints, references, clock and window; all found by name and type if
+            not given.
+        progress: Takes the share of the bag that has been read, in [0, 1].
 
     Raises:
-        BagError: If the bag cannot be read, or lacks a topic, a joint, a state or any command.
+        BagError: If nothing of the bag can be read, or it lacks a topic, a joint, a state or
+            any command, or a trajectory in it cannot be decoded.
+        SettingError: The joints are no joints.
     """
-    with BagReader(path) as bag:
-        topics = _Topics(
-            bag.find_topic(states, JOINT_STATE),
-            bag.find_topic(commands, JOINT_STATE),
-            None if trajectory is None else bag.find_topic(trajectory, JOINT_TRAJECTORY),
-        )
-        recording = _read(bag, topics)
-        where = f"bag {bag.path}"
-    known = list(dict.fromkeys(name for block in recording.states for name in block.names))
-    if joints is None:
-        joints = _concerned(recording, known)
-        if not joints:
+    chosen = selection or BagSelection()
+    if joints is not None:
+        chosen = replace(chosen, joints=tuple(joints))
+    with Storage(path) as storage:
+        where = f"bag {storage.path}"
+        try:
+            recording = _recording(storage, where, chosen, progress or (lambda share: None))
+        except BagError as error:
+            if not storage.unreadable:
+                raise
+            # What is missing may be in what could not be read.
+            raise BagError(f"{error} ({'; '.join(storage.unreadable)})") from error
+        unreadable = [*storage.unreadable, *_undecodable(where, recording)]
+        try:
+            run = _run(label, recording, _joints(where, recording, chosen), chosen)
+        except SeriesError as error:
+            raise BagError(f"{where}: {error}") from error
+    for line in (*unreadable, *run.quality.notes):
+        _log.warning("%s: %s", where, line)
+    quality = replace(run.quality, source=str(path), unreadable=tuple(unreadable))
+    return replace(run, quality=quality)
+
+
+def _recording(
+    storage: Storage, where: str, selection: BagSelection, progress: Progress
+) -> Recording:
+    """Read the messages that are asked for."""
+    topics = storage.topics()
+    types = {name: info.type for name, info in topics.items()}
+    choice = choose_topics(where, types, selection)
+    for topic in sorted(choice.all):
+        if topics[topic].encoding != "cdr":
             raise BagError(
-                f"{where}: no joint of {topics.states} is commanded on {topics.commands} or has "
-                f"a reference; joints: {', '.join(known)}"
+                f"{where}: messages on {topic} are {topics[topic].encoding or 'of no encoding'}, "
+                "but must be cdr"
             )
+    joints = None if selection.joints is None else frozenset(selection.joints)
+    has_order = selection.clock == "receive"
+    while True:
+        recording = Recording(choice, types, joints, has_order)
+        try:
+            for batch in storage.batches(choice.all, progress):
+                recording.add(batch)
+            break
+        except OrderNeededError:
+            has_order = True
+        except BagError as error:
+            raise BagError(f"{where}: {error}") from error
+    _require_messages(where, recording, topics)
+    return recording
+
+
+def _require_messages(where: str, recording: Recording, topics: Mapping[str, TopicInfo]) -> None:
+    """Raise BagError if there are no states, or no commands though they are wanted."""
+    counts = {topic: stream.message_count for topic, stream in recording.streams()}
+    counts |= dict.fromkeys(recording.choice.references.trajectory, 0)
+    for logged in recording.trajectories:
+        counts[logged.topic] += 1
+    choice = recording.choice
+    missing = [] if counts[choice.states] else [choice.states]
+    commands = (*choice.commands, *(each.topic for each in choice.command_topics.values()))
+    if commands and not any(counts[topic] for topic in commands):
+        missing.append(commands[0])
+    if missing:
+        listed = ", ".join(f"{name} {counts[name]}" for name in sorted(counts))
+        raise BagError(f"{where}: no message on {missing[0]}; messages: {listed}")
+
+
+def _undecodable(where: str, recording: Recording) -> list[str]:
+    """Return a line for each topic with messages that are not of its type."""
+    lines = []
+    for topic, stream in recording.streams():
+        if stream.undecodable == stream.message_count > 0:
+            raise BagError(f"{where}: {stream.first_failure}")
+        if stream.undecodable:
+            count = stream.undecodable
+            lines.append(f"{count} messages on {topic} are left out: {stream.first_failure}")
+    return lines
+
+
+def _joints(where: str, recording: Recording, selection: BagSelection) -> Sequence[str]:
+    """Return the joints to read, all of which the states name."""
+    known = recording.known_joints()
+    joints = selection.joints or recording.concerned_joints()
+    if not joints:
+        choice = recording.choice
+        commands = sorted({*choice.commands, *(c.topic for c in choice.command_topics.values())})
+        raise BagError(
+            f"{where}: no joint of {choice.states} is commanded on "
+            f"{', '.join(commands) or 'any topic'} or has a reference; joints: {', '.join(known)}"
+        )
     for joint in joints:
         if joint not in known:
             raise BagError(f"{where}: {unknown_name('joint', joint, known)}")
-    try:
-        series = [_joint_series(recording, joint) for joint in joints]
-        return RunSeries(
-            label,
-            tuple(one for one, _ in series),
-            {one.joint: losses for one, losses in series},
-        )
-    except SeriesError as error:
-        raise BagError(f"{where}: {error}") from error
+    return joints
 
 
-def _read(bag: BagReader, topics: _Topics) -> _Recording:
-    """Read the messages of a run and decode them."""
-    raw_states: list[bytes] = []
-    raw_commands: list[bytes] = []
-    trajectories: list[LoggedTrajectory] = []
-    try:
-        for topic, _, raw in bag.messages(*filter(None, topics)):
-            if topic == topics.commands:
-                raw_commands.append(raw)
-            elif topic == topics.states:
-                raw_states.append(raw)
-            else:
-                trajectories.extend(_logged_trajectory(bag, raw, len(raw_states)))
-        for topic, raws in ((topics.states, raw_states), (topics.commands, raw_commands)):
-            if not raws:
-                raise BagError(f"bag {bag.path}: no message on {topic}; {_counts(bag)}")
-        return _Recording(
-            joint_state_blocks(raw_states), joint_state_blocks(raw_commands), trajectories
-        )
-    except MessageError as error:
-        raise BagError(f"bag {bag.path}: {error}") from error
-
-
-def _logged_trajectory(bag: BagReader, raw: bytes, states_before: int) -> list[LoggedTrajectory]:
-    """Decode a trajectory; one that the controllers refused leaves the reference as it was."""
-    try:
-        return [LoggedTrajectory(decode_joint_trajectory(raw), states_before)]
-    except TrajectoryError as error:
-        _log.warning(
-            "bag %s: a trajectory is left out, as controllers refuse it: %s", bag.path, error
-        )
-        return []
-
-
-def _counts(bag: BagReader) -> str:
-    """Say how many messages each topic has."""
-    counts = (f"{name} {topic.message_count}" for name, topic in sorted(bag.topics.items()))
-    return f"messages: {', '.join(counts)}"
-
-
-def _concerned(recording: _Recording, known: Sequence[str]) -> list[str]:
-    """Return the joints that are commanded or have a reference, in the order of the states."""
-    concerned = {name for block in recording.commands for name in block.names}
-    for logged in recording.trajectories:
-        concerned.update(logged.trajectory.joint_names)
-    return [name for name in known if name in concerned]
-
-
-def _joint_series(recording: _Recording, joint: str) -> tuple[JointSeries, Losses]:
-    """Return one joint's series and what went missing."""
-    states = joint_column(recording.states, joint, "position")
-    stamps_ns, position, _ = states.by_stamp()
-    if not len(stamps_ns):
-        raise SeriesError(f"joint {joint!r}: no state carries its position")
-    command_stamps_ns, effort, repeated = joint_column(
-        recording.commands, joint, "effort"
-    ).by_stamp()
-    unanswered = int(np.count_nonzero(~np.isin(stamps_ns, command_stamps_ns)))
-    reference = sample_reference(
-        joint, recording.trajectories, states, stamps_ns, float(position[0])
-    )
-    series = JointSeries(joint, stamps_ns, position, reference, command_stamps_ns, effort)
-    return series, Losses(unanswered, repeated)
+def _run(
+    label: str, recording: Recording, joints: Sequence[str], selection: BagSelection
+) -> RunSeries:
+    """Return the series of all joints within the window."""
+    runs = {joint: JointRun(recording, joint, selection.clock) for joint in joints}
+    origin_ns = min(int(run.states.stamps_ns[0]) for run in runs.values())
+    window = Window.of(origin_ns, selection.start, selection.end)
+    series, losses, qualities = [], {}, {}
+    for joint in joints:
+        joint_run = runs.pop(joint)
+        if selection.joints is None and not joint_run.is_within(window):
+            recording.notes.append(f"joint {joint!r} is left out: it has no state in the window")
+            continue
+        one, losses[joint], qualities[joint] = joint_run.series(window)
+        series.append(one)
+    if not series:
+        raise SeriesError(f"no joint has a state from {selection.start} s to {selection.end} s")
+    quality = RecordingQuality(joints=qualities, notes=tuple(recording.notes))
+    return RunSeries(label, tuple(series), losses, quality=quality)

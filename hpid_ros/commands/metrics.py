@@ -1,45 +1,167 @@
-"""``hpid metrics``: the indices of recorded bags."""
+"""``hpid metrics``: the indices of recordings, alone or compared."""
 
 from __future__ import annotations
 
 import argparse
+import os
 import sys
-from pathlib import Path
-from typing import Any
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
 
 from hpid_ros.commands import DONE
+from hpid_ros.commands.metrics_options import EXAMPLES, add_options
+
+if TYPE_CHECKING:
+    from hpid_ros.analysis import Comparison, RunIndices
+    from hpid_ros.commands.metrics_inputs import Measured
+    from hpid_ros.commands.metrics_outputs import Outcome
 
 
 def add(commands: Any) -> None:
     """Add the command to the parser."""
     parser = commands.add_parser(
         "metrics",
-        help="compute the indices of recorded bags",
-        description="Compute IVC, IAVC, ITAE and the L2 norms of bags, the first the baseline.",
+        help="compute the indices of recorded bags and compare them",
+        description="Compute performance indices of recordings, the first the baseline; tables, "
+        "figures and a report. docs/indices.md defines every number.",
+        epilog=EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("bags", nargs="+", type=Path, metavar="BAG", help="bag folder or file")
-    parser.add_argument("--labels", nargs="+", metavar="LABEL", help="one for each bag")
-    parser.add_argument("--joints", nargs="+", metavar="JOINT", help="only these joints")
-    parser.add_argument(
-        "--format",
-        choices=("table", "csv", "json", "latex"),
-        default="table",
-        help="of the output",
-    )
+    add_options(parser)
     parser.set_defaults(command=run)
 
 
 def run(options: argparse.Namespace) -> int:
-    """Read the bags and print their indices."""
-    from rich.console import Console
+    """Read, compute, compare, and leave what was asked for."""
+    from hpid_ros.analysis.quantities import ANGLE_UNITS, find_quantities
+    from hpid_ros.commands.metrics_inputs import inputs_of, measure
+    from hpid_ros.commands.metrics_outputs import refuse_existing, write_outputs
+    from hpid_ros.errors import SettingError, unknown_name
 
+    if options.units not in ANGLE_UNITS:
+        raise SettingError(unknown_name("unit of angles", options.units, ANGLE_UNITS))
+    find_quantities(options.indices.split(","))
+    refuse_existing(options)
+    inputs = inputs_of(options)
+    keeps_series = options.figures is not None or options.report is not None
+    with _progress() as tell:
+        measured = list(measure(options, inputs, keeps_series, tell))
+        outcome = _outcome(options, measured)
+        for line in outcome.warnings:
+            print(f"hpid: warning: {line}", file=sys.stderr)
+        if keeps_series and len(outcome.series) < len(outcome.comparison.runs):
+            print(
+                "hpid: warning: saved numbers have no recording: only runs from bags are drawn",
+                file=sys.stderr,
+            )
+        tell("writing", 1.0)
+        written = write_outputs(options, outcome)
+    _print(options, outcome.comparison)
+    for path in written:
+        print(f"written: {path}", file=sys.stderr)
+    return DONE
+
+
+def _outcome(options: argparse.Namespace, measured: Sequence[Measured]) -> Outcome:
+    from hpid_ros.analysis.folding import fold_repeats
+    from hpid_ros.analysis.mismatches import mismatches
+    from hpid_ros.analysis.units import with_angles_in
+    from hpid_ros.commands.metrics_outputs import Outcome, parameters_from_file
+
+    single = [run for each in measured for run in each.runs]
+    single = _baseline_first(options, single)
+    warnings = (*(line for each in measured for line in each.defects), *mismatches(single))
+    single = [with_angles_in(run, options.units) for run in single]
+    comparison = _selected(options, fold_repeats(single))
+    labels = [run.label for run in comparison.runs]
+    first_of = {each.runs[0].label: each for each in reversed(measured) if each.series}
+    parameters = {
+        label: first_of[label].parameters
+        for label in labels
+        if label in first_of and first_of[label].parameters
+    }
+    if options.parameters is not None:
+        parameters = dict(parameters_from_file(options.parameters, labels))
+    return Outcome(
+        comparison=comparison,
+        repeats=tuple(run for run in single if comparison.run(run.label).spread),
+        series=tuple(
+            series
+            for label in labels
+            if label in first_of and (series := first_of[label].series) is not None
+        ),
+        parameters=parameters,
+        warnings=warnings,
+        sources=tuple(each.path for each in measured),
+    )
+
+
+def _baseline_first(options: argparse.Namespace, runs: Sequence[RunIndices]) -> list[RunIndices]:
+    from pathlib import Path
+
+    from hpid_ros.errors import SettingError, unknown_name
+
+    if options.baseline is None or Path(options.baseline).exists():
+        return list(runs)
+    labels = [run.label for run in runs]
+    if options.baseline not in labels:
+        raise SettingError(unknown_name("baseline", options.baseline, set(labels)))
+    return sorted(runs, key=lambda run: run.label != options.baseline)
+
+
+def _selected(options: argparse.Namespace, runs: Sequence[RunIndices]) -> Comparison:
+    """Return the runs with the indices that were asked for."""
+    from hpid_ros.analysis import Comparison
+    from hpid_ros.analysis.quantities import INDICES, NORMS, find_quantities
+
+    chosen = find_quantities(options.indices.split(","))
+    if options.overall:
+        return Comparison(tuple(runs), indices=(), norms=chosen)
+    if chosen == (*INDICES, *NORMS):
+        return Comparison(tuple(runs))
+    return Comparison(tuple(runs), indices=chosen, norms=())
+
+
+def _print(options: argparse.Namespace, comparison: Comparison) -> None:
     from hpid_ros.analysis.formats import FORMATS
-    from hpid_ros.analysis.table import ComparisonTable
-    from hpid_ros.bags.comparison import compare_bags
+    from hpid_ros.errors import SettingError
 
-    comparison = compare_bags(options.bags, options.labels or (), options.joints)
+    try:
+        _print_to_output(options, comparison, FORMATS)
+    except BrokenPipeError:  # whoever reads has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except OSError as error:
+        reason = (error.strerror or str(error)).lower()
+        raise SettingError(f"cannot write the output: {reason}") from None
+
+
+def _print_to_output(
+    options: argparse.Namespace,
+    comparison: Comparison,
+    formats: Mapping[str, Callable[[Comparison], str]],
+) -> None:
     if options.format == "table" and sys.stdout.isatty():
+        from rich.console import Console
+
+        from hpid_ros.analysis.table import ComparisonTable
+
         Console().print(ComparisonTable(comparison))
     else:
-        print(FORMATS[options.format](comparison), end="")
-    return DONE
+        print(formats[options.format](comparison), end="", flush=True)
+
+
+@contextmanager
+def _progress() -> Iterator[Callable[[str, float], None]]:
+    """Show on a terminal what is being read, how far it is and how long it will take."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+    console = Console(stderr=True)
+    if not console.is_terminal:
+        yield lambda what, share: None
+        return
+    columns = (TextColumn("{task.description}", markup=False), BarColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console, transient=True) as progress:
+        task = progress.add_task("", total=1.0)
+        yield lambda what, share: progress.update(task, description=what, completed=share)

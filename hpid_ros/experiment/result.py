@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from hpid_ros.analysis import Comparison, RunSeries, run_indices
+from hpid_ros.analysis.signals import GainSignals
 from hpid_ros.bags import read_run
 from hpid_ros.experiment.description import Experiment
 from hpid_ros.experiment.progress import RunReport
@@ -124,7 +125,8 @@ def save(result: Result, folder: ResultFolder, reports: Sequence[RunReport], how
 
     folder.write("table.csv", table_csv(result.comparison))
     folder.write("table.tex", table_latex(result.comparison))
-    save_figures(result.runs, folder.figures)
+    gains = _gain_signals(result)
+    save_figures(result.runs, folder.figures, comparison=result.comparison, gains=gains)
     provenance = {
         "experiment": result.experiment.name,
         "ran": how,
@@ -135,5 +137,20 @@ def save(result: Result, folder: ResultFolder, reports: Sequence[RunReport], how
     }
     folder.write(
         "report.html",
-        render_report(result.comparison, result.runs, provenance, result.parameters()),
+        render_report(
+            result.comparison, result.runs, provenance, result.parameters(), gains=gains
+        ),
     )
+
+
+def _gain_signals(result: Result) -> dict[str, dict[str, GainSignals]]:
+    """Return norm and gain multiplier over time, by run and joint."""
+    from hpid_ros.tuning.gain_signals import gain_signals
+
+    found = {}
+    for run in result.runs:
+        settings = {each.joint: each for each in result.experiment.controllers[run.label]}
+        signals = gain_signals(run, settings)
+        if signals is not None:
+            found[run.label] = signals
+    return found

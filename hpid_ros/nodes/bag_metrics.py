@@ -9,51 +9,108 @@ from pathlib import Path
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.parameter import Parameter
 
-from hpid_ros.analysis import Comparison
+from hpid_ros.analysis import Comparison, RunIndices, run_indices
 from hpid_ros.analysis.formats import FORMATS
-from hpid_ros.analysis.indices import INDICES, NORMS
+from hpid_ros.analysis.quality_text import quality_lines
+from hpid_ros.analysis.quantities import ANGLE_UNITS, find_quantities
+from hpid_ros.analysis.units import with_angles_in
+from hpid_ros.bags import read_run
 from hpid_ros.bags.comparison import compare_bags
-from hpid_ros.errors import SettingError, unknown_name
+from hpid_ros.errors import HpidError, SettingError, unknown_name
 from hpid_ros.nodes import executor
+from hpid_ros.nodes.finished_bags import FinishedBags
 from hpid_ros.nodes.parameters import read_only
 from hpid_ros.nodes.qos import LATCHED
+from hpid_ros.nodes.status_pipe import StatusPipe
+
+_LOOK_PERIOD = 0.5  # [s]
 
 
 class BagMetrics(executor.ClosingNode):
-    """Reads the bags of its parameters once, prints the table, and offers the numbers.
+    """Reads the bags of its parameters, prints the table, and offers the numbers.
+
+    With ``watch`` it stays, and does the same for each bag that is finished in that folder, with
+    the first of its bags as the baseline.
 
     Raises:
-        HpidError: No bag was named, or one cannot be read.
+        HpidError: Nothing was named, or a bag cannot be read.
     """
 
     def __init__(self) -> None:
         super().__init__("bag_metrics")
-        bags = read_only(
-            self, "bags", Parameter.Type.STRING_ARRAY, "Bags to read; the first is the baseline"
-        )
-        if not bags:
-            raise SettingError("the parameter bags must name at least one bag, it is empty")
-        labels = read_only(
-            self,
-            "labels",
-            Parameter.Type.STRING_ARRAY,
-            "One for each bag; folder names if left out",
-        )
-        joints = read_only(
-            self, "joints", Parameter.Type.STRING_ARRAY, "Only these joints; all if left out"
-        )
-        form = str(read_only(self, "format", "table", f"Of the output: {', '.join(FORMATS)}"))
-        if form not in FORMATS:
-            raise SettingError(f"format: {unknown_name('format', form, FORMATS)}")
+        self._status = StatusPipe(self)
+        strings = Parameter.Type.STRING_ARRAY
+        bags = read_only(self, "bags", strings, "Bags to read; the first is the baseline")
+        watch = str(read_only(self, "watch", "", "Folder: report each bag finished in it"))
+        if not bags and not watch:
+            raise SettingError(
+                "the parameter bags must name at least one bag, or watch a folder; both are empty"
+            )
+        labels = read_only(self, "labels", strings, "One for each bag; folder names if left out")
+        self._joints = read_only(self, "joints", strings, "Only these joints; all if left out")
+        self._read_format()
         stays = read_only(
             self, "keep_running", False, "Stay, with the result latched on ~/indices"
         )
-        comparison = compare_bags([Path(bag) for bag in bags], labels or (), joints)
-        print(FORMATS[form](comparison), end="", flush=True)
+        self._bags = FinishedBags(Path(watch)) if watch else None
+        self._baseline: RunIndices | None = None
         self._publisher = self.create_publisher(DiagnosticArray, "~/indices", LATCHED)
-        self._publisher.publish(indices_message(comparison))
-        if not stays:
+        if bags:
+            paths = [Path(bag) for bag in bags]
+            comparison = compare_bags(paths, labels or (), self._joints)
+            self._baseline = comparison.baseline
+            self._report(comparison.runs)
+        if self._bags is not None:
+            self.create_timer(_LOOK_PERIOD, self._look)
+            self.get_logger().info(f"watching {watch}")
+        elif not stays:
             self.create_timer(0.0, self.request_stop)
+
+    def _read_format(self) -> None:
+        self._format = str(
+            read_only(self, "format", "table", f"Of the output: {', '.join(FORMATS)}")
+        )
+        if self._format not in FORMATS:
+            raise SettingError(f"format: {unknown_name('format', self._format, FORMATS)}")
+        self._units = str(read_only(self, "units", "rad", "Of angles: rad, deg"))
+        if self._units not in ANGLE_UNITS:
+            raise SettingError(
+                f"units: {unknown_name('unit of angles', self._units, ANGLE_UNITS)}"
+            )
+        names = str(
+            read_only(self, "indices", "paper", "Comma-separated: paper, step, all, or keys")
+        )
+        self._paper = names == "paper"
+        self._indices = find_quantities(names.split(","))
+
+    def _look(self) -> None:
+        """Report the bags that were finished since the last look."""
+        assert self._bags is not None
+        for bag in self._bags.new():
+            try:
+                series = read_run(bag, self._label(bag), joints=self._joints)
+                for line in quality_lines(series):
+                    self.get_logger().warning(line)
+                run = run_indices(series)
+                before = [] if self._baseline is None else [self._baseline]
+                self._report([*before, run])
+            except HpidError as error:
+                self.get_logger().error(str(error))
+
+    def _label(self, bag: Path) -> str:
+        taken = None if self._baseline is None else self._baseline.label
+        return bag.name if bag.name != taken else f"{bag.parent.name}/{bag.name}"
+
+    def _report(self, runs: Sequence[RunIndices]) -> None:
+        turned = tuple(with_angles_in(run, self._units) for run in runs)
+        comparison = Comparison(turned)
+        if not self._paper:
+            comparison = Comparison(turned, self._indices, ())
+        print(FORMATS[self._format](comparison), end="", flush=True)
+        message = indices_message(comparison)
+        message.header.stamp = self.get_clock().now().to_msg()
+        self._publisher.publish(message)
+        self._status.send("reported", runs=[run.label for run in runs])
 
 
 def indices_message(comparison: Comparison) -> DiagnosticArray:
@@ -63,17 +120,21 @@ def indices_message(comparison: Comparison) -> DiagnosticArray:
         comparison: The numbers; keys carry the units.
     """
     array = DiagnosticArray()
+    of_all = (*comparison.indices, *comparison.norms)
     for run in comparison.runs:
-        for joint in comparison.joint_names:
+        for joint in (*comparison.joint_names, None):
+            quantities = of_all if joint is None else comparison.indices
             values = [
-                KeyValue(key=f"{q.symbol} [{q.unit}]", value=repr(run.value(q, joint)))
-                for q in INDICES
+                KeyValue(
+                    key=f"{quantity.symbol} [{comparison.unit(quantity)}]",
+                    value=repr(run.value(quantity, joint)),
+                )
+                for quantity in quantities
             ]
+            name = f"{run.label}: {joint or 'all joints'}"
             array.status.append(
-                DiagnosticStatus(name=f"{run.label}: {joint}", hardware_id=joint, values=values)
+                DiagnosticStatus(name=name, hardware_id=joint or "", values=values)
             )
-        values = [KeyValue(key=f"{q.symbol} [{q.unit}]", value=repr(run.value(q))) for q in NORMS]
-        array.status.append(DiagnosticStatus(name=f"{run.label}: all joints", values=values))
     return array
 
 

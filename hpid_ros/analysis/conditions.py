@@ -1,0 +1,119 @@
+"""Under what conditions a run was made, as far as two runs need the same to be compared."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from hpid_ros.analysis.series import JointSeries, RunSeries
+
+KNOTS = 33
+"""Points at which each reference is kept."""
+KNOT_DIGITS = 9
+DURATION_WITHIN = 0.01
+"""Durations that differ by less than this share are the same."""
+REFERENCE_WITHIN = 0.02
+"""References that differ by less than this share of their range are the same ..."""
+REFERENCE_AT_LEAST = 1e-3
+"""... or by less than this, in [rad]."""
+UNLIKE_KNOTS = 2
+"""So many points must differ: one may lie in a jump."""
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """What two runs must share before their numbers can be compared.
+
+    Attributes:
+        duration: From the first to the last state, in [s].
+        period: Mean time between two states, in [s].
+        cutoff: Frequency above which effort counts as chatter, in [Hz].
+        references: For each joint, its reference at :data:`KNOTS` even times, in [rad].
+        clock: Whose time the states have: ``"header"`` or ``"receive"``.
+    """
+
+    duration: float
+    period: float
+    cutoff: float
+    references: Mapping[str, tuple[float, ...]]
+    clock: str = "header"
+
+    def as_mapping(self) -> dict[str, object]:
+        """Return the conditions as plain values, ready for JSON."""
+        return {
+            "duration": self.duration,
+            "period": self.period,
+            "cutoff": self.cutoff,
+            "clock": self.clock,
+            "references": {name: list(knots) for name, knots in self.references.items()},
+        }
+
+
+def conditions_of(run: RunSeries, cutoff: float) -> Conditions:
+    """Return the conditions of a recorded run.
+
+    Args:
+        run: The run.
+        cutoff: Frequency above which effort counts as chatter, in [Hz].
+    """
+    states = max(series.state_stamps_ns.size for series in run.joints)
+    return Conditions(
+        duration=run.duration,
+        period=run.duration / max(1, states - 1),
+        cutoff=cutoff,
+        references={series.joint: _knots(series) for series in run.joints},
+        clock=next((each.state_clock for each in run.quality.joints.values()), "header"),
+    )
+
+
+def differences(one: Conditions, other: Conditions) -> Iterator[str]:
+    """Yield in words what differs between two runs' conditions.
+
+    Args:
+        one: Conditions of the one, the first in every pair of numbers.
+        other: Conditions of the other.
+    """
+    if _differ(one.duration, other.duration):
+        yield f"durations differ: {one.duration:g} s and {other.duration:g} s"
+    if _differ(one.period, other.period):
+        rates = (f"{1 / each:.4g} Hz" if each else "none" for each in (one.period, other.period))
+        yield f"state rates differ: {' and '.join(rates)}"
+    if one.clock != other.clock:
+        yield f"clocks differ: {one.clock} and {other.clock}"
+    if one.cutoff != other.cutoff:
+        yield f"chatter cut-offs differ: {one.cutoff:g} Hz and {other.cutoff:g} Hz"
+    names = [
+        name
+        for name, knots in one.references.items()
+        if name in other.references
+        and _unlike(knots, one.duration, other.references[name], other.duration)
+    ]
+    if names:
+        yield f"references differ: {', '.join(names)}"
+
+
+def _knots(series: JointSeries) -> tuple[float, ...]:
+    at = np.linspace(0.0, float(series.time[-1]), KNOTS)
+    values = np.interp(at, series.time, series.reference)
+    return tuple(float(f"{value:.{KNOT_DIGITS}g}") for value in values)
+
+
+def _differ(one: float, other: float) -> bool:
+    return abs(one - other) > DURATION_WITHIN * max(one, other)
+
+
+def _unlike(
+    one: tuple[float, ...], one_duration: float, other: tuple[float, ...], other_duration: float
+) -> bool:
+    """Say whether two references differ over the time that both have."""
+    at = np.linspace(0.0, one_duration, len(one))
+    of_other = np.interp(at, np.linspace(0.0, other_duration, len(other)), other)
+    shared = at <= other_duration
+    values = np.array([*one, *other])
+    within = max(REFERENCE_AT_LEAST, REFERENCE_WITHIN * float(values.max() - values.min()))
+    if _differ(one_duration, other_duration):
+        within *= 5.0  # compared between the points of one of them
+    unlike = np.abs(np.array(one) - of_other)[shared] > within
+    return int(np.count_nonzero(unlike)) >= UNLIKE_KNOTS

@@ -1,0 +1,128 @@
+"""What an effort costs beside its size: time at its limits, chatter, mechanical work."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hpid_ros.analysis.exact_sum import exact_sum
+from hpid_ros.analysis.series import JointSeries
+
+SEGMENT = 1.0
+"""Length of the segments of Welch's method, in [s]; the whole signal if it is shorter."""
+SHORTEST_SEGMENT = 16
+"""With fewer samples there is no spectrum."""
+SPECTRUM_DIGITS = 12
+"""Fast Fourier transforms differ between processors beyond these."""
+PLATEAU = 5
+"""So many equal commands in a row at the extreme value are a limit."""
+AT_LIMIT = 1e-9
+"""Relative distance at which an effort is at its limit."""
+
+
+class Spectrum(NamedTuple):
+    """A one-sided power spectral density.
+
+    Attributes:
+        frequency: In [Hz], increasing from zero, (K,).
+        density: In the signal's unit squared over [Hz], (K,).
+    """
+
+    frequency: NDArray[np.float64]
+    density: NDArray[np.float64]
+
+
+def saturation_share(series: JointSeries, limit: float | None = None) -> float:
+    """Share of the time in which the effort is at a limit, in [%].
+
+    A command holds until the next one. Where no limit is known, an effort is at one when it is
+    the run's highest or lowest and stays so, to the last bit, over at least :data:`PLATEAU`
+    commands: a clamp gives such plateaus and a moving loop does not.
+
+    Args:
+        series: The joint.
+        limit: Largest magnitude of the effort, in [N m].
+    """
+    effort, t = series.effort, series.command_time
+    if effort.size < 2:
+        return 0.0
+    if limit is not None:
+        is_limited = np.abs(effort) >= limit * (1.0 - AT_LIMIT)
+    else:
+        highest, lowest = effort.max(), effort.min()
+        if highest == lowest:
+            return 0.0
+        is_limited = _on_plateau(effort == highest) | _on_plateau(effort == lowest)
+    return 100.0 * exact_sum(np.diff(t)[is_limited[:-1]]) / float(t[-1] - t[0])
+
+
+def energy(series: JointSeries) -> float:
+    r"""Mechanical work that effort and joint exchange, :math:`\int |u\,\dot y|\,dt`, in [J].
+
+    Exact for an effort that holds between commands and a position that is monotone there:
+    :math:`\sum_k |u_k| |y_{k+1} - y_k|`, with no velocity to estimate. Both directions count:
+    braking takes work from the joint that few drives give back.
+
+    Args:
+        series: The joint.
+    """
+    if not series.effort.size:
+        return 0.0
+    ends = np.append(series.command_time, max(series.time[-1], series.command_time[-1]))
+    position = np.interp(ends, series.time, series.position)
+    return exact_sum(np.abs(series.effort) * np.abs(np.diff(position)))
+
+
+def spectrum(t: NDArray[np.float64], x: NDArray[np.float64]) -> Spectrum | None:
+    """Return a signal's power spectral density by Welch's method.
+
+    Hann windows of one second that overlap by half, each without its mean; samples that are
+    not evenly spaced are first interpolated at their mean period.
+
+    Args:
+        t: Increasing times, (M,), in [s].
+        x: Samples, (M,).
+
+    Returns:
+        The density; None if there are too few samples for one.
+    """
+    if x.size < SHORTEST_SEGMENT or t[-1] <= t[0]:
+        return None
+    from scipy.signal import welch  # slow to import, and only needed here
+
+    even = np.linspace(t[0], t[-1], x.size)
+    rate = (x.size - 1) / float(t[-1] - t[0])
+    length = min(x.size, max(SHORTEST_SEGMENT, round(SEGMENT * rate)))
+    frequency, density = welch(np.interp(even, t, x), rate, nperseg=length)
+    return Spectrum(frequency, density)
+
+
+def chatter(series: JointSeries, cutoff: float) -> float | None:
+    r"""Root mean square of the effort above a frequency, :math:`(\int_{f_c} S\,df)^{1/2}`.
+
+    Args:
+        series: The joint.
+        cutoff: The frequency, in [Hz].
+
+    Returns:
+        The magnitude, in [N m]; None if the commands are too few or too rare for it.
+    """
+    found = spectrum(series.command_time, series.effort)
+    if found is None or found.frequency[-1] <= cutoff:
+        return None
+    bins = found.density[found.frequency >= cutoff]
+    width = float(found.frequency[1])
+    value = math.sqrt(exact_sum(bins) * width)
+    return float(f"{value:.{SPECTRUM_DIGITS}g}")
+
+
+def _on_plateau(is_extreme: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return which of the true samples stand in a row of at least :data:`PLATEAU`."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], is_extreme.astype(np.int8), [0]])))
+    plateau = np.zeros(is_extreme.size, dtype=np.bool_)
+    for first, stop in edges.reshape(-1, 2):
+        plateau[first:stop] = stop - first >= PLATEAU
+    return plateau

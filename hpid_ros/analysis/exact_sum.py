@@ -1,0 +1,53 @@
+"""The correctly rounded sum of an array: :func:`math.fsum` to the last bit, several times faster.
+
+Each block is split against a power of two into leading parts that add up without rounding, the
+rest is split again until nothing is left, and :func:`math.fsum` adds the few exact parts.
+
+Source: Rump, Ogita and Oishi, "Accurate floating-point summation" (2008), the extraction of
+leading parts, here down to the last bit.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+# One block stays in the first cache, and so many leading parts of 53 - 15 bits add up exactly.
+_BLOCK = 1 << 13
+_SMALL = 256  # fewer numbers are summed sooner than split
+_HEADROOM_BITS = 15
+_LARGEST_EXPONENT = 1000  # beyond, the power of two that splits would overflow
+_LEAST_EXPONENT = -900  # below, the parts would be subnormal
+
+
+def exact_sum(values: NDArray[np.float64]) -> float:
+    """Return the sum of finite numbers, rounded once; it depends on no order of them.
+
+    Args:
+        values: The numbers, (N,).
+    """
+    if values.size < _SMALL:
+        return math.fsum(values.tolist())
+    parts: list[float] = []
+    for first in range(0, values.size, _BLOCK):
+        _append_exact_parts(values[first : first + _BLOCK], parts)
+    return math.fsum(parts)
+
+
+def _append_exact_parts(block: NDArray[np.float64], parts: list[float]) -> None:
+    """Append numbers whose exact sum is the block's."""
+    rest = block
+    while True:
+        largest = max(float(rest.max()), -float(rest.min()))
+        if largest == 0.0:
+            return
+        exponent = math.frexp(largest)[1]
+        if not _LEAST_EXPONENT < exponent < _LARGEST_EXPONENT:
+            parts.extend(rest.tolist())
+            return
+        splitter = math.ldexp(1.0, exponent + _HEADROOM_BITS)
+        leading = (rest + splitter) - splitter
+        parts.append(float(leading.sum()))
+        rest = rest - leading

@@ -1,0 +1,150 @@
+"""What the indices are called, their units, and how a total comes from the joints' numbers.
+
+Every one of them is a cost: lower is better. Definitions: docs/indices.md.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from enum import Enum
+
+from hpid_ros.analysis.series import SeriesError
+from hpid_ros.errors import unknown_name
+
+DEGREES_PER_RADIAN = 180.0 / math.pi
+ANGLE_UNITS = ("rad", "deg")
+"""Units in which angles can be given."""
+
+
+class Fold(Enum):
+    """How the numbers of the joints become the one for all of them."""
+
+    SUM = "sum"
+    EUCLIDEAN = "root of the sum of squares"
+    ROOT_MEAN_SQUARE = "root of the mean of squares"
+    MEAN = "mean"
+    WORST = "largest"
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """What a number of this package is called.
+
+    Attributes:
+        key: Name of its attribute and of its entry in files.
+        symbol: Short name in tables.
+        unit: Its unit, without brackets, angles in rad.
+        meaning: Plain words.
+        fold: How the joints' numbers become the one for all.
+        angle_power: Power of the angle's unit in the unit.
+    """
+
+    key: str
+    symbol: str
+    unit: str
+    meaning: str
+    fold: Fold = Fold.SUM
+    angle_power: int = 0
+
+    def unit_in(self, angle_unit: str) -> str:
+        """Return the unit with angles in rad or deg.
+
+        Args:
+            angle_unit: One of :data:`ANGLE_UNITS`.
+
+        Raises:
+            SeriesError: It is another one.
+        """
+        if angle_unit not in ANGLE_UNITS:
+            raise SeriesError(unknown_name("unit of angles", angle_unit, ANGLE_UNITS))
+        return re.sub(r"\brad\b", angle_unit, self.unit)
+
+
+IVC = Quantity("ivc", "IVC", "N m", "variation of the effort")
+IAVC = Quantity("iavc", "IAVC", "N m s", "effort spent")
+ITAE = Quantity("itae", "ITAE", "rad s^2", "time-weighted error", angle_power=1)
+EFFORT_L2 = Quantity("effort_l2", "||u||", "N m s^0.5", "L2 norm of the effort", Fold.EUCLIDEAN)
+ERROR_L2 = Quantity("error_l2", "||e||", "rad s^0.5", "L2 norm of the error", Fold.EUCLIDEAN, 1)
+INDICES = (IVC, IAVC, ITAE)
+"""The paper's indices of each joint."""
+NORMS = (EFFORT_L2, ERROR_L2)
+"""The paper's norms, over all joints."""
+
+IAE = Quantity("iae", "IAE", "rad s", "absolute error", angle_power=1)
+ISE = Quantity("ise", "ISE", "rad^2 s", "squared error", angle_power=2)
+RMSE = Quantity("rmse", "RMSE", "rad", "root mean square error", Fold.ROOT_MEAN_SQUARE, 1)
+ERROR_MAX = Quantity("error_max", "max|e|", "rad", "largest error", Fold.WORST, 1)
+RISE_TIME = Quantity("rise_time", "rise", "s", "10 % to 90 % of a step", Fold.WORST)
+SETTLING_TIME = Quantity(
+    "settling_time", "settling", "s", "until within 2 % of a step", Fold.WORST
+)
+OVERSHOOT = Quantity("overshoot", "overshoot", "%", "beyond a step, of its height", Fold.WORST)
+STEADY_STATE_ERROR = Quantity(
+    "steady_state_error", "e_ss", "rad", "mean error at the end of a step", Fold.WORST, 1
+)
+SATURATION = Quantity("saturation", "saturated", "%", "time with the effort at a limit", Fold.MEAN)
+CHATTER = Quantity(
+    "chatter", "chatter", "N m", "effort above the cut-off frequency, rms", Fold.EUCLIDEAN
+)
+ENERGY = Quantity("energy", "energy", "J", "mechanical work exchanged")
+
+STEP_QUANTITIES = (RISE_TIME, SETTLING_TIME, OVERSHOOT, STEADY_STATE_ERROR)
+"""Defined for joints whose reference steps."""
+QUANTITIES: Mapping[str, Quantity] = {
+    quantity.key: quantity
+    for quantity in (
+        *(IVC, IAVC, ITAE, IAE, ISE, RMSE, ERROR_MAX, EFFORT_L2, ERROR_L2),
+        *STEP_QUANTITIES,
+        *(SATURATION, CHATTER, ENERGY),
+    )
+}
+"""All quantities by key, in the order in which they are shown."""
+
+
+def find_quantities(names: Iterable[str]) -> tuple[Quantity, ...]:
+    """Return quantities by name; ``paper`` and ``step`` stand for several, ``all`` for all.
+
+    Args:
+        names: Keys or symbols, in any case; the order stays, what is doubled is there once.
+
+    Raises:
+        SeriesError: A name is unknown; the line names those that exist.
+    """
+    several = {
+        "all": tuple(QUANTITIES.values()),
+        "paper": (*INDICES, *NORMS),
+        "step": STEP_QUANTITIES,
+    }
+    by_name = {key: (quantity,) for key, quantity in QUANTITIES.items()}
+    by_symbol = {quantity.symbol.lower(): (quantity,) for quantity in QUANTITIES.values()}
+    found: list[Quantity] = []
+    for name in names:
+        key = name.strip().lower()
+        choice = {**by_symbol, **by_name, **several}.get(key)
+        if choice is None:
+            raise SeriesError(unknown_name("index", name, (*several, *QUANTITIES)))
+        found += [quantity for quantity in choice if quantity not in found]
+    return tuple(found)
+
+
+def folded(fold: Fold, values: Iterable[float]) -> float | None:
+    """Return the number for all joints; None if no joint has one.
+
+    Args:
+        fold: How.
+        values: The joints' numbers.
+    """
+    numbers = list(values)
+    if not numbers:
+        return None
+    if fold is Fold.WORST:
+        return max(numbers)
+    if fold is Fold.SUM:
+        return math.fsum(numbers)
+    if fold is Fold.MEAN:
+        return math.fsum(numbers) / len(numbers)
+    squares = math.fsum(number * number for number in numbers)
+    return math.sqrt(squares if fold is Fold.EUCLIDEAN else squares / len(numbers))

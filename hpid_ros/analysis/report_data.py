@@ -1,0 +1,229 @@
+"""The report's figures as data: thinned lines, packed for the charts of the page."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hpid_ros.analysis.comparison import Comparison
+from hpid_ros.analysis.effort_figures import spectrum
+from hpid_ros.analysis.phase import phase_curve
+from hpid_ros.analysis.quantities import IAVC, ITAE, IVC, Quantity
+from hpid_ros.analysis.report_packing import Figure, Line, Mark, Panel, figure_data, line_data
+from hpid_ros.analysis.results import RunIndices
+from hpid_ros.analysis.series import JointSeries, RunSeries, seconds_since
+from hpid_ros.analysis.signals import Gains, Signal, envelope, norm_over_joints
+
+SAMPLES = 150_000
+"""Samples of all lines together: about 1.6 MB of text."""
+LEAST_SAMPLES, MOST_SAMPLES = 200, 6000
+REFERENCE = -1
+LEAST_FREQUENCY = 0.5
+
+
+def figures_data(
+    runs: Sequence[RunSeries],
+    comparison: Comparison,
+    repeats: Sequence[RunIndices],
+    gains: Gains,
+) -> list[Figure]:
+    """Return all figures that can be drawn.
+
+    Args:
+        runs: The recordings, the baseline first.
+        comparison: The numbers.
+        repeats: The single runs that medians are of.
+        gains: What the runs' laws did to their gains, of those for which it is known.
+    """
+    figures = list(_Figures(runs, comparison, gains).all()) if runs else []
+    if comparison.others:
+        figures.append(_trade_off(comparison, repeats))
+    return figures
+
+
+class _Figures:
+    """The figures of recordings."""
+
+    def __init__(self, runs: Sequence[RunSeries], comparison: Comparison, gains: Gains) -> None:
+        labels = [run.label for run in comparison.runs]
+        self._runs = [(labels.index(run.label), run) for run in runs]
+        self._names = runs[0].joint_names
+        self._gains = gains
+        lines = (3 + 2 * bool(gains)) * len(runs) * len(self._names) + len(self._names)
+        samples = min(max(SAMPLES // lines, LEAST_SAMPLES), MOST_SAMPLES)
+        self._buckets = samples // 4
+        self._points = samples
+
+    def all(self) -> Iterator[Figure]:
+        """Yield the figures."""
+        yield self._of_joints(
+            "positions",
+            "Positions and reference [rad]",
+            lambda run, s: s.position,
+            True,
+        )
+        yield self._of_joints("errors", "Errors, reference minus position [rad]", _error)
+        yield self._of_commands()
+        yield self._norm("effort_norm", "Norm of the effort over all joints [N m]", _effort)
+        yield self._norm("error_norm", "Norm of the error over all joints [rad]", _error_signal)
+        yield self._spectrum()
+        yield self._phase()
+        if self._gains:
+            yield self._gain("norm", "Homogeneous norm of error and error rate", 0, y_log=True)
+            yield self._gain("multiplier", "Gain multiplier (1: the linear PID)", 1, level=1.0)
+
+    def _of_joints(
+        self,
+        name: str,
+        caption: str,
+        values: Callable[[RunSeries, JointSeries], NDArray[np.float64]],
+        has_reference: bool = False,
+    ) -> Figure:
+        def signal_of(run: RunSeries, series: JointSeries) -> Signal:
+            return Signal(series.state_stamps_ns, values(run, series))
+
+        figure = self._time_figure(name, caption, signal_of, None if has_reference else 0.0)
+        if has_reference:
+            first = self._runs[0][1]
+            for panel, series in zip(figure["panels"], first.joints, strict=True):
+                line = Signal(series.state_stamps_ns, series.reference)
+                panel["lines"] = [self._time_line(REFERENCE, first, line), *panel["lines"]]
+        return figure
+
+    def _of_commands(self) -> Figure:
+        return self._time_figure("efforts", "Efforts [N m]", lambda run, s: _effort(s), 0.0)
+
+    def _gain(
+        self, name: str, caption: str, which: int, level: float | None = None, y_log: bool = False
+    ) -> Figure:
+        def signal_of(run: RunSeries, series: JointSeries) -> Signal | None:
+            known = self._gains.get(run.label)
+            return None if known is None else known[series.joint][which]
+
+        return self._time_figure(name, caption, signal_of, level, y_log)
+
+    def _time_figure(
+        self,
+        name: str,
+        caption: str,
+        signal_of: Callable[[RunSeries, JointSeries], Signal | None],
+        level: float | None,
+        y_log: bool = False,
+    ) -> Figure:
+        panels: list[Panel] = []
+        for joint in self._names:
+            lines = []
+            for k, run in self._runs:
+                signal = signal_of(run, run.joints[run.joint_names.index(joint)])
+                if signal is not None:
+                    lines.append(self._time_line(k, run, signal))
+            panels.append({"title": joint, "lines": lines, "level": level, "marks": self._marks()})
+        return figure_data(
+            name, f"{caption}, over time [s]", panels, group="time", x_name="t [s]", y_log=y_log
+        )
+
+    def _norm(self, name: str, caption: str, signal_of: Callable[[JointSeries], Signal]) -> Figure:
+        lines = []
+        for k, run in self._runs:
+            norm = norm_over_joints([signal_of(series) for series in run.joints])
+            lines.append(self._time_line(k, run, norm))
+        panel: Panel = {
+            "title": "all joints",
+            "lines": lines,
+            "level": 0.0,
+            "marks": self._marks(),
+        }
+        caption += ", over time [s]"
+        return figure_data(name, caption, [panel], group="time", x_name="t [s]")
+
+    def _time_line(self, k: int, run: RunSeries, signal: Signal) -> Line:
+        stamps_ns, values = _without_plateaus(envelope(signal, self._buckets))
+        return line_data(k, seconds_since(stamps_ns, run.start_ns), values)
+
+    def _marks(self) -> list[Mark]:
+        return [
+            {"run": k, "x": (retune.stamp_ns - run.start_ns) / 1e9}
+            for k, run in self._runs
+            for retune in run.retunes
+        ]
+
+    def _spectrum(self) -> Figure:
+        panels: list[Panel] = []
+        for joint in self._names:
+            lines = []
+            for k, run in self._runs:
+                series = run.joints[run.joint_names.index(joint)]
+                found = spectrum(series.command_time, series.effort)
+                if found is not None:
+                    shown = (found.frequency >= LEAST_FREQUENCY) & (found.density > 0.0)
+                    density = np.sqrt(found.density[shown])
+                    lines.append(line_data(k, found.frequency[shown], density))
+            panels.append({"title": joint, "lines": lines, "level": None, "marks": []})
+        caption = "Spectrum of the effort [N m / √Hz] over the frequency [Hz]"
+        return figure_data(
+            "spectrum", caption, panels, group="frequency", x_name="f [Hz]", x_log=True, y_log=True
+        )
+
+    def _phase(self) -> Figure:
+        panels: list[Panel] = []
+        for joint in self._names:
+            lines = [
+                line_data(k, *phase_curve(run.joints[run.joint_names.index(joint)], self._points))
+                for k, run in self._runs
+            ]
+            panels.append({"title": joint, "lines": lines, "level": 0.0, "marks": []})
+        caption = "Phase portrait: error rate [rad/s] over error [rad]"
+        return figure_data("phase", caption, panels, is_free=True)
+
+
+def _trade_off(comparison: Comparison, repeats: Sequence[RunIndices]) -> Figure:
+    labels = [run.label for run in comparison.runs]
+    panels: list[Panel] = []
+    for effort in (IVC, IAVC):
+        lines = [_point(labels.index(run.label), run, effort) for run in repeats]
+        lines += [
+            bar
+            for k, run in enumerate(comparison.runs)
+            if run.spread is not None
+            for bar in _bars(k, run, effort)
+        ]
+        lines += [_point(k, run, effort) for k, run in enumerate(comparison.runs)]
+        title = f"{ITAE.symbol} over {effort.symbol} [{comparison.unit(effort)}]"
+        panels.append({"title": title, "lines": lines, "level": None, "marks": []})
+    caption = f"Error against effort: {ITAE.meaning} [{comparison.unit(ITAE)}]".replace("^2", "²")
+    return figure_data("trade_off", caption, panels, is_free=True, are_points=True)
+
+
+def _point(k: int, run: RunIndices, effort: Quantity) -> Line:
+    return line_data(k, [run.value(effort)], [run.value(ITAE)])
+
+
+def _bars(k: int, run: RunIndices, effort: Quantity) -> Iterator[Line]:
+    quartiles = {} if run.spread is None else run.spread.quartiles[None]
+    if effort.key in quartiles and ITAE.key in quartiles:
+        yield line_data(k, quartiles[effort.key], [run.value(ITAE)] * 2)
+        yield line_data(k, [run.value(effort)] * 2, quartiles[ITAE.key])
+
+
+def _without_plateaus(signal: Signal) -> Signal:
+    """Drop samples that equal both neighbours: the line is the same without them."""
+    values = signal.values
+    if values.size < 3:
+        return signal
+    is_inside = (values[1:-1] == values[:-2]) & (values[1:-1] == values[2:])
+    kept = np.concatenate([[True], ~is_inside, [True]])
+    return Signal(signal.stamps_ns[kept], values[kept])
+
+
+def _error(run: RunSeries, series: JointSeries) -> NDArray[np.float64]:
+    return series.error
+
+
+def _error_signal(series: JointSeries) -> Signal:
+    return Signal(series.state_stamps_ns, series.error)
+
+
+def _effort(series: JointSeries) -> Signal:
+    return Signal(series.command_stamps_ns, series.effort)

@@ -1,0 +1,118 @@
+"""Numbers that were saved, read again: the inverse of the mappings that results give."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+from hpid_ros.analysis.conditions import Conditions
+from hpid_ros.analysis.quantities import ANGLE_UNITS, INDICES, NORMS, QUANTITIES
+from hpid_ros.analysis.results import JointIndices, RunIndices, Spread
+from hpid_ros.analysis.series import SeriesError
+
+
+def runs_from_mapping(document: object, where: str) -> tuple[RunIndices, ...]:
+    """Return the runs of a saved comparison, the baseline first.
+
+    Args:
+        document: What :meth:`~hpid_ros.analysis.comparison.Comparison.as_mapping` returned,
+            or a mapping that has it under ``indices``, as ``result.json`` has.
+        where: What the messages call it.
+
+    Raises:
+        SeriesError: It is something else, or damaged.
+    """
+    content = document.get("indices", document) if isinstance(document, Mapping) else None
+    runs = content.get("runs") if isinstance(content, Mapping) else None
+    if not isinstance(runs, Mapping) or not runs:
+        raise SeriesError(
+            f"{where} holds no saved indices: it is neither a result.json nor made by --save"
+        )
+    try:
+        return tuple(_run(str(label), run) for label, run in runs.items())
+    except SeriesError as error:
+        raise SeriesError(f"{where}: {error}") from None
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise SeriesError(f"{where} is damaged: {_reason(error)}") from None
+
+
+def _reason(error: Exception) -> str:
+    return f"no entry {error}" if isinstance(error, KeyError) else str(error)
+
+
+def _run(label: str, entry: Mapping[str, Any]) -> RunIndices:
+    units = entry["units"]
+    angle_unit = _angle_unit(label, units)
+    quantities = tuple(QUANTITIES[key] for key in QUANTITIES if key in units)
+    for quantity in quantities:
+        if units[quantity.key] != quantity.unit_in(angle_unit):
+            raise SeriesError(
+                f"run {label!r}: {quantity.key} is in {units[quantity.key]}, but must be in "
+                f"{quantity.unit_in(angle_unit)}"
+            )
+    joints = {str(name): _indices(values) for name, values in entry["joints"].items()}
+    if not joints:
+        raise SeriesError(f"run {label!r} has no joint")
+    return RunIndices(
+        label=label,
+        joints=joints,
+        totals=_indices(entry["totals"]),
+        **{quantity.key: _number(entry[quantity.key]) for quantity in NORMS},
+        quantities=quantities,
+        conditions=_conditions(entry.get("conditions")),
+        spread=_spread(entry),
+        angle_unit=angle_unit,
+    )
+
+
+def _angle_unit(label: str, units: Mapping[str, str]) -> str:
+    for angle_unit in ANGLE_UNITS:
+        if units["itae"] == f"{angle_unit} s^2":
+            return angle_unit
+    raise SeriesError(
+        f"run {label!r}: itae is in {units['itae']!r}, but must be in rad s^2 or deg s^2"
+    )
+
+
+def _number(value: object) -> float:
+    """Return a saved number: None was an infinite one."""
+    if value is None:
+        return math.inf
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise ValueError(f"{value!r} is no number")
+    return float(value)
+
+
+def _indices(values: Mapping[str, object]) -> JointIndices:
+    core = {quantity.key: _number(values[quantity.key]) for quantity in INDICES}
+    further = {k: _number(v) for k, v in values.items() if k in QUANTITIES and k not in core}
+    return JointIndices(**core, further=further)
+
+
+def _conditions(entry: Mapping[str, Any] | None) -> Conditions | None:
+    if entry is None:
+        return None
+    references = {
+        str(name): tuple(_number(knot) for knot in knots)
+        for name, knots in entry["references"].items()
+    }
+    return Conditions(
+        duration=_number(entry["duration"]),
+        period=_number(entry["period"]),
+        cutoff=_number(entry["cutoff"]),
+        references=references,
+        clock=str(entry.get("clock", "header")),
+    )
+
+
+def _spread(entry: Mapping[str, Any]) -> Spread | None:
+    if "repeats" not in entry:
+        return None
+    quartiles = {
+        None if scope == "totals" else scope.removeprefix("joints."): {
+            key: (_number(low), _number(high)) for key, (low, high) in values.items()
+        }
+        for scope, values in entry["quartiles"].items()
+    }
+    return Spread(int(entry["repeats"]), quartiles)

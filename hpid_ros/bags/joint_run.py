@@ -1,0 +1,237 @@
+"""One joint of a recording as a series, with what was lost and on what it stands."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from hpid_ros.analysis.quality import DataQuality, StampQuality
+from hpid_ros.analysis.series import JointSeries, Losses, SeriesError
+from hpid_ros.bags.batches import Integers, Numbers
+from hpid_ros.bags.gaps import stamp_quality
+from hpid_ros.bags.ordered import Ordered, carried, finite, ordered
+from hpid_ros.bags.recording import Recording
+from hpid_ros.bags.references import (
+    LoggedStates,
+    ReferenceEvent,
+    interpolate,
+    sample_events,
+    setpoint_column,
+)
+from hpid_ros.bags.samples import JointSamples
+
+_NS_PER_S = 1_000_000_000
+_FOREVER_NS = 2**63 - 1
+_EMPTY = Ordered(np.empty(0, dtype=np.int64), np.empty(0))
+
+
+class Window(NamedTuple):
+    """The time that is read, both ends included.
+
+    Attributes:
+        origin_ns: First state of any joint, in [ns].
+        first_ns: Its first instant, in [ns].
+        last_ns: Its last instant, in [ns].
+    """
+
+    origin_ns: int
+    first_ns: int
+    last_ns: int
+
+    @classmethod
+    def of(cls, origin_ns: int, start: float | None, end: float | None) -> Window:
+        """Return the window between two times since the first state, in [s]; None is no bound."""
+        first_ns = -_FOREVER_NS if start is None else origin_ns + round(start * _NS_PER_S)
+        last_ns = _FOREVER_NS if end is None else origin_ns + round(end * _NS_PER_S)
+        return cls(origin_ns, first_ns, last_ns)
+
+
+class JointRun:
+    """One joint of a recording; taking it frees the recording's columns.
+
+    Args:
+        recording: The recording.
+        joint: The joint.
+        clock: ``"header"`` or ``"receive"``.
+
+    Attributes:
+        states: Its states in the order of their stamps.
+
+    Raises:
+        SeriesError: No state carries a usable position.
+    """
+
+    def __init__(self, recording: Recording, joint: str, clock: str) -> None:
+        self._recording, self._joint, self._clock = recording, joint, clock
+        taken = recording.states.take(joint)
+        if taken is None:
+            raise SeriesError(f"joint {joint!r}: no state carries its position")
+        samples, not_finite = finite(taken)
+        if not len(samples.values):
+            raise SeriesError(f"joint {joint!r}: position must be finite, but no state's is")
+        self._samples = samples
+        self._stamps_ns = self._times(samples)
+        self.states = ordered(self._stamps_ns, samples.values, not_finite)
+        if clock == "header" and len(samples.values) > 1 and not self.states.stamps_ns.any():
+            raise SeriesError(
+                f"joint {joint!r}: its states carry no stamps; read them with clock 'receive'"
+            )
+
+    def is_within(self, window: Window) -> bool:
+        """Tell whether the joint has a state in a window."""
+        return len(self.states.within(window.first_ns, window.last_ns).stamps_ns) > 0
+
+    def series(self, window: Window) -> tuple[JointSeries, Losses, DataQuality]:
+        """Return the joint's series within a window, its losses and its quality.
+
+        Raises:
+            SeriesError: The window holds no state, or no command carries a usable effort.
+        """
+        whole = self.states
+        reference, kind, count = self._reference(whole)
+        states = whole.within(window.first_ns, window.last_ns)
+        if not len(states.stamps_ns):
+            raise SeriesError(f"joint {self._joint!r}: no state in the window")
+        commands, command_clock = self._commands()
+        commands = commands.within(window.first_ns, window.last_ns)
+        if np.array_equal(commands.stamps_ns, states.stamps_ns):
+            commands = commands._replace(stamps_ns=states.stamps_ns)
+        losses, answers = self._losses(states, commands, command_clock)
+        reference = Ordered(whole.stamps_ns, reference).within(*window[1:]).values
+        for array in (*states[:2], *commands[:2], reference):
+            array.setflags(write=False)
+        series = JointSeries(self._joint, *states[:2], reference, *commands[:2])
+        quality = DataQuality(
+            states=_quality(states, window),
+            commands=_quality(commands, window),
+            state_clock=self._clock,
+            command_clock=command_clock,
+            answers_states=answers,
+            reference=kind,
+            references=count,
+        )
+        return series, losses, quality
+
+    def _times(self, samples: JointSamples) -> Integers:
+        """Return the samples' times on the chosen clock."""
+        times = samples.stamps_ns if self._clock == "header" else samples.log_times_ns
+        if times is None:
+            raise SeriesError(f"joint {self._joint!r}: its messages carry no stamps")
+        return times
+
+    def _commands(self) -> tuple[Ordered, str]:
+        """Return the commands in the order of their stamps, and whose clock these are."""
+        command = self._recording.choice.command_topics.get(self._joint)
+        if command is not None:
+            samples = self._recording.floats[command.topic].take(self._joint)
+            if samples is not None:
+                return self._unstamped(samples), "receive"
+        for stream in self._recording.commands.values():
+            samples = stream.take(self._joint)
+            if samples is not None:
+                samples, not_finite = self._finite_efforts(samples)
+                return ordered(self._times(samples), samples.values, not_finite), self._clock
+        return _EMPTY, self._clock
+
+    def _unstamped(self, samples: JointSamples) -> Ordered:
+        samples, not_finite = self._finite_efforts(samples)
+        times, states = samples.log_times_ns, self._samples
+        assert times is not None
+        if self._clock == "header":
+            assert states.log_times_ns is not None
+            times = carried(times, states.log_times_ns, self._stamps_ns)
+        return ordered(times, samples.values, not_finite)
+
+    def _finite_efforts(self, samples: JointSamples) -> tuple[JointSamples, int]:
+        samples, not_finite = finite(samples)
+        if not len(samples.values):
+            raise SeriesError(f"joint {self._joint!r}: effort must be finite, but no command's is")
+        return samples, not_finite
+
+    def _losses(self, states: Ordered, commands: Ordered, clock: str) -> tuple[Losses, bool]:
+        """Return what went missing, and whether commands answer states at all."""
+        count = len(states.stamps_ns)
+        if not len(commands.stamps_ns):
+            return Losses(count if self._recording.choice.has_commands else 0, 0), True
+        if commands.stamps_ns is states.stamps_ns:
+            return Losses(0, commands.repeated), True
+        places = np.searchsorted(commands.stamps_ns, states.stamps_ns)
+        places = np.minimum(places, len(commands.stamps_ns) - 1)
+        answered = int(np.count_nonzero(commands.stamps_ns[places] == states.stamps_ns))
+        if clock == "receive" or not answered:
+            return Losses(0, commands.repeated), False
+        return Losses(count - answered, commands.repeated), True
+
+    def _reference(self, states: Ordered) -> tuple[Numbers, str, int]:
+        """Return the reference at the states, its kind and topic, and how many messages it had."""
+        events = sorted(self._events(), key=lambda each: each[1][:2])
+        if events:
+            logged = self._logged_states()
+            columns = (self._on_clock(event) for _, event in events)
+            reference = sample_events(columns, logged, states.stamps_ns, float(states.values[0]))
+            kinds = dict.fromkeys(kind for kind, _ in events)
+            return reference, " and ".join(kinds), len(events)
+        for topic, stream in self._recording.sampled.items():
+            samples = stream.take(self._joint)
+            if samples is None:
+                continue
+            samples, not_finite = finite(samples)
+            if len(samples.values):
+                known = ordered(self._times(samples), samples.values, not_finite)
+                reference = interpolate(states.stamps_ns, known.stamps_ns, known.values)
+                kind = "sampled" if topic in self._recording.choice.references.sampled else ""
+                return reference, f"{kind or 'controller_state'} {topic}", len(samples.values)
+        return np.full(len(states.stamps_ns), states.values[0]), "hold", 0
+
+    def _events(self) -> Iterator[tuple[str, ReferenceEvent]]:
+        """Yield the trajectories and setpoints that concern the joint, with kind and topic."""
+        for log_time_ns, place, topic, trajectory in self._recording.trajectories:
+            if self._joint in trajectory.joint_names:
+                column = trajectory.column(self._joint)
+                yield f"trajectory {topic}", ReferenceEvent(log_time_ns, place, column)
+        topic = self._recording.choice.references.setpoint.get(self._joint, "")
+        samples = self._recording.setpoints[topic].take(self._joint) if topic else None
+        if samples is None:
+            return
+        samples, _ = finite(samples)
+        assert samples.log_times_ns is not None
+        assert samples.places is not None
+        for log_time_ns, place, position in zip(
+            samples.log_times_ns.tolist(),
+            samples.places.tolist(),
+            samples.values.tolist(),
+            strict=True,
+        ):
+            column = setpoint_column(self._joint, position)
+            yield f"setpoint {topic}", ReferenceEvent(log_time_ns, place, column)
+
+    def _logged_states(self) -> LoggedStates:
+        samples = self._samples
+        assert samples.log_times_ns is not None
+        assert samples.places is not None
+        return LoggedStates(samples.log_times_ns, samples.places, self._stamps_ns)
+
+    def _on_clock(self, event: ReferenceEvent) -> ReferenceEvent:
+        """Carry the start of a trajectory to the clock of the series."""
+        column, header = event.column, self._samples.stamps_ns
+        if self._clock == "header" or not column.stamp_ns or header is None:
+            return event
+        following = self._logged_states().first_after(event.log_time_ns, event.place)
+        following = min(following, len(header) - 1)
+        start_ns = column.stamp_ns + int(self._stamps_ns[following] - header[following])
+        if not header.any() or start_ns <= 0:
+            start_ns = 0  # the states' headers do not tell when it began
+        return event._replace(column=dataclasses.replace(column, stamp_ns=start_ns))
+
+
+def _quality(samples: Ordered, window: Window) -> StampQuality:
+    return stamp_quality(
+        samples.stamps_ns,
+        window.origin_ns,
+        repeated=samples.repeated,
+        out_of_order=samples.out_of_order,
+        not_finite=samples.not_finite,
+    )

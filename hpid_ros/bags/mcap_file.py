@@ -1,0 +1,126 @@
+"""One MCAP file: finished or cut off, with chunks or without, with an index or without."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+
+from hpid_ros.bags.batches import Advance, Bytes, Report, TopicBatch, TopicInfo
+from hpid_ros.bags.mcap_chunks import Messages, locate
+from hpid_ros.bags.mcap_records import FRAME_SIZE, MAGIC, MESSAGE_HEAD, Catalogue
+from hpid_ros.bags.mcap_stream import Arena, RecordStream
+from hpid_ros.bags.mcap_summary import read_summary
+from hpid_ros.errors import BagError
+
+
+class McapFile:
+    """An open MCAP file.
+
+    Args:
+        path: The file.
+        report: Takes a line about what cannot be read while opening.
+
+    Raises:
+        BagError: The file cannot be opened, or is no MCAP file.
+    """
+
+    def __init__(self, path: Path, report: Report) -> None:
+        try:
+            self._stream = path.open("rb")
+        except OSError as error:
+            raise BagError(str(error.strerror or error)) from error
+        self._size = os.fstat(self._stream.fileno()).st_size
+        if self._stream.read(len(MAGIC)) != MAGIC:
+            self._stream.close()
+            raise BagError("it does not begin as an MCAP file")
+        self._catalogue = Catalogue()
+        self._counts: Mapping[int, int] | None = None
+        self._chunk_channels: Mapping[int, frozenset[int]] = {}
+        with suppress(BagError):
+            summary = read_summary(self._stream, self._size)
+            self._catalogue, self._counts, self._chunk_channels = summary
+        if self._counts is None:
+            self._find_channels(report)
+
+    def _find_channels(self, report: Report) -> None:
+        """Walk every record once for the channels alone."""
+        records, arena = RecordStream(self._stream, self._size, self._catalogue), Arena()
+        for _ in records.fill(arena, lambda position: True, report):
+            for _ in locate(arena.buffer, arena.chunks, self._catalogue, lambda line: None):
+                pass
+            arena.clear()
+        if records.is_finished:
+            report("the index is missing or damaged; it was read without")
+
+    def topics(self) -> dict[str, TopicInfo]:
+        """Return the topics by full name."""
+        topics: dict[str, TopicInfo] = {}
+        for number, channel in self._catalogue.channels.items():
+            before = topics.get(channel.topic)
+            count = None
+            if self._counts is not None:
+                count = self._counts.get(number, 0) + (
+                    (before.message_count or 0) if before else 0
+                )
+            topics[channel.topic] = TopicInfo(
+                channel.type, channel.encoding, count, channel.definition
+            )
+        return topics
+
+    def close(self) -> None:
+        """Close the file."""
+        self._stream.close()
+
+    def batches(
+        self, topics: frozenset[str], report: Report, done: Advance
+    ) -> Iterator[TopicBatch]:
+        """Yield the messages of some topics; what cannot be read is reported, never raised.
+
+        Args:
+            topics: Full names.
+            report: Takes one line about each part that cannot be read.
+            done: Takes the number of bytes that are done.
+        """
+        numbers = frozenset(n for n, c in self._catalogue.channels.items() if c.topic in topics)
+        chunks = self._chunk_channels
+
+        def is_wanted(position: int) -> bool:
+            return position not in chunks or not numbers.isdisjoint(chunks[position])
+
+        records = RecordStream(self._stream, self._size, self._catalogue, bool(chunks))
+        arena, place = Arena(), 0
+        for position in records.fill(arena, is_wanted, report):
+            for messages in locate(arena.buffer, arena.chunks, self._catalogue, report):
+                yield from self._by_topic(arena.buffer, messages, topics, place)
+            place += arena.fill
+            arena.clear()
+            done(position)
+
+    def _by_topic(
+        self, buffer: Bytes, messages: Messages, topics: frozenset[str], place: int
+    ) -> Iterator[TopicBatch]:
+        """Yield the messages of each wanted topic in the order of the file."""
+        channels = self._catalogue.channels
+        head = FRAME_SIZE + MESSAGE_HEAD
+        for topic in sorted({channel.topic for channel in channels.values()} & topics):
+            numbers = [n for n, channel in channels.items() if channel.topic == topic]
+            spans = [
+                slice(*np.searchsorted(messages.channels, [number, number + 1]).tolist())
+                for number in numbers
+            ]
+            starts, lengths, _, times = (
+                part[spans[0]] if len(spans) == 1 else np.concatenate([part[s] for s in spans])
+                for part in messages
+            )
+            if not len(starts):
+                continue
+            if (starts[1:] < starts[:-1]).any():
+                order = np.argsort(starts, kind="stable")
+                starts, lengths, times = starts[order], lengths[order], times[order]
+            yield TopicBatch(
+                topic, buffer, starts + head, lengths - MESSAGE_HEAD, times, starts + place
+            )

@@ -1,0 +1,118 @@
+"""What is read from a bag: topics, joints, references, clock and window, as options name them."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+from hpid_ros.errors import SettingError, unknown_name
+
+CLOCKS = ("header", "receive")
+"""Where the time of states and stamped commands comes from.
+
+``header`` is the stamp in the message, ``receive`` the time at which the recorder got it.
+"""
+
+REFERENCES = ("auto", "trajectory", "setpoint", "sampled", "controller_state", "hold")
+"""Kinds of reference: found in this order; see :class:`BagSelection`."""
+
+NO_COMMANDS = "none"
+"""As ``commands``: read no efforts."""
+
+_MAPPING = re.compile(r"(?P<joint>[^=]+)=(?P<topic>[^=\[\]]+)(\[(?P<element>\d+)\])?")
+
+
+class CommandTopic(NamedTuple):
+    """Where one joint's efforts are.
+
+    Attributes:
+        topic: Full name of the topic.
+        element: Place in the data of a ``Float64MultiArray``.
+    """
+
+    topic: str
+    element: int = 0
+
+
+@dataclass(frozen=True)
+class BagSelection:
+    """What is read from a bag, and on which clock. What is left out is found by name, then type.
+
+    Topic names are full with a leading slash; without one their last parts are enough.
+
+    Attributes:
+        joints: Only these joints, in this order; all that are commanded or have a reference if
+            None.
+        namespace: Only topics below this namespace, for instance ``"/left"``: which of several
+            robots.
+        states: Topic of the states (``sensor_msgs/JointState``).
+        commands: Topic of the efforts: ``sensor_msgs/JointState`` or
+            ``control_msgs/JointTrajectoryControllerState`` (its output). The topic of the states
+            gives their measured efforts. ``"none"`` reads a bag without commands.
+        command_topics: Topics with the efforts of single joints (``std_msgs/Float64``,
+            ``std_msgs/Float64MultiArray``), by joint.
+        reference: A name of :data:`REFERENCES`, or a topic: ``trajectory`` is
+            ``trajectory_msgs/JointTrajectory``, ``setpoint`` a controller's
+            ``std_msgs/Float64``, ``sampled`` its ``~/reference``, ``controller_state`` the
+            reference of a ``JointTrajectoryControllerState``, ``hold`` the first position.
+            ``auto`` takes the first of these that the joint has.
+        clock: One of :data:`CLOCKS`. Commands without a stamp have their receive time in either.
+        start: Begin of the window, seconds since the first state of any joint, in [s].
+        end: End of the window (inclusive), likewise.
+
+    Raises:
+        SettingError: An unknown clock, an empty or reversed window, an empty name.
+    """
+
+    joints: Sequence[str] | None = None
+    namespace: str | None = None
+    states: str | None = None
+    commands: str | None = None
+    command_topics: Mapping[str, CommandTopic] = field(default_factory=dict)
+    reference: str = "auto"
+    clock: str = "header"
+    start: float | None = None
+    end: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.joints is not None:
+            object.__setattr__(self, "joints", tuple(self.joints))
+            if not self.joints or len(set(self.joints)) < len(self.joints):
+                raise SettingError(f"joints must name each joint once, got {list(self.joints)}")
+        object.__setattr__(self, "command_topics", dict(self.command_topics))
+        for name in ("namespace", "states", "commands", "reference"):
+            if getattr(self, name) == "":
+                raise SettingError(f"{name} must not be an empty text")
+        if self.clock not in CLOCKS:
+            raise SettingError(unknown_name("clock", self.clock, CLOCKS))
+        for name in ("start", "end"):
+            value = getattr(self, name)
+            if value is not None and not (math.isfinite(value) and value >= 0.0):
+                raise SettingError(f"{name} must be zero or more seconds, got {value}")
+        if self.start is not None and self.end is not None and not self.start < self.end:
+            raise SettingError(f"start must be before end, got {self.start} s and {self.end} s")
+
+
+def parse_command_topics(texts: Sequence[str]) -> dict[str, CommandTopic]:
+    """Return the mapping that options like ``elbow=/elbow_controller/commands[0]`` give.
+
+    Args:
+        texts: ``JOINT=TOPIC`` or ``JOINT=TOPIC[ELEMENT]``; the element is the joint's place in a
+            ``Float64MultiArray``.
+
+    Raises:
+        SettingError: A text is not of that form, or names a joint twice.
+    """
+    topics: dict[str, CommandTopic] = {}
+    for text in texts:
+        match = _MAPPING.fullmatch(text)
+        if match is None:
+            raise SettingError(f"must be JOINT=TOPIC or JOINT=TOPIC[ELEMENT], got {text!r}")
+        joint = match["joint"]
+        if joint in topics:
+            raise SettingError(f"joint {joint!r} has two command topics, the second in {text!r}")
+        topics[joint] = CommandTopic(match["topic"], int(match["element"] or 0))
+    return topics

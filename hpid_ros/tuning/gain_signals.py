@@ -1,0 +1,73 @@
+"""What a recorded loop's homogeneous law did to its gains, from its settings and its errors."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hpid_ros.analysis.series import JointSeries, RunSeries
+from hpid_ros.analysis.signals import GainSignals, Signal
+from hpid_ros.control import LoopSettings
+from hpid_ros.control.homogeneous_pid import HomogeneousPid
+from hpid_ros.control.norm_arrays import norm_values
+
+Array = NDArray[np.float64]
+
+
+def gain_signals(
+    run: RunSeries, settings: Mapping[str, LoopSettings]
+) -> dict[str, GainSignals] | None:
+    """Return norm and multiplier of each joint over time.
+
+    The error's rate is computed as the loop does it: the reference's own rate minus the filtered
+    difference of the positions.
+
+    Args:
+        run: The recording.
+        settings: The settings with which it was made, by joint.
+
+    Returns:
+        The signals by joint; None if a joint's settings are missing.
+    """
+    if any(joint not in settings for joint in run.joint_names):
+        return None
+    return {series.joint: _signals(series, settings[series.joint]) for series in run.joints}
+
+
+def _signals(series: JointSeries, settings: LoopSettings) -> GainSignals:
+    law = settings.make_law()
+    norm = settings.make_norm()
+    values = norm_values(norm, series.error, _error_rate(series, settings))
+    if not isinstance(law, HomogeneousPid):
+        multiplier = np.ones_like(values)
+    else:
+        limited = np.clip(values, law.norm_floor, law.norm_cap)
+        at_zero = 1.0 if norm.degree == 0.0 else 0.0
+        positive = np.where(limited > 0.0, limited, 1.0)
+        multiplier = np.where(limited > 0.0, positive**norm.degree, at_zero)
+    stamps = series.state_stamps_ns
+    return GainSignals(Signal(stamps, values), Signal(stamps, multiplier))
+
+
+def _error_rate(series: JointSeries, settings: LoopSettings) -> Array:
+    t = series.time
+    if t.size < 2:
+        return np.zeros_like(t)
+    from scipy.signal import lfilter  # slow to import, and only needed here
+
+    steps = np.diff(t)
+    period = float(np.median(steps))
+    share = period / (settings.velocity_filter_time_constant + period)
+    difference = np.append(0.0, np.diff(series.position) / steps)
+    velocity: Array = lfilter([share], [1.0, share - 1.0], difference)
+    return _reference_rate(series.reference, steps) - velocity
+
+
+def _reference_rate(reference: Array, steps: Array) -> Array:
+    """Return the rate of a reference; a jump from rest to rest has none."""
+    moves = np.diff(reference)
+    before, after = np.append(0.0, moves[:-1]), np.append(moves[1:], 0.0)
+    is_jump = (moves != 0.0) & (before == 0.0) & (after == 0.0)
+    return np.append(0.0, np.where(is_jump, 0.0, moves / steps))

@@ -1,0 +1,94 @@
+"""Messages and bags for tests, built from numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
+
+from hpid_ros.bags import BagReader, BagWriter
+from hpid_ros.messages.joint_state import JointStateTemplate
+from hpid_ros.trajectory import JointTrajectory, TrajectoryPoint
+
+JOINT_STATE = "sensor_msgs/msg/JointState"
+JOINT_TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
+TYPES = get_typestore(Stores.ROS2_JAZZY)
+S = 1_000_000_000
+MS = 1_000_000
+
+Log = Sequence[tuple[str, int, bytes]]
+
+
+def state(stamp_ns: int, **positions: float) -> tuple[str, int, bytes]:
+    template = JointStateTemplate(list(positions), position=True)
+    return "joint_states", stamp_ns, template.encode(stamp_ns, position=list(positions.values()))
+
+
+def command(stamp_ns: int, **efforts: float) -> tuple[str, int, bytes]:
+    template = JointStateTemplate(list(efforts), effort=True)
+    return "joint_commands", stamp_ns, template.encode(stamp_ns, effort=list(efforts.values()))
+
+
+def trajectory(log_time_ns: int, what: JointTrajectory) -> tuple[str, int, bytes]:
+    types = TYPES.types
+    time, duration = types["builtin_interfaces/msg/Time"], types["builtin_interfaces/msg/Duration"]
+    header = types["std_msgs/msg/Header"](time(*divmod(what.stamp_ns, S)), "")
+    points = [
+        types["trajectory_msgs/msg/JointTrajectoryPoint"](
+            np.array(point.positions),
+            np.array(point.velocities),
+            np.array(point.accelerations),
+            np.zeros(0),
+            duration(*divmod(point.time_from_start_ns, S)),
+        )
+        for point in what.points
+    ]
+    message = types[JOINT_TRAJECTORY](header, list(what.joint_names), points)
+    raw = TYPES.serialize_cdr(message, JOINT_TRAJECTORY)
+    return "joint_trajectory", log_time_ns, bytes(raw)
+
+
+def ramp(joint: str, *, stamp_ns: int = 0, **at_seconds: float) -> JointTrajectory:
+    """Return a piecewise linear trajectory; ``t2=5.0`` is 5 rad two seconds after the start."""
+    points = tuple(
+        TrajectoryPoint(int(time[1:]) * S, (position,)) for time, position in at_seconds.items()
+    )
+    return JointTrajectory((joint,), points, stamp_ns)
+
+
+def write_bag(path: Path, log: Log, namespace: str = "/") -> Path:
+    with BagWriter(path) as bag:
+        topics = {
+            name: bag.add_topic(namespace + name, kind)
+            for name, kind in (
+                ("joint_states", JOINT_STATE),
+                ("joint_commands", JOINT_STATE),
+                ("joint_trajectory", JOINT_TRAJECTORY),
+            )
+        }
+        for name, log_time_ns, raw in log:
+            bag.write(topics[name], log_time_ns, raw)
+    return path
+
+
+def convert(source: Path, target: Path, storage: StoragePlugin, mode: CompressionMode) -> None:
+    """Write the same messages with rosbags alone."""
+    writer = Writer(target, version=9, storage_plugin=storage)
+    writer.set_compression(mode, CompressionFormat.ZSTD)
+    with writer, BagReader(source) as bag:
+        connections = {
+            name: writer.add_connection(name, topic.type, typestore=TYPES)
+            for name, topic in bag.topics.items()
+        }
+        for name, log_time_ns, raw in bag.messages():
+            writer.write(connections[name], log_time_ns, raw)
+
+
+def small_log() -> list[tuple[str, int, bytes]]:
+    log = [trajectory(0, ramp("a", t0=0.0, t1=1.0))]
+    for k in range(1, 60):
+        log += [state(k * 20 * MS, a=k * 0.1, b=0.0), command(k * 20 * MS, a=k * 0.01)]
+    return log

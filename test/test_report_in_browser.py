@@ -1,0 +1,199 @@
+"""The report in a real browser: opens from disk, zooms, tells values, in both themes, narrow.
+
+Needs Chromium (Debian: ``apt install chromium``) and playwright from PyPI; skipped without them.
+"""
+
+import shutil
+
+import numpy as np
+import pytest
+
+from hpid_ros.analysis.comparison import Comparison
+from hpid_ros.analysis.indices import run_indices
+from hpid_ros.analysis.report import render_report
+from hpid_ros.analysis.series import JointSeries, Retune, RunSeries
+
+playwright = pytest.importorskip("playwright.sync_api", reason="pip install playwright")
+
+BROWSERS = ("chromium", "chromium-browser", "google-chrome")
+LATE = 20_000  # [ms]
+
+
+def response(label, damping):
+    t = np.linspace(0.0, 9.0, 901)
+    stamps = np.round(t * 1e9).astype(np.int64)
+    joints = []
+    for k, name in enumerate(("shoulder", "elbow")):
+        reference = np.full(t.size, 1.0 + k)
+        position = reference * (1.0 - np.exp(-damping * t) * np.cos(3 * t))
+        effort = 5 * (reference - position)
+        joints.append(JointSeries(name, stamps, position, reference, stamps, effort))
+    return RunSeries(label, tuple(joints), retunes=(Retune(4_000_000_000, "/c", "mu = 0.1"),))
+
+
+@pytest.fixture(scope="module")
+def browser():
+    found = next(filter(None, map(shutil.which, BROWSERS)), None)
+    with playwright.sync_playwright() as driver:
+        try:
+            launched = driver.chromium.launch(executable_path=found, args=["--no-sandbox"])
+        except playwright.Error as error:
+            pytest.skip(f"no browser ({error.message.splitlines()[0]}): apt install chromium")
+        yield launched
+        launched.close()
+
+
+@pytest.fixture(scope="module")
+def report(tmp_path_factory):
+    runs = [response("PID", 0.6), response("hPID", 1.2)]
+    comparison = Comparison(tuple(run_indices(run) for run in runs))
+    parameters = {"hPID": {"elbow": {"mu": -0.1}, "shoulder": {"mu": -0.2}}}
+    path = tmp_path_factory.mktemp("report") / "report.html"
+    path.write_text(render_report(comparison, runs, {"seed": 7}, parameters), encoding="utf-8")
+    return path.as_uri()
+
+
+@pytest.fixture
+def open_page(browser, report):
+    """Return a function that opens the report and fails the test on any error or request."""
+    contexts, wrong, requests = [], [], []
+
+    def opened(width=1200, scheme="light"):
+        context = browser.new_context(
+            viewport={"width": width, "height": 900}, color_scheme=scheme, offline=True
+        )
+        contexts.append(context)
+        page = context.new_page()
+        page.set_default_timeout(LATE)
+        page.on("console", lambda said: wrong.append(said.text))
+        page.on("pageerror", lambda error: wrong.append(str(error)))
+        page.on("request", lambda request: requests.append(request.url))
+        page.goto(report)
+        page.wait_for_selector("canvas")
+        return page
+
+    yield opened
+    for context in contexts:
+        context.close()
+    assert wrong == []
+    assert set(requests) == {report}
+
+
+INK = """canvas => {
+  const pen = canvas.getContext('2d');
+  const {data} = pen.getImageData(0, 0, canvas.width, canvas.height);
+  let sum = 0;
+  for (let k = 3; k < data.length; k += 4) sum += data[k] > 0;
+  return sum;
+}"""
+
+
+def picture(canvas):
+    return canvas.evaluate("canvas => canvas.toDataURL()")
+
+
+def wait_until_changed(page, canvas, before):
+    changed = "([canvas, before]) => canvas.toDataURL() !== before"
+    page.wait_for_function(changed, arg=[canvas.element_handle(), before])
+
+
+def wait_until_as_before(page, canvas, before):
+    same = "([canvas, before]) => canvas.toDataURL() === before"
+    page.wait_for_function(same, arg=[canvas.element_handle(), before])
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("width", [400, 1200])
+def test_every_chart_is_drawn_and_the_page_never_scrolls_sideways(open_page, width, scheme):
+    page = open_page(width, scheme)
+    page.wait_for_function("document.querySelector('canvas').width > 0")
+    canvases = page.locator("canvas").all()
+    assert len(canvases) == 2 * 5 + 2 + 2
+    page.wait_for_function(f"[...document.querySelectorAll('canvas')].every({INK})")
+    assert page.evaluate("document.documentElement.scrollWidth") <= width
+
+
+def test_tabs_work_by_mouse_and_by_keys(open_page):
+    page = open_page()
+    tabs = page.get_by_role("tab")
+    assert tabs.all_inner_texts() == ["Figures", "All indices", "Parameters", "Data", "Provenance"]
+    page.get_by_role("tab", name="Provenance").click()
+    assert page.locator("section:visible h2").all_inner_texts() == ["Provenance"]
+    page.keyboard.press("ArrowRight")  # round to the first
+    assert page.locator("section:visible h2").all_inner_texts() == ["Figures"]
+    page.keyboard.press("End")
+    page.keyboard.press("ArrowLeft")
+    assert page.locator("section:visible h2").all_inner_texts() == ["Data"]
+    assert page.evaluate("document.activeElement.textContent") == "Data"
+    assert page.locator("[role=tab][aria-selected=true]").count() == 1
+
+
+def test_a_drag_zooms_all_time_charts_and_a_double_click_shows_the_whole(open_page):
+    page = open_page()
+    first = page.locator("#positions canvas").first
+    other = page.locator("#errors canvas").last
+    whole, other_whole = picture(first), picture(other)
+    first.evaluate("canvas => canvas.scrollIntoView({block: 'center'})")
+    box = first.bounding_box()
+    middle = box["y"] + box["height"] / 2
+    page.mouse.move(box["x"] + 100, middle)
+    page.mouse.down()
+    page.mouse.move(box["x"] + 200, middle, steps=5)
+    page.mouse.up()
+    page.mouse.move(5, 5)
+    wait_until_changed(page, other, other_whole)
+    assert picture(first) != whole
+    first.dblclick()
+    page.mouse.move(5, 5)
+    wait_until_as_before(page, other, other_whole)
+
+
+def test_the_keyboard_reads_values_and_zooms(open_page):
+    page = open_page()
+    chart = page.locator("#errors .panel").first
+    canvas = chart.locator("canvas")
+    whole = picture(canvas)
+    canvas.focus()
+    page.keyboard.press("ArrowRight")
+    page.wait_for_function("document.querySelector('#errors output').textContent !== ''")
+    text = chart.locator("output").inner_text()
+    at = 9.0 * 0.51
+    expected = np.exp(-0.6 * at) * np.cos(3 * at)
+    assert text.startswith("t [s] 4.59: PID ")
+    value = float(text.split("PID ")[1].split(",")[0].replace("\u2212", "-"))
+    assert value == pytest.approx(expected, abs=2e-3)
+    page.keyboard.press("+")
+    page.keyboard.press("Shift+ArrowRight")
+    wait_until_changed(page, canvas, whole)
+    page.keyboard.press("0")
+    page.mouse.move(5, 5)
+    assert "hPID" in chart.locator("output").inner_text()
+
+
+def test_a_run_can_be_hidden_and_the_theme_be_chosen(open_page):
+    page = open_page()
+    canvas = page.locator("#efforts canvas").first
+    before = picture(canvas)
+    button = page.locator("#efforts").get_by_role("button", name="hPID", exact=True)
+    button.click()
+    assert button.get_attribute("aria-pressed") == "false"
+    wait_until_changed(page, canvas, before)
+    light = page.evaluate("getComputedStyle(document.body).backgroundColor")
+    theme = page.get_by_role("button", name="theme")
+    theme.click()
+    theme.click()
+    assert theme.inner_text() == "theme: dark"
+    assert page.evaluate("getComputedStyle(document.body).backgroundColor") != light
+
+
+def test_every_control_can_be_reached_by_the_keyboard(open_page):
+    page = open_page()
+    unreachable = page.evaluate(
+        "[...document.querySelectorAll('button, canvas, summary')]"
+        ".filter((each) => each.tabIndex < 0 && each.getAttribute('role') !== 'tab').length"
+    )
+    assert unreachable == 0
+    named = page.evaluate(
+        "[...document.querySelectorAll('canvas')].every((e) => e.getAttribute('aria-label'))"
+    )
+    assert named
