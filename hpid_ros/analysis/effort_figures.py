@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hpid_ros.analysis.exact_sum import exact_sum
+from hpid_ros.analysis.exact_sum import exact_sum, exact_sum_of_blocks
 from hpid_ros.analysis.series import JointSeries
 
 SEGMENT = 1.0
@@ -21,6 +22,12 @@ PLATEAU = 5
 """So many equal commands in a row at the extreme value are a limit."""
 AT_LIMIT = 1e-9
 """Relative distance at which an effort is at its limit."""
+
+
+BLOCK = 1 << 16
+"""Samples that are worked on at once."""
+WINDOWS = 512
+"""Windows of Welch's method that are transformed at once."""
 
 
 class Spectrum(NamedTuple):
@@ -71,9 +78,16 @@ def energy(series: JointSeries) -> float:
     """
     if not series.effort.size:
         return 0.0
-    ends = np.append(series.command_time, max(series.time[-1], series.command_time[-1]))
-    position = np.interp(ends, series.time, series.position)
-    return exact_sum(np.abs(series.effort) * np.abs(np.diff(position)))
+    effort, t = series.effort, series.time
+    ends = np.append(series.command_time, max(t[-1], series.command_time[-1]))
+
+    def work() -> Iterator[NDArray[np.float64]]:
+        for first in range(0, effort.size, BLOCK):
+            held = effort[first : first + BLOCK]
+            position = np.interp(ends[first : first + held.size + 1], t, series.position)
+            yield np.abs(held) * np.abs(np.diff(position))
+
+    return exact_sum_of_blocks(work())
 
 
 def spectrum(t: NDArray[np.float64], x: NDArray[np.float64]) -> Spectrum | None:
@@ -91,12 +105,24 @@ def spectrum(t: NDArray[np.float64], x: NDArray[np.float64]) -> Spectrum | None:
     """
     if x.size < SHORTEST_SEGMENT or t[-1] <= t[0]:
         return None
-    from scipy.signal import welch  # slow to import, and only needed here
-
-    even = np.linspace(t[0], t[-1], x.size)
+    even = np.interp(np.linspace(t[0], t[-1], x.size), t, x)
     rate = (x.size - 1) / float(t[-1] - t[0])
     length = min(x.size, max(SHORTEST_SEGMENT, round(SEGMENT * rate)))
-    frequency, density = welch(np.interp(even, t, x), rate, nperseg=length)
+    return _mean_of_windows(even, rate, length)
+
+
+def _mean_of_windows(x: NDArray[np.float64], rate: float, length: int) -> Spectrum:
+    """Return Welch's mean over all windows, a few hundred at a time: hours fit into memory."""
+    from scipy.signal import welch  # slow to import, and only needed here
+
+    step = length - length // 2
+    windows = (x.size - length) // step + 1
+    frequency, density = np.empty(0), np.zeros(length // 2 + 1)
+    for first in range(0, windows, WINDOWS):
+        count = min(WINDOWS, windows - first)
+        piece = x[first * step : (first + count - 1) * step + length]
+        frequency, mean = welch(piece, rate, nperseg=length)
+        density += mean * (count / windows)
     return Spectrum(frequency, density)
 
 

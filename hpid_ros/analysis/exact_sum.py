@@ -10,6 +10,7 @@ leading parts, here down to the last bit.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,11 +29,24 @@ def exact_sum(values: NDArray[np.float64]) -> float:
     Args:
         values: The numbers, (N,).
     """
-    if values.size < _SMALL:
-        return math.fsum(values.tolist())
+    return exact_sum_of_blocks([values])
+
+
+def exact_sum_of_blocks(blocks: Iterable[NDArray[np.float64]]) -> float:
+    """Return the sum of all numbers of some arrays, rounded once.
+
+    The sum of a long array that is computed block by block is never there as a whole.
+
+    Args:
+        blocks: Lines of finite numbers, which are not kept.
+    """
     parts: list[float] = []
-    for first in range(0, values.size, _BLOCK):
-        _append_exact_parts(values[first : first + _BLOCK], parts)
+    for values in blocks:
+        if values.size < _SMALL:
+            parts.extend(values.tolist())
+            continue
+        for first in range(0, values.size, _BLOCK):
+            _append_exact_parts(values[first : first + _BLOCK], parts)
     return math.fsum(parts)
 
 

@@ -148,21 +148,28 @@ def _totals(joints: Iterable[JointIndices]) -> JointIndices:
 
 
 def _further(series: JointSeries, settings: IndexSettings) -> dict[str, float]:
-    t, error = series.time, series.error
-    ise = square_integral(t, error)
     numbers: dict[str, float | None] = {
-        "iae": integral_of_absolute(t, error),
-        "ise": ise,
-        "rmse": root_mean_square(t, error),
-        "error_max": max(float(error.max()), -float(error.min())),
+        **_error_numbers(series),
         "effort_l2": l2_norm(series.command_time, series.effort),
-        "error_l2": math.sqrt(ise),
         **_worst_step(series),
         "saturation": saturation_share(series, settings.effort_limits.get(series.joint)),
         "chatter": chatter(series, settings.cutoff),
         "energy": energy(series),
     }
     return {key: value for key, value in numbers.items() if value is not None}
+
+
+def _error_numbers(series: JointSeries) -> dict[str, float]:
+    # A function of its own: of an hour's series the error is not kept beside what comes next.
+    t, error = series.time, series.error
+    ise = square_integral(t, error)
+    return {
+        "iae": integral_of_absolute(t, error),
+        "ise": ise,
+        "rmse": root_mean_square(t, error),
+        "error_max": max(float(error.max()), -float(error.min())),
+        "error_l2": math.sqrt(ise),
+    }
 
 
 def _worst_step(series: JointSeries) -> dict[str, float | None]:

@@ -8,12 +8,16 @@ depends neither on the order of the joints nor on numpy's version or SIMD width.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Iterator
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hpid_ros.analysis.exact_sum import exact_sum
+from hpid_ros.analysis.exact_sum import exact_sum_of_blocks
 from hpid_ros.analysis.series import SeriesError, require_finite
+
+_Array = NDArray[np.float64]
+_BLOCK = 1 << 16  # samples of an integrand that are in memory at once
 
 
 def total_variation(u: ArrayLike) -> float:
@@ -34,7 +38,7 @@ def total_variation(u: ArrayLike) -> float:
         SeriesError: If u is not a line of finite numbers.
     """
     samples = _line("u", u)
-    return exact_sum(np.abs(np.diff(samples)))
+    return exact_sum_of_blocks(np.abs(np.diff(block)) for block in _blocks(samples))
 
 
 def integral_of_absolute(t: ArrayLike, x: ArrayLike) -> float:
@@ -51,7 +55,7 @@ def integral_of_absolute(t: ArrayLike, x: ArrayLike) -> float:
         SeriesError: If the two are not lines of finite numbers of one length, or t falls.
     """
     times, samples = _lines(t, x)
-    return _trapezoid(times, np.abs(samples))
+    return _trapezoid(times, samples, lambda t, x: np.abs(x))
 
 
 def itae(t: ArrayLike, e: ArrayLike) -> float:
@@ -68,7 +72,7 @@ def itae(t: ArrayLike, e: ArrayLike) -> float:
         SeriesError: If the two are not lines of finite numbers of one length, or t falls.
     """
     times, samples = _lines(t, e)
-    return _trapezoid(times, times * np.abs(samples))
+    return _trapezoid(times, samples, lambda t, x: t * np.abs(x))
 
 
 def square_integral(t: ArrayLike, x: ArrayLike) -> float:
@@ -85,7 +89,7 @@ def square_integral(t: ArrayLike, x: ArrayLike) -> float:
         SeriesError: If the two are not lines of finite numbers of one length, or t falls.
     """
     times, samples = _lines(t, x)
-    return _trapezoid(times, np.square(samples))
+    return _trapezoid(times, samples, lambda t, x: np.square(x))
 
 
 def l2_norm(t: ArrayLike, x: ArrayLike) -> float:
@@ -123,19 +127,32 @@ def root_mean_square(t: ArrayLike, x: ArrayLike) -> float:
     span = float(times[-1] - times[0])
     if span == 0.0:
         return abs(float(samples[0]))
-    return math.sqrt(_trapezoid(times, np.square(samples)) / span)
+    return math.sqrt(_trapezoid(times, samples, lambda t, x: np.square(x)) / span)
 
 
-def _trapezoid(t: NDArray[np.float64], y: NDArray[np.float64]) -> float:
+def _trapezoid(t: _Array, x: _Array, integrand: Callable[[_Array, _Array], _Array]) -> float:
+    """Integrate a function of time and samples; only a block of it is ever in memory."""
+
     # numpy's own rule changed its name between 1.26 and 2, and sums in an order of its own.
-    return exact_sum(0.5 * np.diff(t) * (y[1:] + y[:-1]))
+    def areas() -> Iterator[_Array]:
+        for times, samples in zip(_blocks(t), _blocks(x), strict=True):
+            y = integrand(times, samples)
+            yield 0.5 * np.diff(times) * (y[1:] + y[:-1])
+
+    return exact_sum_of_blocks(areas())
+
+
+def _blocks(x: _Array) -> Iterator[_Array]:
+    """Yield pieces of a line; each begins with the last sample of the one before."""
+    for first in range(0, max(x.size - 1, 1), _BLOCK):
+        yield x[first : first + _BLOCK + 1]
 
 
 def _lines(t: ArrayLike, x: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     times, samples = _line("t", t), _line("x", x)
     if times.size != samples.size:
         raise SeriesError(f"t and x must be of one length, got {times.size} and {samples.size}")
-    if np.any(np.diff(times) < 0.0):
+    if np.any(times[1:] < times[:-1]):
         raise SeriesError("t must not fall: sort the samples by their stamps first")
     return times, samples
 
