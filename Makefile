@@ -1,13 +1,15 @@
 # Two commands do everything on a fresh machine:
 #   make compare   set up .venv and run the paper's comparison
 #   make test      set up .venv with the test extras and run the suite
+# And for whoever must trust it on an arm:
+#   make faults    break things on purpose and count what came of it
 # Options for hpid compare: make compare ARGS="FILE --output FOLDER --in-process"
 
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: compare test bench lint clean
+.PHONY: compare test faults bench lint clean
 
 $(BIN)/python:
 	$(PYTHON) -m venv $(VENV)
@@ -31,6 +33,11 @@ compare: $(VENV)/.installed
 
 test: $(VENV)/.test-installed
 	$(BIN)/python -m pytest $(ARGS)
+
+# The tests that break things on purpose, and a table of what they did and what came of it.
+# Longer: python -m benchmarks.faults --minutes 10, python -m benchmarks.soak --minutes 60
+faults: $(VENV)/.test-installed
+	$(BIN)/python -m pytest --faults $(ARGS)
 
 bench: $(VENV)/.bench-installed
 	$(BIN)/python -m benchmarks $(ARGS)

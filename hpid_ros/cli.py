@@ -14,6 +14,7 @@ from hpid_ros.commands import (
     check_gains,
     compare,
     metrics,
+    repair,
     run,
     sweep,
     upgrade,
@@ -50,7 +51,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"hpid_ros {__version__}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    for each in (compare, run, sweep, metrics, check_gains, upgrade):
+    for each in (compare, run, sweep, metrics, repair, check_gains, upgrade):
         each.add(commands)
     return parser
 

@@ -14,15 +14,21 @@ def controller_name(joint: str) -> str:
 
 NODE_PARAMETERS = frozenset(
     {
+        "autostart",
         "certify",
         "command_interface",
         "compensation",
+        "cpu_affinity",
         "introspection_rate",
         "qos_overrides",
+        "realtime_priority",
         "require_certificate",
         "robot_description",
         "start_type_description_service",
+        "state_watchdog",
         "status_fd",
+        "stop",
+        "stop_duration",
         "use_sim_time",
         "wait_for_command_subscribers",
         "wait_for_reference",

@@ -79,8 +79,9 @@ def nodes(context):
                     "gui": value["gui"] == "true",
                     "duration": 0.0,
                     # The robot would fall while its controllers are still starting, and a bag
-                    # without its beginning cannot be compared.
-                    "wait_for_subscribers": len(experiment.world.joints) + bool(value["bag"]),
+                    # without its beginning cannot be compared. The publisher of the reference
+                    # listens, too, until the motion has begun.
+                    "wait_for_subscribers": len(experiment.world.joints) + bool(value["bag"]) + 1,
                     "wait_for_publishers": len(experiment.world.joints),
                 },
             ],

@@ -1,6 +1,7 @@
-"""Shared fixtures: short experiments, and a graph that nobody else is on."""
+"""Shared fixtures: short experiments, a graph that nobody else is on, and counted faults."""
 
 import os
+from collections import Counter
 
 import pytest
 import yaml
@@ -13,6 +14,7 @@ from hpid_ros.resources import share_folder
 settings.register_profile("suite", deadline=None)  # a busy machine is not a failure
 settings.load_profile("suite")
 
+FAULTS = pytest.StashKey()
 PAPER = share_folder() / "config" / "experiments" / "paper.yaml"
 
 
@@ -51,3 +53,50 @@ def harness(tmp_path):
         finally:
             os.environ.clear()
             os.environ.update(before)
+
+
+class Faults:
+    """Counts what a test did to the package and what came of it, for ``make faults``."""
+
+    def __init__(self, counts):
+        self._counts = counts
+
+    def count(self, name, number=1):
+        """Add to a count.
+
+        Args:
+            name: What is counted, in a few words, for instance ``messages fuzzed: live node``.
+            number: How many more.
+        """
+        self._counts[name] += int(number)
+
+
+@pytest.fixture(scope="session")
+def faults(request):
+    """Return the counts of this session; they are printed at its end."""
+    return Faults(request.config.stash.setdefault(FAULTS, Counter()))
+
+
+def pytest_addoption(parser):
+    parser.addoption(
+        "--faults",
+        action="store_true",
+        help="run only the tests that inject faults and count them",
+    )
+
+
+def pytest_collection_modifyitems(config, items):
+    if config.getoption("--faults"):
+        others = [item for item in items if "faults" not in item.fixturenames]
+        items[:] = [item for item in items if "faults" in item.fixturenames]
+        config.hook.pytest_deselected(items=others)
+
+
+def pytest_terminal_summary(terminalreporter, config):
+    counts = config.stash.get(FAULTS, {})
+    if not counts:
+        return
+    terminalreporter.section("faults injected, and what came of them")
+    width = max(map(len, counts))
+    for name, number in sorted(counts.items()):
+        terminalreporter.write_line(f"{name:<{width}}  {number:>10}")

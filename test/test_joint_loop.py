@@ -150,6 +150,13 @@ def test_back_calculation_settles_where_control_toolbox_does():
     assert loop.integral == pytest.approx(1.0 - 10.0 + 4.0 * 0.05, rel=1e-6)
 
 
+def test_back_calculation_without_an_integral_gain_leaves_the_integral_alone():
+    loop = saturated_loop(
+        "back_calculation", tracking_time_constant=0.05, gains=Gains(10.0, 0.0, 2.0)
+    )
+    assert loop.integral == 0.0
+
+
 def test_integral_clamp_holds_and_releases():
     loop = saturated_loop("none", i_clamp_max=0.3)
     assert loop.integral == 0.3

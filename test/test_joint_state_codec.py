@@ -155,3 +155,17 @@ def test_a_count_that_lies_is_refused():
 def test_layout_needs_little_endian():
     with pytest.raises(MessageError, match="little-endian"):
         JointStateLayout.of(serialise(1, "", ("a",), [1.0], [], [], little_endian=False))
+
+
+def test_a_state_that_names_the_joint_twice_or_has_an_impossible_stamp_is_refused():
+    twice = JointStateTemplate(["a", "b", "a"], position=True).encode(1, position=[1.0, 2.0, 3.0])
+    assert JointReader("b").read(twice).position == 2.0
+    with pytest.raises(MessageError, match="once, not 'a' twice"):
+        JointReader("a").read(twice)
+    reader = JointReader("b")
+    reader.read(twice)
+    late = bytearray(twice)
+    late[8:12] = struct.pack("<I", 10**9)
+    for read in (reader.read, JointReader("b").read, decode_joint_state):
+        with pytest.raises(MessageError, match="nanoseconds must be below 1e9"):
+            read(bytes(late))

@@ -10,6 +10,8 @@ and 0.11.9.
 from __future__ import annotations
 
 import os
+import struct
+import zlib
 from collections import defaultdict
 from contextlib import suppress
 from io import BytesIO
@@ -27,9 +29,15 @@ if TYPE_CHECKING:
 CHUNK_SPAN_NS = 500_000_000
 """Longest log time that one chunk may cover, in [ns]: what a crash can cost."""
 
+_CHECKSUM = struct.Struct("<I")
+_CHECKSUM_OFFSET = 9 + 3 * 8
+"""After opcode, length, first and last log time and size of a chunk record (MCAP, version 0)."""
+
 
 class SoonOnDiskMcapWriter(McapWriter):
     """MCAP storage that closes a chunk after half a second of log time and flushes each.
+
+    Every chunk has a checksum.
 
     A chunk that cannot be written (full disk) is taken back, so that the file can still be
     finished with all chunks before it.
@@ -68,12 +76,20 @@ class SoonOnDiskMcapWriter(McapWriter):
         start = self.bio.tell()
         try:
             super().close_chunk()
+            self._add_checksum(pending, start)
             self.bio.flush()
         except OSError:
             del self.chunks[chunk_count:]
             self._take_back(pending, start)
             raise
         self._times_on_disk = (self.message_start_time, self.message_end_time)
+
+    def _add_checksum(self, chunk: PendingChunk, start: int) -> None:
+        """Write the checksum that rosbags leaves out, so that damage is noticed when reading."""
+        end = self.bio.tell()
+        self.bio.seek(start + _CHECKSUM_OFFSET)
+        self.bio.write(_CHECKSUM.pack(zlib.crc32(chunk.bio.getbuffer())))
+        self.bio.seek(end)
 
     def _take_back(self, pending: PendingChunk, start: int) -> None:
         """Cut the file at ``start`` and forget the messages of the pending chunk."""
@@ -85,7 +101,8 @@ class SoonOnDiskMcapWriter(McapWriter):
         with suppress(OSError):
             self.bio.close()
         os.truncate(self.path, start)
-        self.bio = self.path.open("ab")
+        self.bio = self.path.open("r+b")  # type: ignore[assignment]  # it writes, too
+        self.bio.seek(start)
 
 
 class SoonOnDiskWriter(Writer):

@@ -102,20 +102,24 @@ class BagWriter:
         counts = self._writer.counts
         return {topic.name: counts[topic.connection.id] for topic in self._topics}
 
-    def add_topic(self, name: str, type: str, qos: TopicQos | None = None) -> BagTopic:
+    def add_topic(
+        self, name: str, type: str, qos: TopicQos | None = None, definition: str = ""
+    ) -> BagTopic:
         """Add a topic.
 
         Args:
             name: Its name, with the leading slash as ROS 2 resolves it.
             type: A type of ROS 2 Jazzy, for instance ``"sensor_msgs/msg/JointState"``.
             qos: What its publisher offers; reliable and volatile if not given.
+            definition: The type's definition as another bag holds it, for types that Jazzy
+                lacks.
 
         Raises:
             BagError: If the type is unknown, the topic is there already or the bag is closed.
         """
         self._check_open()
         types = jazzy_types()
-        if type not in types.types:
+        if type not in types.types and not definition:
             raise BagError(f"bag {self.path}: {unknown_name('message type', type, types.types)}")
         if any(topic.name == name for topic in self._topics):
             raise BagError(f"bag {self.path}: topic {name!r} was added before")
@@ -123,6 +127,8 @@ class BagWriter:
             name,
             type,
             typestore=types,
+            # The hash of a foreign type is not known here; readers do not need it.
+            **({} if type in types.types else {"msgdef": definition, "rihs01": "unknown"}),
             offered_qos_profiles=[_rosbags_qos(TopicQos() if qos is None else qos)],
         )
         self._topics.append(topic := BagTopic(name, type, connection))

@@ -42,8 +42,8 @@ def anti_windup(strategy: str, gains: Gains, tracking_time_constant: float) -> A
             f"tracking_time_constant must be finite and not negative, "
             f"not {tracking_time_constant} s"
         )
-    if strategy == "none":
-        return _keep
+    if strategy == "none" or (strategy == "back_calculation" and gains.i == 0.0):
+        return _keep  # without an integral gain nothing winds up, and nothing would wind back
     if strategy == "conditional_integration":
         return _stop_while_pushing
     if strategy == "back_calculation":
@@ -78,6 +78,4 @@ def _back_calculation(time_constant: float) -> AntiWindup:
 
 
 def _default_time_constant(gains: Gains) -> float:
-    if gains.i == 0.0:
-        return math.inf  # nothing winds up, nothing is drawn back
     return math.sqrt(gains.d / gains.i) if gains.d > 0.0 else gains.p / gains.i or math.inf

@@ -3,83 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
-from enum import Enum
-from typing import Protocol
 
+from hpid_ros.control.damping_stop import DampingStop
+from hpid_ros.control.following import Following
+from hpid_ros.control.loop_state import LoopCounts, LoopState
+from hpid_ros.control.motions import LARGEST_POSITION, Motion, Reference, Setpoint
 from hpid_ros.control.pid import Terms
 from hpid_ros.control.settings import LoopSettings
 from hpid_ros.errors import SettingError
 
+__all__ = ["JointLoop", "LoopCounts", "LoopState", "Motion", "Reference", "Setpoint"]
+
 _SECONDS_PER_NANOSECOND = 1e-9
 _LATE = 1.5  # control periods between two states: there was none in between
 _OF_THE_VELOCITY = ("velocity_source", "velocity_filter_time_constant", "acceleration_bound")
-
-
-class Reference(Protocol):
-    """Where the joint should be, on the control clock."""
-
-    def sample(self, stamp_ns: int) -> Sequence[float]:
-        """Return position [rad], velocity [rad/s], acceleration [rad/s^2] at an instant [ns]."""
-
-
-class Motion(Protocol):
-    """What a loop can be told to do: it becomes a reference when the loop takes it over."""
-
-    def start(self, now_ns: int, position: float, velocity: float) -> Reference:
-        """Take over from where the reference stands, see ``trajectory.Column.start``."""
-
-
-@dataclass(frozen=True)
-class Setpoint:
-    """Hold one position.
-
-    Attributes:
-        position: In [rad].
-    """
-
-    position: float
-
-    def start(self, now_ns: int, position: float, velocity: float) -> Setpoint:
-        """Return itself: a setpoint is the same at all times."""
-        return self
-
-    def sample(self, stamp_ns: int) -> tuple[float, float, float]:
-        """Return the position at rest."""
-        return self.position, 0.0, 0.0
-
-
-class LoopState(Enum):
-    """What a loop is doing."""
-
-    WAITING = "waiting for the first state"
-    HOLDING = "holding its position"
-    FOLLOWING = "following a reference"
-    FAULT = "the last state could not be used"
-
-
-@dataclass
-class LoopCounts:
-    """What a loop has seen since it was made.
-
-    Attributes:
-        samples: States that were answered with a new effort.
-        repeats: States with the stamp of the one before.
-        resets: States older than the one before: the clock went back.
-        gaps: States later than ``state_timeout`` after the one before.
-        missed: States that must have been lost, by the stamps and ``control_period``.
-        saturated: Samples whose effort was limited.
-        rejected: States that were not finite, or made the law's effort so.
-    """
-
-    samples: int = 0
-    repeats: int = 0
-    resets: int = 0
-    gaps: int = 0
-    missed: int = 0
-    saturated: int = 0
-    rejected: int = 0
 
 
 class JointLoop:
@@ -90,6 +27,10 @@ class JointLoop:
     is a gap, over which the derivative restarts and the integral is kept. Until it is told
     otherwise, a loop holds the position of its first state.
 
+    Where the joint had no command of the loop for longer than ``state_timeout`` (:meth:`lapse`,
+    states that cannot be used), the loop takes over anew: it starts from where the joint is,
+    with the effort in force as its integral, and glides onto a motion that is under way.
+
     Args:
         settings: Checked settings.
     """
@@ -97,19 +38,19 @@ class JointLoop:
     def __init__(self, settings: LoopSettings) -> None:
         self.settings = settings
         self.counts = LoopCounts()
-        self._motion: Motion | None = None
-        self._pending: Motion | None = None
-        self._reference: Reference | None = None
-        self._stamp_ns: int | None = None
+        self.last_fault = ""
+        """What was last wrong with a state, in words."""
+        self._following = Following()
         self._law = settings.make_law()
         self._anti_windup = settings.make_anti_windup()
         self._velocity = settings.make_velocity_source()
+        self._limits = settings.make_motion_limits()
         self.reset()
 
     @property
     def state(self) -> LoopState:
         """What the loop is doing."""
-        return self._state
+        return LoopState.SILENT if self._has_lapsed else self._state
 
     @property
     def effort(self) -> float:
@@ -129,7 +70,7 @@ class JointLoop:
     @property
     def reference(self) -> tuple[float, float]:
         """Reference position [rad] and velocity [rad/s] of the last sample."""
-        return self._reference_position, self._reference_velocity
+        return self._following.position, self._following.velocity
 
     @property
     def error(self) -> float:
@@ -144,12 +85,17 @@ class JointLoop:
     @property
     def has_motion(self) -> bool:
         """Whether the loop was told to follow anything."""
-        return self._motion is not None
+        return self._following.motion is not None
 
     @property
     def velocity(self) -> float:
         """The velocity that the last sample used, in [rad/s]."""
         return self._rate
+
+    @property
+    def braked(self) -> int:
+        """Samples in which a soft stop or the velocity limit braked the joint."""
+        return self._limits.braked if self._limits else 0
 
     def follow(self, motion: Motion) -> None:
         """Follow a motion from the next sample on; a reset starts it anew.
@@ -157,7 +103,7 @@ class JointLoop:
         Args:
             motion: A trajectory's column, or a :class:`Setpoint`.
         """
-        self._motion = self._pending = motion
+        self._following.follow(motion)
 
     def retune(self, settings: LoopSettings) -> None:
         """Put other settings in force from the next sample on, as a whole.
@@ -181,20 +127,59 @@ class JointLoop:
         before = self.settings
         if any(getattr(settings, name) != getattr(before, name) for name in _OF_THE_VELOCITY):
             self._velocity = settings.make_velocity_source()
-        self._anti_windup = settings.make_anti_windup()
+        limits = settings.make_motion_limits()
+        if limits is not None and self._stamp_ns is not None:
+            limits.take_over(self._limits, self._position)
+        self._anti_windup, self._limits = settings.make_anti_windup(), limits
         self._law, self.settings = law, settings
 
     def reset(self) -> None:
         """Forget integral, velocity and time; start the motion anew with the next state."""
         self._law.reset()
         self._velocity.reset()
-        self._pending = self._motion
-        self._reference = None
-        self._reference_position = self._reference_velocity = 0.0
-        self._rate = self._error = 0.0
-        self._stamp_ns = None
+        self._following.restart()
+        self._position = self._rate = self._error = 0.0
+        self._stamp_ns: int | None = None
+        self._usable_ns: int | None = None  # of the last state before those that were not
+        self._is_takeover_due = self._has_lapsed = False
         self._effort = 0.0
         self._state = LoopState.WAITING
+
+    def release(self) -> None:
+        """Forget everything, the motion too: the next state is the first, and is held."""
+        self._following.follow(None)
+        self.reset()
+
+    def lapse(self) -> float:
+        """Note that no state has come for too long, and return the effort to give until one does.
+
+        Only stamps tell whether time has passed for the joint, too: if the next state comes
+        within ``state_timeout`` of the last one by its stamp, the robot's clock stood still (a
+        simulation was paused) and the loop goes on as if nothing had been.
+
+        Returns:
+            ``fallback_effort``, within the effort limits, in [N m].
+        """
+        self._has_lapsed = True
+        self.counts.silences += 1
+        return self.settings.fallback
+
+    def damping_stop(self, duration: float) -> DampingStop:
+        """Return what damps the joint from now on in this loop's place.
+
+        Args:
+            duration: In [s], positive.
+        """
+        settings = self.settings
+        return DampingStop(
+            settings.gains,
+            self._velocity,
+            self._limits,
+            (settings.u_clamp_min, settings.u_clamp_max),
+            self._effort,
+            self._stamp_ns or 0,
+            duration,
+        )
 
     def step(self, stamp_ns: int, position: float, velocity: float | None = None) -> float:
         """Take one state and return the effort that answers it.
@@ -211,14 +196,26 @@ class JointLoop:
         if stamp_ns == self._stamp_ns:
             self.counts.repeats += 1
             return self._effort
-        if not math.isfinite(position) or not (velocity is None or math.isfinite(velocity)):
+        if not (
+            -LARGEST_POSITION <= position <= LARGEST_POSITION
+            and (velocity is None or -LARGEST_POSITION <= velocity <= LARGEST_POSITION)
+        ):
+            self.last_fault = f"position {position} rad, velocity {velocity} rad/s"
             return self._reject(stamp_ns)
         dt = self._elapsed(stamp_ns)
         self._stamp_ns = stamp_ns
-        self._sample_reference(stamp_ns, position)
+        self._position = position
+        following = self._following
+        if self._is_takeover_due or not following.is_standing:
+            self._begin(stamp_ns, position)
+        wanted = following.sample(stamp_ns, self.settings.takeover_time)
+        if self._limits is not None:
+            wanted = self._limits.reference(wanted[0], wanted[1])
+        following.position, following.velocity = wanted[0], wanted[1]
+        self._state = LoopState.HOLDING if following.motion is None else LoopState.FOLLOWING
         self._rate = rate = self._velocity.update(position, velocity, dt)
-        self._error = error = self._reference_position - position
-        return self._control(error, self._reference_velocity - rate, dt)
+        self._error = error = wanted[0] - position
+        return self._control(error, wanted[1] - rate, dt)
 
     def _elapsed(self, stamp_ns: int) -> float:
         """Return the time since the last state in [s]; 0 when there is none to count from."""
@@ -227,34 +224,39 @@ class JointLoop:
         dt = (stamp_ns - self._stamp_ns) * _SECONDS_PER_NANOSECOND
         if dt < 0.0:
             self.counts.resets += 1
+            self.last_fault = f"the stamp went back by {-dt:g} s"
             self.reset()
             return 0.0
         period = self.settings.control_period
         if dt > _LATE * period:
             self.counts.missed += round(dt / period) - 1
-        if dt > self.settings.state_timeout:
+        is_gap = dt > self.settings.state_timeout
+        if self._has_lapsed:
+            self._is_takeover_due |= is_gap
+            self._has_lapsed = False
+        if is_gap:
             self.counts.gaps += 1
+            self.last_fault = f"no state for {dt:g} s by the stamps"
             self._velocity.reset()
             return 0.0
         return dt
 
-    def _sample_reference(self, stamp_ns: int, position: float) -> None:
-        if self._reference is None:
-            self._reference = Setpoint(position)
-            self._reference_position = position
-            self._state = LoopState.HOLDING
-        if self._pending is not None:
-            self._reference = self._pending.start(
-                stamp_ns, self._reference_position, self._reference_velocity
-            )
-            self._pending = None
-        if self._motion is not None:
-            self._state = LoopState.FOLLOWING
-        elif self._state is LoopState.FAULT:
-            self._state = LoopState.HOLDING
-        sample = self._reference.sample(stamp_ns)
-        self._reference_position = sample[0]
-        self._reference_velocity = sample[1]
+    def _begin(self, stamp_ns: int, position: float) -> None:
+        """Start from where the joint is; in a takeover with the effort that is in force."""
+        if self._limits is not None:
+            self._limits.open(position)
+        if not self._is_takeover_due or not self._following.is_standing:
+            self._is_takeover_due = False
+            self._following.stand(position)
+            return
+        self._is_takeover_due = False
+        self.counts.takeovers += 1
+        settings = self.settings
+        self._effort = effort = settings.fallback
+        self._law.reset()
+        self._law.restore_integral(min(max(effort, settings.i_clamp_min), settings.i_clamp_max))
+        self._velocity.reset()
+        self._following.take_over(stamp_ns, position, settings.takeover_time)
 
     def _control(self, error: float, error_rate: float, dt: float) -> float:
         """Apply law, limits and anti-windup."""
@@ -267,25 +269,36 @@ class JointLoop:
         after = law.integral
         if not (math.isfinite(wanted) and math.isfinite(after)):
             law.restore_integral(before)
+            self.last_fault = f"the law gave {wanted} N m at an error of {error} rad"
+            self._velocity.reset()
             return self._fault()
-        effort = min(max(wanted, settings.u_clamp_min), settings.u_clamp_max)
+        if self._limits is None:
+            effort = min(max(wanted, settings.u_clamp_min), settings.u_clamp_max)
+        else:
+            effort = self._limits.limit(wanted, self._position, self._rate, self._effort, dt)
         if effort != wanted:
             self.counts.saturated += 1
         integral = self._anti_windup(before, after, error, wanted, effort, dt)
         law.restore_integral(min(max(integral, settings.i_clamp_min), settings.i_clamp_max))
         self.counts.samples += 1
+        self._usable_ns = None
         self._effort = effort
         return effort
 
     def _reject(self, stamp_ns: int) -> float:
-        """Answer a state that is not finite: no effort, and the derivative starts anew."""
-        if self._stamp_ns is not None and stamp_ns > self._stamp_ns:
+        """Answer a state that cannot be used: no effort, and the derivative starts anew."""
+        before = self._stamp_ns
+        if before is not None and stamp_ns > before:
             self._stamp_ns = stamp_ns
+            if self._usable_ns is None:
+                self._usable_ns = before
+            elapsed = (stamp_ns - self._usable_ns) * _SECONDS_PER_NANOSECOND
+            self._is_takeover_due |= elapsed > self.settings.state_timeout
         self._velocity.reset()
         return self._fault()
 
     def _fault(self) -> float:
         self.counts.rejected += 1
         self._state = LoopState.FAULT
-        self._effort = min(max(0.0, self.settings.u_clamp_min), self.settings.u_clamp_max)
+        self._effort = self.settings.fallback
         return self._effort

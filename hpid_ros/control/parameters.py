@@ -20,6 +20,8 @@ DISCRETIZATIONS = ("explicit", "semi_implicit")
 _LARGEST_GAIN = 1e6
 LARGEST_EFFORT = 1e6
 LARGEST_NORM = 1e6
+LARGEST_MOTION = 1e6
+"""A position or velocity limit of this size is none."""
 
 Value = str | float
 
@@ -167,6 +169,67 @@ _TABLE = (
         "Step of the law: explicit, or semi_implicit for periods from 5 ms on with a weak "
         "integral (needs inertia)",
         choices=DISCRETIZATIONS,
+    ),
+    ParameterSpec(
+        "effort_rate_max",
+        0.0,
+        "Largest change of the effort [N m/s]; 0 is none. Faults go to fallback_effort at once",
+        0.0,
+        1e9,
+    ),
+    ParameterSpec(
+        "position_max",
+        LARGEST_MOTION,
+        "Upper soft stop [rad]; 1e6 is none",
+        -LARGEST_MOTION,
+        LARGEST_MOTION,
+    ),
+    ParameterSpec(
+        "position_min",
+        -LARGEST_MOTION,
+        "Lower soft stop [rad]; -1e6 is none",
+        -LARGEST_MOTION,
+        LARGEST_MOTION,
+    ),
+    ParameterSpec(
+        "velocity_max", LARGEST_MOTION, "Velocity limit [rad/s]; 1e6 is none", 1e-6, LARGEST_MOTION
+    ),
+    ParameterSpec(
+        "soft_stop.margin",
+        0.05,
+        "Effort towards a stop begins to fade this far before it [rad]",
+        1e-6,
+        10.0,
+    ),
+    ParameterSpec(
+        "soft_stop.k_position",
+        0.0,
+        "Velocity allowed towards a stop for each rad of distance [1/s]; 0 chooses "
+        "0.75 gains.p / gains.d",
+        0.0,
+        1e6,
+    ),
+    ParameterSpec(
+        "soft_stop.k_velocity",
+        0.0,
+        "Braking for each rad/s beyond the velocity allowed [N m s/rad]; 0 chooses gains.d",
+        0.0,
+        1e6,
+    ),
+    ParameterSpec(
+        "takeover_time",
+        0.5,
+        "The reference glides for so long from where the joint is onto a motion that is under "
+        "way [s]; 0 jumps",
+        0.0,
+        100.0,
+    ),
+    ParameterSpec(
+        "fallback_effort",
+        0.0,
+        "Effort while there is no usable state [N m], within the effort limits",
+        -LARGEST_EFFORT,
+        LARGEST_EFFORT,
     ),
     ParameterSpec(
         "state_timeout", 0.1, "A longer time between two states is a gap [s]", 1e-6, 1e3

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
@@ -9,7 +10,14 @@ from hpid_ros.control.anti_windup import AntiWindup, anti_windup
 from hpid_ros.control.gains import Gains
 from hpid_ros.control.homogeneity import CanonicalNorm, WeightedNorm, norm_floor, require_degree
 from hpid_ros.control.homogeneous_pid import HomogeneousPid
-from hpid_ros.control.parameters import LARGEST_EFFORT, LARGEST_NORM, LOOP_PARAMETERS, Value
+from hpid_ros.control.motion_limits import LimitFigures, MotionLimits
+from hpid_ros.control.parameters import (
+    LARGEST_EFFORT,
+    LARGEST_MOTION,
+    LARGEST_NORM,
+    LOOP_PARAMETERS,
+    Value,
+)
 from hpid_ros.control.pid import Pid
 from hpid_ros.control.semi_implicit import SemiImplicitHomogeneousPid
 from hpid_ros.control.stability import require_hurwitz
@@ -20,6 +28,8 @@ from hpid_ros.control.velocity import (
     VelocitySource,
 )
 from hpid_ros.errors import SettingError, unknown_name
+
+_K_POSITION = 10.0  # [1/s], of a soft stop where the gains say nothing
 
 
 @dataclass(frozen=True)
@@ -51,6 +61,15 @@ class LoopSettings:
     velocity_filter_time_constant: float = 0.005
     acceleration_bound: float = 50.0
     discretization: str = "explicit"
+    effort_rate_max: float = 0.0
+    position_max: float = LARGEST_MOTION
+    position_min: float = -LARGEST_MOTION
+    velocity_max: float = LARGEST_MOTION
+    soft_stop_margin: float = 0.05
+    soft_stop_k_position: float = 0.0
+    soft_stop_k_velocity: float = 0.0
+    takeover_time: float = 0.5
+    fallback_effort: float = 0.0
     state_timeout: float = 0.1
     control_period: float = 0.001
     encoder_resolution: float = 0.0
@@ -60,7 +79,7 @@ class LoopSettings:
         if not self.joint:
             raise SettingError("the parameter joint must name the joint to control, it is empty")
         require_degree(self.mu)
-        for name in ("u_clamp", "i_clamp"):
+        for name in ("u_clamp", "i_clamp", "position"):
             low, high = getattr(self, f"{name}_min"), getattr(self, f"{name}_max")
             if not low <= high:
                 raise SettingError(f"{name}_min = {low} must not exceed {name}_max = {high}")
@@ -146,3 +165,48 @@ class LoopSettings:
     def make_anti_windup(self) -> AntiWindup:
         """Return the anti-windup strategy."""
         return anti_windup(self.antiwindup_strategy, self.gains, self.tracking_time_constant)
+
+    def make_motion_limits(self) -> MotionLimits | None:
+        """Return the limits of position, velocity and effort rate; None where there are none."""
+        lower = self.position_min if self.position_min > -LARGEST_MOTION else -math.inf
+        upper = self.position_max if self.position_max < LARGEST_MOTION else math.inf
+        velocity = self.velocity_max if self.velocity_max < LARGEST_MOTION else math.inf
+        rate = self.effort_rate_max or math.inf
+        if max(-lower, upper, velocity, rate) == min(-lower, upper, velocity, rate) == math.inf:
+            return None
+        k_position, k_velocity = self._soft_stop()
+        return MotionLimits(
+            LimitFigures(
+                lower,
+                upper,
+                velocity,
+                self.soft_stop_margin,
+                k_position,
+                k_velocity,
+                rate,
+                self.u_clamp_min,
+                self.u_clamp_max,
+            )
+        )
+
+    def _soft_stop(self) -> tuple[float, float]:
+        """Return the gains of the soft stops in [1/s] and [N m s/rad].
+
+        Three equal poles at -w mean p = 3 w^2 m and d = 3 w m: then 0.75 p / d is d / (4 m),
+        where a stop is just overdamped. A known inertia says it itself, and keeps the braking
+        within what sampling allows.
+        """
+        p, d = self.gains.p, self.gains.d
+        k_position = self.soft_stop_k_position or (0.75 * p / d if p and d else _K_POSITION)
+        k_velocity = self.soft_stop_k_velocity or d or p / k_position
+        if self.inertia > 0.0:
+            if not self.soft_stop_k_velocity:
+                k_velocity = min(k_velocity, 0.5 * self.inertia / self.control_period)
+            if not self.soft_stop_k_position and k_velocity:
+                k_position = min(k_position, k_velocity / (4.0 * self.inertia))
+        return k_position, k_velocity
+
+    @property
+    def fallback(self) -> float:
+        """The effort while there is no usable state, within the effort limits, in [N m]."""
+        return min(max(self.fallback_effort, self.u_clamp_min), self.u_clamp_max)

@@ -62,7 +62,7 @@ class GraphNodes:
         nodes = [group.start(REFERENCE, REFERENCE, reference)]
         of_recorder = _parameters(bag=self._bag) if self._options.is_recorded else []
         of_all = _parameters(realtime_priority=self._options.realtime_priority)
-        controllers, bridge = self._of_controllers() + of_all, self._of_bridge() + of_all
+        controllers, bridge = self.controller_arguments(), self.bridge_arguments() + of_all
         if self._options.processes == "single":
             of_recorder += _parameters(record=self._options.is_recorded)
             everything = [*controllers, *bridge, *of_recorder]
@@ -76,7 +76,8 @@ class GraphNodes:
             nodes += [group.start(name, "joint_controller", controllers) for name in names]
         return [*nodes, group.start(BRIDGE, BRIDGE, bridge)]
 
-    def _of_controllers(self) -> list[str]:
+    def controller_arguments(self) -> list[str]:
+        """Return the ROS arguments of a controller of the run, also for one that starts late."""
         return [
             *("--params-file", str(self._folder / "controllers.yaml")),
             *_parameters(
@@ -84,17 +85,22 @@ class GraphNodes:
                 wait_for_reference=True,
                 introspection_rate=0.0,
                 certify=False,
+                # In lock-step silence is a slow machine or a pause, and the control clock waits.
+                state_watchdog=self._options.is_realtime,
+                realtime_priority=self._options.realtime_priority,
             ),
         ]
 
-    def _of_bridge(self) -> list[str]:
+    def bridge_arguments(self) -> list[str]:
+        """Return the ROS arguments of the bridge."""
         joints = len(self._experiment.world.joints)
         return [
             *("--params-file", str(self._folder / "bridge.yaml")),
             *_parameters(
                 mode="realtime" if self._options.is_realtime else "lockstep",
                 exit_when_done=False,
-                wait_for_subscribers=joints + self._options.is_recorded,
+                # The controllers, the recorder, and the publisher of the reference.
+                wait_for_subscribers=joints + self._options.is_recorded + 1,
                 wait_for_publishers=joints,
                 report_rate=0.0,
             ),

@@ -31,6 +31,11 @@ _OPENING = (
     "ROS_LOCALHOST_ONLY",
     "ROS_DISCOVERY_SERVER",
     "ROS_NAMESPACE",
+    # Enclaves are for the open network; the nodes of an experiment have none.
+    "ROS_SECURITY_ENABLE",
+    "ROS_SECURITY_STRATEGY",
+    "ROS_SECURITY_KEYSTORE",
+    "ROS_SECURITY_ENCLAVE_OVERRIDE",
 )
 # Fast DDS 2, which Jazzy has, reads the first; its successors the second.
 _PROFILE_FILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")

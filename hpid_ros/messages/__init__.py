@@ -1,10 +1,16 @@
-"""Fixed-layout CDR codec of the two hot messages, states and commands (both JointState)."""
+"""CDR codec: the two hot messages, states and commands (both JointState), and references."""
 
 from hpid_ros.messages.joint_state import (
     JointStateFields,
     JointStateLayout,
     JointStateTemplate,
     decode_joint_state,
+)
+from hpid_ros.messages.joint_trajectory import (
+    MixedTrajectory,
+    TrajectoryArrays,
+    decode_float64,
+    decode_trajectory,
 )
 from hpid_ros.messages.readers import EffortReader, JointReader, JointSample
 
@@ -15,5 +21,9 @@ __all__ = [
     "JointStateFields",
     "JointStateLayout",
     "JointStateTemplate",
+    "MixedTrajectory",
+    "TrajectoryArrays",
+    "decode_float64",
     "decode_joint_state",
+    "decode_trajectory",
 ]

@@ -18,16 +18,14 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from hpid_ros.errors import MessageError
+from hpid_ros.messages.cdr import ENCAPSULATION, NANOSECONDS, Cursor, require_nanoseconds
 
-_ENCAPSULATION = 4
 _LITTLE_ENDIAN = b"\x00\x01\x00\x00"
-_BYTE_ORDERS = {0: ">", 1: "<"}
 _COUNT = struct.Struct("<I")
 _DOUBLE = 8
 
-STAMP_OFFSET = _ENCAPSULATION
+STAMP_OFFSET = ENCAPSULATION
 NAMES_OFFSET = STAMP_OFFSET + 8
-NANOSECONDS = 1_000_000_000
 
 
 class JointStateFields(NamedTuple):
@@ -50,57 +48,6 @@ class JointStateFields(NamedTuple):
     effort: tuple[float, ...]
 
 
-class _Cursor:
-    """Reads CDR values one after the other and refuses to leave the buffer."""
-
-    def __init__(self, raw: bytes) -> None:
-        if len(raw) < _ENCAPSULATION or raw[0] != 0 or raw[1] not in _BYTE_ORDERS:
-            raise MessageError(
-                f"a JointState must start with a plain CDR header (00 00 or 00 01), "
-                f"not {bytes(raw[:2]).hex(' ') or 'nothing'}"
-            )
-        self._raw = raw
-        self._order = _BYTE_ORDERS[raw[1]]
-        self.offset = _ENCAPSULATION
-
-    def _align(self, size: int) -> None:
-        self.offset += -(self.offset - _ENCAPSULATION) % size
-
-    def scalar(self, code: str) -> int:
-        size = struct.calcsize(code)
-        self._align(size)
-        self._require(size)
-        (value,) = struct.unpack_from(self._order + code, self._raw, self.offset)
-        self.offset += size
-        return int(value)
-
-    def string(self) -> str:
-        length = self.scalar("I")
-        self._require(length)
-        raw = bytes(self._raw[self.offset : self.offset + length])
-        self.offset += length
-        try:
-            return raw.rstrip(b"\x00").decode()
-        except UnicodeDecodeError:
-            raise MessageError(f"a JointState name must be UTF-8, not {raw!r}") from None
-
-    def doubles(self) -> tuple[float, ...]:
-        count = self.scalar("I")
-        if count == 0:
-            return ()
-        self._align(_DOUBLE)
-        self._require(count * _DOUBLE)
-        values = struct.unpack_from(f"{self._order}{count}d", self._raw, self.offset)
-        self.offset += count * _DOUBLE
-        return values
-
-    def _require(self, size: int) -> None:
-        if self.offset + size > len(self._raw):
-            raise MessageError(
-                f"a JointState of {len(self._raw)} bytes ends before byte {self.offset + size}"
-            )
-
-
 def decode_joint_state(raw: bytes) -> JointStateFields:
     """Decode any serialised JointState, whatever its layout or byte order.
 
@@ -111,16 +58,14 @@ def decode_joint_state(raw: bytes) -> JointStateFields:
         All fields; arrays may differ in length from the names, as the wire allows.
 
     Raises:
-        MessageError: The bytes are not a whole JointState.
+        MessageError: The bytes are not a whole JointState with a possible stamp.
     """
-    cursor = _Cursor(raw)
+    cursor = Cursor(raw, "JointState")
     seconds = cursor.scalar("i")
     nanoseconds = cursor.scalar("I")
+    require_nanoseconds(nanoseconds)
     frame_id = cursor.string()
-    count = cursor.scalar("I")
-    if count > len(raw):
-        raise MessageError(f"a JointState of {len(raw)} bytes cannot hold {count} names")
-    names = tuple(cursor.string() for _ in range(count))
+    names = cursor.strings()
     return JointStateFields(
         seconds * NANOSECONDS + nanoseconds,
         frame_id,
@@ -181,19 +126,23 @@ class JointStateLayout:
         cls, names: Sequence[str], frame_id: str, lengths: tuple[int, int, int]
     ) -> JointStateLayout:
         """Lay out a message that has these names, this frame and arrays of these lengths."""
-        prefix = _padded(_string(b"", frame_id), 4) + _COUNT.pack(len(names))
+        prefix = bytearray()
+        _append_string(prefix, frame_id)
+        _pad(prefix, 4)
+        prefix += _COUNT.pack(len(names))
         for name in names:
-            prefix = _string(prefix, name)
+            _append_string(prefix, name)
+        _pad(prefix, 4)
         fixed: list[tuple[int, bytes]] = []
         offsets: list[int] = []
-        at, segment = NAMES_OFFSET, _padded(prefix, 4)
+        at, segment = NAMES_OFFSET, bytes(prefix)
         for length in lengths:
             segment += _COUNT.pack(length)
             if length == 0:
                 offsets.append(0)
                 continue
             end = at + len(segment)
-            segment += b"\x00" * (-(end - _ENCAPSULATION) % _DOUBLE)
+            segment += b"\x00" * (-(end - ENCAPSULATION) % _DOUBLE)
             fixed.append((at, segment))
             offsets.append(at + len(segment))
             at, segment = at + len(segment) + length * _DOUBLE, b""
@@ -239,7 +188,7 @@ class JointStateTemplate:
         lengths = (count * position, count * velocity, count * effort)
         self.layout = JointStateLayout.for_fields(names, frame_id, lengths)
         self._buffer = bytearray(self.layout.size)
-        self._buffer[:_ENCAPSULATION] = _LITTLE_ENDIAN
+        self._buffer[:ENCAPSULATION] = _LITTLE_ENDIAN
         for offset, segment in self.layout.fixed:
             self._buffer[offset : offset + len(segment)] = segment
         self._stamp = struct.Struct("<iI")
@@ -275,11 +224,12 @@ class JointStateTemplate:
         return bytes(buffer)
 
 
-def _string(before: bytes, text: str) -> bytes:
+def _append_string(buffer: bytearray, text: str) -> None:
     """Append a CDR string to bytes that start at an aligned offset."""
     encoded = text.encode() + b"\x00"
-    return _padded(before, 4) + _COUNT.pack(len(encoded)) + encoded
+    _pad(buffer, 4)
+    buffer += _COUNT.pack(len(encoded)) + encoded
 
 
-def _padded(raw: bytes, size: int) -> bytes:
-    return raw + b"\x00" * (-len(raw) % size)
+def _pad(buffer: bytearray, size: int) -> None:
+    buffer += b"\x00" * (-len(buffer) % size)

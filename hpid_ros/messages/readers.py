@@ -6,10 +6,11 @@ import struct
 from typing import NamedTuple
 
 from hpid_ros.errors import MessageError
+from hpid_ros.messages.cdr import NANOSECONDS, require_nanoseconds
 from hpid_ros.messages.joint_state import (
     NAMES_OFFSET,
-    NANOSECONDS,
     STAMP_OFFSET,
+    JointStateFields,
     JointStateLayout,
     decode_joint_state,
 )
@@ -49,16 +50,20 @@ class JointReader:
         """Return this joint's sample, or None when the message is about other joints.
 
         Raises:
-            MessageError: The bytes are no JointState, or an array that holds this joint has
-                another length than the names.
+            MessageError: The bytes are no JointState, its stamp is impossible, it names this
+                joint twice, or an array that holds this joint has another length than the names.
         """
         layout = self._layout
         if layout is None or not layout.matches(raw):
             return self._learn(raw)
         if self._has_velocity:
             seconds, nanoseconds, position, velocity = self._numbers.unpack_from(raw, STAMP_OFFSET)
+            if nanoseconds >= NANOSECONDS:
+                require_nanoseconds(nanoseconds)
             return JointSample(seconds * NANOSECONDS + nanoseconds, position, velocity)
         seconds, nanoseconds, position = self._numbers.unpack_from(raw, STAMP_OFFSET)
+        if nanoseconds >= NANOSECONDS:
+            require_nanoseconds(nanoseconds)
         return JointSample(seconds * NANOSECONDS + nanoseconds, position, None)
 
     def _learn(self, raw: bytes) -> JointSample | None:
@@ -66,6 +71,8 @@ class JointReader:
         if self.joint not in fields.names:
             return None
         index = fields.names.index(self.joint)
+        if self.joint in fields.names[index + 1 :]:
+            raise MessageError(f"a JointState must name each joint once, not {self.joint!r} twice")
         count = len(fields.names)
         if len(fields.position) != count or len(fields.velocity) not in (0, count):
             raise MessageError(
@@ -73,13 +80,13 @@ class JointReader:
                 f"velocities, not {len(fields.position)} and {len(fields.velocity)}"
             )
         velocity = fields.velocity[index] if fields.velocity else None
-        self._remember(raw, index)
+        self._remember(raw, fields, index)
         return JointSample(fields.stamp_ns, fields.position[index], velocity)
 
-    def _remember(self, raw: bytes, index: int) -> None:
-        try:
-            layout = JointStateLayout.of(raw)
-        except MessageError:  # big-endian or oddly padded: readable, but not at fixed offsets
+    def _remember(self, raw: bytes, fields: JointStateFields, index: int) -> None:
+        lengths = len(fields.position), len(fields.velocity), len(fields.effort)
+        layout = JointStateLayout.for_fields(fields.names, fields.frame_id, lengths)
+        if not layout.matches(raw):  # big-endian or oddly padded: not at fixed offsets
             self._layout = None
             return
         position = layout.position + 8 * index

@@ -103,14 +103,15 @@ class BagRecorder(executor.ClosingNode):
             self.request_stop(executor.BAD_INPUT)
 
     def _report(self) -> None:
-        """Put what is waiting into the file, also when nothing more comes, and tell the counts."""
+        """Put what is waiting into the file, and only then tell that it is recorded."""
         if self._failed:
             return
         counts = self._writer.counts
         if counts != self._reported:
             self._reported = counts
-            self._status.send("recorded", counts=counts)
             self._try(self._writer.flush)
+            if not self._failed:
+                self._status.send("recorded", counts=counts)
 
     def close(self) -> None:
         """Finish the bag."""

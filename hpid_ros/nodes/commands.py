@@ -14,6 +14,8 @@ from hpid_ros.errors import SettingError
 from hpid_ros.messages import JointStateTemplate
 from hpid_ros.nodes.qos import OFFERED, overridable
 
+_NANOSECONDS = 1_000_000_000
+
 
 class CommandSink(Protocol):
     """Publishes one joint's efforts."""
@@ -88,6 +90,15 @@ class Float64Commands:
         """Publish an effort in [N m]; the message has no stamp."""
         self._message.data = effort
         self.publisher.publish(self._message)
+
+
+def unanswering(stamp_ns: int) -> int:
+    """Return a stamp beside one that was answered, of a command that answers no state.
+
+    A bridge in lock-step passes it over, so that a simulation that was paused goes on as if
+    nothing had been; a robot, or a bridge in realtime, acts on it.
+    """
+    return stamp_ns + 1 if (stamp_ns + 1) % _NANOSECONDS else stamp_ns - 1
 
 
 _SINKS: dict[str, Callable[[Node, str], CommandSink]] = {

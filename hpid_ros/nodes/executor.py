@@ -15,6 +15,8 @@ import re
 import signal
 import sys
 import threading
+import time
+import traceback
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from types import FrameType
@@ -37,6 +39,10 @@ from hpid_ros.errors import HpidError, SettingError, unknown_name
 BAD_INPUT = 2
 """Exit code of a process whose parameters or arguments cannot be used."""
 
+FAILED = 1
+"""Exit code of a process that a callback ended."""
+
+_WIND_DOWN_WITHIN = 4.5  # [s] from the request to the close of the nodes
 _DEADLINE = 86400.0  # [s]; any finite one: spinning goes on when it passes
 
 
@@ -61,6 +67,14 @@ class ClosingNode(Node):
 
     stop: Stop | None = None
 
+    def wind_down(self) -> Future | None:
+        """Begin what takes time before the end; called once, while spinning goes on.
+
+        Returns:
+            What is done when the node may be closed; None if it may be now.
+        """
+        return None
+
     def close(self) -> None:
         """Send or write what must not be lost; called once, while the context is alive."""
 
@@ -82,7 +96,8 @@ def run(make_nodes: Callable[[], Sequence[ClosingNode]], args: Sequence[str] | N
         args: Command line with ROS arguments; None for that of the process.
 
     Returns:
-        The exit code: 0 after a signal, 2 when arguments or parameters cannot be used.
+        The exit code: 0 after a signal, 1 when a callback raised, 2 when arguments or parameters
+        cannot be used. Whatever it is, every node has been closed while the graph was there.
     """
     command_line = list(sys.argv if args is None else args)
     try:
@@ -116,12 +131,40 @@ def _run_in_context(make_nodes: Callable[[], Sequence[ClosingNode]], stop: Stop)
     try:
         while not stop.future.done():
             executor.spin_until_future_complete(stop.future, _DEADLINE)
+        _wind_down(executor, nodes)
     except HpidError as error:  # what only the graph shows, for instance a topic's type
         stop.request(_refuse(str(error)))
+    except Exception as error:  # whatever it was, the nodes are closed and their joints left
+        stop.request(_fail(error))
     finally:
-        for node in nodes:
-            node.close()
-    return int(stop.future.result())
+        is_closed = [_close(node) for node in nodes]
+    return int(stop.future.result()) or int(not all(is_closed))
+
+
+def _wind_down(executor: Executor, nodes: Sequence[ClosingNode]) -> None:
+    """Go on spinning until all nodes may be closed, or have had long enough."""
+    deadline = time.monotonic() + _WIND_DOWN_WITHIN
+    for waited in [node.wind_down() for node in nodes]:
+        if waited is not None:
+            executor.spin_until_future_complete(waited, max(0.0, deadline - time.monotonic()))
+
+
+def _close(node: ClosingNode) -> bool:
+    """Close one node; whatever that raises, the others are closed, too."""
+    try:
+        node.close()
+    except Exception as error:
+        _fail(error)
+        return False
+    return True
+
+
+def _fail(error: Exception) -> int:
+    """Print one line for an error that nobody expected: what, and where."""
+    place = traceback.extract_tb(error.__traceback__)[-1:]
+    where = f" ({place[0].filename}:{place[0].lineno})" if place else ""
+    print(f"{type(error).__name__}: {' '.join(str(error).split())}{where}", file=sys.stderr)
+    return FAILED
 
 
 def _make_executor() -> Executor:

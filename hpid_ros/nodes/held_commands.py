@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from hpid_ros.simulation.lockstep import AnswerCounts
 
@@ -18,6 +18,7 @@ class HeldCommands:
     Args:
         joints: The driven joints, in the order of the efforts.
         timeout_ns: Simulated time for which a command stands, in [ns].
+        limits: Largest absolute effort of each joint in [N m]; without limit if not given.
     """
 
     missing: tuple[str, ...] = ()
@@ -26,13 +27,17 @@ class HeldCommands:
     is_abandoned = False
     """Time goes on without answers."""
 
-    def __init__(self, joints: Sequence[str], timeout_ns: int) -> None:
+    def __init__(
+        self, joints: Sequence[str], timeout_ns: int, limits: Mapping[str, float] | None = None
+    ) -> None:
         self.joints = tuple(joints)
         self.counts = {joint: AnswerCounts() for joint in self.joints}
         self.foreign = 0
         self._timeout_ns = timeout_ns
         self._stamp_ns = 0
         self._held: dict[str, tuple[int, float]] = {}
+        self._limits = limits or {}
+        self._last: dict[str, tuple[int, float]] = {}  # stamp and effort, as they came
 
     @property
     def silent(self) -> tuple[str, ...]:
@@ -47,6 +52,7 @@ class HeldCommands:
         """
         if stamp_ns < self._stamp_ns:
             self._held.clear()
+            self._last.clear()
         self._stamp_ns = stamp_ns
 
     def answer(self, stamp_ns: int, names: Sequence[str], efforts: Sequence[float]) -> bool:
@@ -68,11 +74,22 @@ class HeldCommands:
                 continue
             counts.answered += 1
             counts.stale += stamp_ns != self._stamp_ns
-            if not math.isfinite(effort):
-                counts.invalid += 1
-                effort = 0.0
+            counts.conflicting += self._is_by_another(name, stamp_ns, effort)
+            self._last[name] = stamp_ns, effort
+            effort = counts.checked(effort, self._limits.get(name, math.inf))
             self._held[name] = self._stamp_ns, effort
         return False
+
+    def _is_by_another(self, name: str, stamp_ns: int, effort: float) -> bool:
+        """Tell whether a command does not continue the joint's last one.
+
+        One controller answers each state once, in their order; it repeats itself, and leaves
+        with an effort of zero. Commands without stamps say nothing about their order.
+        """
+        before_ns, before = self._last.get(name, (0, 0.0))
+        if effort == 0.0 or before_ns == 0:
+            return False
+        return stamp_ns < before_ns or (stamp_ns == before_ns and effort != before)
 
     def give_up(self) -> tuple[str, ...]:
         """Return the joints that are no longer waited for: none ever was."""

@@ -5,46 +5,43 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import Any
 
 from rcl_interfaces.msg import SetParametersResult
-from rclpy.duration import Duration
 from rclpy.parameter import Parameter
+from rclpy.task import Future
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64
-from trajectory_msgs.msg import JointTrajectory as JointTrajectoryMessage
 
 from hpid_ros.control import LOOP_PARAMETERS, JointLoop, LoopSettings
-from hpid_ros.control.joint_loop import LoopState, Setpoint
+from hpid_ros.control.joint_loop import Motion
 from hpid_ros.control.parameters import Value
-from hpid_ros.errors import MessageError, TrajectoryError
+from hpid_ros.errors import MessageError
 from hpid_ros.messages import JointReader
 from hpid_ros.nodes import executor
 from hpid_ros.nodes.certification import Certification
-from hpid_ros.nodes.commands import COMMAND_INTERFACES, command_sink
-from hpid_ros.nodes.diagnostics import OK, WARN, Diagnostics
+from hpid_ros.nodes.commands import COMMAND_INTERFACES, command_sink, unanswering
+from hpid_ros.nodes.controller_health import ControllerHealth
+from hpid_ros.nodes.controller_lifecycle import ManagedNode
+from hpid_ros.nodes.controller_references import ControllerReferences
+from hpid_ros.nodes.controller_stop import ControllerStop
 from hpid_ros.nodes.introspection import Introspection
 from hpid_ros.nodes.loop_timing import LoopTiming
-from hpid_ros.nodes.model_parameters import effort_limit, require_no_compensation
+from hpid_ros.nodes.model_parameters import require_no_compensation, robot_limits
 from hpid_ros.nodes.parameters import declare, merged, read_only, verdict
-from hpid_ros.nodes.qos import NEWEST_STATES, RARE, overridable
+from hpid_ros.nodes.qos import NEWEST_STATES, overridable
 from hpid_ros.nodes.scheduling import schedule
+from hpid_ros.nodes.state_watchdog import StateWatchdog
 from hpid_ros.nodes.status_pipe import StatusPipe
-from hpid_ros.nodes.trajectories import from_message
-from hpid_ros.nodes.trajectory_subscriptions import TrajectorySubscriptions
 
 _READINESS_PERIOD = 0.02  # [s]
-_DIAGNOSTICS_PERIOD = 1.0  # [s]
-_LAST_COMMAND_WITHIN = Duration(seconds=0.5)
-_MANY_MISSED = 0.5  # of the states of a report
 
 
-class JointController(executor.ClosingNode):
-    """The shell around one :class:`~hpid_ros.control.JointLoop`.
+class JointController(ManagedNode):
+    """The managed shell around one :class:`~hpid_ros.control.JointLoop`.
 
-    It subscribes to the states once its commands have somebody to hear them (and, when asked,
-    once it has a reference): no integral winds up against silence.
+    An active controller subscribes to the states once its commands have somebody to hear them
+    (and, when asked, once it has a reference): no integral winds up against silence. It begins
+    by holding the joint where it is.
 
     Args:
         name: Node name.
@@ -57,7 +54,7 @@ class JointController(executor.ClosingNode):
     def __init__(self, name: str = "joint_controller", **options: Any) -> None:
         super().__init__(name, **options)
         declare(self, LOOP_PARAMETERS.values(), read_only=["joint"])
-        self._limit = effort_limit(self)
+        self._robot = robot_limits(self)
         self._loop = JointLoop(self._settings(()))
         self.joint = self._loop.settings.joint
         self._reader = JointReader(self.joint)
@@ -76,28 +73,65 @@ class JointController(executor.ClosingNode):
         )
         self._commands = command_sink(self, self.joint, str(interface))
         self._introspection = Introspection(self, self.joint)
-        self._diagnostics = Diagnostics(self, self.joint)
         self._status = StatusPipe(self)
         self._certification = Certification(self, self._loop.settings)
         self._timing = LoopTiming()
-        self._misread = self._missed = 0
-        self._last_fault = ""
-        self._subscribe()
+        self._watchdog = StateWatchdog(self, lambda: self._timing.last_ns, self._on_silence)
+        self._stopping = ControllerStop(self, self._loop, self._commands, self._let_go)
+        self._health = ControllerHealth(self, self._loop, self._certification, self._timing)
+        self._states: Any = None
+        self._readiness: Any = None
+        self._references: ControllerReferences | None = None
+        self._step = self._loop.step
+        self.create_timer(self._health.period, self._report)
         self.add_on_set_parameters_callback(self._check)
         self.add_post_set_parameters_callback(self._retune)
-        self._scheduling = schedule(self)
+        self.start()
+        self._health.scheduling = schedule(self)
 
-    def _subscribe(self) -> None:
-        TrajectorySubscriptions(self, self._on_trajectory)
-        self.create_subscription(Float64, "~/setpoint", self._on_setpoint, RARE)
-        self._states: Any = None
+    def prepare(self) -> None:
+        """Configure: listen to references."""
+        self._loop.release()
+        self._references = ControllerReferences(
+            self, self.joint, self._follow, self._health.refused_reference
+        )
+
+    def dispose(self) -> None:
+        """Undo :meth:`prepare`."""
+        self._stopping.cancel()
+        self._let_go()
+        if self._references is not None:
+            self._references.close()
+        self._references = None
+        self._needs_reference = False
+
+    def begin(self) -> None:
+        """Activate: hold the joint where it is as soon as somebody hears the commands."""
+        self._stopping.cancel()
+        self._let_go()
+        self._step = self._loop.step
         self._readiness = self.create_timer(_READINESS_PERIOD, self._start_when_ready)
-        self.create_timer(_DIAGNOSTICS_PERIOD, self._report)
+
+    def leave(self) -> None:
+        """Deactivate: the last command is zero, and a later activation starts anew."""
+        self._watchdog.rest()
+        self._needs_reference = False
+        stop = self._stopping.begin()
+        if stop is not None:
+            self._step = stop.step
+
+    def _let_go(self) -> None:
+        """Be without states and without a motion."""
+        if self._readiness is not None:
+            self.destroy_timer(self._readiness)
+        if self._states is not None:
+            self.destroy_subscription(self._states)
+            self._loop.release()
+        self._readiness = self._states = None
+        self._timing.interrupt()
 
     def _start_when_ready(self) -> None:
-        if self._commands.publisher.get_subscription_count() < self._listeners:
-            return
-        if self._needs_reference and not self._loop.has_motion:
+        if self._states is not None or self._waits_for():
             return
         self._readiness.cancel()
         self._states = self.create_subscription(
@@ -108,50 +142,58 @@ class JointController(executor.ClosingNode):
             raw=True,
             qos_overriding_options=overridable(),
         )
+        self._watchdog.watch(self._loop.settings.state_timeout)
         self._status.send("listening")
+
+    def _waits_for(self) -> str:
+        """Return what is missing for the states to be listened to; empty if nothing."""
+        if self._commands.publisher.get_subscription_count() < self._listeners:
+            return "waiting for a subscriber of the commands"
+        if self._needs_reference and not self._loop.has_motion:
+            return "waiting for a reference"
+        return ""
 
     def _on_state(self, raw: bytes) -> None:
         began_ns = time.perf_counter_ns()
         try:
             sample = self._reader.read(raw)
         except MessageError as error:
-            self._misread += 1
-            self._fault(str(error))
+            self._health.misread_state(str(error))
             return
         if sample is None:
+            self._health.foreign += 1
             return
-        effort = self._loop.step(*sample)
+        effort = self._step(*sample)
         self._commands.send(sample.stamp_ns, effort)
         self._timing.note(began_ns, time.perf_counter_ns())
         self._introspection.sample(sample.stamp_ns, self._loop)
 
-    def _on_trajectory(self, message: JointTrajectoryMessage) -> None:
-        if self.joint not in message.joint_names:
+    def _on_silence(self, silence: float, is_new: bool) -> None:
+        stamp_ns = self._loop.stamp_ns
+        if stamp_ns is None:
             return
-        try:
-            self._loop.follow(from_message(message).column(self.joint))
-        except TrajectoryError as error:
-            self._fault(f"trajectory refused: {error}")
+        effort = self._loop.lapse() if is_new else self._loop.settings.fallback
+        self._commands.send(unanswering(stamp_ns), effort)
+        if is_new:
+            self._health.fault(f"no state for {silence:.3g} s: the effort is {effort:g} N m")
+            self._report()
 
-    def _on_setpoint(self, message: Float64) -> None:
-        if not -sys.float_info.max <= message.data <= sys.float_info.max:
-            self._fault(f"setpoint refused: it must be finite, not {message.data}")
+    def _follow(self, motion: Motion) -> None:
+        if not self.is_active and not self._needs_reference:
+            self._health.refused_reference("the controller is not active")
             return
-        self._loop.follow(Setpoint(message.data))
+        self._loop.follow(motion)
 
     def _settings(self, changes: Sequence[Parameter]) -> LoopSettings:
         return self._limited(merged(self, LOOP_PARAMETERS, changes))
 
     def _limited(self, values: Mapping[str, Value]) -> LoopSettings:
-        """Return checked settings, their efforts within the robot's limit."""
-        settings = LoopSettings.from_parameters(values)
-        return replace(
-            settings,
-            u_clamp_max=min(settings.u_clamp_max, self._limit),
-            u_clamp_min=max(settings.u_clamp_min, -self._limit),
-        )
+        """Return checked settings within the robot's limits."""
+        return self._robot.within(LoopSettings.from_parameters(values))
 
     def _check(self, changes: Sequence[Parameter]) -> SetParametersResult:
+        if not all(change.name for change in changes):  # rclpy would make a nameless parameter
+            return SetParametersResult(successful=False, reason="a parameter must have a name")
         if not any(change.name in LOOP_PARAMETERS for change in changes):
             return SetParametersResult(successful=True)
         return verdict(merged(self, LOOP_PARAMETERS, changes), self._require)
@@ -164,53 +206,28 @@ class JointController(executor.ClosingNode):
             settings = self._settings(changes)
             self._loop.retune(settings)
             self._certification.accept(settings)
+            if self._states is not None and self.is_active:
+                self._watchdog.watch(settings.state_timeout)
 
-    def _fault(self, line: str) -> None:
-        self._last_fault = line
-        self.get_logger().warning(line, throttle_duration_sec=1.0)
+    def refuse(self, line: str) -> None:
+        """Take note of a request or a transition that failed."""
+        self._health.refused_request(line)
 
     def _report(self) -> None:
-        loop, counts = self._loop, self._loop.counts
-        message = "waiting for a subscriber of the commands" if self._states is None else ""
-        message = message or self._certification.warning or self._slowness()
-        is_well = loop.state is not LoopState.FAULT and not message
-        self._diagnostics.publish(
-            OK if is_well else WARN,
-            message or loop.state.value,
-            {
-                "law": loop.settings.law,
-                "degree mu": loop.settings.mu,
-                "certified degrees": self._certification.degrees,
-                "samples": counts.samples,
-                "gaps": counts.gaps,
-                "missed samples": counts.missed,
-                "repeats": counts.repeats,
-                "clock resets": counts.resets,
-                "saturated samples": counts.saturated,
-                "rejected samples": counts.rejected + self._misread,
-                "effort [N m]": loop.effort,
-                "integral term [N m]": loop.integral,
-                "error [rad]": loop.error,
-                **self._timing.recent(),
-                "scheduling": self._scheduling,
-                "last fault": self._last_fault or "none",
-            },
-        )
+        self._health.report(self.lifecycle, self._waits_for() if self._states is None else "")
 
-    def _slowness(self) -> str:
-        """Return a warning when most states of the last report seem lost."""
-        missed = self._loop.counts.missed - self._missed
-        self._missed += missed
-        settings = self._loop.settings
-        if missed < _MANY_MISSED * _DIAGNOSTICS_PERIOD / settings.control_period:
-            return ""
-        return f"states come more slowly than control_period = {settings.control_period:g} s says"
+    def wind_down(self) -> Future | None:
+        """Begin to leave the joint; the process goes on until that is done."""
+        if self.is_active:
+            self.is_active = False
+            self.leave()
+        return self._stopping.ended()
 
     def close(self) -> None:
-        """Leave the joint without effort: the last command is zero, and reliably heard."""
-        if self._loop.stamp_ns is not None:
-            self._commands.send(self._loop.stamp_ns, 0.0)
-            self._commands.publisher.wait_for_all_acked(_LAST_COMMAND_WITHIN)
+        """Leave the joint without effort, if it has not been left: reliably heard."""
+        if self.is_active or self._stopping.is_damping:
+            self.is_active = False
+            self._stopping.now()
         counts = {"samples": self._loop.counts.samples, "missed": self._loop.counts.missed}
         self._status.send("timing", joint=self.joint, **counts, **self._timing.whole())
         self._certification.close()

@@ -18,7 +18,8 @@ class LoopTiming:
     def __init__(self) -> None:
         self._periods, self._computes = Durations(), Durations()
         self._note_period, self._note_compute = self._periods.note, self._computes.note
-        self._last_ns: int | None = None
+        self.last_ns: int | None = None
+        """When the last sample began on a steady clock, in [ns]."""
 
     def note(self, began_ns: int, ended_ns: int) -> None:
         """Note one sample.
@@ -27,10 +28,14 @@ class LoopTiming:
             began_ns: When its callback began on a steady clock, in [ns].
             ended_ns: When its command was sent, in [ns].
         """
-        if self._last_ns is not None:
-            self._note_period(began_ns - self._last_ns)
-        self._last_ns = began_ns
+        if self.last_ns is not None:
+            self._note_period(began_ns - self.last_ns)
+        self.last_ns = began_ns
         self._note_compute(ended_ns - began_ns)
+
+    def interrupt(self) -> None:
+        """Take the next sample as the first one: the time until then is no period."""
+        self.last_ns = None
 
     def recent(self) -> dict[str, float]:
         """Return the figures since the last call, with their units, for ``/diagnostics``."""

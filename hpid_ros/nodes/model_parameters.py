@@ -3,37 +3,76 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass, replace
 
 from rclpy.node import Node
 
+from hpid_ros.control import LoopSettings
 from hpid_ros.errors import SettingError
 from hpid_ros.nodes.parameters import read_only
 from hpid_ros.resources import find_resource
 from hpid_ros.robot.description import RobotDescription
 
 
-def effort_limit(node: Node) -> float:
-    """Declare ``robot_description`` and return the joint's effort limit in [N m].
+@dataclass(frozen=True)
+class RobotLimits:
+    """What the robot's description allows a joint; it holds beside the parameters.
+
+    Attributes:
+        effort: Largest absolute effort in [N m].
+        lower: Lowest position in [rad].
+        upper: Highest position in [rad].
+        velocity: Largest absolute velocity in [rad/s].
+    """
+
+    effort: float = math.inf
+    lower: float = -math.inf
+    upper: float = math.inf
+    velocity: float = math.inf
+
+    def within(self, settings: LoopSettings) -> LoopSettings:
+        """Return the settings within these limits.
+
+        Raises:
+            SettingError: The positions that the settings allow are none that the robot allows.
+        """
+        return replace(
+            settings,
+            u_clamp_max=max(min(settings.u_clamp_max, self.effort), -self.effort),
+            u_clamp_min=min(max(settings.u_clamp_min, -self.effort), self.effort),
+            position_max=min(settings.position_max, self.upper),
+            position_min=max(settings.position_min, self.lower),
+            velocity_max=min(settings.velocity_max, self.velocity),
+        )
+
+
+def robot_limits(node: Node) -> RobotLimits:
+    """Declare ``robot_description`` and return the joint's limits.
 
     Args:
         node: The controller, with the parameter ``joint``.
 
     Returns:
-        Infinite when no robot is given, or it gives no limit.
+        None of them where no robot is given. A velocity of 0 is none either, as many URDFs
+        write it.
 
     Raises:
         HpidError: The robot cannot be found or read, or lacks the joint.
     """
     source = read_only(
-        node, "robot_description", "", "URDF of the robot, XML text or path: limits the effort"
+        node,
+        "robot_description",
+        "",
+        "URDF of the robot, XML text or path: limits effort, position and velocity",
     )
     joint = node.get_parameter("joint").value
     if not source or not joint:  # a missing joint is refused with the other settings
-        return math.inf
+        return RobotLimits()
     if not source.lstrip().startswith("<"):
         source = str(find_resource(source))
-    (description,) = RobotDescription.load(source).select([joint])
-    return description.effort
+    (found,) = RobotDescription.load(source).select([joint])
+    velocity = found.velocity if found.velocity > 0.0 else math.inf
+    return RobotLimits(found.effort, found.lower, found.upper, velocity)
 
 
 def require_no_compensation(node: Node) -> None:

@@ -12,20 +12,24 @@ from sensor_msgs.msg import JointState
 from hpid_ros.errors import MessageError
 from hpid_ros.messages import EffortReader, JointStateTemplate
 from hpid_ros.nodes import executor
+from hpid_ros.nodes.bridge_commanders import Commanders
 from hpid_ros.nodes.bridge_pace import read_pace
 from hpid_ros.nodes.bridge_reports import BridgeReports
 from hpid_ros.nodes.bridge_services import BridgeServices
 from hpid_ros.nodes.bridge_timing import BridgeTiming
-from hpid_ros.nodes.diagnostics import OK, WARN, Diagnostics
+from hpid_ros.nodes.diagnostics import ERROR, OK, WARN, Diagnostics
 from hpid_ros.nodes.held_commands import HeldCommands
 from hpid_ros.nodes.qos import ALL_COMMANDS, OFFERED, overridable
 from hpid_ros.nodes.scheduling import schedule
+from hpid_ros.nodes.security import warn_if_unprotected
 from hpid_ros.nodes.status_pipe import StatusPipe
 from hpid_ros.nodes.world_parameters import world_settings
 from hpid_ros.simulation.lockstep import Barrier
 from hpid_ros.simulation.world import World
 
 _READINESS_PERIOD = 0.01  # [s]
+_LOOKS = 8  # at who is missing, in one answer_timeout
+_LAST_LOOK = 1.0 - 2.0 / _LOOKS  # of answer_timeout: the next look may be late, the limit holds
 _PROGRESS_PERIOD_NS = 100_000_000
 _NANOSECONDS = 1_000_000_000
 
@@ -47,11 +51,14 @@ class PybulletBridge(executor.ClosingNode):
         self._pace = pace = read_pace(self, len(settings.joints))
         self._status = StatusPipe(self)
         self._world = World(settings)
+        driven = self._world.description.select(settings.joints)
+        limits = {joint.name: joint.effort for joint in driven}
         self._barrier: Barrier | HeldCommands = (
-            Barrier(settings.joints)
+            Barrier(settings.joints, limits)
             if pace.is_lockstep
-            else HeldCommands(settings.joints, pace.command_timeout_ns)
+            else HeldCommands(settings.joints, pace.command_timeout_ns, limits)
         )
+        self._commanders = Commanders(self, settings.joints, self._barrier.counts)
         self._reader = EffortReader()
         self._template = JointStateTemplate(settings.joints, position=True, effort=True)
         self._states = self.create_publisher(
@@ -78,6 +85,7 @@ class PybulletBridge(executor.ClosingNode):
         self._readiness = self.create_timer(_READINESS_PERIOD, self._start_when_ready)
         self.create_timer(1.0, self._report)
         self._scheduling = schedule(self)
+        warn_if_unprotected(self)
 
     def _start_when_ready(self) -> None:
         listeners = self._states.get_subscription_count()
@@ -97,7 +105,7 @@ class PybulletBridge(executor.ClosingNode):
         self._is_started = True
         self._status.send("started")
         if self._pace.is_lockstep:
-            self.create_timer(self._pace.answer_timeout / 4.0, self._watch)
+            self.create_timer(self._pace.answer_timeout / _LOOKS, self._watch)
             self._publish_state()
         else:
             period = self._world.settings.control_period_ns / _NANOSECONDS
@@ -111,7 +119,7 @@ class PybulletBridge(executor.ClosingNode):
             self._misread += 1
             self.get_logger().warning(str(error), throttle_duration_sec=1.0)
             return
-        if stamp_ns == self._stamp_ns:
+        if stamp_ns == self._stamp_ns and names:
             self._timing.answered(names[0])
         if self._barrier.answer(stamp_ns, names, efforts):
             self._resume()
@@ -153,7 +161,7 @@ class PybulletBridge(executor.ClosingNode):
             self._states.publish(self._last_state)
         if not self._barrier.missing or self._is_done:
             return
-        if waited > timeout:
+        if waited > _LAST_LOOK * timeout:
             given_up = self._barrier.give_up()
             self.get_logger().warning(f"no answer within {timeout} s: {', '.join(given_up)}")
             self._status.send("silent", joints=given_up, stamp_ns=self._world.time_ns)
@@ -171,16 +179,20 @@ class PybulletBridge(executor.ClosingNode):
 
     def _finish(self) -> None:
         self._is_done = True
+        self._tell_end("finished")
+        if self._pace.exits:
+            self.request_stop()
+
+    def _tell_end(self, event: str) -> None:
+        """Tell a parent what the whole run was like."""
         self._status.send(
-            "finished",
+            event,
             states=self._world.time_ns // self._world.settings.control_period_ns + 1,
             counts={joint: vars(counts) for joint, counts in self._barrier.counts.items()},
             foreign=self._barrier.foreign,
             wall_time=self._timing.elapsed,
             timing=self._timing.whole(),
         )
-        if self._pace.exits:
-            self.request_stop()
 
     def _report(self) -> None:
         silent = self._barrier.silent
@@ -189,21 +201,22 @@ class PybulletBridge(executor.ClosingNode):
             message = "paused"
         if not self._is_started:
             message = "waiting for controllers"
-        counts = self._barrier.counts.values()
+        conflict = self._commanders.conflict()
         values: dict[str, Any] = {
             "simulated time [s]": self._world.time_ns / _NANOSECONDS,
             "misread commands": self._misread,
             "commands for other joints": self._barrier.foreign,
-            "unanswered": sum(count.unanswered for count in counts),
-            "answers to earlier states": sum(count.stale for count in counts),
+            **self._commanders.values(),
         }
         values |= self._timing.recent(self._world.time_ns) if self._is_started else {}
         values["scheduling"] = self._scheduling
-        is_well = self._is_started and not silent
-        self._diagnostics.publish(OK if is_well else WARN, message, values)
+        level = ERROR if conflict else OK if self._is_started and not silent else WARN
+        self._diagnostics.publish(level, conflict or message, values)
 
     def close(self) -> None:
-        """Leave PyBullet."""
+        """Leave PyBullet, and tell how it was if nobody has been told."""
+        if self._is_started and not self._is_done:
+            self._tell_end("stopped")
         self._world.close()
 
 

@@ -6,7 +6,9 @@ from builtin_interfaces.msg import Duration, Time
 from trajectory_msgs.msg import JointTrajectory as JointTrajectoryMessage
 from trajectory_msgs.msg import JointTrajectoryPoint
 
-from hpid_ros.trajectory import JointTrajectory, TrajectoryPoint
+from hpid_ros.messages import TrajectoryArrays, decode_trajectory
+from hpid_ros.trajectory import Column, JointTrajectory, TrajectoryPoint
+from hpid_ros.trajectory.arrays import column_from_arrays
 
 _NANOSECONDS = 1_000_000_000
 
@@ -31,6 +33,31 @@ def from_message(message: JointTrajectoryMessage) -> JointTrajectory:
         ),
         stamp.sec * _NANOSECONDS + stamp.nanosec,
     )
+
+
+def column_from_bytes(raw: bytes, joint: str) -> Column | None:
+    """Check a serialised message and return one joint's column.
+
+    Args:
+        raw: A serialised JointTrajectory.
+        joint: The joint.
+
+    Returns:
+        None when the message is about other joints.
+
+    Raises:
+        MessageError: The bytes are no JointTrajectory, or it has too many points.
+        TrajectoryError: The trajectory is malformed; the line says how.
+    """
+    decoded = decode_trajectory(raw)
+    if joint not in decoded.names:
+        return None
+    if isinstance(decoded, TrajectoryArrays):
+        stamp_ns, names, times_ns, *derivatives = decoded
+        p, v, a = derivatives
+        return column_from_arrays(joint, names, stamp_ns, times_ns, (p, v, a))
+    points = tuple(TrajectoryPoint(*point) for point in decoded.points)
+    return JointTrajectory(decoded.names, points, decoded.stamp_ns).column(joint)
 
 
 def to_message(trajectory: JointTrajectory) -> JointTrajectoryMessage:

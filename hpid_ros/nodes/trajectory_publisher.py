@@ -1,16 +1,24 @@
-"""Publishes one reference trajectory, latched, for every controller that is or comes."""
+"""Publishes one reference trajectory, latched, for every controller that is or comes.
+
+A trajectory of stamp 0 starts with the next state, which would be another one for a controller
+that is restarted in the middle. So the publisher listens to the states until the motion has
+begun and then latches it once more with the stamp at which it began: those that follow it keep
+their reference to the last bit, and those that come later carry on where the others are.
+"""
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
 
+from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory as JointTrajectoryMessage
 
-from hpid_ros.errors import SettingError, TrajectoryError
+from hpid_ros.errors import MessageError, SettingError, TrajectoryError
+from hpid_ros.messages import decode_joint_state
 from hpid_ros.nodes import executor
 from hpid_ros.nodes.parameters import read_only
-from hpid_ros.nodes.qos import LATCHED
+from hpid_ros.nodes.qos import LATCHED, NEWEST_STATES, overridable
 from hpid_ros.nodes.status_pipe import StatusPipe
 from hpid_ros.nodes.trajectories import to_message
 from hpid_ros.trajectory import reference_from
@@ -35,14 +43,49 @@ class TrajectoryPublisher(executor.ClosingNode):
         document = load_yaml(str(path), TrajectoryError)
         section = document.get("reference") if isinstance(document, dict) else None
         trajectory = reference_from(section, f"{path}: reference")
+        self._trajectory = trajectory
+        self._start_ns: int | None = None
+        self._is_under_way = False
         self._publisher = self.create_publisher(
             JointTrajectoryMessage, "joint_trajectory", LATCHED
         )
         self._publisher.publish(to_message(trajectory))
-        StatusPipe(self).send("published")
+        self._states = self.create_subscription(
+            JointState,
+            "joint_states",
+            self._on_state,
+            NEWEST_STATES,
+            raw=True,
+            qos_overriding_options=overridable(),
+        )
+        self._status = StatusPipe(self)
+        self._status.send("published")
         self.get_logger().info(
             f"published {len(trajectory.points)} points for {len(trajectory.joint_names)} joints"
         )
+
+    def _on_state(self, raw: bytes) -> None:
+        """Wait for the first point of the motion, then tell when it began."""
+        if self._is_under_way:
+            return
+        try:
+            stamp_ns = decode_joint_state(raw).stamp_ns
+        except MessageError as error:
+            self.get_logger().warning(str(error), throttle_duration_sec=1.0)
+            return
+        if self._start_ns is None or stamp_ns < self._start_ns:
+            self._start_ns = stamp_ns
+        if stamp_ns < self._start_ns + self._trajectory.points[0].time_from_start_ns:
+            return
+        self._is_under_way = True
+        self._publisher.publish(to_message(self._trajectory.started(self._start_ns)))
+        self._status.send("under way", start_ns=self._start_ns)
+        # Not from its own callback; whoever paces the robot shall not feed one listener more.
+        self._leaving = self.create_timer(0.0, self._leave_states)
+
+    def _leave_states(self) -> None:
+        self._leaving.cancel()
+        self.destroy_subscription(self._states)
 
 
 def main(args: Sequence[str] | None = None) -> int:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
+from typing import Any
 
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
@@ -22,29 +23,37 @@ class TrajectorySubscriptions:
 
     Args:
         node: The node that listens.
-        take: Called with each message.
+        take: Called with the bytes of each message.
     """
 
-    def __init__(self, node: Node, take: Callable[[JointTrajectory], None]) -> None:
+    def __init__(self, node: Node, take: Callable[[bytes], None]) -> None:
         self._take = take
-        self._taken: tuple[bool, JointTrajectory] | None = None
+        self._taken: tuple[bool, bytes] | None = None
+        self.subscriptions: list[Any] = []
+        """Both, for whoever ends them."""
         # Only the contract's profile may be overridden: both would have the same parameters.
-        node.create_subscription(
+        latched = node.create_subscription(
             JointTrajectory,
             "joint_trajectory",
             partial(self._on_message, True),
             LATCHED,
+            raw=True,
             # Without rclpy's warning of publishers that are not latched: the other takes them.
             event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
             qos_overriding_options=overridable(),
         )
-        node.create_subscription(
-            JointTrajectory, "joint_trajectory", partial(self._on_message, False), RARE
+        volatile = node.create_subscription(
+            JointTrajectory,
+            "joint_trajectory",
+            partial(self._on_message, False),
+            RARE,
+            raw=True,
         )
+        self.subscriptions += [latched, volatile]
 
-    def _on_message(self, is_latched: bool, message: JointTrajectory) -> None:
-        if self._taken == (not is_latched, message):
+    def _on_message(self, is_latched: bool, raw: bytes) -> None:
+        if self._taken == (not is_latched, raw):
             self._taken = None  # its second copy; the next one is meant
             return
-        self._taken = is_latched, message
-        self._take(message)
+        self._taken = is_latched, raw
+        self._take(raw)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 
@@ -17,6 +17,8 @@ class AnswerCounts:
         repeated: Further answers to the same state.
         stale: Answers to another state than the present one.
         invalid: Answers that were not finite; the joint got no effort.
+        excessive: Answers beyond the joint's limit, which were held to it.
+        conflicting: Answers to one state that differ: somebody else commands the joint, too.
     """
 
     answered: int = 0
@@ -24,26 +26,52 @@ class AnswerCounts:
     repeated: int = 0
     stale: int = 0
     invalid: int = 0
+    excessive: int = 0
+    conflicting: int = 0
+
+    def checked(self, effort: float, limit: float) -> float:
+        """Return what may reach the joint of a commanded effort, and count what may not.
+
+        Args:
+            effort: What came in [N m].
+            limit: Largest absolute effort in [N m].
+        """
+        if not math.isfinite(effort):
+            self.invalid += 1
+            return 0.0
+        if abs(effort) > limit:
+            self.excessive += 1
+            return math.copysign(limit, effort)
+        return effort
 
 
 class Barrier:
     """Collects the answers to one state after the other.
 
-    A joint that does not answer in time gets no effort and is not waited for again until it
-    answers; it stops nobody else.
+    A joint that does not answer in time gets no effort and is not waited for; it stops nobody
+    else. Its controller has come back when it answers, also a state that is over, since nobody
+    waited for it: then the next state waits. Each time it does not keep that promise, twice as
+    many answers must come before it is believed again.
 
     Args:
         joints: The driven joints, in the order of the efforts.
+        limits: Largest absolute effort of each joint in [N m]; without limit if not given.
     """
 
-    def __init__(self, joints: Sequence[str]) -> None:
+    def __init__(self, joints: Sequence[str], limits: Mapping[str, float] | None = None) -> None:
         self.joints = tuple(joints)
         self.counts = {joint: AnswerCounts() for joint in self.joints}
         self.foreign = 0
         self._index = {joint: index for index, joint in enumerate(self.joints)}
         self._everyone = frozenset(self.joints)
+        limits = limits or {}
+        self._limits = [limits.get(joint, math.inf) for joint in self.joints]
         self._silent: set[str] = set()
+        self._late = dict.fromkeys(self.joints, 0)  # answers to states that did not wait
+        self._needed = dict.fromkeys(self.joints, 1)  # of them, to be waited for again
         self._stamp_ns: int | None = None
+        self._past: tuple[int | None, list[float | None]] = None, []
+        self._given: list[float | None] = [None] * len(self.joints)  # as they came
         self._missing: set[str] = set()  # of the present state; never also silent
         self._efforts = [0.0] * len(self.joints)
 
@@ -73,9 +101,19 @@ class Barrier:
         Args:
             stamp_ns: Its stamp in [ns].
         """
+        self._past = self._stamp_ns, self._given
+        self._given = [None] * len(self.joints)
         self._stamp_ns = stamp_ns
+        if self._silent:
+            self._welcome()
         self._missing = set(self._everyone - self._silent)
         self._efforts = [0.0] * len(self.joints)
+
+    def _welcome(self) -> None:
+        """Wait again for those that have answered states that did not wait for them."""
+        for name in self.silent:
+            if self._late[name] >= self._needed[name]:
+                self._silent.remove(name)
 
     def answer(self, stamp_ns: int, names: Sequence[str], efforts: Sequence[float]) -> bool:
         """Take a command.
@@ -95,24 +133,34 @@ class Barrier:
             if counts is None:
                 self.foreign += 1
             elif stamp_ns != self._stamp_ns:
-                counts.stale += 1
+                self._pass_over(name, counts, stamp_ns, effort)
             else:
                 self._accept(name, counts, effort)
         return was_waiting and not self._missing and not self.is_abandoned
 
+    def _pass_over(self, name: str, counts: AnswerCounts, stamp_ns: int, effort: float) -> None:
+        """Count an answer to another state than the present one."""
+        counts.stale += 1
+        self._late[name] += 1
+        before_ns, given = self._past
+        if stamp_ns == before_ns:
+            counts.conflicting += _differ(given[self._index[name]], effort)
+
     def _accept(self, name: str, counts: AnswerCounts, effort: float) -> None:
+        index = self._index[name]
         if name in self._missing:
             self._missing.remove(name)
             counts.answered += 1
+            if self._late[name]:
+                self._late[name], self._needed[name] = 0, 1
         elif name in self._silent:
             self._silent.remove(name)
             counts.answered += 1
         else:
             counts.repeated += 1
-        if not math.isfinite(effort):
-            counts.invalid += 1
-            effort = 0.0
-        self._efforts[self._index[name]] = effort
+            counts.conflicting += _differ(self._given[index], effort)
+        self._given[index] = effort
+        self._efforts[index] = counts.checked(effort, self._limits[index])
 
     def give_up(self) -> tuple[str, ...]:
         """Stop waiting for those that have not answered.
@@ -121,6 +169,10 @@ class Barrier:
             The joints that are silent from now on.
         """
         given_up = self.missing
+        for name in given_up:
+            if self._late[name]:  # it was believed, and did not answer
+                self._needed[name] *= 2
+            self._late[name] = 0
         self._silent |= self._missing
         self._missing = set()
         return given_up
@@ -130,3 +182,11 @@ class Barrier:
         for joint in self._silent:
             self.counts[joint].unanswered += 1
         return self._efforts
+
+
+def _differ(before: float | None, effort: float) -> bool:
+    """Tell whether two answers to one state come from two controllers.
+
+    One controller repeats itself, and leaves with an effort of zero.
+    """
+    return before is not None and effort != before and effort != 0.0 and not math.isnan(effort)

@@ -14,6 +14,8 @@ from typing import NamedTuple
 from hpid_ros.errors import TrajectoryError, unknown_name
 from hpid_ros.trajectory.spline import Column, Knot
 
+_LARGEST = 1e9  # [rad, rad/s, rad/s^2]; beyond it is no joint, and splines overflow
+
 
 class TrajectoryPoint(NamedTuple):
     """One instant of all joints.
@@ -37,7 +39,8 @@ class JointTrajectory:
 
     Attributes:
         joint_names: The joints, each once.
-        points: At least one point; times from the start strictly increase from 0 or later.
+        points: At least one point; times from the start strictly increase from 0 or later. Where
+            the stamp is not 0, points may lie before it, but not before instant 0.
         stamp_ns: When it starts in [ns]; 0 means with the next state.
 
     Raises:
@@ -58,11 +61,11 @@ class JointTrajectory:
             raise TrajectoryError("a trajectory must have at least one point, not none")
         if self.stamp_ns < 0:
             raise TrajectoryError(f"a trajectory cannot start at {self.stamp_ns} ns, before 0")
-        before = -1
+        before = -1 - self.stamp_ns
         for index, point in enumerate(self.points):
             if point.time_from_start_ns <= before:
                 raise TrajectoryError(
-                    f"times must increase from 0 on; point {index} has "
+                    f"times must increase from {-self.stamp_ns} ns on; point {index} has "
                     f"{point.time_from_start_ns} ns after {before} ns"
                 )
             before = point.time_from_start_ns
@@ -86,6 +89,29 @@ class JointTrajectory:
                     raise TrajectoryError(
                         f"{name} of point {index} must be finite, not {value} for {joint!r}"
                     )
+                if abs(value) > _LARGEST:
+                    raise TrajectoryError(
+                        f"{name} of point {index} must be within {_LARGEST:g}, "
+                        f"not {value} for {joint!r}"
+                    )
+
+    def started(self, start_ns: int) -> JointTrajectory:
+        """Return the same motion as one that is under way, for whoever comes later.
+
+        A stamp of 0 means "with the next state", so a start at instant 0 is told as a stamp of
+        1 ns and times that are 1 ns shorter. Whoever follows the motion already and takes this
+        one over after its first point keeps the same reference, to the last bit.
+
+        Args:
+            start_ns: When it started in [ns].
+        """
+        stamp_ns = max(start_ns, 1)
+        ahead_ns = stamp_ns - start_ns
+        points = tuple(
+            point._replace(time_from_start_ns=point.time_from_start_ns - ahead_ns)
+            for point in self.points
+        )
+        return JointTrajectory(self.joint_names, points, stamp_ns)
 
     def column(self, joint: str) -> Column:
         """Return one joint's part.

@@ -81,6 +81,14 @@ class Column:
         start_ns = self.stamp_ns or now_ns
         return SplineReference(self.knots, start_ns, Knot(now_ns - start_ns, position, velocity))
 
+    def is_under_way(self, now_ns: int) -> bool:
+        """Tell whether the first knot lies before an instant.
+
+        Args:
+            now_ns: The control clock in [ns].
+        """
+        return self.stamp_ns != 0 and now_ns > self.stamp_ns + self.knots[0].time_ns
+
 
 class SplineReference:
     """Samples a column on the control clock; made by :meth:`Column.start`.

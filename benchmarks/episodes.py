@@ -1,0 +1,210 @@
+"""One disturbed run beside the undisturbed run of the same experiment."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from benchmarks.disturbed_graph import SETTLE, DisturbedGraph, Fault
+from benchmarks.paper import paper
+from hpid_ros.analysis import RunSeries
+from hpid_ros.bags import read_run
+from hpid_ros.errors import RunError, SettingError
+from hpid_ros.experiment.description import Experiment, load_experiment
+from hpid_ros.experiment.isolation import closed_environment, own_domain
+from hpid_ros.experiment.node_process import NodeGroup
+from hpid_ros.experiment.simulated_run import RunTask, WorldKeeper, simulate
+from hpid_ros.yaml_files import load_yaml
+
+LABEL = "hPID"
+ANSWER_TIMEOUT = 2.0  # [s] of wall time
+OTHERS_AT_MOST = 0.05  # [rad] that another joint may leave its undisturbed path
+SETTLED_WITHIN = 0.02  # [rad] from the undisturbed path, SETTLE seconds after the fault
+_LAST_FAULT = 8.0  # [s] before the end
+_NS = 1e9
+
+
+@dataclass(frozen=True)
+class Episode:
+    """One disturbed run beside its undisturbed one.
+
+    Attributes:
+        faults: What was done.
+        states: States of the run.
+        unplanned: Joints that the bridge gave up without a fault.
+        is_equal_before: Whether all positions equal those of the undisturbed run to the last bit
+            up to the first state that was not answered.
+        others: Largest distance of a joint that was not disturbed from its undisturbed path, in
+            [rad].
+        unsettled: Largest such distance of a disturbed joint, ``SETTLE`` after its return, in
+            [rad].
+        takeover: Largest effort of a first command after a fault as a share of the limit.
+        longest_cycle: Longest wall time between two states, in [s].
+    """
+
+    faults: Sequence[Fault]
+    states: int
+    unplanned: int
+    is_equal_before: bool
+    others: float
+    unsettled: float
+    takeover: float
+    longest_cycle: float
+
+    def broken(self) -> list[str]:
+        """Return a line for each bound that was not kept."""
+        rules = (
+            (self.unplanned == 0, f"{self.unplanned} joints were given up without a fault"),
+            (self.is_equal_before, "the run differs before its first fault"),
+            (self.others <= OTHERS_AT_MOST, f"another joint moved {self.others:.3f} rad"),
+            (self.unsettled <= SETTLED_WITHIN, f"{self.unsettled:.3f} rad off after a fault"),
+            (self.longest_cycle <= ANSWER_TIMEOUT, f"{self.longest_cycle:.3f} s without a state"),
+        )
+        return [line for is_kept, line in rules if not is_kept]
+
+
+def sines(folder: Path, motion: float, duration: float | None = None) -> Experiment:
+    """Return the paper's robot and controllers, following slow sines about where they start.
+
+    Args:
+        folder: Existing folder for the experiment's file.
+        motion: Length of the sines in [s].
+        duration: Stamp of the last state in [s]; that of the motion's end if not given.
+    """
+    base = paper()
+    document = load_yaml(str(base.path), SettingError)
+    starts = document["robot"]["initial_positions"]
+    document["duration"] = motion if duration is None else duration
+    document["control"] = {"rate": 1000, "answer_timeout": ANSWER_TIMEOUT}
+    document["reference"] = {
+        "kind": "sine",
+        "duration": motion,
+        "joints": {
+            joint: {"amplitude": 0.15, "period": 4.0 + 0.5 * k, "offset": starts.get(joint, 0.0)}
+            for k, joint in enumerate(base.world.joints)
+        },
+    }
+    path = folder / "sines.yaml"
+    path.write_text(yaml.safe_dump(document), encoding="utf-8")
+    return load_experiment(path)
+
+
+def undisturbed(experiment: Experiment) -> RunSeries:
+    """Return the same run without a fault."""
+    with WorldKeeper() as keeper:
+        return simulate(RunTask.of(experiment, LABEL), keeper)
+
+
+def run_episode(experiment: Experiment, calm: RunSeries, folder: Path, seed: int) -> Episode:
+    """Run once under faults and compare.
+
+    Args:
+        experiment: The experiment.
+        calm: Its undisturbed run.
+        folder: New folder for bag and logs.
+        seed: Of the faults.
+
+    Raises:
+        RunError: The graph failed.
+    """
+    folder.mkdir()
+    last_ns = round((experiment.duration - _LAST_FAULT) * _NS)
+    with (
+        own_domain() as domain,
+        NodeGroup(closed_environment(domain), folder, is_batch=True) as group,
+    ):
+        graph = DisturbedGraph(
+            experiment, LABEL, group, folder, folder / "bag", random.Random(seed)
+        )
+        graph.start()
+        while not graph.is_finished:
+            graph.look()
+            graph.disturb_when_due(last_ns)
+        finished = graph.events[graph.nodes.bridge, "finished"]
+        group.stop([graph.nodes.recorder], patience=30.0)
+        group.stop()
+    run = read_run(folder / "bag", "disturbed")
+    return _episode(graph, finished["states"], finished["timing"]["cycle"]["maximum"], calm, run)
+
+
+def _episode(
+    graph: DisturbedGraph, states: int, longest: float, calm: RunSeries, run: RunSeries
+) -> Episode:
+    stamps = run.joints[0].state_stamps_ns
+    if not np.array_equal(stamps, calm.joints[0].state_stamps_ns):
+        raise RunError(f"{len(stamps)} states were recorded of {states}")
+    away = {
+        one.joint: np.abs(one.position - other.position)
+        for one, other in zip(run.joints, calm.joints, strict=True)
+    }
+    silences = [fault.silent_ns for fault in graph.faults if fault.silent_ns is not None]
+    calm_until = stamps <= min(silences, default=int(stamps[-1]))
+    efforts = {joint.joint: (joint.command_stamps_ns, joint.effort) for joint in run.joints}
+    return Episode(
+        faults=graph.faults,
+        states=states,
+        unplanned=sum(not is_planned(miss, graph.faults) for miss in graph.misses),
+        is_equal_before=all(not distance[calm_until].any() for distance in away.values()),
+        others=max(
+            float(distance[~_disturbed(joint, graph.faults, stamps)].max())
+            for joint, distance in away.items()
+        ),
+        unsettled=max((_unsettled(fault, away, stamps) for fault in graph.faults), default=0.0),
+        takeover=max(
+            (_takeover(fault, *efforts[fault.joint]) for fault in graph.faults), default=0
+        ),
+        longest_cycle=longest * 1e-6,
+    )
+
+
+def is_planned(miss: tuple[str, int], faults: Sequence[Fault]) -> bool:
+    """Tell whether a joint was given up because of a fault of its own controller.
+
+    Args:
+        miss: The joint, and the stamp of the first state that it did not answer in [ns].
+        faults: What was done.
+    """
+    joint, stamp_ns = miss
+    return any(
+        fault.joint == joint
+        and fault.silent_ns is not None
+        and fault.silent_ns <= stamp_ns
+        and (fault.back_ns is None or stamp_ns <= fault.back_ns)
+        for fault in faults
+    )
+
+
+def _disturbed(
+    joint: str, faults: Sequence[Fault], stamps: NDArray[np.int64]
+) -> NDArray[np.bool_]:
+    """Return which states are under a fault of this joint, or within ``SETTLE`` after it."""
+    is_hit = np.zeros(len(stamps), dtype=np.bool_)
+    for fault in faults:
+        if fault.joint == joint and fault.silent_ns is not None:
+            end_ns = (fault.back_ns or int(stamps[-1])) + round(SETTLE * _NS)
+            is_hit |= (stamps >= fault.silent_ns) & (stamps <= end_ns)
+    return is_hit
+
+
+def _unsettled(
+    fault: Fault, away: dict[str, NDArray[np.float64]], stamps: NDArray[np.int64]
+) -> float:
+    """Return how far a disturbed joint is from its path when it should have settled."""
+    if fault.back_ns is None:
+        return 0.0
+    settled = int(np.searchsorted(stamps, fault.back_ns + round(SETTLE * _NS)))
+    return float(away[fault.joint][settled]) if settled < len(stamps) else 0.0
+
+
+def _takeover(fault: Fault, stamps: NDArray[np.int64], efforts: NDArray[np.float64]) -> float:
+    """Return the first effort after a silence, in [N m]."""
+    if fault.silent_ns is None:
+        return 0.0
+    index = int(np.searchsorted(stamps, fault.silent_ns))
+    return float(abs(efforts[index])) if index < len(efforts) else 0.0

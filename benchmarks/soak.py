@@ -1,0 +1,251 @@
+"""Hours at full rate: ``python -m benchmarks.soak [--minutes M] [--warm-up M] [--seed N]``.
+
+Runs the robot and eight controllers in lock-step for M minutes of wall time while parameters are
+set and controllers are killed, ended and frozen. Says of every process how its memory grew after
+the warm-up, which samples were missed outside of the faults, and what was left behind. Exit
+codes: 0 all kept, 1 something was not, 2 unusable arguments, 130 interrupted.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import random
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from benchmarks.disturbed_graph import DisturbedGraph, Fault
+from benchmarks.episodes import LABEL, is_planned, sines
+from benchmarks.memory import private_bytes
+from benchmarks.processes import Scripts
+from hpid_ros.errors import RunError
+from hpid_ros.experiment.isolation import closed_environment, own_domain
+from hpid_ros.experiment.node_process import NodeGroup
+from hpid_ros.experiment.shared_memory import SHARED_MEMORY, YOUNG, clear_dead
+from hpid_ros.interrupts import heed_interrupts, raise_if_interrupted
+
+GROWTH_AT_MOST = 1.0  # [MiB] of any process after the warm-up
+RETUNES = 5.0  # sets of parameters in a second
+_FAULTS_APART = 20.0  # [s] of wall time
+_LOOK_AT_MEMORY = 1.0  # [s]
+_WARM_UP_OF_ONE = 10.0  # [s] after its own start, for a controller that was restarted
+_FOREVER = 1e5  # [s] of simulated time
+_MOTION = 600.0  # [s]
+_MIB = 1024.0 * 1024.0
+_FAILED, _BAD_INPUT, _INTERRUPTED = 1, 2, 130
+
+
+@dataclass
+class Soak:
+    """What came of it.
+
+    Attributes:
+        states: States of the run.
+        faults: What was done to controllers.
+        retunes: Sets of parameters by what became of them.
+        unplanned: ``(joint, stamp)`` of samples that were missed outside of the faults.
+        growth: Growth of each process's memory after its warm-up, in [MiB], by name and pid.
+        left: A line for each process, file of shared memory or thread that was left behind.
+    """
+
+    states: int = 0
+    faults: Sequence[Fault] = ()
+    retunes: Mapping[str, int] = field(default_factory=dict)
+    unplanned: Sequence[tuple[str, int]] = ()
+    growth: Mapping[tuple[str, int], float] = field(default_factory=dict)
+    left: Sequence[str] = ()
+
+    def broken(self) -> list[str]:
+        """Return a line for each promise that was not kept."""
+        lines = [
+            f"{name} ({pid}) grew by {growth:.2f} MiB"
+            for (name, pid), growth in self.growth.items()
+            if growth > GROWTH_AT_MOST
+        ]
+        lines += [f"{joint} missed the state at {ns * 1e-9:.3f} s" for joint, ns in self.unplanned]
+        if wrong := self.retunes.get("wrong", 0):
+            lines.append(f"{wrong} sets of parameters were answered wrongly")
+        return [*lines, *self.left]
+
+
+class _Memory:
+    """Watches how the memory of processes grows after their warm-up."""
+
+    def __init__(self, warm_up: float) -> None:
+        self._warm_until = time.monotonic() + warm_up
+        self._first_seen: dict[tuple[str, int], float] = {}
+        self._base: dict[tuple[str, int], int] = {}
+        self._last: dict[tuple[str, int], int] = {}
+        self._next = 0.0
+
+    def look(self, pids: Mapping[str, int]) -> None:
+        """Note what every process has, once a second."""
+        now = time.monotonic()
+        if now < self._next:
+            return
+        self._next = now + _LOOK_AT_MEMORY
+        for each in pids.items():
+            seen = self._first_seen.setdefault(each, now)
+            if now < max(self._warm_until, seen + _WARM_UP_OF_ONE):
+                continue
+            size = private_bytes(each[1])
+            self._base.setdefault(each, size)
+            self._last[each] = size
+
+    def growth(self) -> dict[tuple[str, int], float]:
+        """Return the growth of each process that was seen after its warm-up, in [MiB]."""
+        return {each: (size - self._base[each]) / _MIB for each, size in self._last.items()}
+
+
+def soak(minutes: float, warm_up: float, seed: int, folder: Path) -> Soak:
+    """Run the graph under faults.
+
+    Args:
+        minutes: How long, in [min] of wall time.
+        warm_up: Before memory is compared, in [min].
+        seed: Of faults and retunes.
+        folder: Existing folder for logs.
+
+    Raises:
+        RunError: The graph failed.
+    """
+    result = Soak()
+    with _nothing_left(result), own_domain() as domain:
+        environment = closed_environment(domain)
+        experiment = sines(folder, _MOTION, _FOREVER)
+        with (
+            NodeGroup(environment, folder, is_batch=True) as group,
+            Scripts(environment, folder) as scripts,
+        ):
+            chance = random.Random(seed)
+            graph = DisturbedGraph(experiment, LABEL, group, folder, None, chance)
+            graph.start()
+            arguments = [str(RETUNES), str(seed), *graph.joints]
+            scripts.start("retuner", "retuner", arguments)
+            memory = _Memory(60.0 * warm_up)
+            _run(graph, memory, 60.0 * minutes)
+            scripts.processes["retuner"].terminate()
+            result.retunes = scripts.result("retuner", 20.0)
+            group.stop(patience=10.0)
+            graph.take_last_events()
+        result.faults, result.growth = graph.faults, memory.growth()
+        result.states = graph.events[graph.nodes.bridge, "stopped"]["states"]
+        result.unplanned = [miss for miss in graph.misses if not is_planned(miss, graph.faults)]
+    return result
+
+
+def _run(graph: DisturbedGraph, memory: _Memory, seconds: float) -> None:
+    end = time.monotonic() + seconds
+    next_fault = time.monotonic() + min(_FAULTS_APART, seconds / 4.0)
+    while (now := time.monotonic()) < end:
+        graph.look()
+        memory.look(graph.pids())
+        if now >= next_fault and graph.disturb_when_due():
+            next_fault = time.monotonic() + min(_FAULTS_APART, seconds / 4.0)
+
+
+@contextmanager
+def _nothing_left(result: Soak) -> Iterator[None]:
+    """Compare processes, threads and shared memory before and after."""
+    clear_dead()
+    before = _present()
+    yield
+    # What killed processes cannot take away themselves is cleared once it is old enough not to be
+    # of a process that is just starting.
+    deadline = time.monotonic() + YOUNG + 5.0
+    while (left := _present() - before) and time.monotonic() < deadline:
+        clear_dead()
+        time.sleep(_LOOK_AT_MEMORY)
+    result.left = [f"left behind: {each}" for each in sorted(left)]
+
+
+def _present() -> set[str]:
+    """Return this process's children and threads, and the middleware's files that nobody uses."""
+    children = Path(f"/proc/{os.getpid()}/task/{os.getpid()}/children").read_text().split()
+    files = {file.name for file in SHARED_MEMORY.glob("*fastrtps*")} - _used_files()
+    return {
+        *(f"thread {thread.name}" for thread in threading.enumerate()),
+        *(f"process {pid}" for pid in children),
+        *(f"file {name}" for name in files),
+    }
+
+
+def _used_files() -> set[str]:
+    """Return the names of files of shared memory that some process has open or mapped."""
+    used = set()
+    for process in Path("/proc").glob("[0-9]*"):
+        try:
+            paths = [str(entry.readlink()) for entry in (process / "fd").iterdir()]
+            paths += [line.split()[-1] for line in (process / "maps").read_text().splitlines()]
+        except (FileNotFoundError, PermissionError, ProcessLookupError):
+            continue
+        used |= {Path(path).name for path in paths if path.startswith(str(SHARED_MEMORY))}
+    return used
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run as long as the arguments say and print what came of it.
+
+    Args:
+        arguments: Those of the command line; None for the process's own.
+
+    Returns:
+        The exit code.
+    """
+    options = _parser().parse_args(arguments)
+    if not options.minutes > 0.0 or not 0.0 <= options.warm_up < options.minutes:
+        print("--minutes must be positive and --warm-up shorter", file=sys.stderr)
+        return _BAD_INPUT
+    heed_interrupts()
+    try:
+        with tempfile.TemporaryDirectory(prefix="hpid_soak_") as name:
+            result = soak(options.minutes, options.warm_up, options.seed, Path(name))
+            raise_if_interrupted()
+    except RunError as error:
+        print(f"soak: {error}", file=sys.stderr)
+        return _FAILED
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        return _INTERRUPTED
+    _print(result)
+    return _FAILED if result.broken() else 0
+
+
+def _print(result: Soak) -> None:
+    rows: list[tuple[str, Any]] = [
+        ("states", result.states),
+        ("faults injected", len(result.faults)),
+        *((f"sets of parameters {name}", count) for name, count in result.retunes.items()),
+        ("samples missed outside of the faults", len(result.unplanned)),
+        ("processes watched", len(result.growth)),
+        ("largest growth of memory [MiB]", f"{max(result.growth.values(), default=0.0):.3f}"),
+        ("left behind", len(result.left)),
+    ]
+    for name, value in rows:
+        print(f"{name:<40}{value!s:>12}")
+    for line in result.broken():
+        print(f"not kept: {line}")
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.soak", description=__doc__)
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    parser.add_argument(
+        "--minutes", type=float, default=60.0, help="of wall time; 60 if not given"
+    )
+    parser.add_argument(
+        "--warm-up", type=float, default=0.5, help="minutes before memory is compared, 0.5"
+    )
+    parser.add_argument("--seed", type=int, default=1, help="of faults and retunes")
+    return parser
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,115 @@
+"""Writes the SROS 2 policy of the node set: ``python docs/make_policy.py [JOINT ...] > FILE``.
+
+Without joints it writes ``config/sros2/policy.xml``, for the simulated robot. docs/security.md
+says how to use it. Format: ROS 2 Access Control Policies, version 0.2.0 (design.ros2.org).
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterable
+from xml.etree import ElementTree
+
+from hpid_ros.names import controller_name
+from hpid_ros.resources import find_resource, share_folder
+from hpid_ros.robot.description import RobotDescription
+
+_PARAMETERS = (
+    *("describe_parameters", "get_parameter_types", "get_parameters", "list_parameters"),
+    *("set_parameters", "set_parameters_atomically"),
+)
+_LIFECYCLE = (
+    *("change_state", "get_state", "get_available_states", "get_available_transitions"),
+    "get_transition_graph",
+)
+_RECORDED = ("joint_trajectory", "joint_commands", "joint_states")
+
+
+def policy(joints: Iterable[str]) -> ElementTree.Element:
+    """Return the policy: one enclave for each process, and one for whoever may retune.
+
+    Args:
+        joints: The driven joints.
+    """
+    root = ElementTree.Element("policy", version="0.2.0")
+    enclaves = ElementTree.SubElement(root, "enclaves")
+    controllers = [controller_name(joint) for joint in joints]
+    for name in controllers:
+        profile = _profile(enclaves, name, name)
+        _allow(
+            profile,
+            publish=(
+                *("joint_commands", "~/commands", "~/command", "~/reference", "~/terms"),
+                *("~/transition_event", "/diagnostics"),
+            ),
+            subscribe=("joint_states", "joint_trajectory", "~/setpoint"),
+            reply=(f"~/{service}" for service in _LIFECYCLE),
+        )
+    profile = _profile(enclaves, "robot", "pybullet_bridge")
+    _allow(
+        profile,
+        publish=("joint_states", "clock", "odom", "ee_pose", "/diagnostics"),
+        subscribe=("joint_commands", "~/wrench"),
+        reply=("~/pause", "~/step", "~/reset"),
+    )
+    profile = _profile(enclaves, "reference", "trajectory_publisher")
+    _allow(profile, publish=("joint_trajectory",), subscribe=("joint_states",))
+    _allow(_profile(enclaves, "recorder", "bag_recorder"), subscribe=_RECORDED)
+    _allow(
+        _profile(enclaves, "operator", "operator"),
+        publish=(*(f"/{name}/setpoint" for name in controllers), "/pybullet_bridge/wrench"),
+        subscribe=("/diagnostics", *_RECORDED),
+        request=[f"/{name}/{each}" for name in controllers for each in (*_PARAMETERS, *_LIFECYCLE)]
+        + [f"/pybullet_bridge/{each}" for each in ("pause", "step", "reset")],
+    )
+    ElementTree.indent(root)
+    return root
+
+
+def _profile(enclaves: ElementTree.Element, name: str, node: str) -> ElementTree.Element:
+    """Add an enclave of one node, with what every node has."""
+    enclave = ElementTree.SubElement(enclaves, "enclave", path=f"/hpid/{name}")
+    profiles = ElementTree.SubElement(enclave, "profiles")
+    profile = ElementTree.SubElement(profiles, "profile", ns="/", node=node)
+    _allow(
+        profile,
+        publish=("/rosout", "/parameter_events"),
+        subscribe=("/parameter_events", "/clock"),
+        reply=(*(f"~/{service}" for service in _PARAMETERS), "~/get_type_description"),
+    )
+    return profile
+
+
+def _allow(profile: ElementTree.Element, **rules: Iterable[str]) -> None:
+    """Add rules: publish and subscribe for topics, request and reply for services."""
+    for rule, names in rules.items():
+        kind = "topic" if rule in ("publish", "subscribe") else "service"
+        # What is not allowed in an enclave is denied.
+        group = ElementTree.SubElement(profile, f"{kind}s", {rule: "ALLOW"})
+        for name in names:
+            ElementTree.SubElement(group, kind).text = name
+
+
+def document(joints: Iterable[str]) -> str:
+    """Return the policy as the text of a file.
+
+    Args:
+        joints: The driven joints.
+    """
+    head = '<?xml version="1.0" encoding="UTF-8"?>\n<!-- Written by docs/make_policy.py. -->\n'
+    return head + ElementTree.tostring(policy(joints), encoding="unicode") + "\n"
+
+
+def main() -> None:
+    """Write the policy of the joints that were named, or the file of the package."""
+    if len(sys.argv) > 1:
+        sys.stdout.write(document(sys.argv[1:]))
+        return
+    robot = RobotDescription.load(find_resource("urdf/mobile_manipulator.urdf"))
+    file = share_folder() / "config" / "sros2" / "policy.xml"
+    file.parent.mkdir(exist_ok=True)
+    file.write_text(document(robot.joints), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

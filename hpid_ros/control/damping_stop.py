@@ -1,0 +1,61 @@
+"""How a joint is let go of gently: its motion is damped, and the damping fades."""
+
+from __future__ import annotations
+
+from hpid_ros.control.gains import Gains
+from hpid_ros.control.motion_limits import MotionLimits
+from hpid_ros.control.motions import LARGEST_POSITION
+from hpid_ros.control.velocity import VelocitySource
+
+_SECONDS_PER_NANOSECOND = 1e-9
+
+
+class DampingStop:
+    """Answers states with ``-gains.d velocity``, fading to nothing over a duration.
+
+    Args:
+        gains: Those of the loop that ended.
+        velocity: Its velocity source, with its past.
+        limits: Its limits of motion.
+        clamp: Least and largest effort in [N m].
+        effort: Its last effort in [N m].
+        stamp_ns: Stamp of its last state in [ns].
+        duration: In [s], positive.
+    """
+
+    def __init__(
+        self,
+        gains: Gains,
+        velocity: VelocitySource,
+        limits: MotionLimits | None,
+        clamp: tuple[float, float],
+        effort: float,
+        stamp_ns: int,
+        duration: float,
+    ) -> None:
+        self._gains, self._velocity, self._limits = gains, velocity, limits
+        self._clamp = clamp
+        self._effort = effort
+        self._begin_ns = self._stamp_ns = stamp_ns
+        self._duration = duration
+
+    def step(self, stamp_ns: int, position: float, velocity: float | None = None) -> float:
+        """Take one state and return the effort that answers it in [N m]; see ``JointLoop.step``.
+
+        A state that cannot be used, or that is not later than the last one, gets none.
+        """
+        dt = (stamp_ns - self._stamp_ns) * _SECONDS_PER_NANOSECOND
+        numbers = (position, 0.0 if velocity is None else velocity)
+        if dt <= 0.0 or not all(-LARGEST_POSITION <= each <= LARGEST_POSITION for each in numbers):
+            self._effort = 0.0
+            return 0.0
+        self._stamp_ns = stamp_ns
+        rate = self._velocity.update(position, velocity, dt)
+        passed = (stamp_ns - self._begin_ns) * _SECONDS_PER_NANOSECOND / self._duration
+        wanted = -self._gains.d * rate * max(0.0, 1.0 - passed)
+        if self._limits is None:
+            effort = min(max(wanted, self._clamp[0]), self._clamp[1])
+        else:
+            effort = self._limits.limit(wanted, position, rate, self._effort, dt)
+        self._effort = effort if passed < 1.0 else 0.0
+        return self._effort

@@ -1,0 +1,100 @@
+"""What a loop follows: the motion it was told, and where the reference stands."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from hpid_ros.control.motions import Glide, Motion, Reference, Setpoint
+
+
+class Following:
+    """Turns motions into the reference of each sample.
+
+    Attributes:
+        motion: What is followed; None while the joint is held where it was.
+        position: The reference's position of the last sample in [rad].
+        velocity: Its velocity in [rad/s].
+    """
+
+    __slots__ = ("_glide_end_ns", "_pending", "_reference", "motion", "position", "velocity")
+
+    def __init__(self) -> None:
+        self.motion: Motion | None = None
+        self.restart()
+
+    @property
+    def is_standing(self) -> bool:
+        """Whether there is a reference; the first state makes one."""
+        return self._reference is not None
+
+    def follow(self, motion: Motion | None) -> None:
+        """Follow a motion from the next sample on; None forgets what was followed."""
+        self.motion = self._pending = motion
+
+    def restart(self) -> None:
+        """Forget where the reference stands, and start the motion anew."""
+        self._pending = self.motion
+        self._reference: Reference | None = None
+        self._glide_end_ns: int | None = None
+        self.position = self.velocity = 0.0
+
+    def stand(self, position: float) -> None:
+        """Hold a position until there is a motion.
+
+        Args:
+            position: In [rad].
+        """
+        self._reference, self._glide_end_ns = Setpoint(position), None
+        self.position, self.velocity = position, 0.0
+
+    def take_over(self, stamp_ns: int, position: float, duration: float) -> None:
+        """Start from a position again, and glide onto what is followed.
+
+        Args:
+            stamp_ns: The control clock in [ns].
+            position: Where the joint is in [rad].
+            duration: How long the glide takes in [s]; 0 jumps.
+        """
+        onto = self._onto()
+        self.stand(position)
+        if self.motion is not None and self._pending is None:
+            self._glide(onto, stamp_ns, position, 0.0, duration)
+
+    def sample(self, stamp_ns: int, duration: float) -> Sequence[float]:
+        """Return the reference of a sample; there must be one.
+
+        Args:
+            stamp_ns: The control clock in [ns].
+            duration: How long a glide takes that begins now, in [s].
+        """
+        if self._pending is not None:
+            self._begin(self._pending, stamp_ns, duration)
+        elif self._glide_end_ns is not None and stamp_ns >= self._glide_end_ns:
+            self._reference, self._glide_end_ns = self._onto(), None
+        return self._reference.sample(stamp_ns)  # type: ignore[union-attr]
+
+    def _begin(self, motion: Motion, stamp_ns: int, duration: float) -> None:
+        """Turn to a motion: from where the reference stands, or onto it if it is under way."""
+        before = self._reference
+        assert before is not None
+        self._pending = None
+        onto = motion.start(stamp_ns, self.position, self.velocity)
+        self._reference, self._glide_end_ns = onto, None
+        if motion.is_under_way(stamp_ns):
+            position, velocity = before.sample(stamp_ns)[:2]
+            self._glide(onto, stamp_ns, position, velocity, duration)
+
+    def _onto(self) -> Reference:
+        """Return the reference that is followed in the end."""
+        reference = self._reference
+        assert reference is not None
+        return reference.onto if isinstance(reference, Glide) else reference
+
+    def _glide(
+        self, onto: Reference, stamp_ns: int, position: float, velocity: float, duration: float
+    ) -> None:
+        """Follow a reference, gliding onto it if it is elsewhere."""
+        self._reference, self._glide_end_ns = onto, None
+        if duration > 0.0 and tuple(onto.sample(stamp_ns)[:2]) != (position, velocity):
+            glide = Glide(onto, stamp_ns, position, velocity, duration)
+            self._reference, self._glide_end_ns = glide, glide.end_ns

@@ -1,0 +1,151 @@
+"""Limits of position, velocity and effort rate: the last word on an effort."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+
+class LimitFigures(NamedTuple):
+    """The numbers of a joint's limits; "per rad" reads "per m" where it is prismatic.
+
+    Attributes:
+        lower: Lowest position in [rad]; -inf for none.
+        upper: Highest position in [rad]; inf for none.
+        velocity: Largest absolute velocity in [rad/s]; inf for none.
+        margin: Where effort towards a stop begins to fade, before it, in [rad].
+        k_position: Velocity allowed towards a stop for each rad of distance, in [1/s].
+        k_velocity: Braking effort for each rad/s beyond what is allowed, in [N m s/rad].
+        rate: Largest change of the effort in [N m/s]; inf for none.
+        effort_min: Least effort in [N m].
+        effort_max: Largest effort in [N m].
+    """
+
+    lower: float
+    upper: float
+    velocity: float
+    margin: float
+    k_position: float
+    k_velocity: float
+    rate: float
+    effort_min: float
+    effort_max: float
+
+
+class MotionLimits:
+    r"""Keeps a joint within its positions and velocities, whatever effort is wanted.
+
+    A stop at :math:`q_{max}` is a velocity limit that shrinks with the distance: upwards at most
+    :math:`v_{up} = \min(k_p (q_{max} - q), v_{max})` is allowed, which is negative beyond it.
+    With the room :math:`x = v_{up} - v` and the width
+    :math:`w = \min(k_p \cdot margin, v_{max}/10)` an effort upwards is
+
+    - left alone where :math:`x \ge w`,
+    - scaled by :math:`x / w` where :math:`0 < x < w`: scaled out near the stop or the limit,
+    - held to :math:`k_v x \le 0`, a braking or returning effort, where :math:`x \le 0`;
+
+    and likewise downwards. An effort away from a stop is never reduced. For a joint of inertia
+    m that a load of at most p pushes towards the stop it is not passed by more than
+    :math:`p / (k_p k_v)`, plus what the joint moves in two samples, if :math:`k_v \ge 4 m k_p`
+    and the effort limit can brake it: :math:`m k_p |v| + p \le u_{max}`.
+
+    A joint that begins beyond a stop is not pushed back: the stop is taken where the joint is,
+    and follows it inwards.
+
+    Source: the velocity that shrinks with the distance and the two gains are those of the URDF's
+    safety_controller and of ``ros2_control``, ``joint_limits/src/joint_soft_limiter.cpp``. There
+    the effort at rest is limited everywhere, also far from any stop; here it is not.
+
+    Args:
+        figures: The limits.
+    """
+
+    __slots__ = ("_figures", "_high", "_low", "_width", "braked")
+
+    def __init__(self, figures: LimitFigures) -> None:
+        self._figures = figures
+        self._width = min(figures.k_position * figures.margin, 0.1 * figures.velocity)
+        self._low, self._high = figures.lower, figures.upper
+        self.braked = 0
+        """Samples in which a stop or a velocity limit braked the joint."""
+
+    def open(self, position: float) -> None:
+        """Take the stops where the joint is, if it is beyond them.
+
+        Args:
+            position: Where the joint begins, in [rad].
+        """
+        self._low = min(self._figures.lower, position)
+        self._high = max(self._figures.upper, position)
+
+    def take_over(self, before: MotionLimits | None, position: float) -> None:
+        """Come into force while the joint moves.
+
+        Args:
+            before: The limits until now; those of the same stops stay where they stood.
+            position: Where the joint is, in [rad].
+        """
+        if before is not None:
+            self.braked = before.braked
+            if before._figures[:2] == self._figures[:2]:
+                self._low, self._high = before._low, before._high
+                return
+        self.open(position)
+
+    def reference(self, position: float, velocity: float) -> tuple[float, float]:
+        """Return a reference that stays within the stops: beyond one it waits there.
+
+        Args:
+            position: Wanted position in [rad].
+            velocity: Its derivative in [rad/s].
+        """
+        if position > self._high:
+            return self._high, 0.0
+        if position < self._low:
+            return self._low, 0.0
+        return position, velocity
+
+    def limit(
+        self, wanted: float, position: float, velocity: float, before: float, dt: float
+    ) -> float:
+        """Return the effort that may be given.
+
+        Args:
+            wanted: In [N m], finite.
+            position: Measured, in [rad].
+            velocity: Measured or estimated, in [rad/s].
+            before: The effort in force until now in [N m].
+            dt: Time since it came into force in [s].
+
+        Returns:
+            The effort in [N m], within the effort limits.
+        """
+        figures, width = self._figures, self._width
+        _, _, fastest, _, k, damping, rate, least, most = figures
+        effort = min(max(wanted, least), most)
+        self._follow_inwards(position)
+        up = min(max(k * (self._high - position), -fastest), fastest) - velocity
+        down = velocity - max(min(k * (self._low - position), fastest), -fastest)
+        if up < width:
+            if up <= 0.0:
+                self.braked += 1
+                effort = min(effort, damping * up)
+            elif effort > 0.0:
+                effort *= up / width
+        if down < width:
+            if down <= 0.0:
+                self.braked += 1
+                effort = max(effort, -damping * down)
+            elif effort < 0.0:
+                effort *= down / width
+        change = rate * dt if dt > 0.0 or rate < math.inf else math.inf
+        effort = min(max(effort, before - change), before + change)
+        return min(max(effort, least), most)
+
+    def _follow_inwards(self, position: float) -> None:
+        """Bring a stop that was taken further out back to where it belongs."""
+        figures = self._figures
+        if self._high > figures.upper and position < self._high:
+            self._high = max(position, figures.upper)
+        if self._low < figures.lower and position > self._low:
+            self._low = min(position, figures.lower)

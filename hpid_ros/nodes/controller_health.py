@@ -1,0 +1,120 @@
+"""What a controller tells of itself: every irregularity counted and named."""
+
+from __future__ import annotations
+
+from rclpy.node import Node
+
+from hpid_ros.control import JointLoop
+from hpid_ros.control.joint_loop import LoopState
+from hpid_ros.nodes.certification import Certification
+from hpid_ros.nodes.diagnostics import ERROR, OK, WARN, Diagnostics
+from hpid_ros.nodes.loop_timing import LoopTiming
+
+_MANY_MISSED = 0.5  # of the states of a report
+
+
+class ControllerHealth:
+    """Counts what a controller refused, and publishes its status.
+
+    Attributes:
+        period: Time between two reports in [s].
+        foreign: States that were about other joints.
+        misread: Bytes that were no state of this joint.
+
+    Args:
+        node: The controller.
+        loop: Its loop.
+        certification: Its certificate.
+        timing: Its timing.
+    """
+
+    period = 1.0
+
+    def __init__(
+        self, node: Node, loop: JointLoop, certification: Certification, timing: LoopTiming
+    ) -> None:
+        self._node, self._loop = node, loop
+        self._certification, self._timing = certification, timing
+        self._diagnostics = Diagnostics(node, loop.settings.joint)
+        self.foreign = self.misread = 0
+        self._references = self._requests = 0
+        self._missed = 0
+        self._last_fault = ""
+        self.scheduling = ""
+
+    def fault(self, line: str) -> None:
+        """Note one line for something that could not be used."""
+        self._last_fault = line
+        self._node.get_logger().warning(line, throttle_duration_sec=1.0)
+
+    def misread_state(self, line: str) -> None:
+        """Note bytes that were no state of this joint."""
+        self.misread += 1
+        self.fault(f"state refused: {line}")
+
+    def refused_reference(self, line: str) -> None:
+        """Note a trajectory or setpoint that was not taken."""
+        self._references += 1
+        self.fault(f"reference refused: {line}")
+
+    def refused_request(self, line: str) -> None:
+        """Note a service request, or a transition, that failed."""
+        self._requests += 1
+        self.fault(line)
+
+    def report(self, lifecycle: str, waiting: str) -> None:
+        """Publish the status now.
+
+        Args:
+            lifecycle: The managed node's state.
+            waiting: What an active controller still waits for; empty if nothing.
+        """
+        loop, counts = self._loop, self._loop.counts
+        is_active = lifecycle == "active"
+        message, level = loop.state.value, OK
+        warning = self._certification.warning or self._slowness()
+        if not is_active:
+            message = lifecycle
+        elif loop.state is LoopState.SILENT:
+            message, level = f"{message}; {warning}" if warning else message, ERROR
+        elif loop.state is LoopState.FAULT or waiting or warning:
+            message, level = waiting or warning or message, WARN
+        self._diagnostics.publish(
+            level,
+            message,
+            {
+                "lifecycle": lifecycle,
+                "law": loop.settings.law,
+                "degree mu": loop.settings.mu,
+                "certified degrees": self._certification.degrees,
+                "samples": counts.samples,
+                "gaps": counts.gaps,
+                "missed samples": counts.missed,
+                "silences": counts.silences,
+                "takeovers": counts.takeovers,
+                "repeats": counts.repeats,
+                "clock resets": counts.resets,
+                "saturated samples": counts.saturated,
+                "braked samples": loop.braked,
+                "rejected samples": counts.rejected + self.misread,
+                "states of other joints": self.foreign,
+                "refused references": self._references,
+                "refused requests": self._requests,
+                "effort [N m]": loop.effort,
+                "integral term [N m]": loop.integral,
+                "error [rad]": loop.error,
+                **self._timing.recent(),
+                "scheduling": self.scheduling,
+                "last fault": self._last_fault or "none",
+                "last irregular state": loop.last_fault or "none",
+            },
+        )
+
+    def _slowness(self) -> str:
+        """Return a warning when most states of the last report seem lost."""
+        missed = self._loop.counts.missed - self._missed
+        self._missed += missed
+        settings = self._loop.settings
+        if missed < _MANY_MISSED * self.period / settings.control_period:
+            return ""
+        return f"states come more slowly than control_period = {settings.control_period:g} s says"

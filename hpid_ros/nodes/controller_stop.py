@@ -1,0 +1,91 @@
+"""How a controller leaves its joint."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from rclpy.duration import Duration
+from rclpy.node import Node
+from rclpy.task import Future
+from rclpy.timer import Timer
+
+from hpid_ros.control import JointLoop
+from hpid_ros.control.damping_stop import DampingStop
+from hpid_ros.errors import SettingError
+from hpid_ros.nodes.commands import CommandSink
+from hpid_ros.nodes.parameters import read_number, read_only
+
+STOPS = ("zero", "damping")
+
+_LAST_COMMAND_WITHIN = Duration(seconds=0.5)
+_LONGEST = 4.0  # [s]; launch kills what has not ended 5 s after it was asked to
+
+
+class ControllerStop:
+    """Gives a last command of zero effort, after a damping ramp if one is wished.
+
+    Args:
+        node: The controller; it gets ``stop`` and ``stop_duration``.
+        loop: Its loop.
+        commands: Where its commands go.
+        finish: Called when the joint has been left.
+
+    Raises:
+        SettingError: There is no such stop.
+    """
+
+    def __init__(
+        self, node: Node, loop: JointLoop, commands: CommandSink, finish: Callable[[], None]
+    ) -> None:
+        kind = read_only(
+            node, "stop", "zero", f"How the joint is left: {', '.join(STOPS)} for stop_duration"
+        )
+        if kind not in STOPS:
+            raise SettingError(f"stop must be one of {', '.join(STOPS)}, not {kind!r}")
+        duration = read_number(
+            node, "stop_duration", 0.5, "Of the damping stop [s]", (0.0, _LONGEST)
+        )
+        self._duration = duration if kind == "damping" else 0.0
+        self._node, self._loop, self._commands, self._finish = node, loop, commands, finish
+        self._timer: Timer | None = None
+        self._ended: Future | None = None
+
+    @property
+    def is_damping(self) -> bool:
+        """Whether the ramp is on."""
+        return self._timer is not None
+
+    def begin(self) -> DampingStop | None:
+        """Leave the joint.
+
+        Returns:
+            What answers the states meanwhile; None if the joint has been left at once.
+        """
+        if self._loop.stamp_ns is None or self._duration == 0.0:
+            self.now()
+            return None
+        self._ended = Future()
+        self._timer = self._node.create_timer(self._duration, self.now)
+        return self._loop.damping_stop(self._duration)
+
+    def ended(self) -> Future | None:
+        """Return what is done when the ramp is; None if there is none."""
+        return self._ended if self.is_damping else None
+
+    def cancel(self) -> None:
+        """End the ramp without a last command: somebody takes over."""
+        if self._timer is not None:
+            self._timer.cancel()
+            self._node.destroy_timer(self._timer)
+            self._timer = None
+        if self._ended is not None and not self._ended.done():
+            self._ended.set_result(None)
+
+    def now(self) -> None:
+        """Give zero effort and wait until it has been heard, or cannot be."""
+        self.cancel()
+        stamp_ns = self._loop.stamp_ns
+        if stamp_ns is not None:
+            self._commands.send(stamp_ns, 0.0)
+            self._commands.publisher.wait_for_all_acked(_LAST_COMMAND_WITHIN)
+        self._finish()

@@ -1,0 +1,75 @@
+"""Notices on the wall clock that states have stopped to come."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+from rclpy.node import Node
+from rclpy.timer import Timer
+
+from hpid_ros.nodes.parameters import read_only
+
+_LOOKS = 4.0  # in one timeout
+_SHORTEST_PERIOD = 1e-3  # [s] between two looks
+_NANOSECONDS = 1_000_000_000
+
+
+class StateWatchdog:
+    """Looks several times in each ``state_timeout`` when the last state came.
+
+    A loop has no clock of its own; without states it is never called. So this stands beside it,
+    and costs the loop nothing.
+
+    Args:
+        node: The controller; it gets ``state_watchdog``.
+        last_ns: Returns when the last state came, on ``time.perf_counter_ns``; None for never.
+        give: Called at each look while states are missing, with the silence in [s] and whether
+            it has just begun.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        last_ns: Callable[[], int | None],
+        give: Callable[[float, bool], None],
+    ) -> None:
+        self._is_on = bool(
+            read_only(
+                node,
+                "state_watchdog",
+                True,
+                "Give fallback_effort when no state has come for state_timeout of wall time",
+            )
+        )
+        self._node, self._last_ns, self._give = node, last_ns, give
+        self._timer: Timer | None = None
+        self._timeout = 0.0
+        self._noticed_ns: int | None = None
+
+    def watch(self, timeout: float) -> None:
+        """Look from now on, or with another timeout.
+
+        Args:
+            timeout: Longest time without a state in [s].
+        """
+        if not self._is_on or (self._timer is not None and timeout == self._timeout):
+            return
+        self.rest()
+        self._timeout = timeout
+        self._timer = self._node.create_timer(max(timeout / _LOOKS, _SHORTEST_PERIOD), self._look)
+
+    def rest(self) -> None:
+        """Look no more."""
+        if self._timer is not None:
+            self._node.destroy_timer(self._timer)
+            self._timer = None
+
+    def _look(self) -> None:
+        last_ns = self._last_ns()
+        if last_ns is None:
+            return
+        silence = (time.perf_counter_ns() - last_ns) / _NANOSECONDS
+        if silence > self._timeout:
+            is_new, self._noticed_ns = self._noticed_ns != last_ns, last_ns
+            self._give(silence, is_new)

@@ -1,0 +1,59 @@
+"""What a controller tells on ``/diagnostics``, and its services."""
+
+from diagnostic_msgs.msg import DiagnosticArray
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState, GetState
+
+NAME = "elbow_controller"
+TRANSITIONS = {
+    "configure": Transition.TRANSITION_CONFIGURE,
+    "cleanup": Transition.TRANSITION_CLEANUP,
+    "activate": Transition.TRANSITION_ACTIVATE,
+    "deactivate": Transition.TRANSITION_DEACTIVATE,
+    "shutdown": Transition.TRANSITION_ACTIVE_SHUTDOWN,
+}
+
+
+class Told:
+    """What the controller has told of its health."""
+
+    def __init__(self, harness):
+        self._statuses = []
+        harness.node.create_subscription(DiagnosticArray, "/diagnostics", self._take, 10)
+
+    def _take(self, message):
+        self._statuses += [status for status in message.status if NAME in status.name]
+
+    def newest(self):
+        """Return the newest figures by name; empty before the first."""
+        if not self._statuses:
+            return {}
+        newest = self._statuses[-1]
+        figures = {pair.key: pair.value for pair in newest.values}
+        return {"message": newest.message, "level": newest.level, **figures}
+
+    def says(self, **figures):
+        """Tell whether the newest figures are these; ``_`` stands for a blank."""
+        newest = self.newest()
+        return all(newest.get(key.replace("_", " ")) == value for key, value in figures.items())
+
+
+def call(harness, service, name, request):
+    """Call one of the controller's services and return the answer."""
+    client = harness.node.create_client(service, f"{NAME}/{name}")
+    harness.wait(client.service_is_ready, what=f"the service {name}")
+    future = client.call_async(request)
+    harness.wait(future.done, what=f"the answer of {name}")
+    harness.node.destroy_client(client)
+    return future.result()
+
+
+def change(harness, label):
+    """Ask for a transition as ``ros2 lifecycle set`` does: by its number."""
+    request = ChangeState.Request(transition=Transition(id=TRANSITIONS.get(label, 99)))
+    return call(harness, ChangeState, "change_state", request).success
+
+
+def state(harness):
+    """Return the name of the lifecycle's state."""
+    return call(harness, GetState, "get_state", GetState.Request()).current_state.label

@@ -1,0 +1,148 @@
+"""Anything at all into the pure loop: no error, no effort beyond the limits, and back to work."""
+
+import contextlib
+import math
+
+import numpy as np
+import pytest
+from fuzzing import NUMBERS, StateFuzzer
+from hypothesis import settings as effort_of
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
+
+from hpid_ros.control import Gains, JointLoop, LoopSettings
+from hpid_ros.control.joint_loop import LoopState, Setpoint
+from hpid_ros.errors import HpidError, MessageError
+from hpid_ros.messages import JointReader
+from hpid_ros.trajectory import Column, Knot
+
+MS = 1_000_000
+ROUNDS, MESSAGES = 10, 5000
+
+
+def settings(**changes):
+    values = {
+        **{"joint": "elbow", "gains": Gains(120.0, 200.0, 22.0), "law": "hpid", "mu": -0.2},
+        **{"u_clamp_max": 40.0, "u_clamp_min": -30.0, "position_max": 2.0, "position_min": -2.0},
+        "velocity_max": 8.0,
+    }
+    return LoopSettings(**{**values, **changes})
+
+
+def goes_to(loop, target, stamp_ns):
+    """Tell whether the loop still brings a joint of 1 kg m^2 to a setpoint."""
+    loop.follow(Setpoint(target))
+    position, velocity = 0.2, 0.0
+    for k in range(6000):
+        effort = loop.step(stamp_ns + k * MS, position, velocity)
+        velocity += 1e-3 * effort
+        position += 1e-3 * velocity
+    return loop.state is LoopState.FOLLOWING and abs(position - target) < 2e-3
+
+
+@pytest.mark.parametrize("source", ["measured", "filtered", "homogeneous_differentiator"])
+def test_a_hundred_thousand_messages_and_the_joint_still_goes_where_it_should(source, faults):
+    loop = JointLoop(settings(velocity_source=source))
+    reader = JointReader("elbow")
+    fuzzer = StateFuzzer("elbow", seed=1)
+    seen = refused = 0
+    for _ in range(ROUNDS if source == "measured" else ROUNDS // 2):
+        for raw in fuzzer.messages(MESSAGES):
+            seen += 1
+            try:
+                sample = reader.read(raw)
+            except MessageError:
+                refused += 1
+                continue
+            if sample is not None:
+                assert -30.0 <= loop.step(*sample) <= 40.0
+                assert math.isfinite(loop.integral)
+        # By whatever stamps the loop has been sent to the end of time: the clock goes back.
+        assert goes_to(loop, 0.7, fuzzer.stamp_ns)
+    assert 0.1 * seen < refused < 0.9 * seen
+    faults.count("messages fuzzed: pure loop", seen)
+
+
+class AnyOrder(RuleBasedStateMachine):
+    """Everything that can happen to a loop, in any order."""
+
+    def __init__(self):
+        super().__init__()
+        self.loop = JointLoop(settings())
+        self.stamp_ns = 0
+
+    @rule(periods=st.integers(1, 3), position=st.floats(-3.0, 3.0), velocity=st.floats(-9.0, 9.0))
+    def state(self, periods, position, velocity):
+        self.stamp_ns += periods * MS
+        before, reference = self.loop.effort, self.loop.reference
+        effort = self.loop.step(self.stamp_ns, position, velocity)
+        assert math.isfinite(before + effort + sum(reference))
+
+    @rule(number=st.sampled_from(NUMBERS), of_velocity=st.booleans())
+    def number(self, number, of_velocity):
+        self.stamp_ns += MS
+        self.loop.step(self.stamp_ns, *((0.1, number) if of_velocity else (number, None)))
+
+    @rule(stamp_ns=st.integers(-(2**31) * 10**9, 2**31 * 10**9))
+    def stamp(self, stamp_ns):
+        self.loop.step(stamp_ns, 0.1)
+
+    @rule()
+    def repeat(self):
+        if self.loop.stamp_ns is not None:
+            before = self.loop.effort
+            assert self.loop.step(self.loop.stamp_ns, math.nan) == before
+
+    @rule(gap=st.floats(0.0, 1.0))
+    def silence(self, gap):
+        assert self.loop.lapse() == 0.0
+        self.stamp_ns += int(gap * 1e9)
+
+    @rule(position=st.floats(-4.0, 4.0), stamp=st.integers(0, 4), first=st.integers(0, 9))
+    def follow(self, position, stamp, first):
+        knots = (Knot(first * 10**8, position, 0.0), Knot(10**9, -position, 0.0))
+        self.loop.follow(Column("elbow", knots, stamp * 10**9))
+
+    @rule(position=st.floats())
+    def setpoint(self, position):
+        with contextlib.suppress(HpidError):
+            self.loop.follow(Setpoint(position))
+
+    @rule(
+        mu=st.floats(-0.6, 0.6),
+        p=st.floats(-10.0, 200.0),
+        rate=st.sampled_from([0.0, 100.0]),
+        stop=st.sampled_from([2.0, 0.5, 1e6]),
+    )
+    def retune(self, mu, p, rate, stop):
+        before = self.loop.settings
+        try:
+            changed = settings(
+                mu=mu, gains=Gains(p, 10.0, 5.0), effort_rate_max=rate, position_max=stop
+            )
+        except HpidError:
+            assert self.loop.settings is before
+        else:
+            self.loop.retune(changed)
+
+    @rule()
+    def release(self):
+        self.loop.release()
+
+    @invariant()
+    def is_within_limits(self):
+        assert -30.0 <= self.loop.effort <= 40.0
+        assert math.isfinite(self.loop.integral)
+        assert np.all(np.isfinite(self.loop.reference))
+        assert math.isfinite(self.loop.velocity)
+
+    def teardown(self):
+        """Whatever has been, it goes on."""
+        self.loop.retune(settings())
+        start_ns = (self.loop.stamp_ns or 0) - 10**9
+        if start_ns > -(2**31) * 10**9:
+            assert goes_to(self.loop, 0.7, start_ns)
+
+
+AnyOrder.TestCase.settings = effort_of(max_examples=60, stateful_step_count=40, deadline=None)
+TestAnyOrder = AnyOrder.TestCase

@@ -1,0 +1,214 @@
+"""Silence, takeover and retuning of the pure loop: nothing moves a joint by a jump."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hpid_ros.control import LOOP_PARAMETERS, Gains, JointLoop, LoopSettings
+from hpid_ros.control.joint_loop import LoopState, Setpoint
+from hpid_ros.control.motions import Glide
+from hpid_ros.errors import HpidError, SettingError
+from hpid_ros.trajectory import Column, Knot
+
+MS = 1_000_000
+SECOND = 1000 * MS
+RAMP = Column("j", (Knot(0, 0.0, 0.0), Knot(4 * SECOND, 2.0, 0.0)), stamp_ns=SECOND)
+
+
+def settings(**changes):
+    values = {"joint": "j", "gains": Gains(100.0, 50.0, 20.0), "law": "pid"}
+    return LoopSettings(**{**values, **changes})
+
+
+def run(loop, first_ms, last_ms, position):
+    for k in range(first_ms, last_ms):
+        effort = loop.step(k * MS, position, 0.0)
+    return effort
+
+
+@pytest.mark.parametrize("motion", [None, Setpoint(1.0), RAMP])
+@pytest.mark.parametrize("fallback", [0.0, 4.0])
+def test_after_a_silence_the_loop_takes_over_from_where_the_joint_fell_without_a_jump(
+    motion, fallback
+):
+    loop = JointLoop(settings(fallback_effort=fallback))
+    if motion:
+        loop.follow(motion)
+    assert abs(run(loop, 1000, 2000, 0.3)) > 2.0 or motion is None
+    assert loop.lapse() == fallback
+    assert loop.state is LoopState.SILENT
+    effort = loop.step(2500 * MS, -0.4, 0.0)
+    assert effort == pytest.approx(fallback)
+    assert loop.reference == pytest.approx((-0.4, 0.0))
+    assert (loop.counts.silences, loop.counts.takeovers, loop.counts.gaps) == (1, 1, 1)
+    after = [loop.step((2500 + k) * MS, -0.4, 0.0) for k in range(1, 520)]
+    assert np.max(np.abs(np.diff([effort, *after]))) < 2.5  # the glide's own pace
+    if motion is RAMP:
+        assert loop.reference == pytest.approx(RAMP.start(SECOND, 0.0).sample(3019 * MS)[:2])
+    elif motion:
+        assert loop.reference == (1.0, 0.0)
+    else:
+        assert loop.reference == (-0.4, 0.0)  # it holds where the joint is now
+
+
+def test_a_pause_of_the_control_clock_leaves_no_trace():
+    loop, twin = JointLoop(settings()), JointLoop(settings())
+    for each in (loop, twin):
+        each.follow(RAMP)
+    for k in range(1000, 1500):
+        assert loop.step(k * MS, 0.1, 0.0) == twin.step(k * MS, 0.1, 0.0)
+        if k % 100 == 50:
+            assert loop.lapse() == 0.0
+            assert loop.step(k * MS, 0.1, 0.0) == twin.effort  # asked again: the same answer
+    assert loop.counts.takeovers == 0
+
+
+def test_states_that_cannot_be_used_for_long_end_in_a_takeover_and_for_short_do_not():
+    for duration, takeovers in ((50, 0), (150, 1)):
+        loop = JointLoop(settings())
+        loop.follow(Setpoint(1.0))
+        before = run(loop, 0, 200, 0.2)
+        for k in range(200, 200 + duration):
+            assert loop.step(k * MS, math.nan) == 0.0
+        assert "position nan" in loop.last_fault
+        effort = loop.step((200 + duration) * MS, 0.2, 0.0)
+        assert loop.counts.takeovers == takeovers
+        assert effort == pytest.approx(0.0 if takeovers else before, abs=0.1)
+
+
+@pytest.mark.parametrize("absurd", [1e300, -1e18, math.inf, math.nan])
+def test_absurd_numbers_leave_nothing_behind_in_the_velocity(absurd):
+    loop = JointLoop(settings(velocity_source="filtered"))
+    run(loop, 0, 20, 0.2)
+    loop.step(20 * MS, absurd)
+    loop.step(21 * MS, 0.2, absurd)
+    run(loop, 22, 60, 0.2)
+    assert loop.velocity == 0.0
+    assert loop.state is LoopState.HOLDING
+
+
+def test_a_late_joiner_starts_where_the_joint_is_and_ends_on_the_motion():
+    loop = JointLoop(settings())
+    loop.follow(RAMP)
+    assert loop.step(3 * SECOND, 0.2, 0.0) == pytest.approx(0.0, abs=1e-9)
+    run(loop, 3001, 3501, 0.2)
+    assert loop.reference == pytest.approx(RAMP.start(SECOND, 0.0).sample(3500 * MS)[:2])
+
+
+def test_the_same_motion_told_again_as_under_way_changes_no_bit():
+    knots = (Knot(0, 0.3, 0.0, 0.0), Knot(SECOND, 1.0, 0.0, 0.0))
+    told = tuple(knot._replace(time_ns=knot.time_ns - 1) for knot in knots)
+    loop, twin = JointLoop(settings()), JointLoop(settings())
+    for each in (loop, twin):
+        each.follow(Column("j", knots))
+    for k in range(1200):
+        if k == 20:
+            loop.follow(Column("j", told, stamp_ns=1))
+        assert loop.step(k * MS, 0.1, 0.0) == twin.step(k * MS, 0.1, 0.0)
+    assert loop.reference == twin.reference
+
+
+@given(st.floats(-2.0, 2.0), st.floats(-3.0, 3.0), st.floats(0.01, 2.0), st.floats(0.0, 1.0))
+def test_a_glide_starts_and_ends_as_it_must_and_its_velocity_is_its_derivative(
+    position, velocity, duration, share
+):
+    onto = RAMP.start(SECOND, 0.0)
+    glide = Glide(onto, 2 * SECOND, position, velocity, duration)
+    assert glide.sample(2 * SECOND)[:2] == pytest.approx((position, velocity), abs=1e-9)
+    assert glide.sample(glide.end_ns) == onto.sample(glide.end_ns)
+    at, h = 2 * SECOND + int(share * 0.98 * duration * SECOND) + 1000, 1000
+    before, here, after = (glide.sample(at + k * h) for k in (-1, 0, 1))
+    for lower in (0, 1):
+        slope = (after[lower] - before[lower]) / (2 * h * 1e-9)
+        assert slope == pytest.approx(here[lower + 1], abs=2e-3 * (1.0 + 60.0 / duration**2))
+
+
+def test_release_forgets_the_motion_and_holds_what_comes_next():
+    loop = JointLoop(settings())
+    loop.follow(Setpoint(1.0))
+    run(loop, 0, 100, 0.0)
+    loop.release()
+    assert loop.step(SECOND, 0.6, 0.0) == 0.0
+    assert loop.reference == (0.6, 0.0)
+    assert loop.integral == 0.0
+
+
+def test_a_damping_stop_only_takes_energy_out_and_ends_with_nothing():
+    loop = JointLoop(settings(u_clamp_max=30.0, u_clamp_min=-30.0))
+    run(loop, 0, 10, 0.0)
+    stop = loop.damping_stop(0.2)
+    for k in range(10, 260):
+        velocity = math.cos(0.05 * k)
+        effort = stop.step(k * MS, 0.0, velocity)
+        assert effort * velocity <= 0.0
+        assert abs(effort) <= 20.0 * abs(velocity) * max(0.0, 1.0 - (k - 9) / 200.0) + 1e-9
+    assert effort == 0.0
+    assert loop.damping_stop(0.2).step(10**12, math.nan, 0.0) == 0.0
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, 1e12])
+def test_a_setpoint_that_is_no_position_is_refused(bad):
+    with pytest.raises(SettingError, match="a setpoint must be finite"):
+        Setpoint(bad)
+
+
+def random_values(draw):
+    """Return some parameters of a loop, of which about a third makes no valid set."""
+    values = {}
+    for name in draw.choice(sorted(LOOP_PARAMETERS), size=draw.integers(1, 8), replace=False):
+        spec = LOOP_PARAMETERS[name]
+        if name == "joint":
+            continue
+        if spec.choices:
+            values[name] = str(draw.choice([*spec.choices, *spec.choices, "nonsense"]))
+        else:
+            low, high = max(spec.minimum, -50.0), min(spec.maximum, 50.0)
+            values[name] = float(draw.choice([draw.uniform(low, high)] * 12 + [math.nan, 1e9]))
+    return values
+
+
+def test_ten_thousand_sets_between_samples_are_in_force_whole_or_not_at_all(faults):
+    draw = np.random.default_rng(1)
+    present = {"joint": "j", "law": "pid", "gains.p": 10.0, "gains.i": 4.0, "gains.d": 2.0}
+    loop = JointLoop(LoopSettings.from_parameters(present))
+    loop.follow(Setpoint(0.4))
+    counts = {"valid": 0, "invalid": 0}
+    for k in range(10_000):
+        position, velocity = 0.3 * math.sin(0.01 * k), 3.0 * math.cos(0.01 * k)
+        wanted = {**present, **random_values(draw)}
+        try:
+            settings_now = LoopSettings.from_parameters(wanted)
+        except HpidError:
+            counts["invalid"] += 1
+            settings_now = loop.settings
+        else:
+            counts["valid"] += 1
+            loop.retune(settings_now)
+        integral, before = loop.integral, loop.effort
+        effort = loop.step(k * MS, position, velocity)
+        assert loop.settings is settings_now
+        low, high = settings_now.u_clamp_min, settings_now.u_clamp_max
+        assert low <= effort <= high
+        assert loop.terms.i == integral  # the law's own change and nothing else: p and d terms
+        law = settings_now.make_law()
+        law.restore_integral(integral)
+        own = law.update(loop.error, loop.reference[1] - loop.velocity, 0.001)
+        if settings_now.make_motion_limits() is None:
+            assert effort == min(max(own, low), high)
+        elif settings_now.effort_rate_max > 0.0:
+            allowed = settings_now.effort_rate_max * 0.001 + 1e-9
+            assert abs(effort - before) <= allowed or effort in (low, high)
+    assert min(counts.values()) > 1000
+    faults.count("parameter sets: pure loop, valid", counts["valid"])
+    faults.count("parameter sets: pure loop, refused", counts["invalid"])
+
+
+def test_a_motion_that_nobody_repeats_is_followed_to_its_end_and_then_held():
+    loop = JointLoop(settings())
+    loop.follow(RAMP)
+    run(loop, 1000, 5200, 0.0)
+    assert loop.reference == (2.0, 0.0)
+    assert loop.state is LoopState.FOLLOWING
