@@ -52,9 +52,7 @@ def _qos(side: str, policy: str) -> Iterator[GraphOptions]:
     ordinary = GraphNodes.bridge_arguments, GraphNodes.controller_arguments
     with (
         mock.patch.object(GraphNodes, "bridge_arguments", lambda s: ordinary[0](s) + extra),
-        mock.patch.object(
-            GraphNodes, "controller_arguments", lambda s: ordinary[1](s) + extra
-        ),
+        mock.patch.object(GraphNodes, "controller_arguments", lambda s: ordinary[1](s) + extra),
     ):
         yield GraphOptions(is_recorded=False)
 

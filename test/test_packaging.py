@@ -12,7 +12,7 @@ import pytest
 ROOT = Path(__file__).parents[1]
 EXECUTABLES = {
     *("joint_controller", "joint_controllers", "pybullet_bridge", "trajectory_publisher"),
-    *("bag_recorder", "bag_metrics", "hpid"),
+    *("bag_recorder", "bag_metrics", "single_process", "hpid"),
 }
 
 

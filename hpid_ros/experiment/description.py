@@ -4,16 +4,23 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from hpid_ros.control import LOOP_PARAMETERS, LoopSettings
 from hpid_ros.errors import ExperimentError, HpidError, unknown_name
+from hpid_ros.experiment.world_models import (
+    Layers,
+    disturbances_from,
+    drives_from,
+    homing_from,
+    noise_from,
+)
 from hpid_ros.resources import find_resource
 from hpid_ros.robot.description import RobotDescription
 from hpid_ros.robot.joints import JointDescription
 from hpid_ros.sections import Section
-from hpid_ros.simulation.settings import WorldSettings
+from hpid_ros.simulation.settings import VELOCITIES, WorldSettings
 from hpid_ros.trajectory import JointTrajectory, reference_from
 from hpid_ros.yaml_files import load_yaml
 
@@ -90,8 +97,12 @@ def _experiment(file: Path, root: Section) -> Experiment:
     control.finish()
     seed = root.whole("seed", 0, least=0)
     trajectory = reference_from(root.take("reference"))
-    world = _world(file, root, trajectory.joint_names, period_ns, seed)
     duration = root.number("duration", above=0.0, most=1e5)
+    world = _world(file, root, trajectory.joint_names, period_ns, seed)
+    world = replace(world, disturbances=disturbances_from(root, duration))
+    known = RobotDescription.load(world.robot_description)
+    for link in world.links:
+        known.link(link)
     if round(duration * _NANOSECONDS) % period_ns:
         raise ExperimentError(f"duration {duration} s is not a whole number of control periods")
     return Experiment(
@@ -116,6 +127,7 @@ def _world(
     known.select(joints)
     positions = robot.section("initial_positions", {})
     sensors = root.section("sensors", {})
+    layers = Layers(sensors, joints)
     physics = root.section("simulation", {})
     world = WorldSettings(
         robot_description=str(description),
@@ -127,9 +139,13 @@ def _world(
         seed=seed,
         fixed_base=robot.flag("fixed_base", False),
         payload_mass=robot.number("payload", 0.0, least=0.0),
+        drives=drives_from(root, joints),
+        position_noise=noise_from(sensors, joints),
+        homing=homing_from(layers, joints),
+        velocity=_velocity(sensors),
     )
     world.start(known)
-    for section in (robot, positions, sensors, physics):
+    for section in (robot, positions, layers, physics):
         section.finish()
     return world
 
@@ -142,6 +158,13 @@ def _counts(sensors: Section, joints: tuple[str, ...]) -> int | tuple[int, ...]:
     along = tuple(counts.whole(joint, least=0) for joint in joints)
     counts.finish()
     return along
+
+
+def _velocity(sensors: Section) -> str:
+    source = sensors.text("velocity", "none")
+    if source not in VELOCITIES:
+        raise ExperimentError(f"{sensors.where}: {unknown_name('velocity', source, VELOCITIES)}")
+    return source
 
 
 def _controllers(root: Section, world: WorldSettings) -> dict[str, tuple[LoopSettings, ...]]:

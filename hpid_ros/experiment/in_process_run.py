@@ -57,7 +57,8 @@ class _Recorder:
     ) -> None:
         joints = experiment.world.joints
         self._writer, self._label, self._progress = writer, label, progress
-        self._state = JointStateTemplate(joints, position=True, effort=True)
+        has_velocity = experiment.world.velocity != "none"
+        self._state = JointStateTemplate(joints, position=True, velocity=has_velocity, effort=True)
         self._commands = [JointStateTemplate([joint], effort=True) for joint in joints]
         latched = TopicQos(transient_local=True, depth=1)
         trajectory = writer.add_topic("/joint_trajectory", JOINT_TRAJECTORY, latched)
@@ -73,7 +74,12 @@ class _Recorder:
         self._writer.write(
             self._state_topic,
             now,
-            self._state.encode(stamp_ns, position=sample.positions, effort=sample.applied),
+            self._state.encode(
+                stamp_ns,
+                position=sample.positions,
+                velocity=sample.velocities or (),
+                effort=sample.applied,
+            ),
         )
         for template, effort in zip(self._commands, sample.efforts, strict=True):
             raw = template.encode(stamp_ns, effort=(effort,))

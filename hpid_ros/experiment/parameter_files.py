@@ -15,6 +15,12 @@ import yaml
 from hpid_ros.control import LoopSettings
 from hpid_ros.experiment.description import Experiment
 from hpid_ros.names import controller_name
+from hpid_ros.simulation.columns import columns
+from hpid_ros.simulation.disturbances import Disturbances
+from hpid_ros.simulation.hall import Homing
+from hpid_ros.simulation.motor import Motor
+from hpid_ros.simulation.pwm import Pwm
+from hpid_ros.simulation.settings import WorldSettings
 
 _NANOSECONDS = 1_000_000_000
 
@@ -52,8 +58,51 @@ def bridge_document(experiment: Experiment) -> dict[str, Any]:
                 "payload_mass": world.payload_mass,
                 "duration": experiment.duration,
                 "answer_timeout": experiment.answer_timeout,
+                **_models(world),
             }
         }
+    }
+
+
+def _models(world: WorldSettings) -> dict[str, Any]:
+    """Return the parameters of all that is not ideal; what is left out is."""
+    drives = world.drives
+    parameters: dict[str, Any] = {
+        "motor": columns(Motor, [drive.motor for drive in drives]),
+        "pwm": columns(Pwm, [drive.pwm for drive in drives]),
+        "homing": columns(Homing, world.homing),
+        "payload_schedule": _payload(world.disturbances),
+        "wrench_schedule": _wrenches(world.disturbances),
+    }
+    if any(drive.delay for drive in drives):
+        parameters["effort_delay"] = [drive.delay for drive in drives]
+    if any(world.position_noises):
+        parameters["position_noise"] = list(world.position_noises)
+    if world.velocity != "none":
+        parameters["velocity"] = world.velocity
+    return {name: values for name, values in parameters.items() if values}
+
+
+def _payload(disturbances: Disturbances) -> dict[str, Any]:
+    changes = disturbances.payload
+    if not changes:
+        return {}
+    return {
+        "times": [change.time_ns / _NANOSECONDS for change in changes],
+        "masses": [change.mass for change in changes],
+    }
+
+
+def _wrenches(disturbances: Disturbances) -> dict[str, Any]:
+    pulses = disturbances.wrenches
+    if not pulses:
+        return {}
+    return {
+        "links": [pulse.link for pulse in pulses],
+        "forces": [component for pulse in pulses for component in pulse.force],
+        "torques": [component for pulse in pulses for component in pulse.torque],
+        "starts": [pulse.start_ns / _NANOSECONDS for pulse in pulses],
+        "durations": [pulse.duration_ns / _NANOSECONDS for pulse in pulses],
     }
 
 

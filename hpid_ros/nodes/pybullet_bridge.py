@@ -60,7 +60,12 @@ class PybulletBridge(executor.ClosingNode):
         )
         self._commanders = Commanders(self, settings.joints, self._barrier.counts)
         self._reader = EffortReader()
-        self._template = JointStateTemplate(settings.joints, position=True, effort=True)
+        self._template = JointStateTemplate(
+            settings.joints,
+            position=True,
+            velocity=self._world.read_velocities() is not None,
+            effort=True,
+        )
         self._states = self.create_publisher(
             JointState, "joint_states", OFFERED, qos_overriding_options=overridable()
         )
@@ -143,7 +148,10 @@ class PybulletBridge(executor.ClosingNode):
         self._stamp_ns = stamp_ns = self._world.time_ns
         self._barrier.begin(stamp_ns)
         self._last_state = self._template.encode(
-            stamp_ns, position=self._world.read(), effort=self._world.applied_efforts()
+            stamp_ns,
+            position=self._world.read(),
+            velocity=self._world.read_velocities() or (),
+            effort=self._world.applied_efforts(),
         )
         self._timing.published()
         self._states.publish(self._last_state)

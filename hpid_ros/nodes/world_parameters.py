@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import os
 import sys
-from typing import Any
 
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from hpid_ros.errors import SettingError
+from hpid_ros.nodes import realism_parameters
 from hpid_ros.nodes.parameters import read_only
+from hpid_ros.nodes.realism_parameters import along
 from hpid_ros.resources import find_resource
 from hpid_ros.robot.description import RobotDescription
 from hpid_ros.simulation.settings import WorldSettings
@@ -47,7 +48,7 @@ def world_settings(node: Node) -> WorldSettings:
     rate = float(read_only(node, "control_rate", 1000.0, "States per simulated second [Hz]"))
     if not 0.1 <= rate <= 1e5:
         raise SettingError(f"control_rate must lie in [0.1, 100000] Hz, not {rate}")
-    positions = _along(
+    positions = along(
         joints,
         "initial_positions",
         read_only(
@@ -57,7 +58,7 @@ def world_settings(node: Node) -> WorldSettings:
             "Position of each driven joint at the start [rad]; zero if left out",
         ),
     )
-    counts = _along(
+    counts = along(
         joints,
         "encoder_counts",
         read_only(
@@ -76,12 +77,19 @@ def world_settings(node: Node) -> WorldSettings:
         ),
         initial_positions=dict(zip(joints, positions, strict=True)) if positions else {},
         encoder_counts=counts or 0,
-        seed=int(read_only(node, "seed", 0, "Of where each encoder's counts begin")),
+        seed=int(
+            read_only(node, "seed", 0, "Of where each encoder's counts begin, of noise, of homing")
+        ),
         fixed_base=bool(
             read_only(node, "fixed_base", False, "Hold the robot's root, without a ground")
         ),
         payload_mass=float(read_only(node, "payload_mass", 0.0, "Mass in the gripper [kg]")),
         gui=_gui(node),
+        drives=realism_parameters.drives(node, joints),
+        position_noise=realism_parameters.position_noise(node, joints),
+        homing=realism_parameters.homing(node, joints),
+        velocity=realism_parameters.velocity(node),
+        disturbances=realism_parameters.disturbances(node),
     )
 
 
@@ -91,15 +99,3 @@ def _gui(node: Node) -> bool:
     if wanted and sys.platform.startswith("linux") and not os.environ.get("DISPLAY"):
         raise SettingError("gui needs a display, and the variable DISPLAY names none")
     return wanted
-
-
-def _along(joints: tuple[str, ...], name: str, values: Any) -> tuple[Any, ...]:
-    """Return the values of an optional array with one entry for each joint."""
-    if not values:
-        return ()
-    if len(values) != len(joints):
-        raise SettingError(
-            f"{name} must have one entry for each of {len(joints)} driven joints, "
-            f"not {len(values)}"
-        )
-    return tuple(values)

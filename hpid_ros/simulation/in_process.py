@@ -17,12 +17,14 @@ class Sample(NamedTuple):
         positions: Measured positions of the driven joints in [rad].
         applied: Efforts that the motors gave in the period before, in [N m].
         efforts: The commands in [N m].
+        velocities: Measured velocities in [rad/s]; None where the robot measures none.
     """
 
     stamp_ns: int
     positions: Sequence[float]
     applied: Sequence[float]
     efforts: Sequence[float]
+    velocities: Sequence[float] | None = None
 
 
 def run_in_process(
@@ -39,11 +41,15 @@ def run_in_process(
         periods: Control periods to run; there is one state more.
         observe: Called with every sample, the last one included.
     """
+    unmeasured = (None,) * len(loops)
     for period in range(periods + 1):
         stamp_ns, positions, applied = world.time_ns, world.read(), world.applied_efforts()
+        velocities = world.read_velocities()
+        measured = unmeasured if velocities is None else velocities
         efforts = [
-            loop.step(stamp_ns, position) for loop, position in zip(loops, positions, strict=True)
+            loop.step(stamp_ns, position, velocity)
+            for loop, position, velocity in zip(loops, positions, measured, strict=True)
         ]
-        observe(Sample(stamp_ns, positions, applied, efforts))
+        observe(Sample(stamp_ns, positions, applied, efforts, velocities))
         if period < periods:
             world.step(efforts)

@@ -10,7 +10,12 @@ from pathlib import Path
 
 from hpid_ros.errors import SettingError, unknown_name
 from hpid_ros.robot.description import RobotDescription
+from hpid_ros.simulation.disturbances import Disturbances, require_mass
+from hpid_ros.simulation.drives import DriveSettings
 from hpid_ros.simulation.encoders import Encoder
+from hpid_ros.simulation.hall import Homing
+
+VELOCITIES = ("none", "differences")
 
 
 @dataclass(frozen=True)
@@ -25,13 +30,22 @@ class WorldSettings:
         initial_positions: Positions at time 0, by joint, in [rad]; others start at 0.
         encoder_counts: Counts per revolution of each joint's output shaft, one number for all
             or a tuple along ``joints``; 0 is an ideal sensor.
-        seed: Of what is drawn by chance: where each encoder's counts begin.
+        seed: Of what is drawn by chance: where each encoder's counts begin, its noise, and when
+            its homing run saw the switch.
         fixed_base: The robot's root is held at the world's origin, as on a test stand, and
             there is no ground; otherwise the robot stands on the ground.
         payload_mass: Mass at the payload link, in [kg].
         payload_link: Link that carries the payload.
         gravity: Acceleration of gravity, in [m/s^2].
         gui: Show PyBullet's window.
+        drives: The drive of each joint, along ``joints``; empty for ideal ones.
+        position_noise: Standard deviation of what is added to a position before it is measured,
+            in [rad], one number for all or a tuple along ``joints``.
+        homing: The homing run of each joint, along ``joints``, None where the position at the
+            start is known; empty where all are.
+        velocity: Where the measured velocities come from: ``none``, there are none; or
+            ``differences`` of the measured positions.
+        disturbances: What happens to the robot while it runs.
 
     Raises:
         SettingError: A value is out of its range.
@@ -49,6 +63,11 @@ class WorldSettings:
     payload_link: str = "payload"
     gravity: float = 9.81
     gui: bool = False
+    drives: tuple[DriveSettings, ...] = ()
+    position_noise: float | tuple[float, ...] = 0.0
+    homing: tuple[Homing | None, ...] = ()
+    velocity: str = "none"
+    disturbances: Disturbances = field(default_factory=Disturbances)
 
     def __post_init__(self) -> None:
         for name in ("control_period_ns", "physics_steps"):
@@ -57,13 +76,18 @@ class WorldSettings:
                 raise SettingError(f"{name} {value!r} must be a whole number >= 1")
         if not self.joints:
             raise SettingError("joints must name at least one driven joint")
-        require_mass(self.payload_mass)
+        require_mass("payload_mass", self.payload_mass)
         if not (math.isfinite(self.gravity) and self.gravity >= 0.0):
             raise SettingError(f"gravity {self.gravity!r} must be a finite number >= 0 [m/s^2]")
-        counts = self.encoder_counts
-        if not isinstance(counts, int) and len(counts) != len(self.joints):
+        for name in ("encoder_counts", "position_noise", "drives", "homing"):
+            self._require_along(name)
+        if not all(math.isfinite(noise) and noise >= 0.0 for noise in self.position_noises):
             raise SettingError(
-                f"encoder_counts has {len(counts)} entries for {len(self.joints)} joints"
+                f"position_noise {self.position_noise!r} must be finite and >= 0 [rad]"
+            )
+        if self.velocity not in VELOCITIES:
+            raise SettingError(
+                f"velocity {self.velocity!r} must be one of {', '.join(VELOCITIES)}"
             )
 
     @property
@@ -76,6 +100,38 @@ class WorldSettings:
         """Encoder counts of each driven joint."""
         counts = self.encoder_counts
         return (counts,) * len(self.joints) if isinstance(counts, int) else tuple(counts)
+
+    @property
+    def position_noises(self) -> tuple[float, ...]:
+        """Standard deviation of each driven joint's noise, in [rad]."""
+        noise = self.position_noise
+        return noise if isinstance(noise, tuple) else (float(noise),) * len(self.joints)
+
+    @property
+    def homings(self) -> tuple[Homing | None, ...]:
+        """The homing run of each driven joint."""
+        return self.homing or (None,) * len(self.joints)
+
+    @property
+    def links(self) -> tuple[str, ...]:
+        """Links that the robot must have."""
+        carries = bool(self.payload_mass or self.disturbances.payload)
+        pushed = tuple(pulse.link for pulse in self.disturbances.wrenches)
+        return ((self.payload_link,) if carries else ()) + pushed
+
+    @property
+    def has_ideal_drives(self) -> bool:
+        """Whether every effort acts as it is, at once."""
+        return all(drive.is_ideal for drive in self.drives)
+
+    @property
+    def has_bare_encoders(self) -> bool:
+        """Whether a reading depends on the present position alone."""
+        return (
+            not any(self.position_noises)
+            and all(homing is None for homing in self.homing)
+            and self.velocity == "none"
+        )
 
     @property
     def encoders(self) -> list[Encoder]:
@@ -103,13 +159,9 @@ class WorldSettings:
                 )
         return {name: float(self.initial_positions.get(name, 0.0)) for name in description.joints}
 
-
-def require_mass(mass: float) -> float:
-    """Return the mass of a payload, in [kg].
-
-    Raises:
-        SettingError: It is negative or not finite.
-    """
-    if not (math.isfinite(mass) and mass >= 0.0):
-        raise SettingError(f"payload_mass {mass!r} must be a finite number >= 0 [kg]")
-    return float(mass)
+    def _require_along(self, name: str) -> None:
+        """Refuse a tuple that has not one entry for each driven joint; empty is none at all."""
+        values = getattr(self, name)
+        is_absent = name in ("drives", "homing") and not values
+        if isinstance(values, tuple) and not is_absent and len(values) != len(self.joints):
+            raise SettingError(f"{name} has {len(values)} entries for {len(self.joints)} joints")

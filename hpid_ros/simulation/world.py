@@ -4,20 +4,29 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from types import TracebackType
 
 from hpid_ros.errors import SettingError
 from hpid_ros.robot.description import RobotDescription
 from hpid_ros.simulation.actuators import EffortActuator
-from hpid_ros.simulation.bullet import captured, pybullet
+from hpid_ros.simulation.bullet import pybullet
+from hpid_ros.simulation.connection import Connection
+from hpid_ros.simulation.disturbances import (
+    Event,
+    PayloadChange,
+    begin_ns,
+    require_mass,
+    vector,
+)
+from hpid_ros.simulation.drivetrain import Drivetrain
 from hpid_ros.simulation.model import bullet_urdf
 from hpid_ros.simulation.poses import ROOT, Pose, Twist, link_pose, root_twist
 from hpid_ros.simulation.scene import build_scene
-from hpid_ros.simulation.settings import WorldSettings, require_mass
-from hpid_ros.simulation.wrenches import Pulse, vector
+from hpid_ros.simulation.sensors import Sensors
+from hpid_ros.simulation.settings import WorldSettings
+from hpid_ros.simulation.wrenches import Pulse, Pushes
 
 
-class World:
+class World(Connection):
     """A robot in PyBullet, driven by joint torques.
 
     There is no control inside. The same sequence of calls gives the same numbers to the last
@@ -36,21 +45,21 @@ class World:
         """Build the world.
 
         Raises:
-            RobotDescriptionError: The URDF cannot be read, or lacks a driven joint.
-            SettingError: An initial position is impossible, or the payload has no link.
+            RobotDescriptionError: The URDF cannot be read, or lacks a driven joint or
+                a link that carries the payload or is to be pushed.
+            SettingError: An initial position is impossible, or a drive does not fit its joint.
         """
         self.settings = settings
         self.description = RobotDescription.load(settings.robot_description)
-        selected = self.description.select(settings.joints)
+        self._joints = self.description.select(settings.joints)
         settings.start(self.description)
-        self._actuators = [EffortActuator(joint.name, joint.effort) for joint in selected]
+        self._actuators = [EffortActuator(joint.name, joint.effort) for joint in self._joints]
         self._encoders = settings.encoders
-        if settings.payload_mass:
-            self.description.link(settings.payload_link)
+        for link in settings.links:
+            self.description.link(link)
+        self._pushes = Pushes()
         self._states: Sequence[tuple[float, float]] | None = None
-        self._client = -1
-        with captured():
-            self._client = pybullet.connect(pybullet.GUI if settings.gui else pybullet.DIRECT)
+        super().__init__(settings.gui)
         try:
             self._build()
         except BaseException:
@@ -59,21 +68,6 @@ class World:
 
     def __enter__(self) -> World:
         return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
-
-    def close(self) -> None:
-        """Disconnect from PyBullet; a second call does nothing."""
-        client, self._client = self._client, -1
-        if client >= 0:
-            with captured():
-                pybullet.disconnect(physicsClientId=client)
 
     def reset(self, seed: int | None = None) -> None:
         """Go back to time 0; what follows is what would follow in a fresh world.
@@ -96,12 +90,18 @@ class World:
 
     def read(self) -> tuple[float, ...]:
         """Return the encoders' positions of the driven joints, in [rad]."""
+        if self._sensors is not None:
+            return self._sensors.positions
         return tuple(
             [
                 encoder.read(state[0])
                 for encoder, state in zip(self._encoders, self._joint_states(), strict=True)
             ]
         )
+
+    def read_velocities(self) -> tuple[float, ...] | None:
+        """Return the measured velocities of the driven joints, in [rad/s]; None if unmeasured."""
+        return None if self._sensors is None else self._sensors.velocities
 
     def true_positions(self) -> tuple[float, ...]:
         """Return the exact positions of the driven joints, in [rad]."""
@@ -112,11 +112,14 @@ class World:
         return tuple([state[1] for state in self._joint_states()])
 
     def applied_efforts(self) -> tuple[float, ...]:
-        """Return what the motors gave in the last control period, in [N m]; 0 at time 0."""
+        """Return what the motors gave in the last control period, in [N m]; 0 at time 0.
+
+        It is at the joint, their mean over the period; friction and gear loss are not taken off.
+        """
         return self._applied
 
     def step(self, efforts: Sequence[float]) -> None:
-        """Advance by one control period; the torques act in every physics step of it.
+        """Advance by one control period; the efforts stand in every physics step of it.
 
         Args:
             efforts: Commanded effort of each driven joint, in [N m]; held to the URDF's limits.
@@ -130,18 +133,18 @@ class World:
             actuator.torque(effort)
             for actuator, effort in zip(self._actuators, efforts, strict=True)
         ]
-        client, body, driven = self._client, self._scene.body, self._scene.driven
-        for _ in range(self.settings.physics_steps):
-            if self._pulses:
-                self._push()
-            # Bullet forgets applied torques after every step.
-            pybullet.setJointMotorControlArray(
-                body, driven, pybullet.TORQUE_CONTROL, forces=torques, physicsClientId=client
-            )
-            pybullet.stepSimulation(physicsClientId=client)
-        self._applied = tuple(torques)
+        if self._pending:
+            self._disturb()
+        if self._drivetrain is None:
+            for _ in range(self.settings.physics_steps):
+                self._advance(torques)
+            self._applied = tuple(torques)
+        else:
+            self._applied = self._drivetrain.step(self._periods, torques, self._advance)
         self._periods += 1
         self._states = None
+        if self._sensors is not None:
+            self._sensors.sample(self.true_positions())
 
     def link_pose(self, name: str) -> Pose:
         """Return the pose of a link's frame.
@@ -179,7 +182,7 @@ class World:
         settings = self.settings
         steps = round(duration_ns * settings.physics_steps / settings.control_period_ns)
         push = vector("force", force), vector("torque", torque)
-        self._pulses.append(Pulse(self._link(link), *push, max(1, steps)))
+        self._pushes.pulses.append(Pulse(self._link(link), *push, max(1, steps)))
 
     def set_payload(self, mass: float) -> None:
         """Change the payload, a solid cube at the payload link; until the next reset.
@@ -192,12 +195,17 @@ class World:
             SettingError: The mass is negative or not finite.
         """
         self._link(self.settings.payload_link)
-        self._scene.load_payload(self._client, require_mass(mass))
+        self._scene.load_payload(self._client, require_mass("payload_mass", mass))
 
     def _build(self) -> None:
         """Build the scene in an empty simulation, and keep its state for every reset."""
         urdf = bullet_urdf(self.description)
         self._scene = build_scene(self._client, urdf, self.description, self.settings)
+        self._drivetrain = (
+            None
+            if self.settings.has_ideal_drives
+            else Drivetrain(self._client, self._scene, self.settings, self._joints)
+        )
         self._at_start: int = pybullet.saveState(physicsClientId=self._client)
         self._begin()
 
@@ -205,8 +213,15 @@ class World:
         """Start counting at time 0."""
         self._periods = 0
         self._applied = (0.0,) * len(self._actuators)
-        self._pulses: list[Pulse] = []
+        self._pushes.pulses.clear()
         self._states = None
+        self._pending: list[Event] = self.settings.disturbances.in_order()[::-1]
+        if self._drivetrain is not None:
+            self._drivetrain.reset()
+        is_bare = self.settings.has_bare_encoders
+        self._sensors: Sensors | None = (
+            None if is_bare else Sensors(self.settings, self.true_positions())
+        )
 
     def _link(self, name: str) -> int:
         """Return Bullet's index of a link that exists."""
@@ -221,8 +236,26 @@ class World:
             )
         return states
 
-    def _push(self) -> None:
-        """Let the pulses act on the next physics step, and drop those that are over."""
-        for pulse in self._pulses:
-            pulse.act(self._client, self._scene.body)
-        self._pulses = [pulse for pulse in self._pulses if pulse.steps_left]
+    def _advance(self, torques: Sequence[float]) -> None:
+        """Take one physics step with these torques at the driven joints, in [N m]."""
+        if self._pushes.pulses:
+            self._pushes.act(self._client, self._scene.body)
+        # Bullet forgets applied torques after every step.
+        pybullet.setJointMotorControlArray(
+            self._scene.body,
+            self._scene.driven,
+            pybullet.TORQUE_CONTROL,
+            forces=torques,
+            physicsClientId=self._client,
+        )
+        pybullet.stepSimulation(physicsClientId=self._client)
+
+    def _disturb(self) -> None:
+        """Let happen what is due."""
+        now_ns = self.time_ns
+        while self._pending and begin_ns(self._pending[-1]) <= now_ns:
+            event = self._pending.pop()
+            if isinstance(event, PayloadChange):
+                self.set_payload(event.mass)
+            else:
+                self.apply_wrench(event.link, event.force, event.torque, event.duration_ns)

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
-from hpid_ros.errors import SettingError
 from hpid_ros.simulation.bullet import pybullet
 from hpid_ros.simulation.poses import centre_of_mass, link_pose
 
@@ -54,12 +51,18 @@ class Pulse:
         )
 
 
-def vector(name: str, values: Sequence[float]) -> Vector:
-    """Return three finite numbers.
+class Pushes:
+    """The pulses under way.
 
-    Raises:
-        SettingError: They are not three, or not finite.
+    Attributes:
+        pulses: Those that still act.
     """
-    if len(values) != 3 or not all(math.isfinite(value) for value in values):
-        raise SettingError(f"{name} {list(values)} must be three finite numbers")
-    return float(values[0]), float(values[1]), float(values[2])
+
+    def __init__(self) -> None:
+        self.pulses: list[Pulse] = []
+
+    def act(self, client: int, body: int) -> None:
+        """Let all act on the next physics step of a robot, and drop those that are over."""
+        for pulse in self.pulses:
+            pulse.act(client, body)
+        self.pulses = [pulse for pulse in self.pulses if pulse.steps_left]
