@@ -37,7 +37,7 @@ test: $(VENV)/.test-installed
 # The tests that break things on purpose, and a table of what they did and what came of it.
 # Longer: python -m benchmarks.faults --minutes 10, python -m benchmarks.soak --minutes 60
 faults: $(VENV)/.test-installed
-	$(BIN)/python -m pytest --faults $(ARGS)
+	HPID_SOAK_MINUTES=$${HPID_SOAK_MINUTES:-2} $(BIN)/python -m pytest --faults $(ARGS)
 
 bench: $(VENV)/.bench-installed
 	$(BIN)/python -m benchmarks $(ARGS)
