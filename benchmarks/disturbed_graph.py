@@ -37,7 +37,9 @@ class Fault:
     Attributes:
         joint: Whose controller it hits.
         kind: One of :data:`KINDS`.
-        begin_ns: Simulated time at which it was injected, as last told, in [ns].
+        begin_ns: Simulated time last told before it was injected, in [ns]. From here on the joint
+            may differ, though no state goes unanswered: an ended controller's last zero replaces
+            its answer, and a successor may be up before the bridge gives the joint up.
         silent_ns: Stamp of the first state that the joint did not answer, in [ns]; None if the
             controller was back before the bridge gave it up.
         back_ns: Simulated time at which the joint was seen to answer again, in [ns].
@@ -154,8 +156,9 @@ class DisturbedGraph:
             self._freeze(fault)
         else:
             self._restart(fault)
+        undone_ns = self.stamp_ns
         self._wait(
-            lambda: fault.joint not in self._silent and self.stamp_ns > fault.begin_ns,
+            lambda: fault.joint not in self._silent and self.stamp_ns > undone_ns,
             _BACK_WITHIN,
             f"{fault.joint} to answer again",
         )
@@ -171,7 +174,6 @@ class DisturbedGraph:
             time.sleep(self._chance.uniform(*_FROZEN_FOR))
         finally:
             os.kill(pid, signal.SIGCONT)
-        fault.begin_ns = self.stamp_ns
 
     def _wait_for_silence(self, fault: Fault) -> None:
         before = len(self.misses)
@@ -204,7 +206,6 @@ class DisturbedGraph:
             _UP_WITHIN,
             f"{name} to listen again",
         )
-        fault.begin_ns = self.stamp_ns
 
     def _take(self, name: str, event: Mapping[str, Any]) -> None:
         kind = str(event["event"])

@@ -39,7 +39,7 @@ class Episode:
         states: States of the run.
         unplanned: Joints that the bridge gave up without a fault.
         is_equal_before: Whether all positions equal those of the undisturbed run to the last bit
-            up to the first state that was not answered.
+            up to the last state told before the first fault.
         others: Largest distance of a joint that was not disturbed from its undisturbed path, in
             [rad].
         unsettled: Largest such distance of a disturbed joint, ``SETTLE`` after its return, in
@@ -143,8 +143,8 @@ def _episode(
         one.joint: np.abs(one.position - other.position)
         for one, other in zip(run.joints, calm.joints, strict=True)
     }
-    silences = [fault.silent_ns for fault in graph.faults if fault.silent_ns is not None]
-    calm_until = stamps <= min(silences, default=int(stamps[-1]))
+    begins = [fault.begin_ns for fault in graph.faults]
+    calm_until = stamps <= min(begins, default=int(stamps[-1]))
     efforts = {joint.joint: (joint.command_stamps_ns, joint.effort) for joint in run.joints}
     return Episode(
         faults=graph.faults,
@@ -186,9 +186,9 @@ def _disturbed(
     """Return which states are under a fault of this joint, or within ``SETTLE`` after it."""
     is_hit = np.zeros(len(stamps), dtype=np.bool_)
     for fault in faults:
-        if fault.joint == joint and fault.silent_ns is not None:
+        if fault.joint == joint:
             end_ns = (fault.back_ns or int(stamps[-1])) + round(SETTLE * _NS)
-            is_hit |= (stamps >= fault.silent_ns) & (stamps <= end_ns)
+            is_hit |= (stamps >= fault.begin_ns) & (stamps <= end_ns)
     return is_hit
 
 

@@ -13,10 +13,9 @@ from benchmarks.memory import private_bytes
 from benchmarks.soak import GROWTH_AT_MOST, soak
 from benchmarks.soak import main as soak_command
 
-SOAK_MINUTES = float(os.environ.get("HPID_SOAK_MINUTES", "0"))
+SOAK_MINUTES = float(os.environ.get("HPID_SOAK_MINUTES", "2"))
 
 
-@pytest.mark.skipif(SOAK_MINUTES == 0.0, reason="set HPID_SOAK_MINUTES, for instance to 2")
 def test_the_others_go_on_and_a_restarted_controller_takes_over(tmp_path, faults):
     experiment = sines(tmp_path, 20.0)
     episode = run_episode(experiment, undisturbed(experiment), tmp_path / "run", seed=3)
@@ -29,7 +28,7 @@ def test_the_others_go_on_and_a_restarted_controller_takes_over(tmp_path, faults
     assert 0.0 < episode.others < OTHERS_AT_MOST
 
 
-@pytest.mark.skipif(SOAK_MINUTES == 0.0, reason="set HPID_SOAK_MINUTES, for instance to 2")
+@pytest.mark.skipif(SOAK_MINUTES == 0.0, reason="HPID_SOAK_MINUTES is 0")
 @pytest.mark.timeout(60.0 * SOAK_MINUTES + 300.0)
 def test_two_minutes_at_full_rate_leave_memory_flat_and_nothing_behind(tmp_path, faults):
     result = soak(SOAK_MINUTES, min(0.5, SOAK_MINUTES / 2.0), 1, tmp_path)
