@@ -118,17 +118,19 @@ def test_another_user_of_this_machine_finds_nobody(harness, controller, faults, 
     assert all(abs(command.effort[0]) != 99.0 for command in harness.commands)
 
 
-def test_security_that_is_asked_for_and_missing_is_said(harness, tmp_path):
+@pytest.mark.parametrize("node", ["pybullet_bridge", "joint_controller -p joint:=a"])
+def test_security_that_is_asked_for_and_missing_is_said(harness, tmp_path, node):
     """With these wheels the variable alone changes nothing: it must not lull anybody."""
     environment = {**os.environ, "ROS_SECURITY_ENABLE": "true"}
-    command = [sys.executable, "-m", "hpid_ros.nodes.pybullet_bridge", "--ros-args"]
+    name, *arguments = node.split()
+    command = [sys.executable, "-m", f"hpid_ros.nodes.{name}", "--ros-args", *arguments]
     with (tmp_path / "log").open("wb") as log:
-        bridge = subprocess.Popen(command, env=environment, stdout=log, stderr=log)
+        process = subprocess.Popen(command, env=environment, stdout=log, stderr=log)
         try:
             harness.wait(
                 lambda: b"built without security" in (tmp_path / "log").read_bytes(),
                 what="the warning",
             )
         finally:
-            bridge.kill()
-            bridge.wait()
+            process.kill()
+            process.wait()

@@ -35,6 +35,7 @@ from rclpy.task import Future
 from rclpy.utilities import remove_ros_args
 
 from hpid_ros.errors import HpidError, SettingError, unknown_name
+from hpid_ros.nodes.security import warn_if_unprotected
 
 BAD_INPUT = 2
 """Exit code of a process whose parameters or arguments cannot be used."""
@@ -119,6 +120,7 @@ def _run_in_context(make_nodes: Callable[[], Sequence[ClosingNode]], stop: Stop)
     try:
         nodes = make_nodes()
         _require_known_parameters(nodes)
+        warn_if_unprotected(nodes[0])  # one of them speaks for the process
     except (HpidError, ParameterException, NameValidationException) as error:
         return _refuse(_input_error(error))
     executor = _make_executor()

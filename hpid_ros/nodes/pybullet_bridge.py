@@ -21,7 +21,6 @@ from hpid_ros.nodes.diagnostics import ERROR, OK, WARN, Diagnostics
 from hpid_ros.nodes.held_commands import HeldCommands
 from hpid_ros.nodes.qos import ALL_COMMANDS, OFFERED, overridable
 from hpid_ros.nodes.scheduling import schedule
-from hpid_ros.nodes.security import warn_if_unprotected
 from hpid_ros.nodes.status_pipe import StatusPipe
 from hpid_ros.nodes.world_parameters import world_settings
 from hpid_ros.simulation.lockstep import Barrier
@@ -90,7 +89,6 @@ class PybulletBridge(executor.ClosingNode):
         self._readiness = self.create_timer(_READINESS_PERIOD, self._start_when_ready)
         self.create_timer(1.0, self._report)
         self._scheduling = schedule(self)
-        warn_if_unprotected(self)
 
     def _start_when_ready(self) -> None:
         listeners = self._states.get_subscription_count()
