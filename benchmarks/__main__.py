@@ -93,11 +93,12 @@ def all_groups(quick: bool) -> list[Group]:
         ImportError: A library that the benchmarks need is not installed.
     """
     try:
-        from benchmarks import engine, laws, loops, reading, recording, waiting
+        from benchmarks import compensation, engine, laws, loops, reading, recording, waiting
     except ImportError as error:
         raise ImportError(f"{error}; make bench installs what the benchmarks need") from error
     return [
         laws.group(quick),
+        compensation.group(quick),
         engine.group(quick),
         recording.group(quick),
         reading.group(quick),

@@ -20,7 +20,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from unittest import mock
 
-from benchmarks.paper import paper
+from benchmarks.tracking import tracking
 from hpid_ros.errors import RunError
 from hpid_ros.experiment import graph_run, node_process
 from hpid_ros.experiment.graph_nodes import GraphNodes
@@ -95,7 +95,7 @@ def rate(variant: str, seconds: float) -> float:
     Raises:
         RunError: The run failed.
     """
-    experiment = replace(paper(physics_steps=1), duration=seconds)
+    experiment = replace(tracking(physics_steps=1), duration=seconds)
     with TemporaryDirectory(prefix="hpid_bench_") as folder, VARIANTS[variant]() as options:
         report = graph_run.run_on_graph(experiment, "hPID", None, Path(folder), Silence(), options)
     return report.rate

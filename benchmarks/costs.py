@@ -12,7 +12,7 @@ from collections.abc import Callable
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
 
-from benchmarks.paper import paper
+from benchmarks.tracking import tracking
 from hpid_ros.messages import JointReader, JointStateTemplate
 
 _CALLS, _REPEATS = 20_000, 7
@@ -25,7 +25,7 @@ def cost(call: Callable[[], object]) -> float:
 
 def main() -> int:
     """Measure and print."""
-    joints = paper().world.joints
+    joints = tracking().world.joints
     values = [0.1] * len(joints)
     state = JointStateTemplate(joints, position=True, effort=True).encode(
         1_000_000, position=values, effort=values

@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 from benchmarks.figures import Bound, Figure, Group, Measure, Source
 from benchmarks.measuring import time_per_item
-from benchmarks.paper import paper
+from benchmarks.tracking import tracking
 from hpid_ros.control import JointLoop
 from hpid_ros.experiment.description import Experiment
 from hpid_ros.robot.description import RobotDescription
@@ -41,7 +41,7 @@ def group(quick: bool) -> Group:
     contenders: dict[str, Measure] = {}
     figures: list[Figure] = []
     for steps in (None, 1):
-        study = _Study(paper(steps), periods)
+        study = _Study(tracking(steps), periods)
         of = f"{study.world.physics_steps} physics steps"
         end = "" if steps is None else f".steps{steps}"
         contenders |= {

@@ -12,7 +12,7 @@ import yaml
 from numpy.typing import NDArray
 
 from benchmarks.disturbed_graph import SETTLE, DisturbedGraph, Fault
-from benchmarks.paper import paper
+from benchmarks.tracking import tracking
 from hpid_ros.analysis import RunSeries
 from hpid_ros.bags import read_run
 from hpid_ros.errors import RunError, SettingError
@@ -70,14 +70,14 @@ class Episode:
 
 
 def sines(folder: Path, motion: float, duration: float | None = None) -> Experiment:
-    """Return the paper's robot and controllers, following slow sines about where they start.
+    """Return the robot and controllers of tracking.yaml, following slow sines about where they start.
 
     Args:
         folder: Existing folder for the experiment's file.
         motion: Length of the sines in [s].
         duration: Stamp of the last state in [s]; that of the motion's end if not given.
     """
-    base = paper()
+    base = tracking()
     document = load_yaml(str(base.path), SettingError)
     starts = document["robot"]["initial_positions"]
     document["duration"] = motion if duration is None else duration

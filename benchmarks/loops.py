@@ -9,7 +9,7 @@ from benchmarks.figures import Bound, Figure, Group, Measure, Source
 from benchmarks.floor_graph import run_floor
 from benchmarks.naive_graph import run_naive
 from benchmarks.ours_graph import run_checked, run_ours, timing_of
-from benchmarks.paper import paper
+from benchmarks.tracking import tracking
 from hpid_ros.experiment.description import Experiment
 from hpid_ros.experiment.graph_options import GraphOptions
 from hpid_ros.experiment.progress import Silence
@@ -40,9 +40,9 @@ def _in_processes(quick: bool) -> Group:
     seconds = (_SECONDS_QUICK if quick else _SECONDS)["each"]
     contenders: dict[str, Measure] = {
         "floor": _floor("each", quick, is_timing=True),
-        "ours": _ours(paper(1, seconds), GraphOptions(is_recorded=False)),
-        "ours, 4 physics steps": _ours(paper(4, seconds), GraphOptions(is_recorded=False)),
-        "ours, recorded": _ours(paper(1, seconds), GraphOptions(is_recorded=True)),
+        "ours": _ours(tracking(1, seconds), GraphOptions(is_recorded=False)),
+        "ours, 4 physics steps": _ours(tracking(4, seconds), GraphOptions(is_recorded=False)),
+        "ours, recorded": _ours(tracking(1, seconds), GraphOptions(is_recorded=True)),
         "floor and physics": _floor("each", quick, has_physics=True),
         "naive": lambda: run_naive(0.5 * seconds),
     }
@@ -77,7 +77,7 @@ def _composed(quick: bool, processes: str, name: str, bounds: tuple[Bound, ...])
     contenders: dict[str, Measure] = {
         floor.contender: _floor(processes, quick),
         loaded.contender: _floor(processes, quick, has_physics=True),
-        ours.contender: _ours(paper(1, seconds), options),
+        ours.contender: _ours(tracking(1, seconds), options),
     }
     with_physics = f"{against}, that steps the robot too"
     return Group(
@@ -96,7 +96,7 @@ def _jitter(seconds: float) -> Group:
     def measure() -> Mapping[str, float]:
         stolen = _stolen_time()
         options = GraphOptions(is_recorded=False, is_realtime=True)
-        timing = timing_of(run_checked(paper(1, seconds), LABEL, options, Silence()))
+        timing = timing_of(run_checked(tracking(1, seconds), LABEL, options, Silence()))
         worst = max(timing.joints.values(), key=lambda joint: joint.period.p99)
         return {
             "p99": worst.period.p99,
@@ -123,7 +123,7 @@ def _floor(
     processes: str, quick: bool, is_timing: bool = False, has_physics: bool = False
 ) -> Measure:
     cycles = _CYCLES_QUICK if quick else _CYCLES[processes]
-    return lambda: run_floor(paper().world.joints, processes, cycles, is_timing, has_physics)
+    return lambda: run_floor(tracking().world.joints, processes, cycles, is_timing, has_physics)
 
 
 def _ours(experiment: Experiment, options: GraphOptions) -> Measure:

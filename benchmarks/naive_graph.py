@@ -6,8 +6,8 @@ import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 
-from benchmarks.paper import paper
 from benchmarks.processes import Scripts
+from benchmarks.tracking import tracking
 from hpid_ros.errors import RunError
 from hpid_ros.experiment.isolation import closed_environment, own_domain
 
@@ -29,7 +29,7 @@ def run_naive(seconds: float) -> Mapping[str, float]:
     Raises:
         RunError: A process failed, a state was lost, or the joints are not where they should be.
     """
-    experiment = paper()
+    experiment = tracking()
     with (
         tempfile.TemporaryDirectory(prefix="hpid_bench_") as folder,
         own_domain() as domain,

@@ -17,7 +17,7 @@ _WIDTH = 0.02  # [m]
 _GAP = 0.1  # [m] between neighbours
 _EFFORT = 20.0  # [N m]
 _INERTIA = _MASS * _LENGTH**2 / 3.0  # [kg m^2] about the joint
-_POLE = 10.0  # [rad/s]; three of them, as in the paper's experiment
+_POLE = 10.0  # [rad/s]; three of them, as in tracking.yaml
 
 
 def pendulum_experiment(folder: Path, joints: int, duration: float) -> Experiment:

@@ -11,7 +11,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 
 from benchmarks.figures import Figure, Group, Source
 from benchmarks.measuring import time_per_item
-from benchmarks.paper import paper
+from benchmarks.tracking import tracking
 from hpid_ros.bags.message_types import JOINT_STATE, jazzy_types
 from hpid_ros.bags.writer import BagWriter
 from hpid_ros.messages import JointStateTemplate
@@ -48,7 +48,7 @@ def group(quick: bool) -> Group:
 
 
 def _joint_states(count: int) -> list[bytes]:
-    joints = paper().world.joints
+    joints = tracking().world.joints
     template = JointStateTemplate(joints, position=True, effort=True)
     return [
         template.encode(k * _BETWEEN_NS, position=[1e-6 * k] * len(joints), effort=[0.1] * 8)

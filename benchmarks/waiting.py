@@ -8,8 +8,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from benchmarks.figures import Bound, Figure, Group, Source, middle
-from benchmarks.paper import paper
 from benchmarks.processes import Scripts
+from benchmarks.tracking import tracking
 from hpid_ros.errors import RunError
 from hpid_ros.experiment.isolation import closed_environment, own_domain
 from hpid_ros.experiment.node_process import NodeGroup, NodeProcess
@@ -52,7 +52,7 @@ def group(quick: bool) -> Group:
 
 def _controllers(windows: int) -> Mapping[str, float]:
     """Measure controllers that listen to states which nobody publishes."""
-    settings = paper().controllers[LABEL]
+    settings = tracking().controllers[LABEL]
     with (
         tempfile.TemporaryDirectory(prefix="hpid_bench_") as name,
         own_domain() as domain,
@@ -90,9 +90,9 @@ def _empty_nodes(windows: int) -> Mapping[str, float]:
         own_domain() as domain,
         Scripts(closed_environment(domain), Path(name)) as scripts,
     ):
-        for joint in paper().world.joints:
+        for joint in tracking().world.joints:
             scripts.start(joint, "floor", ["--idle", joint])
-        for joint in paper().world.joints:
+        for joint in tracking().world.joints:
             scripts.result(joint, _WITHIN)
         pids = [process.pid for process in scripts.processes.values()]
         return {"cpu": _busiest(pids, windows)}

@@ -22,7 +22,11 @@ _LIFECYCLE = (
     *("change_state", "get_state", "get_available_states", "get_available_transitions"),
     "get_transition_graph",
 )
-_RECORDED = ("joint_trajectory", "joint_commands", "joint_states")
+_POSES = (
+    *("odom", "base_pose_ground_truth", "wheel_slip", "ee_pose"),
+    *("brick_poses", "grip_events"),
+)
+_RECORDED = ("joint_trajectory", "joint_commands", "joint_states", *_POSES)
 
 
 def policy(joints: Iterable[str]) -> ElementTree.Element:
@@ -48,9 +52,9 @@ def policy(joints: Iterable[str]) -> ElementTree.Element:
     profile = _profile(enclaves, "robot", "pybullet_bridge")
     _allow(
         profile,
-        publish=("joint_states", "clock", "odom", "ee_pose", "/diagnostics"),
+        publish=("joint_states", "clock", *_POSES, "/diagnostics"),
         subscribe=("joint_commands", "~/wrench"),
-        reply=("~/pause", "~/step", "~/reset"),
+        reply=("~/pause", "~/step", "~/reset", "~/grip"),
     )
     profile = _profile(enclaves, "reference", "trajectory_publisher")
     _allow(profile, publish=("joint_trajectory",), subscribe=("joint_states",))
@@ -60,7 +64,7 @@ def policy(joints: Iterable[str]) -> ElementTree.Element:
         publish=(*(f"/{name}/setpoint" for name in controllers), "/pybullet_bridge/wrench"),
         subscribe=("/diagnostics", *_RECORDED),
         request=[f"/{name}/{each}" for name in controllers for each in (*_PARAMETERS, *_LIFECYCLE)]
-        + [f"/pybullet_bridge/{each}" for each in ("pause", "step", "reset")],
+        + [f"/pybullet_bridge/{each}" for each in ("pause", "step", "reset", "grip")],
     )
     ElementTree.indent(root)
     return root

@@ -13,10 +13,14 @@ from hpid_ros.commands import (
     INTERRUPTED,
     check_gains,
     compare,
+    gains,
     metrics,
     repair,
+    robot,
     run,
+    study,
     sweep,
+    tune,
     upgrade,
 )
 from hpid_ros.errors import HpidError, RunError
@@ -51,7 +55,10 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"hpid_ros {__version__}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    for each in (compare, run, sweep, metrics, repair, check_gains, upgrade):
+    for each in (
+        *(compare, run, sweep, study, metrics, repair),
+        *(gains, check_gains, tune, upgrade, robot),
+    ):
         each.add(commands)
     return parser
 

@@ -8,12 +8,14 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from hpid_ros.errors import HpidError
+from hpid_ros.robot.packages import package_folder
 
 _PACKAGE = "hpid_ros"
+_SCHEME = "package://"
 
 
 class ResourceError(HpidError, FileNotFoundError):
@@ -39,27 +41,46 @@ def _candidates() -> Iterator[Path]:
             yield Path(prefix) / "share" / _PACKAGE
 
 
-def find_resource(name: str, beside: Path | None = None) -> Path:
+def find_resource(name: str, beside: Sequence[Path] = ()) -> Path:
     """Return the file of this name.
 
     Args:
-        name: An absolute path, a path relative to ``beside`` or to the working directory, or a
-            path in the share folder; ``package://hpid_ros/...`` is the last of these.
-        beside: A folder to look in first.
+        name: An absolute path; a path in one of ``beside`` or in the working directory; a path
+            in the share folder; or ``PACKAGE/path`` in an ament or Python package, for instance
+            ``pybullet_data/kuka_iiwa/model.urdf``. ``package://PACKAGE/path`` is the last of
+            these and nothing else.
+        beside: Folders to look in first, in this order.
 
     Raises:
         ResourceError: There is no such file.
     """
-    relative = name.removeprefix(f"package://{_PACKAGE}/")
-    places = [] if relative != name else [*([beside / name] if beside else []), Path(name)]
+    places = list(_places(name, beside))
     for path in places:
         if path.is_file():
             return path.resolve()
-    path = share_folder() / relative
-    if path.is_file():
-        return path
-    raise ResourceError(f"there is no file {name} (looked in {_list([*places, path])})")
+    raise ResourceError(f"there is no file {name} ({_list(places, name)})")
 
 
-def _list(paths: list[Path]) -> str:
-    return ", ".join(dict.fromkeys(str(path.absolute().parent) for path in paths))
+def _places(name: str, beside: Sequence[Path]) -> Iterator[Path]:
+    """Yield the files that a name may mean, the likeliest first."""
+    relative = name.removeprefix(_SCHEME)
+    package, _, below = relative.partition("/")
+    if relative == name:
+        yield from (folder / name for folder in beside)
+        yield Path(name)
+        yield share_folder() / name
+    elif package == _PACKAGE:
+        yield share_folder() / below
+        return
+    folder = package_folder(package) if below else None
+    if folder is not None:
+        yield folder / below
+
+
+def _list(places: list[Path], name: str) -> str:
+    """Say where a name was looked for."""
+    looked = ", ".join(dict.fromkeys(str(path.absolute().parent) for path in places))
+    if not looked:
+        package = name.removeprefix(_SCHEME).partition("/")[0]
+        return f"there is no ament or Python package {package}"
+    return f"looked in {looked}"

@@ -94,6 +94,17 @@ def print_reports(
     print_result_places(console, {"result": folder, "report": folder / "report.html"})
 
 
+def print_notes(console: Console, notes: Sequence[str]) -> None:
+    """Print what a reader must know of the runs, below their table.
+
+    Args:
+        console: The terminal.
+        notes: The lines.
+    """
+    for note in notes:
+        console.print(note, style="yellow", highlight=False, soft_wrap=True)
+
+
 def print_timing(console: Console, report: RunReport, duration: float) -> None:
     """Print how one run went, and where the time of its nodes went.
 

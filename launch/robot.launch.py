@@ -13,6 +13,7 @@ from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
 from launch_ros.actions import Node
 from launch_ros.substitutions import FindPackageShare
 
+from hpid_ros.experiment.base_recording import recorded_topics
 from hpid_ros.experiment.description import load_experiment
 from hpid_ros.experiment.parameter_files import (
     bridge_document,
@@ -60,7 +61,8 @@ def nodes(context):
         )
     folder = Path(tempfile.mkdtemp(prefix="hpid_ros_"))
     controllers, bridge = str(folder / "controllers.yaml"), str(folder / "bridge.yaml")
-    write_parameters(Path(controllers), controllers_document(experiment.controllers[label]))
+    robot = str(experiment.world.robot_description)
+    write_parameters(Path(controllers), controllers_document(experiment.controllers[label], robot))
     write_parameters(Path(bridge), bridge_document(experiment))
     started = [
         Node(
@@ -114,7 +116,7 @@ def nodes(context):
                 package="hpid_ros",
                 executable="bag_recorder",
                 on_exit=Shutdown(),
-                parameters=[{"bag": value["bag"]}],
+                parameters=[{"bag": value["bag"], "topics": recorded_topics(experiment.world)}],
             )
         )
     return started

@@ -15,15 +15,15 @@ settings.register_profile("suite", deadline=None)  # a busy machine is not a fai
 settings.load_profile("suite")
 
 FAULTS = pytest.StashKey()
-PAPER = share_folder() / "config" / "experiments" / "paper.yaml"
+TRACKING = share_folder() / "config" / "experiments" / "tracking.yaml"
 
 
 @pytest.fixture
 def experiment_file(tmp_path):
-    """Return a function that writes the paper's experiment, shortened and changed."""
+    """Return a function that writes tracking.yaml, shortened and changed."""
 
     def write(file="short.yaml", duration=0.3, **changes):
-        document = yaml.safe_load(PAPER.read_text())
+        document = yaml.safe_load(TRACKING.read_text())
         document |= {"name": "short", "duration": duration, "simulation": {"physics_steps": 1}}
         # Patient: on a busy machine a late answer is asked for again, and counted in the result.
         document["control"] = {"rate": 1000, "answer_timeout": 120.0}

@@ -18,15 +18,16 @@ ALLOWED = {
     "analysis": set(),
     "bags": {"analysis", "messages", "trajectory"},
     "simulation": {"control", "robot"},
+    "planning": {"robot", "trajectory"},
     "nodes": {
         *("analysis", "bags", "control", "messages", "robot", "simulation", "trajectory"),
-        "tuning",
+        *("planning", "tuning"),
     },
     "tuning": {"analysis", "bags", "control", "robot", "simulation", "trajectory"},
     "commands": {"analysis", "bags", "control", "experiment", "robot", "tuning"},
     "experiment": {
         *("analysis", "bags", "control", "messages", "robot", "simulation", "trajectory"),
-        "tuning",
+        *("planning", "tuning"),
     },
 }
 EVERYWHERE = {"durations", "errors", "names", "sections"}  # pure, and below every room

@@ -148,6 +148,15 @@ def test_parameters_are_described_with_their_ranges(harness):
             assert (bounds.from_value, bounds.to_value) == (spec.minimum, spec.maximum)
 
 
+MODELLED = {
+    "joint": "arm_joint_3",
+    "compensation": "decoupling",
+    "gains.p": 300.0,
+    "gains.d": 30.0,
+    "robot_description": "urdf/mobile_manipulator.urdf",
+}
+
+
 @pytest.mark.parametrize(
     ("executable", "parameters", "line"),
     [
@@ -157,7 +166,15 @@ def test_parameters_are_described_with_their_ranges(harness):
         ("joint_controller", {"joint": "a", "gains.p": ".nan"}, "gains.p"),
         ("joint_controller", {"joint": "a", "gains.p": 100}, "1.0, not 1"),
         ("joint_controller", {"joint": "a", "command_interface": "can"}, "command_interface"),
-        ("joint_controller", {"joint": "a", "compensation": "gravity"}, "must be none"),
+        ("joint_controller", {"joint": "a", "compensation": "magic"}, "none, gravity, decoupling"),
+        ("joint_controller", {"joint": "a", "compensation": "gravity"}, "description is empty"),
+        ("joint_controller", {**MODELLED, "model.locked_joints": "arm_joint_3"}, "lacks it"),
+        ("joint_controller", {**MODELLED, "model.left_wheel": "wheel_left_joint"}, "right_wheel"),
+        (
+            "joint_controller",
+            {**MODELLED, "model.payload": 1.0, "model.payload_link": "hook"},
+            "hook",
+        ),
         (
             "joint_controller",
             {"joint": "arm_joint_9", "robot_description": "urdf/mobile_manipulator.urdf"},

@@ -8,7 +8,7 @@ from hpid_ros.experiment.description import load_experiment
 from hpid_ros.experiment.parameter_files import bridge_document, controllers_document
 
 
-def test_the_paper_is_eight_joints_nine_seconds_and_two_controllers(experiment_file):
+def test_the_motions_are_of_eight_joints_nine_seconds_and_two_controllers(experiment_file):
     experiment = load_experiment(experiment_file(duration=9.0))
     assert len(experiment.world.joints) == 8
     assert experiment.periods == 9000

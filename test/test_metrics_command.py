@@ -20,7 +20,7 @@ def result(tmp_path_factory):
 
     folder = tmp_path_factory.mktemp("metrics")
     document = yaml.safe_load(
-        (share_folder() / "config" / "experiments" / "paper.yaml").read_text()
+        (share_folder() / "config" / "experiments" / "tracking.yaml").read_text()
     )
     document |= {"name": "short", "duration": 0.3, "simulation": {"physics_steps": 1}}
     file = folder / "short.yaml"

@@ -115,7 +115,7 @@ def result(tmp_path_factory):
     from hpid_ros.resources import share_folder
 
     folder = tmp_path_factory.mktemp("upgrade")
-    document = yaml.safe_load((share_folder() / "config/experiments/paper.yaml").read_text())
+    document = yaml.safe_load((share_folder() / "config/experiments/tracking.yaml").read_text())
     document |= {"duration": 1.0, "simulation": {"physics_steps": 1}}
     (folder / "short.yaml").write_text(yaml.safe_dump(document, sort_keys=False))
     compare(load_experiment(folder / "short.yaml"), folder / "result", Silence())

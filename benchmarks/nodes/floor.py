@@ -153,12 +153,12 @@ class Asker(executor.ClosingNode):
 
 
 def physics() -> Callable[[], None]:
-    """Return one period of the paper's experiment after the other: step the robot and read it."""
+    """Return one period of tracking.yaml after the other: step the robot and read it."""
     from benchmarks.engine import recorded_efforts
-    from benchmarks.paper import paper
+    from benchmarks.tracking import tracking
     from hpid_ros.simulation.world import World
 
-    experiment = paper(physics_steps=1)
+    experiment = tracking(physics_steps=1)
     efforts, _ = recorded_efforts(experiment, experiment.periods)
     world, recorded = World(experiment.world), iter(efforts)
 

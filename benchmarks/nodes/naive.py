@@ -23,7 +23,7 @@ from rclpy.time import Time
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 
-from benchmarks.paper import paper
+from benchmarks.tracking import tracking
 from hpid_ros.simulation.world import World
 from hpid_ros.trajectory import SplineReference
 
@@ -44,7 +44,7 @@ class NaivePid:
     """
 
     def __init__(self, node: Node, joint: str) -> None:
-        experiment = paper()
+        experiment = tracking()
         (settings,) = (s for s in experiment.controllers[LABEL] if s.joint == joint)
         self.node, self.joint = node, joint
         self.gains = settings.gains
@@ -168,7 +168,7 @@ def main() -> int:
             executor.spin()
             del pid
         else:
-            with World(paper(physics_steps=1).world) as world:
+            with World(tracking(physics_steps=1).world) as world:
                 _simulate(node, executor, world, options.seconds)
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
@@ -183,7 +183,7 @@ def _simulate(node: Node, executor: SingleThreadedExecutor, world: World, second
     try:
         executor.spin()
     except SystemExit:
-        wanted = paper().trajectory
+        wanted = tracking().trajectory
         errors = [
             abs(wanted.column(joint).start(0, position, 0.0).sample(world.time_ns)[0] - position)
             for joint, position in zip(robot.joints, world.true_positions(), strict=True)

@@ -18,11 +18,13 @@ from hpid_ros.analysis.comparison import Comparison
 from hpid_ros.analysis.gain_plots import multiplier_figure, norm_figure
 from hpid_ros.analysis.indices import EFFORT_L2, ERROR_L2, Quantity, run_indices
 from hpid_ros.analysis.panels import SignalOf, joint_panels, single_panel
+from hpid_ros.analysis.path_plots import path_figure
 from hpid_ros.analysis.plot_style import DOTS_PER_INCH, figure_style
 from hpid_ros.analysis.portraits import phase_panels, spectrum_panels
 from hpid_ros.analysis.results import RunIndices
 from hpid_ros.analysis.series import JointSeries, RunSeries, SeriesError
 from hpid_ros.analysis.signals import Gains, Signal, norm_over_joints
+from hpid_ros.analysis.task_figures import EndEffectorPath
 from hpid_ros.analysis.trade_off import trade_off_figure
 from hpid_ros.errors import unknown_name
 
@@ -131,6 +133,7 @@ def save_figures(
     comparison: Comparison | None = None,
     repeats: Sequence[RunIndices] = (),
     gains: Gains | None = None,
+    paths: Sequence[EndEffectorPath] = (),
 ) -> list[Path]:
     """Draw all figures into a folder, which must exist; files of the same name are replaced.
 
@@ -141,6 +144,7 @@ def save_figures(
         comparison: The numbers, for the figure of error against effort.
         repeats: The single runs of the comparison's medians.
         gains: What the runs' laws did to their gains; runs that are not in it are left out.
+        paths: The paths of the end effector.
 
     Returns:
         The files written, by figure, then format.
@@ -154,14 +158,22 @@ def save_figures(
             raise SeriesError(unknown_name("figure format", form, FORMATS))
     if not runs and comparison is None:
         raise SeriesError("figures need at least one run, got none")
-    paths: list[Path] = []
-    for name, draw in _drawings(runs, comparison, repeats, gains or {}).items():
+    written: list[Path] = []
+    drawings = _drawings(runs, comparison, repeats, gains or {})
+    if paths:
+        drawings["end_effector"] = partial(_path_figure, paths)
+    for name, draw in drawings.items():
         figure = draw()
         for form in wanted:
             path = Path(folder) / f"{name}.{form}"
             path.write_bytes(render(figure, form))
-            paths.append(path)
-    return paths
+            written.append(path)
+    return written
+
+
+@figure_style()
+def _path_figure(paths: Sequence[EndEffectorPath]) -> Figure:
+    return path_figure(paths)
 
 
 def _drawings(

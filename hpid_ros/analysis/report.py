@@ -11,6 +11,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from html import escape
 
 from hpid_ros.analysis.comparison import Comparison, answer
+from hpid_ros.analysis.path_plots import path_data
 from hpid_ros.analysis.report_data import figures_data
 from hpid_ros.analysis.report_facts import (
     Parameters,
@@ -27,6 +28,7 @@ from hpid_ros.analysis.report_tables import further_tables, index_table, legend,
 from hpid_ros.analysis.results import RunIndices
 from hpid_ros.analysis.series import RunSeries, SeriesError
 from hpid_ros.analysis.signals import Gains
+from hpid_ros.analysis.task_figures import EndEffectorPath
 
 _UNKNOWN = "<p>The parameters of the controllers are not known.</p>"
 _NO_RECORDING = "<p>The numbers were saved without their recordings.</p>"
@@ -41,6 +43,7 @@ def render_report(
     warnings: Sequence[str] = (),
     repeats: Sequence[RunIndices] = (),
     gains: Gains | None = None,
+    paths: Sequence[EndEffectorPath] = (),
 ) -> str:
     """Return the report as the text of an HTML file.
 
@@ -52,6 +55,7 @@ def render_report(
         warnings: What keeps the runs from being compared fairly, one line each.
         repeats: The single runs that the comparison's medians are of.
         gains: What the runs' laws did to their gains, of those for which it is known.
+        paths: The paths of the end effector.
 
     Raises:
         SeriesError: If the runs are not those of the comparison.
@@ -65,6 +69,8 @@ def render_report(
     others = " and ".join(labels[1:])
     title = f"{others} against {labels[0]}" if others else labels[0]
     figures = figures_data(runs, comparison, repeats, gains or {})
+    if paths:
+        figures.append(path_data(paths, labels))
     body = [
         f"<header><h1>{escape(title)}</h1></header>",
         f'<p class="answer">{escape(answer(comparison))}</p>',

@@ -16,6 +16,7 @@ from hpid_ros.errors import RunError, SettingError
 
 if TYPE_CHECKING:
     from hpid_ros.control import LoopSettings
+    from hpid_ros.tuning.settling import Settling
 
 _GIVEN = {
     "p": "gains.p",
@@ -79,7 +80,29 @@ def run(options: argparse.Namespace) -> int:
         print(json.dumps({name: each.as_mapping() for name, each in by_name.items()}, indent=2))
     else:
         Console().print(GainTable(by_name))
-    return DONE if all(each.is_certified for each in verdicts) else FAILED
+    settling = _settling(options, loops)
+    if not options.json:
+        for finding in settling:
+            print(finding.text)
+    is_settling = all(each.is_settling for each in settling)
+    return DONE if is_settling and all(each.is_certified for each in verdicts) else FAILED
+
+
+def _settling(options: argparse.Namespace, loops: Mapping[str, LoopSettings]) -> list[Settling]:
+    """Find whether decoupled joints that use each other's last efforts settle."""
+    decoupled = [each for each in loops.values() if each.model.is_decoupling]
+    if not decoupled:
+        return []
+    from hpid_ros.commands.robot_options import load_robot
+    from hpid_ros.tuning.settling import settling_of
+
+    is_experiment = options.file and any(" " in name for name in loops)  # LABEL JOINT
+    source = options.urdf or (str(options.file) if is_experiment else "")
+    if not source and not all(each.model.description for each in decoupled):
+        if not options.json:
+            print("whether decoupled joints settle is not known without the robot: give --urdf")
+        return []
+    return settling_of(decoupled, load_robot(source).source if source else "")
 
 
 def _verify(saved: Mapping[str, Mapping[str, Any]], as_json: bool) -> int:
@@ -123,9 +146,9 @@ def _loops(options: argparse.Namespace) -> dict[str, LoopSettings]:
 def _from_file(path: Path) -> dict[str, LoopSettings]:
     from hpid_ros.experiment.description import load_experiment
     from hpid_ros.tuning.controller_files import settings_from_parameters
-    from hpid_ros.yaml_files import load_yaml
+    from hpid_ros.yaml_files import load_document
 
-    document = load_yaml(path, SettingError)
+    document = load_document(path, SettingError).values
     if isinstance(document, Mapping) and "compare" in document:
         experiment = load_experiment(path)
         return {

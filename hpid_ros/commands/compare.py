@@ -42,7 +42,7 @@ def run(options: argparse.Namespace) -> int:
     from hpid_ros.analysis.table import ComparisonTable
     from hpid_ros.experiment.compare import compare
     from hpid_ros.experiment.description import load_experiment
-    from hpid_ros.terminal import RunProgress, print_reports
+    from hpid_ros.terminal import RunProgress, print_notes, print_reports
 
     experiment = load_experiment(options.experiment or find_resource(DEFAULT_EXPERIMENT))
     output = (
@@ -56,5 +56,6 @@ def run(options: argparse.Namespace) -> int:
             experiment, output, progress, in_process=options.in_process, force=options.force
         )
     console.print(ComparisonTable(compared.result.comparison))
+    print_notes(console, compared.result.notes)
     print_reports(console, compared.reports, experiment.duration, compared.folder.path)
     return DONE

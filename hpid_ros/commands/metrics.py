@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from hpid_ros.commands import DONE
 from hpid_ros.commands.metrics_options import EXAMPLES, add_options
+from hpid_ros.commands.metrics_robot import end_effector_lines, with_end_effectors
 
 if TYPE_CHECKING:
     from hpid_ros.analysis import Comparison, RunIndices
@@ -57,7 +58,7 @@ def run(options: argparse.Namespace) -> int:
             )
         tell("writing", 1.0)
         written = write_outputs(options, outcome)
-    _print(options, outcome.comparison)
+    _print(options, outcome)
     for path in written:
         print(f"written: {path}", file=sys.stderr)
     return DONE
@@ -94,7 +95,22 @@ def _outcome(options: argparse.Namespace, measured: Sequence[Measured]) -> Outco
         parameters=parameters,
         warnings=warnings,
         sources=tuple(each.path for each in measured),
+        end_effectors={
+            label: figures
+            for label in labels
+            if (figures := _first(measured, label, "end_effector")) is not None
+        },
+        paths=tuple(
+            path
+            for label in labels
+            if (path := _first(measured, label, "end_effector_path")) is not None
+        ),
     )
+
+
+def _first(measured: Sequence[Measured], label: str, what: str) -> Any:
+    """Return something of the first recording of a label; None without any."""
+    return next((getattr(each, what) for each in measured if each.runs[0].label == label), None)
 
 
 def _baseline_first(options: argparse.Namespace, runs: Sequence[RunIndices]) -> list[RunIndices]:
@@ -123,12 +139,12 @@ def _selected(options: argparse.Namespace, runs: Sequence[RunIndices]) -> Compar
     return Comparison(tuple(runs), indices=chosen, norms=())
 
 
-def _print(options: argparse.Namespace, comparison: Comparison) -> None:
+def _print(options: argparse.Namespace, outcome: Outcome) -> None:
     from hpid_ros.analysis.formats import FORMATS
     from hpid_ros.errors import SettingError
 
     try:
-        _print_to_output(options, comparison, FORMATS)
+        _print_to_output(options, outcome, FORMATS)
     except BrokenPipeError:  # whoever reads has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     except OSError as error:
@@ -138,7 +154,7 @@ def _print(options: argparse.Namespace, comparison: Comparison) -> None:
 
 def _print_to_output(
     options: argparse.Namespace,
-    comparison: Comparison,
+    outcome: Outcome,
     formats: Mapping[str, Callable[[Comparison], str]],
 ) -> None:
     if options.format == "table" and sys.stdout.isatty():
@@ -146,9 +162,12 @@ def _print_to_output(
 
         from hpid_ros.analysis.table import ComparisonTable
 
-        Console().print(ComparisonTable(comparison))
+        Console().print(ComparisonTable(outcome.comparison))
+        print(*end_effector_lines(outcome.end_effectors), sep="", end="", flush=True)
     else:
-        print(formats[options.format](comparison), end="", flush=True)
+        text = formats[options.format](outcome.comparison)
+        text = with_end_effectors(text, options.format, outcome.end_effectors)
+        print(text, end="", flush=True)
 
 
 @contextmanager

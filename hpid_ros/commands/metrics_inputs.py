@@ -14,8 +14,10 @@ from typing import Any
 from hpid_ros.analysis import RunIndices, RunSeries, run_indices
 from hpid_ros.analysis.quality_text import quality_lines
 from hpid_ros.analysis.saved import runs_from_mapping
+from hpid_ros.analysis.task_figures import EndEffectorFigures, EndEffectorPath
 from hpid_ros.bags import BagReader, read_run
 from hpid_ros.commands.metrics_options import bag_selection, index_settings
+from hpid_ros.commands.metrics_robot import end_effector_of, task_frame
 from hpid_ros.commands.retunes import read_retunes
 from hpid_ros.errors import BagError, SettingError
 
@@ -52,6 +54,8 @@ class Measured:
         path: Where they come from.
         parameters: What the controller was set to, by joint and parameter, as far as is known.
         defects: What the numbers must be read with, one line each.
+        end_effector: Its deviations, where a robot was named.
+        end_effector_path: Its path, likewise.
     """
 
     runs: tuple[RunIndices, ...]
@@ -59,6 +63,8 @@ class Measured:
     path: Path
     parameters: Mapping[str, Mapping[str, object]]
     defects: tuple[str, ...] = ()
+    end_effector: EndEffectorFigures | None = None
+    end_effector_path: EndEffectorPath | None = None
 
 
 def inputs_of(options: argparse.Namespace) -> list[Input]:
@@ -105,6 +111,7 @@ def measure(
         HpidError: Something cannot be read.
     """
     selection = bag_selection(options)
+    frame = task_frame(options)
     for number, each in enumerate(inputs):
 
         def told(share: float, what: str = str(each.path), number: int = number) -> None:
@@ -123,12 +130,14 @@ def measure(
             series = replace(series, retunes=read_retunes(each.path))
         numbers = run_indices(series, index_settings(options, series.joint_names))
         parameters = _saved_parameters(each.path)
+        hand = (None, None) if frame is None else end_effector_of(frame, series)
         yield Measured(
             (numbers,),
             series if keeps_series else None,
             each.path,
             parameters,
             tuple(quality_lines(series)),
+            *hand,
         )
 
 

@@ -7,6 +7,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from hpid_ros.commands.metrics_robot import add_robot_options
+
 if TYPE_CHECKING:
     from hpid_ros.analysis.indices import IndexSettings
     from hpid_ros.bags.selection import BagSelection
@@ -18,6 +20,7 @@ examples:
   hpid metrics --group PID pid_* --group hPID hpid_*   repeats: medians and quartiles
   hpid metrics my_bag --indices step,rmse --units deg  other indices, angles in degrees
   hpid metrics a_bag b_bag --save ab.json --report ab.html
+  hpid metrics my_bag --robot my_robot.urdf            and how far its hand was off
   hpid metrics ab.json results/mine/result.json        saved numbers instead of bags
 """
 
@@ -27,6 +30,7 @@ def add_options(parser: Any) -> None:
     _add_inputs(parser)
     _add_selection(parser.add_argument_group("what is read from the bags"))
     _add_numbers(parser.add_argument_group("numbers"))
+    add_robot_options(parser.add_argument_group("end effector"))
     _add_outputs(parser.add_argument_group("output"))
 
 

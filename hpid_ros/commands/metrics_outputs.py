@@ -7,12 +7,13 @@ import json
 import shlex
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hpid_ros import __version__
 from hpid_ros.analysis import Comparison, RunIndices, RunSeries
+from hpid_ros.analysis.task_figures import EndEffectorFigures, EndEffectorPath
 from hpid_ros.errors import ResultExistsError, SettingError, unknown_name
 
 if TYPE_CHECKING:
@@ -33,6 +34,8 @@ class Outcome:
         parameters: What the controllers were set to, by label, joint and parameter.
         warnings: What keeps the runs from being compared fairly.
         sources: Where the numbers come from.
+        end_effectors: Deviations of the end effector, by label of the first recording of each.
+        paths: Its paths.
     """
 
     comparison: Comparison
@@ -41,6 +44,8 @@ class Outcome:
     parameters: Parameters
     warnings: tuple[str, ...]
     sources: tuple[Path, ...]
+    end_effectors: Mapping[str, EndEffectorFigures] = field(default_factory=dict)
+    paths: tuple[EndEffectorPath, ...] = ()
 
 
 def refuse_existing(options: argparse.Namespace) -> None:
@@ -91,6 +96,7 @@ def write_outputs(options: argparse.Namespace, outcome: Outcome) -> list[Path]:
                 comparison=outcome.comparison,
                 repeats=outcome.repeats,
                 gains=gains,
+                paths=outcome.paths,
             )
             written.append(options.figures)
         if options.report is not None:
@@ -133,6 +139,7 @@ def _report_text(outcome: Outcome, gains: Gains) -> str:
         warnings=outcome.warnings,
         repeats=outcome.repeats,
         gains=gains,
+        paths=outcome.paths,
     )
 
 

@@ -59,7 +59,7 @@ def run(options: argparse.Namespace) -> int:
     from hpid_ros.experiment.description import load_experiment
     from hpid_ros.experiment.graph_options import GraphOptions
     from hpid_ros.experiment.single_run import run_controller
-    from hpid_ros.terminal import RunProgress, print_result_places, print_timing
+    from hpid_ros.terminal import RunProgress, print_notes, print_result_places, print_timing
 
     graph = GraphOptions(
         processes=_processes(options),
@@ -78,6 +78,7 @@ def run(options: argparse.Namespace) -> int:
         ran = run_controller(experiment, label, output, progress, graph, force=options.force)
     if ran.result:
         console.print(ComparisonTable(ran.result.comparison))
+        print_notes(console, ran.result.notes)
     print_timing(console, ran.report, experiment.duration)
     print_result_places(console, {"result": ran.folder.path})
     return DONE

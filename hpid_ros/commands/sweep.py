@@ -100,7 +100,7 @@ def run(options: argparse.Namespace) -> int:
     folder = ResultFolder.create(path, force=options.force, parts=())
     told = Console(stderr=True)
     try:
-        with _progress(told, len(sweep.tasks())) as advanced:
+        with batch_progress(told, len(sweep.tasks())) as advanced:
             result = run_sweep(sweep, folder, options.jobs, advanced)
     except KeyboardInterrupt:
         told.print(f"what was run: {folder.path}", soft_wrap=True, highlight=False)
@@ -123,8 +123,16 @@ def _print(result: SweepResult, form: str) -> None:
 
 
 @contextmanager
-def _progress(console: Console, runs: int) -> Iterator[Callable[[Outcome], None]]:
-    """Show how many runs are done, their rate and the remaining time; nothing to a file."""
+def batch_progress(console: Console, runs: int) -> Iterator[Callable[[Outcome], None]]:
+    """Show how many runs are done, their rate and the remaining time; nothing to a file.
+
+    Args:
+        console: Where.
+        runs: How many there are.
+
+    Returns:
+        Context whose value is to be told of every run that has ended.
+    """
     from rich.progress import (
         BarColumn,
         MofNCompleteColumn,

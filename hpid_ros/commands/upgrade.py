@@ -101,13 +101,19 @@ def _prediction(
         return None
     from dataclasses import replace
 
-    from hpid_ros.resources import find_resource
+    from hpid_ros.commands.robot_options import load_robot
     from hpid_ros.tuning.prediction import predict
 
     after = [each.settings for each in upgrades]
     before = [replace(each, law="pid") for each in after]
-    robot = str(find_resource(options.urdf))
-    return predict(robot, {"PID": before, "hPID": after}, recorded)
+    robot = load_robot(options.urdf)
+    return predict(
+        robot.source,
+        {"PID": before, "hPID": after},
+        recorded,
+        fixed_base=robot.fixed_base,
+        initial_positions=robot.initial_positions,
+    )
 
 
 def _write(

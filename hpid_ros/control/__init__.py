@@ -4,6 +4,7 @@ from hpid_ros.control.gains import Gains
 from hpid_ros.control.homogeneity import CanonicalNorm, WeightedNorm
 from hpid_ros.control.homogeneous_pid import HomogeneousPid
 from hpid_ros.control.joint_loop import JointLoop
+from hpid_ros.control.model_term import ModelTerm
 from hpid_ros.control.parameters import LOOP_PARAMETERS
 from hpid_ros.control.pid import Pid
 from hpid_ros.control.settings import LoopSettings
@@ -15,6 +16,7 @@ __all__ = [
     "HomogeneousPid",
     "JointLoop",
     "LoopSettings",
+    "ModelTerm",
     "Pid",
     "WeightedNorm",
 ]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from hpid_ros.control.gains import Gains
 from hpid_ros.control.motion_limits import MotionLimits
 from hpid_ros.control.motions import LARGEST_POSITION
 from hpid_ros.control.velocity import VelocitySource
@@ -11,10 +10,10 @@ _SECONDS_PER_NANOSECOND = 1e-9
 
 
 class DampingStop:
-    """Answers states with ``-gains.d velocity``, fading to nothing over a duration.
+    """Answers states with ``-damping velocity``, fading to nothing over a duration.
 
     Args:
-        gains: Those of the loop that ended.
+        damping: The loop's derivative gain in [N m s/rad].
         velocity: Its velocity source, with its past.
         limits: Its limits of motion.
         clamp: Least and largest effort in [N m].
@@ -25,7 +24,7 @@ class DampingStop:
 
     def __init__(
         self,
-        gains: Gains,
+        damping: float,
         velocity: VelocitySource,
         limits: MotionLimits | None,
         clamp: tuple[float, float],
@@ -33,7 +32,7 @@ class DampingStop:
         stamp_ns: int,
         duration: float,
     ) -> None:
-        self._gains, self._velocity, self._limits = gains, velocity, limits
+        self._damping, self._velocity, self._limits = damping, velocity, limits
         self._clamp = clamp
         self._effort = effort
         self._begin_ns = self._stamp_ns = stamp_ns
@@ -52,7 +51,7 @@ class DampingStop:
         self._stamp_ns = stamp_ns
         rate = self._velocity.update(position, velocity, dt)
         passed = (stamp_ns - self._begin_ns) * _SECONDS_PER_NANOSECOND / self._duration
-        wanted = -self._gains.d * rate * max(0.0, 1.0 - passed)
+        wanted = -self._damping * rate * max(0.0, 1.0 - passed)
         if self._limits is None:
             effort = min(max(wanted, self._clamp[0]), self._clamp[1])
         else:

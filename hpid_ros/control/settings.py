@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 from hpid_ros.control.anti_windup import AntiWindup, anti_windup
 from hpid_ros.control.gains import Gains
 from hpid_ros.control.homogeneity import CanonicalNorm, WeightedNorm, norm_floor, require_degree
 from hpid_ros.control.homogeneous_pid import HomogeneousPid
+from hpid_ros.control.model_settings import MODEL_PARAMETERS, ModelSettings
 from hpid_ros.control.motion_limits import LimitFigures, MotionLimits
 from hpid_ros.control.parameters import (
     LARGEST_EFFORT,
@@ -29,12 +30,15 @@ from hpid_ros.control.velocity import (
 )
 from hpid_ros.errors import SettingError, unknown_name
 
+_OF_THE_VELOCITY = ("velocity_source", "velocity_filter_time_constant", "acceleration_bound")
 _K_POSITION = 10.0  # [1/s], of a soft stop where the gains say nothing
 
 
 @dataclass(frozen=True)
 class LoopSettings:
     """The checked settings of one joint loop; see :data:`LOOP_PARAMETERS` for each field.
+
+    ``model`` is the model of the robot that the effort takes into account, if any.
 
     Raises:
         SettingError: Limits the wrong way round, or a joint without a name.
@@ -74,6 +78,7 @@ class LoopSettings:
     control_period: float = 0.001
     encoder_resolution: float = 0.0
     inertia: float = 0.0
+    model: ModelSettings = field(default_factory=ModelSettings)
 
     def __post_init__(self) -> None:
         if not self.joint:
@@ -83,10 +88,10 @@ class LoopSettings:
             low, high = getattr(self, f"{name}_min"), getattr(self, f"{name}_max")
             if not low <= high:
                 raise SettingError(f"{name}_min = {low} must not exceed {name}_max = {high}")
-        if self.discretization == "semi_implicit" and self.inertia == 0.0:
+        if self.discretization == "semi_implicit" and self.plant_inertia == 0.0:
             raise SettingError("discretization semi_implicit needs the inertia, which is unknown")
-        if self.inertia > 0.0:
-            require_hurwitz(self.gains, self.inertia)
+        if self.plant_inertia > 0.0:
+            require_hurwitz(self.gains, self.plant_inertia)
         self.make_law()
         self.make_anti_windup()
 
@@ -103,25 +108,35 @@ class LoopSettings:
             NormError: As for the class.
         """
         for name in values:
-            if name not in LOOP_PARAMETERS:
-                raise SettingError(unknown_name("parameter", name, LOOP_PARAMETERS))
+            if name not in LOOP_PARAMETERS and name not in MODEL_PARAMETERS:
+                known = [*LOOP_PARAMETERS, *MODEL_PARAMETERS]
+                raise SettingError(unknown_name("parameter", name, known))
         checked = {
             name: spec.checked(values.get(name, spec.default))
             for name, spec in LOOP_PARAMETERS.items()
         }
         gains = Gains(*(float(checked.pop(f"gains.{term}")) for term in "pid"))
         fields = {name.replace(".", "_"): value for name, value in checked.items()}
-        return cls(gains=gains, **fields)  # type: ignore[arg-type]
+        model = ModelSettings.from_parameters(values)
+        return cls(gains=gains, model=model, **fields)  # type: ignore[arg-type]
 
     def to_parameters(self) -> dict[str, Value]:
-        """Return every parameter by its dotted name."""
+        """Return every parameter by its dotted name; those of a model only if there is one."""
         values: dict[str, Value] = {}
         for name in LOOP_PARAMETERS:
             if name.startswith("gains."):
                 values[name] = getattr(self.gains, name[-1])
             else:
                 values[name] = getattr(self, name.replace(".", "_"))
-        return values
+        return values | self.model.to_parameters()
+
+    @property
+    def plant_inertia(self) -> float:
+        """What one unit of the law's output accelerates, in [kg m^2]; 0 if unknown.
+
+        With decoupling it is 1: the law acts on a unit double integrator.
+        """
+        return 1.0 if self.model.is_decoupling else self.inertia
 
     def make_norm(self) -> WeightedNorm | CanonicalNorm:
         """Return the norm: an error of ``norm.error_scale`` at rest has norm 1 in either type."""
@@ -136,7 +151,7 @@ class LoopSettings:
             degree = 0.0 if self.law == "pid" else self.mu
             norm = replace(self, mu=degree, discretization="explicit").make_norm()
             return SemiImplicitHomogeneousPid(
-                self.gains, norm, self._floor(norm), self.norm_cap, inertia=self.inertia
+                self.gains, norm, self._floor(norm), self.norm_cap, inertia=self.plant_inertia
             )
         if self.law == "pid":
             return Pid(self.gains)
@@ -149,7 +164,7 @@ class LoopSettings:
         return norm_floor(
             norm,
             period=self.control_period,
-            derivative_gain=self.gains.d / (self.inertia or 1.0),
+            derivative_gain=self.gains.d / (self.plant_inertia or 1.0),
             resolution=self.encoder_resolution,
             filter_time_constant=self.velocity_filter_time_constant,
         )
@@ -161,6 +176,10 @@ class LoopSettings:
         if self.velocity_source == "filtered":
             return FilteredVelocity(self.velocity_filter_time_constant)
         return MeasuredVelocity(self.velocity_filter_time_constant)
+
+    def differs_in_velocity(self, other: LoopSettings) -> bool:
+        """Tell whether the velocity source of other settings is another one."""
+        return any(getattr(self, name) != getattr(other, name) for name in _OF_THE_VELOCITY)
 
     def make_anti_windup(self) -> AntiWindup:
         """Return the anti-windup strategy."""
@@ -196,7 +215,8 @@ class LoopSettings:
         where a stop is just overdamped. A known inertia says it itself, and keeps the braking
         within what sampling allows.
         """
-        p, d = self.gains.p, self.gains.d
+        scale = self.inertia if self.model.is_decoupling and self.inertia else 1.0
+        p, d = scale * self.gains.p, scale * self.gains.d
         k_position = self.soft_stop_k_position or (0.75 * p / d if p and d else _K_POSITION)
         k_velocity = self.soft_stop_k_velocity or d or p / k_position
         if self.inertia > 0.0:

@@ -7,8 +7,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from hpid_ros.control import LOOP_PARAMETERS, LoopSettings
+from hpid_ros.control import LoopSettings
 from hpid_ros.errors import ExperimentError, HpidError, unknown_name
+from hpid_ros.experiment.base_section import base_from
+from hpid_ros.experiment.controllers_section import controllers_from, judged_from
+from hpid_ros.experiment.model_of_world import models_of
+from hpid_ros.experiment.scene_section import workplace_from
 from hpid_ros.experiment.world_models import (
     Layers,
     disturbances_from,
@@ -16,16 +20,16 @@ from hpid_ros.experiment.world_models import (
     homing_from,
     noise_from,
 )
+from hpid_ros.planning import BrickPlan, planned_reference
 from hpid_ros.resources import find_resource
 from hpid_ros.robot.description import RobotDescription
-from hpid_ros.robot.joints import JointDescription
+from hpid_ros.robot.section import amended_by
 from hpid_ros.sections import Section
 from hpid_ros.simulation.settings import VELOCITIES, WorldSettings
-from hpid_ros.trajectory import JointTrajectory, reference_from
-from hpid_ros.yaml_files import load_yaml
+from hpid_ros.trajectory import JointTrajectory
+from hpid_ros.yaml_files import Document, load_document
 
 _NANOSECONDS = 1_000_000_000
-_FULL_TURN = 6.283185307179586  # [rad]
 
 
 @dataclass(frozen=True)
@@ -34,7 +38,7 @@ class Experiment:
 
     Attributes:
         name: Name of the experiment.
-        text: The file as it stands.
+        text: The file as it stands, merged with what it extends.
         path: Where it stands.
         duration: Stamp of the last state in [s].
         seed: Seed of everything that is drawn by chance.
@@ -43,6 +47,8 @@ class Experiment:
         trajectory: The reference of every joint.
         controllers: For each label, in the order of the comparison, the settings of each
             driven joint, in the world's order.
+        judged: The joints that studies and searches look at, in the world's order.
+        plan: The brick task behind the reference; None for any other kind.
     """
 
     name: str
@@ -54,6 +60,8 @@ class Experiment:
     world: WorldSettings
     trajectory: JointTrajectory
     controllers: Mapping[str, tuple[LoopSettings, ...]]
+    judged: tuple[str, ...]
+    plan: BrickPlan | None = None
 
     @property
     def periods(self) -> int:
@@ -61,10 +69,19 @@ class Experiment:
         return round(self.duration * _NANOSECONDS / self.world.control_period_ns)
 
     @property
+    def end_effector(self) -> str:
+        """The link that the task is about: the hand among bricks, else the robot's last link."""
+        if self.world.workplace.bricks:
+            return self.world.workplace.gripper.link
+        return RobotDescription.load(self.world.robot_description).last_link
+
+    @property
     def digest(self) -> str:
-        """SHA-256 of the file and of the robot's description, as hexadecimal."""
+        """SHA-256 of the file, of the robot's and its models' descriptions, as hexadecimal."""
         digest = hashlib.sha256(self.text.encode())
         digest.update(RobotDescription.load(self.world.robot_description).xml.encode())
+        for model in models_of(self.controllers):
+            digest.update(model.encode())
         return digest.hexdigest()
 
 
@@ -79,27 +96,36 @@ def load_experiment(path: str | Path) -> Experiment:
             and the place in it.
     """
     file = Path(path)
-    document = load_yaml(file, ExperimentError)
+    document = load_document(file, ExperimentError)
     try:
-        root = Section(document, "", ExperimentError)
-        experiment = _experiment(file, root)
+        root = Section(document.values, "", ExperimentError)
+        experiment = _experiment(document, root)
         root.finish()
     except HpidError as error:
         raise ExperimentError(f"{file}: {error}") from None
     return experiment
 
 
-def _experiment(file: Path, root: Section) -> Experiment:
+def _experiment(document: Document, root: Section) -> Experiment:
     control = root.section("control", {})
     rate = control.number("rate", 1000.0, least=0.1, most=1e5)
     period_ns = round(_NANOSECONDS / rate)
     answer_timeout = control.number("answer_timeout", 2.0, above=0.0, most=3600.0)
     control.finish()
     seed = root.whole("seed", 0, least=0)
-    trajectory = reference_from(root.take("reference"))
+    root.take("reference")
+    trajectory, plan = planned_reference(
+        document.values,
+        "reference",
+        lambda name: RobotDescription.load(find_resource(name, document.folders)),
+    )
     duration = root.number("duration", above=0.0, most=1e5)
-    world = _world(file, root, trajectory.joint_names, period_ns, seed)
-    world = replace(world, disturbances=disturbances_from(root, duration))
+    world = _world(document.folders, root, trajectory.joint_names, period_ns, seed)
+    world = replace(
+        world,
+        disturbances=disturbances_from(root, duration),
+        workplace=workplace_from(root, plan, duration),
+    )
     known = RobotDescription.load(world.robot_description)
     for link in world.links:
         known.link(link)
@@ -107,30 +133,37 @@ def _experiment(file: Path, root: Section) -> Experiment:
         raise ExperimentError(f"duration {duration} s is not a whole number of control periods")
     return Experiment(
         name=root.text("name"),
-        text=file.read_text(encoding="utf-8"),
-        path=file.resolve(),
+        text=document.text,
+        path=document.files[0],
         duration=duration,
         seed=seed,
         answer_timeout=answer_timeout,
         world=world,
         trajectory=trajectory,
-        controllers=_controllers(root, world),
+        plan=plan,
+        controllers=controllers_from(root, world),
+        judged=judged_from(root, world.joints),
     )
 
 
 def _world(
-    file: Path, root: Section, joints: tuple[str, ...], period_ns: int, seed: int
+    folders: tuple[Path, ...],
+    root: Section,
+    joints: tuple[str, ...],
+    period_ns: int,
+    seed: int,
 ) -> WorldSettings:
     robot = root.section("robot")
-    description = find_resource(robot.text("description"), beside=file.resolve().parent)
-    known = RobotDescription.load(description)
+    file = find_resource(robot.text("description"), folders)
+    plain = RobotDescription.load(file)
+    known = amended_by(robot, plain)
     known.select(joints)
     positions = robot.section("initial_positions", {})
     sensors = root.section("sensors", {})
     layers = Layers(sensors, joints)
     physics = root.section("simulation", {})
     world = WorldSettings(
-        robot_description=str(description),
+        robot_description=str(file) if known is plain else known.xml,
         joints=joints,
         control_period_ns=period_ns,
         physics_steps=physics.whole("physics_steps", 4, least=1, most=1000),
@@ -143,6 +176,7 @@ def _world(
         position_noise=noise_from(sensors, joints),
         homing=homing_from(layers, joints),
         velocity=_velocity(sensors),
+        base=base_from(robot, known),
     )
     world.start(known)
     for section in (robot, positions, layers, physics):
@@ -165,66 +199,3 @@ def _velocity(sensors: Section) -> str:
     if source not in VELOCITIES:
         raise ExperimentError(f"{sensors.where}: {unknown_name('velocity', source, VELOCITIES)}")
     return source
-
-
-def _controllers(root: Section, world: WorldSettings) -> dict[str, tuple[LoopSettings, ...]]:
-    controllers = root.section("controllers")
-    common = _parameters(controllers, "common")
-    each = controllers.section("joints", {})
-    own = {joint: _parameters(each, joint) for joint in each.items()}
-    controllers.finish()
-    for joint in own:
-        if joint not in world.joints:
-            raise ExperimentError(f"{each.where}: {unknown_name('joint', joint, world.joints)}")
-    compared = root.section("compare")
-    labels = compared.items()
-    if not labels:
-        raise ExperimentError("compare must name at least one controller")
-    joints = RobotDescription.load(world.robot_description).select(world.joints)
-    result = {}
-    for label in labels:
-        changes = _parameters(compared, label)
-        result[label] = tuple(
-            _settings(label, joint, counts, world, [common, own.get(joint.name, {}), changes])
-            for joint, counts in zip(joints, world.counts, strict=True)
-        )
-    return result
-
-
-def _parameters(section: Section, key: str) -> dict[str, object]:
-    """Return a section of loop parameters, nested or dotted, by dotted name."""
-    flat: dict[str, object] = {}
-    inner = section.section(key, {})
-    for name, value in inner.items().items():
-        nested = value.items() if isinstance(value, Mapping) else [(None, value)]
-        for rest, entry in nested:
-            dotted = name if rest is None else f"{name}.{rest}"
-            if dotted not in LOOP_PARAMETERS or dotted == "joint":
-                place = inner.place(dotted)
-                known = [inner.place(p) for p in LOOP_PARAMETERS if p != "joint"]
-                raise ExperimentError(unknown_name("key", place, known))
-            flat[dotted] = entry
-    return flat
-
-
-def _settings(
-    label: str,
-    joint: JointDescription,
-    counts: int,
-    world: WorldSettings,
-    layers: list[dict[str, object]],
-) -> LoopSettings:
-    """Return one joint's settings; later layers win, and the robot gives the defaults."""
-    values: dict[str, object] = {
-        "joint": joint.name,
-        "control_period": world.control_period_ns / _NANOSECONDS,
-        "encoder_resolution": _FULL_TURN / counts if counts else 0.0,
-    }
-    if joint.effort < LOOP_PARAMETERS["u_clamp_max"].maximum:
-        values |= {"u_clamp_max": joint.effort, "u_clamp_min": -joint.effort}
-    for layer in layers:
-        values.update(layer)
-    try:
-        return LoopSettings.from_parameters(values)
-    except HpidError as error:
-        raise ExperimentError(f"controller {label!r}, joint {joint.name!r}: {error}") from None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from hpid_ros.experiment.base_recording import recorded_topics
 from hpid_ros.experiment.description import Experiment
 from hpid_ros.experiment.graph_options import GraphOptions
 from hpid_ros.experiment.node_process import NodeGroup, NodeProcess
@@ -13,6 +14,8 @@ from hpid_ros.experiment.parameter_files import (
     write_parameters,
 )
 from hpid_ros.names import controller_name
+from hpid_ros.simulation.base_monitor import REPORT_RATE
+from hpid_ros.simulation.task_values import task_topics
 
 BRIDGE, RECORDER, REFERENCE = "pybullet_bridge", "bag_recorder", "trajectory_publisher"
 COMPOSED, SINGLE = "joint_controllers", "single_process"
@@ -25,6 +28,7 @@ class GraphNodes:
         bridge: Name of the process that holds the bridge.
         recorder: Name of the process that holds the recorder.
         vital: Names of the processes that a run cannot do without.
+        topics: What is recorded, in the order in which the recorder subscribes.
 
     Args:
         experiment: The experiment.
@@ -44,6 +48,7 @@ class GraphNodes:
     ) -> None:
         self._experiment, self._label, self._options = experiment, label, options
         self._bag, self._folder = bag, folder
+        self.topics = recorded_topics(experiment.world)
         is_single = options.processes == "single"
         self.bridge = SINGLE if is_single else BRIDGE
         self.recorder = SINGLE if is_single else RECORDER
@@ -56,11 +61,15 @@ class GraphNodes:
             group: Takes the processes.
         """
         settings = self._experiment.controllers[self._label]
+        robot = str(self._experiment.world.robot_description)
         write_parameters(self._folder / "bridge.yaml", bridge_document(self._experiment))
-        write_parameters(self._folder / "controllers.yaml", controllers_document(settings))
+        write_parameters(self._folder / "controllers.yaml", controllers_document(settings, robot))
         reference = _parameters(reference_file=self._experiment.path)
         nodes = [group.start(REFERENCE, REFERENCE, reference)]
-        of_recorder = _parameters(bag=self._bag) if self._options.is_recorded else []
+        topics = self.topics
+        of_recorder = (
+            _parameters(bag=self._bag, topics=topics) if self._options.is_recorded else []
+        )
         of_all = _parameters(realtime_priority=self._options.realtime_priority)
         controllers, bridge = self.controller_arguments(), self.bridge_arguments() + of_all
         if self._options.processes == "single":
@@ -102,7 +111,7 @@ class GraphNodes:
                 # The controllers, the recorder, and the publisher of the reference.
                 wait_for_subscribers=joints + self._options.is_recorded + 1,
                 wait_for_publishers=joints,
-                report_rate=0.0,
+                report_rate=REPORT_RATE if task_topics(self._experiment.world) else 0.0,
             ),
         ]
 

@@ -119,6 +119,8 @@ class _GraphRun:
             counts["answered"] + counts["repeated"] for counts in finished["counts"].values()
         )
         expected = {"/joint_states": finished["states"], "/joint_commands": answers}
+        reports = finished.get("reports", {})
+        expected |= {each: reports[each] for each in reports if each[1:] in self._nodes.topics}
 
         def missing() -> dict[str, int]:
             counts = self.events.get((self._nodes.recorder, "recorded"), {}).get("counts", {})

@@ -6,6 +6,7 @@ The same files serve the nodes on a real robot: ``ros2 run hpid_ros joint_contro
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,9 @@ import yaml
 
 from hpid_ros.control import LoopSettings
 from hpid_ros.experiment.description import Experiment
+from hpid_ros.experiment.scene_parameters import scene_document
 from hpid_ros.names import controller_name
+from hpid_ros.robot.differential_drive import DifferentialDrive
 from hpid_ros.simulation.columns import columns
 from hpid_ros.simulation.disturbances import Disturbances
 from hpid_ros.simulation.hall import Homing
@@ -25,17 +28,21 @@ from hpid_ros.simulation.settings import WorldSettings
 _NANOSECONDS = 1_000_000_000
 
 
-def controllers_document(settings: Sequence[LoopSettings]) -> dict[str, Any]:
+def controllers_document(settings: Sequence[LoopSettings], robot: str = "") -> dict[str, Any]:
     """Return the parameters of all controllers, and of their composition in one process.
 
     Args:
         settings: One for each joint.
+        robot: The robot's URDF, for controllers whose model has no other.
     """
     document: dict[str, Any] = {
         "joint_controllers": {"ros__parameters": {"joints": [each.joint for each in settings]}}
     }
     for each in settings:
-        document[controller_name(each.joint)] = {"ros__parameters": _nested(each.to_parameters())}
+        values = each.to_parameters()
+        if each.model.is_on and not each.model.description:
+            values["model.description"] = robot
+        document[controller_name(each.joint)] = {"ros__parameters": _nested(values)}
     return document
 
 
@@ -58,6 +65,7 @@ def bridge_document(experiment: Experiment) -> dict[str, Any]:
                 "payload_mass": world.payload_mass,
                 "duration": experiment.duration,
                 "answer_timeout": experiment.answer_timeout,
+                "ee_link": experiment.end_effector,
                 **_models(world),
             }
         }
@@ -78,9 +86,21 @@ def _models(world: WorldSettings) -> dict[str, Any]:
         parameters["effort_delay"] = [drive.delay for drive in drives]
     if any(world.position_noises):
         parameters["position_noise"] = list(world.position_noises)
+    if world.base is not None:
+        parameters["base"] = _base(world.base)
     if world.velocity != "none":
         parameters["velocity"] = world.velocity
+    parameters |= scene_document(world.workplace)
     return {name: values for name, values in parameters.items() if values}
+
+
+def _base(base: DifferentialDrive) -> dict[str, Any]:
+    return {
+        "left_wheel": base.left,
+        "right_wheel": base.right,
+        "wheel_radius": base.radius,
+        "wheel_separation": base.separation,
+    }
 
 
 def _payload(disturbances: Disturbances) -> dict[str, Any]:
@@ -107,8 +127,32 @@ def _wrenches(disturbances: Disturbances) -> dict[str, Any]:
 
 
 def write_parameters(path: Path, document: Mapping[str, Any]) -> None:
-    """Write a ROS parameter file."""
-    path.write_text(yaml.safe_dump(dict(document), sort_keys=False), encoding="utf-8")
+    """Write a ROS parameter file; the text of a robot gets a file of its own beside it."""
+    values = _with_robots_beside(document, path.resolve().parent)
+    path.write_text(yaml.safe_dump(values, sort_keys=False), encoding="utf-8")
+
+
+def _with_robots_beside(values: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+    """Return parameters in which a URDF's text has become the path of a file with that text."""
+    result: dict[str, Any] = {}
+    for name, value in values.items():
+        if isinstance(value, Mapping):
+            value = _with_robots_beside(value, folder)
+        elif isinstance(value, str) and value.startswith("<robot"):
+            value = str(_robot_file(value, folder))
+        result[name] = value
+    return result
+
+
+def _robot_file(text: str, folder: Path) -> Path:
+    """Return the file with this text; it is written where it is not there yet."""
+    for number in itertools.count(1):
+        path = folder / ("robot.urdf" if number == 1 else f"robot_{number}.urdf")
+        if not path.exists():
+            path.write_text(text, encoding="utf-8")
+        if path.read_text(encoding="utf-8") == text:
+            break
+    return path
 
 
 def _nested(values: Mapping[str, Any]) -> dict[str, Any]:

@@ -5,16 +5,19 @@ from __future__ import annotations
 import dataclasses
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from hpid_ros.analysis import Comparison, RunSeries, run_indices
+from hpid_ros.analysis.base_figures import BaseFigures
 from hpid_ros.analysis.signals import GainSignals
 from hpid_ros.bags import read_run
+from hpid_ros.experiment.base_result import base_results
 from hpid_ros.experiment.description import Experiment
 from hpid_ros.experiment.progress import RunReport
 from hpid_ros.experiment.provenance import versions
 from hpid_ros.experiment.result_folder import ResultFolder
+from hpid_ros.experiment.task_result import TaskResult, task_result
 
 
 @dataclass(frozen=True)
@@ -25,11 +28,15 @@ class Result:
         experiment: What was compared.
         runs: The recorded runs, the baseline first.
         comparison: Their numbers.
+        base: How the base drove in each run; empty for a robot without a base.
+        task: The end effector in each run, and what became of bricks.
     """
 
     experiment: Experiment
     runs: tuple[RunSeries, ...]
     comparison: Comparison
+    base: Mapping[str, BaseFigures] = field(default_factory=dict)
+    task: TaskResult = field(default_factory=TaskResult)
 
     def as_mapping(self) -> dict[str, object]:
         """Return everything that the experiment determines, and nothing that the clock does.
@@ -57,8 +64,21 @@ class Result:
                 }
                 for run in self.runs
             },
+            **self._of_the_base(),
+            **self.task.as_mapping(),
             "parameters": self.parameters(),
         }
+
+    def _of_the_base(self) -> dict[str, object]:
+        if not self.base:
+            return {}
+        return {"base": {label: each.as_mapping() for label, each in self.base.items()}}
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Lines that belong below the table: what a reader must know of the runs."""
+        slips = [each.line(label) for label, each in self.base.items() if each.has_slipped]
+        return (*self.task.notes, *slips)
 
     def parameters(self) -> dict[str, dict[str, dict[str, object]]]:
         """Return every parameter by run, joint and name."""
@@ -80,7 +100,9 @@ def compute(experiment: Experiment, bags: Mapping[str, Path]) -> Result:
     """
     joints = experiment.world.joints
     runs = tuple(read_run(bag, label, joints=joints) for label, bag in bags.items())
-    return Result(experiment, runs, Comparison(tuple(run_indices(run) for run in runs)))
+    comparison = Comparison(tuple(run_indices(run) for run in runs))
+    base = base_results(experiment, bags, runs)
+    return Result(experiment, runs, comparison, base, task_result(experiment, bags, runs))
 
 
 def save_numbers(
@@ -97,7 +119,8 @@ def save_numbers(
     from hpid_ros.analysis.table import table_text
 
     folder.write("result.json", json.dumps(result.as_mapping(), indent=2) + "\n")
-    folder.write("table.txt", table_text(result.comparison))
+    notes = "".join(f"{note}\n" for note in result.notes)
+    folder.write("table.txt", table_text(result.comparison) + notes)
     save_timing(folder, reports, how)
 
 
@@ -126,7 +149,10 @@ def save(result: Result, folder: ResultFolder, reports: Sequence[RunReport], how
     folder.write("table.csv", table_csv(result.comparison))
     folder.write("table.tex", table_latex(result.comparison))
     gains = _gain_signals(result)
-    save_figures(result.runs, folder.figures, comparison=result.comparison, gains=gains)
+    paths = result.task.paths
+    save_figures(
+        result.runs, folder.figures, comparison=result.comparison, gains=gains, paths=paths
+    )
     provenance = {
         "experiment": result.experiment.name,
         "ran": how,
@@ -138,7 +164,12 @@ def save(result: Result, folder: ResultFolder, reports: Sequence[RunReport], how
     folder.write(
         "report.html",
         render_report(
-            result.comparison, result.runs, provenance, result.parameters(), gains=gains
+            result.comparison,
+            result.runs,
+            provenance,
+            result.parameters(),
+            gains=gains,
+            paths=paths,
         ),
     )
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from hpid_ros.errors import ExperimentError, ResultExistsError
 
 _MARK = "experiment.yaml"
+_MARKS = (_MARK, "runs.jsonl")  # of a run, a comparison or a search; of a study
 _PARTS = ("bags", "figures", "nodes")
 
 
@@ -55,7 +56,9 @@ class ResultFolder:
             raise ResultExistsError(
                 f"{path} exists; name another folder with --output or replace it with --force"
             )
-        is_result = path.is_dir() and ((path / _MARK).is_file() or not any(path.iterdir()))
+        is_result = path.is_dir() and (
+            any((path / mark).is_file() for mark in _MARKS) or not any(path.iterdir())
+        )
         if not is_result:
             raise ResultExistsError(f"{path} exists and is not a result; it is not replaced")
         shutil.rmtree(path)

@@ -12,6 +12,7 @@ from hpid_ros.experiment.description import Experiment
 from hpid_ros.simulation import World, WorldSettings
 from hpid_ros.simulation.recording import record_run
 from hpid_ros.trajectory import JointTrajectory
+from hpid_ros.tuning.compensation import compensators
 
 
 @dataclass(frozen=True)
@@ -44,6 +45,17 @@ class RunTask:
             experiment.trajectory,
             experiment.periods,
         )
+
+    def numbers(self, run: RunSeries) -> RunIndices:
+        """Return the numbers of the run that this task made.
+
+        Args:
+            run: The series of all joints.
+        """
+        if self.joints:
+            chosen = tuple(series for series in run.joints if series.joint in self.joints)
+            run = RunSeries(run.label, chosen)
+        return run_indices(run)
 
 
 class WorldKeeper:
@@ -105,7 +117,9 @@ def simulate(task: RunTask, keeper: WorldKeeper) -> RunSeries:
     for loop in loops:
         loop.follow(task.trajectory.column(loop.settings.joint))
     try:
-        stamps_ns, *columns = record_run(keeper.at_start(task.world), loops, task.periods)
+        models = compensators(task.loops, str(task.world.robot_description))
+        world = keeper.at_start(task.world)
+        stamps_ns, *columns = record_run(world, loops, task.periods, models)
         return complete_run(task.label, task.world.joints, stamps_ns, columns)
     except BaseException:
         keeper.close()
@@ -124,8 +138,4 @@ def simulated_indices(task: RunTask, keeper: WorldKeeper) -> RunIndices:
     Raises:
         HpidError: As for :func:`simulate`.
     """
-    run = simulate(task, keeper)
-    if task.joints:
-        chosen = tuple(series for series in run.joints if series.joint in task.joints)
-        run = RunSeries(run.label, chosen)
-    return run_indices(run)
+    return task.numbers(simulate(task, keeper))

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 
 from hpid_ros.control import LOOP_PARAMETERS
+from hpid_ros.control.model_settings import MODEL_PARAMETERS
 from hpid_ros.errors import SettingError, unknown_name
 
 Value = float | str
@@ -19,6 +20,7 @@ WORLD_SETTINGS = {
 """Settings of the simulated robot that can be varied, and their names in ``WorldSettings``."""
 
 LARGEST_COUNT = 10_000
+_PARAMETERS = {**LOOP_PARAMETERS, **MODEL_PARAMETERS}
 _FORMS = "NAME=START:STOP:COUNT or NAME=VALUE,VALUE,..."
 
 
@@ -74,14 +76,14 @@ def _is_text(name: str) -> bool:
     Raises:
         SettingError: There is no such parameter, or it cannot be varied.
     """
-    names = [*(each for each in LOOP_PARAMETERS if each != "joint"), *WORLD_SETTINGS]
+    names = [*(each for each in _PARAMETERS if each != "joint"), *WORLD_SETTINGS]
     if name not in names:
         raise SettingError(unknown_name("parameter", name, names))
-    return name in LOOP_PARAMETERS and isinstance(LOOP_PARAMETERS[name].default, str)
+    return name in _PARAMETERS and isinstance(_PARAMETERS[name].default, str)
 
 
 def _texts(name: str, text: str) -> tuple[Value, ...]:
-    return tuple(LOOP_PARAMETERS[name].checked(part.strip()) for part in text.split(","))
+    return tuple(_PARAMETERS[name].checked(part.strip()) for part in text.split(","))
 
 
 def _numbers(text: str) -> tuple[Value, ...]:

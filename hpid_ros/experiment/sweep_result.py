@@ -166,8 +166,8 @@ class SweepResult:
             "values": dict(row.values),
             "baseline": row.baseline,
             "note": self.note(place),
-            "indices": {q.key: _mapping(self.quartiles(place, q)) for q in QUANTITIES},
-            "ratios": {q.key: _mapping(self.ratios(place, q)) for q in QUANTITIES},
+            "indices": {q.key: plain_quartiles(self.quartiles(place, q)) for q in QUANTITIES},
+            "ratios": {q.key: plain_quartiles(self.ratios(place, q)) for q in QUANTITIES},
         }
 
     def json(self) -> str:
@@ -181,8 +181,12 @@ def _numbers(outcome: Outcome) -> list[object]:
     return [outcome.indices.value(quantity) for quantity in QUANTITIES]
 
 
-def _mapping(quartiles: Quartiles | None) -> dict[str, float | None] | None:
-    """Return quartiles for JSON, which knows no infinity."""
+def plain_quartiles(quartiles: Quartiles | None) -> dict[str, float | None] | None:
+    """Return quartiles for JSON, which knows no infinity.
+
+    Args:
+        quartiles: The quartiles, or None.
+    """
     if quartiles is None:
         return None
     return {k: v if math.isfinite(v) else None for k, v in quartiles._asdict().items()}

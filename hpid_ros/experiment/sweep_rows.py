@@ -10,6 +10,7 @@ from typing import Any
 from hpid_ros.control import LoopSettings
 from hpid_ros.errors import HpidError, SettingError
 from hpid_ros.experiment.description import Experiment
+from hpid_ros.experiment.model_of_world import with_robot
 from hpid_ros.experiment.sweep_axes import WORLD_SETTINGS, Axis, Value, shown
 from hpid_ros.robot.description import RobotDescription
 from hpid_ros.simulation import WorldSettings
@@ -77,7 +78,8 @@ def _varied(point: Row, experiment: Experiment, joints: Sequence[str]) -> Row:
             loops.append(each)
             continue
         try:
-            loops.append(LoopSettings.from_parameters({**each.to_parameters(), **changes}))
+            varied = LoopSettings.from_parameters({**each.to_parameters(), **changes})
+            loops.append(with_robot(varied, point.world))
         except HpidError as error:
             return replace(point, refusal=f"{each.joint}: {error}")
     return replace(point, loops=tuple(loops))

@@ -13,6 +13,7 @@ from hpid_ros.messages.joint_trajectory import (
     decode_trajectory,
 )
 from hpid_ros.messages.readers import EffortReader, JointReader, JointSample
+from hpid_ros.messages.robot_reader import RobotReader, RobotSample
 
 __all__ = [
     "EffortReader",
@@ -22,6 +23,8 @@ __all__ = [
     "JointStateLayout",
     "JointStateTemplate",
     "MixedTrajectory",
+    "RobotReader",
+    "RobotSample",
     "TrajectoryArrays",
     "decode_float64",
     "decode_joint_state",

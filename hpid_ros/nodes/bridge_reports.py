@@ -2,94 +2,81 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from builtin_interfaces.msg import Time
-from geometry_msgs.msg import Point, PoseStamped, Quaternion, Vector3
-from geometry_msgs.msg import Pose as PoseMessage
-from nav_msgs.msg import Odometry
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 
+from hpid_ros.nodes.bridge_base import BridgeBase
+from hpid_ros.nodes.bridge_task import BridgeTask
 from hpid_ros.nodes.parameters import read_number, read_only
 from hpid_ros.nodes.qos import RARE
-from hpid_ros.simulation.poses import Pose
+from hpid_ros.simulation.base_monitor import REPORT_RATE, ReportTimes
 from hpid_ros.simulation.world import World
 
 _NANOSECONDS = 1_000_000_000
 
 
 class BridgeReports:
-    """Publishes ``clock``, ``odom`` and ``ee_pose`` at a limited rate of simulated time.
-
-    ``odom`` is the simulation's own pose of the robot's root in the frame ``odom``, its twist
-    in the root's frame (REP 105).
+    """Publishes ``clock`` and what is told of base and task, at a rate of simulated time.
 
     Args:
         node: The bridge; it gets the parameters ``report_rate`` and ``ee_link``.
         world: Its world.
+        end_ns: Stamp of the last state in [ns], which is reported in any case; None if there is
+            none.
 
     Raises:
         RobotDescriptionError: The robot lacks the link of ``ee_link``.
         SettingError: The rate is out of range.
     """
 
-    def __init__(self, node: Node, world: World) -> None:
+    def __init__(self, node: Node, world: World, end_ns: int | None = None) -> None:
         self._world = world
         rate = read_number(
             node,
             "report_rate",
-            50.0,
-            "Rate of clock, odom and ee_pose [Hz]; 0 is off",
+            REPORT_RATE,
+            "Rate of clock, odom, base_pose_ground_truth, wheel_slip and ee_pose [Hz]; 0 is off",
             (0.0, 1e6),
         )
         self._link = str(
             read_only(node, "ee_link", "", "Link whose pose is ee_pose; the last one if empty")
         )
         self._link = world.description.link(self._link or world.description.links[-1])
-        self._root = world.description.links[0]
-        self._period_ns = round(_NANOSECONDS / rate) if rate > 0.0 else 0
-        self._last_ns: int | None = None
-        if not self._period_ns:
+        self._times = ReportTimes(rate, end_ns)
+        self._task = BridgeTask(node, world, self._link, not self._times.is_off)
+        if self._times.is_off:
             return
         self._clock = node.create_publisher(Clock, "clock", RARE)
-        self._odometry = node.create_publisher(Odometry, "odom", RARE)
-        self._end_effector = node.create_publisher(PoseStamped, "ee_pose", RARE)
+        self._base = BridgeBase(node, world)
 
-    def sample(self, stamp_ns: int) -> None:
-        """Publish what is due.
+    @property
+    def counts(self) -> dict[str, int]:
+        """Messages that a recorder must have got so far, by full name of their topic."""
+        of_base = {} if self._times.is_off else self._base.counts
+        return of_base | self._task.counts
+
+    def figures(self) -> dict[str, object]:
+        """Return figures for ``/diagnostics``, with their units."""
+        of_base = {} if self._times.is_off else self._base.figures()
+        return {**of_base, **self._task.figures()}
+
+    def sample(self, stamp_ns: int, positions: Sequence[float]) -> None:
+        """Publish what is due; once for each state.
 
         Args:
             stamp_ns: Simulated time in [ns].
+            positions: Measured positions of the driven joints in [rad].
         """
-        if not self._period_ns:
+        self._task.note()
+        if self._times.is_off:
             return
-        if self._last_ns is not None and 0 <= stamp_ns - self._last_ns < self._period_ns:
+        self._base.note(positions)
+        if not self._times.is_due(stamp_ns):
             return
-        self._last_ns = stamp_ns
         stamp = Time(sec=stamp_ns // _NANOSECONDS, nanosec=stamp_ns % _NANOSECONDS)
         self._clock.publish(Clock(clock=stamp))
-        self._odometry.publish(self._odometry_message(stamp))
-        pose = PoseStamped(pose=_pose(self._world.link_pose(self._link)))
-        pose.header.stamp, pose.header.frame_id = stamp, "odom"
-        self._end_effector.publish(pose)
-
-    def _odometry_message(self, stamp: Time) -> Odometry:
-        twist = self._world.base_velocity()
-        message = Odometry(child_frame_id=self._root)
-        message.header.stamp, message.header.frame_id = stamp, "odom"
-        message.pose.pose = _pose(self._world.base_pose())
-        message.twist.twist.linear = _vector(twist.linear)
-        message.twist.twist.angular = _vector(twist.angular)
-        return message
-
-
-def _pose(pose: Pose) -> PoseMessage:
-    x, y, z = pose.position
-    qx, qy, qz, qw = pose.orientation
-    return PoseMessage(
-        position=Point(x=x, y=y, z=z), orientation=Quaternion(x=qx, y=qy, z=qz, w=qw)
-    )
-
-
-def _vector(values: tuple[float, float, float]) -> Vector3:
-    x, y, z = values
-    return Vector3(x=x, y=y, z=z)
+        self._base.publish(stamp)
+        self._task.publish(stamp)

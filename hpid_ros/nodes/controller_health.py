@@ -9,6 +9,7 @@ from hpid_ros.control.joint_loop import LoopState
 from hpid_ros.nodes.certification import Certification
 from hpid_ros.nodes.diagnostics import ERROR, OK, WARN, Diagnostics
 from hpid_ros.nodes.loop_timing import LoopTiming
+from hpid_ros.nodes.model_compensation import ModelCompensation
 
 _MANY_MISSED = 0.5  # of the states of a report
 
@@ -26,19 +27,25 @@ class ControllerHealth:
         loop: Its loop.
         certification: Its certificate.
         timing: Its timing.
+        model: Its model; None without a compensation.
     """
 
     period = 1.0
 
     def __init__(
-        self, node: Node, loop: JointLoop, certification: Certification, timing: LoopTiming
+        self,
+        node: Node,
+        loop: JointLoop,
+        certification: Certification,
+        timing: LoopTiming,
+        model: ModelCompensation | None = None,
     ) -> None:
-        self._node, self._loop = node, loop
+        self._node, self._loop, self._model = node, loop, model
         self._certification, self._timing = certification, timing
         self._diagnostics = Diagnostics(node, loop.settings.joint)
         self.foreign = self.misread = 0
         self._references = self._requests = 0
-        self._missed = 0
+        self._missed = self._held = 0
         self._last_fault = ""
         self.scheduling = ""
 
@@ -72,7 +79,7 @@ class ControllerHealth:
         loop, counts = self._loop, self._loop.counts
         is_active = lifecycle == "active"
         message, level = loop.state.value, OK
-        warning = self._certification.warning or self._slowness()
+        warning = self._certification.warning or self._slowness() or self._model_fault()
         if not is_active:
             message = lifecycle
         elif loop.state is LoopState.SILENT:
@@ -104,11 +111,19 @@ class ControllerHealth:
                 "integral term [N m]": loop.integral,
                 "error [rad]": loop.error,
                 **self._timing.recent(),
+                **(self._model.readings() if self._model else {"compensation": "none"}),
                 "scheduling": self.scheduling,
                 "last fault": self._last_fault or "none",
                 "last irregular state": loop.last_fault or "none",
             },
         )
+
+    def _model_fault(self) -> str:
+        """Return a warning when the model could not use a state of the last report."""
+        if self._model is None:
+            return ""
+        held, self._held = self._held, self._model.held
+        return f"model terms are held: {self._model.fault}" if self._held > held else ""
 
     def _slowness(self) -> str:
         """Return a warning when most states of the last report seem lost."""

@@ -19,12 +19,13 @@ class Introspection:
     Args:
         node: The controller's node; it gets the parameter ``introspection_rate``.
         joint: The joint.
+        has_model: Whether a model adds a term of its own.
 
     Raises:
         SettingError: The rate is not a number.
     """
 
-    def __init__(self, node: Node, joint: str) -> None:
+    def __init__(self, node: Node, joint: str, has_model: bool = False) -> None:
         rate = read_number(
             node,
             "introspection_rate",
@@ -34,13 +35,15 @@ class Introspection:
         )
         self._period_ns = round(_NANOSECONDS / rate) if rate > 0.0 else 0
         self._is_on = rate != 0.0
+        self._has_model = has_model
         self._last_ns: int | None = None
         if not self._is_on:
             return
         self._reference = node.create_publisher(JointState, "~/reference", RARE)
         self._terms = node.create_publisher(JointState, "~/terms", RARE)
         self._reference_template = JointStateTemplate([joint], position=True, velocity=True)
-        self._terms_template = JointStateTemplate(["p", "i", "d"], effort=True)
+        names = ["p", "i", "d", *(["model"] if has_model else [])]
+        self._terms_template = JointStateTemplate(names, effort=True)
 
     def sample(self, stamp_ns: int, loop: JointLoop) -> None:
         """Publish this sample if it is due on the control clock.
@@ -58,4 +61,5 @@ class Introspection:
         self._reference.publish(
             self._reference_template.encode(stamp_ns, position=(position,), velocity=(velocity,))
         )
-        self._terms.publish(self._terms_template.encode(stamp_ns, effort=loop.terms))
+        terms = (*loop.terms, loop.model_effort) if self._has_model else loop.terms
+        self._terms.publish(self._terms_template.encode(stamp_ns, effort=terms))

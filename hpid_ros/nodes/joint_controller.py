@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 from rcl_interfaces.msg import SetParametersResult
@@ -12,9 +12,9 @@ from rclpy.parameter import Parameter
 from rclpy.task import Future
 from sensor_msgs.msg import JointState
 
-from hpid_ros.control import LOOP_PARAMETERS, JointLoop, LoopSettings
+from hpid_ros.control import JointLoop
+from hpid_ros.control.damping_stop import DampingStop
 from hpid_ros.control.joint_loop import Motion
-from hpid_ros.control.parameters import Value
 from hpid_ros.errors import MessageError
 from hpid_ros.messages import JointReader
 from hpid_ros.nodes import executor
@@ -23,11 +23,12 @@ from hpid_ros.nodes.commands import COMMAND_INTERFACES, command_sink, unanswerin
 from hpid_ros.nodes.controller_health import ControllerHealth
 from hpid_ros.nodes.controller_lifecycle import ManagedNode
 from hpid_ros.nodes.controller_references import ControllerReferences
+from hpid_ros.nodes.controller_settings import ControllerSettings, concern_the_loop
 from hpid_ros.nodes.controller_stop import ControllerStop
 from hpid_ros.nodes.introspection import Introspection
 from hpid_ros.nodes.loop_timing import LoopTiming
-from hpid_ros.nodes.model_parameters import require_no_compensation, robot_limits
-from hpid_ros.nodes.parameters import declare, merged, read_only, verdict
+from hpid_ros.nodes.model_compensation import model_compensation
+from hpid_ros.nodes.parameters import read_only
 from hpid_ros.nodes.qos import NEWEST_STATES, overridable
 from hpid_ros.nodes.scheduling import schedule
 from hpid_ros.nodes.state_watchdog import StateWatchdog
@@ -53,9 +54,8 @@ class JointController(ManagedNode):
 
     def __init__(self, name: str = "joint_controller", **options: Any) -> None:
         super().__init__(name, **options)
-        declare(self, LOOP_PARAMETERS.values(), read_only=["joint"])
-        self._robot = robot_limits(self)
-        self._loop = JointLoop(self._settings(()))
+        self._tuning = ControllerSettings(self)
+        self._loop = JointLoop(self._tuning.with_changes())
         self.joint = self._loop.settings.joint
         self._reader = JointReader(self.joint)
         interface = read_only(
@@ -64,7 +64,7 @@ class JointController(ManagedNode):
             "joint_state",
             f"Message of the commands: {', '.join(COMMAND_INTERFACES)}",
         )
-        require_no_compensation(self)
+        self._model = model_compensation(self, self._loop.settings, self._tuning.robot)
         self._listeners = read_only(
             self, "wait_for_command_subscribers", 1, "Subscribers that commands must have first"
         )
@@ -72,17 +72,19 @@ class JointController(ManagedNode):
             self, "wait_for_reference", False, "Do not start before there is a trajectory"
         )
         self._commands = command_sink(self, self.joint, str(interface))
-        self._introspection = Introspection(self, self.joint)
+        self._introspection = Introspection(self, self.joint, self._model is not None)
         self._status = StatusPipe(self)
         self._certification = Certification(self, self._loop.settings)
         self._timing = LoopTiming()
         self._watchdog = StateWatchdog(self, lambda: self._timing.last_ns, self._on_silence)
         self._stopping = ControllerStop(self, self._loop, self._commands, self._let_go)
-        self._health = ControllerHealth(self, self._loop, self._certification, self._timing)
+        self._health = ControllerHealth(
+            self, self._loop, self._certification, self._timing, self._model
+        )
         self._states: Any = None
         self._readiness: Any = None
         self._references: ControllerReferences | None = None
-        self._step = self._loop.step
+        self._stop: DampingStop | None = None
         self.create_timer(self._health.period, self._report)
         self.add_on_set_parameters_callback(self._check)
         self.add_post_set_parameters_callback(self._retune)
@@ -109,16 +111,14 @@ class JointController(ManagedNode):
         """Activate: hold the joint where it is as soon as somebody hears the commands."""
         self._stopping.cancel()
         self._let_go()
-        self._step = self._loop.step
+        self._stop = None
         self._readiness = self.create_timer(_READINESS_PERIOD, self._start_when_ready)
 
     def leave(self) -> None:
         """Deactivate: the last command is zero, and a later activation starts anew."""
         self._watchdog.rest()
         self._needs_reference = False
-        stop = self._stopping.begin()
-        if stop is not None:
-            self._step = stop.step
+        self._stop = self._stopping.begin()
 
     def _let_go(self) -> None:
         """Be without states and without a motion."""
@@ -127,6 +127,8 @@ class JointController(ManagedNode):
         if self._states is not None:
             self.destroy_subscription(self._states)
             self._loop.release()
+            if self._model is not None:
+                self._model.reset()
         self._readiness = self._states = None
         self._timing.interrupt()
 
@@ -163,7 +165,12 @@ class JointController(ManagedNode):
         if sample is None:
             self._health.foreign += 1
             return
-        effort = self._step(*sample)
+        if self._stop is not None:
+            effort = self._stop.step(*sample)
+        elif self._model is not None:
+            effort = self._model.answer(self._loop, sample, raw)
+        else:
+            effort = self._loop.step(*sample)
         self._commands.send(sample.stamp_ns, effort)
         self._timing.note(began_ns, time.perf_counter_ns())
         self._introspection.sample(sample.stamp_ns, self._loop)
@@ -184,30 +191,19 @@ class JointController(ManagedNode):
             return
         self._loop.follow(motion)
 
-    def _settings(self, changes: Sequence[Parameter]) -> LoopSettings:
-        return self._limited(merged(self, LOOP_PARAMETERS, changes))
-
-    def _limited(self, values: Mapping[str, Value]) -> LoopSettings:
-        """Return checked settings within the robot's limits."""
-        return self._robot.within(LoopSettings.from_parameters(values))
-
     def _check(self, changes: Sequence[Parameter]) -> SetParametersResult:
-        if not all(change.name for change in changes):  # rclpy would make a nameless parameter
-            return SetParametersResult(successful=False, reason="a parameter must have a name")
-        if not any(change.name in LOOP_PARAMETERS for change in changes):
-            return SetParametersResult(successful=True)
-        return verdict(merged(self, LOOP_PARAMETERS, changes), self._require)
-
-    def _require(self, values: Mapping[str, Value]) -> None:
-        self._certification.require(self._limited(values))
+        return self._tuning.verdict(changes, self._certification.require)
 
     def _retune(self, changes: Sequence[Parameter]) -> None:
-        if any(change.name in LOOP_PARAMETERS for change in changes):
-            settings = self._settings(changes)
-            self._loop.retune(settings)
-            self._certification.accept(settings)
-            if self._states is not None and self.is_active:
-                self._watchdog.watch(settings.state_timeout)
+        if not concern_the_loop(changes):
+            return
+        settings = self._tuning.with_changes(changes)
+        self._loop.retune(settings)
+        if self._model is not None:
+            self._model.retune(settings)
+        self._certification.accept(settings)
+        if self._states is not None and self.is_active:
+            self._watchdog.watch(settings.state_timeout)
 
     def refuse(self, line: str) -> None:
         """Take note of a request or a transition that failed."""

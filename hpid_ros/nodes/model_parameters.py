@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from rclpy.node import Node
 
 from hpid_ros.control import LoopSettings
-from hpid_ros.errors import SettingError
 from hpid_ros.nodes.parameters import read_only
 from hpid_ros.resources import find_resource
 from hpid_ros.robot.description import RobotDescription
@@ -46,11 +45,28 @@ class RobotLimits:
         )
 
 
-def robot_limits(node: Node) -> RobotLimits:
-    """Declare ``robot_description`` and return the joint's limits.
+def robot_source(node: Node) -> str:
+    """Declare ``robot_description`` and return it: XML text or a path, empty for none.
+
+    Args:
+        node: The controller.
+    """
+    return str(
+        read_only(
+            node,
+            "robot_description",
+            "",
+            "URDF of the robot, XML text or path: limits effort, position and velocity",
+        )
+    )
+
+
+def robot_limits(node: Node, source: str) -> RobotLimits:
+    """Return what a robot's description allows a joint.
 
     Args:
         node: The controller, with the parameter ``joint``.
+        source: From :func:`robot_source`.
 
     Returns:
         None of them where no robot is given. A velocity of 0 is none either, as many URDFs
@@ -59,12 +75,6 @@ def robot_limits(node: Node) -> RobotLimits:
     Raises:
         HpidError: The robot cannot be found or read, or lacks the joint.
     """
-    source = read_only(
-        node,
-        "robot_description",
-        "",
-        "URDF of the robot, XML text or path: limits effort, position and velocity",
-    )
     joint = node.get_parameter("joint").value
     if not source or not joint:  # a missing joint is refused with the other settings
         return RobotLimits()
@@ -73,17 +83,3 @@ def robot_limits(node: Node) -> RobotLimits:
     (found,) = RobotDescription.load(source).select([joint])
     velocity = found.velocity if found.velocity > 0.0 else math.inf
     return RobotLimits(found.effort, found.lower, found.upper, velocity)
-
-
-def require_no_compensation(node: Node) -> None:
-    """Declare ``compensation``, the model-based term that is added to the effort.
-
-    Args:
-        node: The controller.
-
-    Raises:
-        SettingError: A compensation is asked for that there is not.
-    """
-    wanted = read_only(node, "compensation", "none", "Model-based term added to the effort: none")
-    if wanted != "none":
-        raise SettingError(f"compensation must be none, there is no other so far, not {wanted!r}")

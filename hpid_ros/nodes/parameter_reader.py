@@ -13,6 +13,7 @@ from rclpy.parameter import parameter_value_to_python
 from rclpy.parameter_client import AsyncParameterClient
 
 from hpid_ros.control import LOOP_PARAMETERS
+from hpid_ros.control.model_settings import MODEL_PARAMETERS
 
 _SERVICE = "rcl_interfaces/srv/GetParameters"
 _QUIET_FOR = 1.0  # [s] without a new node, after which the graph is taken as known
@@ -40,12 +41,13 @@ def read(node: Node, name: str) -> dict[str, Any]:
     client = AsyncParameterClient(node, name)
     if not client.wait_for_services(timeout_sec=_ANSWER_WITHIN):
         return {}
-    future = client.get_parameters(list(LOOP_PARAMETERS))
+    names = [*LOOP_PARAMETERS, *MODEL_PARAMETERS]
+    future = client.get_parameters(names)
     rclpy.spin_until_future_complete(node, future, timeout_sec=_ANSWER_WITHIN)
     if not future.done() or future.result() is None:
         return {}
     values = map(parameter_value_to_python, future.result().values)
-    read = dict(zip(LOOP_PARAMETERS, values, strict=False))
+    read = dict(zip(names, values, strict=False))
     return read if all(value is not None for value in read.values()) else {}
 
 

@@ -76,7 +76,7 @@ class PybulletBridge(executor.ClosingNode):
             raw=True,
             qos_overriding_options=overridable(),
         )
-        self._reports = BridgeReports(self, self._world)
+        self._reports = BridgeReports(self, self._world, pace.end_ns)
         self._simulation = BridgeServices(self, self._world, self._reset, self._resume)
         self._diagnostics = Diagnostics(self, self._world.description.name)
         self._misread = 0
@@ -145,15 +145,16 @@ class PybulletBridge(executor.ClosingNode):
     def _publish_state(self) -> None:
         self._stamp_ns = stamp_ns = self._world.time_ns
         self._barrier.begin(stamp_ns)
+        positions = self._world.read()
         self._last_state = self._template.encode(
             stamp_ns,
-            position=self._world.read(),
+            position=positions,
             velocity=self._world.read_velocities() or (),
             effort=self._world.applied_efforts(),
         )
         self._timing.published()
         self._states.publish(self._last_state)
-        self._reports.sample(stamp_ns)
+        self._reports.sample(stamp_ns, positions)
         self._asked_again = False
         if self._timing.published_ns - self._progressed_ns > _PROGRESS_PERIOD_NS:
             self._progressed_ns = self._timing.published_ns
@@ -196,6 +197,7 @@ class PybulletBridge(executor.ClosingNode):
             states=self._world.time_ns // self._world.settings.control_period_ns + 1,
             counts={joint: vars(counts) for joint, counts in self._barrier.counts.items()},
             foreign=self._barrier.foreign,
+            reports=self._reports.counts,
             wall_time=self._timing.elapsed,
             timing=self._timing.whole(),
         )
@@ -215,6 +217,7 @@ class PybulletBridge(executor.ClosingNode):
             **self._commanders.values(),
         }
         values |= self._timing.recent(self._world.time_ns) if self._is_started else {}
+        values |= self._reports.figures()
         values["scheduling"] = self._scheduling
         level = ERROR if conflict else OK if self._is_started and not silent else WARN
         self._diagnostics.publish(level, conflict or message, values)

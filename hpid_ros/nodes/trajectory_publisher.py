@@ -21,16 +21,20 @@ from hpid_ros.nodes.parameters import read_only
 from hpid_ros.nodes.qos import LATCHED, NEWEST_STATES, overridable
 from hpid_ros.nodes.status_pipe import StatusPipe
 from hpid_ros.nodes.trajectories import to_message
-from hpid_ros.trajectory import reference_from
-from hpid_ros.yaml_files import load_yaml
+from hpid_ros.planning import planned_reference
+from hpid_ros.resources import find_resource
+from hpid_ros.robot.description import RobotDescription
+from hpid_ros.yaml_files import load_document
 
 
 class TrajectoryPublisher(executor.ClosingNode):
     """Publishes the ``reference`` section of a file on ``joint_trajectory``.
 
+    A brick task is planned here: the file is an experiment then, whose robot and scene are read.
+
     Raises:
         SettingError: No file was named.
-        TrajectoryError: The file has no usable reference.
+        HpidError: The file has no usable reference, or its robot cannot be read.
     """
 
     def __init__(self) -> None:
@@ -40,9 +44,12 @@ class TrajectoryPublisher(executor.ClosingNode):
         )
         if not path:
             raise SettingError("the parameter reference_file must name a YAML file, it is empty")
-        document = load_yaml(str(path), TrajectoryError)
-        section = document.get("reference") if isinstance(document, dict) else None
-        trajectory = reference_from(section, f"{path}: reference")
+        document = load_document(str(path), TrajectoryError)
+        trajectory, _ = planned_reference(
+            document.values,
+            f"{path}: reference",
+            lambda name: RobotDescription.load(find_resource(name, document.folders)),
+        )
         self._trajectory = trajectory
         self._start_ns: int | None = None
         self._is_under_way = False

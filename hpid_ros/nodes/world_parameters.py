@@ -10,8 +10,10 @@ from rclpy.parameter import Parameter
 
 from hpid_ros.errors import SettingError
 from hpid_ros.nodes import realism_parameters
+from hpid_ros.nodes.bridge_base import base_parameters
 from hpid_ros.nodes.parameters import read_only
 from hpid_ros.nodes.realism_parameters import along
+from hpid_ros.nodes.workplace_parameters import workplace
 from hpid_ros.resources import find_resource
 from hpid_ros.robot.description import RobotDescription
 from hpid_ros.simulation.settings import WorldSettings
@@ -89,7 +91,9 @@ def world_settings(node: Node) -> WorldSettings:
         position_noise=realism_parameters.position_noise(node, joints),
         homing=realism_parameters.homing(node, joints),
         velocity=realism_parameters.velocity(node),
+        base=base_parameters(node, RobotDescription.load(source)),
         disturbances=realism_parameters.disturbances(node),
+        workplace=workplace(node),
     )
 
 

@@ -1,7 +1,4 @@
-"""Rigid-body dynamics of a robot, with the rotors of its geared motors.
-
-The only importer of Pinocchio.
-"""
+"""Rigid-body dynamics of a robot, with the rotors of its geared motors."""
 
 from __future__ import annotations
 
@@ -15,6 +12,7 @@ import pinocchio
 from hpid_ros.errors import RobotDescriptionError, SettingError, unknown_name
 from hpid_ros.robot.description import RobotDescription
 from hpid_ros.robot.joints import JointDescription
+from hpid_ros.robot.rigid_body import PAYLOAD_LINK, build_model, velocity_index
 
 Vector = npt.NDArray[np.float64]
 
@@ -48,7 +46,7 @@ class Dynamics:
         description: RobotDescription,
         fixed_base: bool = True,
         payload_mass: float = 0.0,
-        payload_link: str = "payload",
+        payload_link: str = PAYLOAD_LINK,
     ) -> None:
         """Build the model.
 
@@ -64,22 +62,12 @@ class Dynamics:
             SettingError: The payload's mass is negative or not finite.
         """
         self.description = description
-        root = () if fixed_base else (pinocchio.JointModelFreeFlyer(),)
-        try:
-            self._model = pinocchio.buildModelFromXML(description.xml, *root)
-        except (ValueError, RuntimeError) as error:
-            reason = " ".join(str(error).split())
-            raise RobotDescriptionError(f"Pinocchio cannot read the robot: {reason}") from error
-        armature = np.zeros(self._model.nv)
-        for joint in description.joints.values():
-            armature[self._velocity_index(joint.name)] = joint.reflected_inertia
-        self._model.armature = armature
-        if not (np.isfinite(payload_mass) and payload_mass >= 0.0):
-            raise SettingError(f"payload_mass {payload_mass!r} must be a finite number >= 0 [kg]")
-        if payload_mass:
-            frame = self._model.frames[self._model.getFrameId(description.link(payload_link))]
-            load = pinocchio.Inertia(payload_mass, np.zeros(3), np.zeros((3, 3)))
-            self._model.appendBodyToJoint(frame.parentJoint, load, frame.placement)
+        self._model = build_model(
+            description,
+            None if fixed_base else pinocchio.JointModelFreeFlyer(),
+            payload_mass=payload_mass,
+            payload_link=payload_link,
+        )
         self._data = self._model.createData()
 
     def mass_matrix(self, names: Iterable[str], positions: Mapping[str, float]) -> Vector:
@@ -200,7 +188,7 @@ class Dynamics:
     def _velocity_index(self, name: str) -> int:
         if name not in self.description.joints:
             raise RobotDescriptionError(unknown_name("joint", name, self.description.joints))
-        return int(self._model.joints[self._model.getJointId(name)].idx_v)
+        return velocity_index(self._model, name)
 
     def _draw(self, generator: np.random.Generator) -> dict[str, float]:
         """Return a pose within the limits; a joint without limits turns all the way round."""

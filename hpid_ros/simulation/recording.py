@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpid_ros.control import JointLoop
+from hpid_ros.control.compensation import Compensator
 from hpid_ros.simulation.in_process import Sample, run_in_process
 from hpid_ros.simulation.world import World
 
@@ -29,13 +30,19 @@ class Recording(NamedTuple):
     efforts: NDArray[np.float64]
 
 
-def record_run(world: World, loops: Sequence[JointLoop], periods: int) -> Recording:
+def record_run(
+    world: World,
+    loops: Sequence[JointLoop],
+    periods: int,
+    compensators: Sequence[Compensator | None] = (),
+) -> Recording:
     """Run a world under control from its present state on, and keep every sample.
 
     Args:
         world: The world.
         loops: One loop for each driven joint, in the world's order.
         periods: Control periods to run; there is one state more.
+        compensators: The model of each loop, None for one without; empty where none has one.
 
     Raises:
         SettingError: A command is not finite.
@@ -52,5 +59,5 @@ def record_run(world: World, loops: Sequence[JointLoop], periods: int) -> Record
         references[row] = [loop.reference[0] for loop in loops]
         efforts[row] = sample.efforts
 
-    run_in_process(world, loops, periods, observe)
+    run_in_process(world, loops, periods, observe, compensators)
     return Recording(stamps_ns, positions, references, efforts)

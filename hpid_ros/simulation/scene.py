@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import math
 import os
 import tempfile
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-from hpid_ros.errors import RobotDescriptionError
+from hpid_ros.errors import RobotDescriptionError, SettingError
 from hpid_ros.robot.description import RobotDescription
+from hpid_ros.simulation.boxes import box_pose, let_hand_pass, put_boxes, still
+from hpid_ros.simulation.bricks import Workplace
 from hpid_ros.simulation.bullet import captured, pybullet
 from hpid_ros.simulation.rotors import ROTOR_SUFFIX, couple_rotors, geared, rotor_name
 from hpid_ros.simulation.settings import WorldSettings
@@ -24,6 +27,7 @@ SETTLING_TIME = 0.25  # [s]
 LOCK_FORCE = 1e6  # [N m]
 NO_SPEED_LIMIT = 1e6  # [rad/s], Bullet's own is 100: rotors turn faster
 PAYLOAD_EDGE = 0.08  # [m]
+STAYING = 0.005  # [m], how far a brick may be from where it is put when it has settled
 NEARBY = 1e3  # [m], how far the robot may be from the ground before it is put down
 
 
@@ -37,6 +41,7 @@ class Scene:
         links: Bullet's index of every link; -1 is the root.
         payload: Index of the payload link; None where the robot has none.
         payload_own: Mass in [kg] and moments in [kg m^2] of the bare payload link.
+        bricks: The bricks, in the settings' order.
     """
 
     body: int
@@ -44,6 +49,7 @@ class Scene:
     links: Mapping[str, int]
     payload: int | None
     payload_own: tuple[float, tuple[float, float, float]]
+    bricks: tuple[int, ...] = ()
 
     def load_payload(self, client: int, mass: float) -> None:
         """Put a solid cube at the payload link's centre of mass.
@@ -79,6 +85,7 @@ def build_scene(
 
     Raises:
         RobotDescriptionError: Bullet cannot load the URDF.
+        SettingError: A brick does not stay where it is put.
     """
     pybullet.setGravity(0.0, 0.0, -settings.gravity, physicsClientId=client)
     pybullet.setTimeStep(settings.physics_period, physicsClientId=client)
@@ -100,7 +107,14 @@ def build_scene(
     _place_joints(client, body, joints, start)
     if not settings.fixed_base:
         _put_on_ground(client, body)
+    workplace = settings.workplace
+    scene = replace(scene, bricks=put_boxes(client, workplace.bricks))
+    put_boxes(client, workplace.supports)
+    if scene.bricks:
+        let_hand_pass(client, body, links[workplace.gripper.link], scene.bricks)
+    if not settings.fixed_base or workplace:
         _settle(client, body, joints, settings)
+        _settle_bricks(client, scene.bricks, workplace)
         _place_joints(client, body, joints, start)
     _release_joints(client, body, joints, description)
     return scene
@@ -204,6 +218,18 @@ def _settle(client: int, body: int, joints: Mapping[str, int], settings: WorldSe
         pybullet.stepSimulation(physicsClientId=client)
     still = (0.0, 0.0, 0.0)
     pybullet.resetBaseVelocity(body, still, still, physicsClientId=client)
+
+
+def _settle_bricks(client: int, bricks: tuple[int, ...], workplace: Workplace) -> None:
+    """Take away what speed the bricks have left, and refuse those that fell or were pushed."""
+    still(client, bricks)
+    for body, brick in zip(bricks, workplace.bricks, strict=True):
+        moved = math.dist(box_pose(client, body).position, brick.position)
+        if moved > STAYING:
+            raise SettingError(
+                f"brick {brick.name!r} does not stay at {list(brick.position)} m: it moves by "
+                f"{moved:.3g} m in {SETTLING_TIME:g} s; put it on a support, and into nothing"
+            )
 
 
 def _release_joints(

@@ -10,6 +10,8 @@ from pathlib import Path
 
 from hpid_ros.errors import SettingError, unknown_name
 from hpid_ros.robot.description import RobotDescription
+from hpid_ros.robot.differential_drive import DifferentialDrive
+from hpid_ros.simulation.bricks import Workplace
 from hpid_ros.simulation.disturbances import Disturbances, require_mass
 from hpid_ros.simulation.drives import DriveSettings
 from hpid_ros.simulation.encoders import Encoder
@@ -46,6 +48,8 @@ class WorldSettings:
         velocity: Where the measured velocities come from: ``none``, there are none; or
             ``differences`` of the measured positions.
         disturbances: What happens to the robot while it runs.
+        workplace: Bricks, what they stand on, and the gripper that carries them.
+        base: The two driven joints that are the wheels of its base; None where it has none.
 
     Raises:
         SettingError: A value is out of its range.
@@ -68,6 +72,8 @@ class WorldSettings:
     homing: tuple[Homing | None, ...] = ()
     velocity: str = "none"
     disturbances: Disturbances = field(default_factory=Disturbances)
+    workplace: Workplace = field(default_factory=Workplace)
+    base: DifferentialDrive | None = None
 
     def __post_init__(self) -> None:
         for name in ("control_period_ns", "physics_steps"):
@@ -85,6 +91,9 @@ class WorldSettings:
             raise SettingError(
                 f"position_noise {self.position_noise!r} must be finite and >= 0 [rad]"
             )
+        for wheel in self.base.joints if self.base else ():
+            if wheel not in self.joints:
+                raise SettingError(f"base: {unknown_name('driven joint', wheel, self.joints)}")
         if self.velocity not in VELOCITIES:
             raise SettingError(
                 f"velocity {self.velocity!r} must be one of {', '.join(VELOCITIES)}"
@@ -117,7 +126,8 @@ class WorldSettings:
         """Links that the robot must have."""
         carries = bool(self.payload_mass or self.disturbances.payload)
         pushed = tuple(pulse.link for pulse in self.disturbances.wrenches)
-        return ((self.payload_link,) if carries else ()) + pushed
+        hand = (self.workplace.gripper.link,) if self.workplace.bricks else ()
+        return ((self.payload_link,) if carries else ()) + pushed + hand
 
     @property
     def has_ideal_drives(self) -> bool:

@@ -18,6 +18,7 @@ from hpid_ros.simulation.disturbances import (
     vector,
 )
 from hpid_ros.simulation.drivetrain import Drivetrain
+from hpid_ros.simulation.gripper import build_gripper
 from hpid_ros.simulation.model import bullet_urdf
 from hpid_ros.simulation.poses import ROOT, Pose, Twist, link_pose, root_twist
 from hpid_ros.simulation.scene import build_scene
@@ -39,6 +40,7 @@ class World(Connection):
     Attributes:
         settings: Settings of the world.
         description: The robot.
+        gripper: Its gripper and the bricks around it; None where there are no bricks.
     """
 
     def __init__(self, settings: WorldSettings) -> None:
@@ -78,6 +80,12 @@ class World(Connection):
         if seed is not None:
             self.settings = replace(self.settings, seed=seed)
         self._encoders = self.settings.encoders
+        if self.gripper is not None:
+            # Of bricks that were moved Bullet keeps contacts that are not in the saved state.
+            pybullet.removeState(self._at_start, physicsClientId=self._client)
+            pybullet.resetSimulation(physicsClientId=self._client)
+            self._build()
+            return
         if self._scene.payload is not None:
             self._scene.load_payload(self._client, self.settings.payload_mass)
         pybullet.restoreState(self._at_start, physicsClientId=self._client)
@@ -135,6 +143,8 @@ class World(Connection):
         ]
         if self._pending:
             self._disturb()
+        if self.gripper is not None:
+            self.gripper.act(self.time_ns)
         if self._drivetrain is None:
             for _ in range(self.settings.physics_steps):
                 self._advance(torques)
@@ -143,6 +153,8 @@ class World(Connection):
             self._applied = self._drivetrain.step(self._periods, torques, self._advance)
         self._periods += 1
         self._states = None
+        if self.gripper is not None:
+            self.gripper.judge(self.time_ns)
         if self._sensors is not None:
             self._sensors.sample(self.true_positions())
 
@@ -199,13 +211,19 @@ class World(Connection):
 
     def _build(self) -> None:
         """Build the scene in an empty simulation, and keep its state for every reset."""
-        urdf = bullet_urdf(self.description)
+        settings = self.settings
+        urdf = bullet_urdf(
+            self.description,
+            is_touched=not settings.fixed_base or bool(settings.workplace),
+            is_shown=settings.gui,
+        )
         self._scene = build_scene(self._client, urdf, self.description, self.settings)
         self._drivetrain = (
             None
             if self.settings.has_ideal_drives
             else Drivetrain(self._client, self._scene, self.settings, self._joints)
         )
+        self.gripper = build_gripper(self._client, self._scene, self.settings)
         self._at_start: int = pybullet.saveState(physicsClientId=self._client)
         self._begin()
 
@@ -249,6 +267,8 @@ class World(Connection):
             physicsClientId=self._client,
         )
         pybullet.stepSimulation(physicsClientId=self._client)
+        if self.gripper is not None:
+            self.gripper.feel()
 
     def _disturb(self) -> None:
         """Let happen what is due."""

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 from hpid_ros.errors import TrajectoryError, unknown_name
 from hpid_ros.sections import Section
+from hpid_ros.trajectory.base_section import base_path_from, number_list
+from hpid_ros.trajectory.combining import combined
 from hpid_ros.trajectory.generators import minimum_jerk, sine, step
 from hpid_ros.trajectory.joint_trajectory import JointTrajectory
 
-KINDS = ("minimum_jerk", "step", "sine")
+KINDS = ("minimum_jerk", "step", "sine", "base_path", "combined")
 
 
 def reference_from(values: object, where: str = "reference") -> JointTrajectory:
@@ -18,7 +19,9 @@ def reference_from(values: object, where: str = "reference") -> JointTrajectory:
 
     ``kind: minimum_jerk`` and ``kind: step`` have ``times`` [s] and ``positions`` (for each
     joint one per time, [rad]); ``kind: sine`` has ``duration`` [s] and ``joints`` (for each
-    ``amplitude``, ``period`` and, if wanted, ``offset`` and ``phase``).
+    ``amplitude``, ``period`` and, if wanted, ``offset`` and ``phase``). ``kind: base_path`` is
+    for the wheels of a base, see :func:`~hpid_ros.trajectory.base_section.base_path_from`;
+    ``kind: combined`` has ``parts``, a list of such sections for different joints.
 
     Args:
         values: The section.
@@ -31,6 +34,10 @@ def reference_from(values: object, where: str = "reference") -> JointTrajectory:
     kind = section.text("kind")
     if kind not in KINDS:
         raise TrajectoryError(f"{section.place('kind')}: {unknown_name('kind', kind, KINDS)}")
+    if kind == "base_path":
+        return base_path_from(section)
+    if kind == "combined":
+        return _combined(section)
     if kind == "sine":
         duration = section.number("duration", above=0.0)
         signals = {
@@ -39,13 +46,28 @@ def reference_from(values: object, where: str = "reference") -> JointTrajectory:
         }
         section.finish()
         return sine(duration, signals)
-    times = _numbers(section.take("times"), section.place("times"))
+    times = number_list(section.take("times"), section.place("times"))
     positions = {
-        joint: _numbers(row, f"{section.place('positions')}.{joint}")
+        joint: number_list(row, f"{section.place('positions')}.{joint}")
         for joint, row in section.section("positions").items().items()
     }
     section.finish()
     return (minimum_jerk if kind == "minimum_jerk" else step)(times, positions)
+
+
+def _combined(section: Section) -> JointTrajectory:
+    parts = section.take("parts")
+    section.finish()
+    if not isinstance(parts, list) or not parts:
+        raise TrajectoryError(f"{section.place('parts')} must be a list of references")
+    place = section.place("parts")
+    if any(isinstance(part, Mapping) and part.get("kind") == "combined" for part in parts):
+        raise TrajectoryError(f"{place} must not hold a combined reference again")
+    each = [reference_from(part, f"{place}[{index}]") for index, part in enumerate(parts)]
+    try:
+        return combined(each)
+    except TrajectoryError as error:
+        raise TrajectoryError(f"{section.where}: {error}") from None
 
 
 def _signal(section: Section) -> Mapping[str, float]:
@@ -57,12 +79,3 @@ def _signal(section: Section) -> Mapping[str, float]:
     }
     section.finish()
     return signal
-
-
-def _numbers(values: Any, where: str) -> list[float]:
-    if not isinstance(values, list) or not values:
-        raise TrajectoryError(f"{where} must be a list of numbers, not {values!r}")
-    for value in values:
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            raise TrajectoryError(f"{where} must be a list of numbers, it holds {value!r}")
-    return [float(value) for value in values]

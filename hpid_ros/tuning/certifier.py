@@ -41,10 +41,10 @@ class Certifier:
         if settings.law == "pid" or settings.mu == 0.0:
             return (
                 Finding(True, "linear, stable by Routh and Hurwitz")
-                if settings.inertia
+                if settings.plant_inertia
                 else (Finding(None, "unknown: the inertia is not given"))
             )
-        if settings.inertia == 0.0:
+        if settings.plant_inertia == 0.0:
             return Finding(None, "unknown: the inertia is not given")
         known = self._known.get(_key(settings))
         if known is None:
@@ -56,7 +56,7 @@ class Certifier:
 
     def want(self, settings: LoopSettings) -> None:
         """Begin to find out, after what is being found out now; the newest wish counts."""
-        is_open = self.finding(settings).is_certified is None and settings.inertia > 0.0
+        is_open = self.finding(settings).is_certified is None and settings.plant_inertia > 0.0
         self._wanted = settings if is_open and _key(settings) != self._child_of else None
         self.poll()
 
@@ -127,5 +127,5 @@ def _key(settings: LoopSettings) -> Hashable:
         settings.norm_type,
         settings.norm_error_scale,
         settings.norm_rate_weight,
-        settings.inertia,
+        settings.plant_inertia,
     )

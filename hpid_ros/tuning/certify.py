@@ -19,7 +19,7 @@ def main() -> int:
     try:
         settings = LoopSettings.from_parameters(json.load(sys.stdin))
         interval = certified_degree_interval(
-            settings.gains, norm_family(settings), settings.inertia
+            settings.gains, norm_family(settings), settings.plant_inertia
         )
     except HpidError as error:
         answer: dict[str, object] = {"reason": str(error)}

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from hpid_ros.control import LOOP_PARAMETERS, LoopSettings
+from hpid_ros.control.model_settings import MODEL_PARAMETERS
 from hpid_ros.errors import HpidError, SettingError, unknown_name
 from hpid_ros.names import NODE_PARAMETERS
 from hpid_ros.yaml_files import load_yaml
@@ -76,7 +77,7 @@ def _flat(parameters: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 def _settings(values: Mapping[str, Any], where: str) -> LoopSettings:
     loop = {}
     for name, value in values.items():
-        if name in LOOP_PARAMETERS:
+        if name in LOOP_PARAMETERS or name in MODEL_PARAMETERS:
             loop[name] = value
         elif name.split(".")[0] not in NODE_PARAMETERS:
             raise SettingError(f"{where}: {unknown_name('parameter', name, LOOP_PARAMETERS)}")

@@ -161,6 +161,8 @@ def inertia_of(
     Raises:
         SettingError: Nobody knows it.
     """
+    if settings.model.is_decoupling:  # the law acts on a unit double integrator
+        return settings.plant_inertia, settings.plant_inertia
     own = (settings.inertia, settings.inertia) if settings.inertia > 0.0 else None
     if known is not None and own is not None:
         return min(known[0], own[0]), max(known[1], own[1])

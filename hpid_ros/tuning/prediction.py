@@ -12,6 +12,7 @@ from hpid_ros.control.joint_loop import Motion
 from hpid_ros.simulation import World, WorldSettings
 from hpid_ros.simulation.recording import record_run
 from hpid_ros.trajectory import Column, Knot
+from hpid_ros.tuning.compensation import compensators
 
 _NANOSECONDS = 1_000_000_000
 _STEP_DURATION = 3.0  # [s]
@@ -21,16 +22,20 @@ def predict(
     robot: str,
     loops: Mapping[str, Sequence[LoopSettings]],
     recorded: Sequence[JointSeries],
+    fixed_base: bool = False,
+    initial_positions: Mapping[str, float] | None = None,
 ) -> Comparison:
     """Simulate controllers on a robot and compare them.
 
     The reference is the recorded one, from the recorded start; without a recording each joint
-    steps by its ``norm.error_scale``.
+    steps by its ``norm.error_scale`` from where it starts.
 
     Args:
         robot: The robot's URDF, path or XML.
         loops: Settings of the same joints, in the same order, by the controller's label.
         recorded: The recorded joints, or none.
+        fixed_base: The robot's root is held.
+        initial_positions: Where joints start that are not recorded, in [rad]; others at 0.
 
     Raises:
         HpidError: The robot lacks a joint, or cannot start where the recording does.
@@ -38,15 +43,21 @@ def predict(
     first = next(iter(loops.values()))
     joints = tuple(each.joint for each in first)
     series = {each.joint: each for each in recorded if each.joint in joints}
+    start = dict(initial_positions or {})
+    start |= {name: float(each.position[0]) for name, each in series.items()}
     period_ns = round(first[0].control_period * _NANOSECONDS)
     world = WorldSettings(
         robot_description=robot,
         joints=joints,
         control_period_ns=period_ns,
-        initial_positions={name: float(each.position[0]) for name, each in series.items()},
+        initial_positions=start,
+        fixed_base=fixed_base,
         encoder_counts=tuple(_counts(each) for each in first),
     )
-    motions = {each.joint: _motion(each, series.get(each.joint)) for each in first}
+    motions = {
+        each.joint: _motion(each, series.get(each.joint), start.get(each.joint, 0.0))
+        for each in first
+    }
     duration = max((float(each.time[-1]) for each in series.values()), default=_STEP_DURATION)
     periods = math.floor(duration * _NANOSECONDS / period_ns)
     runs = [_run(label, world, each, motions, periods) for label, each in loops.items()]
@@ -65,14 +76,15 @@ def _run(
         motion: Motion = motions[loop.settings.joint]
         loop.follow(motion)
     with World(world) as robot:
-        stamps_ns, *columns = record_run(robot, loops, periods)
+        models = compensators(settings, str(world.robot_description))
+        stamps_ns, *columns = record_run(robot, loops, periods, models)
     return complete_run(label, world.joints, stamps_ns, columns)
 
 
-def _motion(settings: LoopSettings, series: JointSeries | None) -> Column:
-    """Return the recorded reference, or a step."""
+def _motion(settings: LoopSettings, series: JointSeries | None, start: float) -> Column:
+    """Return the recorded reference, or a step from where the joint starts, in [rad]."""
     if series is None:
-        return Column(settings.joint, (Knot(0, settings.norm_error_scale),))
+        return Column(settings.joint, (Knot(0, start + settings.norm_error_scale),))
     stamps = series.state_stamps_ns - series.state_stamps_ns[0]
     knots = (Knot(int(t), float(x)) for t, x in zip(stamps, series.reference, strict=True))
     return Column(settings.joint, tuple(knots))

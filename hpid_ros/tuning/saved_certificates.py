@@ -41,9 +41,11 @@ def certificates(controllers: Mapping[str, Sequence[LoopSettings]]) -> dict[str,
         f"{label} {each.joint}": each
         for label, settings in controllers.items()
         for each in settings
-        if each.law == "hpid" and each.inertia > 0.0 and each.gains.i > 0.0
+        if each.law == "hpid" and each.plant_inertia > 0.0 and each.gains.i > 0.0
     }
-    verdicts = check_gains([(each, (each.inertia, each.inertia)) for each in loops.values()])
+    verdicts = check_gains(
+        [(each, (each.plant_inertia, each.plant_inertia)) for each in loops.values()]
+    )
     return {
         _KEY: {
             name: verdict.certificate or {"reason": verdict.reason}

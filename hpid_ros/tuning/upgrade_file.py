@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 
 from hpid_ros.control import LOOP_PARAMETERS
+from hpid_ros.control.model_settings import MODEL_PARAMETERS
 from hpid_ros.control.parameters import Value
 from hpid_ros.names import controller_name
 from hpid_ros.tuning.upgrade import Upgrade
 
 _COMMENT_COLUMN = 48
+_SPECS = {**LOOP_PARAMETERS, **MODEL_PARAMETERS}
 
 
 def upgrade_text(
@@ -49,7 +52,7 @@ def _parameters(upgrade: Upgrade) -> list[str]:
 def _value(value: Value) -> str:
     """Return a YAML scalar that ROS reads as the type it is."""
     if isinstance(value, str):
-        return value
+        return value if value.isidentifier() else json.dumps(value)
     text = f"{value:.6g}"
     return text if "." in text and "e" not in text else f"{value:.10f}".rstrip("0") + "0"
 
@@ -57,6 +60,8 @@ def _value(value: Value) -> str:
 def _reason(upgrade: Upgrade, name: str, value: Value) -> str:
     if name in upgrade.reasons:
         return upgrade.reasons[name]
-    spec = LOOP_PARAMETERS[name]
+    spec = _SPECS[name]
     origin = "default" if value == spec.default else "as before"
-    return f"{origin}: {spec.description[0].lower()}{spec.description[1:]}"
+    text = spec.description
+    is_word = text[1:2].islower()  # and no abbreviation
+    return f"{origin}: {text[0].lower() if is_word else text[0]}{text[1:]}"

@@ -1,4 +1,4 @@
-"""The experiment that every loop here runs: the paper's, shortened or changed where said."""
+"""The experiment that every loop here runs: smooth motions, shortened or changed where said."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from hpid_ros.experiment.description import Experiment, load_experiment
 from hpid_ros.resources import find_resource
 
 
-def paper(physics_steps: int | None = None, duration: float | None = None) -> Experiment:
-    """Return the paper's experiment.
+def tracking(physics_steps: int | None = None, duration: float | None = None) -> Experiment:
+    """Return the experiment of tracking.yaml.
 
     Args:
         physics_steps: Physics steps in one control period; None for the file's own.
@@ -26,4 +26,4 @@ def paper(physics_steps: int | None = None, duration: float | None = None) -> Ex
 
 @cache
 def _load() -> Experiment:
-    return load_experiment(find_resource("config/experiments/paper.yaml"))
+    return load_experiment(find_resource("config/experiments/tracking.yaml"))

@@ -1,0 +1,152 @@
+"""``hpid robot``: what a robot's description says, and what it does not."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hpid_ros.commands import DONE
+from hpid_ros.commands.robot_options import load_robot
+from hpid_ros.errors import ResultExistsError, RobotDescriptionError, SettingError
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from hpid_ros.commands.robot_options import Robot
+
+_COLUMNS = ("range", "effort", "velocity", "damping", "friction", "Jr N²", "inertia", "gravity")
+_SHOWN = 3  # names in a remark
+
+
+def add(commands: Any) -> None:
+    """Add the command to the parser."""
+    parser = commands.add_parser(
+        "robot",
+        help="show a robot: its joints, their inertias, and what its URDF lacks",
+        description="Show the joints of a URDF, or of an experiment's robot with all that the "
+        "experiment knows better, and what to know before it is simulated.",
+    )
+    parser.add_argument("file", metavar="FILE", help="URDF, or experiment file (.yaml)")
+    parser.add_argument("--poses", type=int, default=200, help="poses sampled for the inertias")
+    parser.add_argument("--json", action="store_true", help="machine-readable")
+    parser.add_argument("--save", type=Path, metavar="URDF", help="write the robot to a new file")
+    parser.add_argument("--force", action="store_true", help="replace an existing file")
+    parser.set_defaults(command=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Show the robot."""
+    from rich.console import Console
+
+    from hpid_ros.robot.review import review
+
+    if options.save and options.save.exists() and not options.force:
+        raise ResultExistsError(f"{options.save} exists; name another with --save or use --force")
+    robot = load_robot(options.file)
+    facts = _facts(robot, options.poses)
+    remarks = review(robot.description)
+    if options.json:
+        listed = [{"names": each.names, "text": each.text} for each in remarks]
+        document = {"robot": robot.description.name, "joints": facts, "remarks": listed}
+        print(json.dumps(document, indent=2))
+    else:
+        console = Console()
+        console.print(_table(robot.description.name, facts))
+        for each in remarks:
+            console.print(f"{_listed(each.names)}: {each.text}", highlight=False, soft_wrap=True)
+    if options.save:
+        _save(robot, options.save)
+    return DONE
+
+
+def _listed(names: tuple[str, ...]) -> str:
+    """Return a few names and how many more there are."""
+    shown = names if len(names) <= _SHOWN else names[: _SHOWN - 1]
+    more = f" and {len(names) - len(shown)} more" if len(names) > len(shown) else ""
+    return ", ".join(shown) + more
+
+
+def _save(robot: Robot, path: Path) -> None:
+    from hpid_ros.robot.amendments import amended
+
+    try:
+        # With nothing to amend, only its meshes are named so that they are found from there.
+        path.write_text(amended(robot.description, {}, {}, {}).xml, encoding="utf-8")
+    except OSError as error:
+        raise SettingError(
+            f"cannot write {path}: {(error.strerror or str(error)).lower()}"
+        ) from None
+
+
+def _facts(robot: Robot, poses: int) -> dict[str, dict[str, Any]]:
+    """Return what is known of each joint; None is unlimited."""
+    import numpy as np
+
+    from hpid_ros.robot.dynamics import Dynamics
+
+    joints = robot.description.joints
+    dynamics = Dynamics(robot.description)
+    start = robot.initial_positions
+    try:
+        inertias = dynamics.inertia_range(joints, poses, 1, start)
+    except np.linalg.LinAlgError:
+        raise RobotDescriptionError(
+            f"the mass matrix of {robot.description.name!r} cannot be inverted: a joint moves "
+            "nothing that has mass"
+        ) from None
+    gravity = dynamics.gravity_torques(joints, start)
+    return {
+        name: {
+            "type": joint.type,
+            "lower": _finite(joint.lower),
+            "upper": _finite(joint.upper),
+            "effort": _finite(joint.effort),
+            "velocity": _finite(joint.velocity),
+            "damping": joint.damping,
+            "friction": joint.friction,
+            "reflected_inertia": joint.reflected_inertia,
+            "inertia": inertias[name].nominal,
+            "least_inertia": inertias[name].minimum,
+            "largest_inertia": inertias[name].maximum,
+            "gravity": gravity[name],
+        }
+        for name, joint in joints.items()
+    }
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def _table(name: str, facts: dict[str, dict[str, Any]]) -> Table:
+    from rich import box
+    from rich.table import Table
+
+    table = Table(
+        title=name,
+        box=box.SIMPLE_HEAD,
+        caption="SI units. Jr N²: rotor inertia as the joint feels it. Inertia: 1 / (M⁻¹)ⱼⱼ on "
+        "a fixed base in the initial pose, and over the joints' ranges. Gravity: effort that "
+        "holds the initial pose.",
+    )
+    table.add_column("joint")
+    for column in _COLUMNS:
+        table.add_column(column, justify="right")
+    for joint, fact in facts.items():
+        table.add_row(
+            joint,
+            f"{_number(fact['lower'])} … {_number(fact['upper'])}",
+            *(_number(fact[key]) for key in ("effort", "velocity", "damping", "friction")),
+            _number(fact["reflected_inertia"]),
+            f"{_number(fact['inertia'])} ({_number(fact['least_inertia'])} … "
+            f"{_number(fact['largest_inertia'])})",
+            f"{fact['gravity']:.2f}",
+        )
+    return table
+
+
+def _number(value: float | None) -> str:
+    return "none" if value is None else f"{value:.3g}"

@@ -1,0 +1,226 @@
+"""``hpid tune``: search a controller's free parameters for one stated cost."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hpid_ros.commands import DONE, FAILED
+from hpid_ros.commands.compare import DEFAULT_EXPERIMENT
+from hpid_ros.errors import SettingError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from rich.console import Console
+
+    from hpid_ros.experiment.search_cost import SearchCost
+    from hpid_ros.experiment.search_plan import Evaluation, SearchPlan
+
+_LABELS = {"pid": "best PID", "hpid": "best hPID"}
+
+
+def add(commands: Any) -> None:
+    """Add the command to the parser."""
+    parser = commands.add_parser(
+        "tune",
+        help="search the best gains of a PID, or the best degree and norm, for one cost",
+        description="Search the free parameters of a controller for the least cost, without ROS, "
+        "on every core. pid scales the baseline's gains (bandwidth, damping, integral), hpid "
+        "chooses degree and norm and leaves the gains alone: three numbers each. The cost is the "
+        "geometric mean over IVC, IAVC, ITAE, ||u|| and ||e|| of the ratio to the experiment's "
+        "first controller, or what --limit makes of it.",
+        epilog="Unstable gains and uncertified degrees are refused. The same options give the "
+        "same result with any number of jobs. An interrupt leaves what was found.",
+    )
+    parser.add_argument(
+        "experiment", nargs="?", metavar="FILE", help="experiment file (the paper's comparison)"
+    )
+    parser.add_argument("--law", choices=tuple(_LABELS), required=True)
+    parser.add_argument(
+        "--joint",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help="judge this joint; may be repeated (those that the experiment judges)",
+    )
+    parser.add_argument(
+        "--evaluations", type=int, default=150, metavar="N", help="points of the search (150)"
+    )
+    parser.add_argument(
+        "--per-joint",
+        action="store_true",
+        help="then refine each judged joint on its own, with as many points again",
+    )
+    parser.add_argument(
+        "--seeds", type=int, default=3, metavar="K", help="training seeds of each point (3)"
+    )
+    parser.add_argument(
+        "--weight",
+        action="append",
+        default=[],
+        metavar="INDEX=WEIGHT",
+        help="of ivc, iavc, itae, effort_l2 or error_l2 in the cost (1 each); once one is "
+        "given, the others are 0",
+    )
+    parser.add_argument(
+        "--limit",
+        action="append",
+        default=[],
+        metavar="INDEX=RATIO",
+        help="wanted of the same indices; the cost is then the largest of ratio/limit, and at 1 "
+        "all that are given are kept",
+    )
+    parser.add_argument(
+        "--bounds",
+        action="append",
+        default=[],
+        metavar="NAME=LOW:HIGH",
+        help="of a free parameter: bandwidth, damping, integral; mu, error_scale, rate_weight",
+    )
+    parser.add_argument(
+        "--settle", type=float, metavar="RAD", help="refuse larger errors in the last second"
+    )
+    parser.add_argument(
+        "--uncertified", action="store_true", help="accept degrees that are not certified"
+    )
+    parser.add_argument(
+        "--search-seed", type=int, default=1, metavar="S", help="of the search itself (1)"
+    )
+    parser.add_argument("--label", help="name of what is found (best PID, best hPID)")
+    parser.add_argument(
+        "-j", "--jobs", type=int, metavar="N", help="processes (one for each processor)"
+    )
+    parser.add_argument(
+        "-o", "--output", type=Path, metavar="FOLDER", help="folder (results/NAME-tune-LAW-TIME)"
+    )
+    parser.add_argument("--force", action="store_true", help="replace an existing result")
+    parser.set_defaults(command=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Search, and print what was found."""
+    from rich.console import Console
+
+    from hpid_ros.experiment.result_folder import ResultFolder
+    from hpid_ros.experiment.search import Search
+    from hpid_ros.experiment.search_result import SearchResult
+
+    if options.jobs is not None and options.jobs < 1:
+        raise SettingError(f"--jobs must be at least 1, not {options.jobs}")
+    plan = _plan(options)
+    name = f"{plan.experiment.name}-tune-{options.law}-{datetime.now():%Y%m%d-%H%M%S}"
+    path = options.output or Path("results") / name
+    folder = ResultFolder.create(path, force=options.force, parts=())
+    folder.experiment.write_text(plan.experiment.text, encoding="utf-8")
+    told = Console(stderr=True)
+    with _progress(told, plan) as advanced:
+        search = Search(plan, options.jobs, advanced)
+        result = SearchResult(search, options.label or _LABELS[options.law])
+        try:
+            search.run()
+        except KeyboardInterrupt:
+            told.print(f"what was found: {folder.path}", soft_wrap=True, highlight=False)
+            raise
+        finally:
+            result.save(folder)
+    told.print(result.table(), end="", soft_wrap=True, highlight=False, markup=False)
+    print(result.snippet(), end="")
+    told.print(f"result: {folder.path}", soft_wrap=True, highlight=False)
+    return DONE if search.best is not None else FAILED
+
+
+def _plan(options: argparse.Namespace) -> SearchPlan:
+    """Return the search that the options ask for."""
+    import math
+
+    from hpid_ros.errors import unknown_name
+    from hpid_ros.experiment.description import load_experiment
+    from hpid_ros.experiment.search_plan import SearchPlan
+    from hpid_ros.experiment.search_space import SearchSpace
+    from hpid_ros.resources import find_resource
+
+    experiment = load_experiment(options.experiment or find_resource(DEFAULT_EXPERIMENT))
+    for joint in options.joint:
+        if joint not in experiment.world.joints:
+            raise SettingError(unknown_name("joint", joint, experiment.world.joints))
+    named = tuple(joint for joint in experiment.world.joints if joint in options.joint)
+    bounds = dict(_numbers(text, "bounds", 2) for text in options.bounds)
+    return SearchPlan(
+        experiment=experiment,
+        space=SearchSpace.of(
+            experiment, options.law, {name: (low, high) for name, (low, high) in bounds.items()}
+        ),
+        cost=_cost(options),
+        joints=named or experiment.judged,
+        evaluations=options.evaluations,
+        seeds=options.seeds,
+        search_seed=options.search_seed,
+        per_joint=options.per_joint,
+        must_be_certified=not options.uncertified,
+        settle=math.inf if options.settle is None else options.settle,
+    )
+
+
+def _cost(options: argparse.Namespace) -> SearchCost:
+    from hpid_ros.experiment.search_cost import Cost, WorstExcess
+
+    weights = {key: weight for key, (weight,) in _pairs(options.weight, "weight")}
+    limits = {key: limit for key, (limit,) in _pairs(options.limit, "limit")}
+    if weights and limits:
+        raise SettingError("--weight and --limit are two costs; give one of them")
+    if limits:
+        return WorstExcess(limits)
+    return Cost(weights) if weights else Cost.even()
+
+
+def _pairs(texts: list[str], option: str) -> list[tuple[str, list[float]]]:
+    return [_numbers(text, option, 1) for text in texts]
+
+
+def _numbers(text: str, option: str, count: int) -> tuple[str, list[float]]:
+    """Return the name and the numbers of ``NAME=NUMBER:...``."""
+    name, _, rest = text.partition("=")
+    try:
+        numbers = [float(part) for part in rest.split(":")]
+    except ValueError:
+        numbers = []
+    if len(numbers) != count or not name.strip():
+        form = "NAME=" + ":".join(["NUMBER"] * count)
+        raise SettingError(f"--{option} must be {form}, not {text!r}")
+    return name.strip(), numbers
+
+
+@contextmanager
+def _progress(console: Console, plan: SearchPlan) -> Iterator[Callable[[Evaluation], None]]:
+    """Show how many points are done, and the least cost; nothing to a file."""
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeRemainingColumn,
+    )
+
+    columns = (
+        TextColumn("points", style="bold"),
+        BarColumn(bar_width=24),
+        MofNCompleteColumn(),
+        TextColumn("{task.fields[found]}"),
+        TimeRemainingColumn(elapsed_when_finished=True),
+    )
+    least = float("inf")
+    with Progress(*columns, console=console, disable=not console.is_terminal) as progress:
+        task = progress.add_task("", total=plan.total, found="")
+
+        def advanced(evaluation: Evaluation) -> None:
+            nonlocal least
+            least = min(least, evaluation.cost)
+            found = f"least cost {least:.4f}" if least < float("inf") else ""
+            progress.update(task, advance=1, found=found)
+
+        yield advanced

@@ -1,0 +1,175 @@
+"""A control law with its limits and its anti-windup: from an error to an effort."""
+
+from __future__ import annotations
+
+import math
+
+from hpid_ros.control.damping_stop import DampingStop
+from hpid_ros.control.loop_state import LoopCounts
+from hpid_ros.control.model_term import ModelTerm
+from hpid_ros.control.pid import Terms
+from hpid_ros.control.settings import LoopSettings
+from hpid_ros.control.velocity import VelocitySource
+
+
+class LimitedLaw:
+    """What one joint's settings make of an error, a model's term included.
+
+    Attributes:
+        effort: The effort in force in [N m].
+        limits: Limits of position, velocity and effort rate; None where there are none.
+
+    Args:
+        settings: Checked settings.
+        counts: Where limited samples are counted.
+    """
+
+    __slots__ = (
+        "_anti_windup",
+        "_counts",
+        "_gain",
+        "_law",
+        "_model_effort",
+        "_settings",
+        "effort",
+        "limits",
+    )
+
+    def __init__(self, settings: LoopSettings, counts: LoopCounts) -> None:
+        self._settings, self._counts = settings, counts
+        self._law = settings.make_law()
+        self._anti_windup = settings.make_anti_windup()
+        self.limits = settings.make_motion_limits()
+        self.reset()
+
+    @property
+    def terms(self) -> Terms:
+        """The law's terms of the last sample in [N m], before the limits."""
+        terms, gain = self._law.terms, self._gain
+        return Terms(gain * terms.p, gain * terms.i, gain * terms.d)
+
+    @property
+    def model_effort(self) -> float:
+        """What the model added in the last sample, in [N m], before the limits."""
+        return self._model_effort
+
+    @property
+    def integral(self) -> float:
+        """The integral term that the next sample uses, in [N m]."""
+        return self._gain * self._law.integral
+
+    def retune(self, settings: LoopSettings, position: float | None) -> None:
+        """Put other settings in force; the integral stays.
+
+        Args:
+            settings: Checked settings of the same joint.
+            position: Where the joint is, in [rad]; None before the first state.
+        """
+        law = settings.make_law()
+        law.restore_integral(self._law.integral)
+        limits = settings.make_motion_limits()
+        if limits is not None and position is not None:
+            limits.take_over(self.limits, position)
+        self._anti_windup, self.limits = settings.make_anti_windup(), limits
+        self._law, self._settings = law, settings
+
+    def reset(self) -> None:
+        """Forget the integral, and be without effort."""
+        self._law.reset()
+        self.effort = 0.0
+        self._gain, self._model_effort = 1.0, 0.0
+
+    def take_over(self, effort: float, model: ModelTerm | None, acceleration: float) -> None:
+        """Begin anew with an effort in force: the integral becomes what it needs.
+
+        Args:
+            effort: In [N m].
+            model: The model's term of the sample to come; None without a model.
+            acceleration: The reference's, in [rad/s^2].
+        """
+        settings, law = self._settings, self._law
+        self.effort = integral = effort
+        if model is not None:
+            integral = (effort - model.effort) / model.gain
+            if model.follows_acceleration:
+                integral -= acceleration
+        law.reset()
+        law.restore_integral(min(max(integral, settings.i_clamp_min), settings.i_clamp_max))
+
+    def update(
+        self,
+        error: float,
+        error_rate: float,
+        position: float,
+        velocity: float,
+        dt: float,
+        model: ModelTerm | None = None,
+        acceleration: float = 0.0,
+    ) -> float:
+        """Take one sample.
+
+        Args:
+            error: Reference minus measured position, in [rad].
+            error_rate: Its time derivative, in [rad/s].
+            position: Measured, in [rad].
+            velocity: Measured or estimated, in [rad/s].
+            dt: Time since the last sample in [s].
+            model: The model's term; None without a model.
+            acceleration: The reference's, in [rad/s^2].
+
+        Returns:
+            The effort in [N m], within the limits.
+
+        Raises:
+            ArithmeticError: The effort is not finite; the integral is as it was.
+        """
+        law, settings = self._law, self._settings
+        before = law.integral
+        gain = 1.0
+        try:
+            wanted = law.update(error, error_rate, dt)
+        except OverflowError:  # a power of an absurd but finite error
+            wanted = math.inf
+        if model is not None:
+            self._gain = gain = model.gain
+            added = model.effort
+            if model.follows_acceleration:
+                added += gain * acceleration
+            self._model_effort = added
+            wanted = gain * wanted + added
+        after = law.integral
+        if not (math.isfinite(wanted) and math.isfinite(after)):
+            law.restore_integral(before)
+            raise ArithmeticError(f"the law gave {wanted} N m at an error of {error} rad")
+        if self.limits is None:
+            effort = min(max(wanted, settings.u_clamp_min), settings.u_clamp_max)
+        else:
+            effort = self.limits.limit(wanted, position, velocity, self.effort, dt)
+        if effort != wanted:
+            self._counts.saturated += 1
+        # In the law's own units: what is taken from the effort is taken from the law's output.
+        integral = self._anti_windup(before, after, error, wanted / gain, effort / gain, dt)
+        law.restore_integral(min(max(integral, settings.i_clamp_min), settings.i_clamp_max))
+        self.effort = effort
+        return effort
+
+    def damping_stop(
+        self, velocity: VelocitySource, stamp_ns: int | None, duration: float
+    ) -> DampingStop:
+        """Return what damps the joint from now on in this law's place.
+
+        Args:
+            velocity: The loop's velocity source, with its past.
+            stamp_ns: Stamp of the last state in [ns]; None before the first one.
+            duration: In [s], positive.
+        """
+        settings = self._settings
+        return DampingStop(
+            self._gain * settings.gains.d,
+            velocity,
+            self.limits,
+            (settings.u_clamp_min, settings.u_clamp_max),
+            self.effort,
+            stamp_ns or 0,
+            duration,
+        )

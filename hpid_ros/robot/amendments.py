@@ -1,0 +1,206 @@
+"""What is known of a robot better than its URDF says it.
+
+URDFs that go from hand to hand seldom have rotor inertias, and often no friction, the same effort
+limit for every joint, or inertias that somebody made up. What is known better is laid over the
+URDF here, as a new URDF text: whoever reads it, Bullet, Pinocchio or a controller with
+a model, sees the same robot, and nobody else has to know.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from xml.etree import ElementTree
+
+import numpy as np
+
+from hpid_ros.errors import RobotDescriptionError
+from hpid_ros.robot.description import RobotDescription
+from hpid_ros.robot.held_joints import hold
+from hpid_ros.robot.joints import DRAKE_NAMESPACE
+from hpid_ros.robot.meshes import find_mesh
+from hpid_ros.robot.packages import package_uri
+
+ElementTree.register_namespace("drake", DRAKE_NAMESPACE)
+
+_TRIANGLE_SLACK = 1e-3
+"""Share of the largest principal moment by which published, rounded inertias may break the
+triangle inequality."""
+
+
+@dataclass(frozen=True)
+class JointAmendment:
+    """What is known better of one joint; None leaves what the URDF says.
+
+    Attributes:
+        rotor_inertia: Of the motor's rotor about its own axis, in [kg m^2].
+        gear_ratio: Turns of the rotor for one turn of the joint.
+        damping: Viscous friction, in [N m s/rad].
+        friction: Coulomb friction, in [N m].
+        effort: Largest absolute effort, in [N m].
+        velocity: Largest absolute velocity, in [rad/s].
+
+    Raises:
+        RobotDescriptionError: A value is not possible.
+    """
+
+    rotor_inertia: float | None = None
+    gear_ratio: float | None = None
+    damping: float | None = None
+    friction: float | None = None
+    effort: float | None = None
+    velocity: float | None = None
+
+    def __post_init__(self) -> None:
+        for name, value in self.given().items():
+            if not math.isfinite(value):
+                raise RobotDescriptionError(f"{name} {value} must be a finite number")
+            if name == "gear_ratio":
+                if value == 0.0:
+                    raise RobotDescriptionError("gear_ratio must not be 0")
+            elif value < 0.0 or (value == 0.0 and name in ("effort", "velocity")):
+                least = "above 0" if name in ("effort", "velocity") else ">= 0"
+                raise RobotDescriptionError(f"{name} {value} must be {least}")
+
+    def given(self) -> dict[str, float]:
+        """Return what is known, by name."""
+        return {name: value for name, value in vars(self).items() if value is not None}
+
+
+@dataclass(frozen=True)
+class Inertial:
+    """Mass and inertia of one link; they replace its ``inertial`` element as a whole.
+
+    Attributes:
+        mass: In [kg].
+        center_of_mass: In the link's frame, in [m].
+        inertia: Moments xx, yy, zz and products xy, xz, yz about the centre of mass, in axes
+            parallel to the link's, in [kg m^2].
+
+    Raises:
+        RobotDescriptionError: No body has them.
+    """
+
+    mass: float
+    center_of_mass: tuple[float, float, float]
+    inertia: tuple[float, float, float, float, float, float]
+
+    def __post_init__(self) -> None:
+        if not all(map(math.isfinite, (self.mass, *self.center_of_mass, *self.inertia))):
+            raise RobotDescriptionError("mass, centre and inertia must be finite numbers")
+        if self.mass <= 0.0:
+            raise RobotDescriptionError(f"mass {self.mass} kg must be above 0")
+        moments = principal_moments(self.inertia)
+        if not is_possible(moments):
+            shown = ", ".join(f"{moment:.4g}" for moment in moments)
+            raise RobotDescriptionError(
+                f"no body has the principal moments {shown} kg m^2: each must be above 0, and"
+                " none above the sum of the others"
+            )
+
+
+def principal_moments(
+    inertia: tuple[float, float, float, float, float, float],
+) -> tuple[float, float, float]:
+    """Return the principal moments of inertia, the least first, in [kg m^2].
+
+    Args:
+        inertia: As for :class:`Inertial`.
+    """
+    xx, yy, zz, xy, xz, yz = inertia
+    least, middle, most = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    return float(least), float(middle), float(most)
+
+
+def is_possible(moments: tuple[float, float, float]) -> bool:
+    """Return whether some body has these principal moments, sorted, in [kg m^2]."""
+    least, middle, most = moments
+    return least > 0.0 and most <= (least + middle) * (1.0 + _TRIANGLE_SLACK)
+
+
+def amended(
+    description: RobotDescription,
+    joints: Mapping[str, JointAmendment],
+    links: Mapping[str, Inertial | None],
+    held: Mapping[str, float],
+) -> RobotDescription:
+    """Return a robot with what is known better.
+
+    Meshes of packages get their ``package://`` name and others their absolute path, since the
+    new text stands in no folder.
+
+    Args:
+        description: The robot as its URDF has it.
+        joints: What is known better, by joint.
+        links: What is known better, by link; None makes it a mere frame, without mass.
+        held: Joints that do not move, and where they stand, in [rad] or [m]; they are fixed
+            joints of the new robot.
+
+    Raises:
+        RobotDescriptionError: The robot lacks a joint or a link, or a joint would be held
+            beyond its limits.
+    """
+    description.select(list(joints))
+    description.select(list(held))
+    robot = ElementTree.fromstring(description.xml)
+    elements = {element.get("name", ""): element for element in robot.findall("joint")}
+    for name, amendment in joints.items():
+        _amend_joint(robot, elements[name], amendment)
+    bodies = {element.get("name", ""): element for element in robot.findall("link")}
+    for name, inertial in links.items():
+        _replace_inertial(bodies[description.link(name)], inertial)
+    for name, position in held.items():
+        hold(elements[name], description.joints[name], position)
+    for mesh in robot.iter("mesh"):
+        found = find_mesh(mesh.get("filename", ""), description.folder)
+        if found is not None:
+            mesh.set("filename", package_uri(found))
+    return RobotDescription.load(ElementTree.tostring(robot, encoding="unicode"))
+
+
+def _amend_joint(
+    robot: ElementTree.Element, joint: ElementTree.Element, amendment: JointAmendment
+) -> None:
+    given = amendment.given()
+    for tag, names in (("limit", ("effort", "velocity")), ("dynamics", ("damping", "friction"))):
+        for name in names:
+            if name in given:
+                _child(joint, tag).set(name, repr(given[name]))
+    rotor = {name: given[name] for name in ("rotor_inertia", "gear_ratio") if name in given}
+    if rotor:
+        actuator = _actuator(robot, joint.get("name", ""))
+        for name, value in rotor.items():
+            _child(actuator, f"{{{DRAKE_NAMESPACE}}}{name}").set("value", repr(value))
+
+
+def _actuator(robot: ElementTree.Element, joint: str) -> ElementTree.Element:
+    """Return the actuator of a joint; where there is none it is added."""
+    for transmission in reversed(robot.findall("transmission")):
+        moved = transmission.find("joint")
+        if moved is not None and moved.get("name") == joint:
+            return _child(transmission, "actuator", name=f"{joint}_motor")
+    transmission = ElementTree.SubElement(robot, "transmission", name=f"{joint}_transmission")
+    kind = ElementTree.SubElement(transmission, "type")
+    kind.text = "transmission_interface/SimpleTransmission"
+    ElementTree.SubElement(transmission, "joint", name=joint)
+    return _child(transmission, "actuator", name=f"{joint}_motor")
+
+
+def _replace_inertial(link: ElementTree.Element, inertial: Inertial | None) -> None:
+    for old in link.findall("inertial"):
+        link.remove(old)
+    if inertial is None:
+        return
+    new = ElementTree.SubElement(link, "inertial")
+    center = " ".join(map(repr, inertial.center_of_mass))
+    ElementTree.SubElement(new, "origin", xyz=center, rpy="0 0 0")
+    ElementTree.SubElement(new, "mass", value=repr(inertial.mass))
+    names = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
+    values = {name: repr(value) for name, value in zip(names, inertial.inertia, strict=True)}
+    ElementTree.SubElement(new, "inertia", values)
+
+
+def _child(parent: ElementTree.Element, tag: str, **attributes: str) -> ElementTree.Element:
+    found = parent.find(tag)
+    return ElementTree.SubElement(parent, tag, attributes) if found is None else found

@@ -1,0 +1,98 @@
+r"""Whether joints that use each other's last efforts settle.
+
+Each joint's node computes its effort from the *last* efforts of the others. With the mass matrix
+M, :math:`B = M^{-1}` and :math:`D = \mathrm{diag}\,B`, the nodes together iterate
+
+.. math:: u^+ = D^{-1} (b - (B - D) f), \qquad f^+ = f + \alpha (u^+ - f)
+
+once a sample: a Jacobi iteration, relaxed by the filter on the measured efforts,
+:math:`\alpha = T / (\tau + T)`. Its eigenvalues are :math:`1 - \alpha\mu` with those
+:math:`\mu > 0` of :math:`D^{-1} B`. Their sum is the number n of joints, so that
+:math:`\alpha \le 2/n` settles for every robot; without a filter it settles where all
+:math:`\mu < 2`. With :math:`\alpha = 1/\mu_{max}` no part of it alternates.
+
+Source: Y. Saad, *Iterative Methods for Sparse Linear Systems*, section 4.2 (Jacobi iteration),
+4.1 (relaxation).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from hpid_ros.errors import SettingError
+from hpid_ros.robot.joint_space import JointSpace
+
+POSES, SEED = 200, 1
+
+
+class Coupling(NamedTuple):
+    """How strongly the joints of a robot are coupled, over its poses.
+
+    Attributes:
+        least: Least eigenvalue of D^-1 B met; 1 for joints that do not feel each other.
+        largest: Largest eigenvalue met.
+        inertia: Least of what each joint's motor has to accelerate, 1/B_jj, in [kg m^2], in the
+            order of the robot's joints.
+    """
+
+    least: float
+    largest: float
+    inertia: tuple[float, ...]
+
+    def radius(self, relaxation: float = 1.0) -> float:
+        """Return the factor by which the iteration's error shrinks in each sample.
+
+        Args:
+            relaxation: alpha, in (0, 1]; 1 without a filter.
+        """
+        return max(abs(1.0 - relaxation * self.least), abs(1.0 - relaxation * self.largest))
+
+    def filter_time_constant(self, period: float) -> float:
+        """Return the shortest filter with which no part of the iteration alternates, in [s].
+
+        Args:
+            period: Time between two samples in [s].
+        """
+        return period * max(self.largest - 1.0, 0.0)
+
+
+def coupling(space: JointSpace, samples: int = POSES, seed: int = SEED) -> Coupling:
+    """Return the coupling over the zero pose and poses drawn evenly within the joints' limits.
+
+    Args:
+        space: The robot.
+        samples: Number of poses drawn.
+        seed: Seed of the draw.
+
+    Raises:
+        SettingError: There is not one pose to draw.
+    """
+    if samples < 1:
+        raise SettingError(f"samples {samples} must be >= 1")
+    joints = [space.description.joints[name] for name in space.joints]
+    low = [max(joint.lower, -math.pi) for joint in joints]
+    high = [min(joint.upper, math.pi) for joint in joints]
+    draw = np.random.default_rng(seed).uniform(low, high, (samples, len(joints)))
+    rest = (0.0,) * len(joints)
+    least, largest, inertia = 1.0, 1.0, np.full(len(joints), np.inf)
+    for pose in (np.zeros(len(joints)), *draw):
+        mobility = np.linalg.inv(space.equations(pose.tolist(), rest).mass)
+        own = np.diagonal(mobility)
+        scale = 1.0 / np.sqrt(own)
+        values = np.linalg.eigvalsh(mobility * np.outer(scale, scale))
+        least, largest = min(least, float(values[0])), max(largest, float(values[-1]))
+        inertia = np.minimum(inertia, 1.0 / own)
+    return Coupling(least, largest, tuple(inertia.tolist()))
+
+
+def relaxation(time_constant: float, period: float) -> float:
+    """Return alpha of a first-order filter by backward Euler.
+
+    Args:
+        time_constant: In [s].
+        period: Time between two samples in [s].
+    """
+    return period / (time_constant + period)

@@ -1,0 +1,160 @@
+"""A base of two driven wheels on one axle, and the map between its wheels and its twist.
+
+Source: ``ros2_controllers``, ``diff_drive_controller`` (parameters ``left_wheel_names``,
+``right_wheel_names``, ``wheel_separation``, ``wheel_radius``); R. Siegwart and I. Nourbakhsh,
+*Introduction to Autonomous Mobile Robots*, section 3.2.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from hpid_ros.errors import RobotDescriptionError, SettingError
+from hpid_ros.robot.description import RobotDescription
+from hpid_ros.robot.wheels import read_wheel
+
+_LENGTHS = (1e-6, 1e6)  # [m]
+_SAME = 1e-6  # [m]
+
+
+class BaseTwist(NamedTuple):
+    """How a base moves in its own frame.
+
+    Attributes:
+        linear: Forward speed of the axle's centre, in [m/s].
+        angular: Rate of the heading, counter-clockwise seen from above, in [rad/s].
+    """
+
+    linear: float
+    angular: float
+
+
+class WheelRates(NamedTuple):
+    """How fast the wheels turn, forward positive.
+
+    Attributes:
+        left: In [rad/s].
+        right: In [rad/s].
+    """
+
+    left: float
+    right: float
+
+
+@dataclass(frozen=True)
+class DifferentialDrive:
+    """Two wheels on one axle through the base's origin, which roll and do not slip.
+
+    The base's frame is that of REP 103: x forward, y to the left. A positive wheel rate turns
+    the wheel about +y and drives it forward.
+
+    Attributes:
+        left: Name of the left wheel's joint.
+        right: Name of the right wheel's joint.
+        radius: Of both wheels, in [m].
+        separation: Distance between the points where the wheels touch the ground, in [m].
+
+    Raises:
+        SettingError: A joint has no name, both are the same, or a length is not positive.
+    """
+
+    left: str
+    right: str
+    radius: float
+    separation: float
+
+    def __post_init__(self) -> None:
+        for name in ("left", "right"):
+            if not isinstance(getattr(self, name), str) or not getattr(self, name):
+                raise SettingError(f"the {name} wheel must name a joint, it is empty")
+        if self.left == self.right:
+            raise SettingError(f"the wheels must be two joints, not {self.left!r} twice")
+        low, high = _LENGTHS
+        for name in ("radius", "separation"):
+            value = getattr(self, name)
+            if not low <= value <= high:
+                raise SettingError(f"wheel_{name} must lie in [{low:g}, {high:g}] m, not {value}")
+
+    @classmethod
+    def of(
+        cls,
+        description: RobotDescription,
+        left: str,
+        right: str,
+        radius: float | None = None,
+        separation: float | None = None,
+    ) -> DifferentialDrive:
+        """Return the drive of a robot; what is not given is read from its URDF.
+
+        The radius is that of the collision shape of the wheels' links (sphere or cylinder), the
+        separation the distance of the wheels' joints along their axis.
+
+        Args:
+            description: The robot.
+            left: Name of the left wheel's joint.
+            right: Name of the right wheel's joint.
+            radius: Of both wheels, in [m].
+            separation: Distance between the wheels' contact points, in [m].
+
+        Raises:
+            RobotDescriptionError: The robot has no such joint, its wheels are not a pair on one
+                axle through the root's origin that turns about +y, or have no one radius.
+            SettingError: A length is not positive.
+        """
+        if left == right:
+            raise SettingError(f"the wheels must be two joints, not {left!r} twice")
+        description.select((left, right))
+        wheels = read_wheel(description, left), read_wheel(description, right)
+        (xl, yl, zl), (xr, yr, zr) = wheels[0].centre, wheels[1].centre
+        is_axle = math.hypot(xl - xr, zl - zr) <= _SAME and yl > yr
+        if not is_axle or math.hypot(xl, yl + yr) > _SAME:
+            raise RobotDescriptionError(
+                f"wheels {left!r} and {right!r} must lie left and right of {description.root!r} "
+                f"on one axle through it, not at {_shown(wheels[0].centre)} and "
+                f"{_shown(wheels[1].centre)} m"
+            )
+        if radius is None:
+            radii = {wheel.radius for wheel in wheels}
+            radius = radii.pop()
+            if radius is None or radii:
+                raise RobotDescriptionError(
+                    f"wheels {left!r} and {right!r} must both collide as a sphere or cylinder of "
+                    f"one radius, or wheel_radius must be given"
+                )
+        return cls(left, right, radius, yl - yr if separation is None else separation)
+
+    @property
+    def joints(self) -> tuple[str, str]:
+        """The joints of the left and of the right wheel."""
+        return self.left, self.right
+
+    def twist(self, left_rate: float, right_rate: float) -> BaseTwist:
+        r"""Return how the base moves.
+
+        .. math:: v = r (\dot\varphi_r + \dot\varphi_l) / 2, \quad
+            \omega = r (\dot\varphi_r - \dot\varphi_l) / b
+
+        Args:
+            left_rate: Of the left wheel, in [rad/s].
+            right_rate: Of the right wheel, in [rad/s].
+        """
+        return BaseTwist(
+            0.5 * self.radius * (right_rate + left_rate),
+            self.radius * (right_rate - left_rate) / self.separation,
+        )
+
+    def wheel_rates(self, linear: float, angular: float) -> WheelRates:
+        """Return how fast the wheels turn; the inverse of :meth:`twist`.
+
+        Args:
+            linear: Forward speed, in [m/s].
+            angular: Rate of the heading, in [rad/s].
+        """
+        half = 0.5 * self.separation * angular
+        return WheelRates((linear - half) / self.radius, (linear + half) / self.radius)
+
+
+def _shown(point: tuple[float, float, float]) -> str:
+    return "(" + ", ".join(f"{value:.6g}" for value in point) + ")"

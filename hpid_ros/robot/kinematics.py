@@ -1,0 +1,233 @@
+"""Where a link is for given joint positions, and joint positions that put it somewhere.
+
+Forward kinematics and Jacobian are Pinocchio's. The inverse is a least-squares problem with
+bounds: the pose error, a twist ``log6`` of SE(3), is made zero within the joints' limits by the
+trust-region reflective method of ``scipy.optimize.least_squares``, which respects the limits at
+every iterate instead of cutting off a step at them. Where the first start ends in a local minimum
+others are drawn from a fixed seed, so that the same question has the same answer.
+
+Sources: M. A. Branch, T. F. Coleman, Y. Li, *A subspace, interior, and conjugate gradient method
+for large-scale bound-constrained minimization problems*, SIAM J. Sci. Comput. 21 (1999), the
+method; P. Beeson, B. Ames, *TRAC-IK*, Humanoids 2015, why the inverse is posed as an optimisation
+with limits and started again from random poses.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+
+import numpy as np
+import numpy.typing as npt
+import pinocchio
+from scipy.optimize import least_squares
+
+from hpid_ros.errors import HpidError, RobotDescriptionError, SettingError
+from hpid_ros.robot.chain import ChainJoint, LinkPose, LinkPoses, SerialChain
+from hpid_ros.robot.description import RobotDescription
+
+__all__ = ["Kinematics", "LinkPose", "ReachError"]
+
+Vector = npt.NDArray[np.float64]
+
+CLOSE_ENOUGH = 1e-7  # norm of the pose error [m, rad] of a solution
+STARTS = 24  # the given one, and those that are drawn
+_ITERATIONS = 100  # of one start
+_SEED = 2511
+
+
+class ReachError(HpidError, ValueError):
+    """A pose that the link cannot take within the joints' limits."""
+
+
+class Kinematics:
+    """One link of a robot, moved by some of its joints; the others stand at given positions.
+
+    Attributes:
+        description: The robot.
+        link: Name of the link.
+        joints: Names of the joints that move it, in the order of every vector here.
+        lower: Their lowest positions, in [rad]; -inf where there is none.
+        upper: Their highest positions, in [rad]; +inf where there is none.
+    """
+
+    def __init__(
+        self,
+        description: RobotDescription,
+        link: str,
+        joints: Iterable[str] | None = None,
+        others: Mapping[str, float] | None = None,
+    ) -> None:
+        """Build the model.
+
+        Args:
+            description: The robot.
+            link: Name of the link.
+            joints: Joints that move it; if None, all between the root and the link.
+            others: Positions of further joints, in [rad]; joints left out are at 0.
+
+        Raises:
+            RobotDescriptionError: Pinocchio cannot build a model of the URDF, the robot lacks
+                a joint or the link, or no joint moves the link.
+            SettingError: A position is not finite.
+        """
+        self.description = description
+        self.link = description.link(link)
+        try:
+            self._model = pinocchio.buildModelFromXML(description.xml)
+        except (ValueError, RuntimeError) as error:
+            reason = " ".join(str(error).split())
+            raise RobotDescriptionError(f"Pinocchio cannot read the robot: {reason}") from error
+        self._data = self._model.createData()
+        self._frame = self._model.getFrameId(link)
+        chosen = description.select(self._chain() if joints is None else joints)
+        if not chosen:
+            raise RobotDescriptionError(f"no joint moves the link {link!r}")
+        self.joints = tuple(joint.name for joint in chosen)
+        self.lower = np.array([joint.lower for joint in chosen])
+        self.upper = np.array([joint.upper for joint in chosen])
+        self._rows = [self._row(name) for name in self.joints]
+        self._motion = np.zeros(self._model.nv)
+        for name, position in (others or {}).items():
+            (joint,) = description.select([name])
+            if not np.isfinite(position):
+                raise SettingError(f"position {position} of joint {name!r} is not finite")
+            self._motion[self._row(joint.name)] = position
+        self._neutral = pinocchio.neutral(self._model)
+        self._links = self._serial_chain()
+
+    def pose(self, positions: npt.ArrayLike) -> LinkPose:
+        """Return where the link is.
+
+        Args:
+            positions: Of the joints, in their order, in [rad].
+
+        Raises:
+            SettingError: There is not one finite position for each joint.
+        """
+        placement = self._placement(self._checked(positions))
+        return LinkPose(placement.translation.copy(), placement.rotation.copy())
+
+    def jacobian(self, positions: npt.ArrayLike) -> Vector:
+        """Return the velocity of the link for each joint's velocity.
+
+        Args:
+            positions: Of the joints, in their order, in [rad].
+
+        Returns:
+            Shape (6, joints): the velocity of the link's origin over its angular velocity, both
+            in the axes of the root link; in [m/rad] and [1].
+
+        Raises:
+            SettingError: There is not one finite position for each joint.
+        """
+        return self._jacobian(self._checked(positions), pinocchio.LOCAL_WORLD_ALIGNED)
+
+    def poses(self, positions: npt.ArrayLike) -> LinkPoses:
+        """Return where the link is at many instants; equal to :meth:`pose`, and much faster.
+
+        Args:
+            positions: Of the joints, in their order, shape (n, joints), in [rad].
+        """
+        return self._links.poses(np.asarray(positions, dtype=float))
+
+    def solve(self, target: LinkPose, start: npt.ArrayLike) -> Vector:
+        """Return positions within the limits that put the link at a pose.
+
+        Of several solutions it is, as a rule, one near the start.
+
+        Args:
+            target: The wanted pose.
+            start: Positions to begin at, in [rad]; put within the limits if they are not.
+
+        Raises:
+            ReachError: No start led there; the line tells how close the best one came.
+            SettingError: There is not one finite position for each joint.
+        """
+        wanted = pinocchio.SE3(np.array(target.rotation), np.array(target.position))
+        generator = np.random.default_rng(_SEED)
+        begin = np.clip(self._checked(start), self.lower, self.upper)
+        low, high = np.maximum(self.lower, -np.pi), np.minimum(self.upper, np.pi)
+        best, best_error = begin, np.full(6, np.inf)
+        for _ in range(STARTS):
+            found = least_squares(
+                self._error,
+                begin,
+                jac=self._error_jacobian,
+                bounds=(self.lower, self.upper),
+                xtol=1e-14,
+                ftol=1e-14,
+                gtol=1e-14,
+                max_nfev=_ITERATIONS,
+                args=(wanted,),
+            )
+            if np.linalg.norm(found.fun) < np.linalg.norm(best_error):
+                best, best_error = np.clip(found.x, self.lower, self.upper), found.fun
+            if np.linalg.norm(best_error) < CLOSE_ENOUGH:
+                return np.asarray(best)
+            begin = generator.uniform(low, high)
+        metres = float(np.linalg.norm(self._placement(best).translation - wanted.translation))
+        angle = float(np.linalg.norm(best_error[3:]))
+        x, y, z = wanted.translation
+        raise ReachError(
+            f"{self.link} cannot be put at ({x:.3f}, {y:.3f}, {z:.3f}) m of "
+            f"{self.description.root} within the joints' limits; the nearest pose is "
+            f"{metres:.3f} m and {angle:.3f} rad away"
+        )
+
+    def _error(self, positions: Vector, wanted: pinocchio.SE3) -> Vector:
+        """Return the twist that leads from the link to the wanted pose in one unit of time."""
+        twist = pinocchio.log6(self._placement(positions).actInv(wanted)).vector
+        return np.asarray(twist)
+
+    def _error_jacobian(self, positions: Vector, wanted: pinocchio.SE3) -> Vector:
+        columns = self._jacobian(positions, pinocchio.LOCAL)
+        apart = wanted.actInv(self._placement(positions))
+        return np.asarray(-pinocchio.Jlog6(apart) @ columns)
+
+    def _placement(self, positions: Vector) -> pinocchio.SE3:
+        pinocchio.forwardKinematics(self._model, self._data, self._configuration(positions))
+        return pinocchio.updateFramePlacement(self._model, self._data, self._frame)
+
+    def _jacobian(self, positions: Vector, frame: pinocchio.ReferenceFrame) -> Vector:
+        whole = pinocchio.computeFrameJacobian(
+            self._model, self._data, self._configuration(positions), self._frame, frame
+        )
+        return np.asarray(whole[:, self._rows])
+
+    def _configuration(self, positions: Vector) -> Vector:
+        """Return Pinocchio's configuration; a continuous joint's is cosine and sine."""
+        self._motion[self._rows] = positions
+        return np.asarray(pinocchio.integrate(self._model, self._neutral, self._motion))
+
+    def _checked(self, positions: npt.ArrayLike) -> Vector:
+        values = np.asarray(positions, dtype=float)
+        if values.shape != (len(self.joints),) or not np.isfinite(values).all():
+            raise SettingError(
+                f"positions must be {len(self.joints)} finite numbers, one for each of "
+                f"{', '.join(self.joints)}; not {values.tolist()}"
+            )
+        return values
+
+    def _chain(self) -> list[str]:
+        """Return the joints between the root and the link, from the root on."""
+        parent = self._model.frames[self._frame].parentJoint
+        return [self._model.names[index] for index in self._model.supports[parent] if index]
+
+    def _serial_chain(self) -> SerialChain:
+        """Return the chain from the root to the link as numbers."""
+        frame, pieces = self._model.frames[self._frame], []
+        for name in self._chain():
+            placement = self._model.jointPlacements[self._model.getJointId(name)]
+            joint = self.description.joints[name]
+            axis = np.array(joint.axis) / np.linalg.norm(joint.axis)
+            column = self.joints.index(name) if name in self.joints else None
+            still = float(self._motion[self._row(name)])
+            rotation, origin = placement.rotation.copy(), placement.translation.copy()
+            pieces.append(
+                ChainJoint(rotation, origin, axis, joint.type == "prismatic", column, still)
+            )
+        tip = frame.placement
+        return SerialChain(tuple(pieces), tip.rotation.copy(), tip.translation.copy())
+
+    def _row(self, name: str) -> int:
+        return int(self._model.joints[self._model.getJointId(name)].idx_v)

@@ -1,0 +1,241 @@
+r"""One leg of a base's path: along a curve, or a turn in place.
+
+The centre of a differential drive's axle is a flat output: where it goes decides heading, speed
+and turning rate, so any smooth curve whose tangents are the headings can be driven,
+
+.. math:: \theta = \operatorname{atan2}(\dot y, \dot x), \quad v = \pm\sqrt{\dot x^2 + \dot y^2},
+    \quad \omega = \dot\theta = (\dot x \ddot y - \dot y \ddot x) / v^2.
+
+Source: R. Murray, M. Rathinam and W. Sluis, *Differential flatness of mechanical control systems:
+a catalog of prototype systems*, ASME 1995.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+Numbers = NDArray[np.float64]
+
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(10)
+_FINE = np.linspace(0.0, 1.0, 257)  # of a curve, to count its windings
+
+
+class PathPose(NamedTuple):
+    """Where a base is in the plane.
+
+    Attributes:
+        x: In [m].
+        y: In [m].
+        heading: In [rad], counter-clockwise from x; not wrapped.
+    """
+
+    x: float
+    y: float
+    heading: float
+
+
+class LegMotion(NamedTuple):
+    """A leg at N instants.
+
+    Attributes:
+        distance: Travelled since the leg's start, forward positive, (N,), in [m].
+        speed: Its rate, in [m/s].
+        acceleration: Its second rate, in [m/s^2].
+        turn: Change of the heading since the leg's start, (N,), in [rad].
+        turn_rate: In [rad/s].
+        turn_acceleration: In [rad/s^2].
+    """
+
+    distance: Numbers
+    speed: Numbers
+    acceleration: Numbers
+    turn: Numbers
+    turn_rate: Numbers
+    turn_acceleration: Numbers
+
+
+class Leg(Protocol):
+    """What a path is made of."""
+
+    def motion(self, shares: Numbers) -> LegMotion:
+        """Return the motion at ascending shares of the leg's time, the first one 0, (N,)."""
+
+    def places(self, shares: Numbers) -> tuple[Numbers, Numbers, Numbers]:
+        """Return x, y in [m] and the turn since the start in [rad] at any shares, (N,) each."""
+
+    def curvature(self, shares: Numbers) -> Numbers:
+        """Return the path's curvature at any shares, (N,), in [1/m]."""
+
+
+@dataclass(frozen=True)
+class TimeLaw:
+    """How far along a leg is at which time: a quintic without acceleration at both ends.
+
+    Attributes:
+        duration: Of the leg, in [s].
+        first: Rate at the start in shares of the leg per duration, in [0, 2]: then it never
+            goes back. 0 is rest.
+        last: Rate at the end.
+    """
+
+    duration: float
+    first: float = 0.0
+    last: float = 0.0
+
+    def at(self, shares: Numbers) -> tuple[Numbers, Numbers, Numbers]:
+        """Return the share of the leg, its rate in [1/s] and its second rate in [1/s^2]."""
+        a, b, t = self.first, self.last, shares
+        c3, c4, c5 = 10.0 - 6.0 * a - 4.0 * b, -15.0 + 8.0 * a + 7.0 * b, 6.0 - 3.0 * (a + b)
+        u = t * (a + t * t * (c3 + t * (c4 + t * c5)))
+        du = a + t * t * (3.0 * c3 + t * (4.0 * c4 + t * 5.0 * c5))
+        ddu = t * (6.0 * c3 + t * (12.0 * c4 + t * 20.0 * c5))
+        return u, du / self.duration, ddu / self.duration**2
+
+
+@dataclass(frozen=True)
+class Turn:
+    """A turn in place; by 0 it is a wait.
+
+    Attributes:
+        pose: Where it begins.
+        angle: By how much, in [rad].
+        law: When.
+    """
+
+    pose: PathPose
+    angle: float
+    law: TimeLaw
+
+    def motion(self, shares: Numbers) -> LegMotion:
+        """Return the motion, as for :class:`Leg`."""
+        u, du, ddu = self.law.at(shares)
+        still = np.zeros_like(shares)
+        return LegMotion(still, still, still, self.angle * u, self.angle * du, self.angle * ddu)
+
+    def places(self, shares: Numbers) -> tuple[Numbers, Numbers, Numbers]:
+        """Return the places, as for :class:`Leg`."""
+        here = np.ones_like(shares)
+        return self.pose.x * here, self.pose.y * here, self.angle * self.law.at(shares)[0]
+
+    def curvature(self, shares: Numbers) -> Numbers:
+        """Return 0: nothing is driven."""
+        return np.zeros_like(shares)
+
+
+class Drive:
+    """A drive along a Bezier curve whose end tangents are the headings.
+
+    With ``order`` 3 it is a quintic without second derivatives at its ends; with 4 a septic,
+    whose third derivatives vanish there too: the curvature begins and ends at 0 and has no kink
+    where two such curves meet, so that a base can pass without a jump of its acceleration.
+    Between two poses on one line it is that line.
+
+    Args:
+        start: Where it begins.
+        end: Where it ends; elsewhere than it begins.
+        law: When.
+        sign: 1 drives forward, -1 backward.
+        order: Half the number of control points, 3 or 4.
+    """
+
+    def __init__(
+        self, start: PathPose, end: PathPose, law: TimeLaw, sign: int = 1, order: int = 3
+    ) -> None:
+        self._law, self._sign = law, sign
+        chord = math.hypot(end.x - start.x, end.y - start.y)
+        points = np.empty((2 * order, 2))
+        stride = sign * chord / (2 * order - 1)
+        for k in range(order):
+            for row, pose, ahead in ((k, start, k), (-1 - k, end, -k)):
+                points[row] = (
+                    pose.x + ahead * stride * math.cos(pose.heading),
+                    pose.y + ahead * stride * math.sin(pose.heading),
+                )
+        curves = [np.poly1d(_power_basis(points[:, axis])) for axis in (0, 1)]
+        self._derivatives = [[curve.deriv(k) for curve in curves] for k in range(4)]
+        tangents = self._value(1, _FINE)
+        self._windings = np.concatenate(([0.0], np.cumsum(_angles(tangents[:-1], tangents[1:]))))
+        self._first = tangents[0]
+
+    def motion(self, shares: Numbers) -> LegMotion:
+        """Return the motion, as for :class:`Leg`."""
+        u, du, ddu = self._law.at(shares)
+        tangent, bend, jerk = (self._value(order, u) for order in (1, 2, 3))
+        length = np.hypot(*tangent.T)
+        along, across = (tangent * bend).sum(axis=1), _cross(tangent, bend)
+        stretch = along / length
+        winding = across / length**2
+        unwinding = (_cross(tangent, jerk) - 2.0 * across * along / length**2) / length**2
+        sign = self._sign
+        return LegMotion(
+            sign * self._lengths(u),
+            sign * length * du,
+            sign * (stretch * du**2 + length * ddu),
+            self._turns(u, tangent),
+            winding * du,
+            unwinding * du**2 + winding * ddu,
+        )
+
+    def places(self, shares: Numbers) -> tuple[Numbers, Numbers, Numbers]:
+        """Return the places, as for :class:`Leg`."""
+        u = self._law.at(shares)[0]
+        x, y = self._value(0, u).T
+        return x, y, self._turns(u, self._value(1, u))
+
+    def curvature(self, shares: Numbers) -> Numbers:
+        """Return the curvature, as for :class:`Leg`; infinite where the curve turns back."""
+        u = self._law.at(shares)[0]
+        tangent, bend = self._value(1, u), self._value(2, u)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            curvature = _cross(tangent, bend) / np.hypot(*tangent.T) ** 3
+        return np.where(np.isfinite(curvature), curvature, np.inf)
+
+    def _value(self, order: int, u: Numbers) -> Numbers:
+        """Return a derivative of the curve, (..., 2)."""
+        return np.stack([each(u) for each in self._derivatives[order]], axis=-1)
+
+    def _lengths(self, u: Numbers) -> Numbers:
+        """Return the arc length from the first of ascending places, by Gauss and Legendre."""
+        half = 0.5 * np.diff(u)[:, None]
+        at = u[:-1, None] + half * (1.0 + _NODES)
+        tangent = self._value(1, at)
+        pieces = (np.hypot(tangent[..., 0], tangent[..., 1]) * _WEIGHTS * half).sum(axis=1)
+        return np.concatenate(([0.0], np.cumsum(pieces)))
+
+    def _turns(self, u: Numbers, tangent: Numbers) -> Numbers:
+        """Return the heading's change since the start, with its windings."""
+        raw = _angles(np.broadcast_to(self._first, tangent.shape), tangent)
+        near = np.interp(u, _FINE, self._windings)
+        turns: Numbers = raw + 2.0 * np.pi * np.round((near - raw) / (2.0 * np.pi))
+        return turns
+
+
+def _power_basis(points: Numbers) -> Numbers:
+    """Return the coefficients of a Bezier curve, highest power first.
+
+    Relative to the first point, so that a curve far from the origin loses no digits.
+    """
+    degree = len(points) - 1
+    shifted = points - points[0]
+    coefficients = np.zeros(degree + 1)
+    for k in range(degree + 1):
+        differences = sum((-1) ** (k - j) * math.comb(k, j) * shifted[j] for j in range(k + 1))
+        coefficients[degree - k] = math.comb(degree, k) * differences
+    coefficients[-1] += points[0]
+    return coefficients
+
+
+def _cross(a: Numbers, b: Numbers) -> Numbers:
+    product: Numbers = a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
+    return product
+
+
+def _angles(a: Numbers, b: Numbers) -> Numbers:
+    """Return the angles from vectors to vectors, in [rad], within half a turn."""
+    angles: Numbers = np.arctan2(_cross(a, b), (a * b).sum(axis=-1))
+    return angles

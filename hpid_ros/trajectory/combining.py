@@ -1,0 +1,154 @@
+"""Trajectories of different joints as one."""
+
+from __future__ import annotations
+
+from bisect import bisect_left, bisect_right
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import NamedTuple
+
+from hpid_ros.errors import TrajectoryError
+from hpid_ros.trajectory.joint_trajectory import JointTrajectory, TrajectoryPoint
+from hpid_ros.trajectory.spline import SECONDS_PER_NANOSECOND, Column, segment
+
+
+class _Values(NamedTuple):
+    """Position, velocity and acceleration at one side of an instant."""
+
+    position: float
+    velocity: float
+    acceleration: float
+
+
+def combined(trajectories: Sequence[JointTrajectory]) -> JointTrajectory:
+    """Merge trajectories of different joints, which may have points at different times.
+
+    At every whole nanosecond each joint's reference is what it was alone, but for rounding: a
+    spline that is split gives the same polynomials. Where a derivative of one joint jumps (a
+    corner of a linear spline, an end in motion) while others go on, the merged trajectory has a
+    further point one nanosecond before. A joint whose trajectory ends earlier holds its last
+    position.
+
+    Args:
+        trajectories: At least one; with one stamp, one time of the first point, and no joint in
+            common.
+
+    Raises:
+        TrajectoryError: They cannot be merged.
+    """
+    _check(trajectories)
+    columns = [each.column(joint) for each in trajectories for joint in each.joint_names]
+    names = tuple(column.joint for column in columns)
+    curves = [_Curve(column) for column in columns]
+    order = _common_order(trajectories)
+    times = sorted({time for curve in curves for time in curve.times})
+    times = _with_jumps(curves, times, order)
+    points = []
+    for time_ns in times:
+        rows = list(
+            zip(
+                *(
+                    curve.before(time_ns) if time_ns == times[-1] else curve.after(time_ns)
+                    for curve in curves
+                ),
+                strict=True,
+            )
+        )
+        points.append(TrajectoryPoint(time_ns, *rows[: order + 1]))
+    return JointTrajectory(names, tuple(points), trajectories[0].stamp_ns)
+
+
+def _check(trajectories: Sequence[JointTrajectory]) -> None:
+    if not trajectories:
+        raise TrajectoryError("a combined trajectory must have at least one part, not none")
+    first = trajectories[0]
+    names: set[str] = set()
+    for index, each in enumerate(trajectories):
+        twice = names.intersection(each.joint_names)
+        if twice:
+            raise TrajectoryError(
+                f"each joint must be in one part only, {sorted(twice)[0]!r} is in two"
+            )
+        names.update(each.joint_names)
+        if each.stamp_ns != first.stamp_ns:
+            raise TrajectoryError(
+                f"parts must have one stamp, part {index} has {each.stamp_ns} ns and part 0 "
+                f"{first.stamp_ns} ns"
+            )
+        begin, wanted = (t.points[0].time_from_start_ns for t in (each, first))
+        if begin != wanted:
+            # Before its first point a joint comes from where it stands, which nobody knows here.
+            raise TrajectoryError(
+                f"parts must begin at one time, part {index} begins at {begin * 1e-9:g} s and "
+                f"part 0 at {wanted * 1e-9:g} s"
+            )
+
+
+def _common_order(trajectories: Sequence[JointTrajectory]) -> int:
+    """Return 0, 1 or 2 where all splines are linear, cubic or quintic; 2 where they differ."""
+    orders = {
+        bool(point.velocities) + bool(point.velocities and point.accelerations)
+        for each in trajectories
+        for point in each.points
+    }
+    return orders.pop() if len(orders) == 1 else 2
+
+
+def _with_jumps(curves: Sequence[_Curve], times: Sequence[int], order: int) -> list[int]:
+    """Add the nanosecond before each instant at which a derivative jumps."""
+    wanted = set(times)
+    for time_ns in times[1:-1]:
+        if any(
+            curve.before(time_ns)[1 : order + 1] != curve.after(time_ns)[1 : order + 1]
+            for curve in curves
+            if time_ns in curve.knots
+        ):
+            wanted.add(time_ns - 1)
+    return sorted(wanted)
+
+
+class _Curve:
+    """One joint's piecewise polynomial, with its values on both sides of an instant."""
+
+    def __init__(self, column: Column) -> None:
+        knots = column.knots
+        self.times = [knot.time_ns for knot in knots]
+        self.knots = frozenset(self.times)
+        self._knots = knots
+        self._pieces = [segment(a, b) for a, b in pairwise(knots)]
+
+    def after(self, time_ns: int) -> _Values:
+        """Return the values from an instant on."""
+        return self._of(bisect_right(self.times, time_ns) - 1, time_ns)
+
+    def before(self, time_ns: int) -> _Values:
+        """Return the values up to an instant.
+
+        At a knot that gives a derivative and ends a spline that heeds it, that is the knot's own
+        number, to the last bit.
+        """
+        index = bisect_left(self.times, time_ns) - 1
+        if index < 0:
+            return self.after(time_ns)
+        values = self._of(index, time_ns)
+        if time_ns not in self.knots:
+            return values
+        left, knot = self._knots[index], self._knots[index + 1]
+        is_smooth = left.velocity is not None and knot.velocity is not None
+        velocity, acceleration = knot.velocity, knot.acceleration
+        if not is_smooth or velocity is None:
+            return values._replace(position=knot.position)
+        if acceleration is None or left.acceleration is None:
+            return _Values(knot.position, velocity, values.acceleration)
+        return _Values(knot.position, velocity, acceleration)
+
+    def _of(self, index: int, time_ns: int) -> _Values:
+        if index >= len(self._pieces):
+            return _Values(self._knots[-1].position, 0.0, 0.0)
+        t = (time_ns - self.times[index]) * SECONDS_PER_NANOSECOND
+        c0, c1, c2, c3, c4, c5 = self._pieces[index]
+        return _Values(
+            c0 + t * (c1 + t * (c2 + t * (c3 + t * (c4 + t * c5)))),
+            c1 + t * (2.0 * c2 + t * (3.0 * c3 + t * (4.0 * c4 + t * 5.0 * c5))),
+            2.0 * c2 + t * (6.0 * c3 + t * (12.0 * c4 + t * 20.0 * c5)),
+        )

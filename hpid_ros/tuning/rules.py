@@ -1,0 +1,157 @@
+"""Published tuning rules for one joint: gains from its inertia, a closed-loop time and a delay.
+
+The joint is the double integrator of the theory, m s^2, driven by the parallel PID that this
+package has, u = p e + i integral of e + d de/dt.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from hpid_ros.control.gains import Gains
+from hpid_ros.errors import SettingError
+
+
+class SeriesPid(NamedTuple):
+    """A PID in series form, c(s) = gain (1 + 1 / (integral_time s)) (derivative_time s + 1).
+
+    Attributes:
+        gain: Kc, in [N m/rad].
+        integral_time: tau_I, in [s].
+        derivative_time: tau_D, in [s].
+    """
+
+    gain: float
+    integral_time: float
+    derivative_time: float
+
+    def parallel(self) -> Gains:
+        """Return the same controller in parallel form.
+
+        Source: S. Skogestad, "Simple analytic rules for model reduction and PID controller
+        tuning", Journal of Process Control 13 (2003) 291-309, section on the ideal form:
+        Kc' = Kc (1 + tau_D / tau_I), Kc' / tau_I' = Kc / tau_I, Kc' tau_D' = Kc tau_D.
+        """
+        return Gains(
+            p=self.gain * (1.0 + self.derivative_time / self.integral_time),
+            i=self.gain / self.integral_time,
+            d=self.gain * self.derivative_time,
+        )
+
+
+def simc_series(inertia: float, closed_loop_time: float, delay: float = 0.0) -> SeriesPid:
+    r"""Return the SIMC tuning of a double integrating process with delay, in series form.
+
+    .. math::
+        K_c = \frac{1}{k''} \frac{1}{4 (\tau_c + \theta)^2}, \qquad
+        \tau_I = \tau_D = 4 (\tau_c + \theta)
+
+    with :math:`k'' = 1/m`.
+
+    Source: S. Skogestad, "Simple analytic rules for model reduction and PID controller tuning",
+    Journal of Process Control 13 (2003) 291-309, Table 1, row "Double integrating".
+
+    Args:
+        inertia: What one unit of effort accelerates, in [kg m^2].
+        closed_loop_time: tau_c, the wanted closed-loop time constant in [s]; the source
+            recommends tau_c = delay for fast and robust control.
+        delay: theta, effective delay of the loop in [s].
+
+    Raises:
+        SettingError: A number is not positive (the delay: negative) or not finite.
+    """
+    time = _checked(inertia, closed_loop_time, delay)
+    return SeriesPid(inertia / (4.0 * time**2), 4.0 * time, 4.0 * time)
+
+
+def simc(inertia: float, closed_loop_time: float, delay: float = 0.0) -> Gains:
+    """Return :func:`simc_series` in parallel form.
+
+    With T = tau_c + theta: p = m / (2 T^2), i = m / (16 T^3), d = m / T.
+
+    Args:
+        inertia: What one unit of effort accelerates, in [kg m^2].
+        closed_loop_time: tau_c in [s].
+        delay: theta in [s].
+
+    Raises:
+        SettingError: A number is not positive (the delay: negative) or not finite.
+    """
+    return simc_series(inertia, closed_loop_time, delay).parallel()
+
+
+def pole_placement(inertia: float, closed_loop_time: float, delay: float = 0.0) -> Gains:
+    """Return gains that put all three poles of m s^3 + d s^2 + p s + i in one place.
+
+    The poles lie at -w, w = 1 / (closed_loop_time + delay): p = 3 w^2 m, i = w^3 m, d = 3 w m.
+    The delay is counted as a slower loop, as SIMC does; the poles are those without it.
+
+    Source: K. J. Astrom and T. Hagglund, "Advanced PID Control" (ISA, 2006), pole placement by
+    comparing the coefficients of the characteristic polynomial.
+
+    Args:
+        inertia: What one unit of effort accelerates, in [kg m^2].
+        closed_loop_time: Time constant of the three poles in [s].
+        delay: Effective delay of the loop in [s].
+
+    Raises:
+        SettingError: A number is not positive (the delay: negative) or not finite.
+    """
+    rate = 1.0 / _checked(inertia, closed_loop_time, delay)
+    return Gains(p=3.0 * rate**2 * inertia, i=rate**3 * inertia, d=3.0 * rate * inertia)
+
+
+Rule = Callable[[float, float, float], Gains]
+
+RULES: Mapping[str, Rule] = {"simc": simc, "pole-placement": pole_placement}
+"""The rules by name: gains of inertia [kg m^2], closed-loop time [s] and delay [s]."""
+
+
+@dataclass(frozen=True)
+class Recognised:
+    """Which rule gives certain gains.
+
+    Attributes:
+        rule: Its name in :data:`RULES`.
+        time: closed-loop time plus delay, in [s].
+        deviation: Largest relative deviation of a gain from the rule's.
+    """
+
+    rule: str
+    time: float
+    deviation: float
+
+
+def recognise(gains: Gains, inertia: float) -> Recognised:
+    """Return the rule that comes closest to gains, with its time from their d over the inertia.
+
+    Args:
+        gains: The gains, d positive.
+        inertia: What one unit of effort accelerates, in [kg m^2].
+
+    Raises:
+        SettingError: The inertia or d is not positive.
+    """
+    if not gains.d > 0.0 or not inertia > 0.0:
+        raise SettingError(f"d and inertia must be positive, not {gains.d} and {inertia}")
+    found = []
+    for name, rule in RULES.items():
+        time = rule(inertia, 1.0, 0.0).d / gains.d  # in every rule d is inversely proportional
+        wanted = rule(inertia, time, 0.0)
+        pairs = ((gains.p, wanted.p), (gains.i, wanted.i))
+        found.append(Recognised(name, time, max(abs(a / b - 1.0) for a, b in pairs)))
+    return min(found, key=lambda each: each.deviation)
+
+
+def _checked(inertia: float, closed_loop_time: float, delay: float) -> float:
+    """Return the sum of the times, of numbers that are allowed."""
+    named = {"inertia": inertia, "closed-loop time": closed_loop_time}
+    for name, value in named.items():
+        if not (math.isfinite(value) and value > 0.0):
+            raise SettingError(f"the {name} must be positive and finite, not {value}")
+    if not (math.isfinite(delay) and delay >= 0.0):
+        raise SettingError(f"the delay must be finite and not negative, not {delay} s")
+    return closed_loop_time + delay

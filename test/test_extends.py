@@ -1,0 +1,199 @@
+"""Documents that extend others: merged wherever they are read, refused where they cannot be."""
+
+import hashlib
+from pathlib import Path
+
+import pytest
+import yaml
+
+from hpid_ros.errors import ExperimentError, TrajectoryError
+from hpid_ros.experiment.compare import compare
+from hpid_ros.experiment.description import load_experiment
+from hpid_ros.experiment.progress import Silence
+from hpid_ros.resources import share_folder
+from hpid_ros.yaml_files import load_document
+
+PAPER = share_folder() / "config" / "experiments" / "paper.yaml"
+
+
+@pytest.fixture
+def write(tmp_path):
+    """Return a function that writes a file and returns its path."""
+
+    def written(name, text):
+        path = tmp_path / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text)
+        return path
+
+    return written
+
+
+def values(path):
+    return load_document(path, ExperimentError).values
+
+
+def test_mappings_are_merged_and_all_else_is_replaced(write):
+    write("base.yaml", "a: {x: 1, y: [1, 2, 3], z: {q: 1}}\nb: 2\nc: 3\n")
+    path = write("own.yaml", "extends: base.yaml\na: {y: [9], z: {r: 2}, w: 0}\nb: {n: 1}\nd: 4\n")
+    found = values(path)
+    assert found == {
+        "a": {"x": 1, "y": [9], "z": {"q": 1, "r": 2}, "w": 0},
+        "b": {"n": 1},
+        "c": 3,
+        "d": 4,
+    }
+    assert list(found) == ["a", "b", "c", "d"]
+    assert list(found["a"]) == ["x", "y", "z", "w"]
+
+
+def test_null_removes_a_key_and_only_one_that_is_there(write):
+    write("base.yaml", "a: {x: 1, y: 2}\nb: 2\n")
+    assert values(write("own.yaml", "extends: base.yaml\na: {x: null}\nb: null\n")) == {
+        "a": {"y": 2}
+    }
+    path = write("wrong.yaml", "extends: base.yaml\na: {xx: null}\n")
+    with pytest.raises(ExperimentError, match=r"wrong.yaml: null removes nothing: .*'a.xx'") as e:
+        values(path)
+    assert "\n" not in str(e.value)
+
+
+def test_a_chain_is_merged_from_its_end_on_and_each_link_is_looked_for_beside_it(write):
+    write("below/root.yaml", "a: 1\nb: 1\nc: 1\n")
+    write("below/middle.yaml", "extends: root.yaml\nb: 2\nc: 2\n")
+    path = write("top.yaml", "extends: below/middle.yaml\nc: 3\n")
+    document = load_document(path, ExperimentError)
+    assert document.values == {"a": 1, "b": 2, "c": 3}
+    assert [file.name for file in document.files] == ["top.yaml", "middle.yaml", "root.yaml"]
+    assert [folder.name for folder in document.folders] == [path.parent.name, "below"]
+    assert yaml.safe_load(document.text) == document.values
+
+
+def test_a_file_that_extends_nothing_is_itself_to_the_byte(write):
+    path = write("alone.yaml", "# a comment\nb: 1.0e-3   # and another\n")
+    assert load_document(path, ExperimentError).text == path.read_text()
+
+
+@pytest.mark.parametrize(
+    ("files", "words"),
+    [
+        ({"a.yaml": "extends: a.yaml\n"}, "a.yaml -> a.yaml"),
+        (
+            {"a.yaml": "extends: b.yaml\n", "b.yaml": "extends: a.yaml\n"},
+            "a.yaml -> b.yaml -> a.yaml",
+        ),
+        ({"a.yaml": "extends: nowhere.yaml\n"}, "there is no file nowhere.yaml (looked in "),
+        ({"a.yaml": "extends: [b.yaml, c.yaml]\n"}, "extends must name one file"),
+        ({"a.yaml": "extends: b.yaml\n", "b.yaml": "- 1\n"}, "is not a mapping"),
+        ({"a.yaml": "extends: b.yaml\n", "b.yaml": "a: [\n"}, "cannot read"),
+    ],
+)
+def test_what_cannot_be_extended_is_refused_in_one_line(write, files, words):
+    first, *_ = [write(name, text) for name, text in files.items()]
+    with pytest.raises(ExperimentError) as refusal:
+        values(first)
+    assert words in str(refusal.value)
+    assert "\n" not in str(refusal.value)
+
+
+def test_a_shared_experiment_is_found_by_its_name_and_one_beside_it_goes_first(write):
+    path = write("own.yaml", "extends: paper.yaml\nname: own\n")
+    assert values(path) == yaml.safe_load(PAPER.read_text()) | {"name": "own"}
+    assert values(write("other.yaml", "extends: config/experiments/paper.yaml\n"))["name"]
+    write("paper.yaml", "name: mine\n")
+    assert values(path) == {"name": "own"}
+
+
+def test_an_experiment_is_what_the_merged_file_says(write):
+    path = write(
+        "own.yaml", "extends: paper.yaml\nname: own\nseed: 9\ncompare: {hPID: {mu: 0.2}}\n"
+    )
+    own, paper = load_experiment(path), load_experiment(PAPER)
+    assert (own.name, own.seed, own.path) == ("own", 9, path.resolve())
+    assert own.trajectory == paper.trajectory
+    assert own.controllers["PID"] == paper.controllers["PID"]
+    assert {each.mu for each in own.controllers["hPID"]} == {0.2}
+    assert own.judged == paper.judged
+
+
+def test_the_digest_covers_what_is_extended(write):
+    base = write("base.yaml", PAPER.read_text())
+    path = write("own.yaml", "extends: base.yaml\nname: own\n")
+    before = load_experiment(path).digest
+    base.write_text(PAPER.read_text() + "# only a comment\n")
+    assert load_experiment(path).digest == before
+    base.write_text(PAPER.read_text().replace("duration: 9.0", "duration: 8.0"))
+    assert load_experiment(path).digest != before
+
+
+def test_the_digest_of_a_file_that_extends_nothing_is_that_of_its_bytes():
+    experiment = load_experiment(PAPER)
+    robot = Path(experiment.world.robot_description).read_text()
+    digest = hashlib.sha256(PAPER.read_bytes() + robot.encode()).hexdigest()
+    assert experiment.digest == digest
+
+
+def test_the_result_keeps_the_whole_experiment(write, tmp_path):
+    path = write("own.yaml", "extends: paper.yaml\nname: own\nduration: 0.02\n")
+    experiment = load_experiment(path)
+    compare(experiment, tmp_path / "result", Silence(), in_process=True)
+    copy = load_experiment(tmp_path / "result" / "experiment.yaml")
+    assert copy.digest == experiment.digest
+    assert copy.controllers == experiment.controllers
+    assert "extends" not in (tmp_path / "result" / "experiment.yaml").read_text()
+
+
+def test_a_reference_file_may_extend_another(write):
+    """As ``trajectory_publisher`` reads it."""
+    path = write("own.yaml", "extends: paper.yaml\nreference: {more: [0, 1, 2, 3, 4]}\n")
+    document = load_document(str(path), TrajectoryError).values
+    paper = yaml.safe_load(PAPER.read_text())["reference"]
+    assert document["reference"] == {**paper, "more": [0, 1, 2, 3, 4]}
+
+
+def test_a_robot_is_looked_for_beside_every_file_of_the_chain(write):
+    robot = share_folder() / "urdf" / "mobile_manipulator.urdf"
+    write("below/robot.urdf", robot.read_text())
+    changed = PAPER.read_text().replace("urdf/mobile_manipulator.urdf", "robot.urdf")
+    write("below/base.yaml", changed)
+    path = write("own.yaml", "extends: below/base.yaml\nname: own\n")
+    found = load_experiment(path).world.robot_description
+    assert Path(found).parent.name == "below"
+
+
+def test_a_controller_may_differ_joint_by_joint(write):
+    text = "extends: paper.yaml\ncompare:\n  PID:\n    velocity_filter_time_constant: 0.01\n"
+    text += "    joints: {arm_joint_2: {gains: {p: 99.0}, velocity_filter_time_constant: 0.02}}\n"
+    loops = {
+        each.joint: each for each in load_experiment(write("a.yaml", text)).controllers["PID"]
+    }
+    assert loops["arm_joint_2"].gains.p == 99.0
+    paper = {each.joint: each for each in load_experiment(PAPER).controllers["PID"]}
+    assert loops["arm_joint_2"].gains.d == paper["arm_joint_2"].gains.d
+    assert loops["arm_joint_2"].velocity_filter_time_constant == 0.02
+    assert loops["arm_joint_1"].velocity_filter_time_constant == 0.01
+    wrong = text.replace("arm_joint_2", "arm_joint_9")
+    with pytest.raises(ExperimentError, match=r"compare.PID.joints: unknown joint 'arm_joint_9'"):
+        load_experiment(write("b.yaml", wrong))
+
+
+@pytest.mark.parametrize(
+    ("judge", "words"),
+    [
+        ("{joints: [arm_joint_9]}", "judge.joints: unknown joint 'arm_joint_9'"),
+        ("{joints: []}", "judge.joints must be a list of joints"),
+        ("{joint: [arm_joint_1]}", "did you mean 'judge.joints'"),
+    ],
+)
+def test_judged_joints_are_checked(write, judge, words):
+    path = write("own.yaml", f"extends: paper.yaml\njudge: {judge}\n")
+    with pytest.raises(ExperimentError, match=words):
+        load_experiment(path)
+
+
+def test_judged_joints_are_in_the_robot_s_order_and_all_by_default(write):
+    path = write("own.yaml", "extends: paper.yaml\njudge: {joints: [arm_joint_3, arm_joint_1]}\n")
+    assert load_experiment(path).judged == ("arm_joint_1", "arm_joint_3")
+    path = write("all.yaml", "extends: paper.yaml\njudge: null\n")
+    experiment = load_experiment(path)
+    assert experiment.judged == experiment.world.joints

@@ -1,0 +1,531 @@
+"""Robots that nobody of this package designed: the KUKA iiwa and the Franka Panda of PyBullet."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import logging
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from hpid_ros.cli import main
+from hpid_ros.errors import ExperimentError, RobotDescriptionError
+from hpid_ros.experiment.description import load_experiment
+from hpid_ros.experiment.simulated_run import RunTask, WorldKeeper, simulate
+from hpid_ros.resources import ResourceError, find_resource, share_folder
+from hpid_ros.robot import RobotDescription
+from hpid_ros.robot.amendments import JointAmendment, amended
+from hpid_ros.robot.dynamics import Dynamics
+from hpid_ros.robot.packages import package_folder, package_uri
+from hpid_ros.simulation import World, WorldSettings
+from hpid_ros.simulation.bullet import pybullet
+from hpid_ros.simulation.model import bullet_urdf
+
+EXPERIMENTS = share_folder() / "config" / "experiments"
+IIWA = "package://pybullet_data/kuka_iiwa/model.urdf"
+PANDA = "package://pybullet_data/franka_panda/panda.urdf"
+URDFS = [IIWA, PANDA]
+NAMES = ["iiwa", "panda"]
+MILLISECOND = 1_000_000  # [ns]
+
+
+def robot(name: str) -> RobotDescription:
+    return RobotDescription.load(find_resource(name))
+
+
+def pose(description: RobotDescription, seed: int) -> dict[str, float]:
+    chance = np.random.default_rng(seed)
+    return {
+        name: float(chance.uniform(joint.lower, joint.upper))
+        for name, joint in description.joints.items()
+    }
+
+
+def short(name: str, tmp_path: Path, duration: float = 0.2, **robot_changes: object) -> Path:
+    document = yaml.safe_load((EXPERIMENTS / f"{name}.yaml").read_text())
+    document["duration"] = duration
+    document["robot"] |= robot_changes
+    path = tmp_path / f"{name}.yaml"
+    path.write_text(yaml.safe_dump(document, sort_keys=False))
+    return path
+
+
+# --- where things are
+
+
+def test_robots_of_python_packages_are_found_without_importing_them():
+    code = f"import sys; from hpid_ros.resources import find_resource; find_resource({IIWA!r});"
+    code += "sys.exit(bool({'pybullet', 'pybullet_data'} & set(sys.modules)))"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+    path = find_resource(IIWA)
+    assert path == find_resource("pybullet_data/kuka_iiwa/model.urdf")
+    assert path.is_file()
+    assert package_uri(path) == IIWA
+
+
+def test_robots_of_ament_packages_are_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    share = tmp_path / "install" / "share" / "my-arm_description"
+    (share / "urdf").mkdir(parents=True)
+    (share / "urdf" / "arm.urdf").write_text("<robot/>")
+    name = "package://my-arm_description/urdf/arm.urdf"
+    monkeypatch.setenv("AMENT_PREFIX_PATH", f"{tmp_path / 'other'}:{tmp_path / 'install'}")
+    with pytest.raises(ResourceError):
+        find_resource(name)  # a folder without package.xml is no package
+    (share / "package.xml").write_text("<package/>")
+    assert find_resource(name) == (share / "urdf" / "arm.urdf").resolve()
+    assert package_folder("my-arm_description") == share
+    assert package_uri(share / "urdf" / "arm.urdf") == name
+
+
+@pytest.mark.parametrize(
+    ("name", "says"),
+    [
+        ("package://nope_description/a.urdf", "no ament or Python package nope_description"),
+        ("package://pybullet_data/none.urdf", "pybullet_data)"),
+        ("package://hpid_ros/none.urdf", "there is no file package://hpid_ros/none.urdf"),
+        ("package://../a.urdf", "no ament or Python package .."),
+        ("package://config/experiments/paper.yaml", "no ament or Python package config"),
+        ("pybullet_data/none.urdf", "pybullet_data)"),
+    ],
+)
+def test_a_missing_robot_is_one_line_that_says_where_was_looked(name: str, says: str):
+    with pytest.raises(ResourceError) as refusal:
+        find_resource(name)
+    assert says in str(refusal.value)
+    assert "\n" not in str(refusal.value)
+
+
+# --- the models, against each other
+
+
+@pytest.mark.parametrize("name", URDFS)
+def test_pinocchio_and_bullet_agree_on_mass_and_gravity(name: str):
+    description = robot(name)
+    joints = list(description.joints)
+    dynamics = Dynamics(description)
+    client = pybullet.connect(pybullet.DIRECT)
+    try:
+        pybullet.setGravity(0.0, 0.0, -9.81, physicsClientId=client)
+        body = pybullet.loadURDF(
+            str(find_resource(name)),
+            useFixedBase=True,
+            flags=pybullet.URDF_USE_INERTIA_FROM_FILE,
+            physicsClientId=client,
+        )
+        for seed in range(5):
+            there = pose(description, seed)
+            at, still = list(there.values()), [0.0] * len(joints)
+            mass = pybullet.calculateMassMatrix(body, at, physicsClientId=client)
+            assert np.allclose(dynamics.mass_matrix(joints, there), mass, rtol=0.0, atol=1e-12)
+            efforts = pybullet.calculateInverseDynamics(
+                body, at, still, still, physicsClientId=client
+            )
+            gravity = dynamics.gravity_torques(joints, there)
+            assert np.allclose([gravity[joint] for joint in joints], efforts, atol=1e-11)
+    finally:
+        pybullet.disconnect(client)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_simulated_robot_accelerates_as_the_model_with_rotors_says(name: str, tmp_path: Path):
+    document = yaml.safe_load((EXPERIMENTS / f"{name}.yaml").read_text())
+    for joint in document["robot"]["joints"].values():
+        joint["friction"] = 0.0  # sticks at rest
+    path = tmp_path / "robot.yaml"
+    path.write_text(yaml.safe_dump(document))
+    world_settings = load_experiment(path).world
+    description = RobotDescription.load(world_settings.robot_description)
+    joints, start = world_settings.joints, world_settings.initial_positions
+    dynamics = Dynamics(description)
+    efforts = np.array([3.0, -8.0, 4.0, -6.0, 2.0, -1.5, 1.0])
+    gravity = np.array(list(dynamics.gravity_torques(joints, start).values()))
+    expected = np.linalg.solve(dynamics.mass_matrix(joints, start), efforts - gravity)
+    settings = WorldSettings(
+        world_settings.robot_description,
+        joints,
+        control_period_ns=MILLISECOND,
+        initial_positions=start,
+        fixed_base=True,
+    )
+    with World(settings) as world:
+        world.step(tuple(efforts))
+        found = np.array(world.true_velocities()) / 1e-3
+    # Rotors that turn with their links, of order 1/N, and 1 ms of damping are the difference.
+    assert found == pytest.approx(expected, abs=0.02 * np.abs(expected).max())
+
+
+# --- what is known better than the URDF says
+
+
+def test_amendments_reach_everyone_who_reads_the_robot():
+    arm = amended(
+        robot(IIWA),
+        {
+            "lbr_iiwa_joint_7": JointAmendment(4.54e-5, 160.0, 0.1, 0.2, 40.0, 2.3),
+            "lbr_iiwa_joint_1": JointAmendment(friction=3.0),
+        },
+        {},
+        {},
+    )
+    last = arm.joints["lbr_iiwa_joint_7"]
+    assert (last.rotor_inertia, last.gear_ratio, last.damping) == (4.54e-5, 160.0, 0.1)
+    assert (last.friction, last.effort, last.velocity) == (0.2, 40.0, 2.3)
+    assert (last.lower, last.upper) == (-3.05432619099, 3.05432619099)
+    first = arm.joints["lbr_iiwa_joint_1"]
+    assert (first.friction, first.damping, first.effort) == (3.0, 0.5, 300.0)
+    reflected = 4.54e-5 * 160.0**2
+    plain, better = (
+        Dynamics(each).mass_matrix(["lbr_iiwa_joint_7"], {}) for each in (robot(IIWA), arm)
+    )
+    assert better[0, 0] - plain[0, 0] == pytest.approx(reflected, rel=1e-12)
+
+
+def test_an_amendment_of_a_transmission_that_is_there_changes_it_alone():
+    own = RobotDescription.load(share_folder() / "urdf" / "mobile_manipulator.urdf")
+    better = amended(own, {"arm_joint_2": JointAmendment(rotor_inertia=1e-3)}, {}, {})
+    assert better.joints["arm_joint_2"].rotor_inertia == 1e-3
+    assert better.joints["arm_joint_2"].gear_ratio == own.joints["arm_joint_2"].gear_ratio
+    assert better.joints["arm_joint_1"] == own.joints["arm_joint_1"]
+
+
+def slider() -> str:
+    """Return two hinges and, held askew on the second one, a slide."""
+    inertial = """<inertial><mass value="0.5"/>
+      <inertia ixx="0.01" ixy="0" ixz="0" iyy="0.02" iyz="0" izz="0.015"/></inertial>"""
+    links = "".join(f'<link name="{name}">{inertial}</link>' for name in "abcd")
+    joints = "".join(
+        f"""<joint name="{pair}" type="{kind}"><parent link="{pair[0]}"/><child link="{pair[1]}"/>
+        <origin xyz="0.1 0.2 0.3" rpy="{rpy}"/><axis xyz="{axis}"/>
+        <limit lower="-1" upper="1" effort="1" velocity="1"/></joint>"""
+        for pair, kind, rpy, axis in (
+            ("ab", "revolute", "0 0 0", "0 1 0"),
+            ("bc", "revolute", "0.2 0 0", "1 0 0"),
+            ("cd", "prismatic", "0.3 -0.5 1.1", "0.6 0 0.8"),
+        )
+    )
+    return f'<robot name="slider">{links}{joints}</robot>'
+
+
+@pytest.mark.parametrize(
+    ("free", "tip"),
+    [
+        (robot(IIWA), "lbr_iiwa_link_7"),
+        (robot(PANDA), "panda_leftfinger"),
+        (RobotDescription.load(slider()), "d"),
+    ],
+    ids=["iiwa", "panda", "slider"],
+)
+def test_a_held_joint_stands_where_it_would_stand_if_it_moved_there(
+    free: RobotDescription, tip: str
+):
+    there = pose(free, seed=3)
+    held = {joint: there[joint] for joint in list(free.joints)[2::2]}
+    stiff = amended(free, {}, {}, held)
+    moving = tuple(joint for joint in free.joints if joint not in held)
+    assert tuple(stiff.joints) == moving
+    where = []
+    for description in (free, stiff):
+        positions = {joint: there[joint] for joint in description.joints}
+        settings = WorldSettings(
+            description.xml, moving, initial_positions=positions, fixed_base=True
+        )
+        with World(settings) as world:
+            place = world.link_pose(tip)
+            where.append([*place.position, *np.abs(place.orientation)])
+    assert where[0] == pytest.approx(where[1], abs=1e-9)
+    masses = [
+        Dynamics(each).mass_matrix(moving, {joint: there[joint] for joint in each.joints})
+        for each in (free, stiff)
+    ]
+    assert np.allclose(*masses, rtol=0.0, atol=1e-12)
+
+
+def test_an_amended_robot_means_the_same_on_every_machine():
+    experiment = load_experiment(EXPERIMENTS / "panda.yaml")
+    text = str(experiment.world.robot_description)
+    assert "package://pybullet_data/franka_panda/meshes/collision/link0.obj" in text
+    assert str(package_folder("pybullet_data")) not in text
+    assert "panda_finger_joint1" not in RobotDescription.load(text).joints
+
+
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ({"held": {"panda_finger": 0.02}}, "robot: unknown joint 'panda_finger'; did you mean"),
+        ({"held": {"panda_finger_joint1": 0.3}}, r"not within its limits \[0.0, 0.04\]"),
+        ({"joints": {"panda_joint1": {"rotor": 1.0}}}, "unknown key 'robot.joints.panda_joint1"),
+        ({"joints": {"panda_joint1": {"gear_ratio": 0}}}, "gear_ratio must not be 0"),
+        ({"joints": {"panda_joint1": {"friction": -1}}}, "joint1: friction -1.0 must be >= 0"),
+        ({"joints": {"panda_joint1": {"effort": 0}}}, "effort 0.0 must be above 0"),
+        ({"joints": {"panda_joint9": {"effort": 1}}}, "unknown joint 'panda_joint9'"),
+        ({"links": {"panda_link9": {"mass": 0}}}, "unknown link 'panda_link9'"),
+        ({"links": {"panda_link1": {"mass": 1}}}, "robot.links.panda_link1.inertia is missing"),
+        (
+            {"links": {"panda_link1": {"mass": 1, "inertia": {"ixx": 3, "iyy": 1, "izz": 1}}}},
+            "no body has the principal moments 1, 1, 3",
+        ),
+        (
+            {"links": {"panda_link1": {"mass": 0, "inertia": {"ixx": 3, "iyy": 1, "izz": 1}}}},
+            "unknown key 'robot.links.panda_link1.inertia'",
+        ),
+        ({"links": {"panda_link1": {"mass": 1, "center_of_mass": [0]}}}, "must be three numbers"),
+        ({"held": {"panda_joint1": 0.0}}, "unknown joint 'panda_joint1'"),  # it is driven
+        ({"description": "package://no_such/a.urdf"}, "no ament or Python package no_such"),
+    ],
+)
+def test_an_impossible_amendment_is_one_line(tmp_path: Path, changes: dict, says: str):
+    path = short("panda", tmp_path, **changes)
+    with pytest.raises(ExperimentError, match=says) as refusal:
+        load_experiment(path)
+    assert "\n" not in str(refusal.value)
+
+
+# --- meshes
+
+
+CUBE = "".join(
+    f"v {x} {y} {z}\n" for x in (-0.1, 0.1) for y in (-0.1, 0.1) for z in (-0.1, 0.1)
+) + "".join(
+    f"f {face}\n"
+    for face in (
+        *("1 2 4", "1 4 3", "5 8 6", "5 7 8", "1 6 2", "1 5 6"),
+        *("3 4 8", "3 8 7", "1 3 7", "1 7 5", "2 6 8", "2 8 4"),
+    )
+)
+
+
+def box(mesh: str) -> str:
+    return f"""<robot name="box"><link name="body"><inertial><mass value="1"/>
+      <inertia ixx="0.01" ixy="0" ixz="0" iyy="0.01" iyz="0" izz="0.01"/></inertial>
+      <collision><geometry><mesh filename="{mesh}"/></geometry></collision></link>
+      <link name="speck"/><joint name="hinge" type="continuous"><parent link="body"/>
+      <child link="speck"/></joint></robot>"""
+
+
+@pytest.mark.parametrize("mesh", ["meshes/cube.obj", "package://box_description/meshes/cube.obj"])
+@pytest.mark.parametrize("is_text", [False, True])
+def test_a_robot_stands_on_meshes_of_its_folder_or_of_its_package(
+    mesh: str, is_text: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    share = tmp_path / "share" / "box_description"
+    (share / "meshes").mkdir(parents=True)
+    (share / "meshes" / "cube.obj").write_text(CUBE)
+    (share / "package.xml").write_text("<package/>")
+    (share / "box.urdf").write_text(box(mesh))
+    monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path))
+    description = RobotDescription.load(share / "box.urdf")
+    # As text it is what an amended robot is.
+    source = amended(description, {}, {}, {}).xml if is_text else share / "box.urdf"
+    with World(WorldSettings(source, ("hinge",))) as world:
+        for _ in range(200):
+            world.step((0.0,))
+        assert world.base_pose().position[2] == pytest.approx(0.1, abs=5e-3)
+
+
+@pytest.mark.parametrize("mesh", ["none.obj", "file:///none.obj", "package://none_such/none.obj"])
+def test_without_its_meshes_a_robot_cannot_stand_but_hang(
+    mesh: str, caplog: pytest.LogCaptureFixture
+):
+    with pytest.raises(RobotDescriptionError, match=r"collision mesh.*of link 'body'") as refusal:
+        World(WorldSettings(box(mesh), ("hinge",)))
+    assert mesh in str(refusal.value)
+    assert "\n" not in str(refusal.value)
+    with World(WorldSettings(box(mesh), ("hinge",), fixed_base=True)) as world:
+        world.step((0.0,))
+    (warning,) = [each for each in caplog.records if each.levelno >= logging.WARNING]
+    assert "goes without" in warning.getMessage()
+    assert mesh in warning.getMessage()
+
+
+@pytest.mark.parametrize("name", URDFS)
+def test_on_a_fixed_base_meshes_change_no_number(name: str):
+    there = robot(name)
+    joints = tuple(there.joints)
+    runs = []
+    for source in (str(find_resource(name)), there.xml):  # the text is far from its meshes
+        with World(WorldSettings(source, joints, fixed_base=True)) as world:
+            for _ in range(50):
+                world.step((0.5,) * len(joints))
+            runs.append(world.true_positions())
+    assert runs[0] == runs[1]
+
+
+def test_what_nobody_sees_is_not_loaded():
+    arm = robot(PANDA)
+    assert "<visual" not in bullet_urdf(arm)
+    assert "<visual" in bullet_urdf(arm, is_shown=True)
+
+
+# --- the experiments
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_gains_keep_to_the_rule_that_the_file_states(name: str):
+    experiment = load_experiment(EXPERIMENTS / f"{name}.yaml")
+    world = experiment.world
+    dynamics = Dynamics(RobotDescription.load(world.robot_description))
+    inertias = dynamics.joint_inertias(world.joints, world.initial_positions)
+    speed = 10.0  # [rad/s]
+    for settings in experiment.controllers["PID"]:
+        inertia = inertias[settings.joint]
+        rule = (3.0 * speed**2 * inertia, speed**3 * inertia, 3.0 * speed * inertia)
+        gains = settings.gains
+        assert (gains.p, gains.i, gains.d) == pytest.approx(rule, rel=0.01)
+        assert settings.inertia == pytest.approx(inertia, rel=0.01)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_baseline_settles_within_the_limits_of_the_arm(name: str):
+    experiment = load_experiment(EXPERIMENTS / f"{name}.yaml")
+    joints = RobotDescription.load(experiment.world.robot_description).joints
+    with WorldKeeper() as keeper:
+        run = simulate(RunTask.of(experiment, "PID"), keeper)
+    for series in run.joints:
+        late = series.time > experiment.duration - 1.0
+        assert np.abs(series.reference - series.position)[late].max() < 0.01
+        joint = joints[series.joint]
+        assert np.abs(series.effort).max() < joint.effort
+        assert joint.lower < series.position.min() < series.position.max() < joint.upper
+        speed = np.abs(np.diff(series.reference)).max() / np.diff(series.time).max()
+        assert speed < joint.velocity
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_short_run_is_finite_and_the_same_after_a_reset(name: str, tmp_path: Path):
+    experiment = load_experiment(short(name, tmp_path))
+    task = RunTask.of(experiment, "hPID")
+    with WorldKeeper() as keeper:
+        first, again = simulate(task, keeper), simulate(task, keeper)  # the second after a reset
+    with WorldKeeper() as keeper:
+        fresh = simulate(task, keeper)
+    for one, *others in zip(first.joints, again.joints, fresh.joints, strict=True):
+        assert np.isfinite(one.position).all()
+        assert np.isfinite(one.effort).all()
+        for other in others:
+            assert np.array_equal(one.position, other.position)
+            assert np.array_equal(one.effort, other.effort)
+
+
+def test_the_graph_gives_what_one_process_gives(tmp_path: Path):
+    from hpid_ros.experiment.compare import compare
+    from hpid_ros.experiment.progress import Silence
+
+    experiment = load_experiment(short("panda", tmp_path, duration=0.1))
+    results = [
+        compare(experiment, tmp_path / f"result{number}", Silence(), in_process=bool(number))
+        for number in range(2)
+    ]
+    graph, one_process = ((each.folder.path / "result.json").read_bytes() for each in results)
+    assert graph == one_process
+    # The parameter files stay readable: the robot, a text in the experiment, is a file of its own.
+    nodes = results[0].folder.path / "nodes" / "PID"
+    assert (nodes / "robot.urdf").read_text() == experiment.world.robot_description
+    for file in ("controllers.yaml", "bridge.yaml"):
+        text = (nodes / file).read_text()
+        assert str(nodes / "robot.urdf") in text
+        assert "<robot" not in text
+
+
+# --- the commands
+
+
+def test_hpid_robot_says_what_the_urdf_lacks(capsys: pytest.CaptureFixture[str]):
+    assert main(["robot", PANDA, "--poses", "2", "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    texts = {each["text"]: each["names"] for each in said["remarks"]}
+    (placeholder,) = [text for text in texts if "0.1 0.1 0.1 kg m^2" in text]
+    assert len(texts[placeholder]) == 13
+    (weightless,) = [text for text in texts if "without mass" in text]
+    assert texts[weightless] == ["panda_link8", "panda_grasptarget"]
+    assert any("friction" in text for text in texts)
+    assert [names for text, names in texts.items() if "mimics" in text] == [
+        ["panda_finger_joint2"]
+    ]
+    assert said["joints"]["panda_joint7"]["largest_inertia"] > 0.3
+
+    assert main(["robot", str(EXPERIMENTS / "panda.yaml"), "--poses", "2", "--json"]) == 0
+    better = json.loads(capsys.readouterr().out)
+    assert better["remarks"] == []
+    assert better["joints"]["panda_joint7"]["inertia"] == pytest.approx(0.2122, rel=1e-3)
+
+
+def test_hpid_robot_saves_a_robot_that_loads_from_anywhere(tmp_path: Path, capsys):
+    saved = tmp_path / "arm.urdf"
+    file = str(EXPERIMENTS / "iiwa.yaml")
+    assert main(["robot", file, "--poses", "1", "--save", str(saved)]) == 0
+    assert main(["robot", file, "--poses", "1", "--save", str(saved)]) == 2
+    assert "exists" in capsys.readouterr().err
+    description = RobotDescription.load(saved)
+    assert description.joints["lbr_iiwa_joint_6"].gear_ratio == 160.0
+    with World(WorldSettings(saved, tuple(description.joints), fixed_base=True)) as world:
+        world.step((0.0,) * 7)
+
+
+@pytest.mark.parametrize(
+    ("urdf", "says"),
+    [
+        ("<robot", "not readable XML"),
+        (box("none.obj"), "mass matrix of 'box' cannot be inverted"),
+    ],
+)
+def test_hpid_robot_refuses_in_one_line(urdf: str, says: str, tmp_path: Path, capsys):
+    path = tmp_path / "bad.urdf"
+    path.write_text(urdf)
+    assert main(["robot", str(path)]) == 2
+    error = capsys.readouterr().err
+    assert says in error
+    assert error.count("\n") == 1
+
+
+def test_predictions_start_where_the_experiment_does():
+    from hpid_ros.tuning.prediction import predict
+
+    experiment = load_experiment(EXPERIMENTS / "panda.yaml")
+    world = experiment.world
+    predicted = predict(
+        str(world.robot_description),
+        {"PID": experiment.controllers["PID"]},
+        (),
+        fixed_base=True,
+        initial_positions=world.initial_positions,
+    )
+    (run,) = predicted.runs
+    # A step of the error scale, 0.1 rad, is over in a second; an arm that falls over with its
+    # base, or that starts from another pose, is not (0.4 and more in the worst joint).
+    assert all(each.itae < 0.02 for each in run.joints.values())
+
+
+def test_an_upgraded_file_keeps_the_model_of_the_robot():
+    from hpid_ros.tuning.controller_files import settings_from_parameters
+    from hpid_ros.tuning.upgrade import Upgrade
+    from hpid_ros.tuning.upgrade_file import upgrade_text
+
+    first = load_experiment(EXPERIMENTS / "panda.yaml").controllers["PID"][0]
+    model = dataclasses.replace(first.model, description="/robots/an arm.urdf")
+    settings = dataclasses.replace(first, model=model)
+    text = upgrade_text([Upgrade(settings, (-0.4, 0.4), (1.0, 1.0))], [], {})
+    (again,) = settings_from_parameters(yaml.safe_load(text), "file").values()
+    assert again.model == model
+    assert model.compensation == "gravity"
+
+
+def test_check_gains_knows_the_inertias_of_an_experiments_robot(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    file = tmp_path / "controllers.yaml"
+    gains = {"p": 351.0, "i": 1170.0, "d": 35.1}
+    node = {"ros__parameters": {"joint": "lbr_iiwa_joint_7", "law": "pid", "gains": gains}}
+    file.write_text(yaml.safe_dump({"joint7_controller": node}))
+    robot_file = str(EXPERIMENTS / "iiwa.yaml")
+    arguments = ["check-gains", str(file), "--json", "--poses", "2", "--urdf"]
+    assert main([*arguments, robot_file]) == 0
+    (verdict,) = json.loads(capsys.readouterr().out).values()
+    assert verdict["inertia"] == pytest.approx([1.163, 1.163], rel=1e-3)  # 1.162 of it a rotor's
+    main([*arguments, IIWA])
+    (verdict,) = json.loads(capsys.readouterr().out).values()
+    assert verdict["inertia"][1] < 0.0011

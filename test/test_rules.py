@@ -1,0 +1,207 @@
+"""Tuning rules: the loop that they promise, their source's margins, the gains of the files."""
+
+import math
+
+import numpy as np
+import pytest
+import yaml
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hpid_ros.cli import main
+from hpid_ros.commands import BAD_INPUT, DONE, FAILED
+from hpid_ros.control import Gains
+from hpid_ros.errors import GainError, SettingError
+from hpid_ros.experiment.description import load_experiment
+from hpid_ros.experiment.inertias import initial_inertias
+from hpid_ros.resources import share_folder
+from hpid_ros.robot.description import RobotDescription
+from hpid_ros.robot.differential_drive import DifferentialDrive
+from hpid_ros.robot.rolling import wheel_inertias
+from hpid_ros.tuning.margins import loop_margins
+from hpid_ros.tuning.rules import RULES, pole_placement, recognise, simc, simc_series
+
+EXPERIMENTS = sorted((share_folder() / "config" / "experiments").glob("*.yaml"))
+inertias = st.floats(1e-4, 10.0)
+times = st.floats(1e-3, 10.0)
+
+
+def poles(gains, inertia):
+    return np.roots([inertia, gains.d, gains.p, gains.i])
+
+
+@given(inertias, times)
+def test_pole_placement_puts_three_poles_in_one_place(inertia, time):
+    gains = pole_placement(inertia, time)
+    s = -1.0 / time
+    terms = [inertia * s**3, gains.d * s**2, gains.p * s, gains.i]
+    derivative = [3.0 * inertia * s**2, 2.0 * gains.d * s, gains.p]
+    second = [6.0 * inertia * s, 2.0 * gains.d]
+    for row in (terms, derivative, second):
+        assert abs(math.fsum(row)) <= 1e-12 * max(map(abs, row))
+
+
+@given(inertias, times, st.floats(0.0, 1.0), st.floats(0.1, 50.0))
+def test_the_parallel_form_is_the_series_form(inertia, time, delay, frequency):
+    series = simc_series(inertia, time, delay)
+    gains = simc(inertia, time, delay)
+    s = 1j * frequency
+    factors = (1.0 + 1.0 / (series.integral_time * s)) * (1.0 + series.derivative_time * s)
+    assert gains.p + gains.i / s + gains.d * s == pytest.approx(series.gain * factors, rel=1e-12)
+
+
+def test_simc_is_the_row_of_its_table():
+    """k'' = 2, tau_c = 0.3, theta = 0.2: Kc = 1/k'' / (4 (tau_c + theta)^2), times 4 (...)."""
+    assert simc_series(0.5, 0.3, 0.2) == pytest.approx((0.5, 2.0, 2.0))
+    gains = simc(0.5, 0.3, 0.2)
+    assert (gains.p, gains.i, gains.d) == pytest.approx((1.0, 0.25, 1.0))
+
+
+def test_simc_has_the_margins_that_its_source_states():
+    """Skogestad 2003, the process exp(-s)/s^2 with tau_c = theta: Ms = 1.96."""
+    margins = loop_margins(simc(1.0, 1.0, 1.0), 1.0, delay=1.0)
+    assert margins.sensitivity == pytest.approx(1.96, abs=0.005)
+
+
+@given(inertias, times, st.sampled_from(sorted(RULES)))
+def test_every_rule_gives_a_stable_loop_as_fast_as_asked(inertia, time, rule):
+    gains = RULES[rule](inertia, time, 0.0)
+    slowest = poles(gains, inertia).real.max() * time
+    assert -1.01 < slowest < -0.17  # the slowest of simc is a pair at -0.176 / T
+    twice = RULES[rule](2.0 * inertia, time, 0.0)
+    assert (twice.p, twice.i, twice.d) == pytest.approx((2 * gains.p, 2 * gains.i, 2 * gains.d))
+
+
+@given(inertias, times, st.sampled_from(sorted(RULES)))
+def test_a_rule_is_recognised_by_its_gains(inertia, time, rule):
+    found = recognise(RULES[rule](inertia, time, 0.0), inertia)
+    assert found.rule == rule
+    assert found.time == pytest.approx(time)
+    assert found.deviation < 1e-9
+
+
+@pytest.mark.parametrize("numbers", [(0.0, 1.0, 0.0), (1.0, 0.0, 0.0), (1.0, 1.0, -1.0)])
+@pytest.mark.parametrize("rule", RULES.values(), ids=RULES)
+def test_impossible_numbers_are_refused(rule, numbers):
+    with pytest.raises(SettingError, match="must be"):
+        rule(*numbers)
+    with pytest.raises(SettingError, match="must be"):
+        rule(*(math.nan if n <= 0.0 else n for n in (*numbers[:2], numbers[2] or 1.0)))
+
+
+LOOPS = [
+    (Gains(3.0, 1.0, 3.0), 1.0, 0.0, 0.0),
+    (Gains(39.6, 132.0, 3.96), 0.132, 0.003, 0.005),
+    (Gains(2.0, 0.5, 1.0), 0.7, 0.2, 0.02),
+]
+
+
+@pytest.mark.parametrize(("gains", "inertia", "delay", "tau"), LOOPS)
+def test_margins_lead_to_the_edge_of_stability(gains, inertia, delay, tau):
+    """With the margin used up the characteristic equation has a root on the imaginary axis."""
+    margins = loop_margins(gains, inertia, delay=delay, filter_time=tau)
+
+    def loop(w, extra=0.0):
+        s = 1j * w
+        derivative = gains.d * s / (tau * s + 1.0)
+        return (
+            (gains.p + gains.i / s + derivative) * np.exp(-(delay + extra) * s) / (inertia * s**2)
+        )
+
+    assert loop(margins.crossover, margins.delay) == pytest.approx(-1.0, abs=1e-9)
+    assert margins.delay == pytest.approx(margins.phase / margins.crossover)
+    grid = np.logspace(-2, 4, 200_001)
+    assert margins.sensitivity >= 1.0
+    brute = np.max(1.0 / np.abs(1.0 + loop(grid)))
+    assert margins.sensitivity == pytest.approx(max(brute, 1.0), rel=1e-4)
+    for factor in (margins.gain, margins.gain_reduction):
+        if math.isfinite(factor):
+            edge = factor * loop(grid)
+            assert np.min(np.abs(edge + 1.0)) < 1e-3
+
+
+def test_without_delay_the_gain_may_fall_to_rouths_limit():
+    gains, inertia = Gains(5.0, 4.0, 2.0), 0.8
+    margins = loop_margins(gains, inertia)
+    assert margins.gain == math.inf
+    assert margins.gain_reduction == pytest.approx(inertia * gains.i / (gains.p * gains.d))
+
+
+def test_a_delay_that_is_too_long_is_refused_with_the_one_that_is_not():
+    gains = pole_placement(1.0, 1.0)
+    tolerated = loop_margins(gains, 1.0).delay
+    loop_margins(gains, 1.0, delay=0.999 * tolerated)
+    with pytest.raises(GainError, match=f"tolerates {tolerated:.3g} s"):
+        loop_margins(gains, 1.0, delay=1.001 * tolerated)
+    with pytest.raises(GainError, match="unstable"):
+        loop_margins(Gains(1.0, 2.0, 1.0), 1.0)
+
+
+def test_a_wheel_accelerates_the_robot_that_rolls_on_it():
+    """Against a planar robot by hand: M v^2/2 + Iz w^2/2 + two wheels' J rate^2/2."""
+    experiment = load_experiment(EXPERIMENTS[[e.stem for e in EXPERIMENTS].index("tracking")])
+    description = RobotDescription.load(experiment.world.robot_description)
+    drive = DifferentialDrive.of(description, "wheel_left_joint", "wheel_right_joint")
+    pose = {"arm_joint_2": -0.5, "arm_joint_3": 1.8, "arm_joint_5": 1.2}
+    found = wheel_inertias(description, drive, pose)
+    assert found["wheel_left_joint"] == pytest.approx(found["wheel_right_joint"], rel=1e-9)
+    heavier = wheel_inertias(description, drive, pose, 2.0)
+    assert heavier["wheel_left_joint"] > found["wheel_left_joint"]
+    mass, yaw, spin, r, b = 22.850003, 0.8625593, 0.01475, drive.radius, drive.separation
+    own = spin + mass * r**2 / 4.0 + yaw * r**2 / b**2
+    other = mass * r**2 / 4.0 - yaw * r**2 / b**2
+    by_hand = own - other**2 / own
+    assert found["wheel_left_joint"] == pytest.approx(by_hand, rel=0.01)
+
+
+@pytest.mark.parametrize("path", EXPERIMENTS, ids=lambda path: path.stem)
+def test_the_baseline_of_every_experiment_follows_one_published_rule(path):
+    """One rule and one closed-loop time for all joints, on inertias that are the robot's."""
+    experiment = load_experiment(path)
+    baseline = next(iter(experiment.controllers.values()))
+    found = {each.joint: recognise(each.gains, each.plant_inertia) for each in baseline}
+    assert len({each.rule for each in found.values()}) == 1
+    for joint, each in found.items():
+        assert each.deviation < 0.01, f"{joint}: {each}"
+    times_found = [each.time for each in found.values()]
+    assert max(times_found) <= 1.01 * min(times_found)
+    if "controllers" not in yaml.safe_load(path.read_text()):
+        return  # gains and inertias are those of the pose of the file that it extends
+    wanted = initial_inertias(experiment, baseline)
+    for each in baseline:
+        assert each.plant_inertia == pytest.approx(wanted[each.joint], rel=0.02), each.joint
+
+
+def test_the_command_prints_a_part_of_an_experiment_file(tmp_path, capsys):
+    path = tmp_path / "own.yaml"
+    path.write_text("extends: tracking.yaml\n")
+    options = ["--rule", "pole-placement", "--closed-loop-time", "0.1"]
+    assert main(["gains", str(path), *options]) == DONE
+    out = capsys.readouterr().out
+    assert "certified for mu in (" in out
+    printed = yaml.safe_load(out)["controllers"]["joints"]
+    path.write_text(
+        yaml.safe_dump({"extends": "tracking.yaml", "controllers": {"joints": printed}})
+    )
+    for each in load_experiment(path).controllers["PID"]:
+        assert recognise(each.gains, each.inertia).time == pytest.approx(0.1, rel=1e-4)
+
+
+def test_the_command_says_when_a_delay_is_too_long(capsys):
+    options = [
+        "gains",
+        "--inertia",
+        "0.1",
+        "--rule",
+        "pole-placement",
+        "--closed-loop-time",
+        "0.01",
+    ]
+    assert main([*options, "--delay", "0.02"]) == FAILED
+    assert (
+        "is unstable with a velocity filter of 0 s and a delay of 0.02 s"
+        in capsys.readouterr().out
+    )
+    assert main([*options[:2], "-1", *options[3:]]) == BAD_INPUT
+    assert main(["gains", "x.yaml", *options[1:]]) == BAD_INPUT
+    assert len(capsys.readouterr().err.splitlines()) == 2

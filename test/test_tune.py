@@ -1,0 +1,408 @@
+"""Searches: the same every time, never unstable, never uncertified unasked, nothing lost."""
+
+import csv
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import yaml
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hpid_ros.analysis.pareto import pareto_front
+from hpid_ros.analysis.results import JointIndices, RunIndices
+from hpid_ros.cli import main
+from hpid_ros.commands import BAD_INPUT, DONE, FAILED, INTERRUPTED
+from hpid_ros.control.stability import is_hurwitz
+from hpid_ros.errors import GainError, SettingError
+from hpid_ros.experiment import batch
+from hpid_ros.experiment import search as search_module
+from hpid_ros.experiment.description import load_experiment
+from hpid_ros.experiment.search import Search
+from hpid_ros.experiment.search_cost import Cost, WorstExcess, mean_ratios
+from hpid_ros.experiment.search_plan import Evaluation, SearchPlan
+from hpid_ros.experiment.search_snippet import compare_entry
+from hpid_ros.experiment.search_space import HPID_PARAMETERS, PID_PARAMETERS, SearchSpace
+from hpid_ros.experiment.simulated_run import simulated_indices
+from hpid_ros.tuning import degree_check
+
+ARM = ["arm_joint_1", "arm_joint_2"]
+
+
+@pytest.fixture
+def path(experiment_file):
+    """Return an experiment of a twentieth of a second that judges two joints."""
+    return experiment_file(duration=0.05, judge={"joints": ARM})
+
+
+@pytest.fixture
+def experiment(path):
+    return load_experiment(path)
+
+
+def planned(experiment, law, **options):
+    defaults = {"evaluations": 12, "seeds": 1}
+    space = SearchSpace.of(experiment, law, options.pop("bounds", None))
+    return SearchPlan(experiment, space, Cost.even(), experiment.judged, **{**defaults, **options})
+
+
+def tune(path, tmp_path, *options, folder="t"):
+    code = main(
+        ["tune", str(path), "-o", str(tmp_path / folder), "--evaluations", "12", "--seeds", "1"]
+        + [str(each) for each in options]
+    )
+    return code, tmp_path / folder
+
+
+@given(st.sampled_from([*PID_PARAMETERS, *HPID_PARAMETERS]), st.floats(0.0, 1.0))
+def test_a_share_of_the_way_is_a_value_within_the_bounds_and_back(parameter, share):
+    value = parameter.value(share)
+    assert parameter.low <= value <= parameter.high
+    assert parameter.share(value) == pytest.approx(share, abs=1e-5)
+    assert parameter.value(0.0) == parameter.low
+    assert parameter.value(1.0) == parameter.high
+    assert parameter.low <= parameter.start <= parameter.high
+
+
+def test_both_laws_have_the_same_number_of_free_parameters():
+    assert len(PID_PARAMETERS) == len(HPID_PARAMETERS) == 3
+
+
+def test_the_pid_s_scales_are_what_they_are_called(experiment):
+    space = SearchSpace.of(experiment, "pid")
+    baseline = experiment.controllers["PID"]
+    assert space.controller([1.0, 1.0, 1.0]) == baseline
+    for before, after in zip(baseline, space.controller([2.0, 1.0, 1.0]), strict=True):
+        old, new = (
+            np.sort_complex(np.roots([m.inertia, m.gains.d, m.gains.p, m.gains.i]))
+            for m in (before, after)
+        )
+        assert new.mean() == pytest.approx(2.0 * old.mean())
+        assert new.prod() == pytest.approx(8.0 * old.prod(), rel=1e-5)
+    changed = space.controller([1.0, 1.5, 0.5])[0].gains
+    base = baseline[0].gains
+    assert (changed.p, changed.i, changed.d) == pytest.approx((base.p, 0.5 * base.i, 1.5 * base.d))
+
+
+def test_the_homogeneous_search_leaves_the_gains_alone(experiment):
+    space = SearchSpace.of(experiment, "hpid")
+    found = space.controller([-0.2, 2.0, 0.5])
+    for before, after in zip(experiment.controllers["PID"], found, strict=True):
+        assert after.gains == before.gains
+        assert (after.law, after.mu) == ("hpid", -0.2)
+        assert after.norm_error_scale == pytest.approx(2.0 * before.norm_error_scale)
+        assert after.norm_rate_weight == 0.5
+    start = space.controller([each.start for each in space.parameters])
+    assert {each.mu for each in start} == {0.0}
+
+
+def indices(label, *values):
+    ivc, iavc, itae, effort, error = values
+    totals = JointIndices(ivc, iavc, itae)
+    return RunIndices(label, {"j": totals}, totals, effort, error)
+
+
+def test_the_cost_is_the_geometric_mean_of_the_ratios():
+    baseline = [indices("b", 1.0, 2.0, 3.0, 4.0, 5.0), indices("b", 2.0, 2.0, 2.0, 2.0, 2.0)]
+    runs = [indices("r", 4.0, 2.0, 3.0, 4.0, 5.0), indices("r", 2.0, 1.0, 2.0, 2.0, 2.0)]
+    ratios = mean_ratios(runs, baseline)
+    assert ratios == pytest.approx(
+        {"ivc": 2.0, "iavc": math.sqrt(0.5), "itae": 1.0, "effort_l2": 1.0, "error_l2": 1.0}
+    )
+    assert Cost.even().of(ratios) == pytest.approx(2.0**0.1)
+    assert Cost({"ivc": 1.0, "iavc": 3.0}).of(ratios) == pytest.approx((2.0 * 0.5**1.5) ** 0.25)
+    assert Cost.even().of(mean_ratios(baseline, baseline)) == 1.0
+
+
+def test_a_zero_against_a_zero_is_one_and_anything_against_zero_costs_infinitely():
+    zero, some = indices("z", 0.0, 1.0, 1.0, 1.0, 1.0), indices("s", 1.0, 1.0, 1.0, 1.0, 1.0)
+    assert Cost.even().of(mean_ratios([zero], [zero])) == 1.0
+    assert Cost.even().of(mean_ratios([some], [zero])) == math.inf
+    assert Cost({"itae": 1.0}).of(mean_ratios([some], [zero])) == 1.0
+
+
+@pytest.mark.parametrize(
+    ("weights", "words"),
+    [
+        ({"ivcc": 1.0}, "did you mean 'ivc'"),
+        ({"ivc": -1.0}, "must be finite and not negative"),
+        ({"ivc": 0.0}, "at least one index"),
+        ({}, "at least one index"),
+    ],
+)
+def test_costs_that_are_none_are_refused(weights, words):
+    with pytest.raises(SettingError, match=words):
+        Cost(weights)
+
+
+def test_limits_make_the_worst_index_the_cost():
+    ratios = {"ivc": 0.5, "iavc": 1.0, "itae": 2.0, "effort_l2": 1.0, "error_l2": 1.0}
+    assert WorstExcess({"ivc": 0.5, "iavc": 0.8}).of(ratios) == 1.25
+    assert WorstExcess({"ivc": 0.5}).of(ratios) == 1.0
+    assert WorstExcess({"itae": 1.0}).of({**ratios, "itae": math.inf}) == math.inf
+
+
+@pytest.mark.parametrize(
+    ("limits", "words"),
+    [
+        ({"ivcc": 1.0}, "did you mean 'ivc'"),
+        ({"ivc": 0.0}, "must be finite and positive"),
+        ({}, "at least one index"),
+    ],
+)
+def test_limits_that_are_none_are_refused(limits, words):
+    with pytest.raises(SettingError, match=words):
+        WorstExcess(limits)
+
+
+class Known(Search):
+    """A search whose costs are a formula: least at these shares."""
+
+    LEAST = (0.3, 0.7, 0.55)
+
+    def run(self):
+        self._minimise(self.plan.space, "all")
+
+    def _evaluated(self, space, stage, shares):
+        found = []
+        for row in shares:
+            values = {p.name: p.value(s) for p, s in zip(space.parameters, row, strict=True)}
+            cost = 1.0 + sum((a - b) ** 2 for a, b in zip(row, self.LEAST, strict=True))
+            cost = math.inf if row[0] > 0.9 else cost
+            found.append(Evaluation(len(self.evaluations), stage, values, (), cost))
+            self.evaluations.append(found[-1])
+        return found
+
+
+@pytest.mark.parametrize("evaluations", [10, 47, 150])
+def test_a_search_uses_its_budget_and_finds_what_is_there(experiment, evaluations):
+    search = Known(planned(experiment, "pid", evaluations=evaluations))
+    search.run()
+    assert len(search.evaluations) == evaluations
+    assert search.best.cost < 1.0 + 3.0 / evaluations
+    if evaluations == 150:
+        found = [p.share(search.best.values[p.name]) for p in search.plan.space.parameters]
+        assert found == pytest.approx(Known.LEAST, abs=0.05)
+
+
+def test_the_search_begins_at_the_baseline_and_never_ends_above_it(experiment):
+    search = Search(planned(experiment, "hpid"), 1)
+    search.run()
+    assert len(search.evaluations) == 12
+    (start,) = [each for each in search.evaluations if each.values["mu"] == 0.0]
+    assert start.cost == 1.0
+    assert set(start.ratios.values()) == {1.0}
+    assert search.best.cost <= 1.0
+    assert all(each.cost >= search.best.cost for each in search.evaluations)
+
+
+def test_seeds_of_a_study_stay_unseen(experiment):
+    plan = planned(experiment, "pid", seeds=3)
+    assert not set(plan.training_seeds) & {experiment.seed + k for k in range(1000)}
+    assert [task.world.seed for task in plan.tasks("x", ())] == list(plan.training_seeds)
+
+
+def test_unstable_gains_are_refused_and_never_run(experiment, monkeypatch):
+    ran = []
+
+    def watched(tasks, jobs):
+        ran.extend(tasks)
+        return search_runs(tasks, jobs)
+
+    search_runs = search_module.run_batch
+    monkeypatch.setattr(search_module, "run_batch", watched)
+    search = Search(planned(experiment, "pid", bounds={"integral": (1.0, 100.0)}), 1)
+    search.run()
+    refused = [each for each in search.evaluations if each.note.startswith("refused")]
+    assert refused
+    for each in refused:
+        assert "unstable" in each.note
+        assert each.cost == math.inf
+        assert not each.ratios
+    assert ran
+    for task in ran:
+        assert all(is_hurwitz(loop.gains, loop.inertia) for loop in task.loops)
+
+
+@pytest.mark.parametrize("must_be_certified", [True, False])
+def test_uncertified_degrees_are_refused_unless_they_are_asked_for(
+    experiment, monkeypatch, must_be_certified
+):
+    def only_positive(gains, norm, inertia):
+        if norm.degree < 0.0:
+            raise GainError("no certificate was found")
+
+    monkeypatch.setattr(degree_check, "certify_degree", only_positive)
+    search = Search(planned(experiment, "hpid", must_be_certified=must_be_certified), 1)
+    search.run()
+    negative = [each for each in search.evaluations if each.values["mu"] < 0.0]
+    assert negative
+    for each in negative:
+        assert ("not certified at mu" in each.note) == must_be_certified
+        assert math.isfinite(each.cost) != must_be_certified
+
+
+def test_joints_of_one_rule_are_certified_once(experiment, monkeypatch):
+    calls = []
+    monkeypatch.setattr(degree_check, "certify_degree", lambda *loop: calls.append(loop))
+    checker = degree_check.DegreeChecker()
+    loops = [replace(e, norm_error_scale=0.3) for e in experiment.controllers["hPID"]]
+    for each in loops:
+        assert checker.refusal(each) == ""
+    assert len(calls) == 1
+    assert checker.refusal(replace(loops[0], norm_rate_weight=0.7)) == ""
+    assert len(calls) == 2
+
+
+def test_what_does_not_settle_is_refused_on_request(experiment):
+    search = Search(planned(experiment, "pid", settle=1e-6), 1)
+    search.run()
+    assert search.best is None
+    assert all("rad in the last second" in e.note for e in search.evaluations if e.ratios)
+
+
+def test_refining_a_joint_changes_no_other(experiment):
+    search = Search(planned(experiment, "pid", evaluations=10, per_joint=True), 1)
+    search.run()
+    assert [each.stage for each in search.evaluations[::10]] == ["all", *ARM]
+    first = min(search.evaluations[:10], key=lambda each: each.cost)
+    for each in search.evaluations[10:20]:
+        for before, after in zip(first.loops, each.loops, strict=False):
+            assert before == after or after.joint == ARM[0]
+    assert search.best.cost <= first.cost
+
+
+def test_what_is_saved_depends_neither_on_the_jobs_nor_on_the_day(path, tmp_path, capsys):
+    code, one = tune(path, tmp_path, "--law", "pid", "--jobs", 1, folder="one")
+    out = capsys.readouterr().out
+    assert code == DONE
+    code, two = tune(path, tmp_path, "--law", "pid", "--jobs", 2, folder="two")
+    assert code == DONE
+    assert capsys.readouterr().out == out == (one / "best.yaml").read_text()
+    names = {each.name for each in one.iterdir()}
+    assert names == {
+        *("best.yaml", "experiment.yaml", "points.csv", "table.txt", "tune.json"),
+        "trade_off.png",
+    }
+    for name in names:
+        assert (one / name).read_bytes() == (two / name).read_bytes()
+    _, other = tune(path, tmp_path, "--law", "pid", "--search-seed", 2, "-j", 1, folder="other")
+    assert (other / "points.csv").read_bytes() != (one / "points.csv").read_bytes()
+
+
+@pytest.mark.parametrize("law", ["pid", "hpid"])
+def test_the_snippet_is_the_best_controller_in_an_experiment_file(path, tmp_path, capsys, law):
+    code, folder = tune(path, tmp_path, "--law", law, "-j", 1, "--label", "found")
+    assert code == DONE
+    own = path.with_name("own.yaml")
+    own.write_text(f"extends: {path.name}\n" + capsys.readouterr().out)
+    loops = load_experiment(own).controllers["found"]
+    saved = json.loads((folder / "tune.json").read_text())
+    assert {each.joint: dict(each.to_parameters()) for each in loops} == saved["parameters"]
+    assert saved["best"]["cost"] <= 1.0
+    rows = list(csv.DictReader((folder / "points.csv").open()))
+    costs = [float(row["cost"]) for row in rows if row["cost"]]
+    assert len(rows) == 12
+    assert min(costs) == saved["best"]["cost"]
+
+
+def test_the_snippet_keeps_what_its_entry_had(experiment_file, tmp_path, capsys):
+    compare = {
+        "PID": {"law": "pid", "velocity_filter_time_constant": 0.01},
+        "hPID": {"mu": -0.1, "norm": {"type": "canonical"}, "norm.error_scale": 0.2},
+    }
+    path = experiment_file(duration=0.05, compare=compare, judge={"joints": ARM})
+    tune(path, tmp_path, "--law", "hpid", "--uncertified", "-j", 1)
+    entry = yaml.safe_load(capsys.readouterr().out)["compare"]["best hPID"]
+    assert entry["norm"]["type"] == "canonical"
+    assert set(entry) == {"law", "mu", "norm"}
+    assert set(entry["norm"]) == {"type", "error_scale", "rate_weight"}
+    tune(path, tmp_path, "--law", "pid", "-j", 1, folder="p")
+    entry = yaml.safe_load(capsys.readouterr().out)["compare"]["best PID"]
+    assert entry["velocity_filter_time_constant"] == 0.01
+
+
+def test_what_was_said_of_one_joint_does_not_outlive_the_search(experiment_file):
+    """The search has one rate weight for all, and error scales that follow the joints' own."""
+    own = {"arm_joint_1": {"norm": {"rate_weight": 0.5, "error_scale": 0.1}, "norm.floor": 0.0}}
+    compare = {"PID": {"law": "pid"}, "hPID": {"mu": -0.1, "joints": own}}
+    path = experiment_file(duration=0.05, compare=compare, judge={"joints": ARM})
+    experiment = load_experiment(path)
+    loops = SearchSpace.of(experiment, "hpid").controller([-0.2, 2.0, 0.3])
+    entry = compare_entry(experiment, "hpid", loops)
+    assert entry["norm"] == {"rate_weight": 0.3}
+    assert entry["joints"]["arm_joint_1"] == {"norm": {"floor": 0.0, "error_scale": 0.2}}
+    document = yaml.safe_load(path.read_text())
+    document["compare"]["found"] = entry
+    path.write_text(yaml.safe_dump(document, sort_keys=False))
+    assert load_experiment(path).controllers["found"] == loops
+
+
+def test_an_interrupt_leaves_what_was_found(path, tmp_path, capsys, monkeypatch):
+    def interrupted(task, keeper):
+        if task.label.startswith("point 7 "):  # in the middle of a generation
+            raise KeyboardInterrupt
+        return simulated_indices(task, keeper)
+
+    monkeypatch.setattr(batch, "simulated_indices", interrupted)
+    code, folder = tune(path, tmp_path, "--law", "pid", "-j", 1)
+    assert code == INTERRUPTED
+    saved = json.loads((folder / "tune.json").read_text())
+    assert saved["evaluations"] == {"planned": 12, "made": 7}
+    assert saved["best"] is not None
+    assert (folder / "best.yaml").read_text().startswith("compare:")
+    assert f"what was found: {folder}" in capsys.readouterr().err
+
+
+def test_a_baseline_that_cannot_be_run_is_a_failure(path, tmp_path, capsys, monkeypatch):
+    def broken(task, keeper):
+        raise ZeroDivisionError("by zero")
+
+    monkeypatch.setattr(batch, "simulated_indices", broken)
+    code, _ = tune(path, tmp_path, "--law", "pid", "-j", 1)
+    assert code == FAILED
+    assert "the baseline cannot be run: ZeroDivisionError: by zero" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--law", "pid", "--evaluations", "3"], "evaluations must be at least 10"),
+        (["--law", "pid", "--seeds", "0"], "seeds must be at least 1"),
+        (["--law", "pid", "--jobs", "0"], "--jobs must be at least 1"),
+        (["--law", "pid", "--joint", "arm_joint_9"], "unknown joint 'arm_joint_9'"),
+        (["--law", "pid", "--weight", "ivc"], "--weight must be NAME=NUMBER, not 'ivc'"),
+        (["--law", "pid", "--weight", "ivd=1"], "did you mean 'ivc'"),
+        (["--law", "pid", "--bounds", "mu=0:0.2"], "unknown free parameter 'mu'"),
+        (["--law", "hpid", "--bounds", "mu=0.2:0.1"], "the first below the second"),
+        (["--law", "pid", "--bounds", "damping=0"], "NAME=NUMBER:NUMBER"),
+        (["--law", "pid", "--settle", "0"], "settle must be positive"),
+    ],
+)
+def test_bad_input_is_one_line_and_leaves_no_folder(path, tmp_path, capsys, options, words):
+    code = main(["tune", str(path), "-o", str(tmp_path / "t"), *options])
+    out, err = capsys.readouterr()
+    assert (code, out) == (BAD_INPUT, "")
+    assert words in err
+    assert len(err.splitlines()) == 1
+    assert not (tmp_path / "t").exists()
+
+
+def test_a_robot_of_unknown_inertia_is_refused(experiment_file, tmp_path, capsys):
+    path = experiment_file(duration=0.05, controllers__joints__arm_joint_1__inertia=0.0)
+    assert tune(path, tmp_path, "--law", "pid")[0] == BAD_INPUT
+    assert "the inertia of 'arm_joint_1' is not known" in capsys.readouterr().err
+
+
+@given(st.lists(st.tuples(st.integers(0, 9), st.integers(0, 9)), max_size=30))
+def test_the_front_is_what_nothing_beats(points):
+    front = pareto_front(points)
+    for place in front:
+        x, y = points[place]
+        assert not any(a <= x and b <= y and (a, b) != (x, y) for a, b in points)
+    best = {points[place] for place in front}
+    for x, y in points:
+        assert any(a <= x and b <= y for a, b in best)
+    assert pareto_front([(math.inf, 0.0), (math.nan, 1.0)]) == []
