@@ -70,7 +70,7 @@ class Episode:
 
 
 def sines(folder: Path, motion: float, duration: float | None = None) -> Experiment:
-    """Return the robot and controllers of tracking.yaml, following slow sines about where they start.
+    """Return tracking.yaml with slow sines about where its joints start in place of its motions.
 
     Args:
         folder: Existing folder for the experiment's file.

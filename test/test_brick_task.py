@@ -369,7 +369,7 @@ def test_a_run_without_the_arm_has_no_end_effector():
 
 
 def test_messages_come_back_as_they_were(tmp_path):
-    from hpid_ros.bags.base_messages import Stamp
+    from hpid_ros.bags.whole_messages import Stamp
 
     status = Status(1_500_000_001, 1, "light", "missed: far", {"distance [m]": repr(0.1 + 0.2)})
     pose = ((0.1, -0.2, 0.3), (0.0, 0.6, 0.0, 0.8))

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import time
 
-from hpid_ros.bags.base_messages import ODOMETRY, VECTOR, Stamp, encode_odometry, encode_vector
+from hpid_ros.bags.base_messages import ODOMETRY, VECTOR, encode_odometry, encode_vector
+from hpid_ros.bags.whole_messages import Stamp
 from hpid_ros.bags.writer import BagWriter
 from hpid_ros.simulation.base_monitor import REPORT_RATE, BaseMonitor, ReportTimes
 from hpid_ros.simulation.base_values import (

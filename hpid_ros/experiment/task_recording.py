@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 
-from hpid_ros.bags.base_messages import Stamp
 from hpid_ros.bags.task_messages import (
     POSE,
     POSES,
@@ -14,6 +13,7 @@ from hpid_ros.bags.task_messages import (
     encode_poses,
     encode_status,
 )
+from hpid_ros.bags.whole_messages import Stamp
 from hpid_ros.bags.writer import BagWriter
 from hpid_ros.simulation.base_monitor import REPORT_RATE, ReportTimes
 from hpid_ros.simulation.base_values import ODOM_FRAME

@@ -10,21 +10,14 @@ from hpid_ros.robot.description import RobotDescription
 from hpid_ros.simulation.actuators import EffortActuator
 from hpid_ros.simulation.bullet import pybullet
 from hpid_ros.simulation.connection import Connection
-from hpid_ros.simulation.disturbances import (
-    Event,
-    PayloadChange,
-    begin_ns,
-    require_mass,
-    vector,
-)
 from hpid_ros.simulation.drivetrain import Drivetrain
 from hpid_ros.simulation.gripper import build_gripper
+from hpid_ros.simulation.happenings import Happenings
 from hpid_ros.simulation.model import bullet_urdf
 from hpid_ros.simulation.poses import ROOT, Pose, Twist, link_pose, root_twist
 from hpid_ros.simulation.scene import build_scene
 from hpid_ros.simulation.sensors import Sensors
 from hpid_ros.simulation.settings import WorldSettings
-from hpid_ros.simulation.wrenches import Pulse, Pushes
 
 
 class World(Connection):
@@ -59,7 +52,6 @@ class World(Connection):
         self._encoders = settings.encoders
         for link in settings.links:
             self.description.link(link)
-        self._pushes = Pushes()
         self._states: Sequence[tuple[float, float]] | None = None
         super().__init__(settings.gui)
         try:
@@ -141,8 +133,7 @@ class World(Connection):
             actuator.torque(effort)
             for actuator, effort in zip(self._actuators, efforts, strict=True)
         ]
-        if self._pending:
-            self._disturb()
+        self._happenings.happen(self.time_ns)
         if self.gripper is not None:
             self.gripper.act(self.time_ns)
         if self._drivetrain is None:
@@ -191,10 +182,7 @@ class World(Connection):
         """
         if duration_ns <= 0:
             raise SettingError(f"duration {duration_ns} ns of a wrench must be positive")
-        settings = self.settings
-        steps = round(duration_ns * settings.physics_steps / settings.control_period_ns)
-        push = vector("force", force), vector("torque", torque)
-        self._pushes.pulses.append(Pulse(self._link(link), *push, max(1, steps)))
+        self._happenings.push(link, force, torque, duration_ns)
 
     def set_payload(self, mass: float) -> None:
         """Change the payload, a solid cube at the payload link; until the next reset.
@@ -206,8 +194,7 @@ class World(Connection):
             RobotDescriptionError: The robot has no payload link.
             SettingError: The mass is negative or not finite.
         """
-        self._link(self.settings.payload_link)
-        self._scene.load_payload(self._client, require_mass("payload_mass", mass))
+        self._happenings.load(mass)
 
     def _build(self) -> None:
         """Build the scene in an empty simulation, and keep its state for every reset."""
@@ -223,6 +210,7 @@ class World(Connection):
             if self.settings.has_ideal_drives
             else Drivetrain(self._client, self._scene, self.settings, self._joints)
         )
+        self._happenings = Happenings(self._client, self._scene, self.description, settings)
         self.gripper = build_gripper(self._client, self._scene, self.settings)
         self._at_start: int = pybullet.saveState(physicsClientId=self._client)
         self._begin()
@@ -231,9 +219,8 @@ class World(Connection):
         """Start counting at time 0."""
         self._periods = 0
         self._applied = (0.0,) * len(self._actuators)
-        self._pushes.pulses.clear()
         self._states = None
-        self._pending: list[Event] = self.settings.disturbances.in_order()[::-1]
+        self._happenings.begin()
         if self._drivetrain is not None:
             self._drivetrain.reset()
         is_bare = self.settings.has_bare_encoders
@@ -256,8 +243,7 @@ class World(Connection):
 
     def _advance(self, torques: Sequence[float]) -> None:
         """Take one physics step with these torques at the driven joints, in [N m]."""
-        if self._pushes.pulses:
-            self._pushes.act(self._client, self._scene.body)
+        self._happenings.act()
         # Bullet forgets applied torques after every step.
         pybullet.setJointMotorControlArray(
             self._scene.body,
@@ -269,13 +255,3 @@ class World(Connection):
         pybullet.stepSimulation(physicsClientId=self._client)
         if self.gripper is not None:
             self.gripper.feel()
-
-    def _disturb(self) -> None:
-        """Let happen what is due."""
-        now_ns = self.time_ns
-        while self._pending and begin_ns(self._pending[-1]) <= now_ns:
-            event = self._pending.pop()
-            if isinstance(event, PayloadChange):
-                self.set_payload(event.mass)
-            else:
-                self.apply_wrench(event.link, event.force, event.torque, event.duration_ns)

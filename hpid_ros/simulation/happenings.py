@@ -1,0 +1,74 @@
+"""What is done to a robot from outside while it runs: its links are pushed, its load changes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from hpid_ros.robot.description import RobotDescription
+from hpid_ros.simulation.disturbances import (
+    Event,
+    PayloadChange,
+    begin_ns,
+    require_mass,
+    vector,
+)
+from hpid_ros.simulation.scene import Scene
+from hpid_ros.simulation.settings import WorldSettings
+from hpid_ros.simulation.wrenches import Pulse, Pushes
+
+
+class Happenings:
+    """The schedule of a scene, and what is asked for besides.
+
+    Args:
+        client: PyBullet's client.
+        scene: The scene.
+        description: The robot in it.
+        settings: Settings of the world.
+    """
+
+    def __init__(
+        self, client: int, scene: Scene, description: RobotDescription, settings: WorldSettings
+    ) -> None:
+        self._client, self._scene = client, scene
+        self._description, self._settings = description, settings
+        self._pushes = Pushes()
+        self._pending: list[Event] = []
+
+    def begin(self) -> None:
+        """Be at time 0, with nothing done yet."""
+        self._pushes.pulses.clear()
+        self._pending = self._settings.disturbances.in_order()[::-1]
+
+    def happen(self, now_ns: int) -> None:
+        """Let happen what is due.
+
+        Args:
+            now_ns: Simulated time in [ns].
+        """
+        while self._pending and begin_ns(self._pending[-1]) <= now_ns:
+            event = self._pending.pop()
+            if isinstance(event, PayloadChange):
+                self.load(event.mass)
+            else:
+                self.push(event.link, event.force, event.torque, event.duration_ns)
+
+    def act(self) -> None:
+        """Let all pushes act on the next physics step."""
+        if self._pushes.pulses:
+            self._pushes.act(self._client, self._scene.body)
+
+    def push(
+        self, link: str, force: Sequence[float], torque: Sequence[float], duration_ns: int
+    ) -> None:
+        """Push a link; see :meth:`~hpid_ros.simulation.world.World.apply_wrench`."""
+        settings = self._settings
+        steps = round(duration_ns * settings.physics_steps / settings.control_period_ns)
+        push = vector("force", force), vector("torque", torque)
+        index = self._scene.links[self._description.link(link)]
+        self._pushes.pulses.append(Pulse(index, *push, max(1, steps)))
+
+    def load(self, mass: float) -> None:
+        """Change the payload; see :meth:`~hpid_ros.simulation.world.World.set_payload`."""
+        self._description.link(self._settings.payload_link)
+        self._scene.load_payload(self._client, require_mass("payload_mass", mass))
