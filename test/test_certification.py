@@ -1,5 +1,8 @@
 """The certificate beside a running controller."""
 
+import threading
+from pathlib import Path
+
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from harness import ros_arguments
@@ -43,6 +46,19 @@ def test_the_newest_wish_counts(certifier):
     certifier.want(settings(mu=0.05, gains__p=60.0))
     assert certifier.wait(settings(mu=0.05, gains__p=60.0)).is_certified
     assert certifier.finding(settings(mu=0.05, gains__p=50.0)).is_certified is None
+
+
+def test_what_is_being_computed_ends_with_the_certifier():
+    certifier, before = Certifier(), children()
+    certifier.want(settings(mu=0.05))
+    assert len(children() - before) == 1
+    certifier.close()
+    assert children() == before
+    assert certifier.poll() is False
+
+
+def children():
+    return set(Path(f"/proc/self/task/{threading.get_native_id()}/children").read_text().split())
 
 
 def test_nothing_is_claimed_without_an_inertia(certifier):

@@ -85,10 +85,12 @@ class Certifier:
 
     def close(self) -> None:
         """End what is being computed."""
-        if self._child is not None:
-            self._child.kill()
-            self._child.communicate()
-            self._child = None
+        child, self._child = self._child, None
+        if child is not None:
+            assert child.stdout is not None
+            child.kill()
+            child.wait()
+            child.stdout.close()
 
     def _begin(self, settings: LoopSettings) -> None:
         environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
