@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, reject, settings
 from hypothesis import strategies as st
 
 from hpid_ros.errors import TrajectoryError
@@ -85,10 +85,16 @@ def drives(draw):
 
 
 @settings(max_examples=25)
+@example(([0.0, 2.0], [(0.0, 0.0, 0.0), (0.2194, 0.1199, -1.0)], ["forward"], False))
 @given(drives())
 def test_the_error_of_any_path_is_bounded(path):
     times, poses, directions, passes = path
-    plan = BasePath(times, poses, directions=directions, passes=passes)
+    try:
+        plan = BasePath(times, poses, directions=directions, passes=passes)
+    except TrajectoryError as error:  # a short leg with a large turn
+        if "bends with" not in str(error):
+            raise
+        reject()
     at, found = dead_reckoning(plan.wheels(*WHEELS), times[-1] + 0.01, poses[0], 500_000)
     away, turned = gap(found, plan.sample(at))
     assert away < 1e-6
