@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hpid_ros.commands import DONE, FAILED
-from hpid_ros.commands.sweep import batch_progress
+from hpid_ros.commands.batch_progress import batch_progress
 from hpid_ros.errors import SettingError
 
 if TYPE_CHECKING:

@@ -4,22 +4,16 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hpid_ros.commands import DONE, FAILED
+from hpid_ros.commands.batch_progress import batch_progress
 from hpid_ros.commands.compare import DEFAULT_EXPERIMENT
 from hpid_ros.resources import find_resource
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from rich.console import Console
-
-    from hpid_ros.experiment.batch import Outcome
     from hpid_ros.experiment.sweep_result import SweepResult
 
 
@@ -120,46 +114,3 @@ def _print(result: SweepResult, form: str) -> None:
     else:
         texts = {"table": sweep_text, "csv": type(result).summary_csv, "json": type(result).json}
         print(texts[form](result), end="")
-
-
-@contextmanager
-def batch_progress(console: Console, runs: int) -> Iterator[Callable[[Outcome], None]]:
-    """Show how many runs are done, their rate and the remaining time; nothing to a file.
-
-    Args:
-        console: Where.
-        runs: How many there are.
-
-    Returns:
-        Context whose value is to be told of every run that has ended.
-    """
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        TextColumn,
-        TimeRemainingColumn,
-    )
-
-    columns = (
-        TextColumn("runs", style="bold"),
-        BarColumn(bar_width=24),
-        MofNCompleteColumn(),
-        TextColumn("{task.fields[rate]}"),
-        TimeRemainingColumn(elapsed_when_finished=True),
-        TextColumn("{task.fields[failed]}", style="yellow"),
-    )
-    failures = 0
-    with Progress(*columns, console=console, disable=not console.is_terminal) as progress:
-        task = progress.add_task("", total=runs, rate="", failed="")
-
-        def advanced(outcome: Outcome) -> None:
-            nonlocal failures
-            failures += bool(outcome.failure)
-            failed = f"{failures} failed" if failures else ""
-            progress.advance(task)
-            speed = progress.tasks[0].finished_speed or progress.tasks[0].speed
-            rate = f"{speed:.2f} runs/s" if speed else ""
-            progress.update(task, rate=rate, failed=failed)
-
-        yield advanced
