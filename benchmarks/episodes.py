@@ -26,6 +26,7 @@ LABEL = "hPID"
 ANSWER_TIMEOUT = 2.0  # [s] of wall time
 OTHERS_AT_MOST = 0.05  # [rad] that another joint may leave its undisturbed path
 SETTLED_WITHIN = 0.02  # [rad] from the undisturbed path, SETTLE seconds after the fault
+_SAME_PERIODS_UP_TO = 600.0  # [s] of motion
 _LAST_FAULT = 8.0  # [s] before the end
 _NS = 1e9
 
@@ -72,11 +73,15 @@ class Episode:
 def sines(folder: Path, motion: float, duration: float | None = None) -> Experiment:
     """Return tracking.yaml with slow sines about where its joints start in place of its motions.
 
+    Motions longer than ten minutes have longer periods, so that the trajectory's message does not
+    grow with them.
+
     Args:
         folder: Existing folder for the experiment's file.
         motion: Length of the sines in [s].
         duration: Stamp of the last state in [s]; that of the motion's end if not given.
     """
+    slower = max(1.0, motion / _SAME_PERIODS_UP_TO)
     base = tracking()
     document = load_yaml(str(base.path), SettingError)
     starts = document["robot"]["initial_positions"]
@@ -86,7 +91,11 @@ def sines(folder: Path, motion: float, duration: float | None = None) -> Experim
         "kind": "sine",
         "duration": motion,
         "joints": {
-            joint: {"amplitude": 0.15, "period": 4.0 + 0.5 * k, "offset": starts.get(joint, 0.0)}
+            joint: {
+                "amplitude": 0.15,
+                "period": slower * (4.0 + 0.5 * k),
+                "offset": starts.get(joint, 0.0),
+            }
             for k, joint in enumerate(base.world.joints)
         },
     }

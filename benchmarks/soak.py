@@ -2,8 +2,9 @@
 
 Runs the robot and eight controllers in lock-step for M minutes of wall time while parameters are
 set and controllers are killed, ended and frozen. Says of every process how its memory grew after
-the warm-up, which samples were missed outside of the faults, and what was left behind. Exit
-codes: 0 all kept, 1 something was not, 2 unusable arguments, 130 interrupted.
+the warm-up, which samples were missed outside of the faults, and what was left behind; a line a
+minute on standard error tells how it stands. Exit codes: 0 all kept, 1 something was not, 2
+unusable arguments, 130 interrupted.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ _FAULTS_APART = 20.0  # [s] of wall time
 _LOOK_AT_MEMORY = 1.0  # [s]
 _WARM_UP_OF_ONE = 10.0  # [s] after its own start, for a controller that was restarted
 _FOREVER = 1e5  # [s] of simulated time
-_MOTION = 600.0  # [s]
+_TELL = 60.0  # [s]
 _MIB = 1024.0 * 1024.0
 _FAILED, _BAD_INPUT, _INTERRUPTED = 1, 2, 130
 
@@ -119,7 +120,7 @@ def soak(minutes: float, warm_up: float, seed: int, folder: Path) -> Soak:
     result = Soak()
     with _nothing_left(result), own_domain() as domain:
         environment = closed_environment(domain)
-        experiment = sines(folder, _MOTION, _FOREVER)
+        experiment = sines(folder, 60.0 * minutes, _FOREVER)
         with (
             NodeGroup(environment, folder, is_batch=True) as group,
             Scripts(environment, folder) as scripts,
@@ -142,11 +143,20 @@ def soak(minutes: float, warm_up: float, seed: int, folder: Path) -> Soak:
 
 
 def _run(graph: DisturbedGraph, memory: _Memory, seconds: float) -> None:
-    end = time.monotonic() + seconds
-    next_fault = time.monotonic() + min(_FAULTS_APART, seconds / 4.0)
-    while (now := time.monotonic()) < end:
+    begin = time.monotonic()
+    next_fault = begin + min(_FAULTS_APART, seconds / 4.0)
+    next_line = begin + _TELL
+    while (now := time.monotonic()) < begin + seconds:
         graph.look()
         memory.look(graph.pids())
+        if now >= next_line:
+            next_line += _TELL
+            print(
+                f"{(now - begin) / 60.0:.0f} min: {graph.stamp_ns * 1e-9:.0f} s simulated, "
+                f"{len(graph.faults)} faults, largest growth {_largest(memory.growth())}",
+                file=sys.stderr,
+                flush=True,
+            )
         if now >= next_fault and graph.disturb_when_due():
             next_fault = time.monotonic() + min(_FAULTS_APART, seconds / 4.0)
 
@@ -225,13 +235,20 @@ def _print(result: Soak) -> None:
         *((f"sets of parameters {name}", count) for name, count in result.retunes.items()),
         ("samples missed outside of the faults", len(result.unplanned)),
         ("processes watched", len(result.growth)),
-        ("largest growth of memory [MiB]", f"{max(result.growth.values(), default=0.0):.3f}"),
+        ("largest growth of memory", _largest(result.growth)),
         ("left behind", len(result.left)),
     ]
     for name, value in rows:
-        print(f"{name:<40}{value!s:>12}")
+        print(f"{name:<40}{value}")
     for line in result.broken():
         print(f"not kept: {line}")
+
+
+def _largest(growth: Mapping[tuple[str, int], float]) -> str:
+    if not growth:
+        return "not seen yet"
+    (name, _), size = max(growth.items(), key=lambda each: each[1])
+    return f"{size:.3f} MiB ({name})"
 
 
 def _parser() -> argparse.ArgumentParser:
