@@ -30,7 +30,7 @@ def test_in_process_comparison_prints_the_table_and_leaves_the_result(
 
 
 def test_the_default_experiment_is_the_papers():
-    from hpid_ros.commands.compare import DEFAULT_EXPERIMENT
+    from hpid_ros.commands.experiment_options import DEFAULT_EXPERIMENT
     from hpid_ros.experiment.description import load_experiment
 
     experiment = load_experiment(share_folder() / DEFAULT_EXPERIMENT)

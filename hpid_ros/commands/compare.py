@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import argparse
-from datetime import datetime
-from pathlib import Path
 from typing import Any
 
 from hpid_ros.commands import DONE
-from hpid_ros.resources import find_resource
-
-DEFAULT_EXPERIMENT = "config/experiments/paper.yaml"
+from hpid_ros.commands.experiment_options import (
+    add_experiment,
+    add_output,
+    named_experiment,
+    output_folder,
+)
 
 
 def add(commands: Any) -> None:
@@ -21,13 +22,8 @@ def add(commands: Any) -> None:
         description="Run the controllers of an experiment on the real ROS 2 graph, one process "
         "per joint, record everything, and leave tables, figures and a report.",
     )
-    parser.add_argument(
-        "experiment", nargs="?", metavar="FILE", help="experiment file (the paper's comparison)"
-    )
-    parser.add_argument(
-        "-o", "--output", type=Path, metavar="FOLDER", help="result folder (results/NAME-TIME)"
-    )
-    parser.add_argument("--force", action="store_true", help="replace an existing result")
+    add_experiment(parser)
+    add_output(parser, "NAME")
     parser.add_argument(
         "--in-process", action="store_true", help="run without ROS; the numbers are the same"
     )
@@ -41,13 +37,10 @@ def run(options: argparse.Namespace) -> int:
 
     from hpid_ros.analysis.table import ComparisonTable
     from hpid_ros.experiment.compare import compare
-    from hpid_ros.experiment.description import load_experiment
     from hpid_ros.terminal import RunProgress, print_notes, print_reports
 
-    experiment = load_experiment(options.experiment or find_resource(DEFAULT_EXPERIMENT))
-    output = (
-        options.output or Path("results") / f"{experiment.name}-{datetime.now():%Y%m%d-%H%M%S}"
-    )
+    experiment = named_experiment(options.experiment)
+    output = output_folder(options, experiment.name)
     console = Console()
     period = experiment.world.control_period_ns * 1e-9
     labels = tuple(experiment.controllers)

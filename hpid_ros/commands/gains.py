@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from hpid_ros.commands import DONE, FAILED
-from hpid_ros.commands.compare import DEFAULT_EXPERIMENT
+from hpid_ros.commands.experiment_options import add_experiment, named_experiment
 from hpid_ros.errors import SettingError
 
 if TYPE_CHECKING:
@@ -31,9 +31,7 @@ def add(commands: Any) -> None:
         "norm and degree are those of the experiment's first homogeneous controller. Exit code 0 "
         "only if every joint is certified.",
     )
-    parser.add_argument(
-        "experiment", nargs="?", metavar="FILE", help="experiment file (the paper's comparison)"
-    )
+    add_experiment(parser)
     parser.add_argument(
         "--inertia", type=float, metavar="M", help="of one joint without a robot [kg m^2]"
     )
@@ -78,11 +76,9 @@ def run(options: argparse.Namespace) -> int:
 
 def _of_experiment(file: str | None) -> tuple[dict[str, LoopSettings], Mapping[str, float]]:
     """Return the loops of an experiment and their inertias, by joint."""
-    from hpid_ros.experiment.description import load_experiment
     from hpid_ros.experiment.inertias import initial_inertias
-    from hpid_ros.resources import find_resource
 
-    experiment = load_experiment(file or find_resource(DEFAULT_EXPERIMENT))
+    experiment = named_experiment(file)
     loops = _first_homogeneous(experiment)
     return {each.joint: each for each in loops}, initial_inertias(experiment, loops)
 

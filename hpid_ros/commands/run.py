@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import argparse
-from datetime import datetime
-from pathlib import Path
 from typing import Any
 
 from hpid_ros.commands import DONE
-from hpid_ros.commands.compare import DEFAULT_EXPERIMENT
-from hpid_ros.resources import find_resource
+from hpid_ros.commands.experiment_options import (
+    add_experiment,
+    add_output,
+    named_experiment,
+    output_folder,
+)
 
 
 def add(commands: Any) -> None:
@@ -20,9 +22,7 @@ def add(commands: Any) -> None:
         description="Run one controller of an experiment on the real ROS 2 graph, record it, and "
         "end with its indices and with a table of periods, compute times, latencies and losses.",
     )
-    parser.add_argument(
-        "experiment", nargs="?", metavar="FILE", help="experiment file (the paper's comparison)"
-    )
+    add_experiment(parser)
     parser.add_argument(
         "--controller", metavar="LABEL", help="which of its controllers (the last one)"
     )
@@ -44,10 +44,7 @@ def add(commands: Any) -> None:
         help="SCHED_FIFO priority of the control loop, 1 to 99",
     )
     parser.add_argument("--no-record", action="store_true", help="leave no bag and no indices")
-    parser.add_argument(
-        "-o", "--output", type=Path, metavar="FOLDER", help="result folder (results/NAME-TIME)"
-    )
-    parser.add_argument("--force", action="store_true", help="replace an existing result")
+    add_output(parser, "NAME")
     parser.set_defaults(command=run)
 
 
@@ -56,7 +53,6 @@ def run(options: argparse.Namespace) -> int:
     from rich.console import Console
 
     from hpid_ros.analysis.table import ComparisonTable
-    from hpid_ros.experiment.description import load_experiment
     from hpid_ros.experiment.graph_options import GraphOptions
     from hpid_ros.experiment.single_run import run_controller
     from hpid_ros.terminal import RunProgress, print_notes, print_result_places, print_timing
@@ -67,11 +63,9 @@ def run(options: argparse.Namespace) -> int:
         is_realtime=options.realtime,
         realtime_priority=options.realtime_priority,
     )
-    experiment = load_experiment(options.experiment or find_resource(DEFAULT_EXPERIMENT))
+    experiment = named_experiment(options.experiment)
     label = options.controller or list(experiment.controllers)[-1]
-    output = (
-        options.output or Path("results") / f"{experiment.name}-{datetime.now():%Y%m%d-%H%M%S}"
-    )
+    output = output_folder(options, experiment.name)
     console = Console()
     period = experiment.world.control_period_ns * 1e-9
     with RunProgress(console, experiment.duration, [label], period) as progress:

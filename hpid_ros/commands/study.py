@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import argparse
 import sys
-from datetime import datetime
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hpid_ros.commands import DONE, FAILED
-from hpid_ros.commands.batch_progress import batch_progress
+from hpid_ros.commands.batch import add_jobs, check_jobs, run_progress, telling_where
+from hpid_ros.commands.experiment_options import add_joints, add_output, output_folder
 from hpid_ros.errors import SettingError
 
 if TYPE_CHECKING:
@@ -34,23 +33,12 @@ def add(commands: Any) -> None:
         metavar="FILE",
         help="experiment files (all of this package but the bricks)",
     )
-    parser.add_argument(
-        "--joint",
-        action="append",
-        default=[],
-        metavar="NAME",
-        help="judge this joint; may be repeated (those that each experiment judges)",
-    )
+    add_joints(parser, "judge this joint; may be repeated (those that each experiment judges)")
     parser.add_argument(
         "--seeds", type=int, default=20, metavar="N", help="runs of each controller (20)"
     )
-    parser.add_argument(
-        "-j", "--jobs", type=int, metavar="N", help="processes (one for each processor)"
-    )
-    parser.add_argument(
-        "-o", "--output", type=Path, metavar="FOLDER", help="folder (results/study-TIME)"
-    )
-    parser.add_argument("--force", action="store_true", help="replace an existing result")
+    add_jobs(parser)
+    add_output(parser, "study")
     parser.add_argument(
         "--resume", action="store_true", help="carry on the study in the output folder"
     )
@@ -70,24 +58,19 @@ def run(options: argparse.Namespace) -> int:
     from hpid_ros.experiment.study_plan import default_files, plan_study
     from hpid_ros.experiment.study_run import kept_records, run_study, study_folder
 
-    if options.jobs is not None and options.jobs < 1:
-        raise SettingError(f"--jobs must be at least 1, not {options.jobs}")
+    check_jobs(options)
     if options.resume and (options.force or options.output is None):
         raise SettingError("--resume needs the study's folder as --output, and not --force")
     files = options.experiments or default_files()
     plan = plan_study(files, joints=options.joint, seeds=options.seeds)
-    path = options.output or Path("results") / f"study-{datetime.now():%Y%m%d-%H%M%S}"
+    path = output_folder(options, "study")
     folder = study_folder(path, force=options.force, resume=options.resume)
     told = Console(stderr=True)
-    try:
+    with telling_where(told, folder.path, "what was run"):
         runs = len(plan.tasks()) - len(kept_records(plan, folder))
-        with batch_progress(told, runs) as advanced:
-            result = run_study(plan, folder, options.jobs, advanced)
-    except KeyboardInterrupt:
-        told.print(f"what was run: {folder.path}", soft_wrap=True, highlight=False)
-        raise
-    _print(result, options.table)
-    told.print(f"result: {folder.path}", soft_wrap=True, highlight=False)
+        with run_progress(told, runs) as ended:
+            result = run_study(plan, folder, options.jobs, ended)
+        _print(result, options.table)
     return FAILED if result.failures else DONE
 
 

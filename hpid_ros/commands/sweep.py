@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import argparse
 import sys
-from datetime import datetime
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hpid_ros.commands import DONE, FAILED
-from hpid_ros.commands.batch_progress import batch_progress
-from hpid_ros.commands.compare import DEFAULT_EXPERIMENT
-from hpid_ros.resources import find_resource
+from hpid_ros.commands.batch import add_jobs, check_jobs, run_progress, telling_where
+from hpid_ros.commands.experiment_options import (
+    add_experiment,
+    add_joints,
+    add_output,
+    named_experiment,
+    output_folder,
+)
 
 if TYPE_CHECKING:
     from hpid_ros.experiment.sweep_result import SweepResult
@@ -29,9 +32,7 @@ def add(commands: Any) -> None:
         "fails is named there, the others go on, and the exit code is 1. An interrupt ends at "
         "once and leaves what was run.",
     )
-    parser.add_argument(
-        "experiment", nargs="?", metavar="FILE", help="experiment file (the paper's comparison)"
-    )
+    add_experiment(parser)
     parser.add_argument(
         "--vary",
         action="append",
@@ -44,23 +45,12 @@ def add(commands: Any) -> None:
     parser.add_argument(
         "--controller", metavar="LABEL", help="which (the first after the baseline)"
     )
-    parser.add_argument(
-        "--joint",
-        action="append",
-        default=[],
-        metavar="NAME",
-        help="vary and judge this joint only; may be repeated",
-    )
+    add_joints(parser, "vary and judge this joint only; may be repeated")
     parser.add_argument(
         "--seeds", type=int, default=20, metavar="N", help="runs of each point (20)"
     )
-    parser.add_argument(
-        "-j", "--jobs", type=int, metavar="N", help="processes (one for each processor)"
-    )
-    parser.add_argument(
-        "-o", "--output", type=Path, metavar="FOLDER", help="folder (results/NAME-sweep-TIME)"
-    )
-    parser.add_argument("--force", action="store_true", help="replace an existing result")
+    add_jobs(parser)
+    add_output(parser, "NAME-sweep")
     parser.add_argument(
         "--format", choices=("table", "csv", "json"), default="table", help="of the output"
     )
@@ -71,17 +61,14 @@ def run(options: argparse.Namespace) -> int:
     """Run the sweep and print its table."""
     from rich.console import Console
 
-    from hpid_ros.errors import SettingError
-    from hpid_ros.experiment.description import load_experiment
     from hpid_ros.experiment.result_folder import ResultFolder
     from hpid_ros.experiment.sweep import plan_sweep
     from hpid_ros.experiment.sweep_axes import Axis
     from hpid_ros.experiment.sweep_run import run_sweep
 
     axes = [Axis.parse(text) for text in options.vary]
-    if options.jobs is not None and options.jobs < 1:
-        raise SettingError(f"--jobs must be at least 1, not {options.jobs}")
-    experiment = load_experiment(options.experiment or find_resource(DEFAULT_EXPERIMENT))
+    check_jobs(options)
+    experiment = named_experiment(options.experiment)
     sweep = plan_sweep(
         experiment,
         axes,
@@ -89,18 +76,13 @@ def run(options: argparse.Namespace) -> int:
         joints=options.joint,
         seeds=options.seeds,
     )
-    name = f"{experiment.name}-sweep-{datetime.now():%Y%m%d-%H%M%S}"
-    path = options.output or Path("results") / name
+    path = output_folder(options, f"{experiment.name}-sweep")
     folder = ResultFolder.create(path, force=options.force, parts=())
     told = Console(stderr=True)
-    try:
-        with batch_progress(told, len(sweep.tasks())) as advanced:
-            result = run_sweep(sweep, folder, options.jobs, advanced)
-    except KeyboardInterrupt:
-        told.print(f"what was run: {folder.path}", soft_wrap=True, highlight=False)
-        raise
-    _print(result, options.format)
-    told.print(f"result: {folder.path}", soft_wrap=True, highlight=False)
+    with telling_where(told, folder.path, "what was run"):
+        with run_progress(told, len(sweep.tasks())) as ended:
+            result = run_sweep(sweep, folder, options.jobs, ended)
+        _print(result, options.format)
     return FAILED if result.failures else DONE
 
 

@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
-from contextlib import contextmanager
-from datetime import datetime
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hpid_ros.commands import DONE, FAILED
-from hpid_ros.commands.compare import DEFAULT_EXPERIMENT
+from hpid_ros.commands.batch import add_jobs, check_jobs, progress, telling_where
+from hpid_ros.commands.experiment_options import (
+    add_experiment,
+    add_joints,
+    add_output,
+    named_experiment,
+    output_folder,
+)
 from hpid_ros.errors import SettingError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-
-    from rich.console import Console
 
     from hpid_ros.experiment.search_cost import SearchCost
     from hpid_ros.experiment.search_plan import Evaluation, SearchPlan
@@ -37,17 +38,9 @@ def add(commands: Any) -> None:
         epilog="Unstable gains and uncertified degrees are refused. The same options give the "
         "same result with any number of jobs. An interrupt leaves what was found.",
     )
-    parser.add_argument(
-        "experiment", nargs="?", metavar="FILE", help="experiment file (the paper's comparison)"
-    )
+    add_experiment(parser)
     parser.add_argument("--law", choices=tuple(_LABELS), required=True)
-    parser.add_argument(
-        "--joint",
-        action="append",
-        default=[],
-        metavar="NAME",
-        help="judge this joint; may be repeated (those that the experiment judges)",
-    )
+    add_joints(parser, "judge this joint; may be repeated (those that the experiment judges)")
     parser.add_argument(
         "--evaluations", type=int, default=150, metavar="N", help="points of the search (150)"
     )
@@ -92,13 +85,8 @@ def add(commands: Any) -> None:
         "--search-seed", type=int, default=1, metavar="S", help="of the search itself (1)"
     )
     parser.add_argument("--label", help="name of what is found (best PID, best hPID)")
-    parser.add_argument(
-        "-j", "--jobs", type=int, metavar="N", help="processes (one for each processor)"
-    )
-    parser.add_argument(
-        "-o", "--output", type=Path, metavar="FOLDER", help="folder (results/NAME-tune-LAW-TIME)"
-    )
-    parser.add_argument("--force", action="store_true", help="replace an existing result")
+    add_jobs(parser)
+    add_output(parser, "NAME-tune-LAW")
     parser.set_defaults(command=run)
 
 
@@ -110,28 +98,35 @@ def run(options: argparse.Namespace) -> int:
     from hpid_ros.experiment.search import Search
     from hpid_ros.experiment.search_result import SearchResult
 
-    if options.jobs is not None and options.jobs < 1:
-        raise SettingError(f"--jobs must be at least 1, not {options.jobs}")
+    check_jobs(options)
     plan = _plan(options)
-    name = f"{plan.experiment.name}-tune-{options.law}-{datetime.now():%Y%m%d-%H%M%S}"
-    path = options.output or Path("results") / name
+    path = output_folder(options, f"{plan.experiment.name}-tune-{options.law}")
     folder = ResultFolder.create(path, force=options.force, parts=())
     folder.experiment.write_text(plan.experiment.text, encoding="utf-8")
     told = Console(stderr=True)
-    with _progress(told, plan) as advanced:
-        search = Search(plan, options.jobs, advanced)
-        result = SearchResult(search, options.label or _LABELS[options.law])
-        try:
-            search.run()
-        except KeyboardInterrupt:
-            told.print(f"what was found: {folder.path}", soft_wrap=True, highlight=False)
-            raise
-        finally:
-            result.save(folder)
-    told.print(result.table(), end="", soft_wrap=True, highlight=False, markup=False)
-    print(result.snippet(), end="")
-    told.print(f"result: {folder.path}", soft_wrap=True, highlight=False)
+    with telling_where(told, folder.path, "what was found"):
+        with progress(told, "points", plan.total) as advanced:
+            search = Search(plan, options.jobs, _least_cost(advanced))
+            result = SearchResult(search, options.label or _LABELS[options.law])
+            try:
+                search.run()
+            finally:
+                result.save(folder)
+        told.print(result.table(), end="", soft_wrap=True, highlight=False, markup=False)
+        print(result.snippet(), end="")
     return DONE if search.best is not None else FAILED
+
+
+def _least_cost(advanced: Callable[[str], None]) -> Callable[[Evaluation], None]:
+    """Return what tells the least cost so far with every point."""
+    least = float("inf")
+
+    def evaluated(evaluation: Evaluation) -> None:
+        nonlocal least
+        least = min(least, evaluation.cost)
+        advanced(f"least cost {least:.4f}" if least < float("inf") else "")
+
+    return evaluated
 
 
 def _plan(options: argparse.Namespace) -> SearchPlan:
@@ -139,12 +134,10 @@ def _plan(options: argparse.Namespace) -> SearchPlan:
     import math
 
     from hpid_ros.errors import unknown_name
-    from hpid_ros.experiment.description import load_experiment
     from hpid_ros.experiment.search_plan import SearchPlan
     from hpid_ros.experiment.search_space import SearchSpace
-    from hpid_ros.resources import find_resource
 
-    experiment = load_experiment(options.experiment or find_resource(DEFAULT_EXPERIMENT))
+    experiment = named_experiment(options.experiment)
     for joint in options.joint:
         if joint not in experiment.world.joints:
             raise SettingError(unknown_name("joint", joint, experiment.world.joints))
@@ -193,34 +186,3 @@ def _numbers(text: str, option: str, count: int) -> tuple[str, list[float]]:
         form = "NAME=" + ":".join(["NUMBER"] * count)
         raise SettingError(f"--{option} must be {form}, not {text!r}")
     return name.strip(), numbers
-
-
-@contextmanager
-def _progress(console: Console, plan: SearchPlan) -> Iterator[Callable[[Evaluation], None]]:
-    """Show how many points are done, and the least cost; nothing to a file."""
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        TextColumn,
-        TimeRemainingColumn,
-    )
-
-    columns = (
-        TextColumn("points", style="bold"),
-        BarColumn(bar_width=24),
-        MofNCompleteColumn(),
-        TextColumn("{task.fields[found]}"),
-        TimeRemainingColumn(elapsed_when_finished=True),
-    )
-    least = float("inf")
-    with Progress(*columns, console=console, disable=not console.is_terminal) as progress:
-        task = progress.add_task("", total=plan.total, found="")
-
-        def advanced(evaluation: Evaluation) -> None:
-            nonlocal least
-            least = min(least, evaluation.cost)
-            found = f"least cost {least:.4f}" if least < float("inf") else ""
-            progress.update(task, advance=1, found=found)
-
-        yield advanced
