@@ -2,33 +2,28 @@
 
 from __future__ import annotations
 
-import math
 import os
 import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from hpid_ros.errors import RobotDescriptionError, SettingError
+from hpid_ros.errors import RobotDescriptionError
 from hpid_ros.robot.description import RobotDescription
-from hpid_ros.simulation.boxes import box_pose, let_hand_pass, put_boxes, still
-from hpid_ros.simulation.bricks import Workplace
+from hpid_ros.simulation.boxes import let_hand_pass, put_boxes
 from hpid_ros.simulation.bullet import captured, pybullet
-from hpid_ros.simulation.rotors import ROTOR_SUFFIX, couple_rotors, geared, rotor_name
+from hpid_ros.simulation.rotors import couple_rotors
+from hpid_ros.simulation.scene_joints import place_joints, release_joints
 from hpid_ros.simulation.settings import WorldSettings
+from hpid_ros.simulation.settling import put_on_ground, settle, settle_bricks
 
 # Sequential impulses stop at this squared change of velocity or after this many sweeps. Measured
 # on the package's robot, a joint and its rotor then agree to 6e-6 rad/s; Bullet's own 1e-7 and 50
 # leave 3e-4. A stiffly held joint creeps by 1e-5 rad/s at most, and 1e-12 costs a tenth more.
 SOLVER_RESIDUAL = 1e-10
 SOLVER_ITERATIONS = 100
-GROUND_FRICTION = 1.0  # Bullet multiplies the two surfaces' coefficients: the robot's decides
-SETTLING_TIME = 0.25  # [s]
-LOCK_FORCE = 1e6  # [N m]
 NO_SPEED_LIMIT = 1e6  # [rad/s], Bullet's own is 100: rotors turn faster
 PAYLOAD_EDGE = 0.08  # [m]
-STAYING = 0.005  # [m], how far a brick may be from where it is put when it has settled
-NEARBY = 1e3  # [m], how far the robot may be from the ground before it is put down
 
 
 @dataclass(frozen=True)
@@ -104,19 +99,19 @@ def build_scene(
         scene.load_payload(client, settings.payload_mass)
     couple_rotors(client, body, joints, description.joints.values())
     start = settings.start(description)
-    _place_joints(client, body, joints, start)
+    place_joints(client, body, joints, start)
     if not settings.fixed_base:
-        _put_on_ground(client, body)
+        put_on_ground(client, body)
     workplace = settings.workplace
     scene = replace(scene, bricks=put_boxes(client, workplace.bricks))
     put_boxes(client, workplace.supports)
     if scene.bricks:
         let_hand_pass(client, body, links[workplace.gripper.link], scene.bricks)
     if not settings.fixed_base or workplace:
-        _settle(client, body, joints, settings)
-        _settle_bricks(client, scene.bricks, workplace)
-        _place_joints(client, body, joints, start)
-    _release_joints(client, body, joints, description)
+        settle(client, body, joints.values(), settings.physics_period)
+        settle_bricks(client, scene.bricks, workplace)
+        place_joints(client, body, joints, start)
+    release_joints(client, body, joints, description)
     return scene
 
 
@@ -183,80 +178,3 @@ def _prepare_links(client: int, scene: Scene) -> None:
             maxJointVelocity=NO_SPEED_LIMIT,
             physicsClientId=client,
         )
-
-
-def _place_joints(
-    client: int, body: int, joints: Mapping[str, int], start: Mapping[str, float]
-) -> None:
-    """Put every joint at its starting position, at rest, and its rotor at rest."""
-    for name, position in start.items():
-        pybullet.resetJointState(body, joints[name], position, 0.0, physicsClientId=client)
-        rotor = joints.get(name + ROTOR_SUFFIX)
-        if rotor is not None:
-            pybullet.resetJointState(body, rotor, 0.0, 0.0, physicsClientId=client)
-
-
-def _put_on_ground(client: int, body: int) -> None:
-    """Make the ground, and set the robot down so that its lowest point touches it."""
-    plane = pybullet.createCollisionShape(pybullet.GEOM_PLANE, physicsClientId=client)
-    ground = pybullet.createMultiBody(0.0, plane, physicsClientId=client)
-    pybullet.changeDynamics(ground, -1, lateralFriction=GROUND_FRICTION, physicsClientId=client)
-    near = pybullet.getClosestPoints(body, ground, NEARBY, physicsClientId=client)
-    if not near:
-        return  # a robot without collision shapes falls, wherever it starts
-    gap = min(point[8] for point in near)
-    position, orientation = pybullet.getBasePositionAndOrientation(body, physicsClientId=client)
-    lowered = (position[0], position[1], position[2] - gap)
-    pybullet.resetBasePositionAndOrientation(body, lowered, orientation, physicsClientId=client)
-
-
-def _settle(client: int, body: int, joints: Mapping[str, int], settings: WorldSettings) -> None:
-    """Let the robot sink into its tyres with every joint locked, then take away all speed."""
-    indices = list(joints.values())
-    _set_joint_brakes(client, body, indices, [LOCK_FORCE] * len(indices))
-    for _ in range(max(1, round(SETTLING_TIME / settings.physics_period))):
-        pybullet.stepSimulation(physicsClientId=client)
-    still = (0.0, 0.0, 0.0)
-    pybullet.resetBaseVelocity(body, still, still, physicsClientId=client)
-
-
-def _settle_bricks(client: int, bricks: tuple[int, ...], workplace: Workplace) -> None:
-    """Take away what speed the bricks have left, and refuse those that fell or were pushed."""
-    still(client, bricks)
-    for body, brick in zip(bricks, workplace.bricks, strict=True):
-        moved = math.dist(box_pose(client, body).position, brick.position)
-        if moved > STAYING:
-            raise SettingError(
-                f"brick {brick.name!r} does not stay at {list(brick.position)} m: it moves by "
-                f"{moved:.3g} m in {SETTLING_TIME:g} s; put it on a support, and into nothing"
-            )
-
-
-def _release_joints(
-    client: int, body: int, joints: Mapping[str, int], description: RobotDescription
-) -> None:
-    """Free every joint of Bullet's default motor and leave it with its own friction.
-
-    Coulomb friction is a motor whose target speed is 0 and whose force is the friction's: an
-    implicit constraint of the solver, so a joint sticks truly and cannot chatter about zero.
-    """
-    moving = description.joints.values()
-    friction = {joint.name: joint.friction for joint in moving}
-    friction.update({rotor_name(joint): 0.0 for joint in geared(moving)})
-    indices = [joints[name] for name in friction]
-    _set_joint_brakes(client, body, indices, list(friction.values()))
-    for joint in moving:
-        pybullet.changeDynamics(
-            body, joints[joint.name], jointDamping=joint.damping, physicsClientId=client
-        )
-
-
-def _set_joint_brakes(client: int, body: int, indices: list[int], forces: list[float]) -> None:
-    pybullet.setJointMotorControlArray(
-        body,
-        indices,
-        pybullet.VELOCITY_CONTROL,
-        targetVelocities=[0.0] * len(indices),
-        forces=forces,
-        physicsClientId=client,
-    )
