@@ -7,6 +7,8 @@ with ``certify`` on each of them starts a certificate in a process of least prio
 certify off and on in turn: states sent, states without an answer, and the answers' latency.
 """
 
+from __future__ import annotations
+
 import argparse
 import os
 import statistics
@@ -14,6 +16,7 @@ import sys
 import tempfile
 import time
 from pathlib import Path
+from typing import NamedTuple
 
 from hpid_ros.experiment.isolation import closed_environment, own_domain
 from hpid_ros.experiment.node_process import NodeGroup
@@ -22,8 +25,30 @@ PERIOD = 0.001  # [s]
 RETUNE_EVERY = 500  # states
 
 
-def measure(certify, seconds, folder):
-    """Return (states, unanswered, latencies in [us], sets that were accepted)."""
+class Measurement(NamedTuple):
+    """What one controller did.
+
+    Attributes:
+        states: States that were sent.
+        unanswered: Those of them that it did not answer.
+        latencies: Of the answers, in [us].
+        sets: Sets of gains that it accepted.
+    """
+
+    states: int
+    unanswered: int
+    latencies: list[float]
+    sets: int
+
+
+def measure(certify: bool, seconds: float, folder: Path) -> Measurement:
+    """Send states to one controller and retune it.
+
+    Args:
+        certify: Whether it certifies its gains.
+        seconds: How long, in [s].
+        folder: Existing folder for its log.
+    """
     import rclpy
     from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
     from rcl_interfaces.srv import SetParametersAtomically
@@ -39,9 +64,11 @@ def measure(certify, seconds, folder):
         node = rclpy.create_node("robot", context=context)
         executor = SingleThreadedExecutor(context=context)
         executor.add_node(node)
-        sent, latencies, reader = {}, [], EffortReader()
+        sent: dict[int, float] = {}
+        latencies: list[float] = []
+        reader = EffortReader()
 
-        def on_command(raw):
+        def on_command(raw: bytes) -> None:
             begun = sent.pop(reader.read(raw)[0], None)
             if begun is not None:
                 latencies.append((time.perf_counter() - begun) * 1e6)
@@ -78,12 +105,12 @@ def measure(certify, seconds, folder):
         executor.shutdown()
         node.destroy_node()
         rclpy.shutdown(context=context)
-        return count, len(sent), latencies, accepted
+        return Measurement(count, len(sent), latencies, accepted)
 
 
-def main():
+def main() -> int:
     """Print the measurement."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--seconds", type=float, default=20.0)
     parser.add_argument("--rounds", type=int, default=3)
     options = parser.parse_args()
@@ -92,11 +119,12 @@ def main():
     for _ in range(options.rounds):
         for certify in (False, True):
             with tempfile.TemporaryDirectory() as folder:
-                count, lost, latencies, sets = measure(certify, options.seconds, Path(folder))
-            p99 = statistics.quantiles(latencies, n=100)[98]
+                done = measure(certify, options.seconds, Path(folder))
+            p99 = statistics.quantiles(done.latencies, n=100)[98]
             print(
-                f"{'on' if certify else 'off':7}  {count:6}  {lost:10}  {sets:4}  "
-                f"{statistics.median(latencies):9.0f}  {p99:6.0f}  {max(latencies):10.0f}",
+                f"{'on' if certify else 'off':7}  {done.states:6}  {done.unanswered:10}  "
+                f"{done.sets:4}  {statistics.median(done.latencies):9.0f}  {p99:6.0f}  "
+                f"{max(done.latencies):10.0f}",
                 flush=True,
             )
     return 0

@@ -16,15 +16,20 @@ import json
 import math
 import sys
 import time
+from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from multiprocessing import Pool
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from hpid_ros.control import CanonicalNorm, Gains, WeightedNorm
 from hpid_ros.control.certificate_check import margins_at
 from hpid_ros.control.loop_figures import integral_ratio
-from hpid_ros.control.stability import certified_degree_interval
+from hpid_ros.control.stability import Norm, certified_degree_interval
 from hpid_ros.errors import GainError, NormError
 
 STARTS = 4
@@ -34,21 +39,39 @@ LARGEST_DEGREE = 0.495
 TOLERANCE = 2e-2  # of the intervals: coarser than the tool's own, for the sake of time
 
 
+State = NDArray[np.float64]
+"""Integral of the error, error and error rate; in units of the loop's own time."""
+
+NormOfDegree = Callable[[float], Norm]
+
+
+class _End:
+    """An event of ``solve_ivp`` that ends it: the state's size passes a value."""
+
+    terminal = True
+
+    def __init__(self, size: Callable[[State], float], value: float) -> None:
+        self._size, self._log = size, math.log(value)
+
+    def __call__(self, _: float, x: State) -> float:
+        return math.log(self._size(x)) - self._log
+
+
 class SimulatedLoop:
     """The ideal loop in its own time unit 1 / ki^(1/3), by the scalar norm of the law itself."""
 
-    def __init__(self, gains, norm):
+    def __init__(self, gains: Gains, norm: Norm) -> None:
         self.unit = gains.i ** (1.0 / 3.0)
         self.a, self.b = gains.p / self.unit**2, gains.d / self.unit
         self.norm, self.degree = norm, norm.degree
         self.scale = (norm(1.0, 0.0) * norm(0.0, self.unit)) ** 0.5  # the norm at size 1, about
 
-    def size(self, x):
+    def size(self, x: State) -> float:
         """Return a homogeneous norm of the state."""
         mu = self.degree
-        return abs(x[0]) ** (1.0 / (1.0 - mu)) + abs(x[1]) + abs(x[2]) ** (1.0 / (1.0 + mu))
+        return float(abs(x[0]) ** (1.0 / (1.0 - mu)) + abs(x[1]) + abs(x[2]) ** (1.0 / (1.0 + mu)))
 
-    def field(self, _, x):
+    def field(self, _: float, x: State) -> tuple[float, float, float]:
         """Return the derivative in the time dt size^mu, of degree zero."""
         n = self.norm(x[0], self.unit * x[1])
         multiplier = n**self.degree if n > 0.0 else 0.0
@@ -56,20 +79,13 @@ class SimulatedLoop:
         acceleration = x[2] - self.a * multiplier**2 * x[0] - self.b * multiplier * x[1]
         return pace * x[1], pace * acceleration, -pace * multiplier**3 * x[0]
 
-    def is_stable_from(self, start):
+    def is_stable_from(self, start: State) -> bool:
         """Tell whether the state shrinks for good from one point."""
-
-        def shrunk(_, x):
-            return math.log(self.size(x)) - math.log(SHRUNK)
-
-        def grown(_, x):
-            return math.log(self.size(x)) - math.log(GROWN)
-
-        shrunk.terminal = grown.terminal = True
+        ends = (_End(self.size, SHRUNK), _End(self.size, GROWN))
         for horizon in HORIZONS:
             solution = solve_ivp(
                 self.field, (0.0, horizon), start, "LSODA", rtol=1e-7, atol=1e-13,
-                events=(shrunk, grown),
+                events=ends,
             )  # fmt: skip
             if solution.status == 1:
                 return len(solution.t_events[0]) > 0
@@ -79,7 +95,7 @@ class SimulatedLoop:
         late = sizes[solution.t >= 2.0 * third].max()
         return bool(solution.status == 0 and late < early)
 
-    def is_stable(self, random):
+    def is_stable(self, random: np.random.Generator) -> bool:
         """Tell whether the state shrinks from every one of some points on a sphere."""
         for _ in range(STARTS):
             direction = random.normal(size=3)
@@ -89,8 +105,8 @@ class SimulatedLoop:
         return True
 
 
-def random_loop(random):
-    """Return gains, and the norm of every degree."""
+def random_loop(random: np.random.Generator) -> tuple[Gains, str, NormOfDegree]:
+    """Return gains, the kind of norm, and the norm of every degree."""
     gain_p = float(10.0 ** random.uniform(-0.5, 2.5))
     damping = float(10.0 ** random.uniform(-0.7, 0.7))
     gain_d = 2.0 * damping * math.sqrt(gain_p)
@@ -106,12 +122,12 @@ def random_loop(random):
     return gains, "canonical", lambda degree: CanonicalNorm(degree, shape)
 
 
-def try_loop(seed):
+def try_loop(seed: int) -> dict[str, Any]:
     """Return what one loop gave."""
     random = np.random.default_rng(seed)
     gains, kind, norm_of_degree = random_loop(random)
     drawn = random.uniform(-LARGEST_DEGREE, LARGEST_DEGREE)
-    result = {"seed": seed, "norm": kind, "rho": integral_ratio(gains)}
+    result: dict[str, Any] = {"seed": seed, "norm": kind, "rho": integral_ratio(gains)}
     started = time.process_time()
     try:
         interval = certified_degree_interval(gains, norm_of_degree, tolerance=TOLERANCE)
@@ -137,18 +153,18 @@ def try_loop(seed):
     return result | {"degrees": degrees, "disputed": disputed}
 
 
-def main():
+def main() -> int:
     """Run and print the counts."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--loops", type=int, default=520)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--processes", type=int, default=1)
-    parser.add_argument("--output", help="a JSON line for each loop")
+    parser.add_argument("--output", type=Path, metavar="FILE", help="a JSON line for each loop")
     arguments = parser.parse_args()
     seeds = [1_000_000 * arguments.seed + k for k in range(arguments.loops)]
     results = []
-    output = open(arguments.output, "w") if arguments.output else None  # noqa: PTH123, SIM115
-    with Pool(arguments.processes) as pool:
+    lines = arguments.output.open("w") if arguments.output else nullcontext()
+    with lines as output, Pool(arguments.processes) as pool:
         for done, result in enumerate(pool.imap_unordered(try_loop, seeds), 1):
             results.append(result)
             if output:
@@ -158,7 +174,7 @@ def main():
     return report(results)
 
 
-def report(results):
+def report(results: Sequence[dict[str, Any]]) -> int:
     """Print the counts and return the exit code."""
     tried = [(r, *each) for r in results for each in r["degrees"]]
     wrong = [t for t in tried if t[2] and not t[3]]

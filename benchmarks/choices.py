@@ -12,8 +12,8 @@ import argparse
 import os
 import statistics
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -69,7 +69,7 @@ def _realtime_priority() -> Iterator[GraphOptions]:
     yield GraphOptions(is_recorded=False, realtime_priority=_PRIORITY)
 
 
-VARIANTS = {
+VARIANTS: dict[str, Callable[[], AbstractContextManager[GraphOptions]]] = {
     "as it is": _as_it_is,
     "wait-set executor instead of EventsExecutor": _wait_set_executor,
     "ordinary instead of batch scheduling": _ordinary_scheduling,

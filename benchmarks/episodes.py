@@ -12,12 +12,12 @@ import yaml
 from numpy.typing import NDArray
 
 from benchmarks.disturbed_graph import SETTLE, DisturbedGraph, Fault
+from benchmarks.surroundings import own_surroundings
 from benchmarks.tracking import tracking
 from hpid_ros.analysis import RunSeries
 from hpid_ros.bags import read_run
 from hpid_ros.errors import RunError, SettingError
 from hpid_ros.experiment.description import Experiment, load_experiment
-from hpid_ros.experiment.isolation import closed_environment, own_domain
 from hpid_ros.experiment.node_process import NodeGroup
 from hpid_ros.experiment.simulated_run import RunTask, WorldKeeper, simulate
 from hpid_ros.yaml_files import load_yaml
@@ -125,13 +125,13 @@ def run_episode(experiment: Experiment, calm: RunSeries, folder: Path, seed: int
     folder.mkdir()
     last_ns = round((experiment.duration - _LAST_FAULT) * _NS)
     with (
-        own_domain() as domain,
-        NodeGroup(closed_environment(domain), folder, is_batch=True) as group,
+        own_surroundings() as place,
+        NodeGroup(place.environment, folder, is_batch=True, prefix=place.prefix) as group,
     ):
         graph = DisturbedGraph(
             experiment, LABEL, group, folder, folder / "bag", random.Random(seed)
         )
-        graph.start()
+        graph.start(is_closed=place.is_closed)
         while not graph.is_finished:
             graph.look()
             graph.disturb_when_due(last_ns)

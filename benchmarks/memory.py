@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from pathlib import Path
 
-_PRIVATE = ("Private_Clean:", "Private_Dirty:", "Swap:")
+_OWN = ("Private_Dirty:", "Swap:")
 _KIB = 1024
 
 
 def private_bytes(pid: int) -> int:
-    """Return the memory that no other process shares, swapped out or not, in bytes.
+    """Return the memory that a process has written and shares with no other, in bytes.
 
-    Shared memory of the middleware belongs to all who map it and is no growth of one of them.
+    It counts also when it is swapped out. Shared memory of the middleware belongs to all who map
+    it; clean pages are those of files, which come and go with other programs that map them.
 
     Args:
         pid: The process, of this user.
@@ -23,4 +24,4 @@ def private_bytes(pid: int) -> int:
         lines = Path(f"/proc/{pid}/smaps_rollup").read_text().splitlines()
     except FileNotFoundError:
         raise ProcessLookupError(f"no process {pid}") from None
-    return sum(int(line.split()[1]) for line in lines if line.startswith(_PRIVATE)) * _KIB
+    return sum(int(line.split()[1]) for line in lines if line.startswith(_OWN)) * _KIB

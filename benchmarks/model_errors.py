@@ -19,7 +19,7 @@ from xml.etree import ElementTree
 from hpid_ros.control import LoopSettings
 from hpid_ros.experiment.description import Experiment, load_experiment
 from hpid_ros.experiment.judged_run import LAST_ERROR, JudgedTask
-from hpid_ros.experiment.simulated_run import WorldKeeper, simulated_indices
+from hpid_ros.experiment.simulated_run import RunTask, WorldKeeper, simulated_indices
 from hpid_ros.resources import share_folder
 from hpid_ros.robot.description import RobotDescription
 
@@ -99,7 +99,7 @@ def with_wrong_masses(xml: str, seed: int) -> str:
     return ElementTree.tostring(root, encoding="unicode")
 
 
-def task(experiment: Experiment, label: str, case: Case) -> JudgedTask:
+def task(experiment: Experiment, label: str, case: Case) -> RunTask:
     """Return the run of one controller in one case."""
     whole = JudgedTask.of(experiment, label)
     return replace(
@@ -120,7 +120,7 @@ def _knows_no_model(experiment: Experiment, label: str) -> bool:
     return not any(each.model.is_on for each in experiment.controllers[label])
 
 
-def _row(case: Case, label: str, of: JudgedTask, keeper: WorldKeeper) -> str:
+def _row(case: Case, label: str, of: RunTask, keeper: WorldKeeper) -> str:
     indices = simulated_indices(of, keeper)
     totals = indices.totals
     numbers = (

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
 import json
 import os
 import selectors
@@ -16,23 +15,13 @@ from types import TracebackType
 from typing import Any
 
 from hpid_ros.errors import RunError
+from hpid_ros.experiment.child_processes import beginning, end_all
 from hpid_ros.interrupts import raise_if_interrupted
 
 ROOT = Path(__file__).resolve().parents[1]
 
-_PR_SET_PDEATHSIG = 1
-_LIBC = ctypes.CDLL(None)
 _PATIENCE = 3.0  # [s] for all to end when asked
 _LOOK_EVERY = 0.2  # [s]
-
-
-def _die_with_parent() -> None:
-    _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
-
-
-def _begin_as_batch() -> None:
-    _die_with_parent()
-    os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
 
 
 class Scripts:
@@ -42,12 +31,19 @@ class Scripts:
         environment: Their whole environment.
         logs: Existing folder for what they print to stderr.
         is_batch: Schedule them as batch jobs, as the package schedules its nodes in lock-step.
+        prefix: Command in front of each of theirs, for instance to enter a namespace.
     """
 
     def __init__(
-        self, environment: Mapping[str, str], logs: Path, *, is_batch: bool = False
+        self,
+        environment: Mapping[str, str],
+        logs: Path,
+        *,
+        is_batch: bool = False,
+        prefix: Sequence[str] = (),
     ) -> None:
-        self._begin = _begin_as_batch if is_batch else _die_with_parent
+        self._prefix = prefix
+        self._begin = beginning(signal.SIGKILL, is_batch=is_batch)
         self._environment = dict(environment)
         self._environment["PYTHONPATH"] = os.pathsep.join(
             [str(ROOT), *filter(None, [environment.get("PYTHONPATH")])]
@@ -65,7 +61,7 @@ class Scripts:
         """
         with (self._logs / f"{name}.log").open("wb") as log:
             self.processes[name] = subprocess.Popen(
-                [sys.executable, "-m", f"benchmarks.nodes.{module}", *arguments],
+                [*self._prefix, sys.executable, "-m", f"benchmarks.nodes.{module}", *arguments],
                 cwd=ROOT,
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.PIPE,
@@ -121,15 +117,7 @@ class Scripts:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
+        end_all(self.processes.values(), _PATIENCE)
         for process in self.processes.values():
-            if process.poll() is None:
-                process.terminate()
-        deadline = time.monotonic() + _PATIENCE
-        for process in self.processes.values():
-            try:
-                process.wait(max(0.0, deadline - time.monotonic()))
-            except subprocess.TimeoutExpired:
-                process.kill()
-                process.wait()
             if process.stdout is not None:
                 process.stdout.close()

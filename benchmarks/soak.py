@@ -26,8 +26,8 @@ from benchmarks.disturbed_graph import DisturbedGraph, Fault
 from benchmarks.episodes import LABEL, is_planned, sines
 from benchmarks.memory import private_bytes
 from benchmarks.processes import Scripts
+from benchmarks.surroundings import own_surroundings
 from hpid_ros.errors import RunError
-from hpid_ros.experiment.isolation import closed_environment, own_domain
 from hpid_ros.experiment.node_process import NodeGroup
 from hpid_ros.experiment.shared_memory import SHARED_MEMORY, YOUNG, clear_dead
 from hpid_ros.interrupts import heed_interrupts, raise_if_interrupted
@@ -36,7 +36,8 @@ GROWTH_AT_MOST = 1.0  # [MiB] of any process after the warm-up
 RETUNES = 5.0  # sets of parameters in a second
 _FAULTS_APART = 20.0  # [s] of wall time
 _LOOK_AT_MEMORY = 1.0  # [s]
-_WARM_UP_OF_ONE = 10.0  # [s] after its own start, for a controller that was restarted
+_WARM_UP = 5.0  # [min], or a quarter of a run that is short
+_WARM_UP_OF_ONE = 30.0  # [s] after its own start, for a controller that was restarted
 _FOREVER = 1e5  # [s] of simulated time
 _TELL = 60.0  # [s]
 _MIB = 1024.0 * 1024.0
@@ -118,16 +119,15 @@ def soak(minutes: float, warm_up: float, seed: int, folder: Path) -> Soak:
         RunError: The graph failed.
     """
     result = Soak()
-    with _nothing_left(result), own_domain() as domain:
-        environment = closed_environment(domain)
+    with _nothing_left(result), own_surroundings() as place:
         experiment = sines(folder, 60.0 * minutes, _FOREVER)
         with (
-            NodeGroup(environment, folder, is_batch=True) as group,
-            Scripts(environment, folder) as scripts,
+            NodeGroup(place.environment, folder, is_batch=True, prefix=place.prefix) as group,
+            Scripts(place.environment, folder, prefix=place.prefix) as scripts,
         ):
             chance = random.Random(seed)
             graph = DisturbedGraph(experiment, LABEL, group, folder, None, chance)
-            graph.start()
+            graph.start(is_closed=place.is_closed)
             arguments = [str(RETUNES), str(seed), *graph.joints]
             scripts.start("retuner", "retuner", arguments)
             memory = _Memory(60.0 * warm_up)
@@ -140,6 +140,11 @@ def soak(minutes: float, warm_up: float, seed: int, folder: Path) -> Soak:
         result.states = graph.events[graph.nodes.bridge, "stopped"]["states"]
         result.unplanned = [miss for miss in graph.misses if not is_planned(miss, graph.faults)]
     return result
+
+
+def warm_up_of(minutes: float) -> float:
+    """Return the warm-up of a run that names none, in [min]."""
+    return min(_WARM_UP, minutes / 4.0)
 
 
 def _run(graph: DisturbedGraph, memory: _Memory, seconds: float) -> None:
@@ -210,13 +215,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         The exit code.
     """
     options = _parser().parse_args(arguments)
-    if not options.minutes > 0.0 or not 0.0 <= options.warm_up < options.minutes:
+    warm_up = warm_up_of(options.minutes) if options.warm_up is None else options.warm_up
+    if not options.minutes > 0.0 or not 0.0 <= warm_up < options.minutes:
         print("--minutes must be positive and --warm-up shorter", file=sys.stderr)
         return _BAD_INPUT
     heed_interrupts()
     try:
         with tempfile.TemporaryDirectory(prefix="hpid_soak_") as name:
-            result = soak(options.minutes, options.warm_up, options.seed, Path(name))
+            result = soak(options.minutes, warm_up, options.seed, Path(name))
             raise_if_interrupted()
     except RunError as error:
         print(f"soak: {error}", file=sys.stderr)
@@ -258,7 +264,9 @@ def _parser() -> argparse.ArgumentParser:
         "--minutes", type=float, default=60.0, help="of wall time; 60 if not given"
     )
     parser.add_argument(
-        "--warm-up", type=float, default=0.5, help="minutes before memory is compared, 0.5"
+        "--warm-up",
+        type=float,
+        help=f"minutes before memory is compared; {_WARM_UP:g} or a quarter of the run",
     )
     parser.add_argument("--seed", type=int, default=1, help="of faults and retunes")
     return parser

@@ -186,7 +186,7 @@ def test_an_interrupt_ends_every_process():
         deadline = time.monotonic() + 60.0
         while len(children := _children(benchmark.pid)) < 8 and time.monotonic() < deadline:
             time.sleep(0.02)
-        assert len(children) == 8
+        assert len(children) >= 8
         benchmark.send_signal(signal.SIGINT)
         assert benchmark.wait(20.0) == 130
         assert not [pid for pid in children if _is_running(pid)]

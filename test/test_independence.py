@@ -10,7 +10,7 @@ import pytest
 from benchmarks.episodes import OTHERS_AT_MOST, run_episode, sines, undisturbed
 from benchmarks.faults import main as faults_command
 from benchmarks.memory import private_bytes
-from benchmarks.soak import GROWTH_AT_MOST, soak
+from benchmarks.soak import GROWTH_AT_MOST, soak, warm_up_of
 from benchmarks.soak import main as soak_command
 
 SOAK_MINUTES = float(os.environ.get("HPID_SOAK_MINUTES", "2"))
@@ -31,7 +31,7 @@ def test_the_others_go_on_and_a_restarted_controller_takes_over(tmp_path, faults
 @pytest.mark.skipif(SOAK_MINUTES == 0.0, reason="HPID_SOAK_MINUTES is 0")
 @pytest.mark.timeout(60.0 * SOAK_MINUTES + 300.0)
 def test_two_minutes_at_full_rate_leave_memory_flat_and_nothing_behind(tmp_path, faults):
-    result = soak(SOAK_MINUTES, min(0.5, SOAK_MINUTES / 2.0), 1, tmp_path)
+    result = soak(SOAK_MINUTES, warm_up_of(SOAK_MINUTES), 1, tmp_path)
     for name, count in result.retunes.items():
         faults.count(f"soak: sets of parameters {name}", count)
     faults.count("soak: controllers hit", len(result.faults))

@@ -52,6 +52,7 @@ class NaivePid:
         self.limit = settings.u_clamp_max
         self.trajectory = experiment.trajectory.column(joint)
         self.reference: SplineReference | None = None
+        self.answer = Float64()
         self.integral = self.velocity = 0.0
         self.last_time = self.last_position = 0.0
         self.publisher = node.create_publisher(Float64, f"{joint}/effort", _QUEUE)

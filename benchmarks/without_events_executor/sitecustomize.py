@@ -2,4 +2,4 @@
 
 import sys
 
-sys.modules["rclpy.experimental"] = None
+sys.modules["rclpy.experimental"] = None  # type: ignore[assignment]

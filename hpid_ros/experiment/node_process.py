@@ -2,30 +2,17 @@
 
 from __future__ import annotations
 
-import ctypes
 import json
 import os
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-_PR_SET_PDEATHSIG = 1
-_LIBC = ctypes.CDLL(None)
-
-
-def _die_with_parent() -> None:
-    """Let the kernel end this child when its parent is gone, however that came about."""
-    _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
-
-
-def _begin_as_batch() -> None:
-    _die_with_parent()
-    os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
+from hpid_ros.experiment.child_processes import beginning, end_all
 
 
 class NodeProcess:
@@ -39,9 +26,9 @@ class NodeProcess:
         log: File for what it prints.
         is_renamed: Whether the name is given to its node; a process of several nodes keeps
             their names.
-        is_batch: Schedule it as a batch job: it yields the processor to nobody by waking
-            somebody. In lock-step a bridge then has woken all controllers before one of them
-            runs on its processor.
+        is_batch: Schedule it as a batch job. In lock-step a bridge then has woken all
+            controllers before one of them runs on its processor.
+        prefix: Command in front of the node's own, for instance to enter a namespace.
     """
 
     def __init__(
@@ -53,6 +40,7 @@ class NodeProcess:
         log: Path,
         is_renamed: bool = True,
         is_batch: bool = False,
+        prefix: Sequence[str] = (),
     ) -> None:
         self.name = name
         self.log = log
@@ -61,6 +49,7 @@ class NodeProcess:
         os.set_blocking(reader, False)
         self.events = reader
         command = [
+            *prefix,
             *(sys.executable, "-m", f"hpid_ros.nodes.{executable}", "--ros-args"),
             *(("-r", f"__node:={name}") if is_renamed else ()),
             *("-p", f"status_fd:={writer}"),
@@ -75,7 +64,7 @@ class NodeProcess:
                 env=dict(environment),
                 pass_fds=[writer],
                 start_new_session=True,
-                preexec_fn=_begin_as_batch if is_batch else _die_with_parent,
+                preexec_fn=beginning(signal.SIGTERM, is_batch=is_batch),
             )
         os.close(writer)
 
@@ -107,12 +96,18 @@ class NodeGroup:
         environment: Environment of every node.
         logs: Folder for their logs.
         is_batch: As for :class:`NodeProcess`.
+        prefix: As for :class:`NodeProcess`.
     """
 
     def __init__(
-        self, environment: Mapping[str, str], logs: Path, *, is_batch: bool = False
+        self,
+        environment: Mapping[str, str],
+        logs: Path,
+        *,
+        is_batch: bool = False,
+        prefix: Sequence[str] = (),
     ) -> None:
-        self._is_batch = is_batch
+        self._is_batch, self._prefix = is_batch, prefix
         self._environment = environment
         self._logs = logs
         self.nodes: dict[str, NodeProcess] = {}
@@ -137,6 +132,7 @@ class NodeGroup:
             log,
             is_renamed=is_renamed,
             is_batch=self._is_batch,
+            prefix=self._prefix,
         )
         self.nodes[name] = node
         return node
@@ -148,17 +144,8 @@ class NodeGroup:
             names: The nodes; None for all.
             patience: Time to go in [s].
         """
-        nodes = [self.nodes[name] for name in (self.nodes if names is None else names)]
-        running = [node for node in nodes if node.process.poll() is None]
-        for node in running:
-            node.process.terminate()
-        deadline = time.monotonic() + patience
-        for node in running:
-            try:
-                node.process.wait(max(0.0, deadline - time.monotonic()))
-            except subprocess.TimeoutExpired:
-                node.process.kill()
-                node.process.wait()
+        chosen = self.nodes if names is None else names
+        end_all((self.nodes[name].process for name in chosen), patience)
 
     def __enter__(self) -> NodeGroup:
         return self
