@@ -40,6 +40,13 @@ def test_what_is_held_stays(tmp_path, lock, kind):
     assert clear_dead(tmp_path, least_age=0.0) == 1
 
 
+@pytest.mark.parametrize("file", [f"{SEGMENT}_el", f"{PORT}_sl", f"sem.{PORT}_mutex"])
+def test_what_is_left_of_a_segment_or_port_goes(tmp_path, file):
+    (tmp_path / file).write_bytes(b"")
+    assert clear_dead(tmp_path, least_age=0.0) == 1
+    assert not list(tmp_path.iterdir())
+
+
 def test_what_was_just_made_stays(tmp_path):
     leave(tmp_path, SEGMENT)
     assert clear_dead(tmp_path) == 0

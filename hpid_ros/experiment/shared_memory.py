@@ -18,12 +18,12 @@ from pathlib import Path
 SHARED_MEMORY = Path("/dev/shm")
 YOUNG = 30.0  # [s]; a process that is just starting may not hold its locks yet
 
-_THING = re.compile(r"fastrtps_(?:port\d+|[0-9a-f]{16})")
 _LOCKS = ("_el", "_sl")  # of one listener, or of several
+_FILE = re.compile(r"(?:sem\.)?(fastrtps_(?:port\d+|[0-9a-f]{16}))(?:_el|_sl|_mutex)?")
 
 
 def clear_dead(folder: Path = SHARED_MEMORY, least_age: float = YOUNG) -> int:
-    """Remove the segments and ports that no living process holds.
+    """Remove the segments and ports that no living process holds, and what is left of them.
 
     Args:
         folder: Where they lie.
@@ -35,8 +35,8 @@ def clear_dead(folder: Path = SHARED_MEMORY, least_age: float = YOUNG) -> int:
     if not folder.is_dir():
         return 0
     names = {entry.name for entry in folder.iterdir()}
-    things = sorted(name for name in names if _THING.fullmatch(name))
-    return sum(_remove_if_dead(folder, name, names, least_age) for name in things)
+    things = {match[1] for name in names if (match := _FILE.fullmatch(name))}
+    return sum(_remove_if_dead(folder, name, names, least_age) for name in sorted(things))
 
 
 def _remove_if_dead(folder: Path, name: str, names: set[str], least_age: float) -> bool:
