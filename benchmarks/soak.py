@@ -10,26 +10,23 @@ unusable arguments, 130 interrupted.
 from __future__ import annotations
 
 import argparse
-import os
 import random
 import sys
 import tempfile
-import threading
 import time
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from benchmarks.disturbed_graph import DisturbedGraph, Fault
 from benchmarks.episodes import LABEL, is_planned, sines
+from benchmarks.leftovers import watched_leftovers
 from benchmarks.memory import private_bytes
 from benchmarks.processes import Scripts
 from benchmarks.surroundings import own_surroundings
 from hpid_ros.errors import RunError
 from hpid_ros.experiment.node_process import NodeGroup
-from hpid_ros.experiment.shared_memory import SHARED_MEMORY, YOUNG, clear_dead
 from hpid_ros.interrupts import heed_interrupts, raise_if_interrupted
 
 GROWTH_AT_MOST = 1.0  # [MiB] of any process after the warm-up
@@ -119,7 +116,7 @@ def soak(minutes: float, warm_up: float, seed: int, folder: Path) -> Soak:
         RunError: The graph failed.
     """
     result = Soak()
-    with _nothing_left(result), own_surroundings() as place:
+    with watched_leftovers() as left, own_surroundings() as place:
         experiment = sines(folder, 60.0 * minutes, _FOREVER)
         with (
             NodeGroup(place.environment, folder, is_batch=True, prefix=place.prefix) as group,
@@ -139,6 +136,7 @@ def soak(minutes: float, warm_up: float, seed: int, folder: Path) -> Soak:
         result.faults, result.growth = graph.faults, memory.growth()
         result.states = graph.events[graph.nodes.bridge, "stopped"]["states"]
         result.unplanned = [miss for miss in graph.misses if not is_planned(miss, graph.faults)]
+    result.left = left
     return result
 
 
@@ -164,45 +162,6 @@ def _run(graph: DisturbedGraph, memory: _Memory, seconds: float) -> None:
             )
         if now >= next_fault and graph.disturb_when_due():
             next_fault = time.monotonic() + min(_FAULTS_APART, seconds / 4.0)
-
-
-@contextmanager
-def _nothing_left(result: Soak) -> Iterator[None]:
-    """Compare processes, threads and shared memory before and after."""
-    clear_dead()
-    before = _present()
-    yield
-    # What killed processes cannot take away themselves is cleared once it is old enough not to be
-    # of a process that is just starting.
-    deadline = time.monotonic() + YOUNG + 5.0
-    while (left := _present() - before) and time.monotonic() < deadline:
-        clear_dead()
-        time.sleep(_LOOK_AT_MEMORY)
-    result.left = [f"left behind: {each}" for each in sorted(left)]
-
-
-def _present() -> set[str]:
-    """Return this process's children and threads, and the middleware's files that nobody uses."""
-    children = Path(f"/proc/{os.getpid()}/task/{os.getpid()}/children").read_text().split()
-    files = {file.name for file in SHARED_MEMORY.glob("*fastrtps*")} - _used_files()
-    return {
-        *(f"thread {thread.name}" for thread in threading.enumerate()),
-        *(f"process {pid}" for pid in children),
-        *(f"file {name}" for name in files),
-    }
-
-
-def _used_files() -> set[str]:
-    """Return the names of files of shared memory that some process has open or mapped."""
-    used = set()
-    for process in Path("/proc").glob("[0-9]*"):
-        try:
-            paths = [str(entry.readlink()) for entry in (process / "fd").iterdir()]
-            paths += [line.split()[-1] for line in (process / "maps").read_text().splitlines()]
-        except (FileNotFoundError, PermissionError, ProcessLookupError):
-            continue
-        used |= {Path(path).name for path in paths if path.startswith(str(SHARED_MEMORY))}
-    return used
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -167,6 +167,17 @@ def test_an_exception_in_a_callback_leaves_the_joint_without_effort(
     faults.count("exceptions in callbacks")
 
 
+def test_a_controller_that_has_heard_no_state_warns(harness):
+    """It may be deaf: to its operator it must not look well."""
+    harness.start_controller(law="pid", state_timeout=20.0, **GAINS)
+    told = Told(harness)
+    harness.wait(lambda: told.says(message="waiting for the first state"), what="a report")
+    assert told.newest()["level"] == DiagnosticStatus.WARN
+    harness.ask(0, 0.0)
+    harness.wait(lambda: told.says(samples="1"), what="the next report")
+    assert told.newest()["level"] == DiagnosticStatus.OK
+
+
 def test_silence_gets_the_fallback_effort_is_told_and_ends_in_a_takeover(harness, faults):
     options = {"state_timeout": 0.2, "fallback_effort": 1.5}
     harness.start_controller(law="pid", **options, **GAINS)

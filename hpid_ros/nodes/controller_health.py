@@ -13,6 +13,8 @@ from hpid_ros.nodes.model_compensation import ModelCompensation
 
 _MANY_MISSED = 0.5  # of the states of a report
 
+_WORTH_A_WARNING = (LoopState.WAITING, LoopState.FAULT)
+
 
 class ControllerHealth:
     """Counts what a controller refused, and publishes its status.
@@ -84,7 +86,7 @@ class ControllerHealth:
             message = lifecycle
         elif loop.state is LoopState.SILENT:
             message, level = f"{message}; {warning}" if warning else message, ERROR
-        elif loop.state is LoopState.FAULT or waiting or warning:
+        elif loop.state in _WORTH_A_WARNING or waiting or warning:
             message, level = waiting or warning or message, WARN
         self._diagnostics.publish(
             level,
