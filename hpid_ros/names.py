@@ -35,3 +35,7 @@ NODE_PARAMETERS = frozenset(
     }
 )
 """A controller node's parameters beside those of its loop, by the first part of the name."""
+
+PROFILE_FILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
+"""Environment variables that name a file of Fast DDS profiles: Fast DDS 2, which Jazzy has, reads
+the first, its successors the second."""

@@ -1,5 +1,8 @@
 """The certificate beside a running controller."""
 
+import os
+import signal
+import subprocess
 import threading
 from pathlib import Path
 
@@ -75,6 +78,28 @@ def latest_status(harness, node):
 
     harness.node.create_subscription(DiagnosticArray, "/diagnostics", on_message, RARE)
     return lambda: seen.get(f"/{node}")
+
+
+@pytest.mark.parametrize("failure", ["no child", "no answer"])
+def test_a_computation_that_fails_is_a_finding_and_no_error(monkeypatch, certifier, failure):
+    """The loop beside which it runs must not end for it."""
+
+    def refused(*arguments, **options):
+        raise BlockingIOError(11, "Resource temporarily unavailable")
+
+    before = children()
+    if failure == "no child":
+        monkeypatch.setattr(subprocess, "Popen", refused)
+        certifier.want(settings(mu=0.05))
+    else:
+        certifier.want(settings(mu=0.05))
+        (child,) = children() - before
+        os.kill(int(child), signal.SIGKILL)
+        while not certifier.poll():
+            pass
+    found = certifier.finding(settings(mu=0.05))
+    assert found.is_certified is False
+    assert "computation" in found.text
 
 
 def test_an_uncertified_degree_is_a_warning(harness):

@@ -117,15 +117,17 @@ def test_trajectory_and_setpoint_reach_the_loop(harness):
     harness.wait(holds, what="the loop to hold the setpoint")
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
 def test_the_last_command_is_zero_and_the_exit_code_too(harness, number):
-    process = harness.start_controller(law="pid", **GAINS).process
+    node = harness.start_controller(law="pid", **GAINS)
+    process = node.process
     harness.ask(0, 0.0)
     assert harness.ask(MS, -0.5) != 0.0
     process.send_signal(number)
     harness.wait(lambda: process.poll() is not None, within=5.0, what="the controller to end")
     harness.wait(lambda: harness.commands[-1].effort == (0.0,), what="a last command of zero")
     assert process.returncode == 0
+    assert "not acknowledged" not in node.log.read_text()
 
 
 def test_no_network_socket_is_opened_in_the_closed_mode(harness):

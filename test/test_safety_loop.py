@@ -79,6 +79,41 @@ def test_states_that_cannot_be_used_for_long_end_in_a_takeover_and_for_short_do_
         assert effort == pytest.approx(0.0 if takeovers else before, abs=0.1)
 
 
+@pytest.mark.parametrize("position", [0.2, math.nan])
+def test_a_single_stamp_from_the_future_is_a_gap_and_no_more(position):
+    loop, twin = (JointLoop(settings()) for _ in range(2))
+    for each in (loop, twin):
+        each.follow(Setpoint(1.0))
+        run(each, 0, 200, 0.2)
+    loop.step(3_600_000 * MS, position, 0.0)
+    efforts = [each.step(200 * MS, 0.2, 0.0) for each in (loop, twin)]
+    assert efforts[0] == pytest.approx(efforts[1])  # integral and motion are as they were
+    assert (loop.counts.resets, loop.counts.takeovers) == (0, 0)
+    assert run(loop, 201, 400, 0.2) == pytest.approx(run(twin, 201, 400, 0.2))
+
+
+def test_a_clock_that_really_jumped_goes_on_from_there():
+    loop = JointLoop(settings())
+    loop.follow(Setpoint(1.0))
+    before = run(loop, 0, 200, 0.2)
+    assert run(loop, 90_000, 90_002, 0.2) == pytest.approx(before, abs=0.1)
+    loop.step(200 * MS, 0.2, 0.0)  # two were not single: now it is this one that went back
+    assert loop.counts.resets == 1
+
+
+def test_velocities_that_nobody_uses_may_be_nan():
+    """As those of a joint_state_broadcaster are that has none."""
+    for source in ("filtered", "homogeneous_differentiator"):
+        loop, twin = (JointLoop(settings(velocity_source=source)) for _ in range(2))
+        for k in range(50):
+            effort = loop.step(k * MS, 0.01 * k, math.nan)
+            assert effort == twin.step(k * MS, 0.01 * k, None)
+        assert loop.counts.rejected == 0
+    loop = JointLoop(settings())
+    loop.step(0, 0.0, math.nan)
+    assert loop.counts.rejected == 1
+
+
 @pytest.mark.parametrize("absurd", [1e300, -1e18, math.inf, math.nan])
 def test_absurd_numbers_leave_nothing_behind_in_the_velocity(absurd):
     loop = JointLoop(settings(velocity_source="filtered"))

@@ -194,13 +194,57 @@ def test_silence_gets_the_fallback_effort_is_told_and_ends_in_a_takeover(harness
     )
     assert told.newest()["level"] == DiagnosticStatus.ERROR
     assert re.fullmatch(
-        r"no state for [0-9.]+ s: the effort is 1.5 N m", told.newest()["last fault"]
+        r"no new state for [0-9.]+ s: the effort is 1.5 N m", told.newest()["last fault"]
     )
-    assert told.newest()["message"] == "no state within state_timeout"
+    assert told.newest()["message"] == "no new state within state_timeout"
     assert harness.ask(900 * MS, -0.9) == 1.5  # from where it is, with what is in force
     assert harness.ask(901 * MS, -0.9) == pytest.approx(1.5)
     harness.wait(lambda: told.says(takeovers="1"), what="the takeover to be told")
     faults.count("silences of the states")
+
+
+@pytest.mark.parametrize("stamp_ns", [MS, 0])
+def test_a_driver_that_repeats_its_last_state_is_silent(harness, faults, stamp_ns):
+    harness.start_controller(law="pid", state_timeout=0.2, fallback_effort=1.5, **GAINS)
+    told = Told(harness)
+    harness.ask(0, 0.0)
+    if stamp_ns:
+        assert harness.ask(stamp_ns, -0.5) > 3.0
+
+    def silent():
+        publish(harness, stamp_ns, -0.5)
+        return told.says(message="no new state within state_timeout")
+
+    harness.wait(silent, within=5.0, what="the silence to be told")
+    assert told.newest()["level"] == DiagnosticStatus.ERROR
+
+    def is_fallback_alone():
+        publish(harness, stamp_ns, -0.5)
+        return {each.effort[0] for each in harness.commands[-20:]} == {1.5}
+
+    harness.wait(is_fallback_alone, what="the fallback effort and no other")
+    faults.count("silences of the states")
+
+
+def test_the_watchdog_needs_no_ros_time(harness):
+    """Simulated time that stands still, or a system clock set back, must not stop it."""
+    options = {"use_sim_time": True, "state_timeout": 0.2, "fallback_effort": 1.5}
+    harness.start_controller(law="pid", **options, **GAINS)
+    harness.ask(0, 0.0)
+    assert harness.ask(MS, -0.5) > 3.0
+    harness.wait(lambda: harness.commands[-1].effort == (1.5,), within=5.0, what="the fallback")
+
+
+def test_a_set_with_one_bad_value_changes_nothing(harness):
+    harness.start_controller(law="pid", **GAINS)
+    for atomically in (False, True):
+        is_set, reason = harness.set_parameters(
+            NAME, atomically=atomically, gains__p=60.0, gains__d=-1.0
+        )
+        assert not is_set
+        assert "gains.d" in reason
+    harness.ask(0, 0.0)
+    assert harness.ask(MS, -0.5) == pytest.approx(5.0)
 
 
 def test_a_paused_clock_goes_on_as_if_nothing_had_been(harness):

@@ -21,8 +21,9 @@ class JointLoop(LoopView):
 
     Time enters with the stamps of the states alone: equal stamps are a repeat, which gets the
     last effort again; a stamp that goes back resets the loop; a time above ``state_timeout``
-    is a gap, over which the derivative restarts and the integral is kept. Until it is told
-    otherwise, a loop holds the position of its first state.
+    is a gap, over which the derivative restarts and the integral is kept. A single stamp from
+    the future, with one after it that continues those before, is such a gap and no more. Until
+    it is told otherwise, a loop holds the position of its first state.
 
     Where the joint had no command of the loop for longer than ``state_timeout`` (:meth:`lapse`,
     states that cannot be used), the loop takes over anew: it starts from where the joint is,
@@ -40,6 +41,7 @@ class JointLoop(LoopView):
         self._following = Following()
         self._law = LimitedLaw(settings, self.counts)
         self._velocity = settings.make_velocity_source()
+        self._hears_velocity = settings.hears_velocity
         self._clock = LoopClock(self.counts)
         self.reset()
 
@@ -73,6 +75,7 @@ class JointLoop(LoopView):
             raise SettingError("compensation and its model cannot change while the loop runs")
         if settings.differs_in_velocity(before):
             self._velocity = settings.make_velocity_source()
+            self._hears_velocity = settings.hears_velocity
         self._law.retune(settings, None if self.stamp_ns is None else self._position)
         self.settings = settings
 
@@ -124,7 +127,8 @@ class JointLoop(LoopView):
         Args:
             stamp_ns: Stamp of the state on the control clock in [ns].
             position: Measured position in [rad].
-            velocity: Measured velocity in [rad/s]; None when the robot reports none.
+            velocity: Measured velocity in [rad/s]; None when the robot reports none. Not looked
+                at where the velocity source is not ``measured``.
             model: What a model of the robot says of this state; None without a model.
 
         Returns:
@@ -135,6 +139,8 @@ class JointLoop(LoopView):
         if stamp_ns == clock.stamp_ns:
             self.counts.repeats += 1
             return law.effort
+        if not self._hears_velocity:
+            velocity = None
         if not (
             -LARGEST_POSITION <= position <= LARGEST_POSITION
             and (velocity is None or -LARGEST_POSITION <= velocity <= LARGEST_POSITION)

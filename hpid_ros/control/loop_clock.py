@@ -24,7 +24,14 @@ class LoopClock:
         counts: Where irregularities are counted.
     """
 
-    __slots__ = ("_counts", "has_lapsed", "is_takeover_due", "stamp_ns", "unusable_since_ns")
+    __slots__ = (
+        "_before_jump",
+        "_counts",
+        "has_lapsed",
+        "is_takeover_due",
+        "stamp_ns",
+        "unusable_since_ns",
+    )
 
     def __init__(self, counts: LoopCounts) -> None:
         self._counts = counts
@@ -35,6 +42,7 @@ class LoopClock:
         self.stamp_ns: int | None = None
         self.unusable_since_ns: int | None = None
         self.has_lapsed = self.is_takeover_due = False
+        self._before_jump: tuple[int, bool, int | None] | None = None
 
     def elapse(self, stamp_ns: int, settings: LoopSettings) -> float:
         """Take the stamp of a state.
@@ -45,7 +53,7 @@ class LoopClock:
 
         Returns:
             The time since the last state in [s]: 0 for the first one, negative when the clock
-            went back.
+            went back. A single stamp from the future is passed over.
         """
         before, self.stamp_ns = self.stamp_ns, stamp_ns
         if before is None:
@@ -53,17 +61,21 @@ class LoopClock:
         dt = (stamp_ns - before) * _SECONDS_PER_NANOSECOND
         counts = self._counts
         if dt < 0.0:
-            counts.resets += 1
-            return dt
+            dt = self._since_jump(stamp_ns, dt, settings.state_timeout)
+            if dt < 0.0:
+                counts.resets += 1
+                return dt
+        self._before_jump = None
         period = settings.control_period
         if dt > _LATE * period:
             counts.missed += round(dt / period) - 1
         is_gap = dt > settings.state_timeout
+        if is_gap:
+            counts.gaps += 1
+            self._before_jump = before, self.is_takeover_due, self.unusable_since_ns
         if self.has_lapsed:
             self.is_takeover_due |= is_gap
             self.has_lapsed = False
-        if is_gap:
-            counts.gaps += 1
         return dt
 
     def skip(self, stamp_ns: int, settings: LoopSettings) -> None:
@@ -76,8 +88,23 @@ class LoopClock:
         before = self.stamp_ns
         if before is None or stamp_ns <= before:
             return
+        is_jump = (stamp_ns - before) * _SECONDS_PER_NANOSECOND > settings.state_timeout
+        self._before_jump = (
+            (before, self.is_takeover_due, self.unusable_since_ns) if is_jump else None
+        )
         self.stamp_ns = stamp_ns
         if self.unusable_since_ns is None:
             self.unusable_since_ns = before
         elapsed = (stamp_ns - self.unusable_since_ns) * _SECONDS_PER_NANOSECOND
         self.is_takeover_due |= elapsed > settings.state_timeout
+
+    def _since_jump(self, stamp_ns: int, dt: float, timeout: float) -> float:
+        """Return the time since the state before the last one, if the last had a wrong stamp."""
+        if self._before_jump is None:
+            return dt
+        before, is_takeover_due, unusable_since_ns = self._before_jump
+        since = (stamp_ns - before) * _SECONDS_PER_NANOSECOND
+        if not 0.0 <= since <= timeout:
+            return dt
+        self.is_takeover_due, self.unusable_since_ns = is_takeover_due, unusable_since_ns
+        return since

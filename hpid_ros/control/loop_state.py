@@ -13,7 +13,7 @@ class LoopState(Enum):
     HOLDING = "holding its position"
     FOLLOWING = "following a reference"
     FAULT = "the last state could not be used"
-    SILENT = "no state within state_timeout"
+    SILENT = "no new state within state_timeout"
 
 
 @dataclass

@@ -177,6 +177,11 @@ class LoopSettings:
             return FilteredVelocity(self.velocity_filter_time_constant)
         return MeasuredVelocity(self.velocity_filter_time_constant)
 
+    @property
+    def hears_velocity(self) -> bool:
+        """Whether measured velocities are used."""
+        return self.velocity_source == "measured"
+
     def differs_in_velocity(self, other: LoopSettings) -> bool:
         """Tell whether the velocity source of other settings is another one."""
         return any(getattr(self, name) != getattr(other, name) for name in _OF_THE_VELOCITY)

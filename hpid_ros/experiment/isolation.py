@@ -17,6 +17,7 @@ from pathlib import Path
 
 from hpid_ros.errors import RunError
 from hpid_ros.experiment.shared_memory import clear_dead
+from hpid_ros.names import PROFILE_FILES
 from hpid_ros.resources import find_resource
 
 CLOSED_MODE: Mapping[str, str] = {
@@ -37,8 +38,6 @@ _OPENING = (
     "ROS_SECURITY_KEYSTORE",
     "ROS_SECURITY_ENCLAVE_OVERRIDE",
 )
-# Fast DDS 2, which Jazzy has, reads the first; its successors the second.
-_PROFILE_FILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
 _DOMAINS = range(1, 102)
 _SOCKET_TABLES = ("tcp", "tcp6", "udp", "udp6", "raw", "raw6")
 
@@ -53,7 +52,7 @@ def closed_environment(domain: int) -> dict[str, str]:
     environment.update(CLOSED_MODE)
     environment["ROS_DOMAIN_ID"] = str(domain)
     profile = str(find_resource("config/fastdds.xml"))
-    environment |= dict.fromkeys(_PROFILE_FILES, profile)
+    environment |= dict.fromkeys(PROFILE_FILES, profile)
     environment["PYTHONUNBUFFERED"] = "1"
     return environment
 

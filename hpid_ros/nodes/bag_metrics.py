@@ -22,6 +22,7 @@ from hpid_ros.nodes.finished_bags import FinishedBags
 from hpid_ros.nodes.parameters import read_only
 from hpid_ros.nodes.qos import LATCHED
 from hpid_ros.nodes.status_pipe import StatusPipe
+from hpid_ros.nodes.steady_timer import steady_timer
 
 _LOOK_PERIOD = 0.5  # [s]
 
@@ -61,10 +62,10 @@ class BagMetrics(executor.ClosingNode):
             self._baseline = comparison.baseline
             self._report(comparison.runs)
         if self._bags is not None:
-            self.create_timer(_LOOK_PERIOD, self._look)
+            steady_timer(self, _LOOK_PERIOD, self._look)
             self.get_logger().info(f"watching {watch}")
         elif not stays:
-            self.create_timer(0.0, self.request_stop)
+            steady_timer(self, 0.0, self.request_stop)
 
     def _read_format(self) -> None:
         self._format = str(

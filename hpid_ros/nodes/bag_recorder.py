@@ -18,6 +18,7 @@ from hpid_ros.errors import BagError, SettingError
 from hpid_ros.nodes import executor
 from hpid_ros.nodes.parameters import read_only
 from hpid_ros.nodes.status_pipe import StatusPipe
+from hpid_ros.nodes.steady_timer import steady_timer
 
 _LOOK_PERIOD = 0.02  # [s]
 _REPORT_PERIOD = 0.05  # [s]
@@ -54,8 +55,8 @@ class BagRecorder(executor.ClosingNode):
         self._writer = BagWriter(path)
         self._failed = False
         self._reported: dict[str, int] = {}
-        self._look = self.create_timer(_LOOK_PERIOD, self._subscribe_next)
-        self.create_timer(_REPORT_PERIOD, self._report)
+        self._look = steady_timer(self, _LOOK_PERIOD, self._subscribe_next)
+        steady_timer(self, _REPORT_PERIOD, self._report)
 
     def _subscribe_next(self) -> None:
         while self._waiting:

@@ -7,6 +7,7 @@ from rclpy.node import Node
 from hpid_ros.control import LoopSettings
 from hpid_ros.errors import GainError
 from hpid_ros.nodes.parameters import read_only
+from hpid_ros.nodes.steady_timer import steady_timer
 from hpid_ros.tuning.certifier import Certifier
 
 _POLL_PERIOD = 0.1  # [s]
@@ -39,7 +40,7 @@ class Certification:
         elif self._is_on:
             self._certifier.want(settings)
         if self._is_required or self._is_on:
-            node.create_timer(_POLL_PERIOD, self._certifier.poll)
+            steady_timer(node, _POLL_PERIOD, self._certifier.poll)
 
     def require(self, settings: LoopSettings) -> None:
         """Refuse settings that are about to be set, if a certificate is required.

@@ -13,7 +13,7 @@ from hpid_ros.nodes.model_compensation import ModelCompensation
 
 _MANY_MISSED = 0.5  # of the states of a report
 
-_WORTH_A_WARNING = (LoopState.WAITING, LoopState.FAULT)
+_ON_FALLBACK = (LoopState.SILENT, LoopState.FAULT)
 
 
 class ControllerHealth:
@@ -84,9 +84,9 @@ class ControllerHealth:
         warning = self._certification.warning or self._slowness() or self._model_fault()
         if not is_active:
             message = lifecycle
-        elif loop.state is LoopState.SILENT:
+        elif loop.state in _ON_FALLBACK:
             message, level = f"{message}; {warning}" if warning else message, ERROR
-        elif loop.state in _WORTH_A_WARNING or waiting or warning:
+        elif loop.state is LoopState.WAITING or waiting or warning:
             message, level = waiting or warning or message, WARN
         self._diagnostics.publish(
             level,

@@ -14,6 +14,7 @@ from hpid_ros.control.damping_stop import DampingStop
 from hpid_ros.errors import SettingError
 from hpid_ros.nodes.commands import CommandSink
 from hpid_ros.nodes.parameters import read_number, read_only
+from hpid_ros.nodes.steady_timer import steady_timer
 
 STOPS = ("zero", "damping")
 
@@ -49,6 +50,8 @@ class ControllerStop:
         self._node, self._loop, self._commands, self._finish = node, loop, commands, finish
         self._timer: Timer | None = None
         self._ended: Future | None = None
+        self._stamp_ns: int | None = None
+        self._is_unheard = False
 
     @property
     def is_damping(self) -> bool:
@@ -61,31 +64,45 @@ class ControllerStop:
         Returns:
             What answers the states meanwhile; None if the joint has been left at once.
         """
-        if self._loop.stamp_ns is None or self._duration == 0.0:
+        self._stamp_ns = self._loop.stamp_ns
+        if self._stamp_ns is None or self._duration == 0.0:
             self.now()
             return None
         self._ended = Future()
-        self._timer = self._node.create_timer(self._duration, self.now)
+        self._timer = steady_timer(self._node, self._duration, self.now)
         return self._loop.damping_stop(self._duration)
 
     def ended(self) -> Future | None:
         """Return what is done when the ramp is; None if there is none."""
         return self._ended if self.is_damping else None
 
-    def cancel(self) -> None:
-        """End the ramp without a last command: somebody takes over."""
+    def end(self) -> None:
+        """Cut the ramp short, if there is one: the effort is zero from here on."""
+        if self.is_damping:
+            self.now()
+
+    def now(self) -> None:
+        """Give zero effort; the joint has been left."""
         if self._timer is not None:
             self._timer.cancel()
             self._node.destroy_timer(self._timer)
             self._timer = None
+        stamp_ns = self._loop.stamp_ns if self._stamp_ns is None else self._stamp_ns
+        self._stamp_ns = None
+        if stamp_ns is not None:
+            self._commands.send(stamp_ns, 0.0)
+            self._is_unheard = True
+        self._finish()
         if self._ended is not None and not self._ended.done():
             self._ended.set_result(None)
 
-    def now(self) -> None:
-        """Give zero effort and wait until it has been heard, or cannot be."""
-        self.cancel()
-        stamp_ns = self._loop.stamp_ns
-        if stamp_ns is not None:
-            self._commands.send(stamp_ns, 0.0)
-            self._commands.publisher.wait_for_all_acked(_LAST_COMMAND_WITHIN)
-        self._finish()
+    def wait_until_heard(self) -> None:
+        """Wait until every reliable subscriber has acknowledged the last zero, for a while."""
+        if not self._is_unheard:
+            return
+        self._is_unheard = False
+        if not self._commands.publisher.wait_for_all_acked(_LAST_COMMAND_WITHIN):
+            self._node.get_logger().warning(
+                "the last command, of zero effort, was not acknowledged by every subscriber "
+                f"within {_LAST_COMMAND_WITHIN.nanoseconds * 1e-9:g} s"
+            )

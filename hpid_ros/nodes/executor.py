@@ -35,6 +35,7 @@ from rclpy.task import Future
 from rclpy.utilities import remove_ros_args
 
 from hpid_ros.errors import HpidError, SettingError, unknown_name
+from hpid_ros.nodes.middleware import load_profile
 from hpid_ros.nodes.security import warn_if_unprotected
 
 BAD_INPUT = 2
@@ -43,6 +44,7 @@ BAD_INPUT = 2
 FAILED = 1
 """Exit code of a process that a callback ended."""
 
+_ENDS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _WIND_DOWN_WITHIN = 4.5  # [s] from the request to the close of the nodes
 _DEADLINE = 86400.0  # [s]; any finite one: spinning goes on when it passes
 
@@ -76,6 +78,9 @@ class ClosingNode(Node):
         """
         return None
 
+    def leave_at_once(self) -> None:
+        """Send what must not be late; called once, on all nodes before any of them is closed."""
+
     def close(self) -> None:
         """Send or write what must not be lost; called once, while the context is alive."""
 
@@ -101,6 +106,7 @@ def run(make_nodes: Callable[[], Sequence[ClosingNode]], args: Sequence[str] | N
         cannot be used. Whatever it is, every node has been closed while the graph was there.
     """
     command_line = list(sys.argv if args is None else args)
+    load_profile()
     try:
         surplus = remove_ros_args(command_line)[1:]
         if surplus:
@@ -139,7 +145,9 @@ def _run_in_context(make_nodes: Callable[[], Sequence[ClosingNode]], stop: Stop)
     except Exception as error:  # whatever it was, the nodes are closed and their joints left
         stop.request(_fail(error))
     finally:
-        is_closed = [_close(node) for node in nodes]
+        # No node waits in its close for what another one still has to send.
+        is_closed = [_done(node.leave_at_once) for node in nodes]
+        is_closed += [_done(node.close) for node in nodes]
     return int(stop.future.result()) or int(not all(is_closed))
 
 
@@ -151,10 +159,10 @@ def _wind_down(executor: Executor, nodes: Sequence[ClosingNode]) -> None:
             executor.spin_until_future_complete(waited, max(0.0, deadline - time.monotonic()))
 
 
-def _close(node: ClosingNode) -> bool:
-    """Close one node; whatever that raises, the others are closed, too."""
+def _done(step: Callable[[], None]) -> bool:
+    """Take one step of a node's end; whatever that raises, the other nodes end, too."""
     try:
-        node.close()
+        step()
     except Exception as error:
         _fail(error)
         return False
@@ -215,7 +223,7 @@ def _refuse(line: str) -> int:
 
 @contextmanager
 def _signals_to(stop: Stop) -> Iterator[Stop]:
-    """Turn SIGINT and SIGTERM into the end of the process, from a thread that reads a pipe."""
+    """Turn what asks for the end of the process into it, from a thread that reads a pipe."""
     reader, writer = os.pipe()
     os.set_blocking(writer, False)
 
@@ -226,8 +234,9 @@ def _signals_to(stop: Stop) -> Iterator[Stop]:
     def ignore(number: int, frame: FrameType | None) -> None:
         """Python must have a handler for the wake-up pipe to be written."""
 
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, ignore)
+    for number in _ENDS:
+        if number is not signal.SIGHUP or signal.getsignal(number) is not signal.SIG_IGN:  # nohup
+            signal.signal(number, ignore)
     before = signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
     thread = threading.Thread(target=wait, name="signals", daemon=True)
     thread.start()
@@ -236,7 +245,7 @@ def _signals_to(stop: Stop) -> Iterator[Stop]:
     finally:
         signal.set_wakeup_fd(before)
         # The process is ending: a second signal, as launch sends it, must not spoil that.
-        for number in (signal.SIGINT, signal.SIGTERM):
+        for number in _ENDS:
             signal.signal(number, signal.SIG_IGN)
         os.write(writer, b"\0")
         thread.join()

@@ -20,9 +20,10 @@ ServiceCallback = Callable[[Any, Any], Any]
 def guard_services(node: Node, fault: Callable[[str], None]) -> None:
     """Answer requests that raise with a refusal, and take sets of parameters as a whole.
 
-    ``ros2 param load`` sets each parameter alone, in the order of the alphabet: on the way from
-    one valid set to another there would be sets that are refused. What comes in one request is
-    therefore tried as a whole first. And where one parameter has no value, rclpy answers a request
+    rclpy sets each parameter of a request alone, in the order of the alphabet: on the way from one
+    valid set to another there would be sets that are refused, and of a set with one bad gain the
+    others would be in force. What comes in one request is therefore set or refused as a whole. And
+    where one parameter has no value, rclpy answers a request
     for many with nothing at all; here it is told as not set, as the service's definition says.
 
     Args:
@@ -67,10 +68,9 @@ def _whole_sets(node: Node) -> ServiceCallback:
             results.append(SetParametersResult(successful=True))
         # What is fixed is refused alone, and does not spoil the rest.
         free = [change for _, change in changes if not _is_fixed(node, change.name)]
-        is_set = bool(free) and _set(node, free).successful
+        whole = _set(node, free) if free else SetParametersResult(successful=True)
         for index, change in changes:
-            if not is_set or change not in free:
-                results[index] = _set(node, [change])
+            results[index] = whole if change in free else _set(node, [change])
         response.results = results
         return response
 

@@ -33,6 +33,7 @@ from hpid_ros.nodes.qos import NEWEST_STATES, overridable
 from hpid_ros.nodes.scheduling import schedule
 from hpid_ros.nodes.state_watchdog import StateWatchdog
 from hpid_ros.nodes.status_pipe import StatusPipe
+from hpid_ros.nodes.steady_timer import steady_timer
 
 _READINESS_PERIOD = 0.02  # [s]
 
@@ -76,7 +77,7 @@ class JointController(ManagedNode):
         self._status = StatusPipe(self)
         self._certification = Certification(self, self._loop.settings)
         self._timing = LoopTiming()
-        self._watchdog = StateWatchdog(self, lambda: self._timing.last_ns, self._on_silence)
+        self._watchdog = StateWatchdog(self, self._on_silence)
         self._stopping = ControllerStop(self, self._loop, self._commands, self._let_go)
         self._health = ControllerHealth(
             self, self._loop, self._certification, self._timing, self._model
@@ -85,7 +86,7 @@ class JointController(ManagedNode):
         self._readiness: Any = None
         self._references: ControllerReferences | None = None
         self._stop: DampingStop | None = None
-        self.create_timer(self._health.period, self._report)
+        steady_timer(self, self._health.period, self._report)
         self.add_on_set_parameters_callback(self._check)
         self.add_post_set_parameters_callback(self._retune)
         self.start()
@@ -93,15 +94,16 @@ class JointController(ManagedNode):
 
     def prepare(self) -> None:
         """Configure: listen to references."""
+        self._stopping.end()
         self._loop.release()
         self._references = ControllerReferences(
             self, self.joint, self._follow, self._health.refused_reference
         )
 
     def dispose(self) -> None:
-        """Undo :meth:`prepare`."""
-        self._stopping.cancel()
-        self._let_go()
+        """Undo :meth:`prepare`; a damping ramp goes on to its end."""
+        if not self._stopping.is_damping:
+            self._let_go()
         if self._references is not None:
             self._references.close()
         self._references = None
@@ -109,31 +111,34 @@ class JointController(ManagedNode):
 
     def begin(self) -> None:
         """Activate: hold the joint where it is as soon as somebody hears the commands."""
-        self._stopping.cancel()
+        self._stopping.end()
         self._let_go()
         self._stop = None
-        self._readiness = self.create_timer(_READINESS_PERIOD, self._start_when_ready)
+        self._readiness = steady_timer(self, _READINESS_PERIOD, self._start_when_ready)
 
     def leave(self) -> None:
         """Deactivate: the last command is zero, and a later activation starts anew."""
-        self._watchdog.rest()
         self._needs_reference = False
         self._stop = self._stopping.begin()
 
     def _let_go(self) -> None:
-        """Be without states and without a motion."""
+        """Be without states, and without a motion but one that is waited for."""
+        self._watchdog.rest()
         if self._readiness is not None:
             self.destroy_timer(self._readiness)
         if self._states is not None:
             self.destroy_subscription(self._states)
+        if self._needs_reference:
+            self._loop.reset()
+        else:
             self._loop.release()
-            if self._model is not None:
-                self._model.reset()
+        if self._model is not None:
+            self._model.reset()
         self._readiness = self._states = None
         self._timing.interrupt()
 
     def _start_when_ready(self) -> None:
-        if self._states is not None or self._waits_for():
+        if self._readiness is None or self._states is not None or self._waits_for():
             return
         self._readiness.cancel()
         self._states = self.create_subscription(
@@ -156,6 +161,8 @@ class JointController(ManagedNode):
         return ""
 
     def _on_state(self, raw: bytes) -> None:
+        if self._states is None:  # it was on its way when the joint was left
+            return
         began_ns = time.perf_counter_ns()
         try:
             sample = self._reader.read(raw)
@@ -165,6 +172,8 @@ class JointController(ManagedNode):
         if sample is None:
             self._health.foreign += 1
             return
+        if self._watchdog.is_stale(sample.stamp_ns):
+            return
         if self._stop is not None:
             effort = self._stop.step(*sample)
         elif self._model is not None:
@@ -172,17 +181,21 @@ class JointController(ManagedNode):
         else:
             effort = self._loop.step(*sample)
         self._commands.send(sample.stamp_ns, effort)
+        self._watchdog.hear(sample.stamp_ns, began_ns)
         self._timing.note(began_ns, time.perf_counter_ns())
         self._introspection.sample(sample.stamp_ns, self._loop)
 
     def _on_silence(self, silence: float, is_new: bool) -> None:
+        if self._stop is not None:  # nothing to damp by
+            self._stopping.end()
+            return
         stamp_ns = self._loop.stamp_ns
         if stamp_ns is None:
             return
         effort = self._loop.lapse() if is_new else self._loop.settings.fallback
         self._commands.send(unanswering(stamp_ns), effort)
         if is_new:
-            self._health.fault(f"no state for {silence:.3g} s: the effort is {effort:g} N m")
+            self._health.fault(f"no new state for {silence:.3g} s: the effort is {effort:g} N m")
             self._report()
 
     def _follow(self, motion: Motion) -> None:
@@ -201,9 +214,9 @@ class JointController(ManagedNode):
         self._loop.retune(settings)
         if self._model is not None:
             self._model.retune(settings)
-        self._certification.accept(settings)
         if self._states is not None and self.is_active:
             self._watchdog.watch(settings.state_timeout)
+        self._certification.accept(settings)
 
     def refuse(self, line: str) -> None:
         """Take note of a request or a transition that failed."""
@@ -219,11 +232,15 @@ class JointController(ManagedNode):
             self.leave()
         return self._stopping.ended()
 
-    def close(self) -> None:
-        """Leave the joint without effort, if it has not been left: reliably heard."""
+    def leave_at_once(self) -> None:
+        """Leave the joint without effort, if it has not been left."""
         if self.is_active or self._stopping.is_damping:
             self.is_active = False
             self._stopping.now()
+
+    def close(self) -> None:
+        """Wait until the last command has been heard."""
+        self._stopping.wait_until_heard()
         counts = {"samples": self._loop.counts.samples, "missed": self._loop.counts.missed}
         self._status.send("timing", joint=self.joint, **counts, **self._timing.whole())
         self._certification.close()

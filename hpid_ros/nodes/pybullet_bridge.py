@@ -22,6 +22,7 @@ from hpid_ros.nodes.held_commands import HeldCommands
 from hpid_ros.nodes.qos import ALL_COMMANDS, OFFERED, overridable
 from hpid_ros.nodes.scheduling import schedule
 from hpid_ros.nodes.status_pipe import StatusPipe
+from hpid_ros.nodes.steady_timer import steady_timer
 from hpid_ros.nodes.world_parameters import world_settings
 from hpid_ros.simulation.lockstep import Barrier
 from hpid_ros.simulation.world import World
@@ -86,8 +87,8 @@ class PybulletBridge(executor.ClosingNode):
         self._stamp_ns = -1
         self._progressed_ns = time.perf_counter_ns()
         self._asked_again = False
-        self._readiness = self.create_timer(_READINESS_PERIOD, self._start_when_ready)
-        self.create_timer(1.0, self._report)
+        self._readiness = steady_timer(self, _READINESS_PERIOD, self._start_when_ready)
+        steady_timer(self, 1.0, self._report)
         self._scheduling = schedule(self)
 
     def _start_when_ready(self) -> None:
@@ -108,12 +109,12 @@ class PybulletBridge(executor.ClosingNode):
         self._is_started = True
         self._status.send("started")
         if self._pace.is_lockstep:
-            self.create_timer(self._pace.answer_timeout / _LOOKS, self._watch)
+            steady_timer(self, self._pace.answer_timeout / _LOOKS, self._watch)
             self._publish_state()
         else:
             period = self._world.settings.control_period_ns / _NANOSECONDS
             self._publish_state()
-            self.create_timer(period / self._pace.real_time_factor, self._resume)
+            steady_timer(self, period / self._pace.real_time_factor, self._resume)
 
     def _on_command(self, raw: bytes) -> None:
         try:

@@ -9,6 +9,7 @@ from rclpy.node import Node
 from rclpy.timer import Timer
 
 from hpid_ros.nodes.parameters import read_only
+from hpid_ros.nodes.steady_timer import steady_timer
 
 _LOOKS = 4.0  # in one timeout
 _SHORTEST_PERIOD = 1e-3  # [s] between two looks
@@ -16,14 +17,14 @@ _NANOSECONDS = 1_000_000_000
 
 
 class StateWatchdog:
-    """Looks several times in each ``state_timeout`` when the last state came.
+    """Looks several times in each ``state_timeout`` when the last new state came.
 
-    A loop has no clock of its own; without states it is never called. So this stands beside it,
+    A driver that repeats its last state for ever is as silent as one that has ended. A loop has no
+    clock of its own; without states it is never called. So this stands beside it,
     and costs the loop nothing.
 
     Args:
         node: The controller; it gets ``state_watchdog``.
-        last_ns: Returns when the last state came, on ``time.perf_counter_ns``; None for never.
         give: Called at each look while states are missing, with the silence in [s] and whether
             it has just begun.
     """
@@ -31,7 +32,6 @@ class StateWatchdog:
     def __init__(
         self,
         node: Node,
-        last_ns: Callable[[], int | None],
         give: Callable[[float, bool], None],
     ) -> None:
         self._is_on = bool(
@@ -39,13 +39,16 @@ class StateWatchdog:
                 node,
                 "state_watchdog",
                 True,
-                "Give fallback_effort when no state has come for state_timeout of wall time",
+                "Give fallback_effort when no new state has come for state_timeout of wall time",
             )
         )
-        self._node, self._last_ns, self._give = node, last_ns, give
+        self._node, self._give = node, give
         self._timer: Timer | None = None
         self._timeout = 0.0
+        self._last_ns: int | None = None
         self._noticed_ns: int | None = None
+        self._stamp_ns: int | None = None
+        self._repeats = 0
 
     def watch(self, timeout: float) -> None:
         """Look from now on, or with another timeout.
@@ -55,18 +58,46 @@ class StateWatchdog:
         """
         if not self._is_on or (self._timer is not None and timeout == self._timeout):
             return
-        self.rest()
+        self._destroy_timer()
         self._timeout = timeout
-        self._timer = self._node.create_timer(max(timeout / _LOOKS, _SHORTEST_PERIOD), self._look)
+        self._timer = steady_timer(self._node, max(timeout / _LOOKS, _SHORTEST_PERIOD), self._look)
+
+    def is_stale(self, stamp_ns: int) -> bool:
+        """Tell whether a state is the old one still, and no answer is due but the fallback.
+
+        After the silence was noticed one repeat may be answered as before: a bridge in lock-step
+        whose clock stood still asks again like that.
+
+        Args:
+            stamp_ns: Stamp of the state in [ns].
+        """
+        if stamp_ns != self._stamp_ns or self._noticed_ns != self._last_ns:
+            return False
+        self._repeats += 1
+        return self._repeats > 1
+
+    def hear(self, stamp_ns: int, now_ns: int) -> None:
+        """Take note of a state; one with the stamp of the last is none that is new.
+
+        Args:
+            stamp_ns: Its stamp in [ns].
+            now_ns: When it came, on ``time.perf_counter_ns``.
+        """
+        if stamp_ns != self._stamp_ns:
+            self._stamp_ns, self._last_ns, self._repeats = stamp_ns, now_ns, 0
 
     def rest(self) -> None:
-        """Look no more."""
+        """Look no more, and forget what came."""
+        self._stamp_ns = self._last_ns = self._noticed_ns = None
+        self._destroy_timer()
+
+    def _destroy_timer(self) -> None:
         if self._timer is not None:
             self._node.destroy_timer(self._timer)
             self._timer = None
 
     def _look(self) -> None:
-        last_ns = self._last_ns()
+        last_ns = self._last_ns
         if last_ns is None:
             return
         silence = (time.perf_counter_ns() - last_ns) / _NANOSECONDS

@@ -20,6 +20,7 @@ from hpid_ros.nodes import executor
 from hpid_ros.nodes.parameters import read_only
 from hpid_ros.nodes.qos import LATCHED, NEWEST_STATES, overridable
 from hpid_ros.nodes.status_pipe import StatusPipe
+from hpid_ros.nodes.steady_timer import steady_timer
 from hpid_ros.nodes.trajectories import to_message
 from hpid_ros.planning import planned_reference
 from hpid_ros.resources import find_resource
@@ -88,7 +89,7 @@ class TrajectoryPublisher(executor.ClosingNode):
         self._publisher.publish(to_message(self._trajectory.started(self._start_ns)))
         self._status.send("under way", start_ns=self._start_ns)
         # Not from its own callback; whoever paces the robot shall not feed one listener more.
-        self._leaving = self.create_timer(0.0, self._leave_states)
+        self._leaving = steady_timer(self, 0.0, self._leave_states)
 
     def _leave_states(self) -> None:
         self._leaving.cancel()

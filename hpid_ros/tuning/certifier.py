@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import subprocess
@@ -10,6 +11,8 @@ from collections.abc import Hashable
 from typing import NamedTuple
 
 from hpid_ros.control import LoopSettings
+
+_REMEMBERED = 1000  # loops, the oldest are forgotten
 
 
 class Finding(NamedTuple):
@@ -27,7 +30,8 @@ class Finding(NamedTuple):
 class Certifier:
     """Certifies settings in a child process of least priority, one after the other.
 
-    What does not depend on the degree is remembered: a new degree is judged at once.
+    What does not depend on the degree is remembered: a new degree is judged at once. A
+    computation that cannot be begun or has been killed is a finding like another: it never raises.
     """
 
     def __init__(self) -> None:
@@ -94,19 +98,24 @@ class Certifier:
 
     def _begin(self, settings: LoopSettings) -> None:
         environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
-        self._child = subprocess.Popen(
-            # nice from outside: its imports, too, come after the loop.
-            ["nice", "-n", "19", sys.executable, "-m", "hpid_ros.tuning.certify"],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-            text=True,
-            env=environment,
-        )
-        assert self._child.stdin is not None
-        json.dump(settings.to_parameters(), self._child.stdin)
-        self._child.stdin.close()
+        try:
+            self._child = subprocess.Popen(
+                # nice from outside: its imports, too, come after the loop.
+                ["nice", "-n", "19", sys.executable, "-m", "hpid_ros.tuning.certify"],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.DEVNULL,
+                text=True,
+                env=environment,
+            )
+        except OSError as error:  # no memory, no more processes
+            self._learn(_key(settings), f"the computation could not begin: {error.strerror}")
+            return
         self._child_of = _key(settings)
+        assert self._child.stdin is not None
+        # Its end tells of a child that died before it could read.
+        with contextlib.suppress(BrokenPipeError), self._child.stdin as stdin:
+            json.dump(settings.to_parameters(), stdin)
 
     def _collect(self) -> None:
         child, self._child = self._child, None
@@ -114,12 +123,20 @@ class Certifier:
         assert child.stdout is not None
         text = child.stdout.read()
         child.stdout.close()
-        answer = json.loads(text) if text else {"reason": "the computation failed"}
+        try:
+            answer = json.loads(text)
+        except json.JSONDecodeError:  # it was killed
+            answer = {"reason": "the computation failed"}
         if "reason" in answer:
-            self._known[self._child_of] = str(answer["reason"])
+            self._learn(self._child_of, str(answer["reason"]))
         else:
-            self._known[self._child_of] = float(answer["lower"]), float(answer["upper"])
+            self._learn(self._child_of, (float(answer["lower"]), float(answer["upper"])))
         self._child_of = None
+
+    def _learn(self, key: Hashable, known: tuple[float, float] | str) -> None:
+        self._known[key] = known
+        if len(self._known) > _REMEMBERED:
+            del self._known[next(iter(self._known))]
 
 
 def _key(settings: LoopSettings) -> Hashable:

@@ -1,0 +1,18 @@
+"""What the nodes ask of the middleware beyond their qualities of service."""
+
+from __future__ import annotations
+
+import os
+
+from hpid_ros.names import PROFILE_FILES
+from hpid_ros.resources import find_resource
+
+
+def load_profile() -> None:
+    """Let Fast DDS load ``config/fastdds_nodes.xml``, unless a file of profiles is named already.
+
+    To be called before the middleware is. Other middlewares know nothing of it.
+    """
+    if not any(os.environ.get(name) for name in PROFILE_FILES):
+        profile = str(find_resource("config/fastdds_nodes.xml"))
+        os.environ.update(dict.fromkeys(PROFILE_FILES, profile))

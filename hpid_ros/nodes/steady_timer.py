@@ -1,0 +1,30 @@
+"""Timers that no change of the system's clock, and no simulated one, stops or hurries."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from rclpy.timer import Timer
+
+
+def steady_timer(node: Node, period: float, callback: Callable[[], object]) -> Timer:
+    """Return a running timer on the steady clock.
+
+    A node's own timers follow its ROS clock: they wait when somebody sets the time back, and
+    with ``use_sim_time`` while the simulation stands still.
+
+    Args:
+        node: The node.
+        period: In [s].
+        callback: Called when it has passed, again and again.
+    """
+    return node.create_timer(period, callback, clock=_steady_clock())
+
+
+@cache
+def _steady_clock() -> Clock:
+    """Return the one of this process: the executor has a thread for each clock."""
+    return Clock(clock_type=ClockType.STEADY_TIME)
