@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from benchmarks.disturbed_graph import SETTLE, DisturbedGraph, Fault
 from benchmarks.surroundings import own_surroundings
 from benchmarks.tracking import tracking
-from hpid_ros.analysis import RunSeries
+from hpid_ros.analysis import JointSeries, RunSeries
 from hpid_ros.bags import read_run
 from hpid_ros.errors import RunError, SettingError
 from hpid_ros.experiment.description import Experiment, load_experiment
@@ -26,7 +26,9 @@ LABEL = "hPID"
 ANSWER_TIMEOUT = 2.0  # [s] of wall time
 OTHERS_AT_MOST = 0.05  # [rad] that another joint may leave its undisturbed path
 SETTLED_WITHIN = 0.02  # [rad] from the undisturbed path, SETTLE seconds after the fault
+TAKEOVER_AT_MOST = 0.5  # [N m] of a first command, beyond its damping
 _SAME_PERIODS_UP_TO = 600.0  # [s] of motion
+_LATELY = 20  # states, over which a velocity is taken
 _LAST_FAULT = 8.0  # [s] before the end
 _NS = 1e9
 
@@ -45,7 +47,8 @@ class Episode:
             [rad].
         unsettled: Largest such distance of a disturbed joint, ``SETTLE`` after its return, in
             [rad].
-        takeover: Largest effort of a first command after a fault as a share of the limit.
+        takeover: Largest first effort of a restarted controller, beyond what damps twice the
+            joint's velocity, in [N m].
         longest_cycle: Longest wall time between two states, in [s].
     """
 
@@ -65,6 +68,7 @@ class Episode:
             (self.is_equal_before, "the run differs before its first fault"),
             (self.others <= OTHERS_AT_MOST, f"another joint moved {self.others:.3f} rad"),
             (self.unsettled <= SETTLED_WITHIN, f"{self.unsettled:.3f} rad off after a fault"),
+            (self.takeover <= TAKEOVER_AT_MOST, f"a takeover jumped by {self.takeover:.2f} N m"),
             (self.longest_cycle <= ANSWER_TIMEOUT, f"{self.longest_cycle:.3f} s without a state"),
         )
         return [line for is_kept, line in rules if not is_kept]
@@ -139,11 +143,18 @@ def run_episode(experiment: Experiment, calm: RunSeries, folder: Path, seed: int
         group.stop([graph.nodes.recorder], patience=30.0)
         group.stop()
     run = read_run(folder / "bag", "disturbed")
-    return _episode(graph, finished["states"], finished["timing"]["cycle"]["maximum"], calm, run)
+    dampings = {loop.joint: loop.gains.d for loop in experiment.controllers[LABEL]}
+    longest = finished["timing"]["cycle"]["maximum"]
+    return _episode(graph, finished["states"], longest, calm, run, dampings)
 
 
 def _episode(
-    graph: DisturbedGraph, states: int, longest: float, calm: RunSeries, run: RunSeries
+    graph: DisturbedGraph,
+    states: int,
+    longest: float,
+    calm: RunSeries,
+    run: RunSeries,
+    dampings: Mapping[str, float],
 ) -> Episode:
     stamps = run.joints[0].state_stamps_ns
     if not np.array_equal(stamps, calm.joints[0].state_stamps_ns):
@@ -154,7 +165,7 @@ def _episode(
     }
     begins = [fault.begin_ns for fault in graph.faults]
     calm_until = stamps <= min(begins, default=int(stamps[-1]))
-    efforts = {joint.joint: (joint.command_stamps_ns, joint.effort) for joint in run.joints}
+    series = {joint.joint: joint for joint in run.joints}
     return Episode(
         faults=graph.faults,
         states=states,
@@ -166,7 +177,11 @@ def _episode(
         ),
         unsettled=max((_unsettled(fault, away, stamps) for fault in graph.faults), default=0.0),
         takeover=max(
-            (_takeover(fault, *efforts[fault.joint]) for fault in graph.faults), default=0
+            (
+                _takeover(fault, series[fault.joint], dampings[fault.joint])
+                for fault in graph.faults
+            ),
+            default=0.0,
         ),
         longest_cycle=longest * 1e-6,
     )
@@ -211,9 +226,15 @@ def _unsettled(
     return float(away[fault.joint][settled]) if settled < len(stamps) else 0.0
 
 
-def _takeover(fault: Fault, stamps: NDArray[np.int64], efforts: NDArray[np.float64]) -> float:
-    """Return the first effort after a silence, in [N m]."""
-    if fault.silent_ns is None:
+def _takeover(fault: Fault, series: JointSeries, damping: float) -> float:
+    """Return the first effort of a restarted controller beyond its damping, in [N m]."""
+    if fault.silent_ns is None or fault.kind == "freeze":
         return 0.0
-    index = int(np.searchsorted(stamps, fault.silent_ns))
-    return float(abs(efforts[index])) if index < len(efforts) else 0.0
+    index = int(np.searchsorted(series.command_stamps_ns, fault.silent_ns))
+    if index == len(series.effort):
+        return 0.0
+    at = int(np.searchsorted(series.state_stamps_ns, series.command_stamps_ns[index]))
+    lately = slice(max(0, at - _LATELY), at + 1)
+    seconds = np.ptp(series.state_stamps_ns[lately]) / _NS
+    speed = np.ptp(series.position[lately]) / seconds if seconds else 0.0
+    return max(0.0, float(abs(series.effort[index]) - 2.0 * damping * speed))

@@ -18,6 +18,7 @@ from hpid_ros.control import LOOP_PARAMETERS, JointLoop, LoopSettings
 from hpid_ros.experiment.isolation import network_sockets
 from hpid_ros.nodes.qos import LATCHED, RARE
 from hpid_ros.nodes.trajectories import to_message
+from hpid_ros.robot.description import RobotDescription
 from hpid_ros.trajectory import minimum_jerk
 
 MS = 1_000_000
@@ -95,6 +96,30 @@ def test_the_robots_effort_limit_holds_whatever_the_clamps_say(harness):
     assert harness.ask(2 * MS, -5.0, joint=joint) == 2.5
     assert harness.set_parameters("elbow_controller", u_clamp_max=99.0)[0]
     assert harness.ask(3 * MS, -5.0, joint=joint) == 4.0
+
+
+@pytest.mark.parametrize(
+    ("position", "velocity", "limit"),
+    [(2.88, 1.0, "position_max"), (-2.88, -1.0, "position_min"), (0.0, 4.5, "velocity_max")],
+)
+def test_the_robots_stops_and_velocity_limit_hold(harness, position, velocity, limit):
+    """Those of the description, as if they were parameters."""
+    joint = "arm_joint_6"
+    settings = {"joint": joint, "law": "pid", "gains__p": 0.1, "gains__d": 0.1}
+    settings |= {"soft_stop__k_position": 10.0, "soft_stop__k_velocity": 3.0}
+    urdf = "urdf/mobile_manipulator.urdf"
+    harness.start_controller(robot_description=urdf, **settings)
+    robot = RobotDescription.load(urdf).joints[joint]
+    limits = {"position_max": robot.upper, "position_min": robot.lower}
+    limits |= {"velocity_max": robot.velocity, "u_clamp_max": robot.effort}
+    within = pure_loop(**settings, **limits, u_clamp_min=-robot.effort)
+    del limits[limit]
+    beyond = pure_loop(**settings, **limits, u_clamp_min=-robot.effort)
+    for k in range(3):
+        sample = (k * MS, position + k * 1e-3 * velocity, velocity)
+        effort = harness.ask(*sample, joint=joint)
+        assert effort == within.step(*sample)
+        assert abs(effort) > abs(beyond.step(*sample)) + 0.5  # it brakes
 
 
 def test_trajectory_and_setpoint_reach_the_loop(harness):
