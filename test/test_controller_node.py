@@ -142,6 +142,15 @@ def test_trajectory_and_setpoint_reach_the_loop(harness):
     harness.wait(holds, what="the loop to hold the setpoint")
 
 
+@pytest.fixture
+def heeds_hangups():
+    """Let children be started as from a terminal, though this process may ignore SIGHUP."""
+    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    yield
+    signal.signal(signal.SIGHUP, before)
+
+
+@pytest.mark.usefixtures("heeds_hangups")
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
 def test_the_last_command_is_zero_and_the_exit_code_too(harness, number):
     node = harness.start_controller(law="pid", **GAINS)
