@@ -2,6 +2,8 @@
 
 import itertools
 import signal
+import subprocess
+import sys
 
 import pytest
 from controller_health import NAME, TRANSITIONS, change, state
@@ -119,3 +121,43 @@ def test_what_the_joint_did_while_the_controller_was_inactive_is_no_error(harnes
     assert change(harness, "activate")
     harness.wait(lambda: harness.states.get_subscription_count() > 0, what="it to listen")
     assert harness.ask(stream.stamp_ns + 50 * MS, 0.4) == 0.0  # moved by hand, and held there
+
+
+TWO_NODES = """
+import sys
+from hpid_ros.nodes import executor
+
+class Told(executor.ClosingNode):
+    def __init__(self, name):
+        super().__init__(name)
+        self.create_timer(0.01, self.request_stop)
+
+    def leave_at_once(self):
+        print("left", self.get_name(), flush=True)
+        if self.get_name() == "first":
+            raise RuntimeError("the others leave their joints all the same")
+
+    def close(self):
+        print("closed", self.get_name(), flush=True)
+
+sys.exit(executor.run(lambda: [Told("first"), Told("second")]))
+"""
+
+
+@pytest.mark.usefixtures("harness")  # for its domain
+def test_all_joints_of_a_process_are_left_before_any_node_waits():
+    """A subscriber that acknowledges nothing to one of them must not delay the others."""
+    ended = subprocess.run(
+        [sys.executable, "-c", TWO_NODES],
+        capture_output=True,
+        text=True,
+        timeout=30.0,
+        check=False,
+    )
+    assert ended.stdout.split("\n")[:4] == [
+        "left first",
+        "left second",
+        "closed first",
+        "closed second",
+    ]
+    assert ended.returncode == 1
