@@ -5,12 +5,13 @@ shared memory alone, the closed mode, and there Fast DDS can lose its discovery 
 process is killed or frozen, all others open the common port anew, but keep their former places in
 the list by which a listener's death is noticed (``SharedMemManager::Listener::operator=`` does
 not move ``listener_index_``; so in 2.14.5 and in all later versions seen). Dead listeners then
-stay unnoticed, the port fills up, and who comes later is heard by nobody. docs/faults.md tells
-more.
+stay unnoticed, the port fills up, and a process that is started later is found by nobody.
+docs/faults.md tells more.
 """
 
 from __future__ import annotations
 
+import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -21,7 +22,7 @@ from pathlib import Path
 from benchmarks.processes import ROOT
 from hpid_ros.experiment.isolation import closed_environment, own_domain
 
-_OPTIONS = ((), ("--user", "--map-current-user"))  # of root, and of everybody else
+_OPTIONS = ((), ("--user", "--map-current-user", "--keep-caps"))  # of root, and of all others
 
 
 @dataclass(frozen=True)
@@ -65,6 +66,8 @@ def own_surroundings() -> Iterator[Surroundings]:
 
 def _new_network() -> subprocess.Popen[bytes] | None:
     """Return a process in a network namespace of its own, with a loopback; None if not allowed."""
+    if not all(shutil.which(tool) for tool in ("unshare", "nsenter", "setpriv")):
+        return None
     for options in _OPTIONS:
         holder = subprocess.Popen(
             [

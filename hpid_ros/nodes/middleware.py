@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 
 from hpid_ros.names import PROFILE_FILES
-from hpid_ros.resources import find_resource
+from hpid_ros.resources import ResourceError, find_resource
 
 
 def load_profile() -> None:
     """Let Fast DDS load ``config/fastdds_nodes.xml``, unless a file of profiles is named already.
 
-    To be called before the middleware is. Other middlewares know nothing of it.
+    To be called before the middleware is. Other middlewares know nothing of it. Without it all
+    works, and acknowledgements take longer: a package that lacks the file is no reason to end.
     """
-    if not any(os.environ.get(name) for name in PROFILE_FILES):
+    if any(os.environ.get(name) for name in PROFILE_FILES):
+        return
+    with contextlib.suppress(ResourceError):
         profile = str(find_resource("config/fastdds_nodes.xml"))
         os.environ.update(dict.fromkeys(PROFILE_FILES, profile))
