@@ -97,7 +97,10 @@ def nodes(context):
             Node(
                 package="hpid_ros",
                 executable="joint_controllers",
-                ros_arguments=["--params-file", controllers, "-p", "wait_for_reference:=true"],
+                ros_arguments=[
+                    *("--params-file", controllers),
+                    *("-p", "wait_for_reference:=true", "-p", "state_clock:=simulated"),
+                ],
             )
         )
     else:
@@ -106,7 +109,10 @@ def nodes(context):
                 package="hpid_ros",
                 executable="joint_controller",
                 name=controller_name(joint),
-                parameters=[controllers, {"wait_for_reference": True}],
+                parameters=[
+                    controllers,
+                    {"wait_for_reference": True, "state_clock": "simulated"},
+                ],
             )
             for joint in experiment.world.joints
         ]

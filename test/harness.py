@@ -62,7 +62,11 @@ class Harness:
             assert time.monotonic() < deadline, f"waited {within} s in vain for {what}"
 
     def start_controller(self, name="elbow_controller", joint="elbow", **parameters):
-        """Start a controller and wait until it listens to the states."""
+        """Start a controller and wait until it listens to the states.
+
+        Its clock is that of the test, which stands still while the test does something else.
+        """
+        parameters.setdefault("state_clock", "simulated")
         process = self.processes.start(
             name, "joint_controller", ros_arguments(joint=joint, **parameters)
         )

@@ -88,6 +88,7 @@ def test_the_robots_effort_limit_holds_whatever_the_clamps_say(harness):
         law="pid",
         robot_description="urdf/mobile_manipulator.urdf",
         compensation="none",
+        position_step_max=1e6,
         **GAINS,
     )
     harness.ask(0, 0.0, joint=joint)

@@ -146,3 +146,145 @@ class AnyOrder(RuleBasedStateMachine):
 
 AnyOrder.TestCase.settings = effort_of(max_examples=60, stateful_step_count=40, deadline=None)
 TestAnyOrder = AnyOrder.TestCase
+
+
+LAW = {
+    "joint": "elbow",
+    "gains.p": 100.0,
+    "gains.i": 50.0,
+    "gains.d": 5.0,
+    "encoder_wrap": math.tau,
+}
+LAW["velocity_max"] = 20.0
+FASTEST, HARDEST = 1.0, 10.0  # [rad/s, rad/s^2], of the joint and of what it follows
+FALLBACK = 0.5
+BESIDE_THE_LAW = {
+    "velocity_source": st.sampled_from(["measured", "filtered", "homogeneous_differentiator"]),
+    "velocity_filter_time_constant": st.floats(0.001, 0.02),
+    "acceleration_bound": st.floats(20.0, 200.0),
+    "state_timeout": st.floats(0.02, 0.3),
+    "takeover_time": st.floats(0.3, 1.0),
+    "position_step_max": st.floats(0.0, 0.5),
+    "velocity_max": st.floats(5.0, 50.0),
+    "tracking_time_constant": st.floats(0.0, 1.0),
+}
+
+
+class NothingKicks(RuleBasedStateMachine):
+    """A joint that moves smoothly is driven smoothly, whatever its driver and its user do.
+
+    Between two samples the effort moves by what error and rate do; by more only to and from
+    ``fallback_effort``, and at a takeover by the derivative term. An estimate of the velocity
+    that begins anew comes in with its filter, which is what the 3 N m at first are for.
+    """
+
+    def __init__(self):
+        super().__init__()
+        self.values = {**LAW, "law": "pid", "fallback_effort": FALLBACK}
+        self.loop = JointLoop(LoopSettings.from_parameters(self.values))
+        self.stamp_ns = 10**9
+        self.position = self.velocity = 0.0
+        self.in_force = 0.0  # what the joint has
+        self.taken_over_ns = self.stamp_ns
+
+    def _move(self, seconds, acceleration=0.0):
+        self.velocity = min(max(self.velocity + acceleration * seconds, -FASTEST), FASTEST)
+        self.position += self.velocity * seconds
+        self.stamp_ns += round(seconds * 1e9)
+
+    def _wrapped(self):
+        return (self.position + math.pi) % math.tau - math.pi
+
+    def _sample(self, is_back=False):
+        takeovers, samples = self.loop.counts.takeovers, self.loop.counts.samples
+        before = self.loop.reference
+        effort = self.loop.step(self.stamp_ns, self._wrapped(), self.velocity)
+        assert self.loop.counts.samples == samples + 1
+        rate = abs(self.loop.reference[1] - self.loop.velocity)
+        if self.loop.counts.takeovers > takeovers:
+            assert abs(effort - self.in_force) <= 5.0 * rate + 1e-6
+            self.taken_over_ns = self.stamp_ns
+        elif not is_back:
+            is_new = self.stamp_ns - self.taken_over_ns < 200 * MS
+            moved = [abs(a - b) for a, b in zip(self.loop.reference, before, strict=True)]
+            allowed = (3.0 if is_new else 0.5) + 100.0 * moved[0] + 5.0 * moved[1]
+            assert abs(effort - self.in_force) <= allowed
+        self.in_force = effort
+
+    @rule(samples=st.integers(1, 60), acceleration=st.floats(-HARDEST, HARDEST))
+    def samples(self, samples, acceleration):
+        for _ in range(samples):
+            self._move(1e-3, acceleration)
+            self._sample()
+
+    @rule(seconds=st.floats(0.0, 1.0), is_noticed=st.booleans(), counts=st.booleans())
+    def freeze(self, seconds, is_noticed, counts):
+        stamp_ns = self.stamp_ns
+        self._move(seconds)
+        if is_noticed:
+            self.in_force = self.loop.lapse()
+            assert self.in_force == FALLBACK
+            if counts:  # stamps that count samples do not tell
+                self.stamp_ns = stamp_ns
+        self.stamp_ns += MS
+        # Within the timeout the loop goes on, and its reference has moved meanwhile.
+        self._sample(is_back=seconds < self.values.get("state_timeout", 0.1))
+
+    @rule(times=st.integers(1, 400))
+    def unusable(self, times):
+        for _ in range(times):
+            self._move(1e-3)
+            self.in_force = self.loop.step(self.stamp_ns, math.nan)
+            assert self.in_force == FALLBACK
+        self._move(1e-3)
+        self._sample(is_back=True)
+
+    @rule()
+    def repeat(self):
+        if self.loop.stamp_ns is not None:
+            assert self.loop.step(self.loop.stamp_ns, 3.0, 0.0) == self.in_force
+
+    @rule()
+    def repeat_in_a_silence(self):
+        if self.loop.stamp_ns is not None:
+            self.in_force = self.loop.lapse()
+            assert self.loop.step(self.loop.stamp_ns, 3.0, 0.0) == FALLBACK
+
+    @rule(jump=st.floats(1.0, 2.0) | st.floats(-2.0, -1.0))
+    def glitch(self, jump):
+        self._move(1e-3)
+        if self.loop.stamp_ns is None or self.loop.is_on_fallback:
+            return
+        effort = self.loop.step(self.stamp_ns, self._wrapped() + jump, self.velocity)
+        assert effort == self.in_force
+        self._move(1e-3)
+        self._sample()
+
+    @rule(jump=st.floats(1.0, 2.0) | st.floats(-2.0, -1.0))
+    def elsewhere(self, jump):
+        """The encoder was set to another zero, say."""
+        self.position += jump
+        self._move(1e-3)
+        if self.loop.stamp_ns is None or self.loop.is_on_fallback:
+            self._sample()
+            return
+        assert self.loop.step(self.stamp_ns, self._wrapped(), self.velocity) == self.in_force
+        self._move(1e-3)
+        self._sample()
+
+    @rule(distance=st.floats(-1.0, 1.0))
+    def follow_smoothly(self, distance):
+        """From where the reference stands, with no more than one rad/s."""
+        start_ns = self.stamp_ns + 500 * MS
+        here = self.loop.reference[0]
+        knots = (Knot(0, here, 0.0, 0.0), Knot(4 * 10**9, here + distance, 0.0, 0.0))
+        self.loop.follow(Column("elbow", knots, start_ns))
+
+    @rule(data=st.data(), name=st.sampled_from(sorted(BESIDE_THE_LAW)))
+    def retune(self, data, name):
+        self.values[name] = data.draw(BESIDE_THE_LAW[name])
+        self.loop.retune(LoopSettings.from_parameters(self.values))
+
+
+NothingKicks.TestCase.settings = effort_of(max_examples=60, stateful_step_count=30, deadline=None)
+TestNothingKicks = NothingKicks.TestCase

@@ -69,14 +69,14 @@ def test_a_clock_that_goes_back_resets_loop_and_motion():
     assert loop.counts.resets == 1
 
 
-def test_a_gap_restarts_the_derivative_and_keeps_the_integral():
+def test_a_gap_restarts_the_derivative_and_leaves_the_effort_as_it_is():
     loop = JointLoop(settings(velocity_source="filtered", velocity_filter_time_constant=0.0))
     for k in range(3):
         loop.step(k * MS, 0.001 * k)
-    integral, rate = loop.integral, loop.velocity
+    effort, rate = loop.effort, loop.velocity
     assert rate == pytest.approx(1.0)
-    loop.step(3 * SECOND, 0.5)
-    assert (loop.velocity, loop.integral, loop.counts.gaps) == (0.0, integral, 1)
+    assert loop.step(3 * SECOND, 0.5) == pytest.approx(effort)
+    assert (loop.velocity, loop.counts.gaps, loop.counts.takeovers) == (0.0, 1, 1)
     loop.step(3 * SECOND + MS, 0.501)
     assert loop.velocity == pytest.approx(1.0)
 

@@ -55,7 +55,7 @@ def test_after_a_silence_the_loop_takes_over_from_where_the_joint_fell_without_a
 
 
 def test_a_pause_of_the_control_clock_leaves_no_trace():
-    loop, twin = JointLoop(settings()), JointLoop(settings())
+    loop, twin = (JointLoop(settings(state_clock="simulated")) for _ in range(2))
     for each in (loop, twin):
         each.follow(RAMP)
     for k in range(1000, 1500):
@@ -64,6 +64,186 @@ def test_a_pause_of_the_control_clock_leaves_no_trace():
             assert loop.lapse() == 0.0
             assert loop.step(k * MS, 0.1, 0.0) == twin.effort  # asked again: the same answer
     assert loop.counts.takeovers == 0
+
+
+@pytest.mark.parametrize("motion", [None, Setpoint(1.0), RAMP])
+def test_a_freeze_that_nobody_noticed_is_a_takeover_too(motion):
+    """SIGSTOP stops the watchdog with the loop: only the stamps tell."""
+    loop = JointLoop(settings(law="hpid", mu=-0.2))
+    if motion:
+        loop.follow(motion)
+    for k in range(1000, 1500):
+        before = loop.step(k * MS, 0.1 + 1e-4 * (k - 1000), 0.1)
+    effort = loop.step(3000 * MS, 0.15, 0.0)
+    assert effort == pytest.approx(before)
+    assert (loop.counts.takeovers, loop.counts.gaps, loop.counts.silences) == (1, 1, 0)
+    efforts = [effort, *(loop.step((3000 + k) * MS, 0.15, 0.0) for k in range(1, 400))]
+    assert np.max(np.abs(np.diff(efforts))) < 3.0
+
+
+@pytest.mark.parametrize("clock", ["wall", "simulated"])
+def test_only_a_simulated_clock_can_be_paused(clock):
+    """Stamps that count samples do not tell that the joint hung free meanwhile."""
+    loop = JointLoop(settings(state_clock=clock, fallback_effort=1.0))
+    loop.follow(Setpoint(1.0))
+    before = run(loop, 0, 200, 0.2)
+    assert loop.lapse() == 1.0
+    assert loop.step(199 * MS, 0.2, 0.0) == (1.0 if clock == "wall" else before)
+    effort = loop.step(200 * MS, 0.2, 0.0)
+    if clock == "wall":
+        assert effort == pytest.approx(1.0)
+        assert loop.counts.takeovers == 1
+    else:
+        assert effort == pytest.approx(before, abs=0.1)
+        assert loop.counts.takeovers == 0
+
+
+def test_a_repeat_is_held_to_the_limits_of_now():
+    loop = JointLoop(settings())
+    loop.follow(Setpoint(1.0))
+    assert run(loop, 0, 200, 0.2) > 80.0
+    loop.retune(settings(u_clamp_max=5.0))
+    assert loop.step(199 * MS, 0.2, 0.0) == 5.0
+    loop.retune(settings(u_clamp_max=5.0, velocity_max=1.0))
+    loop.step(200 * MS, 0.2, 0.9)
+    loop.retune(settings(u_clamp_max=5.0, velocity_max=0.5))
+    assert loop.step(200 * MS, 0.2, 0.9) == pytest.approx(-20.0 * 0.4)  # it brakes
+    loop.lapse()
+    loop.retune(settings(fallback_effort=2.0))
+    assert loop.step(200 * MS, 0.2, 0.9) == 2.0
+
+
+def test_a_timeout_cannot_be_so_long_that_nobody_is_watched_or_so_short_that_all_is_a_gap():
+    with pytest.raises(SettingError, match=r"state_timeout must lie in \[1e-06, 1\], not 1000"):
+        LoopSettings.from_parameters({"joint": "j", "state_timeout": 1000.0})
+    with pytest.raises(SettingError, match=r"state_timeout = 0.1 s must be at least 1.5 times"):
+        LoopSettings.from_parameters({"joint": "j", "control_period": 0.2})
+
+
+def test_a_single_position_that_no_joint_can_have_come_to_is_passed_over():
+    values = {"velocity_source": "filtered", "velocity_max": 5.0}
+    loop, twin = (JointLoop(settings(**values)) for _ in range(2))
+    for each in (loop, twin):
+        each.follow(Setpoint(0.5))
+    before = 0.0
+    for k in range(300):
+        position = 0.2 + 1e-4 * k
+        effort = twin.step(k * MS, position)
+        if k == 200:
+            assert loop.step(k * MS, position + 1.0) == before  # the effort stays
+            assert loop.counts.jumps == 1
+            assert "jumped by 1" in loop.last_fault
+        else:
+            before = loop.step(k * MS, position)
+            assert before == pytest.approx(effort, abs=1e-3 if k < 200 else 0.1)
+    assert loop.counts.takeovers == 0
+
+
+def test_a_joint_that_is_elsewhere_for_good_is_taken_over_from_there():
+    loop = JointLoop(settings(velocity_source="filtered", velocity_max=5.0))
+    loop.follow(Setpoint(0.5))
+    before = run(loop, 0, 200, 0.2)
+    efforts = [loop.step((200 + k) * MS, 1.2) for k in range(300)]
+    assert efforts[:2] == pytest.approx([before, before])
+    assert (loop.counts.jumps, loop.counts.takeovers) == (1, 1)
+    assert np.max(np.abs(np.diff(efforts))) < 2.5
+    run(loop, 500, 800, 1.2)
+    assert loop.reference == (0.5, 0.0)
+
+
+def test_positions_that_jump_about_are_no_positions():
+    loop = JointLoop(settings(fallback_effort=0.5, velocity_max=5.0))
+    loop.follow(Setpoint(0.5))
+    before = run(loop, 0, 200, 0.2)
+    efforts = [loop.step((200 + k) * MS, (-1.0) ** k * (2.0 + k), 0.0) for k in range(50)]
+    assert efforts[0] == before
+    assert set(efforts[1:]) == {0.5}
+    assert loop.state is LoopState.FAULT
+    assert loop.step(260 * MS, 0.2, 0.0) == pytest.approx(before, abs=0.2)  # it was short
+
+
+def test_the_largest_step_is_that_of_the_velocity_limit_or_is_none():
+    for changes, step, jumps in (
+        ({"velocity_max": 2.0}, 0.12, 1),
+        ({"velocity_max": 2.0}, 0.10, 0),
+        ({}, 3.2, 1),
+        ({}, 3.1, 0),
+        ({"position_step_max": 0.3}, 0.35, 1),
+        ({"position_step_max": 0.3, "velocity_max": 20.0}, 0.35, 0),
+        ({"position_step_max": 1e6}, 50.0, 0),
+    ):
+        loop = JointLoop(settings(**changes))
+        run(loop, 0, 10, 0.0)
+        loop.step(10 * MS, step, 0.0)
+        assert loop.counts.jumps == jumps, (changes, step)
+
+
+@pytest.mark.parametrize("source", ["filtered", "homogeneous_differentiator"])
+def test_a_damping_stop_needs_no_velocities_where_the_loop_needs_none(source):
+    efforts = []
+    for velocity in (None, math.nan):
+        loop = JointLoop(settings(velocity_source=source))
+        for k in range(200):
+            loop.step(k * MS, 1e-3 * k, velocity)
+        stop = loop.damping_stop(0.2)
+        efforts.append([stop.step((200 + k) * MS, 0.2 + 1e-3 * k, velocity) for k in range(100)])
+    assert efforts[0] == efforts[1]
+    assert max(efforts[0]) < -5.0
+
+
+MOVING = {
+    **{"law": "hpid", "mu": -0.1, "gains.p": 100.0, "gains.i": 50.0, "gains.d": 20.0},
+    **{"u_clamp_max": 60.0, "u_clamp_min": -60.0, "inertia": 1.0},
+}
+OTHERS = {
+    **{"law": "pid", "norm.type": "canonical", "velocity_source": "filtered"},
+    **{"antiwindup_strategy": "back_calculation", "discretization": "semi_implicit"},
+    **{"state_clock": "simulated", "angle_wraparound": True},
+    **{"mu": 0.1, "gains.p": 120.0, "gains.i": 60.0, "gains.d": 22.0, "norm.floor": 0.5},
+    **{"norm.cap": 1.0, "norm.error_scale": 0.5, "norm.rate_weight": 0.2, "u_clamp_max": 20.0},
+    **{"u_clamp_min": -20.0, "i_clamp_max": 2.0, "i_clamp_min": -2.0, "encoder_wrap": 6.3},
+    **{"velocity_filter_time_constant": 0.006, "acceleration_bound": 60.0, "inertia": 1.5},
+    **{"tracking_time_constant": 0.3, "position_step_max": 0.2, "effort_rate_max": 1e4},
+    **{"position_max": 9.0, "position_min": -9.0, "velocity_max": 4.0, "soft_stop.margin": 0.1},
+    **{"soft_stop.k_position": 5.0, "soft_stop.k_velocity": 5.0, "takeover_time": 1.0},
+    **{"fallback_effort": 1.0, "state_timeout": 0.2, "control_period": 0.002},
+    **{"encoder_resolution": 1e-3},
+}
+
+
+@pytest.mark.parametrize("source", ["measured", "filtered", "homogeneous_differentiator"])
+@pytest.mark.parametrize("name", [name for name in LOOP_PARAMETERS if name != "joint"])
+def test_every_parameter_is_retuned_in_motion_without_a_kick(name, source):
+    """At 2 rad/s the effort moves by no more than the laws differ at the same error."""
+    values = {"joint": "j", **MOVING, "velocity_source": source}
+    if name == "acceleration_bound":
+        values["velocity_source"] = "homogeneous_differentiator"
+    start, end = Knot(0, 0.0, 2.0), Knot(4 * SECOND, 8.0, 2.0)
+    loops = [JointLoop(LoopSettings.from_parameters(values)) for _ in range(2)]
+    loop, twin = loops
+    for each in loops:
+        each.follow(Column("j", (start, end), stamp_ns=1))
+    wave = [2e-3 * k + 0.02 * math.sin(0.02 * k) for k in range(1100)]
+    hears = values["velocity_source"] == "measured"
+    for k, position in enumerate(wave):
+        if k == 1000:
+            changed = LoopSettings.from_parameters({**values, name: OTHERS[name]})
+            integral = loop.integral
+            law = changed.make_law()
+            law.restore_integral(min(max(integral, changed.i_clamp_min), changed.i_clamp_max))
+            loop.retune(changed)
+        speed = 2.0 + 0.4 * math.cos(0.02 * k) if hears else None
+        efforts = [each.step(k * MS, position, speed) for each in loops]
+        if k >= 1000:
+            own = law.update(loop.error, loop.reference[1] - loop.velocity, 1e-3)
+            difference = abs(min(max(own, changed.u_clamp_min), changed.u_clamp_max) - efforts[1])
+            assert abs(efforts[0] - efforts[1]) <= difference + 1e-9 + 0.02 * (k > 1000), k
+            # ... and estimates of the velocity differ by no more than their filters do.
+            assert abs(loop.velocity - twin.velocity) < 0.2
+            if k == 1000:
+                assert abs(loop.velocity - twin.velocity) * changed.gains.d < 1.0
+        else:
+            assert efforts[0] == efforts[1]
 
 
 def test_states_that_cannot_be_used_for_long_end_in_a_takeover_and_for_short_do_not():

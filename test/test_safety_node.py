@@ -4,6 +4,7 @@ import re
 import signal
 import subprocess
 import sys
+import time
 
 import pytest
 from controller_health import NAME, Told, call, change, state
@@ -169,7 +170,7 @@ def test_an_exception_in_a_callback_leaves_the_joint_without_effort(
 
 def test_a_controller_that_has_heard_no_state_warns(harness):
     """It may be deaf: to its operator it must not look well."""
-    harness.start_controller(law="pid", state_timeout=20.0, **GAINS)
+    harness.start_controller(law="pid", state_timeout=1.0, state_watchdog=False, **GAINS)
     told = Told(harness)
     harness.wait(lambda: told.says(message="waiting for the first state"), what="a report")
     assert told.newest()["level"] == DiagnosticStatus.WARN
@@ -205,7 +206,8 @@ def test_silence_gets_the_fallback_effort_is_told_and_ends_in_a_takeover(harness
 
 @pytest.mark.parametrize("stamp_ns", [MS, 0])
 def test_a_driver_that_repeats_its_last_state_is_silent(harness, faults, stamp_ns):
-    harness.start_controller(law="pid", state_timeout=0.2, fallback_effort=1.5, **GAINS)
+    options = {"state_timeout": 0.2, "fallback_effort": 1.5, "state_clock": "wall"}
+    harness.start_controller(law="pid", **options, **GAINS)
     told = Told(harness)
     harness.ask(0, 0.0)
     if stamp_ns:
@@ -253,6 +255,38 @@ def test_a_paused_clock_goes_on_as_if_nothing_had_been(harness):
     before = [harness.ask(k * MS, -0.5) for k in range(1, 5)]
     harness.wait(lambda: harness.commands[-1].stamp_ns == 4 * MS + 1, what="the fallback effort")
     assert harness.ask(5 * MS, -0.5) == pytest.approx(before[-1] + 4.0 * 0.5 * 1e-3)
+
+
+def test_on_the_wall_clock_silence_is_a_takeover_whatever_the_stamps_say(harness, faults):
+    """Stamps that count samples go on as if nothing had been; the joint has hung free."""
+    options = {"state_timeout": 0.05, "state_clock": "wall"}
+    harness.start_controller(law="pid", **options, **GAINS)
+    told = Told(harness)
+    harness.ask(0, 0.0)
+    harness.ask(MS, -0.5)
+    harness.wait(lambda: harness.commands[-1].stamp_ns == MS + 1, what="the fallback effort")
+    assert harness.ask(2 * MS, -0.9) == 0.0
+    harness.wait(lambda: int(told.newest().get("takeovers", 0)) > 0, what="it to be told")
+    faults.count("silences of the states")
+
+
+@pytest.mark.parametrize("is_watched", [True, False])
+def test_a_controller_that_was_stopped_starts_from_where_the_joint_is(harness, faults, is_watched):
+    """SIGSTOP and SIGCONT with a driver that goes on: nobody looked, the stamps tell."""
+    options = {"state_clock": "wall", "state_watchdog": is_watched}
+    process = harness.start_controller(law="pid", **options, **GAINS).process
+    harness.ask(0, 0.0)
+    before = harness.ask(MS, -0.5)
+    process.send_signal(signal.SIGSTOP)
+    try:
+        deadline = time.monotonic() + 0.3
+        harness.wait(lambda: time.monotonic() > deadline, what="the freeze")
+    finally:
+        process.send_signal(signal.SIGCONT)
+    effort = harness.ask(1500 * MS, -3.0)
+    assert effort in (pytest.approx(before), 0.0)  # of the loop, or of the watchdog: no jump
+    assert abs(harness.ask(1501 * MS, -3.0) - effort) < 0.1
+    faults.count("controllers frozen")
 
 
 def test_the_watchdog_can_be_switched_off(harness):

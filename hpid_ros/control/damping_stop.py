@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 from hpid_ros.control.motion_limits import MotionLimits
-from hpid_ros.control.motions import LARGEST_POSITION
+from hpid_ros.control.motions import LARGEST_POSITION, SECONDS_PER_NANOSECOND
 from hpid_ros.control.velocity import VelocitySource
-
-_SECONDS_PER_NANOSECOND = 1e-9
 
 
 class DampingStop:
@@ -15,6 +13,7 @@ class DampingStop:
     Args:
         damping: The loop's derivative gain in [N m s/rad].
         velocity: Its velocity source, with its past.
+        hears_velocity: Whether measured velocities are used.
         limits: Its limits of motion.
         clamp: Least and largest effort in [N m].
         effort: Its last effort in [N m].
@@ -26,6 +25,7 @@ class DampingStop:
         self,
         damping: float,
         velocity: VelocitySource,
+        hears_velocity: bool,
         limits: MotionLimits | None,
         clamp: tuple[float, float],
         effort: float,
@@ -33,6 +33,7 @@ class DampingStop:
         duration: float,
     ) -> None:
         self._damping, self._velocity, self._limits = damping, velocity, limits
+        self._hears_velocity = hears_velocity
         self._clamp = clamp
         self._effort = effort
         self._begin_ns = self._stamp_ns = stamp_ns
@@ -43,14 +44,16 @@ class DampingStop:
 
         A state that cannot be used, or that is not later than the last one, gets none.
         """
-        dt = (stamp_ns - self._stamp_ns) * _SECONDS_PER_NANOSECOND
+        if not self._hears_velocity:
+            velocity = None
+        dt = (stamp_ns - self._stamp_ns) * SECONDS_PER_NANOSECOND
         numbers = (position, 0.0 if velocity is None else velocity)
         if dt <= 0.0 or not all(-LARGEST_POSITION <= each <= LARGEST_POSITION for each in numbers):
             self._effort = 0.0
             return 0.0
         self._stamp_ns = stamp_ns
         rate = self._velocity.update(position, velocity, dt)
-        passed = (stamp_ns - self._begin_ns) * _SECONDS_PER_NANOSECOND / self._duration
+        passed = (stamp_ns - self._begin_ns) * SECONDS_PER_NANOSECOND / self._duration
         wanted = -self._damping * rate * max(0.0, 1.0 - passed)
         if self._limits is None:
             effort = min(max(wanted, self._clamp[0]), self._clamp[1])

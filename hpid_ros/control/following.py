@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from hpid_ros.control.motions import Glide, Motion, Reference, Setpoint
+from hpid_ros.control.motions import Glide, Motion, Reference, Setpoint, Turned
 
 
 class Following:
@@ -14,12 +14,18 @@ class Following:
         motion: What is followed; None while the joint is held where it was.
         position: The reference's position of the last sample in [rad].
         velocity: Its velocity in [rad/s].
+        turn: A motion that is taken up may be told as many turns away as bring it nearest to
+            the reference, in [rad]; 0 takes it as it is told.
     """
 
-    __slots__ = ("_glide_end_ns", "_pending", "_reference", "motion", "position", "velocity")
+    __slots__ = (
+        *("_glide_end_ns", "_pending", "_reference"),
+        *("motion", "position", "turn", "velocity"),
+    )
 
     def __init__(self) -> None:
         self.motion: Motion | None = None
+        self.turn = 0.0
         self.restart()
 
     @property
@@ -58,6 +64,7 @@ class Following:
         onto = self._onto()
         self.stand(position)
         if self.motion is not None and self._pending is None:
+            onto = _turned(onto, self._turns_to(onto.sample(stamp_ns)[0]))
             self._glide(onto, stamp_ns, position, 0.0, duration)
 
     def sample(self, stamp_ns: int, duration: float) -> Sequence[float]:
@@ -78,11 +85,16 @@ class Following:
         before = self._reference
         assert before is not None
         self._pending = None
-        onto = motion.start(stamp_ns, self.position, self.velocity)
+        offset = self._turns_to(motion.target(stamp_ns)) if self.turn else 0.0
+        onto = _turned(motion.start(stamp_ns, self.position - offset, self.velocity), offset)
         self._reference, self._glide_end_ns = onto, None
         if motion.is_under_way(stamp_ns):
             position, velocity = before.sample(stamp_ns)[:2]
             self._glide(onto, stamp_ns, position, velocity, duration)
+
+    def _turns_to(self, target: float) -> float:
+        """Return the whole turns from a target to the reference, in [rad]."""
+        return self.turn * round((self.position - target) / self.turn) if self.turn else 0.0
 
     def _onto(self) -> Reference:
         """Return the reference that is followed in the end."""
@@ -98,3 +110,12 @@ class Following:
         if duration > 0.0 and tuple(onto.sample(stamp_ns)[:2]) != (position, velocity):
             glide = Glide(onto, stamp_ns, position, velocity, duration)
             self._reference, self._glide_end_ns = glide, glide.end_ns
+
+
+def _turned(onto: Reference, offset: float) -> Reference:
+    """Return a reference so many rad further."""
+    if offset == 0.0:
+        return onto
+    if isinstance(onto, Turned):
+        return Turned(onto.onto, onto.offset + offset)
+    return Turned(onto, offset)

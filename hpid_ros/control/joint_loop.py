@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import math
+from copy import copy, deepcopy
+from typing import NamedTuple
+
 from hpid_ros.control.damping_stop import DampingStop
 from hpid_ros.control.following import Following
 from hpid_ros.control.limited_law import LimitedLaw
@@ -9,8 +13,15 @@ from hpid_ros.control.loop_clock import LoopClock
 from hpid_ros.control.loop_state import LoopCounts, LoopState
 from hpid_ros.control.loop_view import LoopView
 from hpid_ros.control.model_term import ModelTerm
-from hpid_ros.control.motions import LARGEST_POSITION, Motion, Reference, Setpoint
+from hpid_ros.control.motions import (
+    LARGEST_POSITION,
+    SECONDS_PER_NANOSECOND,
+    Motion,
+    Reference,
+    Setpoint,
+)
 from hpid_ros.control.settings import LoopSettings
+from hpid_ros.control.velocity import VelocitySource
 from hpid_ros.errors import SettingError
 
 __all__ = ["JointLoop", "LoopCounts", "LoopState", "Motion", "Reference", "Setpoint"]
@@ -20,14 +31,14 @@ class JointLoop(LoopView):
     """The control of one joint, without ROS, files or clocks.
 
     Time enters with the stamps of the states alone: equal stamps are a repeat, which gets the
-    last effort again; a stamp that goes back resets the loop; a time above ``state_timeout``
-    is a gap, over which the derivative restarts and the integral is kept. A single stamp from
-    the future, with one after it that continues those before, is such a gap and no more. Until
-    it is told otherwise, a loop holds the position of its first state.
+    effort in force again; a stamp that goes back resets the loop. Until it is told otherwise, a
+    loop holds the position of its first state.
 
-    Where the joint had no command of the loop for longer than ``state_timeout`` (:meth:`lapse`,
-    states that cannot be used), the loop takes over anew: it starts from where the joint is,
-    with the effort in force as its integral, and glides onto a motion that is under way.
+    Where the joint was without a command of the loop for longer than ``state_timeout`` (a gap
+    between the stamps, :meth:`lapse`, states that cannot be used), and where its position
+    jumped, the loop takes over anew: it starts from where the joint is, with the effort in force
+    as its integral, and glides onto a motion that is under way. A single stamp from the future,
+    with one after it that continues those before, leaves nothing behind.
 
     Args:
         settings: Checked settings.
@@ -41,9 +52,16 @@ class JointLoop(LoopView):
         self._following = Following()
         self._law = LimitedLaw(settings, self.counts)
         self._velocity = settings.make_velocity_source()
-        self._hears_velocity = settings.hears_velocity
+        self._unwrapper = settings.make_unwrapper()
         self._clock = LoopClock(self.counts)
+        self._adopt(settings)
         self.reset()
+
+    def _adopt(self, settings: LoopSettings) -> None:
+        """Take from settings what is looked at in each sample."""
+        self._hears_velocity = settings.hears_velocity
+        self._step_max, self._speed_max = settings.largest_step
+        self._following.turn = math.tau if settings.angle_wraparound else 0.0
 
     def follow(self, motion: Motion) -> None:
         """Follow a motion from the next sample on; a reset starts it anew.
@@ -73,20 +91,32 @@ class JointLoop(LoopView):
             )
         if settings.model != before.model:
             raise SettingError("compensation and its model cannot change while the loop runs")
-        if settings.differs_in_velocity(before):
+        is_new = self._clock.stamp_ns is None
+        if settings.velocity_parameters != before.velocity_parameters:
             self._velocity = settings.make_velocity_source()
-            self._hears_velocity = settings.hears_velocity
-        self._law.retune(settings, None if self.stamp_ns is None else self._position)
+            if not is_new:
+                self._velocity.take_over(self._position, self._rate)
+        if settings.encoder_wrap != before.encoder_wrap:
+            self._unwrapper = settings.make_unwrapper()
+        self._law.retune(settings, None if is_new else (self._position, self._rate))
         self.settings = settings
+        self._adopt(settings)
+        if self.is_on_fallback:
+            self._law.effort = settings.fallback
 
     def reset(self) -> None:
         """Forget integral, velocity and time; start the motion anew with the next state."""
         self._law.reset()
         self._velocity.reset()
+        if self._unwrapper is not None:
+            self._unwrapper.reset()
         self._following.restart()
         self._clock.restart()
         self._position = self._rate = self._error = 0.0
         self._state = LoopState.WAITING
+        self._is_takeover_due = False
+        self._before_jump: _BeforeJump | None = None
+        self._astray: tuple[int, float] | None = None
 
     def release(self) -> None:
         """Forget everything, the motion too: the next state is the first, and is held."""
@@ -96,16 +126,27 @@ class JointLoop(LoopView):
     def lapse(self) -> float:
         """Note that no state has come for too long, and return the effort to give until one does.
 
-        Only stamps tell whether time has passed for the joint, too: if the next state comes
-        within ``state_timeout`` of the last one by its stamp, the robot's clock stood still (a
-        simulation was paused) and the loop goes on as if nothing had been.
+        The next state is a takeover. Only where ``state_clock`` is ``simulated`` do the stamps
+        alone tell whether time has passed for the joint, too: if that state comes within
+        ``state_timeout`` of the last one by its stamp, the simulation was paused, and the loop
+        goes on as if nothing had been.
 
         Returns:
             ``fallback_effort``, within the effort limits, in [N m].
         """
         self._clock.has_lapsed = True
         self.counts.silences += 1
+        if not self.settings.is_simulated:
+            self._is_takeover_due = True
+            self._law.effort = self.settings.fallback
         return self.settings.fallback
+
+    @property
+    def is_on_fallback(self) -> bool:
+        """Whether the effort in force is ``fallback_effort``, for want of a usable state."""
+        if self._clock.has_lapsed:
+            return not self.settings.is_simulated
+        return self._state is LoopState.FAULT
 
     def damping_stop(self, duration: float) -> DampingStop:
         """Return what damps the joint from now on in this loop's place.
@@ -113,7 +154,8 @@ class JointLoop(LoopView):
         Args:
             duration: In [s], positive.
         """
-        return self._law.damping_stop(self._velocity, self.stamp_ns, duration)
+        velocity = self._velocity
+        return self._law.damping_stop(velocity, self._hears_velocity, self.stamp_ns, duration)
 
     def step(
         self,
@@ -135,8 +177,9 @@ class JointLoop(LoopView):
             The effort in [N m]: finite, within the limits, and the fallback when the state is
             not finite.
         """
-        clock, law = self._clock, self._law
-        if stamp_ns == clock.stamp_ns:
+        clock, law, settings = self._clock, self._law, self.settings
+        before_ns = clock.stamp_ns
+        if stamp_ns == before_ns or stamp_ns == clock.unusable_ns:
             self.counts.repeats += 1
             return law.effort
         if not self._hears_velocity:
@@ -146,70 +189,134 @@ class JointLoop(LoopView):
             and (velocity is None or -LARGEST_POSITION <= velocity <= LARGEST_POSITION)
         ):
             return self.reject(stamp_ns, f"position {position} rad, velocity {velocity} rad/s")
-        dt = clock.elapse(stamp_ns, self.settings)
-        if not 0.0 <= dt <= self.settings.state_timeout:
-            dt = self._interrupt(stamp_ns, dt)
+        if self._before_jump is not None:
+            before_ns = self._settle_jump(stamp_ns)
+        since = 0.0 if before_ns is None else (stamp_ns - before_ns) * SECONDS_PER_NANOSECOND
+        is_next = 0.0 < since <= settings.state_timeout
+        if not is_next:
+            self._interrupt(since)
+        if self._unwrapper is not None:
+            position = self._unwrapper.update(position)
+        allowed = self._step_max + self._speed_max * since
+        if is_next and abs(position - self._position) > allowed:
+            held = self._doubt(stamp_ns, position, since)
+            if held is not None:
+                return held
+        elapsed = dt = since if is_next else 0.0
+        if clock.unusable_ns is not None:
+            self._astray = None
+            elapsed = min(dt, settings.control_period)  # what was not seen is not integrated
         self._position = position
         following = self._following
         is_takeover = False
-        if clock.is_takeover_due or not following.is_standing:
+        if self._is_takeover_due or not following.is_standing:
             is_takeover = self._begin(stamp_ns, position)
-        wanted, rate, acceleration = following.sample(stamp_ns, self.settings.takeover_time)
+        wanted, rate, acceleration = following.sample(stamp_ns, settings.takeover_time)
         if law.limits is not None:
             inside, rate = law.limits.reference(wanted, rate)
             if inside != wanted:
                 wanted, acceleration = inside, 0.0  # at a stop the reference rests
         following.position, following.velocity = wanted, rate
         if is_takeover:
-            law.take_over(self.settings.fallback, model, acceleration)
+            law.take_over(law.effort, model, acceleration)
         self._state = LoopState.HOLDING if following.motion is None else LoopState.FOLLOWING
         self._rate = speed = self._velocity.update(position, velocity, dt)
         self._error = error = wanted - position
         try:
-            effort = law.update(error, rate - speed, position, speed, dt, model, acceleration)
+            effort = law.update(error, rate - speed, position, speed, elapsed, model, acceleration)
         except ArithmeticError as fault:
             self.last_fault = str(fault)
             self._velocity.reset()
+            clock.skip(stamp_ns)
             return self._fault()
+        clock.take(stamp_ns, since, settings)
         self.counts.samples += 1
-        clock.unusable_since_ns = None
         return effort
 
     def reject(self, stamp_ns: int, reason: str) -> float:
-        """Answer a state that cannot be used: no effort, and the derivative starts anew.
+        """Answer a state that cannot be used.
 
         Args:
             stamp_ns: Its stamp in [ns].
             reason: What is wrong with it, in words.
 
         Returns:
-            ``fallback_effort``, within the effort limits, in [N m]; for a repeat the last effort.
+            ``fallback_effort``, within the effort limits, in [N m]; for a repeat the effort in
+            force.
         """
-        if stamp_ns == self._clock.stamp_ns:
+        clock = self._clock
+        if stamp_ns in (clock.stamp_ns, clock.unusable_ns):
             self.counts.repeats += 1
             return self._law.effort
         self.last_fault = reason
-        self._clock.skip(stamp_ns, self.settings)
-        self._velocity.reset()
+        clock.skip(stamp_ns)
         return self._fault()
 
-    def _interrupt(self, stamp_ns: int, dt: float) -> float:
-        """Go on after a clock that went back, or after a gap: as if no time had passed."""
+    def _fault(self) -> float:
+        self.counts.rejected += 1
+        self._state = LoopState.FAULT
+        self._law.effort = self.settings.fallback
+        return self._law.effort
+
+    def _interrupt(self, dt: float) -> None:
+        """Begin, begin anew after a clock that went back, or be without time after a gap."""
         if dt < 0.0:
             self.last_fault = f"the stamp went back by {-dt:g} s"
+            self.counts.resets += 1
             self.reset()
-            self._clock.stamp_ns = stamp_ns
-        else:
-            self.last_fault = f"no state for {dt:g} s by the stamps"
-            self._velocity.reset()
-        return 0.0
+        elif dt > 0.0:
+            self.last_fault = f"no usable state for {dt:g} s by the stamps"
+            self._before_jump = _BeforeJump.of(self)
+            self._is_takeover_due = True
+            if self._clock.has_lapsed:
+                self._law.effort = self.settings.fallback
+            if self._unwrapper is not None:
+                self._unwrapper.interrupt()
+
+    def _settle_jump(self, stamp_ns: int) -> int | None:
+        """Undo a gap whose stamp was wrong, and return the stamp of the last usable state."""
+        before, self._before_jump = self._before_jump, None
+        last_ns = self._clock.stamp_ns
+        assert before is not None
+        assert last_ns is not None
+        since = (stamp_ns - before.stamp_ns) * SECONDS_PER_NANOSECOND
+        if stamp_ns > last_ns or not 0.0 <= since <= self.settings.state_timeout:
+            return last_ns
+        before.put_back(self)
+        return before.stamp_ns
+
+    def _doubt(self, stamp_ns: int, position: float, dt: float) -> float | None:
+        """Answer a state whose position is where no joint can have come to, or believe it.
+
+        The first one is passed over: the effort in force stays. The second is believed, as a
+        takeover, if it is where the first one was. Others are no positions at all.
+
+        Returns:
+            The effort in [N m]; None if the state is believed.
+        """
+        if self._is_takeover_due:
+            return None
+        first, self._astray = self._astray, (stamp_ns, position)
+        if first is not None:
+            since = (stamp_ns - first[0]) * SECONDS_PER_NANOSECOND
+            allowed = self._step_max + self._speed_max * since
+            if since > 0.0 and abs(position - first[1]) <= allowed:
+                self._is_takeover_due = True
+                return None
+        self.counts.jumps += 1
+        step = f"the position jumped by {abs(position - self._position):g} rad in {dt:g} s"
+        if first is not None:
+            return self.reject(stamp_ns, step)
+        self.last_fault = step
+        self._clock.skip(stamp_ns)
+        return self._law.effort
 
     def _begin(self, stamp_ns: int, position: float) -> bool:
         """Start from where the joint is, and tell whether that is a takeover."""
         if self._law.limits is not None:
             self._law.limits.open(position)
-        is_takeover = self._clock.is_takeover_due and self._following.is_standing
-        self._clock.is_takeover_due = False
+        is_takeover = self._is_takeover_due and self._following.is_standing
+        self._is_takeover_due = False
         if is_takeover:
             self.counts.takeovers += 1
             self._velocity.reset()
@@ -218,8 +325,34 @@ class JointLoop(LoopView):
             self._following.stand(position)
         return is_takeover
 
-    def _fault(self) -> float:
-        self.counts.rejected += 1
-        self._state = LoopState.FAULT
-        self._law.effort = self.settings.fallback
-        return self._law.effort
+
+class _BeforeJump(NamedTuple):
+    """What a loop was before a stamp that may be wrong."""
+
+    stamp_ns: int
+    following: Following
+    velocity: VelocitySource
+    integral: float
+    takeovers: int
+
+    @classmethod
+    def of(cls, loop: JointLoop) -> _BeforeJump:
+        stamp_ns = loop._clock.stamp_ns
+        assert stamp_ns is not None
+        return cls(
+            stamp_ns,
+            copy(loop._following),
+            deepcopy(loop._velocity),
+            loop._law.own_integral,
+            loop.counts.takeovers,
+        )
+
+    def put_back(self, loop: JointLoop) -> None:
+        """Let a loop be what it was, but for what it was told since."""
+        told = loop._following.motion
+        loop._following = self.following
+        if told is not self.following.motion:
+            loop._following.follow(told)
+        loop._velocity = self.velocity
+        loop._law.restore_integral(self.integral)
+        loop.counts.takeovers = self.takeovers

@@ -35,6 +35,8 @@ class LimitedLaw:
         "limits",
     )
 
+    effort: float
+
     def __init__(self, settings: LoopSettings, counts: LoopCounts) -> None:
         self._settings, self._counts = settings, counts
         self._law = settings.make_law()
@@ -58,20 +60,36 @@ class LimitedLaw:
         """The integral term that the next sample uses, in [N m]."""
         return self._gain * self._law.integral
 
-    def retune(self, settings: LoopSettings, position: float | None) -> None:
-        """Put other settings in force; the integral stays.
+    @property
+    def own_integral(self) -> float:
+        """The integral in the law's own units: with decoupling those of a unit inertia."""
+        return self._law.integral
+
+    def restore_integral(self, integral: float) -> None:
+        """Replace the integral.
+
+        Args:
+            integral: In the law's own units.
+        """
+        self._law.restore_integral(integral)
+
+    def retune(self, settings: LoopSettings, motion: tuple[float, float] | None) -> None:
+        """Put other settings in force; the integral stays, and the effort is within the limits.
 
         Args:
             settings: Checked settings of the same joint.
-            position: Where the joint is, in [rad]; None before the first state.
+            motion: Where the joint is in [rad], and its velocity in [rad/s]; None before the
+                first state.
         """
         law = settings.make_law()
         law.restore_integral(self._law.integral)
         limits = settings.make_motion_limits()
-        if limits is not None and position is not None:
-            limits.take_over(self.limits, position)
+        effort = min(max(self.effort, settings.u_clamp_min), settings.u_clamp_max)
+        if limits is not None and motion is not None:
+            limits.take_over(self.limits, motion[0])
+            effort = limits.limit(effort, *motion, before=effort, dt=0.0)
         self._anti_windup, self.limits = settings.make_anti_windup(), limits
-        self._law, self._settings = law, settings
+        self._law, self._settings, self.effort = law, settings, effort
 
     def reset(self) -> None:
         """Forget the integral, and be without effort."""
@@ -154,12 +172,17 @@ class LimitedLaw:
         return effort
 
     def damping_stop(
-        self, velocity: VelocitySource, stamp_ns: int | None, duration: float
+        self,
+        velocity: VelocitySource,
+        hears_velocity: bool,
+        stamp_ns: int | None,
+        duration: float,
     ) -> DampingStop:
         """Return what damps the joint from now on in this law's place.
 
         Args:
             velocity: The loop's velocity source, with its past.
+            hears_velocity: Whether measured velocities are used.
             stamp_ns: Stamp of the last state in [ns]; None before the first one.
             duration: In [s], positive.
         """
@@ -167,6 +190,7 @@ class LimitedLaw:
         return DampingStop(
             self._gain * settings.gains.d,
             velocity,
+            hears_velocity,
             self.limits,
             (settings.u_clamp_min, settings.u_clamp_max),
             self.effort,

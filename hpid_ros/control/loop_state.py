@@ -26,7 +26,9 @@ class LoopCounts:
         resets: States older than the one before: the clock went back.
         gaps: States later than ``state_timeout`` after the one before.
         silences: Times in which the fallback effort was given for want of states.
-        takeovers: Times in which the loop took the joint over anew after such a time.
+        takeovers: Times in which the loop took the joint over anew, after a gap, a silence,
+            states that could not be used, or a jump.
+        jumps: States whose position no joint can have come to since the last one.
         missed: States that must have been lost, by the stamps and ``control_period``.
         saturated: Samples whose effort was limited.
         rejected: States that were not finite or no joint's, or made the law's effort so.
@@ -38,6 +40,7 @@ class LoopCounts:
     gaps: int = 0
     silences: int = 0
     takeovers: int = 0
+    jumps: int = 0
     missed: int = 0
     saturated: int = 0
     rejected: int = 0

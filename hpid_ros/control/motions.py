@@ -11,7 +11,7 @@ from hpid_ros.errors import SettingError
 LARGEST_POSITION = 1e9
 """Positions, velocities and references beyond this [rad, rad/s] are no joint's."""
 
-_SECONDS_PER_NANOSECOND = 1e-9
+SECONDS_PER_NANOSECOND = 1e-9
 
 
 class Reference(Protocol):
@@ -29,6 +29,9 @@ class Motion(Protocol):
 
     def is_under_way(self, now_ns: int) -> bool:
         """Tell whether it began before an instant, so that taking it over would jump."""
+
+    def target(self, now_ns: int) -> float:
+        """Return the position that it leads to first, or has now if it is under way, in [rad]."""
 
 
 @dataclass(frozen=True)
@@ -59,9 +62,31 @@ class Setpoint:
         """Return False: whoever sends a setpoint means a step."""
         return False
 
+    def target(self, now_ns: int) -> float:
+        """Return the position."""
+        return self.position
+
     def sample(self, stamp_ns: int) -> tuple[float, float, float]:
         """Return the position at rest."""
         return self.position, 0.0, 0.0
+
+
+@dataclass(frozen=True)
+class Turned:
+    """Another reference, whole turns away.
+
+    Attributes:
+        onto: The other reference.
+        offset: How much further this one is, in [rad].
+    """
+
+    onto: Reference
+    offset: float
+
+    def sample(self, stamp_ns: int) -> tuple[float, float, float]:
+        """Return the reference at an instant."""
+        position, velocity, acceleration = self.onto.sample(stamp_ns)
+        return position + self.offset, velocity, acceleration
 
 
 class Glide:
@@ -88,7 +113,7 @@ class Glide:
         self.onto = onto
         self._begin_ns = now_ns
         self._duration = duration
-        self.end_ns = now_ns + round(duration / _SECONDS_PER_NANOSECOND)
+        self.end_ns = now_ns + round(duration / SECONDS_PER_NANOSECOND)
         self._offset = position - target[0]
         self._carried = (velocity - target[1]) * duration
 
@@ -98,7 +123,7 @@ class Glide:
         if not self._begin_ns <= stamp_ns < self.end_ns:
             return position, velocity, acceleration
         T, a, b = self._duration, self._offset, self._carried
-        s = (stamp_ns - self._begin_ns) * _SECONDS_PER_NANOSECOND / T
+        s = (stamp_ns - self._begin_ns) * SECONDS_PER_NANOSECOND / T
         squared = s * s
         cubed = squared * s
         return (

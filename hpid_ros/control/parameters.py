@@ -23,7 +23,12 @@ LARGEST_NORM = 1e6
 LARGEST_MOTION = 1e6
 """A position or velocity limit of this size is none."""
 
-Value = str | float
+CLOCKS = ("wall", "simulated")
+
+LONGEST_TIMEOUT = 1.0
+"""No watchdog may be patient for longer than this, in [s]."""
+
+Value = str | float | bool
 
 
 @dataclass(frozen=True)
@@ -52,6 +57,10 @@ class ParameterSpec:
         Raises:
             SettingError: Wrong type, not finite, out of range, or not one of the choices.
         """
+        if isinstance(self.default, bool):
+            if not isinstance(value, bool):
+                raise SettingError(f"{self.name} must be true or false, not {value!r}")
+            return value
         if isinstance(self.default, str):
             if not isinstance(value, str) or (self.choices and value not in self.choices):
                 allowed = f"one of {', '.join(self.choices)}" if self.choices else "a text"
@@ -171,6 +180,28 @@ _TABLE = (
         choices=DISCRETIZATIONS,
     ),
     ParameterSpec(
+        "encoder_wrap",
+        -1.0,
+        "The encoder begins anew after so much [rad], as a driver does that reports (-pi, pi] or "
+        "[0, 2 pi); 0 never; -1 after 2 pi where robot_description has the joint as continuous",
+        -1.0,
+        1e3,
+    ),
+    ParameterSpec(
+        "angle_wraparound",
+        False,
+        "Take the shorter way round to each new reference; for joints that turn without end",
+    ),
+    ParameterSpec(
+        "position_step_max",
+        0.0,
+        "A position that differs from the last one by more than this [rad], and twice "
+        "velocity_max times the time between, is a fault; 0 chooses 0.1, or pi where there is "
+        "no velocity_max; 1e6 is none",
+        0.0,
+        LARGEST_MOTION,
+    ),
+    ParameterSpec(
         "effort_rate_max",
         0.0,
         "Largest change of the effort [N m/s]; 0 is none. Faults go to fallback_effort at once",
@@ -232,7 +263,17 @@ _TABLE = (
         LARGEST_EFFORT,
     ),
     ParameterSpec(
-        "state_timeout", 0.1, "A longer time between two states is a gap [s]", 1e-6, 1e3
+        "state_timeout",
+        0.1,
+        "A longer time between two states is a gap, after which the loop takes over anew [s]",
+        1e-6,
+        LONGEST_TIMEOUT,
+    ),
+    ParameterSpec(
+        "state_clock",
+        "wall",
+        "What stamps the states: wall, or simulated, which can be paused without a takeover",
+        choices=CLOCKS,
     ),
     ParameterSpec("control_period", 0.001, "Nominal time between two states [s]", 1e-6, 10.0),
     ParameterSpec(

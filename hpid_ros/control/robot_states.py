@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import NamedTuple
 
-from hpid_ros.control.motions import LARGEST_POSITION
+from hpid_ros.control.motions import LARGEST_POSITION, SECONDS_PER_NANOSECOND
 from hpid_ros.control.settings import LoopSettings
+from hpid_ros.control.unwrapping import Unwrapper
 
-_SECONDS_PER_NANOSECOND = 1e-9
 _NO_TIME = -1  # before every stamp of a usable state
 
 
@@ -46,6 +46,7 @@ class RobotStates:
         joints: Joints of the model.
         needs_efforts: Whether the model needs efforts.
         filter_time_constant: Of the efforts' low-pass in [s]; 0 is none.
+        endless: Joints that turn without end: their encoders may begin anew after each turn.
     """
 
     def __init__(
@@ -54,6 +55,7 @@ class RobotStates:
         joints: Sequence[str],
         needs_efforts: bool,
         filter_time_constant: float = 0.0,
+        endless: Collection[str] = (),
     ) -> None:
         self.held = self.lost = 0
         self.last_fault = ""
@@ -61,6 +63,9 @@ class RobotStates:
         self._settings = settings
         self._timeout = settings.state_timeout
         self._velocities = [settings.make_velocity_source() for _ in self.joints]
+        self._unwrappers = [
+            (place, Unwrapper(math.tau)) for place, name in enumerate(joints) if name in endless
+        ]
         self._needs_efforts = needs_efforts
         self._time_constant = filter_time_constant
         self._no_efforts = (0.0,) * len(self.joints)
@@ -70,6 +75,8 @@ class RobotStates:
         """Forget the past: the next state is the first one."""
         for velocity in self._velocities:
             velocity.reset()
+        for _, unwrapper in self._unwrappers:
+            unwrapper.reset()
         self._stamp_ns = _NO_TIME
         self._state: RobotState | None = None
 
@@ -79,8 +86,14 @@ class RobotStates:
         Args:
             settings: Checked settings of the same joint and the same compensation.
         """
-        if settings.differs_in_velocity(self._settings):
+        if settings.velocity_parameters != self._settings.velocity_parameters:
             self._velocities = [settings.make_velocity_source() for _ in self.joints]
+            if self._state is not None:
+                seen = zip(
+                    self._velocities, self._state.positions, self._state.velocities, strict=True
+                )
+                for source, position, velocity in seen:
+                    source.take_over(position, velocity)
         self._settings, self._timeout = settings, settings.state_timeout
 
     def observe(
@@ -107,12 +120,16 @@ class RobotStates:
         fault = self._fault(positions, velocities, efforts)
         if fault:
             return self.hold(stamp_ns, fault)
-        dt = (stamp_ns - self._stamp_ns) * _SECONDS_PER_NANOSECOND
+        dt = (stamp_ns - self._stamp_ns) * SECONDS_PER_NANOSECOND
         if state is not None and not 0.0 < dt <= self._timeout:
             self.reset()
         before, self._stamp_ns = self._state, stamp_ns
         if before is None:
             dt = 0.0
+        if self._unwrappers:
+            positions = list(positions)
+            for place, unwrapper in self._unwrappers:
+                positions[place] = unwrapper.update(positions[place])
         rates: Sequence[float | None] = velocities or (None,) * len(positions)
         found = [
             source.update(position, rate, dt)
@@ -133,7 +150,7 @@ class RobotStates:
             reason: What is wrong with it, in words.
         """
         self.last_fault = reason
-        elapsed = (stamp_ns - self._stamp_ns) * _SECONDS_PER_NANOSECOND
+        elapsed = (stamp_ns - self._stamp_ns) * SECONDS_PER_NANOSECOND
         if self._state is not None and 0.0 <= elapsed <= self._timeout:
             self.held += 1
             return self._state

@@ -22,6 +22,7 @@ from hpid_ros.control.parameters import (
 from hpid_ros.control.pid import Pid
 from hpid_ros.control.semi_implicit import SemiImplicitHomogeneousPid
 from hpid_ros.control.stability import require_hurwitz
+from hpid_ros.control.unwrapping import Unwrapper
 from hpid_ros.control.velocity import (
     FilteredVelocity,
     HomogeneousDifferentiator,
@@ -30,7 +31,8 @@ from hpid_ros.control.velocity import (
 )
 from hpid_ros.errors import SettingError, unknown_name
 
-_OF_THE_VELOCITY = ("velocity_source", "velocity_filter_time_constant", "acceleration_bound")
+_ALLOWANCE = 0.1  # [rad], for noise and coarse encoders
+_LEAST_PERIODS = 1.5  # of control_period in state_timeout: one state may be late
 _K_POSITION = 10.0  # [1/s], of a soft stop where the gains say nothing
 
 
@@ -65,6 +67,9 @@ class LoopSettings:
     velocity_filter_time_constant: float = 0.005
     acceleration_bound: float = 50.0
     discretization: str = "explicit"
+    encoder_wrap: float = -1.0
+    angle_wraparound: bool = False
+    position_step_max: float = 0.0
     effort_rate_max: float = 0.0
     position_max: float = LARGEST_MOTION
     position_min: float = -LARGEST_MOTION
@@ -75,6 +80,7 @@ class LoopSettings:
     takeover_time: float = 0.5
     fallback_effort: float = 0.0
     state_timeout: float = 0.1
+    state_clock: str = "wall"
     control_period: float = 0.001
     encoder_resolution: float = 0.0
     inertia: float = 0.0
@@ -88,6 +94,16 @@ class LoopSettings:
             low, high = getattr(self, f"{name}_min"), getattr(self, f"{name}_max")
             if not low <= high:
                 raise SettingError(f"{name}_min = {low} must not exceed {name}_max = {high}")
+        if self.state_timeout < _LEAST_PERIODS * self.control_period:
+            raise SettingError(
+                f"state_timeout = {self.state_timeout:g} s must be at least {_LEAST_PERIODS:g} "
+                f"times control_period = {self.control_period:g} s: every state would be a gap"
+            )
+        if self.angle_wraparound and self._has_stops:
+            raise SettingError(
+                "angle_wraparound takes the shorter way round, and that may lead through a stop: "
+                "it is not for joints with position_min or position_max"
+            )
         if self.discretization == "semi_implicit" and self.plant_inertia == 0.0:
             raise SettingError("discretization semi_implicit needs the inertia, which is unknown")
         if self.plant_inertia > 0.0:
@@ -182,9 +198,39 @@ class LoopSettings:
         """Whether measured velocities are used."""
         return self.velocity_source == "measured"
 
-    def differs_in_velocity(self, other: LoopSettings) -> bool:
-        """Tell whether the velocity source of other settings is another one."""
-        return any(getattr(self, name) != getattr(other, name) for name in _OF_THE_VELOCITY)
+    @property
+    def velocity_parameters(self) -> tuple[object, ...]:
+        """The velocity source, and the parameters that it uses."""
+        if self.velocity_source == "homogeneous_differentiator":
+            return self.velocity_source, self.acceleration_bound
+        return self.velocity_source, self.velocity_filter_time_constant
+
+    def make_unwrapper(self) -> Unwrapper | None:
+        """Return what makes the positions continuous; None where the encoder does not wrap."""
+        return Unwrapper(self.encoder_wrap) if self.encoder_wrap > 0.0 else None
+
+    @property
+    def largest_step(self) -> tuple[float, float]:
+        """What a position may differ from the last one: in [rad], and in [rad/s] of the time.
+
+        A load may drive a joint beyond its velocity limit, and a stamp may be a period late:
+        twice ``velocity_max`` is allowed over one period more than the stamps tell.
+        """
+        has_limit = self.velocity_max < LARGEST_MOTION
+        allowance = self.position_step_max or (_ALLOWANCE if has_limit else math.pi)
+        if allowance >= LARGEST_MOTION:
+            return math.inf, 0.0
+        fastest = 2.0 * self.velocity_max if has_limit else 0.0
+        return allowance + fastest * self.control_period, fastest
+
+    @property
+    def is_simulated(self) -> bool:
+        """Whether the control clock is a simulation's, which can be paused."""
+        return self.state_clock == "simulated"
+
+    @property
+    def _has_stops(self) -> bool:
+        return self.position_min > -LARGEST_MOTION or self.position_max < LARGEST_MOTION
 
     def make_anti_windup(self) -> AntiWindup:
         """Return the anti-windup strategy."""

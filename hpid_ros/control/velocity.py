@@ -20,6 +20,14 @@ class VelocitySource(Protocol):
             dt: Time since the last sample in [s]; 0 for the first one.
         """
 
+    def take_over(self, position: float, velocity: float) -> None:
+        """Go on from where another source stands.
+
+        Args:
+            position: Of the last sample in [rad].
+            velocity: Of the last sample in [rad/s].
+        """
+
     def reset(self) -> None:
         """Forget the past: the next sample is the first one."""
 
@@ -59,6 +67,10 @@ class FilteredVelocity:
         self._position = position
         return self._velocity
 
+    def take_over(self, position: float, velocity: float) -> None:
+        """Go on from a position in [rad] and a velocity in [rad/s]."""
+        self._position, self._velocity = position, velocity
+
     def reset(self) -> None:
         """Forget the past: the next velocity is 0."""
         self._position = None
@@ -86,6 +98,10 @@ class MeasuredVelocity:
             return velocity
         self.estimated += 1
         return estimate
+
+    def take_over(self, position: float, velocity: float) -> None:
+        """Let the estimate go on from a position in [rad] and a velocity in [rad/s]."""
+        self._fallback.take_over(position, velocity)
 
     def reset(self) -> None:
         """Forget the past of the estimate."""
@@ -155,6 +171,10 @@ class HomogeneousDifferentiator:
             self._velocity -= math.copysign(change, ahead)
             self._position = position + math.copysign(root * root, ahead)
         return self._velocity
+
+    def take_over(self, position: float, velocity: float) -> None:
+        """Go on from a position in [rad] and a velocity in [rad/s]."""
+        self._position, self._velocity = position, velocity
 
     def reset(self) -> None:
         """Forget the past: the next velocity is 0."""

@@ -96,6 +96,7 @@ class GraphNodes:
                 certify=False,
                 # In lock-step silence is a slow machine or a pause, and the control clock waits.
                 state_watchdog=self._options.is_realtime,
+                state_clock="simulated",
                 realtime_priority=self._options.realtime_priority,
             ),
         ]

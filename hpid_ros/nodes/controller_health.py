@@ -101,6 +101,7 @@ class ControllerHealth:
                 "missed samples": counts.missed,
                 "silences": counts.silences,
                 "takeovers": counts.takeovers,
+                "position jumps": counts.jumps,
                 "repeats": counts.repeats,
                 "clock resets": counts.resets,
                 "saturated samples": counts.saturated,

@@ -172,8 +172,8 @@ class JointController(ManagedNode):
         if sample is None:
             self._health.foreign += 1
             return
-        if self._watchdog.is_stale(sample.stamp_ns):
-            return
+        if self._watchdog.hear(sample.stamp_ns, began_ns):
+            self._loop.lapse()
         if self._stop is not None:
             effort = self._stop.step(*sample)
         elif self._model is not None:
@@ -181,7 +181,6 @@ class JointController(ManagedNode):
         else:
             effort = self._loop.step(*sample)
         self._commands.send(sample.stamp_ns, effort)
-        self._watchdog.hear(sample.stamp_ns, began_ns)
         self._timing.note(began_ns, time.perf_counter_ns())
         self._introspection.sample(sample.stamp_ns, self._loop)
 

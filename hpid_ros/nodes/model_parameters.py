@@ -22,12 +22,14 @@ class RobotLimits:
         lower: Lowest position in [rad].
         upper: Highest position in [rad].
         velocity: Largest absolute velocity in [rad/s].
+        is_continuous: Whether the joint turns without end.
     """
 
     effort: float = math.inf
     lower: float = -math.inf
     upper: float = math.inf
     velocity: float = math.inf
+    is_continuous: bool = False
 
     def within(self, settings: LoopSettings) -> LoopSettings:
         """Return the settings within these limits.
@@ -35,8 +37,10 @@ class RobotLimits:
         Raises:
             SettingError: The positions that the settings allow are none that the robot allows.
         """
+        wraps = self.is_continuous and settings.encoder_wrap < 0.0
         return replace(
             settings,
+            encoder_wrap=math.tau if wraps else settings.encoder_wrap,
             u_clamp_max=max(min(settings.u_clamp_max, self.effort), -self.effort),
             u_clamp_min=min(max(settings.u_clamp_min, -self.effort), self.effort),
             position_max=min(settings.position_max, self.upper),
@@ -82,4 +86,5 @@ def robot_limits(node: Node, source: str) -> RobotLimits:
         source = str(find_resource(source))
     (found,) = RobotDescription.load(source).select([joint])
     velocity = found.velocity if found.velocity > 0.0 else math.inf
-    return RobotLimits(found.effort, found.lower, found.upper, velocity)
+    is_continuous = found.type == "continuous"
+    return RobotLimits(found.effort, found.lower, found.upper, velocity, is_continuous)

@@ -48,7 +48,6 @@ class StateWatchdog:
         self._last_ns: int | None = None
         self._noticed_ns: int | None = None
         self._stamp_ns: int | None = None
-        self._repeats = 0
 
     def watch(self, timeout: float) -> None:
         """Look from now on, or with another timeout.
@@ -62,29 +61,22 @@ class StateWatchdog:
         self._timeout = timeout
         self._timer = steady_timer(self._node, max(timeout / _LOOKS, _SHORTEST_PERIOD), self._look)
 
-    def is_stale(self, stamp_ns: int) -> bool:
-        """Tell whether a state is the old one still, and no answer is due but the fallback.
-
-        After the silence was noticed one repeat may be answered as before: a bridge in lock-step
-        whose clock stood still asks again like that.
-
-        Args:
-            stamp_ns: Stamp of the state in [ns].
-        """
-        if stamp_ns != self._stamp_ns or self._noticed_ns != self._last_ns:
-            return False
-        self._repeats += 1
-        return self._repeats > 1
-
-    def hear(self, stamp_ns: int, now_ns: int) -> None:
-        """Take note of a state; one with the stamp of the last is none that is new.
+    def hear(self, stamp_ns: int, now_ns: int) -> bool:
+        """Take note of a state; one that repeats the last stamp is not new.
 
         Args:
             stamp_ns: Its stamp in [ns].
             now_ns: When it came, on ``time.perf_counter_ns``.
+
+        Returns:
+            Whether it ends a silence that no look has noticed: the process was stopped, or busy.
         """
-        if stamp_ns != self._stamp_ns:
-            self._stamp_ns, self._last_ns, self._repeats = stamp_ns, now_ns, 0
+        if stamp_ns == self._stamp_ns:
+            return False
+        before_ns, self._stamp_ns, self._last_ns = self._last_ns, stamp_ns, now_ns
+        if self._timer is None or before_ns is None or before_ns == self._noticed_ns:
+            return False
+        return now_ns - before_ns > self._timeout * _NANOSECONDS
 
     def rest(self) -> None:
         """Look no more, and forget what came."""

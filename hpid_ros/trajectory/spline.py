@@ -89,6 +89,17 @@ class Column:
         """
         return self.stamp_ns != 0 and now_ns > self.stamp_ns + self.knots[0].time_ns
 
+    def target(self, now_ns: int) -> float:
+        """Return the position of the first knot, or the present one of a motion under way.
+
+        Args:
+            now_ns: The control clock in [ns].
+        """
+        first = self.knots[0].position
+        if not self.is_under_way(now_ns):
+            return first
+        return self.start(now_ns, first).sample(now_ns).position
+
 
 class SplineReference:
     """Samples a column on the control clock; made by :meth:`Column.start`.

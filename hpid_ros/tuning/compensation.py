@@ -145,7 +145,9 @@ def _of_the_robot(settings: LoopSettings, robot: str) -> tuple[RobotDynamics, Ro
         if not found.is_settling:
             raise SettingError(found.text)
         time_constant = found.time_constant
-    states = RobotStates(settings, space.joints, model.is_decoupling, time_constant)
+    described = space.description.joints
+    endless = [name for name in space.joints if described[name].type == "continuous"]
+    states = RobotStates(settings, space.joints, model.is_decoupling, time_constant, endless)
     return RobotDynamics(space), states
 
 
