@@ -57,6 +57,19 @@ class TopicBatch(NamedTuple):
         return self.buffer[start : start + int(self.sizes[index])].tobytes()
 
 
+def count_difference(told: Mapping[str, int], found: Mapping[str, int]) -> str:
+    """Return in words where two counts of messages differ; empty if nowhere.
+
+    Args:
+        told: What something counts, by topic.
+        found: What is there, by topic.
+    """
+    unequal = [(name, told[name], found.get(name, 0)) for name in sorted(told)]
+    return "; ".join(
+        f"{count} messages on {name}, not {seen}" for name, count, seen in unequal if count != seen
+    )
+
+
 Report = Callable[[str], None]
 """Takes one line about something that could not be read."""
 

@@ -13,7 +13,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import yaml
 
-from hpid_ros.bags.batches import SLACK, Report, StorageFile, TopicBatch, TopicInfo
+from hpid_ros.bags.batches import (
+    SLACK,
+    Report,
+    StorageFile,
+    TopicBatch,
+    TopicInfo,
+    count_difference,
+)
 from hpid_ros.bags.compression import zstd
 from hpid_ros.bags.mcap_file import McapFile
 from hpid_ros.bags.sqlite_file import SqliteFile
@@ -169,12 +176,11 @@ class Storage:
                 yield self._without_compression(batch) if self._is_by_message else batch
             before += size
         progress(1.0)
-        for topic in sorted(topics):
-            told = self._counts.get(topic, found[topic])
-            if told != found[topic]:
-                self._report(
-                    f"metadata.yaml counts {told} messages on {topic}, not {found[topic]}"
-                )
+        known = self.topics()
+        told = {n: count for n, count in self._counts.items() if n in topics or n not in known}
+        line = count_difference(told, found)
+        if line:
+            self._report(f"metadata.yaml counts {line}")
 
     def _without_compression(self, batch: TopicBatch) -> TopicBatch:
         """Decompress each message of a batch."""
