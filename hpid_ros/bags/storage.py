@@ -10,15 +10,14 @@ from tempfile import TemporaryDirectory
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 import yaml
 
 from hpid_ros.bags.batches import (
-    SLACK,
     Report,
     StorageFile,
     TopicBatch,
     TopicInfo,
+    batch_of,
     count_difference,
 )
 from hpid_ros.bags.compression import zstd
@@ -173,7 +172,10 @@ class Storage:
             for batch in file.batches(topics, report, done):
                 found[batch.topic] += len(batch.starts)
                 batch = batch._replace(places=batch.places + number * _PLACES_PER_FILE)
-                yield self._without_compression(batch) if self._is_by_message else batch
+                if self._is_by_message:
+                    batch = self._without_compression(batch)
+                if len(batch.starts):
+                    yield batch
             before += size
         progress(1.0)
         known = self.topics()
@@ -197,16 +199,7 @@ class Storage:
                 f"messages on {batch.topic} cannot be decompressed and are left out, the first "
                 f"recorded at {int(batch.log_times_ns[0])} ns or later"
             )
-        slack = bytes(SLACK)
-        sizes = np.fromiter(map(len, raws), np.int64, len(raws))
-        return TopicBatch(
-            batch.topic,
-            np.frombuffer(b"".join((slack, *raws, slack)), dtype=np.uint8),
-            SLACK + np.cumsum(sizes) - sizes,
-            sizes,
-            batch.log_times_ns[kept],
-            batch.places[kept],
-        )
+        return batch_of(batch.topic, raws, batch.log_times_ns[kept], batch.places[kept])
 
     def close(self) -> None:
         """Close all files; does nothing the second time."""
