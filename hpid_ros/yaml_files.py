@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,7 +15,17 @@ from hpid_ros.resources import share_folder
 EXTENDS = "extends"
 """The key that names the file that a document extends."""
 
+LARGEST_FILE = 16 << 20
+"""Bytes of a file."""
+MOST_LEVELS = 64
+"""Levels of a document; ours have six."""
+MOST_NODES = 1_000_000
+"""Values of a document, those that an alias stands for counted again."""
+
 _SHARED = "config/experiments"
+_LONGEST_REASON = 200
+_BAD_VALUES = (ValueError, TypeError, LookupError, AttributeError)
+"""What PyYAML lets escape for ``!!int ''``, ``!!bool x``, a 13th month or 5000 digits."""
 
 
 class Document(NamedTuple):
@@ -44,7 +55,9 @@ def load_yaml(path: str | Path, error: type[HpidError]) -> Any:
         error: The error that a bad file raises.
 
     Raises:
-        HpidError: The ``error`` given: the file is not there, cannot be read, or is no YAML.
+        HpidError: The ``error`` given: the file is not there, cannot be read, is no YAML, or is
+            larger or deeper than any file that people write (:data:`LARGEST_FILE`,
+            :data:`MOST_NODES`, :data:`MOST_LEVELS`).
     """
     return _parsed(path, _read(path, error), error)
 
@@ -125,7 +138,11 @@ def _merged(
 
 def _read(path: str | Path, error: type[HpidError]) -> str:
     try:
-        return Path(path).read_text(encoding="utf-8")
+        with Path(path).open("rb") as stream:
+            raw = stream.read(LARGEST_FILE + 1)
+        if len(raw) > LARGEST_FILE:
+            raise error(f"cannot read {path}: it has more than {LARGEST_FILE} bytes")
+        return raw.decode("utf-8").replace("\r\n", "\n")
     except OSError as cause:
         raise error(f"cannot read {path}: {(cause.strerror or str(cause)).lower()}") from None
     except UnicodeDecodeError:
@@ -134,9 +151,67 @@ def _read(path: str | Path, error: type[HpidError]) -> str:
 
 def _parsed(path: str | Path, text: str, error: type[HpidError]) -> Any:
     try:
-        return yaml.safe_load(text)
+        return _document(text)
     except yaml.YAMLError as cause:
         mark = getattr(cause, "problem_mark", None)
         place = f" line {mark.line + 1}, column {mark.column + 1}" if mark else ""
         problem = getattr(cause, "problem", None) or "not YAML"
         raise error(f"cannot read {path}:{place} {problem}") from None
+    except _BAD_VALUES as cause:
+        reason = " ".join(str(cause).split())[:_LONGEST_REASON]
+        raise error(f"cannot read {path}: a value is not what its tag says ({reason})") from None
+
+
+def _document(text: str) -> Any:
+    """Parse a text after its size as a tree is known."""
+    fast = getattr(yaml, "CSafeLoader", None)
+    if fast is not None:
+        # On errors the other parser, whose messages are the better ones, has the word.
+        with suppress(yaml.YAMLError):
+            _require_bounded(yaml.parse(text, fast))
+            return yaml.load(text, fast)
+    _require_bounded(yaml.parse(text, yaml.SafeLoader))
+    return yaml.safe_load(text)
+
+
+def _require_bounded(events: Iterator[Any]) -> None:
+    """Refuse a document that is too deep, too large once its aliases are expanded, or endless.
+
+    Parsers give events one after the other, however deep they are nested; what builds a document
+    of them calls itself for each level, and whoever walks through it meets an alias as often as it
+    is named.
+
+    Args:
+        events: Of a YAML parser.
+
+    Raises:
+        yaml.YAMLError: It is one of these.
+    """
+    nodes = 0
+    sizes: dict[str, int] = {}
+    opened: list[tuple[str | None, int]] = []
+    for event in events:
+        if isinstance(event, yaml.AliasEvent):
+            if event.anchor not in sizes:
+                raise _refusal(f"alias {event.anchor!r} is part of itself or unknown", event)
+            nodes += sizes[event.anchor]
+        elif isinstance(event, yaml.CollectionStartEvent):
+            opened.append((event.anchor, nodes))
+            nodes += 1
+            sizes.pop(event.anchor, None)
+        elif isinstance(event, yaml.CollectionEndEvent):
+            anchor, before = opened.pop()
+            if anchor is not None:
+                sizes[anchor] = nodes - before
+        elif isinstance(event, yaml.ScalarEvent):
+            nodes += 1
+            if event.anchor is not None:
+                sizes[event.anchor] = 1
+        if len(opened) > MOST_LEVELS:
+            raise _refusal(f"more than {MOST_LEVELS} levels", event)
+        if nodes > MOST_NODES:
+            raise _refusal(f"more than {MOST_NODES} values, aliases expanded", event)
+
+
+def _refusal(problem: str, event: Any) -> yaml.YAMLError:
+    return yaml.MarkedYAMLError(problem=problem, problem_mark=event.start_mark)

@@ -2,21 +2,35 @@
 
 from __future__ import annotations
 
+import math
 import tempfile
 from pathlib import Path
 
 import numpy as np
 import pytest
-from bag_builder import JOINT_STATE, JOINT_TRAJECTORY, MS, TYPES, S, command, ramp, state
+from bag_builder import (
+    JOINT_STATE,
+    JOINT_TRAJECTORY,
+    MS,
+    TYPES,
+    S,
+    command,
+    ramp,
+    state,
+    write_bag,
+)
 from bag_builder import trajectory as trajectory_message
 from hypothesis import given
 from hypothesis import strategies as st
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from hpid_ros.analysis.series import Losses
+from hpid_ros.analysis import run_indices
+from hpid_ros.analysis.quantities import find_quantities
+from hpid_ros.analysis.series import JointSeries, Losses, RunSeries
 from hpid_ros.bags import BagSelection, parse_command_topics, read_run
 from hpid_ros.bags.references import LoggedStates, ReferenceEvent, sample_events
+from hpid_ros.cli import main
 from hpid_ros.errors import BagError, SettingError
 from hpid_ros.messages.joint_state import JointStateTemplate
 from hpid_ros.trajectory import Column, Knot
@@ -417,3 +431,37 @@ def test_arrays_of_references_are_those_of_the_spline_to_the_bit(column, first, 
     spline = column.start(first, hold)
     expected = np.array([spline.sample(stamp).position for stamp in stamps.tolist()])
     assert sampled.tobytes() == expected.tobytes()
+
+
+def test_states_and_commands_without_common_time_give_one_warning_and_no_energy(tmp_path, capsys):
+    log = []
+    for k in range(100):
+        log += [state(k * MS, a=0.01 * k, b=0.0)]
+        log += [("joint_commands", k * MS + 5, command(S * 10**9 + k * MS, a=1.0 + k, b=1.0)[2])]
+    bag = write_bag(tmp_path / "bag", log)
+    run = read(bag)
+    (line,) = run.quality.notes
+    assert "states and commands of a, b are on clocks that do not overlap" in line
+    assert "0.000 s to 0.099 s and 1000000000.000 s to 1000000000.099 s" in line
+    assert main(["metrics", str(bag), "--indices", "energy"]) == 0
+    numbers = run_indices(run)
+    energy = find_quantities(["energy"])[0]
+    assert all(math.isnan(numbers.value(energy, joint)) for joint in (None, "a", "b"))
+    assert numbers.joints["a"].ivc == 99.0
+    assert "are on clocks that do not overlap" in capsys.readouterr().err
+    both = run_indices(read(bag, clock="receive"))
+    assert both.value(energy) > 0.0
+
+
+def test_one_joint_without_energy_leaves_no_sum(tmp_path):
+    shared = JointSeries("a", *_series(0), *_series(0)[:2])
+    foreign = JointSeries("b", *_series(0), *_series(S)[:2])
+    energy = find_quantities(["energy"])[0]
+    numbers = run_indices(RunSeries("run", (shared, foreign)))
+    assert numbers.value(energy, "a") > 0.0
+    assert math.isnan(numbers.value(energy))
+
+
+def _series(start_ns):
+    numbers = np.arange(10.0)
+    return start_ns + MS * np.arange(10), numbers, numbers

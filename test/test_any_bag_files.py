@@ -208,8 +208,10 @@ def test_a_chunk_with_a_wrong_checksum_is_left_out_and_named(tmp_path, whole):
     path.write_bytes(raw)
     run = read_run(path, "run")
     part_of(run, whole)
-    (line,) = run.quality.unreadable
-    assert "left out: wrong checksum" in line
+    damaged, counted = run.quality.unreadable
+    assert "left out: wrong checksum" in damaged
+    lost = COUNT - len(run.joints[0].position)
+    assert f"{COUNT} messages on /joint_states, not {COUNT - lost}" in counted
     assert run.quality.joints["a"].states.gaps == 1
 
 

@@ -405,9 +405,9 @@ def test_counts_that_differ_from_the_metadata_are_reported(tmp_path, caplog):
     index = path / "metadata.yaml"
     index.write_text(index.read_text().replace("message_count: 59", "message_count: 60"))
     run = read_run(path, "run")
-    assert run.quality.unreadable == tuple(
-        f"metadata.yaml counts 60 messages on /joint_{name}, not 59"
-        for name in ("commands", "states")
+    assert run.quality.unreadable == (
+        "metadata.yaml counts 60 messages on /joint_commands, not 59; 60 messages on "
+        "/joint_states, not 59",
     )
     assert run.quality.unreadable[0] in caplog.text
 

@@ -66,7 +66,7 @@ def saturation_share(series: JointSeries, limit: float | None = None) -> float:
     return 100.0 * exact_sum(np.diff(t)[is_limited[:-1]]) / float(t[-1] - t[0])
 
 
-def energy(series: JointSeries) -> float:
+def energy(series: JointSeries) -> float | None:
     r"""Mechanical work that effort and joint exchange, :math:`\int |u\,\dot y|\,dt`, in [J].
 
     Exact for an effort that holds between commands and a position that is monotone there:
@@ -75,10 +75,16 @@ def energy(series: JointSeries) -> float:
 
     Args:
         series: The joint.
+
+    Returns:
+        The work; None if no command falls into the time of the states: their clocks have
+        nothing in common, and no position belongs to an effort.
     """
     if not series.effort.size:
         return 0.0
     effort, t = series.effort, series.time
+    if series.command_time[-1] < t[0] or series.command_time[0] > t[-1]:
+        return None
     ends = np.append(series.command_time, max(t[-1], series.command_time[-1]))
 
     def work() -> Iterator[NDArray[np.float64]]:

@@ -32,6 +32,7 @@ from hpid_ros.analysis.quantities import (
     NORMS,
     QUANTITIES,
     STEP_QUANTITIES,
+    Fold,
     Quantity,
     folded,
 )
@@ -140,7 +141,9 @@ def _totals(joints: Iterable[JointIndices]) -> JointIndices:
     for key, quantity in QUANTITIES.items():
         if quantity in INDICES or quantity in NORMS:
             continue
-        values = (joint.further[key] for joint in numbers if key in joint.further)
+        values = [joint.further[key] for joint in numbers if key in joint.further]
+        if quantity.fold is Fold.SUM and len(values) < len(numbers):
+            continue  # a sum without one of its joints would be too small
         total = folded(quantity.fold, values)
         if total is not None:
             further[key] = total

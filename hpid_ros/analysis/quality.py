@@ -72,6 +72,14 @@ class DataQuality:
     references: int = 0
 
     @property
+    def has_common_time(self) -> bool:
+        """Whether states and commands, if there are both, share some time."""
+        states, commands = self.states, self.commands
+        if not (states.count and commands.count):
+            return True
+        return states.begin <= commands.end and commands.begin <= states.end
+
+    @property
     def is_complete(self) -> bool:
         """Whether neither states nor commands miss anything."""
         return self.states.is_complete and self.commands.is_complete

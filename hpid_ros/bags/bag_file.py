@@ -48,7 +48,8 @@ class RawMessage(NamedTuple):
 class BagReader:
     """An open bag: a folder with ``metadata.yaml``, or one ``.mcap`` or ``.db3`` file.
 
-    Closed by the ``with`` block or :meth:`close`.
+    Closed by the ``with`` block or :meth:`close`. It is rosbags that reads and unpacks, and that
+    has no limits: for bags of strangers take :func:`hpid_ros.bags.read_run`.
 
     Args:
         path: The folder or the file.

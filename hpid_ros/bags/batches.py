@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -55,6 +55,36 @@ class TopicBatch(NamedTuple):
         """Return one serialised message."""
         start = int(self.starts[index])
         return self.buffer[start : start + int(self.sizes[index])].tobytes()
+
+
+def batch_of(
+    topic: str, raws: Sequence[bytes], log_times_ns: Integers, places: Integers
+) -> TopicBatch:
+    """Return messages that lie apart as a batch.
+
+    Args:
+        topic: Full name.
+        raws: The serialised messages.
+        log_times_ns: When they were recorded, (n,), in [ns].
+        places: Their places, (n,).
+    """
+    slack = bytes(SLACK)
+    sizes = np.fromiter(map(len, raws), np.int64, len(raws))
+    buffer = np.frombuffer(b"".join((slack, *raws, slack)), dtype=np.uint8)
+    return TopicBatch(topic, buffer, SLACK + np.cumsum(sizes) - sizes, sizes, log_times_ns, places)
+
+
+def count_difference(told: Mapping[str, int], found: Mapping[str, int]) -> str:
+    """Return in words where two counts of messages differ; empty if nowhere.
+
+    Args:
+        told: What something counts, by topic.
+        found: What is there, by topic.
+    """
+    unequal = [(name, told[name], found.get(name, 0)) for name in sorted(told)]
+    return "; ".join(
+        f"{count} messages on {name}, not {seen}" for name, count, seen in unequal if count != seen
+    )
 
 
 Report = Callable[[str], None]

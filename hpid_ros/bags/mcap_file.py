@@ -3,13 +3,20 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping
-from contextlib import suppress
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
 
-from hpid_ros.bags.batches import Advance, Bytes, Report, TopicBatch, TopicInfo
+from hpid_ros.bags.batches import (
+    Advance,
+    Bytes,
+    Report,
+    TopicBatch,
+    TopicInfo,
+    count_difference,
+)
 from hpid_ros.bags.mcap_chunks import Messages, locate
 from hpid_ros.bags.mcap_records import FRAME_SIZE, MAGIC, MESSAGE_HEAD, Catalogue
 from hpid_ros.bags.mcap_stream import Arena, RecordStream
@@ -40,10 +47,15 @@ class McapFile:
         self._catalogue = Catalogue()
         self._counts: Mapping[int, int] | None = None
         self._chunk_channels: Mapping[int, frozenset[int]] = {}
-        with suppress(BagError):
+        try:
             summary = read_summary(self._stream, self._size)
-            self._catalogue, self._counts, self._chunk_channels = summary
-        if self._counts is None:
+        except BagError:
+            self._find_channels(report)
+            return
+        self._counts = summary.counts
+        if summary.is_complete:
+            self._catalogue, self._chunk_channels = summary.catalogue, summary.chunk_channels
+        else:
             self._find_channels(report)
 
     def _find_channels(self, report: Report) -> None:
@@ -87,23 +99,47 @@ class McapFile:
         """
         numbers = frozenset(n for n, c in self._catalogue.channels.items() if c.topic in topics)
         chunks = self._chunk_channels
+        found: Counter[int] = Counter()
 
         def is_wanted(position: int) -> bool:
-            return position not in chunks or not numbers.isdisjoint(chunks[position])
+            channels = chunks.get(position)  # without an index there are none: unknown
+            return not channels or not numbers.isdisjoint(channels)
 
         records = RecordStream(self._stream, self._size, self._catalogue, bool(chunks))
         arena, place = Arena(), 0
         for position in records.fill(arena, is_wanted, report):
             for messages in locate(arena.buffer, arena.chunks, self._catalogue, report):
-                yield from self._by_topic(arena.buffer, messages, topics, place)
+                yield from self._by_topic(arena.buffer, messages, topics, place, found)
             place += arena.fill
             arena.clear()
             done(position)
+        self._compare_counts(numbers, found, report)
+
+    def _compare_counts(
+        self, numbers: Iterable[int], found: Mapping[int, int], report: Report
+    ) -> None:
+        """Report where the file holds another number of messages than its statistics count."""
+        if self._counts is None:
+            return
+        told: Counter[str] = Counter()
+        seen: Counter[str] = Counter()
+        for number in numbers:
+            topic = self._catalogue.channels[number].topic
+            told[topic] += self._counts.get(number, 0)
+            seen[topic] += found.get(number, 0)
+        line = count_difference(told, seen)
+        if line:
+            report(f"its statistics count {line}")
 
     def _by_topic(
-        self, buffer: Bytes, messages: Messages, topics: frozenset[str], place: int
+        self,
+        buffer: Bytes,
+        messages: Messages,
+        topics: frozenset[str],
+        place: int,
+        found: Counter[int],
     ) -> Iterator[TopicBatch]:
-        """Yield the messages of each wanted topic in the order of the file."""
+        """Yield the messages of each wanted topic in the order of the file, and count them."""
         channels = self._catalogue.channels
         head = FRAME_SIZE + MESSAGE_HEAD
         for topic in sorted({channel.topic for channel in channels.values()} & topics):
@@ -112,6 +148,8 @@ class McapFile:
                 slice(*np.searchsorted(messages.channels, [number, number + 1]).tolist())
                 for number in numbers
             ]
+            for number, span in zip(numbers, spans, strict=True):
+                found[number] += span.stop - span.start
             starts, lengths, _, times = (
                 part[spans[0]] if len(spans) == 1 else np.concatenate([part[s] for s in spans])
                 for part in messages

@@ -82,10 +82,16 @@ class Fields:
 
 
 class Catalogue:
-    """Schemas and channels, as their records come by."""
+    """Schemas and channels, as their records come by.
+
+    Attributes:
+        channels: By number.
+        lacks_schemas: Whether a channel came by whose schema had not.
+    """
 
     def __init__(self) -> None:
         self.channels: dict[int, Channel] = {}
+        self.lacks_schemas = False
         self._schemas: dict[int, tuple[str, str]] = {}
 
     def add(self, opcode: int, content: bytes) -> None:
@@ -103,6 +109,7 @@ class Catalogue:
         elif opcode == CHANNEL:
             number, schema = fields.number(2), fields.number(2)
             topic, encoding = fields.text(), fields.text()
+            self.lacks_schemas |= schema != 0 and schema not in self._schemas
             self.channels[number] = Channel(topic, *self._schemas.get(schema, ("", "")), encoding)
 
 

@@ -9,7 +9,7 @@ from typing import BinaryIO
 import numpy as np
 
 from hpid_ros.bags.batches import SLACK, Bytes, Report
-from hpid_ros.bags.compression import check_sum, decompressed, decompressed_part
+from hpid_ros.bags.compression import Allowance, check_sum, decompressed, decompressed_part
 from hpid_ros.bags.mcap_chunks import Chunk, walk
 from hpid_ros.bags.mcap_records import (
     CHANNEL,
@@ -36,7 +36,6 @@ _HEAD = struct.Struct("<QQQII")  # times, length, checksum, length of the compre
 _STORED = struct.Struct("<Q")
 _INDEX = struct.Struct("<HI")  # channel, length of the entries
 _LONGEST_NAME = 64
-_LARGEST_CHUNK = 1 << 31
 _WINDOW = 1 << 20
 
 
@@ -97,6 +96,7 @@ class RecordStream:
         self._size = size
         self._catalogue = catalogue
         self._has_chunks = has_chunks
+        self._allowance = Allowance()
         self.is_finished = False
 
     def fill(
@@ -152,7 +152,8 @@ class RecordStream:
         head = self._stream.read(_HEAD.size)
         self._stream.seek(position + FRAME_SIZE)
         size: int = _HEAD.unpack(head)[2] if len(head) == _HEAD.size else 0
-        return size if size <= _LARGEST_CHUNK else 0
+        stored = min(length, self._size - position)
+        return size if size <= self._allowance.room(stored) else 0
 
     def _take_chunk(self, arena: Arena, position: int, length: int, report: Report) -> int:
         """Place one chunk's records; return where to go on."""
@@ -163,7 +164,7 @@ class RecordStream:
             (stored,) = _STORED.unpack_from(head, _HEAD.size + name_size)
         except (struct.error, UnicodeDecodeError):
             return self._after_damage(position, report)
-        if _HEAD.size + name_size + 8 + stored != length or size > _LARGEST_CHUNK:
+        if _HEAD.size + name_size + 8 + stored != length:
             return self._after_damage(position, report)
         self._stream.seek(position + FRAME_SIZE + length - stored)
         following = position + FRAME_SIZE + length
@@ -182,7 +183,8 @@ class RecordStream:
     def _place(self, arena: Arena, name: str, stored: int, size: int, crc: int) -> None:
         place = arena.next_bytes(size)
         if name:
-            place[:] = decompressed(name, self._stream.read(stored), size, crc)
+            raw = self._stream.read(stored)
+            place[:] = decompressed(name, raw, size, crc, self._allowance)
             return
         if stored != size:
             raise BagError(f"{stored} bytes instead of {size}")
@@ -191,8 +193,9 @@ class RecordStream:
         check_sum(place, crc)
 
     def _place_part(self, arena: Arena, name: str) -> int:
-        part = decompressed_part(name, self._stream.read())
-        part = part[: max(len(arena.buffer) - SLACK - arena.fill, 0)]
+        room = max(len(arena.buffer) - SLACK - arena.fill, 0)
+        raw = self._stream.read()
+        part = decompressed_part(name, raw, room, self._allowance) if name else raw[:room]
         arena.next_bytes(len(part))[:] = part
         return len(part)
 

@@ -27,13 +27,16 @@ class Summary(NamedTuple):
 
     Attributes:
         catalogue: Its channels.
-        counts: Number of messages by channel.
-        chunk_channels: Channels of each chunk, by its position in the file.
+        counts: Number of messages by channel; None if there are no statistics.
+        chunk_channels: Channels of each chunk, by its position in the file. None named is no
+            empty chunk, but one that was written without an index: any may be in it.
+        is_complete: Whether all channels are in the catalogue, with their schemas.
     """
 
     catalogue: Catalogue
-    counts: Mapping[int, int]
+    counts: Mapping[int, int] | None
     chunk_channels: Mapping[int, frozenset[int]]
+    is_complete: bool
 
 
 def read_summary(stream: BinaryIO, size: int) -> Summary:
@@ -44,7 +47,7 @@ def read_summary(stream: BinaryIO, size: int) -> Summary:
         size: Its length in bytes.
 
     Raises:
-        BagError: There is none, it is damaged, or it does not name the channels.
+        BagError: There is none, or it is damaged.
     """
     tail_size = FRAME_SIZE + _FOOTER_FIELDS + len(MAGIC)
     if size < tail_size + len(MAGIC):
@@ -84,12 +87,13 @@ def _parsed(records: bytes) -> Summary:
             chunk_channels[position] = channels
         else:
             catalogue.add(opcode, content)
-    if counts is None or not set(counts) <= set(catalogue.channels):
-        raise BagError("the summary does not name the channels")
     named = {channel for channels in chunk_channels.values() for channel in channels}
-    if not named <= set(catalogue.channels):
-        raise BagError("the summary does not name the channels")
-    return Summary(catalogue, counts, chunk_channels)
+    is_complete = (
+        counts is not None
+        and named | set(counts) <= set(catalogue.channels)
+        and not catalogue.lacks_schemas
+    )
+    return Summary(catalogue, counts, chunk_channels, is_complete)
 
 
 def _counts(content: bytes) -> dict[int, int]:

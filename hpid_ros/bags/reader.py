@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from hpid_ros.analysis.quality import RecordingQuality
+from hpid_ros.analysis.quality import DataQuality, RecordingQuality, StampQuality
 from hpid_ros.analysis.series import RunSeries, SeriesError
 from hpid_ros.bags.bag_file import BagReader, RawMessage, TopicSummary
 from hpid_ros.bags.batches import TopicInfo
@@ -20,6 +20,8 @@ from hpid_ros.bags.topic_choice import choose_topics
 from hpid_ros.errors import BagError, unknown_name
 
 __all__ = ["BagReader", "RawMessage", "TopicSummary", "read_run"]
+
+_SHOWN_JOINTS = 3
 
 _log = logging.getLogger(__name__)
 
@@ -167,5 +169,25 @@ def _run(
         series.append(one)
     if not series:
         raise SeriesError(f"no joint has a state from {selection.start} s to {selection.end} s")
+    recording.notes.extend(_foreign_clocks(qualities))
     quality = RecordingQuality(joints=qualities, notes=tuple(recording.notes))
     return RunSeries(label, tuple(series), losses, quality=quality)
+
+
+def _foreign_clocks(qualities: Mapping[str, DataQuality]) -> Iterator[str]:
+    """Yield one line if commands have no time in common with the states."""
+    joints = [name for name, each in qualities.items() if not each.has_common_time]
+    if not joints:
+        return
+    first = qualities[joints[0]]
+    shown = ", ".join(joints[:_SHOWN_JOINTS])
+    more = len(joints) - _SHOWN_JOINTS
+    yield (
+        f"states and commands of {shown}{f' and {more} more' if more > 0 else ''} are on clocks "
+        f"that do not overlap: {_span_of(first.states)} and {_span_of(first.commands)} after the "
+        "first state; the energy is not computed (clock 'receive' gives both one clock)"
+    )
+
+
+def _span_of(stamps: StampQuality) -> str:
+    return f"{stamps.begin:.3f} s to {stamps.end:.3f} s"

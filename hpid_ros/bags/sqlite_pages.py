@@ -9,6 +9,7 @@ Source: "Database File Format", sqlite.org/fileformat2.html, sections 1.3, 1.6 a
 
 from __future__ import annotations
 
+import io
 from collections.abc import Iterator
 from typing import BinaryIO, NamedTuple
 
@@ -41,7 +42,8 @@ class Rows(NamedTuple):
         topic_ids: Their topics, (n,).
         times_ns: Their timestamps, (n,), in [ns].
         starts: Where their data begins in the buffer, (n,).
-        sizes: How long it is; -1 for a row that goes on elsewhere, (n,).
+        sizes: How long it is, (n,); of a row that goes on elsewhere the negative of it.
+        local_ends: Where such a row leaves its page: there is the number of the next, (n,).
     """
 
     buffer: Bytes
@@ -50,6 +52,7 @@ class Rows(NamedTuple):
     times_ns: Integers
     starts: Integers
     sizes: Integers
+    local_ends: Integers
 
 
 class PageReader:
@@ -93,6 +96,70 @@ class PageReader:
                 yield rows
         if pages:
             yield self._parsed(pages, last)
+
+    def loose_rows(self, following: int) -> Iterator[Rows]:
+        """Yield the rows of all leaf pages in the order of the file, reached from a root or not.
+
+        In a file that was cut off the pages that lead to its leaves may be what is missing.
+        Leaves of other tables are told apart by their records.
+
+        Args:
+            following: The first row number that is wanted.
+        """
+        for rows in self._loose_leaves():
+            begin = int(np.searchsorted(rows.ids, following))
+            if begin < len(rows.ids):
+                following = int(rows.ids[-1]) + 1
+                yield Rows(rows.buffer, *(part[begin:] for part in rows[1:]))
+
+    def _loose_leaves(self) -> Iterator[Rows]:
+        count = self._stream.seek(0, io.SEEK_END) // self._page_size
+        pages: list[int] = []
+        for page in range(2, count + 1):
+            self._stream.seek((page - 1) * self._page_size)
+            if self._stream.read(1)[0] == _LEAF:
+                pages.append(page)
+            if len(pages) == _PAGES_AT_ONCE:
+                yield from self._parsed_as_far_as_possible(pages)
+                pages = []
+        yield from self._parsed_as_far_as_possible(pages)
+
+    def _parsed_as_far_as_possible(self, pages: list[int]) -> Iterator[Rows]:
+        if not pages:
+            return
+        try:
+            rows = self._parsed(pages, -(2**63))
+        except UnusualPageError:
+            half = len(pages) // 2
+            if half:
+                yield from self._parsed_as_far_as_possible(pages[:half])
+                yield from self._parsed_as_far_as_possible(pages[half:])
+        else:
+            yield rows
+
+    def data(self, rows: Rows, index: int) -> bytes:
+        """Return the data of one row, also if it goes on elsewhere.
+
+        Args:
+            rows: Some rows.
+            index: Which of them.
+
+        Raises:
+            UnusualPageError: A page of it is missing.
+        """
+        start, size = int(rows.starts[index]), abs(int(rows.sizes[index]))
+        if rows.sizes[index] >= 0:
+            return rows.buffer[start : start + size].tobytes()
+        here = int(rows.local_ends[index])
+        parts = [rows.buffer[start:here].tobytes()]
+        page = int.from_bytes(rows.buffer[here : here + 4].tobytes(), "big")
+        missing = size - len(parts[0])
+        while missing > 0:
+            raw = self._page(page)
+            parts.append(raw[4 : min(self._usable, 4 + missing)])
+            missing -= len(parts[-1])
+            page = int.from_bytes(raw[:4], "big")
+        return b"".join(parts)
 
     def _leaves(self, page: int) -> Iterator[int]:
         """Yield the numbers of the leaf pages below a page, in order."""
@@ -160,9 +227,15 @@ class PageReader:
         times, at = _integers(buffer, at, time)
         sizes = (blob - _FIRST_BLOB) // 2
         is_whole = payload <= self._usable - _LOCAL
-        if ((at + sizes != record + payload) | (is_whole & (record + payload > ends))).any():
+        least = (self._usable - 12) * 32 // 255 - 23
+        most = self._usable - _LOCAL
+        local = least + (payload - least) % (self._usable - 4)
+        local = np.where(is_whole, payload, np.where(local <= most, local, least))
+        is_inside = (record + local + np.where(is_whole, 0, 4) <= ends) & (at <= record + local)
+        if ((at + sizes != record + payload) | ~is_inside).any():
             raise UnusualPageError("a row of another length")
-        return Rows(buffer, ids, topic_ids, times, at, np.where(is_whole, sizes, -1))
+        sizes = np.where(is_whole, sizes, -sizes)
+        return Rows(buffer, ids, topic_ids, times, at, sizes, record + local)
 
     def _loaded(self, pages: list[int]) -> tuple[Bytes, Integers]:
         """Read pages into one buffer; return it and where each begins."""

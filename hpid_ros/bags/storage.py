@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import shutil
+import stat
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack
 from pathlib import Path
@@ -10,12 +10,17 @@ from tempfile import TemporaryDirectory
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-import yaml
-
-from hpid_ros.bags.batches import SLACK, Report, StorageFile, TopicBatch, TopicInfo
-from hpid_ros.bags.compression import zstd
+from hpid_ros.bags.batches import (
+    Report,
+    StorageFile,
+    TopicBatch,
+    TopicInfo,
+    batch_of,
+    count_difference,
+)
+from hpid_ros.bags.compression import Allowance, decompressed_message, unpack_file
 from hpid_ros.bags.mcap_file import McapFile
+from hpid_ros.bags.metadata import METADATA, counts_of, read_metadata
 from hpid_ros.bags.sqlite_file import SqliteFile
 from hpid_ros.errors import BagError
 
@@ -24,6 +29,15 @@ if TYPE_CHECKING:
 
 _SUFFIXES = (".mcap", ".db3")
 _ZSTD = ".zstd"
+_NO_FILES = {
+    stat.S_IFDIR: "folder",
+    stat.S_IFIFO: "FIFO",
+    stat.S_IFSOCK: "socket",
+    stat.S_IFCHR: "device",
+    stat.S_IFBLK: "device",
+}
+_MOST_LINES = 50
+"""Lines about what cannot be read; a file can be made to have any number."""
 _PLACES_PER_FILE = 1 << 48
 """Above every place in one file, so that places order the messages of all files."""
 
@@ -47,12 +61,13 @@ class Storage:
     def __init__(self, path: Path | str) -> None:
         self.path = Path(path)
         self.unreadable: list[str] = []
+        self._further = 0
         self._stack = ExitStack()
         if not self.path.exists():
             raise BagError(f"no bag at {self.path}: no such file or folder")
         metadata = self._metadata() if self.path.is_dir() else {}
         self._is_by_message = str(metadata.get("compression_mode", "")).lower() == "message"
-        self._counts = _counts(metadata)
+        self._counts = counts_of(metadata)
         self._files: list[tuple[StorageFile, Report, int]] = []
         for file in self._paths(metadata):
             try:
@@ -64,24 +79,24 @@ class Storage:
             raise BagError(f"cannot read bag {self.path}: {'; '.join(self.unreadable)}")
 
     def _report(self, line: str) -> None:
-        if line not in self.unreadable:
+        if line in self.unreadable:
+            return
+        if len(self.unreadable) < _MOST_LINES:
             self.unreadable.append(line)
+        else:
+            self._further += 1
+            self.unreadable[_MOST_LINES:] = [f"{self._further} further lines like these"]
 
     def _metadata(self) -> dict[str, Any]:
         """Return what ``metadata.yaml`` says; nothing if it is missing or damaged."""
-        file = self.path / "metadata.yaml"
-        if not file.exists():
+        if not (self.path / METADATA).exists():
             self._report("metadata.yaml is missing, as after a recorder that was stopped by force")
             return {}
         try:
-            document = yaml.load(file.read_bytes(), getattr(yaml, "CSafeLoader", yaml.SafeLoader))
-            metadata = document["rosbag2_bagfile_information"]
-            if isinstance(metadata, dict):
-                return metadata
-        except (OSError, ValueError, TypeError, KeyError, yaml.YAMLError):
-            pass
-        self._report("metadata.yaml is damaged; the files were read without it")
-        return {}
+            return read_metadata(self.path)
+        except BagError as error:
+            self._report(f"metadata.yaml is damaged; the files were read without it ({error})")
+            return {}
 
     def _paths(self, metadata: Mapping[str, Any]) -> list[Path]:
         """Return the files of the bag in their order."""
@@ -98,9 +113,16 @@ class Storage:
         return sorted(found, key=_natural_order)
 
     def _open(self, path: Path) -> None:
-        if not path.exists():
-            raise BagError("the file is missing")
-        size = path.stat().st_size
+        try:
+            found = path.stat()
+        except FileNotFoundError:
+            raise BagError("the file is missing") from None
+        except OSError as error:
+            raise BagError(str(error.strerror or error)) from None
+        kind = _NO_FILES.get(stat.S_IFMT(found.st_mode))
+        if kind is not None:  # of which some can be opened, and never end
+            raise BagError(f"it is a {kind}, not a file")
+        size = found.st_size
         suffix = _suffix(path)
         if suffix not in _SUFFIXES:
             raise BagError("neither .mcap nor .db3")
@@ -121,12 +143,10 @@ class Storage:
         folder = self._stack.enter_context(TemporaryDirectory(prefix="hpid_bag_"))
         unpacked = Path(folder) / path.stem
         try:
-            with zstd.open(path, "rb") as packed, unpacked.open("wb") as target:
-                shutil.copyfileobj(packed, target)
+            if not unpack_file(path, unpacked, Allowance()):
+                report("it is damaged or cut off; what could be unpacked was read")
         except OSError as error:
             raise BagError(f"it cannot be unpacked: {error.strerror or error}") from error
-        except (EOFError, zstd.ZstdError):
-            report("it is damaged or cut off; what could be unpacked was read")
         return unpacked
 
     def topics(self) -> dict[str, TopicInfo]:
@@ -163,44 +183,40 @@ class Storage:
             def done(position: int, before: int = before, size: int = size) -> None:
                 progress(min((before + min(position, size)) / whole, 1.0))
 
+            allowance = Allowance()
             for batch in file.batches(topics, report, done):
                 found[batch.topic] += len(batch.starts)
                 batch = batch._replace(places=batch.places + number * _PLACES_PER_FILE)
-                yield self._without_compression(batch) if self._is_by_message else batch
+                if self._is_by_message:
+                    batch = self._without_compression(batch, allowance)
+                if len(batch.starts):
+                    yield batch
             before += size
         progress(1.0)
-        for topic in sorted(topics):
-            told = self._counts.get(topic, found[topic])
-            if told != found[topic]:
-                self._report(
-                    f"metadata.yaml counts {told} messages on {topic}, not {found[topic]}"
-                )
+        known = self.topics()
+        told = {n: count for n, count in self._counts.items() if n in topics or n not in known}
+        line = count_difference(told, found)
+        if line:
+            self._report(f"metadata.yaml counts {line}")
 
-    def _without_compression(self, batch: TopicBatch) -> TopicBatch:
+    def _without_compression(self, batch: TopicBatch, allowance: Allowance) -> TopicBatch:
         """Decompress each message of a batch."""
         raws: list[bytes] = []
         kept: list[int] = []
+        reason = ""
         for index in range(len(batch.starts)):
             try:
-                raws.append(zstd.decompress(batch.raw(index)))
-            except zstd.ZstdError:
+                raws.append(decompressed_message(batch.raw(index), allowance))
+            except BagError as error:
+                reason = reason or str(error)
                 continue
             kept.append(index)
-        if len(kept) < len(batch.starts):
+        if reason:
             self._report(
                 f"messages on {batch.topic} cannot be decompressed and are left out, the first "
-                f"recorded at {int(batch.log_times_ns[0])} ns or later"
+                f"recorded at {int(batch.log_times_ns[0])} ns or later: {reason}"
             )
-        slack = bytes(SLACK)
-        sizes = np.fromiter(map(len, raws), np.int64, len(raws))
-        return TopicBatch(
-            batch.topic,
-            np.frombuffer(b"".join((slack, *raws, slack)), dtype=np.uint8),
-            SLACK + np.cumsum(sizes) - sizes,
-            sizes,
-            batch.log_times_ns[kept],
-            batch.places[kept],
-        )
+        return batch_of(batch.topic, raws, batch.log_times_ns[kept], batch.places[kept])
 
     def close(self) -> None:
         """Close all files; does nothing the second time."""
@@ -228,15 +244,3 @@ def _natural_order(path: Path) -> tuple[str, int, str]:
     stem = path.name.partition(".")[0]
     base, _, number = stem.rpartition("_")
     return (base, int(number), path.name) if number.isdecimal() else (stem, -1, path.name)
-
-
-def _counts(metadata: Mapping[str, Any]) -> dict[str, int]:
-    """Return how many messages of each topic the metadata counts."""
-    counts: dict[str, int] = {}
-    try:
-        for each in metadata["topics_with_message_count"]:
-            name, count = each["topic_metadata"]["name"], int(each["message_count"])
-            counts[str(name)] = counts.get(str(name), 0) + count
-    except (KeyError, TypeError, ValueError):
-        return {}
-    return counts

@@ -6,7 +6,7 @@ import argparse
 import json
 import logging
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -15,11 +15,12 @@ from hpid_ros.analysis import RunIndices, RunSeries, run_indices
 from hpid_ros.analysis.quality_text import quality_lines
 from hpid_ros.analysis.saved import runs_from_mapping
 from hpid_ros.analysis.task_figures import EndEffectorFigures, EndEffectorPath
-from hpid_ros.bags import BagReader, read_run
+from hpid_ros.bags import read_run
+from hpid_ros.bags.metadata import custom_data
 from hpid_ros.commands.metrics_options import bag_selection, index_settings
 from hpid_ros.commands.metrics_robot import end_effector_of, task_frame
 from hpid_ros.commands.retunes import read_retunes
-from hpid_ros.errors import BagError, SettingError
+from hpid_ros.errors import SettingError
 
 RESULT = "result.json"
 LABEL = "label"
@@ -196,10 +197,8 @@ def _labelled(inputs: Sequence[Input]) -> list[Input]:
 
 
 def _label_in_metadata(path: Path) -> str | None:
-    # Whatever is wrong with the bag is said when it is read.
-    with suppress(BagError), BagReader(path) as bag:
-        return bag.metadata.get(LABEL) or None
-    return None
+    label = custom_data(path).get(LABEL)
+    return label if isinstance(label, str) and label else None
 
 
 def _distinct_names(paths: Sequence[Path]) -> list[str]:
@@ -228,5 +227,5 @@ def _load_json(path: Path) -> Any:
     except OSError as error:
         reason = (error.strerror or str(error)).lower()
         raise SettingError(f"cannot read {path}: {reason}") from None
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise SettingError(f"{path} is no JSON: {error}") from None

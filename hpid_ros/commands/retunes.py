@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from hpid_ros.analysis.series import Retune
-from hpid_ros.bags import BagReader
 from hpid_ros.bags.message_types import JOINT_STATE, jazzy_types
+from hpid_ros.bags.storage import Storage
 from hpid_ros.control import LOOP_PARAMETERS
 
 PARAMETER_EVENTS = "rcl_interfaces/msg/ParameterEvent"
@@ -19,6 +21,8 @@ _FIELDS = (
     "string_array_value",
 )
 """Fields of a ParameterValue by its type."""
+_HEADER = 12
+"""Bytes of an encapsulation header and a stamp."""
 
 
 def read_retunes(path: Path) -> tuple[Retune, ...]:
@@ -32,21 +36,46 @@ def read_retunes(path: Path) -> tuple[Retune, ...]:
     Raises:
         BagError: The bag cannot be read.
     """
-    with BagReader(path) as bag:
-        topics = bag.topics
+    with Storage(path) as bag:
+        topics = bag.topics()
         events = [name for name, topic in topics.items() if topic.type == PARAMETER_EVENTS]
         states = [name for name, topic in topics.items() if topic.type == JOINT_STATE]
         states = [name for name in states if name.endswith("joint_states")]
-        if not events or not states or not any(topics[name].message_count for name in events):
+        if not events or not states:
             return ()
-        stamp_ns: int | None = None
-        found: list[Retune] = []
-        for message in bag.messages(*events, states[0]):
-            if message.topic == states[0]:
-                stamp_ns = _header_stamp_ns(message.raw)
-            elif stamp_ns is not None:
-                found.extend(_retunes(message.raw, stamp_ns))
-    return tuple(found)
+        told = [
+            (int(batch.places[k]), batch.raw(k))
+            for batch in bag.batches(frozenset(events), _untold)
+            for k in range(len(batch.starts))
+        ]
+        if not told:
+            return ()
+        told.sort()
+        stamps = _stamps_before([place for place, _ in told], bag, states[0])
+    pairs = zip(told, stamps, strict=True)
+    return tuple(
+        retune
+        for (_, raw), stamp_ns in pairs
+        if stamp_ns is not None
+        for retune in _retunes(raw, stamp_ns)
+    )
+
+
+def _untold(share: float) -> None:
+    """Tell nobody how much was read."""
+
+
+def _stamps_before(places: Sequence[int], bag: Storage, states: str) -> list[int | None]:
+    """Return for each place the stamp of the last state before it, None if there is none."""
+    stamps: list[int | None] = [None] * len(places)
+    last: list[int] = [-1] * len(places)
+    for batch in bag.batches(frozenset((states,)), _untold):
+        before = np.searchsorted(batch.places, places) - 1
+        for number, index in enumerate(before.tolist()):
+            if index >= 0 and batch.places[index] > last[number] and batch.sizes[index] >= _HEADER:
+                last[number] = int(batch.places[index])
+                stamps[number] = _header_stamp_ns(batch.raw(index))
+    return stamps
 
 
 def _header_stamp_ns(raw: bytes) -> int:
@@ -56,7 +85,10 @@ def _header_stamp_ns(raw: bytes) -> int:
 
 
 def _retunes(raw: bytes, stamp_ns: int) -> Iterator[Retune]:
-    event: Any = jazzy_types().deserialize_cdr(raw, PARAMETER_EVENTS)
+    try:
+        event: Any = jazzy_types().deserialize_cdr(raw, PARAMETER_EVENTS)
+    except Exception:  # whatever rosbags' generated code trips over: no event, no mark in a figure
+        return
     changes = [
         f"{parameter.name} = {_value(parameter.value)}"
         for parameter in event.changed_parameters
