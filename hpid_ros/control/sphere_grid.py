@@ -70,8 +70,7 @@ def growth_rates(shapes: Array, degrees: Sequence[float]) -> Array:
     generators = np.stack([1.0 - mu, np.ones_like(mu), 1.0 + mu], axis=-1)
     products = upper @ (generators[..., :, None] * np.linalg.inv(upper))
     values = np.linalg.eigvalsh(0.5 * (products + np.swapaxes(products, -1, -2)))
-    ends: Array = values[..., [0, -1]]
-    return ends
+    return np.asarray(values[..., [0, -1]], float)
 
 
 class SphereGrid:
