@@ -8,13 +8,21 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
+from scipy.optimize import linprog
 
 from hpid_ros.control import CanonicalNorm, Gains, HomogeneousPid, WeightedNorm
 from hpid_ros.control.certificate import CertifiedSpan
 from hpid_ros.control.certificate_check import margins_at, span_margins
 from hpid_ros.control.closed_loop import closed_loop_field, dilated, state_norm
 from hpid_ros.control.loop_figures import settling_time_bound
-from hpid_ros.control.lyapunov import lyapunov_solution, scaled_loop
+from hpid_ros.control.lyapunov import (
+    first_shapes,
+    lyapunov_solution,
+    scaled_loop,
+    worst_rate,
+    worst_rates,
+)
+from hpid_ros.control.minimax import least_maximum
 from hpid_ros.control.norm_arrays import norm_values, unit_curve
 from hpid_ros.control.sphere_grid import SphereGrid, monotonicity, time_unit
 from hpid_ros.control.stability import (
@@ -239,3 +247,60 @@ def test_a_norm_of_another_degree_or_another_kind_is_refused():
         certified_degree_interval(gains, lambda degree: WeightedNorm(0.1, 1.0, 1.0))
     with pytest.raises(NormError, match="not function"):
         certified_degree_interval(gains, lambda degree: lambda e, de: abs(e) + abs(de))
+
+
+@st.composite
+def programs(draw):
+    """Return a linear program as the search makes them, rows and columns of any size."""
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    rows, n = draw(st.integers(1, 200)), 6
+    slopes = rng.normal(size=(rows, n)) * 10.0 ** rng.uniform(-2.0, 2.0, size=(1, n))
+    slopes[rows // 2 :] = slopes[: rows - rows // 2]  # repeated rows: vertices where many meet
+    return slopes, rng.normal(size=rows), rng.normal(size=(2, n)), rng.random(2)
+
+
+@settings(max_examples=60, deadline=None)
+@given(programs(), st.floats(-4.0, 0.0))
+def test_the_least_maximum_is_that_of_a_general_solver(program, log_radius):
+    slopes, values, losses, spare = program
+    rows, n = slopes.shape
+    radius = 10.0**log_radius
+    scale = np.abs(slopes).max()
+    x = least_maximum(values, slopes, losses, spare, radius)
+    assert np.abs(x).max() <= radius
+    assert (losses @ x <= spare + 1e-7).all()
+    general = linprog(
+        [0.0] * n + [1.0],
+        A_ub=np.vstack(
+            [
+                np.hstack([slopes / scale, -np.ones((rows, 1))]),
+                np.hstack([losses, np.zeros((2, 1))]),
+            ]
+        ),
+        b_ub=np.concatenate([-values / scale, spare]),
+        bounds=[(-radius, radius)] * n + [(None, None)],
+    )
+    assert (values + slopes @ x).max() / scale == pytest.approx(general.fun, abs=1e-7)
+
+
+def test_many_shapes_at_once_have_the_rates_of_each():
+    gains, norm = Gains(10.0, 15.0, 5.0), CanonicalNorm(0.2, ((1.0, 0.1), (0.1, 0.3)))
+    shapes = first_shapes(gains, norm).reshape(-1, 3, 3)[::7]
+    shapes[3] = np.diag([1.0, -1.0, 1.0])  # not positive definite
+    grids = [SphereGrid(gains, norm, 12, 24)]
+    each = [worst_rate(grids, shape) for shape in shapes]
+    assert each[3] == np.inf
+    assert worst_rates(grids, shapes) == pytest.approx(each, rel=1e-12)
+
+
+def test_the_search_needs_no_more_than_the_narrowest_inertia_allows():
+    """All inertias reach the same ends: what lies beyond them at one of them is not searched."""
+    gains = Gains(21.0, 52.5, 2.1)
+    found = certified_degree_interval(
+        gains, lambda mu: WeightedNorm.scaled(mu, 0.12, 1.0), (0.105, 0.576), 0.02
+    )
+    spans = found.certificate.spans
+    for inertia in found.certificate.inertias:
+        of_it = [span for span in spans if span.inertia == inertia]
+        assert (of_it[0].lower, of_it[-1].upper) == (found.lower, found.upper)
+    verify_certificate(found.certificate)

@@ -1,19 +1,20 @@
 """The search for certificates: outward from degree zero, a P for each span of degrees.
 
-What the search accepts was seen on a fine grid; :mod:`hpid_ros.control.certificate` proves the
-same statement again on another one.
+What the search accepts was seen on a fine grid; :mod:`hpid_ros.control.certificate_check`
+proves the same statement again on another one.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from itertools import chain
 
 import numpy as np
 
 from hpid_ros.control.certificate import CertifiedSpan
 from hpid_ros.control.closed_loop import effective_gains
 from hpid_ros.control.gains import Gains
-from hpid_ros.control.lyapunov import first_shapes, improved, scaled_loop, worst_rate
+from hpid_ros.control.lyapunov import first_shapes, improved, scaled_loop, worst_rate, worst_rates
 from hpid_ros.control.norm_arrays import Array, Norm, require_known_norm
 from hpid_ros.control.sphere_grid import SphereGrid, time_unit
 from hpid_ros.errors import GainError, NormError
@@ -75,12 +76,20 @@ class CertificateSearch:
             )
         return norm
 
-    def outward(self, direction: float, tolerance: float) -> list[CertifiedSpan]:
+    def outward(
+        self,
+        direction: float,
+        tolerance: float,
+        outermost: float = OUTERMOST_DEGREE,
+        like: Sequence[CertifiedSpan] = (),
+    ) -> list[CertifiedSpan]:
         """Return certified spans that follow each other from degree zero.
 
         Args:
             direction: 1 for positive degrees, -1 for negative ones.
             tolerance: How far the end may fall short of what the search can certify.
+            outermost: Size of the degree at which it ends; no more is asked for.
+            like: Spans of the same loop at another inertia: their P are tried first.
 
         Raises:
             GainError: Not even degree zero is certified.
@@ -88,9 +97,11 @@ class CertificateSearch:
         here, width = 0.0, _WIDEST_SPAN
         spans: list[CertifiedSpan] = []
         shape: Array | None = None
-        while abs(here) < OUTERMOST_DEGREE and width >= 0.5 * tolerance:
-            there = direction * round(min(abs(here) + width, OUTERMOST_DEGREE), 12)
-            found = self._find((here, 0.5 * (here + there), there), shape)
+        while abs(here) < outermost and width >= 0.5 * tolerance:
+            there = direction * round(min(abs(here) + width, outermost), 12)
+            middle = 0.5 * (here + there)
+            others = [self._in_units(span) for span in like if span.lower <= middle <= span.upper]
+            found = self._find((here, middle, there), shape, others)
             if found is None:
                 width *= 0.5
                 continue
@@ -117,7 +128,7 @@ class CertificateSearch:
         return self._accepted((degree,), faster) or span
 
     def _find(
-        self, degrees: tuple[float, ...], near: Array | None
+        self, degrees: tuple[float, ...], near: Array | None, others: Sequence[Array] = ()
     ) -> tuple[Array, CertifiedSpan] | None:
         """Return a shape that is accepted at all of these degrees, or None."""
         ends = (degrees[0], degrees[-1])[: len(degrees)]
@@ -125,7 +136,7 @@ class CertificateSearch:
             coarse = self._grids(ends, _COARSE)
         except NormError:
             return None  # the law has none there
-        for shape in self._candidates(coarse, ends, near):
+        for shape in chain(others, self._candidates(coarse, ends, near)):
             span = self._accepted(degrees, shape)
             if span is not None:
                 return shape, span
@@ -152,12 +163,12 @@ class CertificateSearch:
             yield near
         # The best shape of each scale: from scales that are far apart, the search ends in
         # different optima.
-        best = [
-            min(((worst_rate(grids, shape), k, shape) for k, shape in enumerate(shapes)))
-            for shapes in self._first_shapes
-        ]
-        best.sort(key=lambda each: each[0])
-        yield from [shape for *_, shape in best[: _REFINED if is_widest else 1]]
+        scales, solutions = self._first_shapes.shape[:2]
+        rates = worst_rates(grids, self._first_shapes.reshape(-1, 3, 3))
+        rates = rates.reshape(scales, solutions)
+        best = self._first_shapes[np.arange(scales), rates.argmin(axis=1)]
+        order = np.argsort(rates.min(axis=1), kind="stable")
+        yield from best[order[: _REFINED if is_widest else 1]]
 
     def _accepted(self, degrees: tuple[float, ...], shape: Array) -> CertifiedSpan | None:
         """Return the span that a shape certifies on the fine grid, or None."""
@@ -168,8 +179,7 @@ class CertificateSearch:
                 if worst > -self._margin:
                     return None
         unit = time_unit(self._effective)
-        to_units = np.array([1.0, 1.0 / unit, 1.0 / unit**2])
-        physical = shape * np.multiply.outer(to_units, to_units)
+        physical = shape / self._units()
         physical = 0.5 * (physical + physical.T)
         return CertifiedSpan(
             inertia=self._inertia,
@@ -177,6 +187,16 @@ class CertificateSearch:
             shape=tuple(tuple(float(x) for x in row) for row in physical),
             rate=-worst * unit,
         )
+
+    def _units(self) -> Array:
+        """Return what turns a P in [rad], [s] into one in units of ki^(1/3)."""
+        scales = time_unit(self._effective) ** np.arange(3.0)
+        units: Array = np.multiply.outer(scales, scales)
+        return units
+
+    def _in_units(self, span: CertifiedSpan) -> Array:
+        shape: Array = np.array(span.shape) * self._units()
+        return shape
 
     def _grids(self, degrees: tuple[float, ...], size: tuple[int, int]) -> list[SphereGrid]:
         return [SphereGrid(self._effective, self.norm(degree), *size) for degree in degrees]

@@ -9,12 +9,17 @@ Source: the paper, section "Homogeneous norm".
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Sequence
 
 from hpid_ros.errors import NormError
 
 DEGREE_LIMIT = 0.5
 """Degrees lie strictly between minus and plus this."""
+
+GOOD_SAMPLING_MARGIN = 0.25
+"""T kd lam / m up to which sampling is not felt; see
+:func:`~hpid_ros.control.loop_figures.sampling_margin`."""
 
 
 def require_degree(degree: float) -> None:
@@ -193,6 +198,25 @@ class CanonicalNorm:
         return f"CanonicalNorm({self.degree}, {self.shape})"
 
 
+def scaled_norm(
+    kind: str, degree: float, error_scale: float, rate_weight: float
+) -> WeightedNorm | CanonicalNorm:
+    """Return the norm of a loop's parameters: 1 for an error of ``error_scale`` at rest.
+
+    Args:
+        kind: ``weighted`` or ``canonical``.
+        degree: Homogeneity degree mu, in (-0.5, 0.5).
+        error_scale: e_max in [rad].
+        rate_weight: Weight of the error rate in [s/rad].
+
+    Raises:
+        NormError: The degree is out of range, or a number is not positive and finite.
+    """
+    if kind == "weighted":
+        return WeightedNorm.scaled(degree, error_scale, rate_weight)
+    return CanonicalNorm(degree, ((error_scale**-2, 0.0), (0.0, rate_weight**2)))
+
+
 def norm_floor(
     norm: WeightedNorm | CanonicalNorm,
     *,
@@ -200,6 +224,7 @@ def norm_floor(
     derivative_gain: float,
     resolution: float = 0.0,
     filter_time_constant: float = 0.0,
+    cap: float = sys.float_info.max,
 ) -> float:
     """Return the least value of the norm that measurement and sampling can bear.
 
@@ -216,15 +241,40 @@ def norm_floor(
         derivative_gain: Effective derivative gain, ``kd`` over the inertia, in [1/s].
         resolution: Encoder step in [rad]; 0 for none.
         filter_time_constant: Of the velocity filter in [s].
+        cap: What the floor must lie below.
+
+    Raises:
+        NormError: It cannot.
     """
     floor = 1e-6
     if resolution > 0.0:
         feigned_rate = 2.0 * resolution / (filter_time_constant + period)
-        floor = max(floor, norm(2.0 * resolution, 0.0) + norm(0.0, feigned_rate))
-    if norm.degree < 0.0 and derivative_gain * period > 0.0:
-        largest_multiplier = 0.25 / (period * derivative_gain)
-        floor = max(floor, largest_multiplier ** (1.0 / norm.degree))
+        feigned = norm(2.0 * resolution, 0.0) + norm(0.0, feigned_rate)
+        if not feigned < cap:
+            raise NormError(
+                f"the norm of what an encoder_resolution of {resolution:g} rad feigns, "
+                f"{feigned:.3g}, must lie below norm.cap = {cap:g}: it is the norm's floor"
+            )
+        floor = max(floor, feigned)
+    if norm.degree < 0.0 and derivative_gain > 0.0:
+        # In logarithms: close to degree zero the floor is too large, or too small, for a number.
+        logarithm = math.log(GOOD_SAMPLING_MARGIN) - math.log(period) - math.log(derivative_gain)
+        log_floor = logarithm / norm.degree
+        if not log_floor < math.log(cap):
+            least = _power_of_ten(log_floor / math.log(10.0))
+            raise NormError(
+                f"T kd / m = {period * derivative_gain:g} exceeds {GOOD_SAMPLING_MARGIN:g}, which "
+                f"mu = {norm.degree:g} keeps by a norm.floor of {least} alone, and that must lie "
+                f"below norm.cap = {cap:g}: lower gains.d or the period, choose another mu, or "
+                f"set norm.floor"
+            )
+        floor = max(floor, math.exp(log_floor))
     return floor
+
+
+def _power_of_ten(exponent: float) -> str:
+    is_number = exponent < sys.float_info.max_10_exp
+    return f"{10.0**exponent:.3g}" if is_number else f"10^{exponent:.3g}"
 
 
 def _require_positive(name: str, value: float) -> None:

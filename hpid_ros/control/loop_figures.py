@@ -7,12 +7,28 @@ from typing import NamedTuple
 
 from hpid_ros.control.certificate import Certificate
 from hpid_ros.control.gains import Gains
-from hpid_ros.control.homogeneity import CanonicalNorm, WeightedNorm
+from hpid_ros.control.homogeneity import (
+    GOOD_SAMPLING_MARGIN,
+    CanonicalNorm,
+    WeightedNorm,
+)
 from hpid_ros.errors import SettingError
 
-GOOD_SAMPLING_MARGIN = 0.25
-"""T kd lam up to which sampling is not felt; the sampled loop breaks at about 2.0, and at 0.85
-when a sample is answered one period late, as over a topic."""
+__all__ = [
+    "GOOD_SAMPLING_MARGIN",
+    "LARGEST_SAMPLING_MARGIN",
+    "LARGEST_SAMPLING_MARGIN_LATE",
+    "MultiplierRange",
+    "decay_time",
+    "gain_multiplier_range",
+    "integral_ratio",
+    "sampling_margin",
+    "settling_time_bound",
+]
+
+LARGEST_SAMPLING_MARGIN, LARGEST_SAMPLING_MARGIN_LATE = 2.0, 0.85
+"""T kd lam / m at which the sampled loop breaks, and where a sample is answered one period late,
+as over a topic."""
 
 _NEGLIGIBLE_DEGREE = 1e-100  # a quotient of two such numbers has no digits
 

@@ -12,12 +12,12 @@ from itertools import product
 import numpy as np
 
 from hpid_ros.control.gains import Gains
+from hpid_ros.control.minimax import least_maximum
 from hpid_ros.control.norm_arrays import Array, Norm
 from hpid_ros.control.sphere_grid import (
     LEAST_MONOTONICITY,
     SphereGrid,
-    fastest_dilation,
-    monotonicity,
+    growth_rates,
     time_unit,
 )
 
@@ -59,7 +59,7 @@ def lyapunov_solution(loop: Array, cost: Sequence[float]) -> Array:
     return symmetric
 
 
-def first_shapes(gains: Gains, norm: Norm) -> list[list[Array]]:
+def first_shapes(gains: Gains, norm: Norm) -> Array:
     """Return the shapes that a search starts from: sixteen at each of nine scales.
 
     The costs reach from units of the integral action to units of the oscillation sqrt(kp), which
@@ -69,6 +69,9 @@ def first_shapes(gains: Gains, norm: Norm) -> list[list[Array]]:
     Args:
         gains: Effective gains, over the inertia; Hurwitz.
         norm: The law's norm at degree zero.
+
+    Returns:
+        Array of shape (scales, solutions, 3, 3).
     """
     loop, unit = scaled_loop(gains), time_unit(gains)
     slowness = min(1.0, unit / gains.p**0.5)
@@ -81,21 +84,31 @@ def first_shapes(gains: Gains, norm: Norm) -> list[list[Array]]:
         width = np.sqrt(np.diag(np.linalg.inv(solution))[:2])  # of the rim, in e and de
         rim = norm(width[0], 0.0) * norm(0.0, unit * width[1])
         solutions.append(solution * rim)
-    return [[scale * solution for solution in solutions] for scale in _SCALES]
+    return np.multiply.outer(_SCALES, np.stack(solutions))
 
 
-def worst_rate(grids: Sequence[SphereGrid], shape: Array) -> float:
-    """Return the largest x'P f(x) on the sphere over several degrees.
+def worst_rates(grids: Sequence[SphereGrid], shapes: Array) -> Array:
+    """Return the largest x'P f(x) on the sphere over several degrees, for many shapes at once.
 
     Args:
         grids: One for each degree.
-        shape: A symmetric 3x3 matrix.
+        shapes: Symmetric 3x3 matrices, of shape (count, 3, 3).
 
     Returns:
-        The rate in units of ki^(1/3), good when negative; infinite when P is not positive
+        The rates in units of ki^(1/3), good when negative; infinite when P is not positive
         definite or the dilation not monotone enough.
     """
-    return float(_values(grids, shape, relative=False).max())
+    rates = np.full(len(shapes), np.inf)
+    is_monotone = _spare_monotonicity(grids, shapes).min(axis=-1) > 0.0
+    if is_monotone.any():
+        good = shapes[is_monotone]
+        rates[is_monotone] = np.max([grid.rates(good).max(axis=-1) for grid in grids], axis=0)
+    return rates
+
+
+def worst_rate(grids: Sequence[SphereGrid], shape: Array) -> float:
+    """Return the largest x'P f(x) on the sphere over several degrees; see :func:`worst_rates`."""
+    return float(worst_rates(grids, shape[None])[0])
 
 
 def improved(
@@ -128,7 +141,7 @@ def improved(
         value = values.max()
         if value < enough or radius < _LEAST_RADIUS or stalled == _STALLED:
             break
-        move = _linear_program(grids, shape, values, radius, relative)
+        move = _best_move(grids, shape, values, radius, relative)
         candidate = _stretched(shape, move)
         after = _values(grids, candidate, relative)
         stalled = stalled + 1 if after.max() > value - _LEAST_GAIN * abs(value) else 0
@@ -140,51 +153,36 @@ def improved(
     return shape
 
 
-def _linear_program(
+def _best_move(
     grids: Sequence[SphereGrid], shape: Array, values: Array, radius: float, relative: bool
 ) -> Array:
     """Return the move within the radius that lowers the linearised maximum most."""
-    # Imported here: a controller that only checks Routh and Hurwitz does not wait for scipy.
-    from scipy.optimize import linprog
-
     active = np.argpartition(values, -_ACTIVE)[-_ACTIVE:]
     spare = _spare_monotonicity(grids, shape)
-    slopes, losses = np.empty((_ACTIVE, 6)), np.empty((len(grids), 6))
-    for k, direction in enumerate(np.eye(6)):
-        moved = _stretched(shape, _DIFFERENCE * direction)
-        change = np.minimum(_values(grids, moved, relative)[active] - values[active], _STEEP)
-        slopes[:, k] = change / _DIFFERENCE
-        losses[:, k] = (spare - _spare_monotonicity(grids, moved)) / _DIFFERENCE
-    scale = np.abs(slopes).max() or 1.0
-    found = linprog(
-        c=[0.0] * 6 + [1.0],
-        A_ub=np.vstack(
-            [
-                np.hstack([slopes / scale, -np.ones((_ACTIVE, 1))]),
-                np.hstack([losses, np.zeros((len(grids), 1))]),
-            ]
-        ),
-        b_ub=np.concatenate([-values[active] / scale, spare]),
-        bounds=[(-radius, radius)] * 6 + [(None, None)],
-        method="highs",
-    )
-    move: Array = found.x[:6] if found.success else np.zeros(6)
-    return move
+    moved = np.stack([_stretched(shape, _DIFFERENCE * direction) for direction in np.eye(6)])
+    change = np.minimum(_values(grids, moved, relative)[:, active] - values[active], _STEEP)
+    losses = (spare - _spare_monotonicity(grids, moved)).T / _DIFFERENCE
+    move = least_maximum(values[active], change.T / _DIFFERENCE, losses, spare, radius)
+    return np.zeros(6) if move is None else move
 
 
-def _spare_monotonicity(grids: Sequence[SphereGrid], shape: Array) -> Array:
-    return np.array([monotonicity(shape, grid.degree) - LEAST_MONOTONICITY for grid in grids])
+def _spare_monotonicity(grids: Sequence[SphereGrid], shapes: Array) -> Array:
+    return _growth_rates(grids, shapes)[..., 0] - LEAST_MONOTONICITY
 
 
-def _values(grids: Sequence[SphereGrid], shape: Array, relative: bool) -> Array:
-    if _spare_monotonicity(grids, shape).min() <= 0.0:
-        return np.full(sum(grid.size for grid in grids), np.inf)
-    return np.concatenate(
-        [
-            grid.rates(shape) / (fastest_dilation(shape, grid.degree) if relative else 1.0)
-            for grid in grids
-        ]
-    )
+def _growth_rates(grids: Sequence[SphereGrid], shapes: Array) -> Array:
+    return growth_rates(shapes, [grid.degree for grid in grids])
+
+
+def _values(grids: Sequence[SphereGrid], shapes: Array, relative: bool) -> Array:
+    """Return the rates at all points of shapes (..., 3, 3); infinite where one is not allowed."""
+    growth = _growth_rates(grids, shapes)
+    rates = [grid.rates(shapes) for grid in grids]
+    if relative:
+        rates = [each / growth[..., k, 1, None] for k, each in enumerate(rates)]
+    values = np.concatenate(rates, axis=-1)
+    values[growth[..., 0].min(axis=-1) <= LEAST_MONOTONICITY] = np.inf
+    return values
 
 
 def _stretched(shape: Array, parameters: Array) -> Array:

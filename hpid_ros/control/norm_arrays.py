@@ -57,7 +57,11 @@ def norm_values(norm: Norm, errors: ArrayLike, rates: ArrayLike) -> Array:
 
 
 def canonical_values(
-    degree: float, shape: tuple[float, float, float], e: Array, de: Array
+    degree: float,
+    shape: tuple[float | Array, float | Array, float | Array],
+    e: Array,
+    de: Array,
+    tolerance: float = _TOLERANCE,
 ) -> Array:
     """Return the canonical norm of many points.
 
@@ -67,9 +71,11 @@ def canonical_values(
 
     Args:
         degree: Homogeneity degree mu; the dilation is diag(e^{(1-mu)s}, e^s).
-        shape: p11, p12, p22 of a P for which that dilation is monotone.
+        shape: p11, p12, p22 of a P for which that dilation is monotone, or of many, in arrays
+            that broadcast with the coordinates.
         e: First coordinates.
         de: Second coordinates, of the same shape.
+        tolerance: Relative; the last step of Newton's method is smaller.
     """
     p11, p12, p22 = shape
     r = 1.0 - degree
@@ -81,21 +87,24 @@ def canonical_values(
     scale = np.where(is_zero, 0.0, scale)
     y1, y2 = e * np.exp(-r * scale), de * np.exp(-scale)
     y1 = np.where(is_zero, 1.0, y1)  # any point that is not zero; its norm is discarded
-    s = np.zeros_like(scale)
+    first, cross, second = p11 * y1 * y1, 2.0 * p12 * y1 * y2, p22 * y2 * y2
+    s = 0.5 * np.log(first + cross + second)
     low, high = np.full_like(s, -np.inf), np.full_like(s, np.inf)
     for _ in range(_NEWTON_STEPS):
-        u, v = y1 * np.exp(-r * s), y2 * np.exp(-s)
-        square = p11 * u * u + 2.0 * p12 * u * v + p22 * v * v
+        u, v = np.exp(-r * s), np.exp(-s)
+        a, b, c = first * (u * u), cross * (u * v), second * (v * v)
+        square = a + b + c
         value = np.log(square)
-        low = np.where(value > 0.0, s, low)
-        high = np.where(value > 0.0, high, s)
-        slope = 2.0 * (r * p11 * u * u + (1.0 + r) * p12 * u * v + p22 * v * v) / square
-        after = s + value / slope
-        outside = ~((low <= after) & (after <= high))
+        is_inside = value > 0.0
+        np.copyto(low, s, where=is_inside)
+        np.copyto(high, s, where=~is_inside)
+        step = 0.5 * value * square / (r * a + 0.5 * (1.0 + r) * b + c)
+        after = s + step
+        outside = (after < low) | (after > high)
         if outside.any():
             middle = np.where(np.isfinite(low + high), 0.5 * (low + high), after)
             after = np.where(outside, middle, after)
-        moved = np.abs(after - s) > _TOLERANCE * (1.0 + np.abs(after))
+        moved = np.abs(after - s) > tolerance * (1.0 + np.abs(after))
         s = after
         if not moved.any():
             break

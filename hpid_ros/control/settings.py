@@ -4,11 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 from hpid_ros.control.anti_windup import AntiWindup, anti_windup
 from hpid_ros.control.gains import Gains
-from hpid_ros.control.homogeneity import CanonicalNorm, WeightedNorm, norm_floor, require_degree
+from hpid_ros.control.homogeneity import (
+    CanonicalNorm,
+    WeightedNorm,
+    norm_floor,
+    require_degree,
+    scaled_norm,
+)
 from hpid_ros.control.homogeneous_pid import HomogeneousPid
 from hpid_ros.control.model_settings import MODEL_PARAMETERS, ModelSettings
 from hpid_ros.control.motion_limits import LimitFigures, MotionLimits
@@ -156,16 +162,15 @@ class LoopSettings:
 
     def make_norm(self) -> WeightedNorm | CanonicalNorm:
         """Return the norm: an error of ``norm.error_scale`` at rest has norm 1 in either type."""
-        if self.norm_type == "weighted":
-            return WeightedNorm.scaled(self.mu, self.norm_error_scale, self.norm_rate_weight)
-        shape = ((self.norm_error_scale**-2, 0.0), (0.0, self.norm_rate_weight**2))
-        return CanonicalNorm(self.mu, shape)
+        return scaled_norm(self.norm_type, self.mu, self.norm_error_scale, self.norm_rate_weight)
 
     def make_law(self) -> Pid | HomogeneousPid:
         """Return the control law, its integral at zero."""
         if self.discretization == "semi_implicit":
             degree = 0.0 if self.law == "pid" else self.mu
-            norm = replace(self, mu=degree, discretization="explicit").make_norm()
+            norm = scaled_norm(
+                self.norm_type, degree, self.norm_error_scale, self.norm_rate_weight
+            )
             return SemiImplicitHomogeneousPid(
                 self.gains, norm, self._floor(norm), self.norm_cap, inertia=self.plant_inertia
             )
@@ -183,6 +188,7 @@ class LoopSettings:
             derivative_gain=self.gains.d / (self.plant_inertia or 1.0),
             resolution=self.encoder_resolution,
             filter_time_constant=self.velocity_filter_time_constant,
+            cap=self.norm_cap,
         )
 
     def make_velocity_source(self) -> VelocitySource:

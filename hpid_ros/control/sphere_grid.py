@@ -10,6 +10,8 @@ follows the dilation: a curve of unit norm in the plane, carried inward to the p
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from hpid_ros.control.gains import Gains
@@ -18,6 +20,7 @@ from hpid_ros.control.norm_arrays import Array, Norm, canonical_values, norm_val
 LEAST_MONOTONICITY = 0.05
 """Least eigenvalue of the dilation's generator, relative to P, that is accepted."""
 
+_TOLERANCE_OF_RIM = 1e-5  # Newton's last step; what it leaves is the square of that
 _DEEP = 14.0  # in ln of a power of the norm: there it is negligible
 
 
@@ -41,38 +44,50 @@ def monotonicity(shape: Array, degree: float) -> float:
         shape: The symmetric 3x3 matrix P.
         degree: Homogeneity degree mu.
     """
-    return _monotonicity_range(shape, degree)[0]
+    return float(growth_rates(shape, [degree])[0, 0])
 
 
-def fastest_dilation(shape: Array, degree: float) -> float:
-    """Return the largest growth rate of the P-norm along the dilation.
+def growth_rates(shapes: Array, degrees: Sequence[float]) -> Array:
+    """Return the least and the largest growth rate of the P-norm along the dilation.
 
     Args:
-        shape: The symmetric positive definite 3x3 matrix P.
-        degree: Homogeneity degree mu.
+        shapes: Symmetric matrices P, of shape (..., 3, 3).
+        degrees: Homogeneity degrees mu.
+
+    Returns:
+        Array of shape (..., degrees, 2); minus and plus infinity where P is not positive definite.
     """
-    return _monotonicity_range(shape, degree)[1]
-
-
-def _monotonicity_range(shape: Array, degree: float) -> tuple[float, float]:
+    try:
+        factors = np.linalg.cholesky(shapes)
+    except np.linalg.LinAlgError:
+        if shapes.ndim > 2:  # find out which
+            return np.stack([growth_rates(each, degrees) for each in shapes])
+        return np.full((len(degrees), 2), (-np.inf, np.inf))
     # In the coordinates of the Cholesky factor L, P = L L', the matrix is L' G L'^-1 and its
     # transpose.
-    try:
-        factor = np.linalg.cholesky(shape)
-    except np.linalg.LinAlgError:
-        return -np.inf, np.inf
-    generator = np.array([1.0 - degree, 1.0, 1.0 + degree])
-    product = factor.T @ (generator[:, None] * np.linalg.inv(factor.T))
-    values = np.linalg.eigvalsh(0.5 * (product + product.T))
-    return float(values[0]), float(values[-1])
+    upper = np.swapaxes(factors, -1, -2)[..., None, :, :]
+    mu = np.asarray(degrees)
+    generators = np.stack([1.0 - mu, np.ones_like(mu), 1.0 + mu], axis=-1)
+    products = upper @ (generators[..., :, None] * np.linalg.inv(upper))
+    values = np.linalg.eigvalsh(0.5 * (products + np.swapaxes(products, -1, -2)))
+    return np.asarray(values[..., [0, -1]], float)
 
 
 class SphereGrid:
-    """The points on which a P is tried for one loop of one degree.
+    r"""The points on which P are tried for one loop of one degree.
 
     Works in the loop's own units: time in 1/ki^(1/3), so that the integral gain is one. Half of
     the directions in the plane of error and rate are even for the norm, half for the sphere,
     whose ends may be thin.
+
+    At a direction on the rim, carried inward by the dilation, error, rate and the terms of the
+    law are each a number times a power of the depth. With the height h above the plane of
+    error and rate the field's inflow is
+
+    .. math:: x^T P f = A + B h + p_{23} h^2, \qquad h^2 = (1 - q) / p_{33},
+
+    where q, A and B are sums of a few such products: over all directions and depths they are
+    products of two thin matrices, and a fine grid costs little more than its square roots.
 
     Args:
         gains: Effective gains, over the inertia; all positive.
@@ -92,51 +107,73 @@ class SphereGrid:
         self._circle = np.stack([np.cos(around), np.sin(around)])
         depths = _depths(min(1.0 + 2.0 * degree, 1.0 - degree), inward)
         exponents = (1.0 - degree, 1.0, 1.0 + degree, 1.0 + 2.0 * degree)
-        self._inward = [np.exp(-exponent * depths) for exponent in exponents]
+        x1, x2, pull, draw = (np.exp(-exponent * depths) for exponent in exponents)
+        self._squares = np.stack([x1 * x1, x1 * x2, x2 * x2, x1 * pull, x2 * pull])
+        self._lines = np.stack([x1, x2, pull, draw])
 
     @property
     def size(self) -> int:
         """How many points there are, the pole included."""
-        return 2 * self._error.size * self._inward[0].size + 1
+        return int(2 * self._error.size * self._lines.shape[1]) + 1
 
-    def rates(self, shape: Array) -> Array:
+    def rates(self, shapes: Array) -> Array:
         """Return x'P f(x) at every point of x'P x = 1, in units of ki^(1/3); negative is good.
 
         Args:
-            shape: A positive definite P for which the dilation is monotone.
+            shapes: Positive definite P for which the dilation is monotone, of shape (..., 3, 3).
 
         Returns:
-            One-dimensional array; the last one is the pole, where error and error rate are 0.
+            Array of shape (..., size); the last one is the pole, where error and error rate
+            are 0.
         """
-        p13, p23, p33 = shape[0, 2], shape[1, 2], shape[2, 2]
-        s11 = shape[0, 0] - p13 * p13 / p33
-        s12 = shape[0, 1] - p13 * p23 / p33
-        s22 = shape[1, 1] - p23 * p23 / p33
-        x1, x2, pull, draw = self._plane(s11, s12, s22)
-        first = s11 * x1 + s12 * x2
-        second = s12 * x1 + s22 * x2
-        height = np.sqrt(np.maximum(1.0 - first * x1 - second * x2, 0.0) / p33)
-        x3 = height - (p13 * x1 + p23 * x2) / p33
-        first += p13 * height
-        second += p23 * height
-        rates = first * x2 + second * (x3 - pull) - p33 * height * draw
-        return np.append(rates, p23 / p33)
+        p13, p23, p33 = (shapes[..., k, 2, None] for k in range(3))
+        a13, a23 = p13 / p33, p23 / p33
+        s11 = shapes[..., 0, 0, None] - p13 * a13
+        s12 = shapes[..., 0, 1, None] - p13 * a23
+        s22 = shapes[..., 1, 1, None] - p23 * a23
+        x1, x2, pull, draw = self._rim(s11, s12, s22)
+        x11, x12, x22 = x1 * x1, x1 * x2, x2 * x2
+        square = np.stack([s11 * x11, 2.0 * s12 * x12, s22 * x22], axis=-1)
+        flat = np.stack(
+            [
+                -s12 * a13 * x11,
+                (s11 - s12 * a23 - s22 * a13) * x12,
+                (s12 - s22 * a23) * x22,
+                -s12 * x1 * pull,
+                -s22 * x2 * pull,
+            ],
+            axis=-1,
+        )
+        steep = np.stack(
+            [(s12 - p23 * a13) * x1, (p13 + s22 - p23 * a23) * x2, -p23 * pull, -p33 * draw],
+            axis=-1,
+        )
+        # In place: the arrays are large, and new memory costs more than the arithmetic.
+        height = square @ self._squares[:3]
+        np.subtract(1.0, height, out=height)
+        np.maximum(height, 0.0, out=height)
+        height /= p33[..., None]
+        np.sqrt(height, out=height)
+        rates = steep @ self._lines
+        rates += p23[..., None] * height
+        rates *= height
+        rates += flat @ self._squares
+        return np.concatenate([rates.reshape(*shapes.shape[:-2], -1), a23], axis=-1)
 
-    def _plane(self, s11: float, s12: float, s22: float) -> list[Array]:
-        """Return e, de/dt, (a lam^2 e + b lam de/dt) and lam^3 e at the points."""
+    def _rim(self, s11: Array, s12: Array, s22: Array) -> tuple[Array, Array, Array, Array]:
+        """Return e, de/dt, (a lam^2 e + b lam de/dt) and lam^3 e on the spheres' rims."""
         mu = self.degree
-        outer = 1.0 / canonical_values(mu, (s11, s12, s22), self._error, self._rate)
+        norms = canonical_values(mu, (s11, s12, s22), self._error, self._rate, _TOLERANCE_OF_RIM)
+        outer = 1.0 / norms
         # The rim itself: x'Sx = 1 by the factor of S; its norm is the outer value there.
-        root = np.sqrt(s11)
         second = self._circle[1] / np.sqrt(s22 - s12 * s12 / s11)
-        first = self._circle[0] / root - s12 / s11 * second
+        first = self._circle[0] / np.sqrt(s11) - s12 / s11 * second
         rim = norm_values(self._norm, first, self._unit * second)
-        error = np.concatenate([outer ** (1.0 - mu) * self._error, first])
-        rate = np.concatenate([outer * self._rate, second])
-        multiplier = np.concatenate([outer, rim]) ** mu
+        error = np.concatenate([outer ** (1.0 - mu) * self._error, first], axis=-1)
+        rate = np.concatenate([outer * self._rate, second], axis=-1)
+        multiplier = np.concatenate([outer, rim], axis=-1) ** mu
         pull = multiplier * (self._gains[0] * multiplier * error + self._gains[1] * rate)
-        values = (error, rate, pull, multiplier**3 * error)
-        return [np.multiply.outer(*each) for each in zip(values, self._inward, strict=True)]
+        return error, rate, pull, multiplier**3 * error
 
 
 def _depths(slowest: float, count: int) -> Array:

@@ -94,15 +94,30 @@ def certified_degree_interval(
         SettingError: A tolerance that is not positive.
     """
     # Imported here: a controller that only checks Routh and Hurwitz does not wait for numpy.
-    from hpid_ros.control.certificate_search import CertificateSearch
+    from hpid_ros.control.certificate_search import OUTERMOST_DEGREE, CertificateSearch
 
     if not tolerance > 0.0:
         raise SettingError(f"the tolerance of a degree must be positive, not {tolerance}")
-    spans: list[CertifiedSpan] = []
-    for each in _inertias(gains, inertia):
-        search = CertificateSearch(gains, each, norm_of_degree)
-        spans += reversed(search.outward(-1.0, tolerance))
-        spans += search.outward(1.0, tolerance)
+    # From the largest inertia, where the integral weighs most and the interval is narrowest: the
+    # others need not be searched beyond its ends, and often share its P.
+    searches = [
+        CertificateSearch(gains, each, norm_of_degree)
+        for each in reversed(_inertias(gains, inertia))
+    ]
+    sides = []
+    for direction in (-1.0, 1.0):
+        found: list[list[CertifiedSpan]] = []
+        outermost = OUTERMOST_DEGREE
+        for search in searches:
+            like = found[-1] if found else ()
+            found.append(search.outward(direction, tolerance, outermost, like))
+            outermost = max(abs(found[-1][-1].lower), abs(found[-1][-1].upper))
+        sides.append(found)
+    spans = [
+        span
+        for below, above in zip(*(reversed(side) for side in sides), strict=True)
+        for span in (*reversed(below), *above)
+    ]
     certificate = Certificate(gains, tuple(spans))
     return DegreeInterval(certificate.lower, certificate.upper, certificate)
 
