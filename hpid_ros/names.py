@@ -16,6 +16,7 @@ NODE_PARAMETERS = frozenset(
     {
         "autostart",
         "certify",
+        "claim",
         "command_interface",
         "compensation",
         "cpu_affinity",

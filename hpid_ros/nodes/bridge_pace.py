@@ -39,6 +39,13 @@ class Pace:
     subscribers: int
     publishers: int
 
+    @property
+    def command_patience(self) -> float:
+        """Wall time after which a joint that was commanded is left, in [s]."""
+        if self.is_lockstep:
+            return self.answer_timeout
+        return self.command_timeout_ns / _NANOSECONDS / self.real_time_factor
+
 
 def read_pace(node: Node, joints: int) -> Pace:
     """Declare the parameters of time and return what they say.

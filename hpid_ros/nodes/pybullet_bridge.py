@@ -12,7 +12,7 @@ from sensor_msgs.msg import JointState
 from hpid_ros.errors import MessageError
 from hpid_ros.messages import EffortReader, JointStateTemplate
 from hpid_ros.nodes import executor
-from hpid_ros.nodes.bridge_commanders import Commanders
+from hpid_ros.nodes.bridge_commanders import Commanders, Numbered
 from hpid_ros.nodes.bridge_pace import read_pace
 from hpid_ros.nodes.bridge_reports import BridgeReports
 from hpid_ros.nodes.bridge_services import BridgeServices
@@ -58,7 +58,9 @@ class PybulletBridge(executor.ClosingNode):
             if pace.is_lockstep
             else HeldCommands(settings.joints, pace.command_timeout_ns, limits)
         )
-        self._commanders = Commanders(self, settings.joints, self._barrier.counts)
+        self._commanders = Commanders(
+            self, settings.joints, self._barrier.counts, pace.command_patience
+        )
         self._reader = EffortReader()
         self._template = JointStateTemplate(
             settings.joints,
@@ -72,7 +74,7 @@ class PybulletBridge(executor.ClosingNode):
         self.create_subscription(
             JointState,
             "joint_commands",
-            self._on_command,
+            Numbered(self._on_command),
             ALL_COMMANDS,
             raw=True,
             qos_overriding_options=overridable(),
@@ -107,6 +109,7 @@ class PybulletBridge(executor.ClosingNode):
             return
         self._readiness.cancel()
         self._is_started = True
+        self._commanders.identify()
         self._status.send("started")
         if self._pace.is_lockstep:
             steady_timer(self, self._pace.answer_timeout / _LOOKS, self._watch)
@@ -116,14 +119,17 @@ class PybulletBridge(executor.ClosingNode):
             self._publish_state()
             steady_timer(self, period / self._pace.real_time_factor, self._resume)
 
-    def _on_command(self, raw: bytes) -> None:
+    def _on_command(self, raw: bytes, number: int | None) -> None:
         try:
             stamp_ns, names, efforts = self._reader.read(raw)
         except MessageError as error:
             self._misread += 1
             self.get_logger().warning(str(error), throttle_duration_sec=1.0)
             return
-        if stamp_ns == self._stamp_ns and names:
+        names, efforts = self._commanders.heed(names, efforts, number)
+        if not names:
+            return
+        if stamp_ns == self._stamp_ns:
             self._timing.answered(names[0])
         if self._barrier.answer(stamp_ns, names, efforts):
             self._resume()
@@ -154,6 +160,7 @@ class PybulletBridge(executor.ClosingNode):
             effort=self._world.applied_efforts(),
         )
         self._timing.published()
+        self._commanders.move()
         self._states.publish(self._last_state)
         self._reports.sample(stamp_ns, positions)
         self._asked_again = False
