@@ -1,26 +1,32 @@
 """Two controllers of one joint: one is active, the other is refused and says who holds it."""
 
-import itertools
 import os
 import random
+import select
 import signal
 import socket
 import time
+from contextlib import ExitStack
 from dataclasses import replace
 
 import pytest
 from controller_health import Told, change, state
-from diagnostic_msgs.msg import DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from harness import ros_arguments
 from hypothesis import given
 from hypothesis import strategies as st
+from sensor_msgs.msg import JointState
+from two_hosts import HostsError, network_environment, plug, pull, two_hosts
 
-from hpid_ros.messages import JointStateTemplate
+from hpid_ros.experiment.isolation import closed_environment, own_domain
+from hpid_ros.experiment.node_process import NodeGroup
+from hpid_ros.messages import JointStateTemplate, decode_joint_state
+from hpid_ros.names import claim_topic
 from hpid_ros.nodes.claims import LEASE, Claim, ClaimState, HeardClaims
 from hpid_ros.nodes.host_lock import HostLock
-from hpid_ros.nodes.joint_claim import claim_topic, to_message
-from hpid_ros.nodes.qos import LATCHED
-from hpid_ros.simulation.followed import FollowedPublisher
+from hpid_ros.nodes.joint_claim import to_message
+from hpid_ros.nodes.qos import LATCHED, OFFERED
+from hpid_ros.simulation.followed import FollowedSender
 
 MS = 1_000_000
 GAINS = {"law": "pid", "gains__p": 10.0, "certify": False, "state_watchdog": False}
@@ -347,65 +353,151 @@ def test_who_was_frozen_for_a_lease_comes_back_as_a_newcomer(harness):
 # --- the robot's side ---------------------------------------------------------------------
 
 
-def rows(*numbers, start=0.0, step=0.001, effort=1.0):
-    """Play (who, number) to one joint; return who was followed."""
-    followed = FollowedPublisher(0.2)
-    return followed, [
-        who
-        for k, (who, number) in enumerate(numbers)
-        if followed.takes(number, effort, start + k * step)
-    ]
-
-
-def interleaved(first, second, count, step=1):
-    for k in range(count):
-        yield "a", first + k * step
-        yield "b", second + k
-
-
-@pytest.mark.parametrize("second", [1, 990, 999, 5000])
-def test_the_first_publisher_is_followed_wherever_the_other_counts(second):
-    history = [("a", number) for number in range(900, 1000)]
-    followed, obeyed = rows(*history, *interleaved(1000, second, 100))
-    assert obeyed.count("a") == 200
-    assert obeyed.count("b") <= 1  # one ahead may be taken for the same after losses, once
-    assert followed.others >= 99
-    assert followed.changes == 0
-
-
-def test_losses_and_other_joints_of_one_message_row_are_no_other_publisher():
-    numbers = [("a", n) for n in (1, 2, 3, 7, 8, 400, 401)]
-    numbers += [("a", n) for n in range(406, 1000, 6)]
-    followed, obeyed = rows(*numbers)
-    assert len(obeyed) == len(numbers)
-    assert (followed.others, followed.changes) == (0, 0)
-
-
-def test_another_publisher_is_followed_when_the_first_is_silent_or_has_left():
-    followed = FollowedPublisher(0.2)
-    assert followed.takes(50, 1.0, 0.0)
-    assert not followed.takes(1, 1.0, 0.19)
-    assert followed.takes(2, 1.0, 0.21)
-    assert not followed.takes(51, 1.0, 0.3)
-    assert followed.takes(3, 0.0, 0.31)  # leaves
-    assert followed.takes(52, 1.0, 0.32)
-    assert (followed.others, followed.changes) == (2, 2)
+def test_the_first_sender_is_followed_until_it_is_silent():
+    followed = FollowedSender(0.2)
+    assert followed.takes("a", 1.0, 0.0)
+    assert not followed.takes("b", 1.0, 0.19)
+    assert followed.takes("a", 1.0, 0.2)
+    assert not followed.takes("b", 1.0, 0.4)
+    assert followed.takes("b", 1.0, 0.41)
+    assert not followed.takes("a", 1.0, 0.5)
+    assert followed.takes("b", 0.0, 0.51)  # leaves, or rests
+    assert not followed.takes("a", 1.0, 0.55)
+    assert followed.takes("a", 1.0, 0.57)
+    assert (followed.sender, followed.others, followed.changes) == ("a", 4, 2)
     followed.wait(10.0)  # time stood still: nobody was silent
-    assert not followed.takes(4, 1.0, 10.1)
+    assert not followed.takes("b", 1.0, 10.1)
 
 
-@given(
-    st.integers(1, 2000),
-    st.integers(1, 2000),
-    st.lists(st.sampled_from(["a", "b"]), min_size=5, max_size=80),
-)
-def test_two_publishers_are_never_both_obeyed_for_long(first, second, order):
-    """Whoever's number it is: the other gets at most one command through for each jump."""
-    followed = FollowedPublisher(1e9)
-    numbers, obeyed = {"a": first, "b": second}, []
-    assert followed.takes(numbers["a"], 1.0, 0.0)
-    for k in order:
-        numbers[k] += 1
-        if followed.takes(numbers[k], 1.0, 0.0):
-            obeyed.append(k)
-    assert sum(a != b for a, b in itertools.pairwise(obeyed)) <= 3
+def test_a_robot_follows_one_of_two_that_claim_nothing_and_names_both(harness, faults):
+    """Even where both have one name, as when a launch file is started twice."""
+    reports, efforts = [], []
+    harness.node.create_subscription(DiagnosticArray, "/diagnostics", reports.append, 10)
+    harness.node.create_subscription(
+        JointState,
+        "joint_states",
+        lambda raw: efforts.append(decode_joint_state(raw).effort[0]),
+        OFFERED,
+        raw=True,
+    )
+    bridge = {
+        "mode": "realtime",
+        "joints": "[arm_joint_6]",
+        "control_rate": 100.0,
+        "fixed_base": True,
+        "command_timeout": 5.0,  # a busy machine is no reason to change
+        "wait_for_subscribers": 2,
+    }
+    harness.processes.start("pybullet_bridge", "pybullet_bridge", ros_arguments(**bridge))
+    limits = {"u_clamp_max": 1.0, "u_clamp_min": 0.5}
+    start(harness, "twin", joint="arm_joint_6", claim="none", **limits)
+    harness.wait(lambda: len(efforts) > 20, what="the first at work")
+    second = harness.processes.start(
+        "second",
+        "joint_controller",
+        [
+            *ros_arguments(joint="arm_joint_6", claim="none", u_clamp_max=-0.5, **GAINS),
+            *("-r", "__node:=twin"),
+        ],
+        is_renamed=False,
+    )
+
+    def told():
+        return [
+            status
+            for report in reports
+            for status in report.status
+            if status.name == "/pybullet_bridge" and "commanded twice" in status.message
+        ]
+
+    harness.wait(told, what="the bridge to tell")
+    assert second.process.poll() is None
+    assert told()[-1].level == DiagnosticStatus.ERROR
+    assert told()[-1].message == (
+        "commanded twice: arm_joint_6 by /twin and /twin, following /twin"
+    )
+    values = {each.key: each.value for each in told()[-1].values}
+    assert int(values["commands of second senders, not obeyed"]) > 0
+    assert values["changes of sender"] == "0"
+    assert min(efforts[20:]) >= 0.0  # what is obeyed is the first one's; the second has -0.5
+    faults.count("second senders not obeyed")
+
+
+# --- two hosts, with a network between them ------------------------------------------------
+
+
+@pytest.fixture
+def hosts(tmp_path):
+    """Return two groups of processes, each on a host of its own."""
+    try:
+        with own_domain() as domain, two_hosts() as prefixes, ExitStack() as stack:
+            environment = network_environment(closed_environment(domain))
+            groups = []
+            for number, prefix in enumerate(prefixes):
+                logs = tmp_path / str(number)
+                logs.mkdir()
+                group = NodeGroup(environment, logs, prefix=prefix)
+                groups.append(stack.enter_context(group))
+            yield groups, prefixes
+    except HostsError as error:
+        pytest.skip(str(error))
+
+
+def start_on(group, name, **parameters):
+    values = {"joint": "elbow", "wait_for_command_subscribers": 0, **GAINS, **parameters}
+    return group.start(name, "joint_controller", ros_arguments(**values))
+
+
+def until(condition, within=20.0, what="the condition"):
+    deadline = time.monotonic() + within
+    while not condition():
+        assert time.monotonic() < deadline, f"waited {within} s in vain for {what}"
+        select.select([], [], [], 0.01)
+
+
+def test_two_hosts_agree_on_one_controller(hosts, faults):
+    """At the same moment, one after the other, after kill -9, and when a network heals."""
+    (here, there), prefixes = hosts
+    for turn in range(2):
+        group = [start_on(here, f"here_{turn}"), start_on(there, f"there_{turn}")]
+        until(
+            lambda group=group: (
+                [p.process.poll() for p in group].count(None) == 1
+                and any("listening" in events(p) for p in group if p.process.poll() is None)
+            ),
+            what="one to be active and the other to end",
+        )
+        winner, loser = sorted(group, key=lambda each: each.process.poll() is not None)
+        assert loser.process.returncode == 1
+        assert f"commanded by /{winner.name} (process {winner.pid} on host " in log_of(loser)
+        faults.count("simultaneous starts on two hosts with one active in the end")
+        if turn == 0:
+            (here if winner.name.startswith("here") else there).stop([winner.name])
+    at_winner, at_other = (here, there) if winner in here.nodes.values() else (there, here)
+
+    late = start_on(at_other, "late")
+    until(lambda: late.process.poll() == 1, what="the late one to be refused")
+    assert f"commanded by /{winner.name} " in log_of(late)
+    assert "listening" not in events(late)
+
+    killed = time.monotonic()
+    os.kill(winner.pid, signal.SIGKILL)
+    again = start_on(at_winner, "again")
+    until(lambda: "listening" in events(again), what="a restart on the same host")
+    faults.count("ms from kill -9 to active again, same host", 1e3 * (time.monotonic() - killed))
+
+    pull(prefixes)
+    second = start_on(at_other, "second")
+    until(lambda: "listening" in events(second), what="the other half to go on alone")
+    plug(prefixes)
+    healed = time.monotonic()
+    until(
+        lambda: any("deactivated: " in log_of(each) for each in (again, second)),
+        within=40.0,
+        what="the halves to agree",
+    )
+    faults.count("ms from a network healed to one controller", 1e3 * (time.monotonic() - healed))
+    assert "commanded by /again (process " in log_of(second)  # the older one goes on
+    assert "commanded by" not in log_of(again)
+    assert second.process.poll() is None  # it was active, its process goes on
+    faults.count("networks healed with two active controllers")

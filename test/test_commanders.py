@@ -135,6 +135,7 @@ def test_a_forger_beside_a_controller_is_named_and_not_obeyed(harness, faults):
             joints="[arm_joint_6]",
             control_rate=100.0,
             fixed_base=True,
+            command_timeout=5.0,  # a busy machine is no reason to follow the forger
             wait_for_publishers=1,
             wait_for_subscribers=2,
         ),
@@ -169,7 +170,7 @@ def test_a_forger_beside_a_controller_is_named_and_not_obeyed(harness, faults):
         "following /arm_joint_6_controller"
     )
     values = {each.key: each.value for each in status.values}
-    assert int(values["conflicting commands"]) > 0
+    assert int(values["commands of second senders, not obeyed"]) > 0
     assert int(values["commands for other joints"]) > 0
     assert int(values["misread commands"]) > 0
     assert max(map(abs, efforts)) <= 1.0  # what the controller may command; the forger would 4

@@ -8,7 +8,6 @@ the joint. Neither does anything when a state comes.
 from __future__ import annotations
 
 import os
-import re
 import socket
 import time
 from collections.abc import Callable
@@ -19,6 +18,7 @@ from rclpy.node import Node
 from rclpy.timer import Timer
 
 from hpid_ros.errors import ClaimError, SettingError
+from hpid_ros.names import claim_topic
 from hpid_ros.nodes.claims import LEASE, Claim, ClaimState, HeardClaims
 from hpid_ros.nodes.host_lock import HostLock
 from hpid_ros.nodes.middleware import has_shared_memory_alone
@@ -206,16 +206,6 @@ class JointClaim:
             f"{self._claim.node}: {self.refusal}; one controller at a time may be active, unless "
             f"each has the parameter claim: none"
         )
-
-
-def claim_topic(commands: str, joint: str) -> str:
-    """Return the topic on which a joint is claimed; ``ros2 topic list`` hides it.
-
-    Args:
-        commands: Full name of the topic of the joint's commands.
-        joint: The joint; what a topic's name may not have becomes an underscore.
-    """
-    return f"{commands}/_claim_{re.sub('[^A-Za-z0-9]+', '_', joint)}"
 
 
 def _now() -> float:

@@ -12,7 +12,7 @@ from sensor_msgs.msg import JointState
 from hpid_ros.errors import MessageError
 from hpid_ros.messages import EffortReader, JointStateTemplate
 from hpid_ros.nodes import executor
-from hpid_ros.nodes.bridge_commanders import Commanders, Numbered
+from hpid_ros.nodes.bridge_commanders import Commanders
 from hpid_ros.nodes.bridge_pace import read_pace
 from hpid_ros.nodes.bridge_reports import BridgeReports
 from hpid_ros.nodes.bridge_services import BridgeServices
@@ -74,7 +74,7 @@ class PybulletBridge(executor.ClosingNode):
         self.create_subscription(
             JointState,
             "joint_commands",
-            Numbered(self._on_command),
+            self._on_command,
             ALL_COMMANDS,
             raw=True,
             qos_overriding_options=overridable(),
@@ -109,7 +109,6 @@ class PybulletBridge(executor.ClosingNode):
             return
         self._readiness.cancel()
         self._is_started = True
-        self._commanders.identify()
         self._status.send("started")
         if self._pace.is_lockstep:
             steady_timer(self, self._pace.answer_timeout / _LOOKS, self._watch)
@@ -119,14 +118,14 @@ class PybulletBridge(executor.ClosingNode):
             self._publish_state()
             steady_timer(self, period / self._pace.real_time_factor, self._resume)
 
-    def _on_command(self, raw: bytes, number: int | None) -> None:
+    def _on_command(self, raw: bytes) -> None:
         try:
             stamp_ns, names, efforts = self._reader.read(raw)
         except MessageError as error:
             self._misread += 1
             self.get_logger().warning(str(error), throttle_duration_sec=1.0)
             return
-        names, efforts = self._commanders.heed(names, efforts, number)
+        names, efforts = self._commanders.heed(names, efforts, self._reader.sender)
         if not names:
             return
         if stamp_ns == self._stamp_ns:

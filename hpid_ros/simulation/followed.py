@@ -1,20 +1,17 @@
-"""Which of several publishers a joint follows: the first one, until it is silent or has left.
-
-The middleware does not tell who sent a message, but its number among those of its sender. The
-numbers of one sender rise, so that two senders are told apart by which row a number continues.
-"""
+"""Which of several senders a joint follows: the first one, until it is silent."""
 
 from __future__ import annotations
 
+_SPARED_AT_ZERO = 0.75  # of the patience, after an effort of zero
 
-class FollowedPublisher:
-    """Tells the publisher that a joint follows from others by the numbers of their messages.
 
-    A number that rises by more than the one before may be the same sender's, after losses, or the
-    first of another one. It is taken; the next number of the sender that was followed shows it.
+class FollowedSender:
+    """Tells the sender that a joint follows from others.
 
     Attributes:
-        others: Commands of others while one was followed.
+        sender: The one that is followed; None before the first command.
+        other: Another one that commanded the joint meanwhile, the last of them.
+        others: Commands of others that were not followed.
         changes: How often the one that is followed has changed.
 
     Args:
@@ -22,56 +19,32 @@ class FollowedPublisher:
     """
 
     def __init__(self, patience: float) -> None:
+        self.sender: str | None = None
+        self.other = ""
         self.others = self.changes = 0
         self._patience = patience
-        self._heard = -patience
-        self._last: int | None = None
-        self._step = 1  # by which its numbers rise: not every one is about this joint
-        self._before_jump: int | None = None  # its number before one that rose by more
-        self._other: int | None = None  # the last number of somebody else
+        self._heard = 0.0
 
-    def takes(self, number: int, effort: float, now: float) -> bool:
+    def takes(self, sender: str, effort: float, now: float) -> bool:
         """Tell whether a command is to be followed.
 
         Args:
-            number: Of the message among those of its publisher.
-            effort: The command in [N m]; zero is how a controller leaves its joint: whoever comes
-                next may take over.
+            sender: Who sent it; all who do not say so are one.
+            effort: The command in [N m]; zero is how a controller leaves its joint, and how it
+                rests: silence counts after a quarter of the patience then.
             now: The time in [s], on any clock that does not go back.
         """
-        last, before = self._last, self._before_jump
-        if last is None:
-            self._follow(number)
-        elif number == last + self._step:
-            self._last, self._before_jump = number, None
-        elif number > last and not self._is_by_other(number, last):
-            self._last, self._step, self._before_jump = number, number - last, last
-        elif before is not None and before < number < last:
-            self.others += 1  # the one that rose so much
-            self._other = last
-            self._last, self._step, self._before_jump = number, number - before, None
-        elif now - self._heard > self._patience:
-            self.changes += 1
-            self._other = last
-            self._follow(number)
-        else:
-            self.others += 1
-            self._other = number
-            return False
-        self._heard = now if effort != 0.0 else now - self._patience
+        if sender != self.sender:
+            if self.sender is not None:
+                if now - self._heard <= self._patience:
+                    self.others += 1
+                    self.other = sender
+                    return False
+                self.changes += 1
+            self.sender = sender
+        self._heard = now if effort != 0.0 else now - _SPARED_AT_ZERO * self._patience
         return True
 
     def wait(self, now: float) -> None:
         """Begin to be patient anew: time has stood still for everybody."""
-        if self._last is not None:
-            self._heard = now
-
-    def _follow(self, number: int) -> None:
-        self._last, self._step, self._before_jump = number, 1, None
-
-    def _is_by_other(self, number: int, last: int) -> bool:
-        """Tell whether a number continues the other's row better than the followed one's."""
-        other = self._other
-        if other is None or number <= other:
-            return False
-        return number - other - 1 < abs(number - last - self._step)
+        self._heard = now
