@@ -10,7 +10,7 @@ import sys
 from collections.abc import Iterable
 from xml.etree import ElementTree
 
-from hpid_ros.names import controller_name
+from hpid_ros.names import claim_topic, controller_name
 from hpid_ros.resources import find_resource, share_folder
 from hpid_ros.robot.description import RobotDescription
 
@@ -35,18 +35,20 @@ def policy(joints: Iterable[str]) -> ElementTree.Element:
     Args:
         joints: The driven joints.
     """
+    joints = list(joints)
     root = ElementTree.Element("policy", version="0.2.0")
     enclaves = ElementTree.SubElement(root, "enclaves")
     controllers = [controller_name(joint) for joint in joints]
-    for name in controllers:
+    for name, joint in zip(controllers, joints, strict=True):
         profile = _profile(enclaves, name, name)
         _allow(
             profile,
             publish=(
                 *("joint_commands", "~/commands", "~/command", "~/reference", "~/terms"),
                 *("~/transition_event", "/diagnostics"),
+                *_claims(joint),
             ),
-            subscribe=("joint_states", "joint_trajectory", "~/setpoint"),
+            subscribe=("joint_states", "joint_trajectory", "~/setpoint", *_claims(joint)),
             reply=(f"~/{service}" for service in _LIFECYCLE),
         )
     profile = _profile(enclaves, "robot", "pybullet_bridge")
@@ -68,6 +70,12 @@ def policy(joints: Iterable[str]) -> ElementTree.Element:
     )
     ElementTree.indent(root)
     return root
+
+
+def _claims(joint: str) -> list[str]:
+    """Return where a joint is claimed, by the message of its commands."""
+    topics = ("joint_commands", "~/commands", "~/command")
+    return [claim_topic(commands, joint) for commands in topics]
 
 
 def _profile(enclaves: ElementTree.Element, name: str, node: str) -> ElementTree.Element:

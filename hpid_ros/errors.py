@@ -55,6 +55,10 @@ class RunError(HpidError, RuntimeError):
     """A run of processes that failed or lost one of them."""
 
 
+class ClaimError(HpidError, RuntimeError):
+    """A joint that another controller holds."""
+
+
 def unknown_name(kind: str, name: object, known: Iterable[str]) -> str:
     """Return the line for a name that does not exist: nearest first, then all that do.
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 
 def controller_name(joint: str) -> str:
     """Return the node name of a joint's controller in a composition, a launch or a run.
@@ -12,10 +14,21 @@ def controller_name(joint: str) -> str:
     return f"{joint}_controller"
 
 
+def claim_topic(commands: str, joint: str) -> str:
+    """Return the topic on which a joint is claimed; ``ros2 topic list`` hides it.
+
+    Args:
+        commands: Full name of the topic of the joint's commands.
+        joint: The joint; what a topic's name may not have becomes an underscore.
+    """
+    return f"{commands}/_claim_{re.sub('[^A-Za-z0-9]+', '_', joint)}"
+
+
 NODE_PARAMETERS = frozenset(
     {
         "autostart",
         "certify",
+        "claim",
         "command_interface",
         "compensation",
         "cpu_affinity",

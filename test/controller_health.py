@@ -38,9 +38,9 @@ class Told:
         return all(newest.get(key.replace("_", " ")) == value for key, value in figures.items())
 
 
-def call(harness, service, name, request):
+def call(harness, service, name, request, node=NAME):
     """Call one of the controller's services and return the answer."""
-    client = harness.node.create_client(service, f"{NAME}/{name}")
+    client = harness.node.create_client(service, f"{node}/{name}")
     harness.wait(client.service_is_ready, what=f"the service {name}")
     future = client.call_async(request)
     harness.wait(future.done, what=f"the answer of {name}")
@@ -48,12 +48,12 @@ def call(harness, service, name, request):
     return future.result()
 
 
-def change(harness, label):
+def change(harness, label, node=NAME):
     """Ask for a transition as ``ros2 lifecycle set`` does: by its number."""
     request = ChangeState.Request(transition=Transition(id=TRANSITIONS.get(label, 99)))
-    return call(harness, ChangeState, "change_state", request).success
+    return call(harness, ChangeState, "change_state", request, node).success
 
 
-def state(harness):
+def state(harness, node=NAME):
     """Return the name of the lifecycle's state."""
-    return call(harness, GetState, "get_state", GetState.Request()).current_state.label
+    return call(harness, GetState, "get_state", GetState.Request(), node).current_state.label

@@ -110,7 +110,7 @@ def test_one_that_is_always_too_late_is_believed_ever_more_rarely():
     assert 5 < waited < 12
 
 
-def test_a_forger_beside_a_controller_is_named_and_bounded(harness, faults):
+def test_a_forger_beside_a_controller_is_named_and_not_obeyed(harness, faults):
     """Efforts beyond the limit, for foreign joints, without names, and for a joint that is led."""
     reports, efforts = [], []
     node = harness.node
@@ -135,6 +135,7 @@ def test_a_forger_beside_a_controller_is_named_and_bounded(harness, faults):
             joints="[arm_joint_6]",
             control_rate=100.0,
             fixed_base=True,
+            command_timeout=5.0,  # a busy machine is no reason to follow the forger
             wait_for_publishers=1,
             wait_for_subscribers=2,
         ),
@@ -164,11 +165,14 @@ def test_a_forger_beside_a_controller_is_named_and_bounded(harness, faults):
     harness.wait(told, what="the forger to be named")
     status = told()
     assert status.level == DiagnosticStatus.ERROR
-    assert status.message == "commanded twice: arm_joint_6 by /arm_joint_6_controller and /robot"
+    assert status.message == (
+        "commanded twice: arm_joint_6 by /arm_joint_6_controller and /robot, "
+        "following /arm_joint_6_controller"
+    )
     values = {each.key: each.value for each in status.values}
-    assert int(values["commands beyond the joint's limit"]) > 0
+    assert int(values["commands of second senders, not obeyed"]) > 0
     assert int(values["commands for other joints"]) > 0
     assert int(values["misread commands"]) > 0
-    assert max(map(abs, efforts)) <= 4.0
+    assert max(map(abs, efforts)) <= 1.0  # what the controller may command; the forger would 4
     count = len(efforts)
     harness.wait(lambda: len(efforts) > count + 20, what="the bridge to go on")

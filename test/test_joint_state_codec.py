@@ -92,6 +92,10 @@ def test_effort_reader_tells_publishers_apart(commands):
     for stamp_ns, name, effort in commands:
         raw = JointStateTemplate([name], effort=True).encode(stamp_ns, effort=[effort])
         assert reader.read(raw) == (stamp_ns, (name,), (effort,))
+        assert reader.sender == ""
+        raw = JointStateTemplate([name], "/who", effort=True).encode(stamp_ns, effort=[effort])
+        assert reader.read(raw) == reader.read(raw) == (stamp_ns, (name,), (effort,))
+        assert reader.sender == "/who"
 
 
 def test_effort_reader_takes_a_command_of_several_joints():

@@ -102,13 +102,18 @@ class EffortReader:
     """Reads serialised effort commands from any number of publishers.
 
     A command with one name and one effort is recognised by everything between its stamp and
-    its last eight bytes; that key is remembered with the name it stands for.
+    its last eight bytes; that key is remembered with the name it stands for, and with the sender.
+
+    Attributes:
+        sender: ``header.frame_id`` of the command that was read last: controllers of this package
+            say there who they are.
     """
 
     _KEYS_AT_MOST = 1024
 
     def __init__(self) -> None:
-        self._names: dict[bytes, tuple[str, ...]] = {}
+        self.sender = ""
+        self._known: dict[bytes, tuple[tuple[str, ...], str]] = {}
         self._stamp = struct.Struct("<iI")
         self._effort = struct.Struct("<d")
 
@@ -118,9 +123,10 @@ class EffortReader:
         Raises:
             MessageError: The bytes are no JointState, or do not have one effort for each name.
         """
-        names = self._names.get(raw[NAMES_OFFSET:-8])
-        if names is None:
+        known = self._known.get(raw[NAMES_OFFSET:-8])
+        if known is None:
             return self._learn(raw)
+        names, self.sender = known
         seconds, nanoseconds = self._stamp.unpack_from(raw, STAMP_OFFSET)
         return (
             seconds * NANOSECONDS + nanoseconds,
@@ -137,6 +143,7 @@ class EffortReader:
             )
         if len(fields.names) == 1 and not fields.position and not fields.velocity:
             expected = JointStateLayout.for_fields(fields.names, fields.frame_id, (0, 0, 1))
-            if expected.matches(raw) and len(self._names) < self._KEYS_AT_MOST:
-                self._names[raw[NAMES_OFFSET:-8]] = fields.names
+            if expected.matches(raw) and len(self._known) < self._KEYS_AT_MOST:
+                self._known[raw[NAMES_OFFSET:-8]] = fields.names, fields.frame_id
+        self.sender = fields.frame_id
         return fields.stamp_ns, fields.names, fields.effort

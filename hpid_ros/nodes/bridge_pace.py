@@ -11,6 +11,7 @@ from hpid_ros.nodes.parameters import read_number, read_only
 
 MODES = ("lockstep", "realtime")
 
+_RESTART_TAKES = 0.2  # [s], at least: nobody waits for the place of one that was killed
 _POSITIVE = (1e-6, 1e6)
 _NANOSECONDS = 1_000_000_000
 
@@ -38,6 +39,13 @@ class Pace:
     command_timeout_ns: int
     subscribers: int
     publishers: int
+
+    @property
+    def command_patience(self) -> float:
+        """Silence of a joint's publisher after which another one may command it, in [s]."""
+        if self.is_lockstep:
+            return min(self.answer_timeout, _RESTART_TAKES)
+        return self.command_timeout_ns / _NANOSECONDS / self.real_time_factor
 
 
 def read_pace(node: Node, joints: int) -> Pace:

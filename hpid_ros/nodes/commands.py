@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import os
+import socket
+import time
 from collections.abc import Callable
+from hashlib import sha256
 from typing import Protocol
 
 from rclpy.node import Node
@@ -34,7 +38,8 @@ class CommandSink(Protocol):
 class JointStateCommands:
     """One name and one effort in a JointState, stamped with the state that it answers.
 
-    The convention of Isaac Sim and of ``topic_based_ros2_control``.
+    The convention of Isaac Sim and of ``topic_based_ros2_control``. Efforts have no frame: in its
+    place stands who sends them.
 
     Args:
         node: The node that publishes.
@@ -45,7 +50,7 @@ class JointStateCommands:
         self.publisher = node.create_publisher(
             JointState, "joint_commands", OFFERED, qos_overriding_options=overridable()
         )
-        self._template = JointStateTemplate([joint], effort=True)
+        self._template = JointStateTemplate([joint], sender_of(node), effort=True)
 
     def send(self, stamp_ns: int, effort: float) -> None:
         """Publish an effort in [N m]."""
@@ -90,6 +95,17 @@ class Float64Commands:
         """Publish an effort in [N m]; the message has no stamp."""
         self._message.data = effort
         self.publisher.publish(self._message)
+
+
+def sender_of(node: Node) -> str:
+    """Return what tells a node's commands from those of all others, also of its own name."""
+    process = f"{socket.gethostname()} {os.getpid()} {time.monotonic_ns()}"
+    return f"{node.get_fully_qualified_name()}#{sha256(process.encode()).hexdigest()[:6]}"
+
+
+def node_of(sender: str) -> str:
+    """Return the full name of the node that a sender is."""
+    return sender.partition("#")[0]
 
 
 def unanswering(stamp_ns: int) -> int:

@@ -71,19 +71,21 @@ class ControllerHealth:
         self._requests += 1
         self.fault(line)
 
-    def report(self, lifecycle: str, waiting: str) -> None:
+    def report(self, lifecycle: str, waiting: str, claim: str, refusal: str) -> None:
         """Publish the status now.
 
         Args:
             lifecycle: The managed node's state.
             waiting: What an active controller still waits for; empty if nothing.
+            claim: How its claim of the joint stands.
+            refusal: Whose the joint is if not its own; empty if nobody has said so.
         """
         loop, counts = self._loop, self._loop.counts
         is_active = lifecycle == "active"
         message, level = loop.state.value, OK
         warning = self._certification.warning or self._slowness() or self._model_fault()
         if not is_active:
-            message = lifecycle
+            message, level = (f"{lifecycle}: {refusal}", WARN) if refusal else (lifecycle, OK)
         elif loop.state in _ON_FALLBACK:
             message, level = f"{message}; {warning}" if warning else message, ERROR
         elif loop.state is LoopState.WAITING or waiting or warning:
@@ -93,6 +95,7 @@ class ControllerHealth:
             message,
             {
                 "lifecycle": lifecycle,
+                "claim": claim,
                 "law": loop.settings.law,
                 "degree mu": loop.settings.mu,
                 "certified degrees": self._certification.degrees,

@@ -7,6 +7,7 @@ from typing import Any
 
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 
+from hpid_ros.errors import ClaimError
 from hpid_ros.nodes import executor
 from hpid_ros.nodes.guarded_services import guard_services
 from hpid_ros.nodes.parameters import read_only
@@ -16,10 +17,12 @@ class ManagedNode(LifecycleNode, executor.ClosingNode):
     """What a transition does is a method without arguments that may raise.
 
     A transition that raises leaves the node unconfigured, after :meth:`leave`; it never ends the
-    process. Requests that the present state does not have are refused.
+    process. One whose joint is another's fails, and the node stays as it was. Requests that the
+    present state does not have are refused.
 
     Attributes:
         is_active: Whether the node is active.
+        is_starting: Whether the process ends if it turns out that the node may not be active.
 
     Args:
         name: Node name.
@@ -33,6 +36,7 @@ class ManagedNode(LifecycleNode, executor.ClosingNode):
         self._autostart = bool(
             read_only(self, "autostart", True, "Configure and activate when the node starts")
         )
+        self.is_starting = self._autostart
         guard_services(self, self.refuse)
 
     def start(self) -> None:
@@ -102,6 +106,12 @@ class ManagedNode(LifecycleNode, executor.ClosingNode):
         try:
             for step in steps:
                 step()
+        except ClaimError as error:
+            self._failure = error
+            self.is_active = False
+            if not self.is_starting:
+                self.refuse(f"transition failed: {error}")
+            return TransitionCallbackReturn.FAILURE
         except Exception as error:  # rclpy would drop it without a word
             self._failure = error
             self.refuse(f"transition failed: {type(error).__name__}: {error}")

@@ -34,7 +34,7 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 from rclpy.utilities import remove_ros_args
 
-from hpid_ros.errors import HpidError, SettingError, unknown_name
+from hpid_ros.errors import ClaimError, HpidError, SettingError, unknown_name
 from hpid_ros.nodes.middleware import load_profile
 from hpid_ros.nodes.security import warn_if_unprotected
 
@@ -42,7 +42,7 @@ BAD_INPUT = 2
 """Exit code of a process whose parameters or arguments cannot be used."""
 
 FAILED = 1
-"""Exit code of a process that a callback ended."""
+"""Exit code of a process that a callback ended, or whose joint another controller holds."""
 
 _ENDS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _WIND_DOWN_WITHIN = 4.5  # [s] from the request to the close of the nodes
@@ -102,8 +102,9 @@ def run(make_nodes: Callable[[], Sequence[ClosingNode]], args: Sequence[str] | N
         args: Command line with ROS arguments; None for that of the process.
 
     Returns:
-        The exit code: 0 after a signal, 1 when a callback raised, 2 when arguments or parameters
-        cannot be used. Whatever it is, every node has been closed while the graph was there.
+        The exit code: 0 after a signal, 1 when a callback raised or a joint is another's, 2 when
+        arguments or parameters cannot be used. Whatever it is, every node has been closed while
+        the graph was there.
     """
     command_line = list(sys.argv if args is None else args)
     load_profile()
@@ -128,7 +129,7 @@ def _run_in_context(make_nodes: Callable[[], Sequence[ClosingNode]], stop: Stop)
         _require_known_parameters(nodes)
         warn_if_unprotected(nodes[0])  # one of them speaks for the process
     except (HpidError, ParameterException, NameValidationException) as error:
-        return _refuse(_input_error(error))
+        return _refuse(_input_error(error), _exit_code(error))
     executor = _make_executor()
     for node in nodes:
         node.stop = stop
@@ -141,7 +142,7 @@ def _run_in_context(make_nodes: Callable[[], Sequence[ClosingNode]], stop: Stop)
             executor.spin_until_future_complete(stop.future, _DEADLINE)
         _wind_down(executor, nodes)
     except HpidError as error:  # what only the graph shows, for instance a topic's type
-        stop.request(_refuse(str(error)))
+        stop.request(_refuse(str(error), _exit_code(error)))
     except Exception as error:  # whatever it was, the nodes are closed and their joints left
         stop.request(_fail(error))
     finally:
@@ -216,9 +217,17 @@ def _ros_error(error: Exception) -> str:
     return f"unknown ROS arguments {line}" if line.startswith("[") else line
 
 
-def _refuse(line: str) -> int:
+def _refuse(line: str, code: int = BAD_INPUT) -> int:
     print(line, file=sys.stderr)
-    return BAD_INPUT
+    return code
+
+
+def _exit_code(error: Exception) -> int:
+    """Return the code for an error that one line says all about.
+
+    That a joint is another's is no fault of the input: the same start may succeed later.
+    """
+    return FAILED if isinstance(error, ClaimError) else BAD_INPUT
 
 
 @contextmanager

@@ -15,7 +15,7 @@ from sensor_msgs.msg import JointState
 from hpid_ros.control import JointLoop
 from hpid_ros.control.damping_stop import DampingStop
 from hpid_ros.control.joint_loop import Motion
-from hpid_ros.errors import MessageError
+from hpid_ros.errors import ClaimError, MessageError
 from hpid_ros.messages import JointReader
 from hpid_ros.nodes import executor
 from hpid_ros.nodes.certification import Certification
@@ -26,6 +26,7 @@ from hpid_ros.nodes.controller_references import ControllerReferences
 from hpid_ros.nodes.controller_settings import ControllerSettings, concern_the_loop
 from hpid_ros.nodes.controller_stop import ControllerStop
 from hpid_ros.nodes.introspection import Introspection
+from hpid_ros.nodes.joint_claim import JointClaim
 from hpid_ros.nodes.loop_timing import LoopTiming
 from hpid_ros.nodes.model_compensation import model_compensation
 from hpid_ros.nodes.parameters import read_only
@@ -43,7 +44,7 @@ class JointController(ManagedNode):
 
     An active controller subscribes to the states once its commands have somebody to hear them
     (and, when asked, once it has a reference): no integral winds up against silence. It begins
-    by holding the joint where it is.
+    by holding the joint where it is. While it is active the joint is its own alone.
 
     Args:
         name: Node name.
@@ -73,12 +74,13 @@ class JointController(ManagedNode):
             self, "wait_for_reference", False, "Do not start before there is a trajectory"
         )
         self._commands = command_sink(self, self.joint, str(interface))
+        self._claim = JointClaim(self, self.joint, self._commands.publisher.topic_name, self._lose)
         self._introspection = Introspection(self, self.joint, self._model is not None)
         self._status = StatusPipe(self)
         self._certification = Certification(self, self._loop.settings)
         self._timing = LoopTiming()
         self._watchdog = StateWatchdog(self, self._on_silence)
-        self._stopping = ControllerStop(self, self._loop, self._commands, self._let_go)
+        self._stopping = ControllerStop(self, self._loop, self._commands, self._left)
         self._health = ControllerHealth(
             self, self._loop, self._certification, self._timing, self._model
         )
@@ -110,16 +112,35 @@ class JointController(ManagedNode):
         self._needs_reference = False
 
     def begin(self) -> None:
-        """Activate: hold the joint where it is as soon as somebody hears the commands."""
+        """Activate: hold the joint where it is as soon as somebody hears the commands.
+
+        Raises:
+            ClaimError: Another controller has claimed the joint.
+        """
         self._stopping.end()
+        self._claim.take()
         self._let_go()
         self._stop = None
         self._readiness = steady_timer(self, _READINESS_PERIOD, self._start_when_ready)
 
     def leave(self) -> None:
         """Deactivate: the last command is zero, and a later activation starts anew."""
-        self._needs_reference = False
+        self._needs_reference = self.is_starting = False
         self._stop = self._stopping.begin()
+
+    def _left(self) -> None:
+        self._let_go()
+        self._claim.release()
+
+    def _lose(self, error: ClaimError, was_held: bool) -> None:
+        """Leave a joint that is another's after all: a damping ramp would be in its way."""
+        if self.is_starting and not was_held:
+            raise error
+        self._health.fault(f"deactivated: {error}")
+        if self.is_active:
+            self.trigger_deactivate()
+        self._stopping.end()
+        self._report()
 
     def _let_go(self) -> None:
         """Be without states, and without a motion but one that is waited for."""
@@ -138,8 +159,11 @@ class JointController(ManagedNode):
         self._timing.interrupt()
 
     def _start_when_ready(self) -> None:
-        if self._readiness is None or self._states is not None or self._waits_for():
+        if self._readiness is None or self._states is not None:
             return
+        if not self._claim.settle() or self._waits_for():
+            return
+        self.is_starting = False
         self._readiness.cancel()
         self._states = self.create_subscription(
             JointState,
@@ -154,6 +178,8 @@ class JointController(ManagedNode):
 
     def _waits_for(self) -> str:
         """Return what is missing for the states to be listened to; empty if nothing."""
+        if not self._claim.is_settled:
+            return "waiting for other claims of the joint"
         if self._commands.publisher.get_subscription_count() < self._listeners:
             return "waiting for a subscriber of the commands"
         if self._needs_reference and not self._loop.has_motion:
@@ -222,7 +248,8 @@ class JointController(ManagedNode):
         self._health.refused_request(line)
 
     def _report(self) -> None:
-        self._health.report(self.lifecycle, self._waits_for() if self._states is None else "")
+        waiting = self._waits_for() if self._states is None else ""
+        self._health.report(self.lifecycle, waiting, self._claim.text, self._claim.refusal)
 
     def wind_down(self) -> Future | None:
         """Begin to leave the joint; the process goes on until that is done."""

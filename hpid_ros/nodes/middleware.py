@@ -20,3 +20,17 @@ def load_profile() -> None:
     with contextlib.suppress(ResourceError):
         profile = str(find_resource("config/fastdds_nodes.xml"))
         os.environ.update(dict.fromkeys(PROFILE_FILES, profile))
+
+
+def has_shared_memory_alone() -> bool:
+    """Tell whether the nodes of this process reach no other host and no other user.
+
+    As in the closed mode of docs/security.md: Fast DDS talks through shared memory alone, and does
+    not meet those that talk through a network, even in the same domain of the same host.
+    """
+    return (
+        os.environ.get("RMW_IMPLEMENTATION", "rmw_fastrtps_cpp").startswith("rmw_fastrtps")
+        and os.environ.get("FASTDDS_BUILTIN_TRANSPORTS") == "SHM"
+        and os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET") == "SUBNET"
+        and os.environ.get("ROS_LOCALHOST_ONLY", "0") != "1"
+    )

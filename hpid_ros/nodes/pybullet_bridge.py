@@ -58,7 +58,9 @@ class PybulletBridge(executor.ClosingNode):
             if pace.is_lockstep
             else HeldCommands(settings.joints, pace.command_timeout_ns, limits)
         )
-        self._commanders = Commanders(self, settings.joints, self._barrier.counts)
+        self._commanders = Commanders(
+            self, settings.joints, self._barrier.counts, pace.command_patience
+        )
         self._reader = EffortReader()
         self._template = JointStateTemplate(
             settings.joints,
@@ -123,7 +125,10 @@ class PybulletBridge(executor.ClosingNode):
             self._misread += 1
             self.get_logger().warning(str(error), throttle_duration_sec=1.0)
             return
-        if stamp_ns == self._stamp_ns and names:
+        names, efforts = self._commanders.heed(names, efforts, self._reader.sender)
+        if not names:
+            return
+        if stamp_ns == self._stamp_ns:
             self._timing.answered(names[0])
         if self._barrier.answer(stamp_ns, names, efforts):
             self._resume()
@@ -154,6 +159,7 @@ class PybulletBridge(executor.ClosingNode):
             effort=self._world.applied_efforts(),
         )
         self._timing.published()
+        self._commanders.move()
         self._states.publish(self._last_state)
         self._reports.sample(stamp_ns, positions)
         self._asked_again = False
