@@ -48,11 +48,21 @@ def test_the_column_is_what_the_general_decoder_says(joints, points, gives, fram
     assert column_from_bytes(raw, "another") is None
 
 
-def test_points_that_differ_in_their_arrays_are_taken_one_by_one():
-    message = trajectory("ab", 7)
-    message.points[3].velocities = []
+@given(
+    st.text("xy", max_size=9),
+    st.lists(st.tuples(*[st.booleans()] * 3), min_size=2, max_size=9),
+    st.integers(1, 4),
+)
+def test_points_that_differ_in_their_arrays_are_taken_too(frame, gives, joints):
+    names = "abcd"[:joints]
+    message = trajectory(names, len(gives), (True, True, True, True), frame)
+    for point, (velocities, accelerations, effort) in zip(message.points, gives, strict=True):
+        point.velocities = point.velocities if velocities else []
+        point.accelerations = point.accelerations if accelerations else []
+        point.effort = point.effort if effort else []
     raw = serialize_message(message)
-    assert column_from_bytes(raw, "b") == from_message(message).column("b")
+    for joint in names:
+        assert column_from_bytes(raw, joint) == from_message(message).column(joint)
 
 
 def spoiled(index, **changes):

@@ -1,8 +1,8 @@
 """``trajectory_msgs/msg/JointTrajectory`` from bytes to arrays, without a message object.
 
-A controller decodes trajectories between two samples, so that what a message can cost is bounded:
-points of one layout (all have the same arrays, as every planner sends them) are taken as arrays,
-others one by one, and either only so many.
+What a message can cost is bounded: it may have only so many points. Points of one layout (all
+have the same arrays, as every planner sends them) are taken as records; where they differ, one
+pass finds where each point's arrays lie, and numpy takes them from there.
 
 Source: as for :mod:`hpid_ros.messages.joint_state`, and the definitions of
 ``trajectory_msgs/msg/JointTrajectory`` and ``JointTrajectoryPoint``.
@@ -28,6 +28,9 @@ MOST_MIXED_POINTS = 5_000
 _ARRAYS = 4  # of a point: positions, velocities, accelerations, effort
 _LEAST_POINT = 4 * _ARRAYS + 8  # [bytes]
 
+Point = tuple[int, tuple[float, ...], tuple[float, ...], tuple[float, ...]]
+"""Time from start [ns], positions [rad], velocities [rad/s] and accelerations [rad/s^2]."""
+
 
 class TrajectoryArrays(NamedTuple):
     """A trajectory whose points have one layout.
@@ -48,6 +51,16 @@ class TrajectoryArrays(NamedTuple):
     velocities: NDArray[np.float64]
     accelerations: NDArray[np.float64]
 
+    @property
+    def lengths(self) -> NDArray[np.int64]:
+        """Numbers that points have in each array, shape (1, 3): all have the same."""
+        return np.array([[each.shape[1] for each in self[3:]]])
+
+    def point(self, index: int) -> Point:
+        """Return one point as it came: its time in [ns], and its three arrays."""
+        p, v, a = (tuple(each[index].tolist()) for each in self[3:])
+        return int(self.times_ns[index]), p, v, a
+
 
 class MixedTrajectory(NamedTuple):
     """A trajectory whose points differ in what they give.
@@ -55,13 +68,32 @@ class MixedTrajectory(NamedTuple):
     Attributes:
         stamp_ns: ``header.stamp`` in [ns].
         names: Joint names.
-        points: Time from start [ns], positions [rad], velocities [rad/s] and accelerations
-            [rad/s^2] of each point.
+        times_ns: Time from start of each point in [ns], int64, shape (points,).
+        positions: In [rad], shape (points, joints); NaN where a point has not one for each joint.
+        velocities: In [rad/s], likewise.
+        accelerations: In [rad/s^2], likewise.
+        lengths: Numbers that each point has in each of these arrays, shape (points, 3).
+        body: The message behind its encapsulation header, as doubles.
+        starts: Where in the body each point's arrays lie, shape (points, 3).
     """
 
     stamp_ns: int
     names: tuple[str, ...]
-    points: tuple[tuple[int, tuple[float, ...], tuple[float, ...], tuple[float, ...]], ...]
+    times_ns: NDArray[np.int64]
+    positions: NDArray[np.float64]
+    velocities: NDArray[np.float64]
+    accelerations: NDArray[np.float64]
+    lengths: NDArray[np.int64]
+    body: NDArray[np.float64]
+    starts: NDArray[np.int64]
+
+    def point(self, index: int) -> Point:
+        """Return one point as it came: its time in [ns], and its three arrays."""
+        p, v, a = (
+            tuple(self.body[start : start + length].tolist())
+            for start, length in zip(self.starts[index], self.lengths[index], strict=True)
+        )
+        return int(self.times_ns[index]), p, v, a
 
 
 def decode_trajectory(raw: bytes) -> TrajectoryArrays | MixedTrajectory:
@@ -71,8 +103,7 @@ def decode_trajectory(raw: bytes) -> TrajectoryArrays | MixedTrajectory:
         raw: The serialised message with its encapsulation header.
 
     Returns:
-        Arrays, or one point after the other where they differ in layout or the byte order is
-        foreign.
+        Arrays; mixed where points differ in layout or the byte order is foreign.
 
     Raises:
         MessageError: The bytes are no JointTrajectory, or it has too many points.
@@ -95,8 +126,7 @@ def decode_trajectory(raw: bytes) -> TrajectoryArrays | MixedTrajectory:
     lengths = tuple(len(cursor.doubles()) for _ in range(_ARRAYS))
     points = _records(raw, start, lengths, count) if raw[1] == 1 else None
     if points is None:
-        cursor.offset = start
-        return MixedTrajectory(stamp_ns, names, _mixed(cursor, count))
+        return _mixed(raw, stamp_ns, names, start, count)
     times_ns = _merged(points, "seconds").astype(np.int64) * NANOSECONDS
     times_ns += _merged(points, "nanoseconds").astype(np.int64)
     return TrajectoryArrays(
@@ -105,20 +135,68 @@ def decode_trajectory(raw: bytes) -> TrajectoryArrays | MixedTrajectory:
 
 
 def _mixed(
-    cursor: Cursor, count: int
-) -> tuple[tuple[int, tuple[float, ...], tuple[float, ...], tuple[float, ...]], ...]:
-    """Return points one by one; there may be fewer of them, since each takes its time."""
+    raw: bytes, stamp_ns: int, names: tuple[str, ...], start: int, count: int
+) -> MixedTrajectory:
+    """Take points that differ; there may be fewer of them, since each takes its time."""
     if count > MOST_MIXED_POINTS:
         raise MessageError(
             f"a JointTrajectory whose points differ in their arrays may have "
             f"{MOST_MIXED_POINTS} points, not {count}"
         )
-    points = []
+    order = "<" if raw[1] else ">"
+    lengths, starts, ends = _places(raw, start - ENCAPSULATION, count, order)
+    body = np.frombuffer(raw, f"{order}f8", (len(raw) - ENCAPSULATION) // 8, ENCAPSULATION)
+    words = np.frombuffer(raw, f"{order}u4", (len(raw) - ENCAPSULATION) // 4, ENCAPSULATION)
+    seconds = words[ends // 4].astype(np.uint32).view(np.int32)
+    times_ns = seconds.astype(np.int64) * NANOSECONDS + words[ends // 4 + 1]
+    starts //= 8
+    derivatives = []
+    for k in range(3):
+        values = np.full((count, len(names)), np.nan)
+        rows = np.flatnonzero(lengths[:, k] == len(names))
+        if names:
+            values[rows] = body[starts[rows, k, np.newaxis] + np.arange(len(names))]
+        derivatives.append(values)
+    p, v, a = derivatives
+    return MixedTrajectory(stamp_ns, names, times_ns, p, v, a, lengths, body, starts)
+
+
+def _places(
+    raw: bytes, start: int, count: int, order: str
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """Return lengths and starts of each point's arrays, and where its time lies, in bytes.
+
+    All from the end of the encapsulation header.
+    """
+    unpack = struct.Struct(f"{order}I").unpack_from
+    size = len(raw) - ENCAPSULATION
+    lengths, starts, ends = [], [], []
+    at = start
     for _ in range(count):
-        positions, velocities, accelerations, _ = (cursor.doubles() for _ in range(_ARRAYS))
-        seconds, nanoseconds = cursor.scalar("i"), cursor.scalar("I")
-        points.append((seconds * NANOSECONDS + nanoseconds, positions, velocities, accelerations))
-    return tuple(points)
+        for _ in range(_ARRAYS):
+            if at + 4 > size:
+                raise _too_short(raw, at + 4)
+            (length,) = unpack(raw, at + ENCAPSULATION)
+            at += 4
+            if length:
+                at += -at % 8
+            lengths.append(length)
+            starts.append(at)
+            at += 8 * length
+        ends.append(at)
+        at += 8
+        if at > size:
+            raise _too_short(raw, at)
+    places = [
+        np.array(each, np.int64).reshape(count, _ARRAYS)[:, :3] for each in (lengths, starts)
+    ]
+    return places[0], places[1], np.array(ends, np.int64)
+
+
+def _too_short(raw: bytes, end: int) -> MessageError:
+    return MessageError(
+        f"a JointTrajectory of {len(raw)} bytes ends before byte {end + ENCAPSULATION}"
+    )
 
 
 class _Records(NamedTuple):

@@ -6,7 +6,7 @@ from builtin_interfaces.msg import Duration, Time
 from trajectory_msgs.msg import JointTrajectory as JointTrajectoryMessage
 from trajectory_msgs.msg import JointTrajectoryPoint
 
-from hpid_ros.messages import TrajectoryArrays, decode_trajectory
+from hpid_ros.messages import MixedTrajectory, TrajectoryArrays, decode_trajectory
 from hpid_ros.trajectory import Column, JointTrajectory, TrajectoryPoint
 from hpid_ros.trajectory.arrays import column_from_arrays
 
@@ -49,15 +49,33 @@ def column_from_bytes(raw: bytes, joint: str) -> Column | None:
         MessageError: The bytes are no JointTrajectory, or it has too many points.
         TrajectoryError: The trajectory is malformed; the line says how.
     """
-    decoded = decode_trajectory(raw)
+    return column_of(decode_trajectory(raw), joint)
+
+
+def column_of(decoded: TrajectoryArrays | MixedTrajectory, joint: str) -> Column | None:
+    """Check a decoded message and return one joint's column.
+
+    Args:
+        decoded: The message.
+        joint: The joint.
+
+    Returns:
+        None when the message is about other joints.
+
+    Raises:
+        TrajectoryError: The trajectory is malformed; the line says how.
+    """
     if joint not in decoded.names:
         return None
-    if isinstance(decoded, TrajectoryArrays):
-        stamp_ns, names, times_ns, *derivatives = decoded
-        p, v, a = derivatives
-        return column_from_arrays(joint, names, stamp_ns, times_ns, (p, v, a))
-    points = tuple(TrajectoryPoint(*point) for point in decoded.points)
-    return JointTrajectory(decoded.names, points, decoded.stamp_ns).column(joint)
+    return column_from_arrays(
+        joint,
+        decoded.names,
+        decoded.stamp_ns,
+        decoded.times_ns,
+        (decoded.positions, decoded.velocities, decoded.accelerations),
+        decoded.lengths,
+        decoded.point,
+    )
 
 
 def to_message(trajectory: JointTrajectory) -> JointTrajectoryMessage:

@@ -53,47 +53,7 @@ class JointTrajectory:
     stamp_ns: int = 0
 
     def __post_init__(self) -> None:
-        if not self.joint_names or len(set(self.joint_names)) != len(self.joint_names):
-            raise TrajectoryError(
-                f"a trajectory must name each of its joints once, not {list(self.joint_names)}"
-            )
-        if not self.points:
-            raise TrajectoryError("a trajectory must have at least one point, not none")
-        if self.stamp_ns < 0:
-            raise TrajectoryError(f"a trajectory cannot start at {self.stamp_ns} ns, before 0")
-        before = -1 - self.stamp_ns
-        for index, point in enumerate(self.points):
-            if point.time_from_start_ns <= before:
-                raise TrajectoryError(
-                    f"times must increase from {-self.stamp_ns} ns on; point {index} has "
-                    f"{point.time_from_start_ns} ns after {before} ns"
-                )
-            before = point.time_from_start_ns
-            self._check_point(index, point)
-
-    def _check_point(self, index: int, point: TrajectoryPoint) -> None:
-        count = len(self.joint_names)
-        arrays: tuple[tuple[str, Sequence[float], tuple[int, ...]], ...] = (
-            ("positions", point.positions, (count,)),
-            ("velocities", point.velocities, (0, count)),
-            ("accelerations", point.accelerations, (0, count)),
-        )
-        for name, values, lengths in arrays:
-            if len(values) not in lengths:
-                allowed = " or ".join(str(length) for length in lengths)
-                raise TrajectoryError(
-                    f"point {index} must have {allowed} {name}, not {len(values)}"
-                )
-            for joint, value in zip(self.joint_names, values, strict=False):
-                if not math.isfinite(value):
-                    raise TrajectoryError(
-                        f"{name} of point {index} must be finite, not {value} for {joint!r}"
-                    )
-                if abs(value) > _LARGEST:
-                    raise TrajectoryError(
-                        f"{name} of point {index} must be within {_LARGEST:g}, "
-                        f"not {value} for {joint!r}"
-                    )
+        require_trajectory(self.joint_names, self.points, self.stamp_ns)
 
     def started(self, start_ns: int) -> JointTrajectory:
         """Return the same motion as one that is under way, for whoever comes later.
@@ -135,3 +95,59 @@ class JointTrajectory:
             for point in self.points
         )
         return Column(joint, knots, self.stamp_ns)
+
+
+def require_trajectory(
+    joint_names: Sequence[str], points: Sequence[TrajectoryPoint], stamp_ns: int, first: int = 0
+) -> None:
+    """Refuse what is no trajectory.
+
+    Args:
+        joint_names: Its joints.
+        points: Its points, or some that follow each other.
+        stamp_ns: When it starts in [ns].
+        first: Which of its points the first of these is.
+
+    Raises:
+        TrajectoryError: As for :class:`JointTrajectory`.
+    """
+    if not joint_names or len(set(joint_names)) != len(joint_names):
+        raise TrajectoryError(
+            f"a trajectory must name each of its joints once, not {list(joint_names)}"
+        )
+    if not points:
+        raise TrajectoryError("a trajectory must have at least one point, not none")
+    if stamp_ns < 0:
+        raise TrajectoryError(f"a trajectory cannot start at {stamp_ns} ns, before 0")
+    before = -1 - stamp_ns
+    for index, point in enumerate(points, first):
+        if point.time_from_start_ns <= before:
+            raise TrajectoryError(
+                f"times must increase from {-stamp_ns} ns on; point {index} has "
+                f"{point.time_from_start_ns} ns after {before} ns"
+            )
+        before = point.time_from_start_ns
+        _require_point(joint_names, index, point)
+
+
+def _require_point(joint_names: Sequence[str], index: int, point: TrajectoryPoint) -> None:
+    count = len(joint_names)
+    arrays: tuple[tuple[str, Sequence[float], tuple[int, ...]], ...] = (
+        ("positions", point.positions, (count,)),
+        ("velocities", point.velocities, (0, count)),
+        ("accelerations", point.accelerations, (0, count)),
+    )
+    for name, values, lengths in arrays:
+        if len(values) not in lengths:
+            allowed = " or ".join(str(length) for length in lengths)
+            raise TrajectoryError(f"point {index} must have {allowed} {name}, not {len(values)}")
+        for joint, value in zip(joint_names, values, strict=False):
+            if not math.isfinite(value):
+                raise TrajectoryError(
+                    f"{name} of point {index} must be finite, not {value} for {joint!r}"
+                )
+            if abs(value) > _LARGEST:
+                raise TrajectoryError(
+                    f"{name} of point {index} must be within {_LARGEST:g}, "
+                    f"not {value} for {joint!r}"
+                )

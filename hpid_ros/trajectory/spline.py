@@ -15,6 +15,7 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass
+from operator import itemgetter
 from typing import NamedTuple
 
 SECONDS_PER_NANOSECOND = 1e-9
@@ -64,7 +65,7 @@ class Column:
     """
 
     joint: str
-    knots: tuple[Knot, ...]
+    knots: Sequence[Knot]
     stamp_ns: int = 0
 
     def start(self, now_ns: int, position: float, velocity: float = 0.0) -> SplineReference:
@@ -112,18 +113,20 @@ class SplineReference:
 
     def __init__(self, knots: Sequence[Knot], start_ns: int, before: Knot) -> None:
         first = knots[0]
+        self._before: Knot | None = None
         if before.time_ns < first.time_ns:
-            before = before._replace(acceleration=None if first.acceleration is None else 0.0)
-            knots = [before, *knots]
-        self._knots = list(knots)
-        self._times = [start_ns + knot.time_ns for knot in self._knots]
+            acceleration = None if first.acceleration is None else 0.0
+            self._before = before._replace(acceleration=acceleration)
+        # Not copied: a loop takes over 50 000 knots between two samples.
+        self._knots, self._start_ns = knots, start_ns
+        self._index = -1
         self._from_ns = self._to_ns = 0
         self._coefficients: _Coefficients = (0.0,) * 6
 
     @property
     def end_ns(self) -> int:
         """The instant of the last knot on the control clock in [ns]."""
-        return self._times[-1]
+        return self._start_ns + self._knots[-1].time_ns
 
     def sample(self, stamp_ns: int) -> ReferenceSample:
         """Return the reference at an instant.
@@ -143,16 +146,34 @@ class SplineReference:
 
     def _enter(self, stamp_ns: int) -> None:
         """Find the segment of an instant and compute its polynomial once."""
-        index = bisect_right(self._times, stamp_ns) - 1
-        if index < 0:
-            self._from_ns, self._to_ns = min(stamp_ns, 0), self._times[0]
-            self._coefficients = (self._knots[0].position, 0.0, 0.0, 0.0, 0.0, 0.0)
-        elif index == len(self._knots) - 1:
-            self._from_ns, self._to_ns = self._times[-1], _FOREVER
-            self._coefficients = (self._knots[-1].position, 0.0, 0.0, 0.0, 0.0, 0.0)
+        knots, start_ns = self._knots, self._start_ns
+        self._index = index = self._last_before(stamp_ns - start_ns)
+        left = knots[index] if index >= 0 else self._before
+        if left is not None and index < 0 and stamp_ns < start_ns + left.time_ns:
+            left, right = None, left
         else:
-            self._from_ns, self._to_ns = self._times[index], self._times[index + 1]
-            self._coefficients = segment(self._knots[index], self._knots[index + 1])
+            right = knots[index + 1] if index + 1 < len(knots) else None
+        if left is None:
+            assert right is not None  # there is at least one knot
+            self._from_ns, self._to_ns = min(stamp_ns, 0), start_ns + right.time_ns
+            self._coefficients = (right.position, 0.0, 0.0, 0.0, 0.0, 0.0)
+        elif right is None:
+            self._from_ns, self._to_ns = start_ns + left.time_ns, _FOREVER
+            self._coefficients = (left.position, 0.0, 0.0, 0.0, 0.0, 0.0)
+        else:
+            self._from_ns, self._to_ns = start_ns + left.time_ns, start_ns + right.time_ns
+            self._coefficients = segment(left, right)
+
+    def _last_before(self, time_ns: int) -> int:
+        """Return the index of the last knot that is not later than a time; -1 if all are."""
+        knots, following = self._knots, self._index + 1
+        if (
+            following < len(knots)
+            and knots[following].time_ns <= time_ns
+            and (following + 1 == len(knots) or time_ns < knots[following + 1].time_ns)
+        ):
+            return following  # time goes on by a segment mostly
+        return bisect_right(knots, time_ns, key=itemgetter(0)) - 1
 
 
 def segment(start: Knot, end: Knot) -> _Coefficients:
