@@ -13,8 +13,8 @@ from hpid_ros.control import Gains, LoopSettings
 from hpid_ros.control.stability import certified_degree_interval, verify_certificate
 from hpid_ros.errors import GainError, SettingError
 from hpid_ros.simulation.encoders import Encoder
+from hpid_ros.tuning.certified_degrees import norm_family
 from hpid_ros.tuning.controller_files import settings_from_parameter_file
-from hpid_ros.tuning.gain_check import norm_family
 from hpid_ros.tuning.loop_statistics import loop_statistics
 from hpid_ros.tuning.upgrade import upgrade
 

@@ -59,6 +59,7 @@ class CertificateSearch:
         self._norm_of_degree = norm_of_degree
         slowest = -np.linalg.eigvals(scaled_loop(self._effective)).real.max()
         self._margin = min(_MARGIN, _MARGIN_OF_SLOW_LOOP * float(slowest))
+        self._seen: dict[tuple[float, bytes], float] = {}
         self._first_shapes = first_shapes(self._effective, self.norm(first_degree))
 
     def norm(self, degree: float) -> Norm:
@@ -172,12 +173,14 @@ class CertificateSearch:
 
     def _accepted(self, degrees: tuple[float, ...], shape: Array) -> CertifiedSpan | None:
         """Return the span that a shape certifies on the fine grid, or None."""
-        worst = -np.inf
-        for size in (_COARSE, _FINE):
-            for grid in self._grids(degrees, size):
-                worst = max(worst, worst_rate([grid], shape))
-                if worst > -self._margin:
-                    return None
+        coarse = worst_rate(self._grids(degrees, _COARSE), shape)
+        if coarse > -self._margin:
+            return None
+        worst = coarse
+        for degree in degrees:
+            worst = max(worst, self._on_fine_grid(degree, shape))
+            if worst > -self._margin:
+                return None
         unit = time_unit(self._effective)
         physical = shape / self._units()
         physical = 0.5 * (physical + physical.T)
@@ -187,6 +190,13 @@ class CertificateSearch:
             shape=tuple(tuple(float(x) for x in row) for row in physical),
             rate=-worst * unit,
         )
+
+    def _on_fine_grid(self, degree: float, shape: Array) -> float:
+        """Return the worst rate; spans that follow each other share a degree, and often a P."""
+        key = degree, shape.tobytes()
+        if key not in self._seen:
+            self._seen[key] = worst_rate(self._grids((degree,), _FINE), shape)
+        return self._seen[key]
 
     def _units(self) -> Array:
         """Return what turns a P in [rad], [s] into one in units of ki^(1/3)."""

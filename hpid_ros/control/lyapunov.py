@@ -102,7 +102,7 @@ def worst_rates(grids: Sequence[SphereGrid], shapes: Array) -> Array:
     is_monotone = _spare_monotonicity(grids, shapes).min(axis=-1) > 0.0
     if is_monotone.any():
         good = shapes[is_monotone]
-        rates[is_monotone] = np.max([grid.rates(good).max(axis=-1) for grid in grids], axis=0)
+        rates[is_monotone] = np.max([grid.largest_rates(good) for grid in grids], axis=0)
     return rates
 
 

@@ -21,6 +21,7 @@ LEAST_MONOTONICITY = 0.05
 """Least eigenvalue of the dilation's generator, relative to P, that is accepted."""
 
 _TOLERANCE_OF_RIM = 1e-5  # Newton's last step; what it leaves is the square of that
+_AT_HAND = 10_000  # points, 80 kB of each array
 _DEEP = 14.0  # in ln of a power of the norm: there it is negligible
 
 
@@ -126,6 +127,28 @@ class SphereGrid:
             Array of shape (..., size); the last one is the pole, where error and error rate
             are 0.
         """
+        rates = self._away_from_pole(*self._factors(shapes))
+        pole = shapes[..., 1, 2, None] / shapes[..., 2, 2, None]
+        return np.concatenate([rates.reshape(*shapes.shape[:-2], -1), pole], axis=-1)
+
+    def largest_rates(self, shapes: Array) -> Array:
+        """Return the largest of :meth:`rates` of each shape, of shape (...).
+
+        Some directions at a time: what a processor has at hand is read faster than it is
+        computed, and a fine grid is larger than that.
+        """
+        square, flat, steep, p23, p33 = self._factors(shapes)
+        largest = shapes[..., 1, 2] / shapes[..., 2, 2]
+        depths, count = self._lines.shape[1], int(np.prod(largest.shape))
+        step = max(1, _AT_HAND // (depths * count))
+        for k in range(0, square.shape[-2], step):
+            rows = (..., slice(k, k + step), slice(None))
+            rates = self._away_from_pole(square[rows], flat[rows], steep[rows], p23, p33)
+            largest = np.maximum(largest, rates.max(axis=(-2, -1)))
+        return np.asarray(largest)
+
+    def _factors(self, shapes: Array) -> tuple[Array, Array, Array, Array, Array]:
+        """Return the directions' factors of q, A and B, and p23 and p33."""
         p13, p23, p33 = (shapes[..., k, 2, None] for k in range(3))
         a13, a23 = p13 / p33, p23 / p33
         s11 = shapes[..., 0, 0, None] - p13 * a13
@@ -148,17 +171,22 @@ class SphereGrid:
             [(s12 - p23 * a13) * x1, (p13 + s22 - p23 * a23) * x2, -p23 * pull, -p33 * draw],
             axis=-1,
         )
+        return square, flat, steep, p23[..., None], p33[..., None]
+
+    def _away_from_pole(
+        self, square: Array, flat: Array, steep: Array, p23: Array, p33: Array
+    ) -> Array:
         # In place: the arrays are large, and new memory costs more than the arithmetic.
         height = square @ self._squares[:3]
         np.subtract(1.0, height, out=height)
         np.maximum(height, 0.0, out=height)
-        height /= p33[..., None]
+        height /= p33
         np.sqrt(height, out=height)
-        rates = steep @ self._lines
-        rates += p23[..., None] * height
+        rates: Array = steep @ self._lines
+        rates += p23 * height
         rates *= height
         rates += flat @ self._squares
-        return np.concatenate([rates.reshape(*shapes.shape[:-2], -1), a23], axis=-1)
+        return rates
 
     def _rim(self, s11: Array, s12: Array, s22: Array) -> tuple[Array, Array, Array, Array]:
         """Return e, de/dt, (a lam^2 e + b lam de/dt) and lam^3 e on the spheres' rims."""

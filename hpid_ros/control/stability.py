@@ -24,6 +24,7 @@ __all__ = [
     "certified_degree_interval",
     "certify_degree",
     "is_hurwitz",
+    "require_certifiable",
     "require_hurwitz",
     "verify_certificate",
 ]
@@ -102,7 +103,7 @@ def certified_degree_interval(
     # others need not be searched beyond its ends, and often share its P.
     searches = [
         CertificateSearch(gains, each, norm_of_degree)
-        for each in reversed(_inertias(gains, inertia))
+        for each in reversed(require_certifiable(gains, inertia))
     ]
     sides = []
     for direction in (-1.0, 1.0):
@@ -142,7 +143,7 @@ def certify_degree(
     require_known_norm(norm)
     spans = [
         CertificateSearch(gains, each, lambda degree: norm, norm.degree).at(norm.degree)
-        for each in _inertias(gains, inertia)
+        for each in require_certifiable(gains, inertia)
     ]
     return Certificate(gains, tuple(spans))
 
@@ -170,8 +171,19 @@ def verify_certificate(certificate: Certificate) -> Margins:
     return check_certificate(certificate)
 
 
-def _inertias(gains: Gains, inertia: float | tuple[float, float]) -> list[float]:
-    """Return the inertias to certify, all of them checked."""
+def require_certifiable(gains: Gains, inertia: float | tuple[float, float]) -> tuple[float, ...]:
+    """Refuse gains that no certificate can be looked for.
+
+    Args:
+        gains: The gains.
+        inertia: What one unit of effort accelerates in [kg m^2], or its least and largest value.
+
+    Returns:
+        The inertias to certify: the value, or the ends and the middle.
+
+    Raises:
+        GainError: The gains have no integral action or are not Hurwitz; an impossible inertia.
+    """
     if isinstance(inertia, int | float):
         values = [float(inertia)]
     else:
@@ -182,7 +194,7 @@ def _inertias(gains: Gains, inertia: float | tuple[float, float]) -> list[float]
     _require_integral_action(gains)
     for value in values:
         require_hurwitz(gains, value)
-    return values
+    return tuple(values)
 
 
 def _require_integral_action(gains: Gains) -> None:

@@ -11,7 +11,7 @@ import sys
 from hpid_ros.control import LoopSettings
 from hpid_ros.control.stability import certified_degree_interval
 from hpid_ros.errors import HpidError
-from hpid_ros.tuning.gain_check import norm_family
+from hpid_ros.tuning.certified_degrees import norm_family
 
 
 def main() -> int:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
 from hpid_ros.control import HomogeneousPid, LoopSettings
-from hpid_ros.control.homogeneity import CanonicalNorm, WeightedNorm
+from hpid_ros.control.certificate import Certificate, DegreeInterval
 from hpid_ros.control.loop_figures import (
     GOOD_SAMPLING_MARGIN,
     gain_multiplier_range,
@@ -17,8 +18,9 @@ from hpid_ros.control.loop_figures import (
     sampling_margin,
     settling_time_bound,
 )
-from hpid_ros.control.stability import certified_degree_interval, is_hurwitz
+from hpid_ros.control.stability import certify_degree, is_hurwitz
 from hpid_ros.errors import GainError, SettingError
+from hpid_ros.tuning.certified_degrees import Loop, certified_degrees, norm_family
 
 _LARGEST_NORM = 2.0
 """The error at ``norm.error_scale`` while the rate adds as much: where figures are quoted."""
@@ -68,20 +70,25 @@ class GainVerdict:
 
 
 def check_gains(
-    loops: Sequence[tuple[LoopSettings, tuple[float, float]]],
+    loops: Sequence[Loop], tell: Callable[[Sequence[str]], None] = lambda joints: None
 ) -> list[GainVerdict]:
     """Judge several loops, side by side on the machine's cores.
 
     Args:
         loops: Settings and the least and largest inertia [kg m^2] of each.
+        tell: Called with the joints that have been judged.
 
     Raises:
         GainError: An inertia is impossible.
+        RunError: A process died.
     """
+    for settings, inertia in loops:
+        _require_inertia(settings.joint, inertia)
+    found = certified_degrees(loops, tell)
     if len(loops) <= 1:
-        return [judge(*loop) for loop in loops]
-    with ProcessPoolExecutor() as pool:
-        return list(pool.map(judge, *zip(*loops, strict=True)))
+        return [_verdict(*loop, each) for loop, each in zip(loops, found, strict=True)]
+    with ProcessPoolExecutor(min(len(loops), len(os.sched_getaffinity(0)))) as pool:
+        return list(pool.map(_verdict, *zip(*loops, strict=True), found))
 
 
 def judge(settings: LoopSettings, inertia: tuple[float, float]) -> GainVerdict:
@@ -94,36 +101,39 @@ def judge(settings: LoopSettings, inertia: tuple[float, float]) -> GainVerdict:
     Raises:
         GainError: The inertia is impossible.
     """
+    return check_gains([(settings, inertia)])[0]
+
+
+def _require_inertia(joint: str, inertia: tuple[float, float]) -> None:
     low, high = inertia
     if not 0.0 < low <= high < float("inf"):
         raise GainError(
-            f"the inertia of {settings.joint!r} must be positive and finite, its least value not "
+            f"the inertia of {joint!r} must be positive and finite, its least value not "
             f"above its largest, not {low} to {high} kg m^2"
         )
+
+
+def _verdict(
+    settings: LoopSettings, inertia: tuple[float, float], found: DegreeInterval | GainError
+) -> GainVerdict:
+    low, high = inertia
     gains = settings.gains
     degree = settings.mu if settings.law == "hpid" else 0.0
     multipliers = _multipliers(settings)
-    margin = sampling_margin(gains, settings.control_period, multipliers[1], low)
     interval, certificate, bound, reason = None, None, None, ""
-    if not is_hurwitz(gains, high):
+    if isinstance(found, DegreeInterval):
+        interval, certificate = (found.lower, found.upper), found.certificate.to_mapping()
+        if found.contains(degree):
+            bound = _settling_bound(settings, degree, inertia, found.certificate)
+        elif settings.law == "hpid":
+            reason = f"mu = {degree:g} is outside the certified interval"
+    elif not is_hurwitz(gains, high):
         reason = (
             f"unstable as a linear PID: p d = {gains.p * gains.d:g} must exceed i x inertia = "
             f"{gains.i * high:g}"
         )
-    else:
-        try:
-            found = certified_degree_interval(gains, norm_family(settings), inertia)
-        except GainError as error:
-            reason = "" if degree == 0.0 else str(error)  # Hurwitz decides for the linear law
-        else:
-            interval, certificate = (found.lower, found.upper), found.certificate.to_mapping()
-            if found.lower <= degree <= found.upper:
-                norm = norm_family(settings)(degree)
-                bound = settling_time_bound(
-                    found.certificate, norm, (settings.norm_error_scale, 0.0, 0.0)
-                )
-            elif settings.law == "hpid":
-                reason = f"mu = {degree:g} is outside the certified interval"
+    elif degree != 0.0:  # Hurwitz decides for the linear law
+        reason = str(found)
     return GainVerdict(
         joint=settings.joint,
         law=settings.law,
@@ -133,20 +143,23 @@ def judge(settings: LoopSettings, inertia: tuple[float, float]) -> GainVerdict:
         reason=reason,
         interval=interval,
         integral_ratio=integral_ratio(gains, high),
-        sampling_margin=margin,
+        sampling_margin=sampling_margin(gains, settings.control_period, multipliers[1], low),
         multipliers=multipliers,
         settling_bound=bound,
         certificate=certificate,
     )
 
 
-def norm_family(settings: LoopSettings) -> Callable[[float], WeightedNorm | CanonicalNorm]:
-    """Return the loop's norm as a function of the degree, everything else as configured."""
-
-    def norm(degree: float) -> WeightedNorm | CanonicalNorm:
-        return dataclasses.replace(settings, mu=degree).make_norm()
-
-    return norm
+def _settling_bound(
+    settings: LoopSettings, degree: float, inertia: tuple[float, float], certificate: Certificate
+) -> float:
+    """Return the bound by a certificate of this degree alone, which is tighter than a span's."""
+    norm, start = norm_family(settings)(degree), (settings.norm_error_scale, 0.0, 0.0)
+    try:
+        own = certify_degree(settings.gains, norm, inertia)
+    except GainError:  # it was found from its neighbours only
+        own = certificate
+    return settling_time_bound(own, norm, start)
 
 
 def inertia_of(

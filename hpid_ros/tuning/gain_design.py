@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from hpid_ros.control import Gains, LoopSettings
 from hpid_ros.control.stability import certified_degree_interval
 from hpid_ros.errors import GainError, SettingError, unknown_name
-from hpid_ros.tuning.gain_check import norm_family
+from hpid_ros.tuning.certified_degrees import norm_family
 from hpid_ros.tuning.margins import Margins, loop_margins
 from hpid_ros.tuning.rules import RULES
 

@@ -9,7 +9,7 @@ from hpid_ros.control import HomogeneousPid, LoopSettings
 from hpid_ros.control.loop_figures import GOOD_SAMPLING_MARGIN, sampling_margin
 from hpid_ros.control.stability import certified_degree_interval
 from hpid_ros.errors import GainError
-from hpid_ros.tuning.gain_check import norm_family
+from hpid_ros.tuning.certified_degrees import norm_family
 from hpid_ros.tuning.loop_statistics import LoopStatistics
 
 GOALS = ("smooth", "fast")
