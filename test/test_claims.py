@@ -1,5 +1,6 @@
 """Two controllers of one joint: one is active, the other is refused and says who holds it."""
 
+import itertools
 import os
 import random
 import select
@@ -260,7 +261,7 @@ class OtherHost:
         self._publisher = harness.node.create_publisher(
             DiagnosticStatus, claim_topic(topic, "elbow"), LATCHED
         )
-        self.heard = []
+        self.heard, self._seen = [], -1
         harness.node.create_subscription(
             DiagnosticStatus, claim_topic(topic, "elbow"), self.heard.append, LATCHED
         )
@@ -269,11 +270,16 @@ class OtherHost:
     def tell(self, claim=None):
         self._publisher.publish(to_message(claim or self.claim))
 
+    def is_quiet(self):
+        """Tell whether nothing new has come since the last call."""
+        before, self._seen = self._seen, len(self.heard)
+        return before == self._seen
+
     def states(self):
         return [each.message for each in self.heard if each.name != "/far"]
 
 
-def test_a_joint_that_another_host_holds_is_refused_for_as_long_as_it_says_so(harness):
+def test_a_joint_that_another_host_holds_is_refused_for_as_long_as_it_says_so(harness, faults):
     far = OtherHost(harness)
     far.tell()
     standby = start(harness, "standby", autostart=False)
@@ -291,7 +297,9 @@ def test_a_joint_that_another_host_holds_is_refused_for_as_long_as_it_says_so(ha
     far.tell()
     silent = time.monotonic()
     harness.wait(lambda: change(harness, "activate", "standby"), what="the lease to run out")
-    assert LEASE - 0.2 < time.monotonic() - silent < LEASE + 0.5
+    lasted = time.monotonic() - silent
+    assert LEASE - 0.2 < lasted < LEASE + 0.5
+    faults.count("ms from another host's last word to active here", 1e3 * lasted)
     assert change(harness, "deactivate", "standby")
     far.tell()
     assert refused()
@@ -320,8 +328,10 @@ def test_a_holder_yields_to_an_older_one_and_not_to_a_younger_or_a_wish(harness,
     assert harness.ask(2 * MS, 0.3) == pytest.approx(2.0)
     count = len(harness.commands)
     far.tell()
-    harness.wait(lambda: "released" in far.states(), what="the controller to yield")
+    told = time.monotonic()
     harness.wait(lambda: len(harness.commands) > count, what="its last command")
+    faults.count("ms from an older claim heard to zero effort", 1e3 * (time.monotonic() - told))
+    harness.wait(lambda: "released" in far.states(), what="the controller to yield")
     faults.count("holders that yielded to another host")
     assert [each.effort for each in harness.commands[count:]] == [(0.0,)]
     assert state(harness) == "inactive"
@@ -334,7 +344,7 @@ def test_a_holder_yields_to_an_older_one_and_not_to_a_younger_or_a_wish(harness,
     assert len(harness.commands) == count + 1
 
 
-def test_who_was_frozen_for_a_lease_comes_back_as_a_newcomer(harness):
+def test_who_was_frozen_for_a_lease_comes_back_as_a_newcomer(harness, faults):
     """The joint may be another's by then, and that one goes on undisturbed."""
     controller = harness.start_controller(**GAINS)
     far = OtherHost(harness)
@@ -342,10 +352,20 @@ def test_who_was_frozen_for_a_lease_comes_back_as_a_newcomer(harness):
     os.kill(controller.pid, signal.SIGSTOP)
     time.sleep(LEASE + 0.3)  # not a wait for something: this is how long it is frozen
     younger = replace(far.claim, since_ns=time.time_ns())
-    far.tell(younger)
+    harness.wait(far.is_quiet, what="what it told before")
     count = len(far.states())
+    far.tell(younger)
     os.kill(controller.pid, signal.SIGCONT)
-    harness.wait(lambda: "released" in far.states(), within=LEASE, what="it to yield")
+    thawed = time.monotonic()
+    beats = itertools.count()
+
+    def has_yielded():
+        if next(beats) % 10 == 0:  # some 4 Hz, as a controller does
+            far.tell(younger)
+        return "released" in far.states()
+
+    harness.wait(has_yielded, within=5.0, what="it to yield")
+    faults.count("ms from a thaw to having yielded", 1e3 * (time.monotonic() - thawed))
     assert "held" not in far.states()[count:]
     assert state(harness) == "inactive"
 

@@ -120,11 +120,11 @@ class JointClaim:
             raise self._refused(holder)
         self.refusal = ""
         self._listening_since = None
-        self._mine = self._claim
+        # In the closed mode nobody else is there to be listened to.
+        state = ClaimState.HELD if self._is_closed else ClaimState.WISHED
+        self._mine = self._claim.become(state)
         self._timer = steady_timer(self._node, _BEAT, self._beat)
         self._tell()
-        if self._is_closed:  # no other host is there
-            self.settle()
 
     def settle(self) -> bool:
         """Hold the joint once others have had the time to say that it is theirs.
@@ -136,7 +136,7 @@ class JointClaim:
             now = _now()
             if self._listening_since is None:  # the first call while messages are taken
                 self._listening_since = now
-            if self._is_closed or now - self._listening_since >= _SETTLES_WITHIN:
+            if now - self._listening_since >= _SETTLES_WITHIN:
                 self._mine = self._mine.become(ClaimState.HELD)
                 self._tell()
         return self.is_settled
