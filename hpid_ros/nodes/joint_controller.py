@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from rcl_interfaces.msg import SetParametersResult
+from rclpy.duration import Duration
 from rclpy.parameter import Parameter
 from rclpy.task import Future
 from sensor_msgs.msg import JointState
@@ -19,7 +20,7 @@ from hpid_ros.errors import MessageError
 from hpid_ros.messages import JointReader
 from hpid_ros.nodes import executor
 from hpid_ros.nodes.certification import Certification
-from hpid_ros.nodes.commands import COMMAND_INTERFACES, command_sink, unanswering
+from hpid_ros.nodes.commands import COMMAND_INTERFACES, joint_commands
 from hpid_ros.nodes.controller_health import ControllerHealth
 from hpid_ros.nodes.controller_lifecycle import ManagedNode
 from hpid_ros.nodes.controller_references import ControllerReferences
@@ -72,7 +73,7 @@ class JointController(ManagedNode):
         self._needs_reference = read_only(
             self, "wait_for_reference", False, "Do not start before there is a trajectory"
         )
-        self._commands = command_sink(self, self.joint, str(interface))
+        self._commands = joint_commands(self, self.joint, str(interface))
         self._introspection = Introspection(self, self.joint, self._model is not None)
         self._status = StatusPipe(self)
         self._certification = Certification(self, self._loop.settings)
@@ -161,6 +162,7 @@ class JointController(ManagedNode):
         return ""
 
     def _on_state(self, raw: bytes) -> None:
+        self._watchdog.catch_up()
         if self._states is None:  # it was on its way when the joint was left
             return
         began_ns = time.perf_counter_ns()
@@ -180,21 +182,17 @@ class JointController(ManagedNode):
             effort = self._model.answer(self._loop, sample, raw)
         else:
             effort = self._loop.step(*sample)
+        self._watchdog.hear(sample.stamp_ns, began_ns)  # no fallback shall follow the answer
         self._commands.send(sample.stamp_ns, effort)
-        self._watchdog.hear(sample.stamp_ns, began_ns)
         self._timing.note(began_ns, time.perf_counter_ns())
         self._introspection.sample(sample.stamp_ns, self._loop)
 
     def _on_silence(self, silence: float, is_new: bool) -> None:
+        """Take note of a silence; :meth:`look` gives the effort, whatever this thread does."""
         if self._stop is not None:  # nothing to damp by
             self._stopping.end()
-            return
-        stamp_ns = self._loop.stamp_ns
-        if stamp_ns is None:
-            return
-        effort = self._loop.lapse() if is_new else self._loop.settings.fallback
-        self._commands.send(unanswering(stamp_ns), effort)
-        if is_new:
+        elif is_new and self._loop.stamp_ns is not None:
+            effort = self._loop.lapse()
             self._health.fault(f"no new state for {silence:.3g} s: the effort is {effort:g} N m")
             self._report()
 
@@ -237,6 +235,29 @@ class JointController(ManagedNode):
         if self.is_active or self._stopping.is_damping:
             self.is_active = False
             self._stopping.now()
+
+    def look(self) -> float:
+        """Give the effort that states have not come for."""
+        effort = self._loop.settings.fallback if self._stop is None else 0.0
+        self._commands.fall_back(effort, self._watchdog.is_silent)
+        return self._watchdog.within()
+
+    def hold(self) -> None:
+        """Leave the joint without effort while the process is stopped."""
+        self._commands.hold()
+
+    def wait_until_held(self, within: float) -> None:
+        """Wait until the zero has been heard."""
+        self._commands.publisher.wait_for_all_acked(Duration(seconds=within))
+
+    def go_on(self) -> None:
+        """Answer states again."""
+        self._commands.go_on()
+
+    def abandon(self) -> bool:
+        """Leave the joint without effort, for ever."""
+        self._commands.shut()
+        return True
 
     def close(self) -> None:
         """Wait until the last command has been heard."""
