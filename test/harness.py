@@ -11,7 +11,7 @@ from sensor_msgs.msg import JointState
 
 from hpid_ros.experiment.node_process import NodeGroup
 from hpid_ros.messages import JointStateTemplate, decode_joint_state
-from hpid_ros.nodes.qos import OFFERED, RARE
+from hpid_ros.nodes.qos import OFFERED
 
 _VALUES = {
     bool: (ParameterType.PARAMETER_BOOL, "bool_value"),
@@ -39,7 +39,7 @@ class Harness:
         self.commands = []
         self.states = self.node.create_publisher(JointState, "joint_states", OFFERED)
         self.node.create_subscription(
-            JointState, "joint_commands", self._on_command, RARE, raw=True
+            JointState, "joint_commands", self._on_command, OFFERED, raw=True
         )
 
     def __enter__(self):

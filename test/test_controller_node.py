@@ -2,7 +2,6 @@
 
 import math
 import os
-import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -141,28 +140,6 @@ def test_trajectory_and_setpoint_reach_the_loop(harness):
         return abs(harness.ask(next(stamps), 0.25)) < 0.2
 
     harness.wait(holds, what="the loop to hold the setpoint")
-
-
-@pytest.fixture
-def heeds_hangups():
-    """Let children be started as from a terminal, though this process may ignore SIGHUP."""
-    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)
-    yield
-    signal.signal(signal.SIGHUP, before)
-
-
-@pytest.mark.usefixtures("heeds_hangups")
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
-def test_the_last_command_is_zero_and_the_exit_code_too(harness, number):
-    node = harness.start_controller(law="pid", **GAINS)
-    process = node.process
-    harness.ask(0, 0.0)
-    assert harness.ask(MS, -0.5) != 0.0
-    process.send_signal(number)
-    harness.wait(lambda: process.poll() is not None, within=5.0, what="the controller to end")
-    harness.wait(lambda: harness.commands[-1].effort == (0.0,), what="a last command of zero")
-    assert process.returncode == 0
-    assert "not acknowledged" not in node.log.read_text()
 
 
 def test_no_network_socket_is_opened_in_the_closed_mode(harness):

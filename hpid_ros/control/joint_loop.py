@@ -137,9 +137,17 @@ class JointLoop(LoopView):
         self._clock.has_lapsed = True
         self.counts.silences += 1
         if not self.settings.is_simulated:
-            self._is_takeover_due = True
-            self._law.effort = self.settings.fallback
+            self.supersede(self.settings.fallback)
         return self.settings.fallback
+
+    def supersede(self, effort: float) -> None:
+        """Note that the joint was given another effort: the next state is a takeover from it.
+
+        Args:
+            effort: In [N m].
+        """
+        self._is_takeover_due = True
+        self._law.effort = effort
 
     @property
     def is_on_fallback(self) -> bool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import socket
+import threading
 import time
 from collections.abc import Callable
 from hashlib import sha256
@@ -19,6 +20,7 @@ from hpid_ros.messages import JointStateTemplate
 from hpid_ros.nodes.qos import OFFERED, overridable
 
 _NANOSECONDS = 1_000_000_000
+_LOCK_WITHIN = 0.2  # [s]; whoever holds it longer is stuck in the middleware, as we would be
 
 
 class CommandSink(Protocol):
@@ -117,6 +119,87 @@ def unanswering(stamp_ns: int) -> int:
     return stamp_ns + 1 if (stamp_ns + 1) % _NANOSECONDS else stamp_ns - 1
 
 
+class Commands:
+    """One joint's commands, from the thread of the executor and from its supervisor's.
+
+    They never overtake each other: what one of them gives is whole, and after :meth:`shut`
+    nothing is given by either, whatever the other was about to give.
+
+    Args:
+        sink: Where they go.
+    """
+
+    def __init__(self, sink: CommandSink) -> None:
+        self.publisher = sink.publisher
+        self._sink = sink
+        self._lock = threading.Lock()
+        self._stamp_ns: int | None = None  # of the last answer; None once the joint is left
+        self._is_held = self._is_shut = False
+
+    def send(self, stamp_ns: int, effort: float) -> None:
+        """Publish the effort that answers a state.
+
+        Args:
+            stamp_ns: Stamp of the state in [ns].
+            effort: In [N m].
+        """
+        with self._lock:
+            if not (self._is_held or self._is_shut):
+                self._stamp_ns = stamp_ns
+                self._sink.send(stamp_ns, effort)
+
+    def leave(self, stamp_ns: int) -> None:
+        """Publish a zero, the last command until the next state is answered.
+
+        Args:
+            stamp_ns: Stamp of the last state in [ns].
+        """
+        with self._lock:
+            self._stamp_ns = None
+            if not (self._is_held or self._is_shut):
+                self._sink.send(stamp_ns, 0.0)
+
+    def fall_back(self, effort: float, is_due: Callable[[], bool]) -> None:
+        """Publish an effort that answers no state.
+
+        Args:
+            effort: In [N m].
+            is_due: Asked when no other command can come between its answer and the effort.
+        """
+        if not self._lock.acquire(timeout=_LOCK_WITHIN):
+            return
+        try:
+            if self._stamp_ns is not None and not (self._is_held or self._is_shut) and is_due():
+                self._sink.send(unanswering(self._stamp_ns), effort)
+        finally:
+            self._lock.release()
+
+    def hold(self) -> None:
+        """Publish a zero, and nothing else before :meth:`go_on`."""
+        self._is_held = True
+        self._zero()
+
+    def go_on(self) -> None:
+        """Publish again what is given."""
+        self._is_held = False
+
+    def shut(self) -> None:
+        """Publish a zero, and nothing else any more."""
+        if not self._is_shut:
+            self._is_shut = True
+            self._zero()
+
+    def _zero(self) -> None:
+        """Give no effort where there may be one; a command that is under way comes before."""
+        if not self._lock.acquire(timeout=_LOCK_WITHIN):
+            return
+        try:
+            if self._stamp_ns is not None:
+                self._sink.send(unanswering(self._stamp_ns), 0.0)
+        finally:
+            self._lock.release()
+
+
 _SINKS: dict[str, Callable[[Node, str], CommandSink]] = {
     "joint_state": JointStateCommands,
     "float64_multi_array": Float64MultiArrayCommands,
@@ -127,8 +210,8 @@ COMMAND_INTERFACES = tuple(_SINKS)
 """The names that the parameter ``command_interface`` may have."""
 
 
-def command_sink(node: Node, joint: str, interface: str) -> CommandSink:
-    """Return the sink of this name.
+def joint_commands(node: Node, joint: str, interface: str) -> Commands:
+    """Return the commands of a joint, by the name of their interface.
 
     Args:
         node: The node that publishes.
@@ -142,4 +225,4 @@ def command_sink(node: Node, joint: str, interface: str) -> CommandSink:
         raise SettingError(
             f"command_interface must be one of {', '.join(_SINKS)}, not {interface!r}"
         )
-    return _SINKS[interface](node, joint)
+    return Commands(_SINKS[interface](node, joint))

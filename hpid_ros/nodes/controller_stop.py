@@ -12,7 +12,7 @@ from rclpy.timer import Timer
 from hpid_ros.control import JointLoop
 from hpid_ros.control.damping_stop import DampingStop
 from hpid_ros.errors import SettingError
-from hpid_ros.nodes.commands import CommandSink
+from hpid_ros.nodes.commands import Commands
 from hpid_ros.nodes.parameters import read_number, read_only
 from hpid_ros.nodes.steady_timer import steady_timer
 
@@ -36,7 +36,7 @@ class ControllerStop:
     """
 
     def __init__(
-        self, node: Node, loop: JointLoop, commands: CommandSink, finish: Callable[[], None]
+        self, node: Node, loop: JointLoop, commands: Commands, finish: Callable[[], None]
     ) -> None:
         kind = read_only(
             node, "stop", "zero", f"How the joint is left: {', '.join(STOPS)} for stop_duration"
@@ -90,7 +90,7 @@ class ControllerStop:
         stamp_ns = self._loop.stamp_ns if self._stamp_ns is None else self._stamp_ns
         self._stamp_ns = None
         if stamp_ns is not None:
-            self._commands.send(stamp_ns, 0.0)
+            self._commands.leave(stamp_ns)
             self._is_unheard = True
         self._finish()
         if self._ended is not None and not self._ended.done():

@@ -3,23 +3,21 @@
 ``EventsExecutor`` is several times faster than the wait-set executors. Two of its traits need
 care: ``spin()`` without a deadline starves callbacks, so it is always given one; and with
 rclpy's own signal handlers the context is dead before a last command could be sent. Signals
-are therefore taken through a wake-up pipe, which works while the executor is idle, and end the
-spinning; the nodes close while the context still lives, and the context is shut down last.
+are therefore taken by a :class:`~hpid_ros.nodes.supervisor.Supervisor`, and end the spinning; the
+nodes close while the context still lives, and the context is shut down last.
 """
 
 from __future__ import annotations
 
 import gc
+import math
 import os
 import re
 import signal
 import sys
-import threading
 import time
 import traceback
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
-from types import FrameType
+from collections.abc import Callable, Sequence
 
 import rclpy
 from rclpy.exceptions import (
@@ -37,6 +35,7 @@ from rclpy.utilities import remove_ros_args
 from hpid_ros.errors import ClaimError, HpidError, SettingError, unknown_name
 from hpid_ros.nodes.middleware import load_profile
 from hpid_ros.nodes.security import warn_if_unprotected
+from hpid_ros.nodes.supervisor import Supervisor
 
 BAD_INPUT = 2
 """Exit code of a process whose parameters or arguments cannot be used."""
@@ -44,31 +43,15 @@ BAD_INPUT = 2
 FAILED = 1
 """Exit code of a process that a callback ended, or whose joint another controller holds."""
 
-_ENDS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _WIND_DOWN_WITHIN = 4.5  # [s] from the request to the close of the nodes
+_SWITCH_INTERVAL = 5e-4  # [s]; how late a thread beside the loop (a decoder) makes a sample
 _DEADLINE = 86400.0  # [s]; any finite one: spinning goes on when it passes
-
-
-class Stop:
-    """The end of a process: asked for by a signal or by a node, once."""
-
-    def __init__(self) -> None:
-        self.future: Future = Future()
-
-    def request(self, code: int = 0) -> None:
-        """Ask for the end.
-
-        Args:
-            code: Exit code of the process; the first request decides.
-        """
-        if not self.future.done():
-            self.future.set_result(code)
 
 
 class ClosingNode(Node):
     """A node that has something to do before its context is gone."""
 
-    stop: Stop | None = None
+    supervisor: Supervisor | None = None
 
     def wind_down(self) -> Future | None:
         """Begin what takes time before the end; called once, while spinning goes on.
@@ -90,8 +73,51 @@ class ClosingNode(Node):
         Args:
             code: Exit code of the process.
         """
-        if self.stop is not None:
-            self.stop.request(code)
+        if self.supervisor is not None:
+            self.supervisor.request(code)
+
+    def hand_over(self, callback: Callable[..., None], *arguments: object) -> None:
+        """Have the executor's thread call something soon; from any thread.
+
+        Args:
+            callback: What it calls; whatever that raises ends the process, as in a subscription.
+            arguments: With these.
+        """
+        executor = self.executor
+        if executor is not None:  # else the node has ended
+            executor.create_task(self._call, callback, arguments)
+
+    def _call(self, callback: Callable[..., None], arguments: Sequence[object]) -> None:
+        try:
+            callback(*arguments)
+        except Exception as error:  # in a task it would crash the EventsExecutor of Jazzy
+            if self.supervisor is None:
+                raise
+            code = BAD_INPUT if isinstance(error, HpidError) else FAILED
+            self.supervisor.fail(error, code)
+
+    # What follows is called on the supervisor's thread, also while a callback does not return.
+
+    def look(self) -> float:
+        """Do what must not wait for the executor, and return when to look again, in [s]."""
+        return math.inf
+
+    def hold(self) -> None:
+        """Leave without effort until :meth:`go_on`: the process is about to be stopped."""
+
+    def wait_until_held(self, within: float) -> None:
+        """Wait until that has been heard, for at most so many seconds."""
+
+    def go_on(self) -> None:
+        """Go on after :meth:`hold`."""
+
+    def abandon(self) -> bool:
+        """Leave for ever: the executor has not heeded the request to stop.
+
+        Returns:
+            Whether the process may end without closing its nodes, if the executor stays stuck.
+        """
+        return False
 
 
 def run(make_nodes: Callable[[], Sequence[ClosingNode]], args: Sequence[str] | None = None) -> int:
@@ -102,9 +128,10 @@ def run(make_nodes: Callable[[], Sequence[ClosingNode]], args: Sequence[str] | N
         args: Command line with ROS arguments; None for that of the process.
 
     Returns:
-        The exit code: 0 after a signal, 1 when a callback raised or a joint is another's, 2 when
-        arguments or parameters cannot be used. Whatever it is, every node has been closed while
-        the graph was there.
+        The exit code: 0 after SIGINT, SIGTERM and SIGHUP, 1 when a callback raised or a joint is
+        another's, 2 when arguments or parameters cannot be used. Whatever it is, every node has
+        been closed while the graph was there. After another signal the process ends by it, and
+        this never returns.
     """
     command_line = list(sys.argv if args is None else args)
     load_profile()
@@ -117,13 +144,26 @@ def run(make_nodes: Callable[[], Sequence[ClosingNode]], args: Sequence[str] | N
     except (RuntimeError, ValueError) as error:
         return _refuse(_ros_error(error))
     try:
-        with _signals_to(Stop()) as stop:
-            return _run_in_context(make_nodes, stop)
+        with Supervisor() as supervisor:
+            code = _run_in_context(make_nodes, supervisor)
     finally:
         rclpy.try_shutdown()
+    if supervisor.ends_by is not None:
+        _end_by(supervisor.ends_by)
+    return code
 
 
-def _run_in_context(make_nodes: Callable[[], Sequence[ClosingNode]], stop: Stop) -> int:
+def _end_by(number: int) -> None:
+    """End by a signal, so that a parent sees it as if nobody had caught it."""
+    sys.stdout.flush()
+    sys.stderr.flush()
+    signal.signal(number, signal.SIG_DFL)
+    os.kill(os.getpid(), number)
+
+
+def _run_in_context(
+    make_nodes: Callable[[], Sequence[ClosingNode]], supervisor: Supervisor
+) -> int:
     try:
         nodes = make_nodes()
         _require_known_parameters(nodes)
@@ -132,30 +172,39 @@ def _run_in_context(make_nodes: Callable[[], Sequence[ClosingNode]], stop: Stop)
         return _refuse(_input_error(error), _exit_code(error))
     executor = _make_executor()
     for node in nodes:
-        node.stop = stop
+        node.supervisor = supervisor
         executor.add_node(node)
     # What is there now stays: no collection looks at it again while the loop runs.
     gc.collect()
     gc.freeze()
+    sys.setswitchinterval(_SWITCH_INTERVAL)
+    supervisor.supervise(nodes)
     try:
-        while not stop.future.done():
-            executor.spin_until_future_complete(stop.future, _DEADLINE)
-        _wind_down(executor, nodes)
+        while not supervisor.future.done():
+            executor.spin_until_future_complete(supervisor.future, _DEADLINE)
+        if supervisor.failure is not None:
+            raise supervisor.failure
+        if not supervisor.has_abandoned:
+            _wind_down(executor, nodes, supervisor)
     except HpidError as error:  # what only the graph shows, for instance a topic's type
-        stop.request(_refuse(str(error), _exit_code(error)))
+        supervisor.request(_refuse(str(error), _exit_code(error)))
     except Exception as error:  # whatever it was, the nodes are closed and their joints left
-        stop.request(_fail(error))
+        supervisor.request(_fail(error))
     finally:
+        supervisor.is_heeded = True
         # No node waits in its close for what another one still has to send.
         is_closed = [_done(node.leave_at_once) for node in nodes]
+        supervisor.are_left = True
         is_closed += [_done(node.close) for node in nodes]
-    return int(stop.future.result()) or int(not all(is_closed))
+    return int(supervisor.future.result()) or int(not all(is_closed))
 
 
-def _wind_down(executor: Executor, nodes: Sequence[ClosingNode]) -> None:
+def _wind_down(executor: Executor, nodes: Sequence[ClosingNode], supervisor: Supervisor) -> None:
     """Go on spinning until all nodes may be closed, or have had long enough."""
     deadline = time.monotonic() + _WIND_DOWN_WITHIN
-    for waited in [node.wind_down() for node in nodes]:
+    waits = [node.wind_down() for node in nodes]
+    supervisor.is_heeded = True
+    for waited in waits:
         if waited is not None:
             executor.spin_until_future_complete(waited, max(0.0, deadline - time.monotonic()))
 
@@ -228,35 +277,3 @@ def _exit_code(error: Exception) -> int:
     That a joint is another's is no fault of the input: the same start may succeed later.
     """
     return FAILED if isinstance(error, ClaimError) else BAD_INPUT
-
-
-@contextmanager
-def _signals_to(stop: Stop) -> Iterator[Stop]:
-    """Turn what asks for the end of the process into it, from a thread that reads a pipe."""
-    reader, writer = os.pipe()
-    os.set_blocking(writer, False)
-
-    def wait() -> None:
-        while os.read(reader, 1) not in (b"", b"\0"):
-            stop.request(0)
-
-    def ignore(number: int, frame: FrameType | None) -> None:
-        """Python must have a handler for the wake-up pipe to be written."""
-
-    for number in _ENDS:
-        if number is not signal.SIGHUP or signal.getsignal(number) is not signal.SIG_IGN:  # nohup
-            signal.signal(number, ignore)
-    before = signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
-    thread = threading.Thread(target=wait, name="signals", daemon=True)
-    thread.start()
-    try:
-        yield stop
-    finally:
-        signal.set_wakeup_fd(before)
-        # The process is ending: a second signal, as launch sends it, must not spoil that.
-        for number in _ENDS:
-            signal.signal(number, signal.SIG_IGN)
-        os.write(writer, b"\0")
-        thread.join()
-        os.close(reader)
-        os.close(writer)

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from rcl_interfaces.msg import SetParametersResult
+from rclpy.duration import Duration
 from rclpy.parameter import Parameter
 from rclpy.task import Future
 from sensor_msgs.msg import JointState
@@ -19,7 +20,7 @@ from hpid_ros.errors import ClaimError, MessageError
 from hpid_ros.messages import JointReader
 from hpid_ros.nodes import executor
 from hpid_ros.nodes.certification import Certification
-from hpid_ros.nodes.commands import COMMAND_INTERFACES, command_sink, unanswering
+from hpid_ros.nodes.commands import COMMAND_INTERFACES, joint_commands
 from hpid_ros.nodes.controller_health import ControllerHealth
 from hpid_ros.nodes.controller_lifecycle import ManagedNode
 from hpid_ros.nodes.controller_references import ControllerReferences
@@ -73,7 +74,7 @@ class JointController(ManagedNode):
         self._needs_reference = read_only(
             self, "wait_for_reference", False, "Do not start before there is a trajectory"
         )
-        self._commands = command_sink(self, self.joint, str(interface))
+        self._commands = joint_commands(self, self.joint, str(interface))
         self._claim = JointClaim(self, self.joint, self._commands.publisher.topic_name, self._lose)
         self._introspection = Introspection(self, self.joint, self._model is not None)
         self._status = StatusPipe(self)
@@ -88,6 +89,7 @@ class JointController(ManagedNode):
         self._readiness: Any = None
         self._references: ControllerReferences | None = None
         self._stop: DampingStop | None = None
+        self._was_held = False
         steady_timer(self, self._health.period, self._report)
         self.add_on_set_parameters_callback(self._check)
         self.add_post_set_parameters_callback(self._retune)
@@ -187,6 +189,7 @@ class JointController(ManagedNode):
         return ""
 
     def _on_state(self, raw: bytes) -> None:
+        self._watchdog.catch_up()
         if self._states is None:  # it was on its way when the joint was left
             return
         began_ns = time.perf_counter_ns()
@@ -198,8 +201,11 @@ class JointController(ManagedNode):
         if sample is None:
             self._health.foreign += 1
             return
-        if self._watchdog.hear(sample.stamp_ns, began_ns):
+        if self._watchdog.hear(sample.stamp_ns, began_ns):  # no fallback follows the answer
             self._loop.lapse()
+        if self._was_held:
+            self._was_held = False
+            self._loop.supersede(0.0)
         if self._stop is not None:
             effort = self._stop.step(*sample)
         elif self._model is not None:
@@ -211,15 +217,11 @@ class JointController(ManagedNode):
         self._introspection.sample(sample.stamp_ns, self._loop)
 
     def _on_silence(self, silence: float, is_new: bool) -> None:
+        """Take note of a silence; :meth:`look` gives the effort, whatever this thread does."""
         if self._stop is not None:  # nothing to damp by
             self._stopping.end()
-            return
-        stamp_ns = self._loop.stamp_ns
-        if stamp_ns is None:
-            return
-        effort = self._loop.lapse() if is_new else self._loop.settings.fallback
-        self._commands.send(unanswering(stamp_ns), effort)
-        if is_new:
+        elif is_new and self._loop.stamp_ns is not None:
+            effort = self._loop.lapse()
             self._health.fault(f"no new state for {silence:.3g} s: the effort is {effort:g} N m")
             self._report()
 
@@ -263,6 +265,30 @@ class JointController(ManagedNode):
         if self.is_active or self._stopping.is_damping:
             self.is_active = False
             self._stopping.now()
+
+    def look(self) -> float:
+        """Give the effort that states have not come for."""
+        effort = self._loop.settings.fallback if self._stop is None else 0.0
+        self._commands.fall_back(effort, self._watchdog.is_silent)
+        return self._watchdog.within()
+
+    def hold(self) -> None:
+        """Leave the joint without effort while the process is stopped."""
+        self._commands.hold()
+
+    def wait_until_held(self, within: float) -> None:
+        """Wait until the zero has been heard."""
+        self._commands.publisher.wait_for_all_acked(Duration(seconds=within))
+
+    def go_on(self) -> None:
+        """Answer states again."""
+        self._was_held = True
+        self._commands.go_on()
+
+    def abandon(self) -> bool:
+        """Leave the joint without effort, for ever."""
+        self._commands.shut()
+        return True
 
     def close(self) -> None:
         """Wait until the last command has been heard."""
