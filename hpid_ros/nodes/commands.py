@@ -46,13 +46,14 @@ class JointStateCommands:
     Args:
         node: The node that publishes.
         joint: The joint.
+        sender: Who it is.
     """
 
-    def __init__(self, node: Node, joint: str) -> None:
+    def __init__(self, node: Node, joint: str, sender: str) -> None:
         self.publisher = node.create_publisher(
             JointState, "joint_commands", OFFERED, qos_overriding_options=overridable()
         )
-        self._template = JointStateTemplate([joint], sender_of(node), effort=True)
+        self._template = JointStateTemplate([joint], sender, effort=True)
 
     def send(self, stamp_ns: int, effort: float) -> None:
         """Publish an effort in [N m]."""
@@ -65,9 +66,10 @@ class Float64MultiArrayCommands:
     Args:
         node: The node that publishes, on ``~/commands``.
         joint: The joint.
+        sender: Who it is, for which the message has no place.
     """
 
-    def __init__(self, node: Node, joint: str) -> None:
+    def __init__(self, node: Node, joint: str, sender: str) -> None:
         self.publisher = node.create_publisher(
             Float64MultiArray, "~/commands", OFFERED, qos_overriding_options=overridable()
         )
@@ -85,9 +87,10 @@ class Float64Commands:
     Args:
         node: The node that publishes, on ``~/command``.
         joint: The joint.
+        sender: Who it is, for which the message has no place.
     """
 
-    def __init__(self, node: Node, joint: str) -> None:
+    def __init__(self, node: Node, joint: str, sender: str) -> None:
         self.publisher = node.create_publisher(
             Float64, "~/command", OFFERED, qos_overriding_options=overridable()
         )
@@ -99,10 +102,19 @@ class Float64Commands:
         self.publisher.publish(self._message)
 
 
-def sender_of(node: Node) -> str:
-    """Return what tells a node's commands from those of all others, also of its own name."""
+def sender_of(node: Node, is_alone: bool) -> str:
+    """Return what tells a node's commands from those of all others.
+
+    Args:
+        node: The node.
+        is_alone: Whether no other node of its name can command the joint. Then the name says it
+            all, and two runs of one experiment record the same bytes.
+    """
+    name = str(node.get_fully_qualified_name())
+    if is_alone:
+        return name
     process = f"{socket.gethostname()} {os.getpid()} {time.monotonic_ns()}"
-    return f"{node.get_fully_qualified_name()}#{sha256(process.encode()).hexdigest()[:6]}"
+    return f"{name}#{sha256(process.encode()).hexdigest()[:6]}"
 
 
 def node_of(sender: str) -> str:
@@ -200,7 +212,7 @@ class Commands:
             self._lock.release()
 
 
-_SINKS: dict[str, Callable[[Node, str], CommandSink]] = {
+_SINKS: dict[str, Callable[[Node, str, str], CommandSink]] = {
     "joint_state": JointStateCommands,
     "float64_multi_array": Float64MultiArrayCommands,
     "float64": Float64Commands,
@@ -210,13 +222,14 @@ COMMAND_INTERFACES = tuple(_SINKS)
 """The names that the parameter ``command_interface`` may have."""
 
 
-def joint_commands(node: Node, joint: str, interface: str) -> Commands:
+def joint_commands(node: Node, joint: str, interface: str, sender: str) -> Commands:
     """Return the commands of a joint, by the name of their interface.
 
     Args:
         node: The node that publishes.
         joint: The joint.
         interface: One of :data:`COMMAND_INTERFACES`.
+        sender: From :func:`sender_of`.
 
     Raises:
         SettingError: There is no such interface.
@@ -225,4 +238,4 @@ def joint_commands(node: Node, joint: str, interface: str) -> Commands:
         raise SettingError(
             f"command_interface must be one of {', '.join(_SINKS)}, not {interface!r}"
         )
-    return Commands(_SINKS[interface](node, joint))
+    return Commands(_SINKS[interface](node, joint, sender))

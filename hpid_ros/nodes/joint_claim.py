@@ -34,34 +34,48 @@ _CLOCK = getattr(time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC)  # goes on while 
 _STARTED_NS = time.time_ns()  # one for all joints of a process: all of them win, or none
 
 
-class JointClaim:
-    """The claim of a controller's joint, from activation until the joint has been left.
+def claims_joint(node: Node) -> bool:
+    """Declare the parameter ``claim`` and tell whether it asks for a joint of the node's own.
 
     Args:
-        node: The controller; it gets the parameter ``claim``.
-        joint: Its joint.
-        commands: Full name of the topic of its commands.
-        lose: Called when the joint is another's after all, with the reason, and whether the claim
-            was held already.
+        node: The controller.
 
     Raises:
         SettingError: There is no such scope.
     """
+    scope = read_only(
+        node,
+        "claim",
+        "joint",
+        "What an active controller claims for itself alone: joint, or none: then several may "
+        "command one joint, and nobody says so but the bridge",
+    )
+    if scope not in SCOPES:
+        raise SettingError(f"claim must be one of {', '.join(SCOPES)}, not {scope!r}")
+    return bool(scope == "joint")
+
+
+class JointClaim:
+    """The claim of a controller's joint, from activation until the joint has been left.
+
+    Args:
+        node: The controller.
+        is_claiming: Whether it claims anything, see :func:`claims_joint`.
+        joint: Its joint.
+        commands: Full name of the topic of its commands.
+        lose: Called when the joint is another's after all, with the reason, and whether the claim
+            was held already.
+    """
 
     def __init__(
-        self, node: Node, joint: str, commands: str, lose: Callable[[ClaimError, bool], None]
+        self,
+        node: Node,
+        is_claiming: bool,
+        joint: str,
+        commands: str,
+        lose: Callable[[ClaimError, bool], None],
     ) -> None:
-        scope = read_only(
-            node,
-            "claim",
-            "joint",
-            "What an active controller claims for itself alone: joint, or none: then several may "
-            "command one joint, and nobody says so but the bridge",
-        )
-        if scope not in SCOPES:
-            raise SettingError(f"claim must be one of {', '.join(SCOPES)}, not {scope!r}")
-        self._node, self._lose = node, lose
-        self._is_claiming = scope == "joint"
+        self._node, self._is_claiming, self._lose = node, is_claiming, lose
         self._mine: Claim | None = None
         self._timer: Timer | None = None
         self.refusal = ""

@@ -20,14 +20,14 @@ from hpid_ros.errors import ClaimError, MessageError
 from hpid_ros.messages import JointReader
 from hpid_ros.nodes import executor
 from hpid_ros.nodes.certification import Certification
-from hpid_ros.nodes.commands import COMMAND_INTERFACES, joint_commands
+from hpid_ros.nodes.commands import COMMAND_INTERFACES, joint_commands, sender_of
 from hpid_ros.nodes.controller_health import ControllerHealth
 from hpid_ros.nodes.controller_lifecycle import ManagedNode
 from hpid_ros.nodes.controller_references import ControllerReferences
 from hpid_ros.nodes.controller_settings import ControllerSettings, concern_the_loop
 from hpid_ros.nodes.controller_stop import ControllerStop
 from hpid_ros.nodes.introspection import Introspection
-from hpid_ros.nodes.joint_claim import JointClaim
+from hpid_ros.nodes.joint_claim import JointClaim, claims_joint
 from hpid_ros.nodes.loop_timing import LoopTiming
 from hpid_ros.nodes.model_compensation import model_compensation
 from hpid_ros.nodes.parameters import read_only
@@ -74,8 +74,11 @@ class JointController(ManagedNode):
         self._needs_reference = read_only(
             self, "wait_for_reference", False, "Do not start before there is a trajectory"
         )
-        self._commands = joint_commands(self, self.joint, str(interface))
-        self._claim = JointClaim(self, self.joint, self._commands.publisher.topic_name, self._lose)
+        is_claiming = claims_joint(self)
+        sender = sender_of(self, is_claiming)
+        self._commands = joint_commands(self, self.joint, str(interface), sender)
+        topic = self._commands.publisher.topic_name
+        self._claim = JointClaim(self, is_claiming, self.joint, topic, self._lose)
         self._introspection = Introspection(self, self.joint, self._model is not None)
         self._status = StatusPipe(self)
         self._certification = Certification(self, self._loop.settings)
