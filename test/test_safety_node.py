@@ -13,7 +13,7 @@ from harness import ros_arguments
 from rcl_interfaces.msg import Parameter, ParameterValue
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from std_msgs.msg import Float64
-from trajectory_msgs.msg import JointTrajectory
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from hpid_ros.messages import JointStateTemplate
 from hpid_ros.nodes.qos import RARE
@@ -121,6 +121,8 @@ def test_a_damping_stop_brakes_and_then_lets_go(harness, number):
     assert process.returncode == 0
 
 
+SETPOINT = Float64(data=1.0)
+TRAJECTORY = JointTrajectory(joint_names=["elbow"], points=[JointTrajectoryPoint(positions=[1.0])])
 BROKEN = """
 import sys
 from hpid_ros.nodes import executor
@@ -135,15 +137,16 @@ sys.exit(executor.run(lambda: [Broken()]))
 
 
 @pytest.mark.parametrize(
-    ("error", "code", "line"),
+    ("reference", "error", "code", "line"),
     [
-        ("ZeroDivisionError('by nothing')", 1, "ZeroDivisionError: by nothing (<string>:8)"),
-        ("MemoryError()", 1, "MemoryError"),
-        ("__import__('hpid_ros').errors.SettingError('no good')", 2, "no good"),
+        (SETPOINT, "ZeroDivisionError('by nothing')", 1, "ZeroDivisionError: by nothing"),
+        (TRAJECTORY, "ZeroDivisionError('by nothing')", 1, "by nothing (<string>:8)"),
+        (SETPOINT, "MemoryError()", 1, "MemoryError"),
+        (SETPOINT, "__import__('hpid_ros').errors.SettingError('no good')", 2, "no good"),
     ],
 )
 def test_an_exception_in_a_callback_leaves_the_joint_without_effort(
-    harness, faults, error, code, line
+    harness, faults, reference, error, code, line
 ):
     command = [sys.executable, "-c", BROKEN.format(error=error), "--ros-args"]
     arguments = ros_arguments(joint="elbow", law="pid", **GAINS)
@@ -152,10 +155,12 @@ def test_an_exception_in_a_callback_leaves_the_joint_without_effort(
             harness.wait(lambda: listens(harness), what="the node")
             harness.ask(0, 0.0)
             assert harness.ask(MS, -0.5) != 0.0
-            setpoint = harness.node.create_publisher(Float64, "joint_controller/setpoint", RARE)
+            is_setpoint = isinstance(reference, Float64)
+            topic = "joint_controller/setpoint" if is_setpoint else "joint_trajectory"
+            publisher = harness.node.create_publisher(type(reference), topic, RARE)
 
             def ends():
-                setpoint.publish(Float64(data=1.0))
+                publisher.publish(reference)
                 return process.poll() is not None
 
             harness.wait(ends, within=10.0, what="it to end")

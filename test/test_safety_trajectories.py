@@ -4,11 +4,13 @@ import contextlib
 import random
 import time
 
+import numpy as np
 import pytest
 from builtin_interfaces.msg import Duration
 from hypothesis import given
 from hypothesis import strategies as st
 from rclpy.serialization import serialize_message
+from rosbags.typesys import Stores, get_typestore
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from hpid_ros.errors import HpidError, MessageError, TrajectoryError
@@ -63,6 +65,35 @@ def test_points_that_differ_in_their_arrays_are_taken_too(frame, gives, joints):
     raw = serialize_message(message)
     for joint in names:
         assert column_from_bytes(raw, joint) == from_message(message).column(joint)
+
+
+@pytest.mark.parametrize("is_mixed", [False, True])
+def test_a_foreign_byte_order_says_the_same(is_mixed):
+    message = trajectory("abc", 6, frame="world", stamp=7)
+    if is_mixed:
+        message.points[2].velocities = []
+    store = get_typestore(Stores.ROS2_JAZZY)
+    time, duration, header, point, kind = (
+        store.types[name]
+        for name in (
+            *("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration"),
+            *("std_msgs/msg/Header", "trajectory_msgs/msg/JointTrajectoryPoint"),
+            "trajectory_msgs/msg/JointTrajectory",
+        )
+    )
+    points = [
+        point(
+            *(np.array(row) for row in (p.positions, p.velocities, p.accelerations, p.effort)),
+            duration(p.time_from_start.sec, p.time_from_start.nanosec),
+        )
+        for p in message.points
+    ]
+    foreign = store.serialize_cdr(
+        kind(header(time(7, 0), "world"), list("abc"), points),
+        kind.__msgtype__,
+        little_endian=False,
+    )
+    assert column_from_bytes(bytes(foreign), "b") == from_message(message).column("b")
 
 
 def spoiled(index, **changes):

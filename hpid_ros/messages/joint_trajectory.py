@@ -11,6 +11,7 @@ Source: as for :mod:`hpid_ros.messages.joint_state`, and the definitions of
 from __future__ import annotations
 
 import struct
+from array import array
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -149,7 +150,7 @@ def _mixed(
     words = np.frombuffer(raw, f"{order}u4", (len(raw) - ENCAPSULATION) // 4, ENCAPSULATION)
     seconds = words[ends // 4].astype(np.uint32).view(np.int32)
     times_ns = seconds.astype(np.int64) * NANOSECONDS + words[ends // 4 + 1]
-    starts //= 8
+    starts = starts // 8
     derivatives = []
     for k in range(3):
         values = np.full((count, len(names)), np.nan)
@@ -170,7 +171,7 @@ def _places(
     """
     unpack = struct.Struct(f"{order}I").unpack_from
     size = len(raw) - ENCAPSULATION
-    lengths, starts, ends = [], [], []
+    lengths, starts, ends = (array("q") for _ in range(3))
     at = start
     for _ in range(count):
         for _ in range(_ARRAYS):
@@ -188,9 +189,9 @@ def _places(
         if at > size:
             raise _too_short(raw, at)
     places = [
-        np.array(each, np.int64).reshape(count, _ARRAYS)[:, :3] for each in (lengths, starts)
+        np.frombuffer(each, np.int64).reshape(count, _ARRAYS)[:, :3] for each in (lengths, starts)
     ]
-    return places[0], places[1], np.array(ends, np.int64)
+    return places[0], places[1], np.frombuffer(ends, np.int64)
 
 
 def _too_short(raw: bytes, end: int) -> MessageError:

@@ -38,6 +38,7 @@ from hpid_ros.nodes.status_pipe import StatusPipe
 from hpid_ros.nodes.steady_timer import steady_timer
 
 _READINESS_PERIOD = 0.02  # [s]
+_INACTIVE = "the controller is not active"
 
 
 class JointController(ManagedNode):
@@ -104,7 +105,11 @@ class JointController(ManagedNode):
         self._stopping.end()
         self._loop.release()
         self._references = ControllerReferences(
-            self, self.joint, self._follow, self._health.refused_reference
+            self,
+            self.joint,
+            self._follow,
+            self._health.refused_reference,
+            lambda: "" if self.is_active or self._needs_reference else _INACTIVE,
         )
 
     def dispose(self) -> None:
@@ -131,6 +136,8 @@ class JointController(ManagedNode):
     def leave(self) -> None:
         """Deactivate: the last command is zero, and a later activation starts anew."""
         self._needs_reference = self.is_starting = False
+        if self._references is not None:
+            self._references.discard()
         self._stop = self._stopping.begin()
 
     def _left(self) -> None:
@@ -229,9 +236,6 @@ class JointController(ManagedNode):
             self._report()
 
     def _follow(self, motion: Motion) -> None:
-        if not self.is_active and not self._needs_reference:
-            self._health.refused_reference("the controller is not active")
-            return
         self._loop.follow(motion)
 
     def _check(self, changes: Sequence[Parameter]) -> SetParametersResult:

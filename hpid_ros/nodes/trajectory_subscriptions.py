@@ -46,7 +46,7 @@ class TrajectorySubscriptions:
             JointTrajectory,
             "joint_trajectory",
             partial(self._on_message, False),
-            RARE,
+            RARE,  # not a depth of 1: one message of zero bytes would end what a reader gets
             raw=True,
         )
         self.subscriptions += [latched, volatile]

@@ -1,0 +1,176 @@
+"""Two threads beside the loop: what the decoder hands over, and what the supervisor commands."""
+
+import threading
+
+from rclpy.serialization import serialize_message
+from std_msgs.msg import Float64
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+from hpid_ros.control.joint_loop import Setpoint
+from hpid_ros.errors import MessageError
+from hpid_ros.messages import decode_trajectory
+from hpid_ros.nodes import controller_references
+from hpid_ros.nodes.commands import Commands
+from hpid_ros.nodes.controller_references import ControllerReferences
+from hpid_ros.nodes.reference_decoder import ReferenceDecoder
+
+MS = 1_000_000
+
+
+def trajectory(position, joint="elbow"):
+    message = JointTrajectory(joint_names=[joint])
+    message.points.append(JointTrajectoryPoint(positions=[position]))
+    return bytes(serialize_message(message))
+
+
+def setpoint(position):
+    return bytes(serialize_message(Float64(data=position)))
+
+
+class Sink:
+    """Takes efforts in the place of a publisher."""
+
+    publisher = None
+
+    def __init__(self):
+        self.sent = []
+
+    def send(self, stamp_ns, effort):
+        self.sent.append((stamp_ns, effort))
+
+
+def test_nothing_follows_the_last_zero_of_another_thread():
+    sink = Sink()
+    commands = Commands(sink)
+    commands.fall_back(1.5, lambda: True)
+    commands.shut()
+    assert sink.sent == []  # the joint was never driven: another controller may have it
+    sink = Sink()
+    commands = Commands(sink)
+    commands.send(MS, 5.0)
+    commands.fall_back(1.5, lambda: False)
+    commands.fall_back(1.5, lambda: True)
+    commands.hold()
+    commands.send(2 * MS, 6.0)
+    commands.go_on()
+    commands.send(3 * MS, 7.0)
+    commands.shut()
+    commands.send(4 * MS, 8.0)
+    commands.fall_back(1.5, lambda: True)
+    commands.leave(4 * MS)
+    commands.shut()
+    assert sink.sent == [
+        (MS, 5.0),
+        (MS + 1, 1.5),
+        (MS + 1, 0.0),
+        (3 * MS, 7.0),
+        (3 * MS + 1, 0.0),
+    ]
+
+
+def test_a_joint_that_was_left_is_not_commanded_by_another_thread():
+    sink = Sink()
+    commands = Commands(sink)
+    commands.send(MS, 5.0)
+    commands.leave(MS)
+    commands.fall_back(1.5, lambda: True)
+    commands.hold()
+    commands.shut()
+    assert sink.sent == [(MS, 5.0), (MS, 0.0)]
+
+
+def test_of_a_flood_the_newest_is_decoded_and_what_all_have_got_is_decoded_once(monkeypatch):
+    decoded, may_go_on, is_busy = [], threading.Event(), threading.Event()
+
+    def decode(raw):
+        decoded.append(raw)
+        is_busy.set()
+        assert may_go_on.wait(10.0)
+        return raw
+
+    monkeypatch.setattr("hpid_ros.nodes.reference_decoder.decode_trajectory", decode)
+    decoder, taken, is_done = ReferenceDecoder(), [], threading.Event()
+    decoder.decode("a", b"0", taken.append)
+    assert is_busy.wait(10.0)
+    for k in range(1, 40):
+        decoder.decode("a", b"%d" % k, taken.append)
+    decoder.decode("b", b"39", taken.append)
+    decoder.decode("c", b"", lambda each: is_done.set())
+    may_go_on.set()
+    assert is_done.wait(10.0)
+    assert decoded == [b"0", b"39", b""]
+    assert taken == [b"0", b"39", b"39"]
+
+
+def decoded(raw):
+    try:
+        return decode_trajectory(raw)
+    except MessageError as error:
+        return error
+
+
+class Listener:
+    """What :class:`ControllerReferences` needs of a node."""
+
+    def __init__(self, monkeypatch):
+        self.tasks, self.decoding = [], []
+        self.callbacks, self.followed, self.refused = {}, [], []
+        self.reason = ""
+        monkeypatch.setattr(controller_references, "reference_decoder", lambda: self)
+        self.references = ControllerReferences(
+            self, "elbow", self.followed.append, self.refused.append, lambda: self.reason
+        )
+        self.trajectory = self.callbacks["joint_trajectory"]
+        self.setpoint = self.callbacks["~/setpoint"]
+
+    def create_subscription(self, kind, topic, callback, *more, **options):
+        self.callbacks[topic] = callback
+
+    def destroy_subscription(self, subscription):
+        pass
+
+    def decode(self, source, raw, take):
+        self.decoding.append((raw, take))
+
+    def hand_over(self, callback, *arguments):
+        self.tasks.append(lambda: callback(*arguments))
+
+    def finish(self):
+        """Decode what has come, and let the executor run."""
+        for raw, take in self.decoding:
+            take(decoded(raw))
+        for task in self.tasks:
+            task()
+        self.decoding, self.tasks = [], []
+
+
+def test_the_reference_that_came_last_wins_however_long_one_takes_to_decode(monkeypatch):
+    listener = Listener(monkeypatch)
+    listener.trajectory(trajectory(1.0))
+    listener.setpoint(setpoint(2.0))
+    listener.finish()
+    assert listener.followed == [Setpoint(2.0)]
+    listener.trajectory(trajectory(3.0))
+    listener.setpoint(setpoint(float("nan")))  # no reference
+    listener.finish()
+    assert listener.followed[-1].knots[0].position == 3.0
+    assert len(listener.refused) == 1
+
+
+def test_what_comes_while_none_is_taken_is_refused_and_what_is_left_behind_forgotten(monkeypatch):
+    listener = Listener(monkeypatch)
+    listener.reason = "the controller is not active"
+    listener.trajectory(trajectory(1.0))
+    listener.trajectory(trajectory(1.0, "another"))  # no business of this joint
+    listener.reason = ""
+    listener.finish()  # it is active by now
+    assert (listener.followed, listener.refused) == ([], ["the controller is not active"])
+    listener.trajectory(trajectory(2.0))
+    listener.references.discard()
+    listener.finish()
+    assert listener.followed == []
+    listener.trajectory(b"\x00")
+    listener.trajectory(trajectory(float("inf")))
+    listener.finish()
+    assert listener.followed == []
+    assert len(listener.refused) == 3
