@@ -54,15 +54,18 @@ class Stop:
 
     def __init__(self) -> None:
         self.future: Future = Future()
+        self.code = 0
 
     def request(self, code: int = 0) -> None:
         """Ask for the end.
 
         Args:
-            code: Exit code of the process; the first request decides.
+            code: Exit code of the process; the first that is not zero decides, also when it
+                comes after the end was asked for: what fails while closing has failed.
         """
+        self.code = self.code or code
         if not self.future.done():
-            self.future.set_result(code)
+            self.future.set_result(None)
 
 
 class ClosingNode(Node):
@@ -148,7 +151,7 @@ def _run_in_context(make_nodes: Callable[[], Sequence[ClosingNode]], stop: Stop)
         # No node waits in its close for what another one still has to send.
         is_closed = [_done(node.leave_at_once) for node in nodes]
         is_closed += [_done(node.close) for node in nodes]
-    return int(stop.future.result()) or int(not all(is_closed))
+    return stop.code or int(not all(is_closed))
 
 
 def _wind_down(executor: Executor, nodes: Sequence[ClosingNode]) -> None:
