@@ -60,7 +60,11 @@ def policy(joints: Iterable[str]) -> ElementTree.Element:
     )
     profile = _profile(enclaves, "reference", "trajectory_publisher")
     _allow(profile, publish=("joint_trajectory",), subscribe=("joint_states",))
-    _allow(_profile(enclaves, "recorder", "bag_recorder"), subscribe=_RECORDED)
+    _allow(
+        _profile(enclaves, "recorder", "bag_recorder"),
+        publish=("/diagnostics",),
+        subscribe=_RECORDED,
+    )
     _allow(
         _profile(enclaves, "operator", "operator"),
         publish=(*(f"/{name}/setpoint" for name in controllers), "/pybullet_bridge/wrench"),

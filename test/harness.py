@@ -25,6 +25,7 @@ class Harness:
     """The robot's side of the graph, played by the test."""
 
     def __init__(self, domain, environment, folder):
+        self.environment = environment
         self.context = rclpy.Context()
         rclpy.init(
             args=[],

@@ -95,14 +95,33 @@ class RecordingQuality:
         unreadable: One line for each part of the files that could not be read; empty if all
             could.
         notes: One line for each thing that was assumed or left out on purpose.
+        missed: Messages that the recorder knows it never got, by topic.
+        stood_still: How long the recorder itself stood still, in [s].
     """
 
     source: str = ""
     joints: Mapping[str, DataQuality] = field(default_factory=dict)
     unreadable: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
+    missed: Mapping[str, int] = field(default_factory=dict)
+    stood_still: float = 0.0
 
     @property
     def is_complete(self) -> bool:
-        """Whether every file was read whole and no joint misses anything."""
-        return not self.unreadable and all(each.is_complete for each in self.joints.values())
+        """Whether all was recorded, every file was read whole and no joint misses anything."""
+        is_whole = not (self.unreadable or self.missed or self.stood_still)
+        return is_whole and all(each.is_complete for each in self.joints.values())
+
+    @property
+    def lines(self) -> tuple[str, ...]:
+        """One line for each thing that concerns more than one joint."""
+        missed = [
+            f"the recorder missed {count} messages on {topic}"
+            for topic, count in self.missed.items()
+        ]
+        if self.stood_still:
+            missed.append(
+                f"the recorder stood still for {self.stood_still:.1f} s: more messages of that "
+                "time may be missing than were counted"
+            )
+        return (*self.unreadable, *missed, *self.notes)

@@ -20,7 +20,7 @@ def quality_lines(run: RunSeries) -> Iterator[str]:
         run: The run.
     """
     joints = run.quality.joints
-    for line in (*run.quality.unreadable, *run.quality.notes):
+    for line in run.quality.lines:
         yield f"run {run.label!r}: {line}"
     for stream in ("states", "commands"):
         qualities = {name: getattr(quality, stream) for name, quality in joints.items()}

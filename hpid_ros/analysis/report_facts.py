@@ -51,7 +51,7 @@ def data_quality(runs: Sequence[RunSeries]) -> Iterator[str]:
         if not quality.joints:
             continue
         yield f"<h3>Recording of {escape(run.label)}</h3>"
-        for line in (*quality.unreadable, *quality.notes):
+        for line in quality.lines:
             yield f"<p>{escape(line)}</p>"
         references = {each.reference for each in quality.joints.values()}
         yield f"<p>Reference: {escape(', '.join(sorted(references)))}.</p>"

@@ -65,6 +65,13 @@ class SoonOnDiskMcapWriter(McapWriter):
         if self.chunk.msgs:
             self.close_chunk()
 
+    def is_in_place(self) -> bool:
+        """Tell whether the file that is written is still the one that its path leads to."""
+        try:
+            return os.path.samestat(self.path.stat(), os.fstat(self.bio.fileno()))
+        except (FileNotFoundError, NotADirectoryError):
+            return False
+
     def close_chunk(self) -> None:
         """Write the pending chunk and hand it to the operating system.
 

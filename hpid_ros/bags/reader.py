@@ -12,6 +12,7 @@ from hpid_ros.analysis.series import RunSeries, SeriesError
 from hpid_ros.bags.bag_file import BagReader, RawMessage, TopicSummary
 from hpid_ros.bags.batches import TopicInfo
 from hpid_ros.bags.joint_run import JointRun, Window
+from hpid_ros.bags.missed import missed_messages, time_stood_still
 from hpid_ros.bags.recording import Recording
 from hpid_ros.bags.selection import BagSelection
 from hpid_ros.bags.storage import Progress, Storage
@@ -68,13 +69,20 @@ def read_run(
             # What is missing may be in what could not be read.
             raise BagError(f"{error} ({'; '.join(storage.unreadable)})") from error
         unreadable = [*storage.unreadable, *_undecodable(where, recording)]
+        own = storage.custom_data
         try:
             run = _run(label, recording, _joints(where, recording, chosen), chosen)
         except SeriesError as error:
             raise BagError(f"{where}: {error}") from error
-    for line in (*unreadable, *run.quality.notes):
+    quality = replace(
+        run.quality,
+        source=str(path),
+        unreadable=tuple(unreadable),
+        missed=missed_messages(own),
+        stood_still=time_stood_still(own),
+    )
+    for line in quality.lines:
         _log.warning("%s: %s", where, line)
-    quality = replace(run.quality, source=str(path), unreadable=tuple(unreadable))
     return replace(run, quality=quality)
 
 

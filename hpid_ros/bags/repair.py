@@ -61,7 +61,7 @@ def repair_bag(source: Path, target: Path, progress: Progress | None = None) -> 
         if not topics:
             reasons = "; ".join(storage.unreadable) or "it has no topic"
             raise BagError(f"nothing of bag {source} can be read ({reasons})")
-        with BagWriter(target) as writer:
+        with BagWriter(target, metadata=storage.custom_data) as writer:
             handles: dict[str, BagTopic] = {}
             for name, info in sorted(topics.items()):
                 qos = _LATCHED if info.type == JOINT_TRAJECTORY else None

@@ -53,6 +53,7 @@ class Storage:
 
     Attributes:
         unreadable: A line for each thing that could not be read so far.
+        custom_data: The texts that the recording was given, by name.
 
     Raises:
         BagError: There is no bag, or no file of it can be opened.
@@ -68,6 +69,8 @@ class Storage:
         metadata = self._metadata() if self.path.is_dir() else {}
         self._is_by_message = str(metadata.get("compression_mode", "")).lower() == "message"
         self._counts = counts_of(metadata)
+        custom = metadata.get("custom_data")
+        self.custom_data = _texts(custom) if isinstance(custom, dict) else {}
         self._files: list[tuple[StorageFile, Report, int]] = []
         for file in self._paths(metadata):
             try:
@@ -237,6 +240,11 @@ class Storage:
 def _suffix(path: Path) -> str:
     """Return ``.mcap`` or ``.db3`` also for a compressed file."""
     return Path(path.stem).suffix if path.suffix == _ZSTD else path.suffix
+
+
+def _texts(custom: Mapping[Any, Any]) -> dict[str, str]:
+    """Return the entries that are texts, as all that rosbag2 writes are."""
+    return {k: v for k, v in custom.items() if isinstance(k, str) and isinstance(v, str)}
 
 
 def _natural_order(path: Path) -> tuple[str, int, str]:

@@ -81,11 +81,12 @@ class BagWriter:
         self.path = Path(path)
         self._topics: list[BagTopic] = []
         self._failure: str | None = None
+        self._is_gone = False
         self._is_closed = False
         try:
             self._writer = SoonOnDiskWriter(self.path)
             for name, text in (metadata or {}).items():
-                self._writer.set_custom_data(name, text)
+                self.describe(name, text)
             self._writer.open()
         except WriterError as error:
             if self.path.exists():
@@ -95,6 +96,15 @@ class BagWriter:
             raise BagError(f"cannot create bag {self.path}: {error}") from error
         except OSError as error:
             raise BagError(f"cannot create bag {self.path}: {error.strerror or error}") from error
+
+    def describe(self, name: str, text: str) -> None:
+        """Add an entry to the bag's metadata, which is written when the bag is closed.
+
+        Args:
+            name: Its name; an entry of that name is replaced.
+            text: What it says.
+        """
+        self._writer.set_custom_data(name, text)
 
     @property
     def counts(self) -> dict[str, int]:
@@ -164,14 +174,21 @@ class BagWriter:
         """Hand everything that was written to the operating system, for instance when idle.
 
         Raises:
-            BagError: If the bag is closed or the disk is full.
+            BagError: If the bag is closed, the disk is full, or the file is no longer where it
+                was made: what goes on being written to a deleted file is lost with the process.
         """
         self._check_open()
+        mcap = self._writer.mcap
+        if mcap is None:
+            return
         try:
-            if (mcap := self._writer.mcap) is not None:
-                mcap.flush()
+            mcap.flush()
+            self._is_gone = not mcap.is_in_place()
         except OSError as error:
             raise self._fail(error) from error
+        if self._is_gone:
+            self._failure = "is gone: it was deleted, moved or replaced while it was written"
+            self._check_open()
 
     def close(self) -> None:
         """Write all that is left, the index and ``metadata.yaml``; does nothing the second time.
@@ -206,6 +223,11 @@ class BagWriter:
                 self.close()
 
     def _finish(self) -> None:
+        if self._is_gone:
+            # Whatever is at the path now is somebody else's. A bag that was moved is as after
+            # kill -9: without index, and repairable.
+            self._writer.abort()
+            return
         try:
             self._writer.close()
         except OSError as error:

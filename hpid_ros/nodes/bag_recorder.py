@@ -1,29 +1,42 @@
-"""Records topics into an MCAP bag: raw bytes, straight from the subscription into the file."""
+"""Records topics into an MCAP bag: raw bytes, straight from the subscription into the file.
+
+What it cannot keep up with is not dropped in silence. It keeps all that it has received (a
+subscription that keeps the last N overwrites without a word, and the events executor may never be
+told of it again afterwards), so what is lost is lost at the publishers, of which the middleware
+tells: the counts stand in the bag's metadata, in ``/diagnostics`` and in the log.
+"""
 
 from __future__ import annotations
 
 import importlib
+import re
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any
 
+from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 from rclpy.validate_topic_name import validate_topic_name
 
+from hpid_ros.bags.missed import missed_entries
 from hpid_ros.bags.writer import BagTopic, BagWriter, TopicQos
-from hpid_ros.errors import BagError, SettingError
+from hpid_ros.errors import BagError, HpidError, SettingError
 from hpid_ros.nodes import executor
+from hpid_ros.nodes.diagnostics import ERROR, OK, WARN, Diagnostics
 from hpid_ros.nodes.parameters import read_only
+from hpid_ros.nodes.qos import OFFERED
 from hpid_ros.nodes.status_pipe import StatusPipe
 from hpid_ros.nodes.steady_timer import steady_timer
 
 _LOOK_PERIOD = 0.02  # [s]
 _REPORT_PERIOD = 0.05  # [s]
-_BEHIND_AT_MOST = 20_000  # messages that may wait in one subscription
+_DIAGNOSTICS_PERIOD = 1.0  # [s]
+_STANDSTILL = 1.0  # [s] between two reports: well below the lease after which nobody counts
 _DEFAULT_TOPICS = ["joint_trajectory", "joint_commands", "joint_states"]
+_MESSAGE_TYPE = re.compile(r"([A-Za-z]\w*)/msg/([A-Za-z]\w*)", re.ASCII)
 
 
 class BagRecorder(executor.ClosingNode):
@@ -53,18 +66,27 @@ class BagRecorder(executor.ClosingNode):
         if len(set(self._waiting)) != len(self._waiting):
             raise SettingError(f"topics must name each topic once, not {', '.join(topics)}")
         self._writer = BagWriter(path)
-        self._failed = False
-        self._reported: dict[str, int] = {}
+        self._failure = ""
+        self._missed: dict[str, int] = {}
+        self._looked = time.monotonic()
+        self._stood_still = 0.0  # [s]
+        self._reported: tuple[dict[str, int], dict[str, int]] = ({}, {})
+        self._diagnostics = Diagnostics(self, path)
         self._look = steady_timer(self, _LOOK_PERIOD, self._subscribe_next)
         steady_timer(self, _REPORT_PERIOD, self._report)
+        steady_timer(self, _DIAGNOSTICS_PERIOD, self._diagnose)
 
     def _subscribe_next(self) -> None:
-        while self._waiting:
+        while self._waiting and not self._failure:
             topic = self._waiting[0]
             publishers = self.get_publishers_info_by_topic(topic)
             if not publishers:
                 return
-            self._record(topic, publishers)
+            try:
+                self._record(topic, publishers)
+            except HpidError as error:
+                self._status.send("failed", reason=str(error))
+                raise
             del self._waiting[0]
         self._look.cancel()
         self._status.send("recording")
@@ -78,60 +100,141 @@ class BagRecorder(executor.ClosingNode):
             TopicQos(
                 reliable=qos.reliability == ReliabilityPolicy.RELIABLE,
                 transient_local=qos.durability == DurabilityPolicy.TRANSIENT_LOCAL,
-                depth=qos.depth,
+                # Nobody on the graph tells a publisher's depth; this is what those of a run have.
+                depth=OFFERED.depth,
             ),
         )
+        self._missed[topic] = 0
         self.create_subscription(
-            _message_class(type_name), topic, self._callback(handle), qos, raw=True
+            _message_class(type_name),
+            topic,
+            self._callback(handle),
+            qos,
+            raw=True,
+            event_callbacks=SubscriptionEventCallbacks(message_lost=partial(self._miss, topic)),
         )
         self.get_logger().info(f"recording {topic} [{type_name}]")
 
     def _callback(self, handle: BagTopic) -> Callable[[bytes], Any]:
         return partial(self._write, handle)
 
+    def _miss(self, topic: str, event: Any) -> None:
+        """Take from the middleware how many messages never came."""
+        self._missed[topic] = event.total_count
+
     def _write(self, handle: BagTopic, raw: bytes) -> None:
-        if not self._failed:
+        if not self._failure:
             self._try(partial(self._writer.write, handle, time.time_ns(), raw))
 
     def _try(self, action: Callable[[], None]) -> None:
-        """Write to the bag; end the process with one line when that fails."""
+        """Write to the bag; the first failure is told once and ends the process."""
         try:
             action()
         except BagError as error:
-            self._failed = True
-            self.get_logger().error(str(error))
-            self._status.send("failed", reason=str(error))
-            self.request_stop(executor.BAD_INPUT)
+            if self._failure:
+                return
+            self._failure = str(error)
+            self.get_logger().error(self._failure)
+            self._status.send("failed", reason=self._failure)
+            self._diagnose()
+            self.request_stop(executor.FAILED)
 
     def _report(self) -> None:
-        """Put what is waiting into the file, and only then tell that it is recorded."""
-        if self._failed:
+        """Put what is waiting into the file, and only then tell that it is recorded.
+
+        Also while nothing comes: a bag that was deleted is found out at once.
+        """
+        if self._failure:
             return
+        self._look_at_clock()
+        counts, missed = self._writer.counts, dict(self._missed)
+        self._try(self._writer.flush)
+        if self._failure or (counts, missed) == self._reported:
+            return
+        if missed != self._reported[1] and any(missed.values()):
+            self.get_logger().warning(
+                f"missed {_listed(missed)}: this process was frozen or too slow",
+                throttle_duration_sec=1.0,
+            )
+        self._reported = counts, missed
+        self._status.send("recorded", counts=counts, missed=_positive(missed))
+
+    def _look_at_clock(self) -> None:
+        """Notice that this process was stopped, or blocked by its disk."""
+        now = time.monotonic()
+        gap, self._looked = now - self._looked, now
+        if gap > _STANDSTILL:
+            self._stood_still += gap
+            self.get_logger().warning(
+                f"stood still for {gap:.1f} s: what was published meanwhile may be missing"
+            )
+            self._status.send("stood_still", duration=gap)
+
+    def _diagnose(self) -> None:
         counts = self._writer.counts
-        if counts != self._reported:
-            self._reported = counts
-            self._try(self._writer.flush)
-            if not self._failed:
-                self._status.send("recorded", counts=counts)
+        values: dict[str, object] = {}
+        for topic in counts:
+            values |= {f"recorded {topic}": counts[topic], f"missed {topic}": self._missed[topic]}
+        if self._failure:
+            level, message = ERROR, self._failure
+        elif missed := _positive(self._missed):
+            level, message = WARN, f"missed {_listed(missed)}"
+        elif self._stood_still:
+            level, message = WARN, f"stood still for {self._stood_still:.1f} s"
+        elif self._waiting:
+            level, message = OK, f"waiting for a publisher of {self._waiting[0]}"
+        else:
+            level, message = OK, "recording"
+        self._diagnostics.publish(level, message, values)
 
     def close(self) -> None:
-        """Finish the bag."""
+        """Finish the bag, and say what is in it and what is not."""
+        for name, text in missed_entries(self._missed, self._stood_still).items():
+            self._writer.describe(name, text)
         self._try(self._writer.close)
-        if not self._failed:
-            self._status.send("closed", counts=self._writer.counts)
+        if self._failure:
+            return
+        counts = self._writer.counts
+        each = ", ".join(f"{count} on {topic}" for topic, count in counts.items())
+        line = f"recorded {each or 'nothing'}"
+        if self._stood_still:
+            line += f"; stood still for {self._stood_still:.1f} s"
+        if any(self._missed.values()) or self._stood_still:
+            self.get_logger().warning(f"{line}; missed {_listed(self._missed) or 'nothing'}")
+        else:
+            self.get_logger().info(f"{line}; missed nothing")
+        self._status.send("closed", counts=counts, missed=_positive(self._missed))
+
+
+def _positive(missed: Mapping[str, int]) -> dict[str, int]:
+    return {topic: count for topic, count in missed.items() if count}
+
+
+def _listed(missed: Mapping[str, int]) -> str:
+    """Return what was missed in words."""
+    return ", ".join(f"{count} on {topic}" for topic, count in _positive(missed).items())
 
 
 def _message_class(type_name: str) -> Any:
-    """Return the Python class of a message type, for instance ``std_msgs/msg/String``."""
-    package, kind, name = type_name.split("/")
+    """Return the Python class of a message type, for instance ``std_msgs/msg/String``.
+
+    The name comes from whoever publishes: nothing but a package's messages is imported for it.
+    """
+    parts = _MESSAGE_TYPE.fullmatch(type_name)
+    if parts is None:
+        raise SettingError(f"{type_name!r} is no message type")
     try:
-        return getattr(importlib.import_module(f"{package}.{kind}"), name)
+        return getattr(importlib.import_module(f"{parts[1]}.msg"), parts[2])
     except (ImportError, AttributeError):
         raise SettingError(f"the message type {type_name} is not installed") from None
 
 
 def _matching(publishers: Sequence[TopicEndpointInfo]) -> QoSProfile:
-    """Return the strictest quality of service that every publisher of a topic offers."""
+    """Return the strictest quality of service that every publisher of a topic offers.
+
+    Everything that came is kept until it is written. What that bounds is the middleware's limit
+    of samples (5000 in Fast DDS): beyond it reliable publishers are made to repeat.
+    """
     reliable = all(
         info.qos_profile.reliability == ReliabilityPolicy.RELIABLE for info in publishers
     )
@@ -139,8 +242,7 @@ def _matching(publishers: Sequence[TopicEndpointInfo]) -> QoSProfile:
         info.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for info in publishers
     )
     return QoSProfile(
-        history=HistoryPolicy.KEEP_LAST,
-        depth=_BEHIND_AT_MOST,
+        history=HistoryPolicy.KEEP_ALL,
         reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
         durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
     )

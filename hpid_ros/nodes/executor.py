@@ -196,7 +196,7 @@ def _run_in_context(
         is_closed = [_done(node.leave_at_once) for node in nodes]
         supervisor.are_left = True
         is_closed += [_done(node.close) for node in nodes]
-    return int(supervisor.future.result()) or int(not all(is_closed))
+    return supervisor.code or int(not all(is_closed))
 
 
 def _wind_down(executor: Executor, nodes: Sequence[ClosingNode], supervisor: Supervisor) -> None:

@@ -84,7 +84,8 @@ class Supervisor:
     """The end of a process, asked for once by a signal or a node, and the thread beside it.
 
     Attributes:
-        future: Done when the end has been asked for; its result is the exit code.
+        future: Done when the end has been asked for.
+        code: Exit code of the process.
         ends_by: The signal to end by in the end; None for an ordinary exit.
         is_heeded: To be set by the executor's thread when it has begun to end.
         are_left: Likewise, when all nodes have been left.
@@ -94,6 +95,7 @@ class Supervisor:
 
     def __init__(self) -> None:
         self.future: Future = Future()
+        self.code = 0
         self.ends_by: int | None = None
         self.failure: Exception | None = None
         self.is_heeded = self.are_left = self.has_abandoned = False
@@ -142,16 +144,18 @@ class Supervisor:
         self._tell(_LOOK_ANEW)
 
     def request(self, code: int = 0, ends_by: int | None = None) -> None:
-        """Ask for the end; the first request decides.
+        """Ask for the end.
 
         Args:
-            code: Exit code of the process.
+            code: Exit code of the process; the first that is not zero decides, also when it
+                comes after the end was asked for: what fails while closing has failed.
             ends_by: The signal that it ends by instead.
         """
         with self._lock:
+            self.code = self.code or code
             if not self.future.done():
                 self.ends_by, self._asked_at = ends_by, time.monotonic()
-                self.future.set_result(code)
+                self.future.set_result(None)
 
     def fail(self, error: Exception, code: int) -> None:
         """Ask for the end because of something that was raised; nobody winds down before."""
