@@ -180,9 +180,11 @@ def test_measured_efforts_of_the_states_can_be_the_commands(tmp_path):
         ("/joint_states", k * S, template.encode(k * S, position=[k], effort=[-k])) for k in (1, 2)
     ]
     path = write(tmp_path / "bag", {"/joint_states": JOINT_STATE}, log)
-    with pytest.raises(BagError, match=r"no topic of commands; name it \(commands\)"):
-        read_run(path, "run")
-    assert read(path, commands="joint_states").joints[0].effort.tolist() == [-1.0, -2.0]
+    for choice in ({}, {"commands": "joint_states"}):
+        run = read(path, **choice)
+        assert run.joints[0].effort.tolist() == [-1.0, -2.0]
+        assert run.quality.joints["a"].effort == "measured, of /joint_states"
+        assert run.losses["a"] == Losses(0, 0)
     run = read(path, commands="none", joints=["a"])
     assert run.joints[0].effort.size == 0
     assert run.losses["a"] == Losses(0, 0)
@@ -200,8 +202,12 @@ def test_commands_without_stamps_have_their_receive_time(tmp_path, kind, name, e
         for k in range(1, 6)
     ]
     path = write(tmp_path / "bag", types, in_order(log))
+    unasked = read(path)  # positions and velocities look the same
+    assert not any(series.has_effort for series in unasked.joints)
+    assert f"/a_controller/{name}" in unasked.quality.joints["a"].no_effort
+    assert "--commands effort takes them for efforts" in unasked.quality.notes[0]
     for clock, shift in (("header", 0), ("receive", LATENCY)):
-        run = read(path, clock=clock)
+        run = read(path, clock=clock, commands="effort")
         assert run.joint_names == ("a", "b")
         a = run.joints[0]
         assert a.effort.tolist() == [1.0, 2.0, 3.0, 4.0, 5.0]
@@ -222,7 +228,7 @@ def test_receive_times_are_carried_to_a_simulated_clock(tmp_path):
         for time in (S, 3 * S + 1000, 9 * S, 10 * S + 500)
     ]
     types = {"/joint_states": JOINT_STATE, "/a_controller/command": FLOAT64}
-    run = read_run(write(tmp_path / "bag", types, in_order(log)), "run")
+    run = read(write(tmp_path / "bag", types, in_order(log)), commands="effort")
     assert run.joints[0].command_stamps_ns.tolist() == [
         0,
         S + S // 2 + 500,
@@ -261,7 +267,7 @@ def test_states_of_a_trajectory_controller_give_reference_and_effort(tmp_path, f
     quality = run.quality.joints["a"]
     assert quality.reference == "controller_state /jtc/controller_state"
     assert quality.references == 4
-    assert run.losses["a"] == Losses(1 if has_effort else 5, 0)
+    assert run.losses["a"] == Losses(1 if has_effort else 0, 0)
 
 
 def with_references(path: Path) -> Path:
@@ -296,13 +302,65 @@ def test_references_come_from_where_they_are_asked_from(tmp_path):
     for source, reference in expected.items():
         run = read(path, reference=source)
         assert run.joints[0].reference.tolist() == reference, source
-        assert run.joints[1].reference.tolist() == [-1.0] * 5
+        assert run.joints[1].reference.tolist() == ([-1.0] * 5 if source == "hold" else [])
     assert read(path).quality.joints["a"].reference == (
         "trajectory /joint_trajectory and setpoint /a_controller/setpoint"
     )
-    assert read(path).quality.joints["b"].reference == "hold"
+    assert read(path).quality.joints["b"].reference == "none"
+    assert read(path, reference="hold").quality.joints["b"].reference == "hold"
+    begins = [read(path).quality.joints[joint].reference_from for joint in "ab"]
+    assert begins == [1.0, None]
     with pytest.raises(BagError, match="no controller_state as reference; topics: "):
         read(path, reference="controller_state")
+
+
+def test_a_reference_that_is_given_is_followed_from_the_first_state_on(tmp_path):
+    path = with_references(tmp_path / "bag")
+    given = ramp("a", t0=1.0, t2=5.0)
+    for clock in ("header", "receive"):
+        run = read(path, reference=given, clock=clock)
+        assert run.joints[0].reference.tolist() == [1.0, 3.0, 5.0, 5.0, 5.0]
+        assert not run.joints[1].has_reference
+        assert run.quality.joints["a"].reference == "given"
+    assert read(path, reference=given, start=2.0).joints[0].reference.tolist() == [5.0] * 3
+
+
+def test_efforts_that_a_driver_fills_in_without_measuring_are_none(tmp_path):
+    template = JointStateTemplate(["a", "b"], position=True, effort=True)
+    for value, word in ((0.0, "zero"), (float("nan"), "not a number")):
+        log = [
+            ("/joint_states", k * S, template.encode(k * S, position=[k, k], effort=[value, k]))
+            for k in (1, 2)
+        ]
+        path = write(tmp_path / word, {"/joint_states": JOINT_STATE}, log)
+        run = read_run(path, "run")
+        assert [series.has_effort for series in run.joints] == [False, True]
+        reason = f"the efforts that /joint_states measured are {word} throughout"
+        assert run.quality.joints["a"].no_effort == reason
+    other = {"/joint_states": JOINT_STATE, "/gripper/joint_states": JOINT_STATE}
+    log = [*states(), *states(topic="/gripper/joint_states")]
+    run = read(write(tmp_path / "two", other, in_order(log)), states="/joint_states")
+    assert not run.joints[0].has_effort  # the states of another robot are no commands
+
+
+def test_commands_without_efforts_leave_the_measured_ones(tmp_path):
+    """A position controller says no efforts, and the joints it moves are those that count."""
+    template = JointStateTemplate(["a", "b"], position=True, effort=True)
+    log = [
+        ("/joint_states", k * S, template.encode(k * S, position=[k, k], effort=[k, -k]))
+        for k in range(1, 6)
+    ]
+    log += [("/joint_commands", k * S + 9, state(k * S, a=1.0)[2]) for k in range(1, 6)]
+    log += [("/joint_trajectory", 0, trajectory_message(0, ramp("a", t0=9.0))[2])]
+    types = {
+        "/joint_states": JOINT_STATE,
+        "/joint_commands": JOINT_STATE,
+        "/joint_trajectory": JOINT_TRAJECTORY,
+    }
+    run = read_run(write(tmp_path / "bag", types, in_order(log)), "run")
+    assert run.joint_names == ("a",)
+    assert run.joints[0].effort.tolist() == [1.0, 2.0, 3.0, 4.0, 5.0]
+    assert run.quality.joints["a"].effort == "measured, of /joint_states"
 
 
 def test_a_window_cuts_states_and_commands_but_not_what_was_told_before(tmp_path):

@@ -8,7 +8,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from harness import ros_arguments
 
 from hpid_ros.analysis.indices import run_indices
-from hpid_ros.bags import BagWriter, read_run
+from hpid_ros.bags import BagSelection, BagWriter, read_run
 from hpid_ros.errors import SettingError
 from hpid_ros.messages import JointStateTemplate
 from hpid_ros.nodes.finished_bags import FinishedBags
@@ -52,9 +52,16 @@ def values(message):
 
 def test_the_numbers_of_its_bags_are_latched_with_their_units(harness, heard, tmp_path):
     bag = record(tmp_path / "first")
-    start(harness, bags=f"[{bag}]", keep_running=True, indices="ivc,rmse", units="deg")
+    start(
+        harness,
+        bags=f"[{bag}]",
+        keep_running=True,
+        indices="ivc,rmse",
+        units="deg",
+        reference="hold",
+    )
     harness.wait(lambda: heard, what="the indices")
-    run = run_indices(read_run(bag, "first"))
+    run = run_indices(read_run(bag, "first", selection=BagSelection(reference="hold")))
     found = values(heard[0])
     assert set(found) == {"first: elbow", "first: all joints"}
     assert float(found["first: elbow"]["IVC [N m]"]) == run.totals.ivc
@@ -74,6 +81,7 @@ def test_each_bag_that_is_finished_in_a_watched_folder_is_reported(harness, hear
     harness.wait(lambda: len(heard) > 1, what="the new bag")
     found = values(heard[1])
     assert {name.split(":")[0] for name in found} == {"baseline", "new"}
+    assert found["new: elbow"]["ITAE [rad s^2]"] == "undefined: no reference was recorded"
     ivc = [float(found[f"{run}: elbow"]["IVC [N m]"]) for run in ("baseline", "new")]
     assert ivc[1] == pytest.approx(2.0 * ivc[0])
     (folder / "broken").mkdir()

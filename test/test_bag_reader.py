@@ -166,8 +166,10 @@ def references(path: Path, *log: tuple[str, int, bytes], last: int = 7) -> list[
     return series.reference.tolist()
 
 
-def test_without_a_trajectory_the_reference_is_the_first_position(tmp_path):
-    assert references(tmp_path / "bag", last=4) == [0.25, 0.25, 0.25]
+def test_without_a_trajectory_there_is_no_reference_unless_the_first_position_is_asked_for(
+    tmp_path,
+):
+    assert references(tmp_path / "bag", last=4) == []
     assert (
         read_run(tmp_path / "bag", "run", selection=BagSelection(reference="hold"))
         .joints[0]
@@ -361,8 +363,11 @@ def test_a_missing_topic_joint_or_message_is_named_with_what_there_is(tmp_path):
     silent = write_bag(tmp_path / "silent", [state(1, a=1.0)])
     assert (
         "no message on /joint_commands; messages: /joint_commands 0, /joint_states 1"
-        in refused(silent)
+        in refused(silent, commands="joint_commands")
     )
+    (series,) = read_run(silent, "run").joints
+    assert not series.has_effort
+    assert not series.has_reference
     foreign = write_bag(tmp_path / "foreign", [state(1, a=1.0), command(1, b=1.0)])
     assert "no joint of /joint_states is commanded" in refused(foreign)
 

@@ -1,16 +1,19 @@
 import csv
+import dataclasses
 import io
 import json
 import math
 import re
 import warnings
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
-from hpid_ros.analysis.comparison import Comparison, Verdict, answer, ratio, verdict
+from hpid_ros.analysis.common_window import common_cuts
+from hpid_ros.analysis.comparison import Comparison, Judgement, Verdict, answer, ratio, verdict
 from hpid_ros.analysis.indices import (
     EFFORT_L2,
     ERROR_L2,
@@ -19,11 +22,16 @@ from hpid_ros.analysis.indices import (
     ITAE,
     IVC,
     NORMS,
+    IndexSettings,
     JointIndices,
     RunIndices,
+    run_indices,
 )
 from hpid_ros.analysis.number_text import format_ratio, format_values
-from hpid_ros.analysis.series import SeriesError
+from hpid_ros.analysis.quality import DataQuality, RecordingQuality
+from hpid_ros.analysis.quantities import CHATTER, Data
+from hpid_ros.analysis.saved import runs_from_mapping
+from hpid_ros.analysis.series import JointSeries, RunSeries, SeriesError
 from hpid_ros.analysis.table import ComparisonTable, table_text
 from hpid_ros.analysis.table_export import CSV_COLUMNS, table_csv, table_latex
 
@@ -106,36 +114,193 @@ def test_the_mapping_is_json_even_against_a_zero_baseline():
 
 
 @pytest.mark.parametrize(
-    ("row", "sentence"),
+    ("row", "norms", "judgement", "sentences"),
     [
         (
             (50, 120, 10),
-            "lowered the variation of the effort (IVC) by 50.0%, raised the effort spent (IAVC) "
-            "by 20.0% and left the time-weighted error (ITAE) unchanged",
+            (0.5, 1.127),
+            Judgement.MIXED,
+            "Better: the variation of the effort (IVC) by 50.0% and the L2 norm of the effort "
+            "(||u||) by 50.0%. Worse: the effort spent (IAVC) by 20.0% and the L2 norm of the "
+            "error (||e||) by 12.7%. Unchanged: the time-weighted error (ITAE).",
         ),
         (
             (50, 60, 9),
-            "lowered the variation of the effort (IVC) by 50.0%, the effort spent (IAVC) by "
-            "40.0% and the time-weighted error (ITAE) by 10.0%",
+            (1.0, 1.0004),
+            Judgement.BETTER,
+            "Better: the variation of the effort (IVC) by 50.0%, the effort spent (IAVC) by "
+            "40.0% and the time-weighted error (ITAE) by 10.0%. Unchanged: the L2 norm of the "
+            "effort (||u||) and the L2 norm of the error (||e||).",
         ),
         (
             (300, 100.01, 10),
-            "raised the variation of the effort (IVC) to 3 times and left the effort spent "
-            "(IAVC) and the time-weighted error (ITAE) unchanged",
+            (1.0, 1.0),
+            Judgement.WORSE,
+            "Worse: the variation of the effort (IVC) to 3 times. Unchanged: the effort spent "
+            "(IAVC), the time-weighted error (ITAE), the L2 norm of the effort (||u||) and the "
+            "L2 norm of the error (||e||).",
         ),
     ],
 )
-def test_the_answer_says_what_fell_and_what_rose(row, sentence):
-    comparison = Comparison((run("PID", [(100, 100, 10)]), run("hPID", [row])))
-    expected = f"Over the one joint and against PID, hPID {sentence}."
-    assert answer(comparison) == expected
+def test_the_answer_says_what_got_better_and_what_got_worse(row, norms, judgement, sentences):
+    comparison = Comparison((run("PID", [(100, 100, 10)]), run("hPID", [row], norms)))
+    head = f"hPID against PID, over the one joint: {judgement.value}."
+    assert answer(comparison) == f"{head} {sentences} Unchanged means within 0.05%."
+    assert comparison.judgement("hPID") is judgement
 
 
-def test_the_answer_handles_a_lone_run_many_runs_and_a_zero_baseline(three):
-    assert "nothing to compare" in answer(Comparison(three.runs[:1]))
-    assert answer(three).count("Over all 4 joints and against PID, ") == 2
+def test_the_answer_handles_many_runs_and_a_zero_baseline(three):
+    assert answer(three).count("against PID, over all 4 joints: ") == 2
     zero = Comparison((run("a", [(0, 1, 1)]), run("b", [(1, 1, 1)])))
-    assert "raised the variation of the effort (IVC) from zero" in answer(zero)
+    assert "Worse: the variation of the effort (IVC) from zero" in answer(zero)
+    same = Comparison((run("a", [(1, 1, 1)]), run("b", [(1, 1, 1)])))
+    assert same.judgement("b") is Judgement.EQUAL
+
+
+def test_the_answer_of_a_lone_run_are_its_own_figures(three):
+    said = answer(Comparison(three.runs[:1]))
+    assert "nothing to compare" in said
+    for figure in ("(IVC) 4319 N m", "(ITAE) 14.95 rad s^2", "(||u||) 423.9 N m s^0.5"):
+        assert figure in said
+
+
+# What is not there -----------------------------------------------------------------------------
+
+
+def lacking(label, *lacks, **options):
+    """Return two joints' numbers, of which the second lacks something."""
+    numbers = recording(label, **options)
+    (first, second) = numbers.joints
+    if Data.REFERENCE in lacks:
+        second = dataclasses.replace(second, reference=())
+    if Data.EFFORT in lacks:
+        second = dataclasses.replace(second, command_stamps_ns=(), effort=())
+    return run_indices(dataclasses.replace(numbers, joints=(first, second)))
+
+
+def recording(label, duration=2.0, period=1e-3, gain=1.0, **options):
+    t = np.arange(round(duration / period) + 1) * period
+    stamps = np.round(t * 1e9).astype(np.int64)
+    joints = (
+        JointSeries(name, stamps, 1 - np.exp(-gain * t), np.ones(t.size), stamps, gain * np.cos(t))
+        for name in ("elbow", "wrist")
+    )
+    return RunSeries(label, tuple(joints), **options)
+
+
+def test_what_is_not_there_is_a_dash_with_its_reason_in_every_form():
+    comparison = Comparison((lacking("PID", Data.REFERENCE), lacking("hPID", Data.REFERENCE)))
+    note = "No ITAE, ||e||, joint wrist: no reference was recorded."
+    text = table_text(comparison)
+    assert note in text
+    assert re.search(r"wrist .* – +– +–$", text, re.MULTILINE)
+    assert re.search(r"total .* – +– +–$", text, re.MULTILINE)
+    assert "0.0000" not in text
+    rows = list(csv.DictReader(io.StringIO(table_csv(comparison))))
+    empty = {(row["joint"], row["quantity"]) for row in rows if not row["value"]}
+    assert empty == {("wrist", "itae"), ("", "itae"), ("", "error_l2")}
+    reasons = {row["note"] for row in rows if not row["value"]}
+    assert reasons == {"no reference was recorded"}
+    latex = table_latex(comparison)
+    assert r"No ITAE, $\|e\|_{L^2}$, joint wrist: no reference was recorded." in latex
+    assert r"& -- & --" in latex
+    saved = json.loads(json.dumps(comparison.as_mapping(), allow_nan=False))
+    one = saved["runs"]["hPID"]
+    assert one["lacking"] == {"wrist": {"reference": "no reference was recorded"}}
+    assert "itae" not in one["joints"]["wrist"]
+    assert not {"itae", "error_l2"} & {*one["totals"], *one, *saved["ratios"]["hPID"]["totals"]}
+    assert table_text(Comparison(runs_from_mapping(saved, "x.json"))) == text
+    assert "Not comparable: ITAE and ||e|| (no reference was recorded)." in answer(comparison)
+
+
+def test_of_two_runs_only_one_of_which_lacks_something_that_one_is_named():
+    comparison = Comparison((lacking("PID"), lacking("hPID", Data.EFFORT)))
+    note = "No IVC, IAVC, ||u|| of hPID, joint wrist: no effort was recorded."
+    assert note in table_text(comparison)
+    assert "0.0000" not in table_text(comparison)
+    assert Verdict.EQUAL not in [comparison.verdicts("hPID")[q] for q in (IVC, IAVC, EFFORT_L2)]
+    assert "(hPID: no effort was recorded)" in answer(comparison)
+
+
+def test_what_was_assumed_is_said_and_does_not_compare_with_what_was_recorded():
+    quality = {
+        name: DataQuality(reference="hold", effort="measured, of /joint_states")
+        for name in ("elbow", "wrist")
+    }
+    assumed = run_indices(recording("a", quality=RecordingQuality(joints=quality)))
+    twice = Comparison((assumed, dataclasses.replace(assumed, label="b")))
+    for text in (table_text(twice), table_latex(twice), answer(twice)):
+        assert "a and b: reference: the first position, held as asked for." in text
+        assert "effort: measured, of /joint" in text
+    assert "reference: the first position, held" in table_csv(twice)
+    assert twice.ratio("b", ITAE) == twice.ratio("b", IVC) == 1.0
+    saved = json.loads(json.dumps(twice.as_mapping()))
+    assert saved["runs"]["a"]["assumed"]["reference"] == "the first position, held as asked for"
+    assert Comparison(runs_from_mapping(saved, "x.json")) == twice
+    mixed = Comparison((run_indices(recording("PID")), assumed))
+    assert math.isnan(mixed.ratio("a", ITAE))
+    assert math.isnan(mixed.ratio("a", IVC))
+    assert mixed.judgement("a") is Judgement.INCOMPARABLE
+    assert "effort: PID's is commanded, a's is measured, of /joint_states" in answer(mixed)
+
+
+@pytest.mark.parametrize(
+    ("other", "reason"),
+    [
+        ({"duration": 17.7}, "durations differ: 2 s and 17.7 s"),
+        ({"period": 2e-3}, "state rates differ: 1000 Hz and 500 Hz"),
+    ],
+)
+def test_runs_of_unlike_length_or_rate_get_no_verdict_but_their_numbers(other, reason):
+    comparison = Comparison((lacking("PID"), lacking("hPID", **other)))
+    assert comparison.judgement("hPID") is Judgement.INCOMPARABLE
+    assert f"hPID against PID, over all 2 joints: not comparable: {reason}." in answer(comparison)
+    text = table_text(comparison)
+    assert f"hPID against PID: not comparable: {reason}." in text
+    assert f"No ratios of hPID to PID: {reason}." in text
+    assert not re.search(r"\d[▼▲=]", text)
+    assert "textbf" not in table_latex(comparison)
+    mapping = comparison.as_mapping()
+    assert mapping["not_compared"] == {"hPID": {reason: "all"}}
+    assert mapping["ratios"]["hPID"]["totals"] == {}
+    for row in csv.DictReader(io.StringIO(table_csv(comparison))):
+        assert row["value"]
+        assert not row["ratio"]
+        assert row["note"] == ("" if row["run"] == "PID" else f"not compared: {reason}")
+
+
+def test_an_unlike_cutoff_spoils_the_chatter_alone():
+    series = recording("hPID")
+    other = run_indices(series, IndexSettings(cutoff=50.0))
+    comparison = Comparison((lacking("PID"), other))
+    assert math.isnan(comparison.ratio("hPID", CHATTER))
+    assert comparison.ratio("hPID", IVC) == 1.0
+    assert comparison.judgement("hPID") is Judgement.EQUAL
+
+
+def test_a_few_lost_states_are_no_other_rate():
+    comparison = Comparison((lacking("PID"), lacking("hPID", period=1.02e-3)))
+    assert comparison.judgement("hPID") is not Judgement.INCOMPARABLE
+
+
+def test_recordings_are_cut_to_the_time_that_all_have_from_where_their_references_begin():
+    def starts(label, duration, begin):
+        quality = RecordingQuality(joints={"elbow": DataQuality(reference_from=begin)})
+        return run_indices(recording(label, duration=duration, quality=quality))
+
+    long, short = starts("PID", 17.7, 2.0), starts("hPID", 4.5, 0.5)
+    (first, second) = common_cuts([long, short])
+    assert first[:2] == pytest.approx((2.0, 6.0))
+    assert second[:2] == pytest.approx((0.5, 4.5))
+    assert first.text == "cut to 4 s of 17.7 s, from 2 s on, where its reference begins"
+    assert common_cuts([long, starts("b", 17.7, 2.0)]) == ()
+    assert len(common_cuts([long, starts("b", 17.7, 5.0)])) == 2
+    without = common_cuts([long, starts("b", 4.0, None)])
+    assert [cut.start for cut in without] == [0.0, 0.0]
+    assert without[0].text.endswith("from 0 s on, where its states do")
+    assert without[1].text == ""
+    assert common_cuts([long, starts("b", 4.0, 3.99)]) == ()  # nothing to speak of in common
+    assert common_cuts([long]) == ()
 
 
 # The table -------------------------------------------------------------------------------------

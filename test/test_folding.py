@@ -103,9 +103,9 @@ def test_tables_and_files_show_the_number_of_repeats_and_the_quartiles():
     assert "quartiles" in text
     rows = [line.split(",") for line in table_csv(comparison).splitlines()]
     low, high = folded[0].spread.quartiles[None]["ivc"]
-    assert rows[0][-3:] == ["repeats", "first_quartile", "third_quartile"]
-    assert ["3", repr(low), repr(high)] in [row[-3:] for row in rows]
-    assert all(row[-3:] == ["", "", ""] for row in rows if row[0] == "hPID")
+    assert rows[0][-4:] == ["repeats", "first_quartile", "third_quartile", "note"]
+    assert ["3", repr(low), repr(high), ""] in [row[-4:] for row in rows]
+    assert all(row[-4:] == ["", "", "", ""] for row in rows if row[0] == "hPID")
     assert "PID (3)" in table_latex(comparison)
 
 

@@ -8,7 +8,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from hpid_ros.analysis.effort_figures import PLATEAU, chatter, energy, saturation_share, spectrum
+from hpid_ros.analysis.effort_figures import (
+    PLATEAU,
+    amplitude_density,
+    chatter,
+    energy,
+    saturation_share,
+    spectrum,
+)
 from hpid_ros.analysis.exact_sum import exact_sum
 from hpid_ros.analysis.indices import IndexSettings, joint_indices, run_indices
 from hpid_ros.analysis.quantities import (
@@ -220,6 +227,25 @@ def test_the_spectrum_holds_the_whole_power():
     found = spectrum(seconds(20.0), noise)
     power = float(np.sum(found.density) * found.frequency[1])
     assert power == pytest.approx(float(np.var(noise)), rel=0.03)
+
+
+@pytest.mark.parametrize("spoil", ["even", "late", "lost"])
+def test_white_noise_is_as_strong_at_half_the_rate_as_below_whatever_the_clock(spoil):
+    random = np.random.default_rng(1)
+    count = 20_001
+    stamps = np.arange(count) * MS
+    noise = random.normal(size=count)
+    if spoil == "late":
+        stamps = stamps + np.round(random.normal(size=count) * 0.05 * MS).astype(np.int64)
+    kept = np.flatnonzero(random.uniform(size=count) > (0.01 if spoil == "lost" else -1.0))
+    stamps, noise = stamps[kept], noise[kept]
+    series = JointSeries("a", stamps, noise, noise, stamps, noise)
+    frequency, density, _ = amplitude_density(series)
+    level = float(np.median(density[(frequency > 50.0) & (frequency < 300.0)]))
+    high = density[frequency > 450.0]
+    assert float(np.median(high)) == pytest.approx(level, rel=0.06)
+    assert density[-1] > 0.85 * level  # not half the power, which is its own mirror image
+    assert 498.0 < frequency[-1] < 500.0
 
 
 def test_chatter_has_no_number_where_it_cannot_be_seen():

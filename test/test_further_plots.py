@@ -5,12 +5,14 @@ import math
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from hpid_ros.analysis.comparison import Comparison
 from hpid_ros.analysis.effort_figures import chatter
 from hpid_ros.analysis.folding import fold_repeats
 from hpid_ros.analysis.gain_plots import multiplier_figure, norm_figure
 from hpid_ros.analysis.indices import run_indices
+from hpid_ros.analysis.panels import log_ticks
 from hpid_ros.analysis.phase import phase_curve
 from hpid_ros.analysis.plot_style import RUN_STYLES
 from hpid_ros.analysis.plots import (
@@ -70,6 +72,34 @@ def test_the_spectrum_has_its_peak_where_the_effort_swings_and_marks_the_cutoff(
     assert labels_of(figure)[-1] == "chatter above 20 Hz"
     assert "[Hz]" in figure.get_supxlabel()
     assert "N m" in figure.get_supylabel()
+
+
+@pytest.mark.parametrize(
+    ("limits", "labels"),
+    [
+        ((3e-3, 8e-3), ["0.004", "0.006", "0.008"]),
+        ((1.5, 60.0), ["2", "5", "10", "20", "50"]),
+    ],
+)
+def test_a_short_logarithmic_axis_has_numbers_to_read_it_by(limits, labels):
+    axis = Figure().subplots().yaxis
+    axis.axes.set(yscale="log", ylim=limits)
+    log_ticks(axis)
+    low, high = limits
+    shown = [
+        label.get_text()
+        for label, at in zip(axis.get_ticklabels(), axis.get_ticklocs(), strict=True)
+        if low <= at <= high
+    ]
+    assert shown == labels
+
+
+def test_a_joint_without_efforts_leaves_its_spectrum_empty(runs):
+    first, second = runs[0].joints
+    silent = dataclasses.replace(second, command_stamps_ns=(), effort=())
+    figure = spectrum_figure([dataclasses.replace(runs[0], joints=(first, silent))])
+    render(figure, "png")
+    assert len(line_of(panels(figure)[0], RUN_STYLES[0]).get_xdata()) > 100
 
 
 def test_the_phase_portrait_shows_the_error_and_its_true_rate(runs):

@@ -20,7 +20,7 @@ from hpid_ros.analysis.indices import (
     run_indices,
     total_variation,
 )
-from hpid_ros.analysis.quantities import QUANTITIES
+from hpid_ros.analysis.quantities import QUANTITIES, Data
 from hpid_ros.analysis.series import JointSeries, Losses, RunSeries, SeriesError
 
 # Closed forms for u = sin t and e = exp(-t) on [0, 9], to ten digits.
@@ -185,11 +185,31 @@ def test_itae_counts_from_the_first_state_and_iavc_uses_the_commands_stamps():
     assert joint.command_time.tolist() == [1.0, 2.0]
 
 
-def test_a_joint_that_was_never_answered_has_no_effort_and_no_variation():
+def test_a_joint_that_was_never_answered_has_no_effort_and_no_index_of_it():
     joint = JointSeries("a", [0, 10**9], [0.0, 0.0], [1.0, 1.0], [], [])
     run = run_indices(RunSeries("x", (joint,)))
-    assert (run.totals.ivc, run.totals.iavc, run.effort_l2) == (0.0, 0.0, 0.0)
+    assert all(map(math.isnan, (run.totals.ivc, run.totals.iavc, run.effort_l2)))
+    assert run.why_undefined(IVC, "a") == run.why_undefined(IVC) == {"a": "no effort was recorded"}
     assert run.totals.itae == 0.5
+
+
+def test_a_joint_without_a_reference_has_efforts_and_no_error_and_no_sum_goes_over_the_others():
+    stamps = np.arange(3) * 10**9
+    known = JointSeries("a", stamps, np.zeros(3), np.ones(3), stamps, [1.0, 2.0, 3.0])
+    unknown = JointSeries("b", stamps, np.zeros(3), [], stamps, [1.0, 2.0, 3.0])
+    run = run_indices(RunSeries("x", (known, unknown)))
+    assert (run.totals.ivc, run.value(IVC, "b")) == (4.0, 2.0)
+    assert run.value(ITAE, "a") == 2.0
+    of_error = [each for each in QUANTITIES.values() if each.needs is Data.REFERENCE]
+    assert {"itae", "error_l2", "rmse", "rise_time"} <= {each.key for each in of_error}
+    for quantity in of_error:
+        assert math.isnan(run.value(quantity, "b"))
+        assert math.isnan(run.value(quantity)), quantity.key
+        assert run.why_undefined(quantity)["b"] == "no reference was recorded"
+    with pytest.raises(SeriesError, match="joint 'b': no reference was recorded"):
+        _ = unknown.error
+    with pytest.raises(SeriesError, match="reference has shape"):
+        JointSeries("b", stamps, np.zeros(3), [1.0], stamps, np.zeros(3))
 
 
 def test_the_numbers_as_a_mapping_are_json_and_name_their_units():

@@ -5,10 +5,24 @@ import io
 import json
 import shutil
 
+import numpy as np
 import pytest
+from bag_builder import (
+    JOINT_STATE,
+    MS,
+    TYPES,
+    S,
+    command,
+    ramp,
+    state,
+    trajectory,
+    write_bag,
+)
 
+from hpid_ros.bags import BagWriter
 from hpid_ros.cli import main
 from hpid_ros.commands import BAD_INPUT, DONE
+from hpid_ros.messages.joint_state import JointStateTemplate
 
 
 @pytest.fixture(scope="module")
@@ -39,6 +53,12 @@ def run(capsys):
         return code, *capsys.readouterr()
 
     return metrics
+
+
+def floats(*values):
+    layout = TYPES.types["std_msgs/msg/MultiArrayLayout"]([], 0)
+    kind = "std_msgs/msg/Float64MultiArray"
+    return bytes(TYPES.serialize_cdr(TYPES.types[kind](layout, np.array(values)), kind))
 
 
 def saved_indices(result):
@@ -102,6 +122,120 @@ def test_a_mismatch_is_a_warning_and_the_numbers_come_all_the_same(run, result, 
     assert "IVC" in printed
     lines = errors.splitlines()
     assert "hpid: warning: runs 'PID' and 'hPID': durations differ: 0.3 s and 0.5 s" in lines
+
+
+# What a bag lacks ------------------------------------------------------------------------------
+
+
+def states_bag(path, effort=True, count=400):
+    template = JointStateTemplate(["elbow", "wrist"], position=True, effort=effort)
+    log = []
+    for k in range(count):
+        position = [np.sin(0.01 * k), np.cos(0.01 * k)]
+        content = {"effort": [2.0 * np.cos(0.01 * k), 0.5]} if effort else {}
+        raw = template.encode(k * 5 * MS + MS, position=position, **content)
+        log.append(("joint_states", k * 5 * MS + MS, raw))
+    return log
+
+
+def loop_bag(path, duration, lead=0.0, gain=5.0):
+    """Write a joint that follows a ramp, told to it some time after the recorder started."""
+    begin_ns = round(lead * S)
+    log = [trajectory(begin_ns, ramp("elbow", t0=0.0, t2=1.0))]
+    for k in range(1, round(duration / 0.005)):
+        stamp = k * 5 * MS
+        t = max(0.0, (stamp - begin_ns) / S)
+        position = 0.5 * t * (1.0 - np.exp(-gain * t)) if t < 2.0 else 1.0
+        log.append(state(stamp, elbow=position))
+        log.append(command(stamp, elbow=gain * np.exp(-gain * t)))
+    return write_bag(path, sorted(log, key=lambda message: message[1]))
+
+
+def test_a_bag_of_states_alone_gives_its_effort_indices_and_one_line_for_the_rest(run, tmp_path):
+    bag = write_bag(tmp_path / "states", states_bag(tmp_path))
+    code, printed, errors = run(bag)
+    assert code == DONE
+    assert "states: effort: measured, of /joint_states." in printed
+    assert "No ITAE, ||e||: no reference was recorded." in printed
+    (line,) = errors.splitlines()
+    for option in ("--commands", "--command-topic JOINT=TOPIC[INDEX]", "--reference"):
+        assert option in line
+    document = json.loads(run(bag, "--json")[1])["runs"]["states"]
+    assert document["joints"]["wrist"]["iavc"] == pytest.approx(0.5 * 399 * 0.005)
+    assert document["assumed"] == {"effort": "measured, of /joint_states"}
+    saved = tmp_path / "saved.json"
+    assert run(bag, "--save", saved)[0] == DONE
+    assert run(saved, "--csv")[1] == run(bag, "--csv")[1]
+
+
+def test_a_bag_that_gives_no_index_is_one_line_that_names_all_options(run, tmp_path):
+    bag = write_bag(tmp_path / "states", states_bag(tmp_path, effort=False))
+    code, printed, errors = run(bag)
+    assert (code, printed, errors.count("\n")) == (BAD_INPUT, "", 1)
+    for words in ("no effort was recorded: --commands", "no reference was recorded: --reference"):
+        assert words in errors
+    assert run(bag, "--indices", "itae", "--reference", "hold")[0] == DONE
+
+
+def test_a_reference_is_held_or_given_only_if_asked_for_and_then_it_is_said(run, tmp_path):
+    bag = write_bag(tmp_path / "states", states_bag(tmp_path))
+    said = "reference: the first position, held as asked for"
+    page = tmp_path / "report.html"
+    code, printed, _ = run(bag, "--reference", "hold", "--report", page)
+    assert code == DONE
+    assert f"states: {said}." in printed
+    assert said in page.read_text(encoding="utf-8").split("<h2>")[0]
+    held = json.loads(run(bag, "--reference", "hold", "--json")[1])["runs"]["states"]
+    assert held["assumed"]["reference"] == "the first position, held as asked for"
+    file = tmp_path / "motion.yaml"
+    file.write_text(
+        "reference: {kind: step, times: [0.0], positions: {elbow: [1.0], wrist: [0.0]}}\n"
+    )
+    given = json.loads(run(bag, "--reference", file, "--json")[1])["runs"]["states"]
+    t = np.arange(400) * 0.005
+    area = np.trapezoid if hasattr(np, "trapezoid") else np.trapz
+    expected = area(t * np.abs(1.0 - np.sin(0.01 * np.arange(400))), t)
+    assert given["joints"]["elbow"]["itae"] == pytest.approx(expected, rel=1e-9)
+    assert "reference" not in given["assumed"]
+    for bad in (tmp_path / "none.yaml", "nowhere"):
+        code, printed, errors = run(bag, "--reference", bad)
+        assert (code, printed, errors.count("\n")) == (BAD_INPUT, "", 1)
+
+
+def test_recordings_of_unlike_length_are_cut_to_what_both_have_and_it_is_said(run, tmp_path):
+    long = loop_bag(tmp_path / "PID", 17.7, lead=1.0)
+    short = loop_bag(tmp_path / "hPID", 4.0, gain=8.0)
+    code, printed, errors = run(long, short)
+    assert code == DONE
+    assert "differ" not in errors
+    assert "PID: cut to 3.99 s of 17.69 s, from 0.995 s on, where its reference begins." in printed
+    assert "hPID against PID: " in printed
+    document = json.loads(run(long, short, "--json")[1])
+    whole = json.loads(run(short, "--json")[1])["runs"]["hPID"]
+    assert document["runs"]["hPID"]["totals"] == whole["totals"]
+    assert document["runs"]["PID"]["conditions"]["duration"] == pytest.approx(3.99, abs=0.006)
+    code, printed, errors = run(long, short, "--start", "0")
+    assert "hPID against PID: not comparable: durations differ: 17.69 s and 3.99 s" in printed
+    assert "▼" not in printed.split("Ratio:")[0]
+
+
+def test_commands_that_may_be_positions_are_efforts_only_if_that_is_said(run, tmp_path):
+    path = tmp_path / "bag"
+    with BagWriter(path) as bag:
+        states = bag.add_topic("/joint_states", JOINT_STATE)
+        commands = bag.add_topic("/elbow_controller/commands", "std_msgs/msg/Float64MultiArray")
+        for _, log_time_ns, raw in states_bag(path, effort=False):
+            bag.write(states, log_time_ns, raw)
+            bag.write(commands, log_time_ns + 1, floats(1.0, 3.0))
+    code, printed, errors = run(path)
+    assert (code, printed, errors.count("\n")) == (BAD_INPUT, "", 1)
+    assert "/elbow_controller/commands may carry them" in errors
+    document = json.loads(run(path, "--commands", "effort", "--json")[1])["runs"]["bag"]
+    assert document["joints"]["elbow"]["iavc"] == pytest.approx(399 * 0.005)
+    mapped = json.loads(
+        run(path, "--command-topic", "wrist=/elbow_controller/commands[1]", "--json")[1]
+    )["runs"]["bag"]
+    assert mapped["joints"]["wrist"]["iavc"] == pytest.approx(3.0 * 399 * 0.005)
 
 
 # Choices ---------------------------------------------------------------------------------------

@@ -289,4 +289,46 @@ def test_a_run_alone_has_a_report_without_ratios():
     text = report([response("PID", 0.6)])
     Page(text)
     assert "nothing to compare" in text
+    assert "the variation of the effort (IVC)" not in text  # the sentence of a comparison
+    assert re.search(r"variation of the effort \(IVC\) [\d.]+ N m, effort spent", text)
     assert ">ratio<" not in text
+
+
+def test_without_references_there_are_no_figures_of_errors_and_the_reason_is_said():
+    whole = response("PID", 0.6)
+    series = tuple(dataclasses.replace(each, reference=()) for each in whole.joints)
+    text = report([dataclasses.replace(whole, joints=series)])
+    names = [figure["name"] for figure in data_of(text)["figures"]]
+    assert names == ["positions", "efforts", "effort_norm", "spectrum"]
+    assert "<p>No ITAE, ||e||: no reference was recorded.</p>" in text
+    assert "no time-weighted error (ITAE), as no reference was recorded" in text
+    bare = tuple(
+        dataclasses.replace(each, command_stamps_ns=(), effort=()) for each in whole.joints
+    )
+    names = [
+        f["name"] for f in data_of(report([dataclasses.replace(whole, joints=bare)]))["figures"]
+    ]
+    assert names == ["positions", "errors", "error_norm", "phase"]
+
+
+def test_runs_that_cannot_be_compared_get_no_verdict():
+    short = response("hPID", 1.2)
+    half = tuple(
+        JointSeries(
+            each.joint,
+            *(
+                getattr(each, name)[:150]
+                for name in (
+                    "state_stamps_ns",
+                    "position",
+                    "reference",
+                    "command_stamps_ns",
+                    "effort",
+                )
+            ),
+        )
+        for each in short.joints
+    )
+    text = report([response("PID", 0.6), dataclasses.replace(short, joints=half)])
+    assert "not comparable: durations differ: 9 s and 4.47 s." in text
+    assert not re.search(r'class="(better|worse)"', text)

@@ -113,6 +113,25 @@ def test_every_chart_is_drawn_and_the_page_never_scrolls_sideways(open_page, wid
     assert page.evaluate("document.documentElement.scrollWidth") <= width
 
 
+def test_a_table_wider_than_the_page_says_so_scrolls_and_shrinks_on_paper(open_page):
+    page = open_page(400)
+    box = page.locator(".scroll").first
+    page.wait_for_function("document.querySelector('.scroll').classList.contains('more-right')")
+    hint = "getComputedStyle(document.querySelector('.scroll'), '::before').content"
+    assert "scroll sideways" in page.evaluate(hint)
+    box.evaluate("box => { box.scrollLeft = box.scrollWidth; }")
+    page.wait_for_function("document.querySelector('.scroll').classList.contains('more-left')")
+    assert "more-right" not in box.get_attribute("class")
+    page.set_viewport_size({"width": 718, "height": 900})  # A4 less its margins
+    page.emulate_media(media="print")
+    widths = page.evaluate(
+        "[...document.querySelectorAll('.scroll')].map(e => e.scrollWidth - e.clientWidth)"
+    )
+    assert max(widths) <= 1
+    wide = open_page(1200)
+    assert "wide" not in wide.locator(".scroll").first.get_attribute("class")
+
+
 def test_tabs_work_by_mouse_and_by_keys(open_page):
     page = open_page()
     tabs = page.get_by_role("tab")

@@ -1,29 +1,47 @@
 """Runs side by side: the first is the baseline, the others are ratios of it.
 
-Every index and norm here is a cost: a ratio below one is an improvement.
+Every index and norm here is a cost: a ratio below one is an improvement. Runs of unlike length,
+rate or reference have no ratios: their numbers stand beside each other and say nothing.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import Enum
+from functools import cached_property
 
+from hpid_ros.analysis.conditions import EVERYTHING, Difference
 from hpid_ros.analysis.indices import INDICES, NORMS, Quantity, RunIndices
+from hpid_ros.analysis.mismatches import run_differences
+from hpid_ros.analysis.quantities import PAPER
 from hpid_ros.analysis.series import SeriesError
 from hpid_ros.errors import unknown_name
 
 # Half of the last digit that tables show: what reads as 1.000 is called equal.
 EQUAL_WITHIN = 5e-4
+THRESHOLD = f"within {100.0 * EQUAL_WITHIN:g}%"
+"""How near to one a ratio is that counts as unchanged."""
 
 
 class Verdict(Enum):
-    """What a ratio says of a cost, and the words for what the run did to it."""
+    """What a ratio says of a cost."""
 
-    BETTER = "lowered {}"
-    WORSE = "raised {}"
-    EQUAL = "left {} unchanged"
-    UNKNOWN = "has no comparable {}"
+    BETTER = "better"
+    WORSE = "worse"
+    EQUAL = "unchanged"
+    UNKNOWN = "not comparable"
+
+
+class Judgement(Enum):
+    """What the paper's five numbers together say of a run beside the baseline."""
+
+    BETTER = "better"
+    WORSE = "worse"
+    MIXED = "mixed"
+    EQUAL = "unchanged"
+    INCOMPARABLE = "not comparable"
 
 
 @dataclass(frozen=True)
@@ -54,9 +72,12 @@ class Comparison:
         for run in self.others:
             unlike = sorted(set(run.joints) ^ set(self.baseline.joints))
             if unlike:
+                shared = [name for name in self.baseline.joints if name in run.joints]
+                advice = f"; choose among those that both have: {', '.join(shared)}"
                 raise SeriesError(
-                    f"runs {self.baseline.label!r} and {run.label!r} do not have the same "
-                    f"joints: only one of them has {', '.join(unlike)}"
+                    f"runs {self.baseline.label!r} and {run.label!r} are not comparable, they do "
+                    f"not have the same joints: only one of them has {', '.join(unlike)}"
+                    f"{advice if shared else ''}"
                 )
             if run.angle_unit != self.angle_unit:
                 raise SeriesError(
@@ -112,6 +133,8 @@ class Comparison:
     def ratio(self, label: str, quantity: Quantity, joint: str | None = None) -> float:
         """Return one number of a run divided by the baseline's, see :func:`ratio`.
 
+        It is nan where one of the two is not defined, or the runs differ in what it depends on.
+
         Args:
             label: The run.
             quantity: Which number.
@@ -120,15 +143,96 @@ class Comparison:
         Raises:
             SeriesError: If there is no such run or joint.
         """
-        return ratio(self.run(label).value(quantity, joint), self.baseline.value(quantity, joint))
+        run = self.run(label)
+        value, of_baseline = run.value(quantity, joint), self.baseline.value(quantity, joint)
+        if any(quantity.key in each.spoils for each in self.differences(label)):
+            return math.nan
+        return ratio(value, of_baseline)
+
+    def differences(self, label: str) -> tuple[Difference, ...]:
+        """Return what a run and the baseline do not share, and which numbers that spoils.
+
+        Args:
+            label: The run.
+
+        Raises:
+            SeriesError: If there is no such run.
+        """
+        self.run(label)
+        return self._differences[label]
+
+    @cached_property
+    def _differences(self) -> dict[str, tuple[Difference, ...]]:
+        found = {run.label: tuple(run_differences(self.baseline, run)) for run in self.others}
+        return {self.baseline.label: (), **found}
+
+    def spoilt(self, label: str) -> dict[str, list[Quantity]]:
+        """Return what of the shown numbers is not compared, by why the runs do not allow it.
+
+        Args:
+            label: The run.
+        """
+        shown = (*self.indices, *self.norms)
+        spoilt = {
+            each.text: [quantity for quantity in shown if quantity.key in each.spoils]
+            for each in self.differences(label)
+        }
+        return {text: quantities for text, quantities in spoilt.items() if quantities}
+
+    def verdicts(self, label: str) -> dict[Quantity, Verdict]:
+        """Return what became of the paper's five numbers over all joints.
+
+        Args:
+            label: The run.
+        """
+        return {quantity: verdict(self.ratio(label, quantity)) for quantity in PAPER}
+
+    def judgement(self, label: str) -> Judgement:
+        """Return what the paper's five numbers together say of a run beside the baseline.
+
+        Args:
+            label: The run.
+        """
+        kinds = set(self.verdicts(label).values())
+        if kinds >= {Verdict.BETTER, Verdict.WORSE}:
+            return Judgement.MIXED
+        if Verdict.BETTER in kinds:
+            return Judgement.BETTER
+        if Verdict.WORSE in kinds:
+            return Judgement.WORSE
+        return Judgement.EQUAL if Verdict.EQUAL in kinds else Judgement.INCOMPARABLE
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What the runs' numbers must be read with, one sentence each."""
+        labels: dict[str, list[str]] = {}
+        for run in self.runs:
+            for note in run.notes:
+                labels.setdefault(note, []).append(run.label)
+        return tuple(f"{enumerate_words(names)}: {note}." for note, names in labels.items())
 
     def as_mapping(self) -> dict[str, object]:
-        """Return runs and ratios as plain dicts for JSON; an infinite ratio becomes None."""
-        return {
+        """Return runs and ratios as plain dicts for JSON.
+
+        An infinite ratio becomes None, one that is not defined is absent; ``not_compared`` has
+        the reasons and what they spoil, for runs that differ in more than their controllers.
+        """
+        mapping: dict[str, object] = {
             "baseline": self.baseline.label,
             "runs": {run.label: run.as_mapping() for run in self.runs},
             "ratios": {run.label: self._ratios(run.label) for run in self.others},
         }
+        spoilt = {
+            run.label: {
+                each.text: "all" if each.spoils == EVERYTHING else sorted(each.spoils)
+                for each in self.differences(run.label)
+                if each.spoils
+            }
+            for run in self.others
+        }
+        if any(spoilt.values()):
+            mapping["not_compared"] = {label: texts for label, texts in spoilt.items() if texts}
+        return mapping
 
     def _ratios(self, label: str) -> dict[str, object]:
         def finite(quantity: Quantity, joint: str | None = None) -> float | None:
@@ -142,11 +246,8 @@ class Comparison:
         }
         of_all = [q for q in shared if q not in NORMS and self._is_defined(label, q)]
         totals = {quantity.key: finite(quantity) for quantity in of_all}
-        return {
-            "joints": joints,
-            "totals": totals,
-            **{quantity.key: finite(quantity) for quantity in NORMS},
-        }
+        norms = {q.key: finite(q) for q in NORMS if self._is_defined(label, q)}
+        return {"joints": joints, "totals": totals, **norms}
 
     def _shared(self, run: RunIndices) -> list[Quantity]:
         return [q for q in self.baseline.quantities if q in run.quantities]
@@ -186,40 +287,126 @@ def verdict(ratio: float) -> Verdict:
 
 
 def answer(comparison: Comparison) -> str:
-    """Return the comparison in one sentence for each run: which costs fell, which rose.
+    """Return the comparison in a few sentences for each run: better in what, and worse in what.
+
+    A single run has its own numbers instead.
 
     Args:
         comparison: The comparison.
     """
     if not comparison.others:
-        return f"{comparison.baseline.label} was run alone: there is nothing to compare it with."
-    return " ".join(_sentence(comparison, run.label) for run in comparison.others)
+        sentences = [_figures(comparison.baseline)]
+    else:
+        sentences = [_sentences(comparison, run.label) for run in comparison.others]
+        if any(_is_compared(comparison, run.label) for run in comparison.others):
+            sentences.append(f"Unchanged means {THRESHOLD}.")
+    return " ".join((*sentences, *comparison.notes))
 
 
-def _sentence(comparison: Comparison, label: str) -> str:
-    clauses: list[str] = []
-    for kind in Verdict:
+def verdict_lines(comparison: Comparison) -> Iterator[str]:
+    """Yield for each run but the baseline one short line: its verdict, and what speaks for it.
+
+    Args:
+        comparison: The comparison.
+    """
+    for run in comparison.others:
+        yield _verdict_line(comparison, run.label)
+
+
+def _verdict_line(comparison: Comparison, label: str) -> str:
+    head = f"{label} against {comparison.baseline.label}:"
+    judgement = comparison.judgement(label)
+    if not _is_compared(comparison, label):
+        return f"{head} {judgement.value}: {_why(comparison, label)}."
+    verdicts = comparison.verdicts(label)
+    parts = []
+    if judgement is Judgement.MIXED:
+        head += f" {judgement.value}:"
+    for kind in (Verdict.BETTER, Verdict.WORSE, Verdict.EQUAL, Verdict.UNKNOWN):
+        symbols = [quantity.symbol for quantity, each in verdicts.items() if each is kind]
+        if symbols:
+            parts.append(f"{kind.value} in {', '.join(symbols)}")
+    return f"{head} {'; '.join(parts)}."
+
+
+def _is_compared(comparison: Comparison, label: str) -> bool:
+    return comparison.judgement(label) is not Judgement.INCOMPARABLE
+
+
+def _sentences(comparison: Comparison, label: str) -> str:
+    verdicts = comparison.verdicts(label)
+    head = f"{label} against {comparison.baseline.label}, over {_joints(comparison.baseline)}"
+    sentences = [f"{head}: {comparison.judgement(label).value}."]
+    if not _is_compared(comparison, label):
+        return f"{sentences[0].removesuffix('.')}: {_why(comparison, label)}."
+    for kind in (Verdict.BETTER, Verdict.WORSE, Verdict.EQUAL):
         changes = [
-            f"the {quantity.meaning} ({quantity.symbol}){_change(value)}"
-            for quantity in INDICES
-            for value in [comparison.ratio(label, quantity)]
-            if verdict(value) is kind
+            f"the {quantity.meaning} ({quantity.symbol})"
+            f"{_change(comparison.ratio(label, quantity), kind)}"
+            for quantity, each in verdicts.items()
+            if each is kind
         ]
         if changes:
-            clauses.append(kind.value.format(_enumerate(changes)))
-    count = len(comparison.joint_names)
-    joints = "the one joint" if count == 1 else f"all {count} joints"
-    against = f"against {comparison.baseline.label}"
-    return f"Over {joints} and {against}, {label} {_enumerate(clauses)}."
+            sentences.append(f"{kind.value.capitalize()}: {enumerate_words(changes)}.")
+    unknown = [each for each, kind in verdicts.items() if kind is Verdict.UNKNOWN]
+    if unknown:
+        symbols = enumerate_words([each.symbol for each in unknown])
+        sentences[0] = f"{sentences[0].removesuffix('.')} as far as can be compared."
+        sentences.append(f"Not comparable: {symbols} ({_why(comparison, label)}).")
+    return " ".join(sentences)
 
 
-def _change(value: float) -> str:
-    if verdict(value) is Verdict.EQUAL:
+def _why(comparison: Comparison, label: str) -> str:
+    """Return why some of the paper's numbers have no ratio."""
+    spoils = [each.text for each in comparison.differences(label) if each.spoils]
+    runs = (comparison.baseline, comparison.run(label))
+    for quantity in PAPER:
+        lacking = {
+            run.label: list(dict.fromkeys(run.why_undefined(quantity).values())) for run in runs
+        }
+        of_first, of_other = lacking.values()
+        if of_first == of_other:
+            spoils += of_first
+        else:
+            spoils += [f"{name}: {reason}" for name, each in lacking.items() for reason in each]
+    return "; ".join(dict.fromkeys(spoils))
+
+
+def _figures(run: RunIndices) -> str:
+    """Return a single run's own numbers."""
+    duration = "" if run.conditions is None else f" and {run.conditions.duration:.4g} s"
+    figures = []
+    for quantity in PAPER:
+        value = run.value(quantity)
+        name = f"{quantity.meaning} ({quantity.symbol})"
+        if math.isnan(value):
+            reasons = dict.fromkeys(run.why_undefined(quantity).values())
+            figures.append(f"no {name}, as {' and '.join(reasons)}")
+        else:
+            figures.append(f"{name} {value:.4g} {quantity.unit_in(run.angle_unit)}")
+    return (
+        f"{run.label} alone (there is nothing to compare it with), over {_joints(run)}{duration}: "
+        f"{', '.join(figures)}."
+    )
+
+
+def _joints(run: RunIndices) -> str:
+    count = len(run.joints)
+    return "the one joint" if count == 1 else f"all {count} joints"
+
+
+def _change(value: float, kind: Verdict) -> str:
+    if kind is Verdict.EQUAL:
         return ""
     if math.isinf(value):
         return " from zero"
     return f" by {abs(value - 1.0):.1%}" if value < 2.0 else f" to {value:.3g} times"
 
 
-def _enumerate(items: list[str]) -> str:
+def enumerate_words(items: list[str]) -> str:
+    """Return items as a list in words.
+
+    Args:
+        items: At least one.
+    """
     return items[0] if len(items) == 1 else f"{', '.join(items[:-1])} and {items[-1]}"

@@ -3,23 +3,43 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
+from hpid_ros.analysis.quantities import CHATTER, QUANTITIES
 from hpid_ros.analysis.series import JointSeries, RunSeries
 
 KNOTS = 33
 """Points at which each reference is kept."""
 KNOT_DIGITS = 9
 DURATION_WITHIN = 0.01
-"""Durations that differ by less than this share are the same."""
+"""Durations, and rates of states, that differ by less than this share are the same."""
+RATE_WITHIN = 0.05
+"""Rates that differ by more than this share are of other loops, and not of lost states alone."""
 REFERENCE_WITHIN = 0.02
 """References that differ by less than this share of their range are the same ..."""
 REFERENCE_AT_LEAST = 1e-3
 """... or by less than this, in [rad]."""
 UNLIKE_KNOTS = 2
 """So many points must differ: one may lie in a jump."""
+
+
+EVERYTHING = frozenset(QUANTITIES)
+NOTHING: frozenset[str] = frozenset()
+
+
+class Difference(NamedTuple):
+    """One thing that two runs do not share.
+
+    Attributes:
+        text: In words.
+        spoils: Keys of the quantities that say nothing beside each other for that reason.
+    """
+
+    text: str
+    spoils: frozenset[str]
 
 
 @dataclass(frozen=True)
@@ -30,8 +50,12 @@ class Conditions:
         duration: From the first to the last state, in [s].
         period: Mean time between two states, in [s].
         cutoff: Frequency above which effort counts as chatter, in [Hz].
-        references: For each joint, its reference at :data:`KNOTS` even times, in [rad].
+        references: For each joint that has one, its reference at :data:`KNOTS` even times, in
+            [rad].
         clock: Whose time the states have: ``"header"`` or ``"receive"``.
+        reference_from: When the first joint came under its reference, in [s] since the first
+            state of any joint; None where that is not known. It is not saved: only recordings
+            can be cut by it.
     """
 
     duration: float
@@ -39,6 +63,7 @@ class Conditions:
     cutoff: float
     references: Mapping[str, tuple[float, ...]]
     clock: str = "header"
+    reference_from: float | None = field(default=None, compare=False)
 
     def as_mapping(self) -> dict[str, object]:
         """Return the conditions as plain values, ready for JSON."""
@@ -59,31 +84,37 @@ def conditions_of(run: RunSeries, cutoff: float) -> Conditions:
         cutoff: Frequency above which effort counts as chatter, in [Hz].
     """
     states = max(series.state_stamps_ns.size for series in run.joints)
+    began = [each.reference_from for each in run.quality.joints.values()]
     return Conditions(
         duration=run.duration,
         period=run.duration / max(1, states - 1),
         cutoff=cutoff,
-        references={series.joint: _knots(series) for series in run.joints},
+        references={each.joint: _knots(each) for each in run.joints if each.has_reference},
         clock=next((each.state_clock for each in run.quality.joints.values()), "header"),
+        reference_from=min((each for each in began if each is not None), default=None),
     )
 
 
-def differences(one: Conditions, other: Conditions) -> Iterator[str]:
-    """Yield in words what differs between two runs' conditions.
+def differences(one: Conditions, other: Conditions) -> Iterator[Difference]:
+    """Yield what differs between two runs' conditions.
 
     Args:
         one: Conditions of the one, the first in every pair of numbers.
         other: Conditions of the other.
     """
     if _differ(one.duration, other.duration):
-        yield f"durations differ: {one.duration:g} s and {other.duration:g} s"
+        text = f"durations differ: {one.duration:g} s and {other.duration:g} s"
+        yield Difference(text, EVERYTHING)
     if _differ(one.period, other.period):
         rates = (f"{1 / each:.4g} Hz" if each else "none" for each in (one.period, other.period))
-        yield f"state rates differ: {' and '.join(rates)}"
+        is_other_rate = _differ(one.period, other.period, RATE_WITHIN)
+        text = f"state rates differ: {' and '.join(rates)}"
+        yield Difference(text, EVERYTHING if is_other_rate else NOTHING)
     if one.clock != other.clock:
-        yield f"clocks differ: {one.clock} and {other.clock}"
+        yield Difference(f"clocks differ: {one.clock} and {other.clock}", NOTHING)
     if one.cutoff != other.cutoff:
-        yield f"chatter cut-offs differ: {one.cutoff:g} Hz and {other.cutoff:g} Hz"
+        text = f"chatter cut-offs differ: {one.cutoff:g} Hz and {other.cutoff:g} Hz"
+        yield Difference(text, frozenset({CHATTER.key}))
     names = [
         name
         for name, knots in one.references.items()
@@ -91,7 +122,7 @@ def differences(one: Conditions, other: Conditions) -> Iterator[str]:
         and _unlike(knots, one.duration, other.references[name], other.duration)
     ]
     if names:
-        yield f"references differ: {', '.join(names)}"
+        yield Difference(f"references differ: {', '.join(names)}", EVERYTHING)
 
 
 def _knots(series: JointSeries) -> tuple[float, ...]:
@@ -100,8 +131,8 @@ def _knots(series: JointSeries) -> tuple[float, ...]:
     return tuple(float(f"{value:.{KNOT_DIGITS}g}") for value in values)
 
 
-def _differ(one: float, other: float) -> bool:
-    return abs(one - other) > DURATION_WITHIN * max(one, other)
+def _differ(one: float, other: float, within: float = DURATION_WITHIN) -> bool:
+    return abs(one - other) > within * max(one, other)
 
 
 def _unlike(

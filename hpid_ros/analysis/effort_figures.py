@@ -18,6 +18,14 @@ SHORTEST_SEGMENT = 16
 """With fewer samples there is no spectrum."""
 SPECTRUM_DIGITS = 12
 """Fast Fourier transforms differ between processors beyond these."""
+LEAST_FREQUENCY = 0.5
+"""Where drawings begin, in [Hz]: half a segment of Welch's method says nothing below."""
+EVEN_WITHIN = 1e-3
+"""Periods that differ by less than this share are the same."""
+GAP = 1.75
+"""Steps longer than so many periods have lost samples; shorter ones are late samples."""
+MOST_BRIDGED = 2.0
+"""Where more than every other sample is missing, nothing is known of what is fast."""
 PLATEAU = 5
 """So many equal commands in a row at the extreme value are a limit."""
 AT_LIMIT = 1e-9
@@ -36,10 +44,12 @@ class Spectrum(NamedTuple):
     Attributes:
         frequency: In [Hz], increasing from zero, (K,).
         density: In the signal's unit squared over [Hz], (K,).
+        ends_at_half_rate: Whether the last frequency is half the sampling rate.
     """
 
     frequency: NDArray[np.float64]
     density: NDArray[np.float64]
+    ends_at_half_rate: bool
 
 
 def saturation_share(series: JointSeries, limit: float | None = None) -> float:
@@ -99,8 +109,9 @@ def energy(series: JointSeries) -> float | None:
 def spectrum(t: NDArray[np.float64], x: NDArray[np.float64]) -> Spectrum | None:
     """Return a signal's power spectral density by Welch's method.
 
-    Hann windows of one second that overlap by half, each without its mean; samples that are
-    not evenly spaced are first interpolated at their mean period.
+    Hann windows of one second that overlap by half, each without its mean. Where the time
+    between samples varies, each counts as one period, and straight lines bridge what was lost:
+    interpolating all of them at even times would take away what is fast.
 
     Args:
         t: Increasing times, (M,), in [s].
@@ -111,10 +122,43 @@ def spectrum(t: NDArray[np.float64], x: NDArray[np.float64]) -> Spectrum | None:
     """
     if x.size < SHORTEST_SEGMENT or t[-1] <= t[0]:
         return None
-    even = np.interp(np.linspace(t[0], t[-1], x.size), t, x)
-    rate = (x.size - 1) / float(t[-1] - t[0])
-    length = min(x.size, max(SHORTEST_SEGMENT, round(SEGMENT * rate)))
+    even = _evenly_spaced(t, x)
+    rate = (even.size - 1) / float(t[-1] - t[0])
+    length = min(even.size, max(SHORTEST_SEGMENT, round(SEGMENT * rate)))
     return _mean_of_windows(even, rate, length)
+
+
+def amplitude_density(series: JointSeries) -> Spectrum | None:
+    """Return the root of the effort's power density as a drawing shows it, in [N m / Hz^0.5].
+
+    It begins where a window of a second says something, and lacks the bin at half the sampling
+    rate of an even number of samples. That one is its own mirror image: a one-sided density has
+    half of its neighbours' there, a drop that no signal has.
+
+    Args:
+        series: The joint.
+
+    Returns:
+        The density where it is not zero; None if there are too few commands for one.
+    """
+    found = spectrum(series.command_time, series.effort)
+    if found is None:
+        return None
+    shown = (found.frequency >= LEAST_FREQUENCY) & (found.density > 0.0)
+    shown[-1] &= not found.ends_at_half_rate
+    return found._replace(frequency=found.frequency[shown], density=np.sqrt(found.density[shown]))
+
+
+def _evenly_spaced(t: NDArray[np.float64], x: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return samples one period apart: those there are, and what bridges the gaps."""
+    steps = np.diff(t)
+    period = float(np.median(steps))
+    periods = np.where(steps > GAP * period, np.rint(steps / period), 1.0)
+    places = np.concatenate([[0.0], np.cumsum(periods)])
+    is_even = float(np.abs(steps - period).max()) <= EVEN_WITHIN * period
+    if is_even or places[-1] > MOST_BRIDGED * x.size:
+        return np.interp(np.linspace(t[0], t[-1], x.size), t, x)
+    return np.interp(np.arange(places[-1] + 1.0), places, x)
 
 
 def _mean_of_windows(x: NDArray[np.float64], rate: float, length: int) -> Spectrum:
@@ -129,7 +173,7 @@ def _mean_of_windows(x: NDArray[np.float64], rate: float, length: int) -> Spectr
         piece = x[first * step : (first + count - 1) * step + length]
         frequency, mean = welch(piece, rate, nperseg=length)
         density += mean * (count / windows)
-    return Spectrum(frequency, density)
+    return Spectrum(frequency, density, length % 2 == 0)
 
 
 def chatter(series: JointSeries, cutoff: float) -> float | None:

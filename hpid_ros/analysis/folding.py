@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 
-from hpid_ros.analysis.quantities import INDICES, NORMS, Quantity
+from hpid_ros.analysis.quantities import INDICES, NORMS, Data, Quantity
 from hpid_ros.analysis.results import JointIndices, RunIndices, Spread
 from hpid_ros.analysis.series import SeriesError
 
@@ -92,7 +92,19 @@ def _folded(label: str, runs: Sequence[RunIndices]) -> RunIndices:
         conditions=first.conditions,
         spread=Spread(len(runs), quartiles),
         angle_unit=first.angle_unit,
+        lacking={joint: merged for joint in first.joints if (merged := _lacking(runs, joint))},
+        assumed={data: text for run in reversed(runs) for data, text in run.assumed.items()},
+        cut=next((run.cut for run in runs if run.cut), ""),
     )
+
+
+def _lacking(runs: Sequence[RunIndices], joint: str) -> dict[Data, str]:
+    """Return what any of the repeats lacks: its median is not defined."""
+    return {
+        data: reason
+        for run in reversed(runs)
+        for data, reason in run.lacking.get(joint, {}).items()
+    }
 
 
 def _median_indices(

@@ -9,7 +9,7 @@ Quadrature: see :mod:`~hpid_ros.analysis.integrals`.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 
 from hpid_ros.analysis.conditions import conditions_of
@@ -22,6 +22,7 @@ from hpid_ros.analysis.integrals import (
     square_integral,
     total_variation,
 )
+from hpid_ros.analysis.quality import HELD, HOLD, MEASURED, NO_EFFORT, NO_REFERENCE
 from hpid_ros.analysis.quantities import (
     EFFORT_L2,
     ERROR_L2,
@@ -32,6 +33,7 @@ from hpid_ros.analysis.quantities import (
     NORMS,
     QUANTITIES,
     STEP_QUANTITIES,
+    Data,
     Fold,
     Quantity,
     folded,
@@ -91,14 +93,17 @@ class IndexSettings:
 def joint_indices(series: JointSeries, settings: IndexSettings | None = None) -> JointIndices:
     """Return the indices of one joint; time counts from its first state.
 
+    What needs a reference or efforts that the joint does not have is not defined (nan).
+
     Args:
         series: The joint.
         settings: What some of them need beside the arrays.
     """
+    t, u = series.command_time, series.effort
     return JointIndices(
-        ivc=total_variation(series.effort),
-        iavc=integral_of_absolute(series.command_time, series.effort),
-        itae=itae(series.time, series.error),
+        ivc=total_variation(u) if series.has_effort else math.nan,
+        iavc=integral_of_absolute(t, u) if series.has_effort else math.nan,
+        itae=itae(series.time, series.error) if series.has_reference else math.nan,
         further=_further(series, settings or IndexSettings()),
     )
 
@@ -121,25 +126,61 @@ def run_indices(run: RunSeries, settings: IndexSettings | None = None) -> RunInd
         if name not in run.joint_names:
             raise SeriesError(unknown_name("joint", name, run.joint_names))
     joints = {series.joint: joint_indices(series, settings) for series in run.joints}
-    effort = math.fsum(square_integral(s.command_time, s.effort) for s in run.joints)
-    error = math.fsum(square_integral(s.time, s.error) for s in run.joints)
+    lacking = _lacking(run)
+    missing = {data for reasons in lacking.values() for data in reasons}
     return RunIndices(
         label=run.label,
         joints=joints,
-        totals=_totals(joints.values()),
-        effort_l2=math.sqrt(effort),
-        error_l2=math.sqrt(error),
+        totals=_totals(joints.values(), missing),
+        effort_l2=math.nan if Data.EFFORT in missing else _effort_norm(run),
+        error_l2=math.nan if Data.REFERENCE in missing else _error_norm(run),
         quantities=tuple(QUANTITIES.values()),
         conditions=conditions_of(run, settings.cutoff),
+        lacking=lacking,
+        assumed=_assumed(run),
     )
 
 
-def _totals(joints: Iterable[JointIndices]) -> JointIndices:
+def _effort_norm(run: RunSeries) -> float:
+    return math.sqrt(math.fsum(square_integral(s.command_time, s.effort) for s in run.joints))
+
+
+def _error_norm(run: RunSeries) -> float:
+    return math.sqrt(math.fsum(square_integral(s.time, s.error) for s in run.joints))
+
+
+def _lacking(run: RunSeries) -> dict[str, dict[Data, str]]:
+    """Return which joints lack a reference or efforts, and why."""
+    lacking: dict[str, dict[Data, str]] = {}
+    for series in run.joints:
+        quality = run.quality.joints.get(series.joint)
+        if not series.has_reference:
+            lacking.setdefault(series.joint, {})[Data.REFERENCE] = NO_REFERENCE
+        if not series.has_effort:
+            reason = NO_EFFORT if quality is None else quality.no_effort or NO_EFFORT
+            lacking.setdefault(series.joint, {})[Data.EFFORT] = reason
+    return lacking
+
+
+def _assumed(run: RunSeries) -> dict[Data, str]:
+    """Return what stands in for a recorded reference or commanded efforts."""
+    qualities = run.quality.joints.values()
+    assumed = {}
+    if any(each.reference == HOLD for each in qualities):
+        assumed[Data.REFERENCE] = HELD
+    measured = dict.fromkeys(q.effort for q in qualities if q.effort.startswith(MEASURED))
+    if measured:
+        assumed[Data.EFFORT] = " and ".join(measured)
+    return assumed
+
+
+def _totals(joints: Iterable[JointIndices], missing: Collection[Data]) -> JointIndices:
+    """Return what is so over all joints; nothing that needs what one of them lacks."""
     numbers = list(joints)
     sums = {each.key: math.fsum(joint.value(each) for joint in numbers) for each in INDICES}
     further = {}
     for key, quantity in QUANTITIES.items():
-        if quantity in INDICES or quantity in NORMS:
+        if quantity in INDICES or quantity in NORMS or quantity.needs in missing:
             continue
         values = [joint.further[key] for joint in numbers if key in joint.further]
         if quantity.fold is Fold.SUM and len(values) < len(numbers):
@@ -151,14 +192,20 @@ def _totals(joints: Iterable[JointIndices]) -> JointIndices:
 
 
 def _further(series: JointSeries, settings: IndexSettings) -> dict[str, float]:
-    numbers: dict[str, float | None] = {
-        **_error_numbers(series),
-        "effort_l2": l2_norm(series.command_time, series.effort),
-        **_worst_step(series),
-        "saturation": saturation_share(series, settings.effort_limits.get(series.joint)),
-        "chatter": chatter(series, settings.cutoff),
-        "energy": energy(series),
-    }
+    # The order of the keys is that of files.
+    numbers: dict[str, float | None] = {}
+    if series.has_reference:
+        numbers |= _error_numbers(series)
+    if series.has_effort:
+        numbers["effort_l2"] = l2_norm(series.command_time, series.effort)
+    if series.has_reference:
+        numbers |= _worst_step(series)
+    if series.has_effort:
+        numbers |= {
+            "saturation": saturation_share(series, settings.effort_limits.get(series.joint)),
+            "chatter": chatter(series, settings.cutoff),
+            "energy": energy(series),
+        }
     return {key: value for key, value in numbers.items() if value is not None}
 
 

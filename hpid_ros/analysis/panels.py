@@ -10,7 +10,7 @@ from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.lines import Line2D
-from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
+from matplotlib.ticker import FixedLocator, LogLocator, MaxNLocator, NullFormatter, NullLocator
 
 from hpid_ros.analysis.integrals import total_variation
 from hpid_ros.analysis.plot_style import (
@@ -31,6 +31,8 @@ TIME_LABEL = "time [s]"
 REFERENCE_LABEL = "reference"
 RETUNE_LABEL = "retuned"
 TICK_STEPS = (1, 2, 2.5, 5, 10)
+PLAIN_DECADES = 2.0
+"""Below so many decades powers of ten are too few to read a logarithmic axis by."""
 # Width of a legend's character, and of a line with the air around it.
 CHARACTER_IN, HANDLE_IN = 0.085, 0.85
 
@@ -72,8 +74,7 @@ def joint_panels(
         draw_runs(panel, runs, signals, buckets)
         if is_log:
             panel.set_yscale("log")
-            panel.yaxis.set_major_locator(LogLocator(10.0, numticks=5))
-            panel.yaxis.set_minor_locator(NullLocator())
+            log_ticks(panel.yaxis)
     handles = run_handles([run.label for run in runs])
     if reference_of is not None:
         handles.append(_reference_line(REFERENCE_LABEL))
@@ -174,6 +175,24 @@ def plain_ticks(axis: Axis, locator: MaxNLocator) -> None:
     """Give an axis ticks whose numbers stand for themselves."""
     axis.set_major_locator(locator)
     axis.set_major_formatter(TickLabels())
+
+
+def log_ticks(axis: Axis) -> None:
+    """Give a logarithmic axis whose limits are final labelled ticks, however short it is."""
+    low, high = sorted(axis.get_view_interval())
+    if low <= 0.0:
+        return  # nothing is drawn
+    if math.log10(high / low) >= PLAIN_DECADES:
+        axis.set_major_locator(LogLocator(10.0, numticks=6))
+        axis.set_minor_locator(LogLocator(10.0, subs=range(2, 10), numticks=99))
+        axis.set_minor_formatter(NullFormatter())
+        return
+    exponents = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
+    ticks = [m * 10.0**k for k in exponents for m in (1, 2, 5) if low <= m * 10.0**k <= high]
+    locator = FixedLocator(ticks) if len(ticks) > 1 else MaxNLocator(4, steps=TICK_STEPS)
+    axis.set_major_locator(locator)
+    axis.set_major_formatter(TickLabels())
+    axis.set_minor_locator(NullLocator())
 
 
 def series_of(runs: Sequence[RunSeries], joint: str) -> list[JointSeries]:

@@ -21,7 +21,7 @@ class PhaseCurve(NamedTuple):
 
 
 def phase_curve(series: JointSeries, points: int) -> PhaseCurve:
-    """Return a joint's error and the rate of its error.
+    """Return a joint's error and the rate of its error; nothing without a reference.
 
     The rate is the slope of a parabola fitted over 25 ms, since a bare difference of encoder
     counts would hide everything.
@@ -30,6 +30,8 @@ def phase_curve(series: JointSeries, points: int) -> PhaseCurve:
         series: The joint.
         points: So many at most, evenly spaced.
     """
+    if not series.has_reference:
+        return PhaseCurve(np.empty(0), np.empty(0))
     t, error = series.time, series.error
     stride = max(1, -(-error.size // points))
     if error.size < 4 or t[-1] <= t[0]:

@@ -7,6 +7,7 @@ same bytes for the same runs.
 from __future__ import annotations
 
 import io
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -17,15 +18,25 @@ from matplotlib.figure import Figure
 from hpid_ros.analysis.comparison import Comparison
 from hpid_ros.analysis.gain_plots import multiplier_figure, norm_figure
 from hpid_ros.analysis.indices import EFFORT_L2, ERROR_L2, Quantity, run_indices
-from hpid_ros.analysis.panels import SignalOf, joint_panels, single_panel
+from hpid_ros.analysis.panels import joint_panels, single_panel
 from hpid_ros.analysis.path_plots import path_figure
 from hpid_ros.analysis.plot_style import DOTS_PER_INCH, figure_style
 from hpid_ros.analysis.portraits import phase_panels, spectrum_panels
+from hpid_ros.analysis.quantities import Data
 from hpid_ros.analysis.results import RunIndices
 from hpid_ros.analysis.series import JointSeries, RunSeries, SeriesError
-from hpid_ros.analysis.signals import Gains, Signal, norm_over_joints
+from hpid_ros.analysis.signals import (
+    Gains,
+    Signal,
+    effort_of,
+    error_of,
+    has_any,
+    norm_of_run,
+    position_of,
+    reference_of,
+)
 from hpid_ros.analysis.task_figures import EndEffectorPath
-from hpid_ros.analysis.trade_off import trade_off_figure
+from hpid_ros.analysis.trade_off import can_be_drawn, trade_off_figure
 from hpid_ros.errors import unknown_name
 
 FORMATS = ("png", "pdf", "svg")
@@ -41,19 +52,19 @@ _METADATA: Mapping[str, dict[str, Any]] = {
 
 
 def _position(run: RunSeries, series: JointSeries) -> Signal:
-    return Signal(series.state_stamps_ns, series.position)
+    return position_of(series)
 
 
 def _reference(run: RunSeries, series: JointSeries) -> Signal:
-    return Signal(series.state_stamps_ns, series.reference)
+    return reference_of(series)
 
 
 def _error(run: RunSeries, series: JointSeries) -> Signal:
-    return Signal(series.state_stamps_ns, series.error)
+    return error_of(series)
 
 
 def _effort(run: RunSeries, series: JointSeries) -> Signal:
-    return Signal(series.command_stamps_ns, series.effort)
+    return effort_of(series)
 
 
 class DrawRuns(Protocol):
@@ -93,13 +104,13 @@ def errors_figure(runs: Sequence[RunSeries], buckets: int = BUCKETS) -> Figure:
 @figure_style()
 def effort_norm_figure(runs: Sequence[RunSeries], buckets: int = BUCKETS) -> Figure:
     """Return the effort's norm over joints, in [N m]; see :func:`positions_figure`."""
-    return _norm_figure(runs, r"$\|u(t)\|_2$ over all joints [N m]", _effort, EFFORT_L2, buckets)
+    return _norm_figure(runs, r"$\|u(t)\|_2$ over all joints [N m]", effort_of, EFFORT_L2, buckets)
 
 
 @figure_style()
 def error_norm_figure(runs: Sequence[RunSeries], buckets: int = BUCKETS) -> Figure:
     """Return the error's norm over joints, in [rad]; see :func:`positions_figure`."""
-    return _norm_figure(runs, r"$\|e(t)\|_2$ over all joints [rad]", _error, ERROR_L2, buckets)
+    return _norm_figure(runs, r"$\|e(t)\|_2$ over all joints [rad]", error_of, ERROR_L2, buckets)
 
 
 @figure_style()
@@ -123,6 +134,11 @@ FIGURES: Mapping[str, DrawRuns] = {
     "spectrum": spectrum_figure,
     "phase": phase_figure,
 }
+_NEEDED: Mapping[str, Data] = {
+    **dict.fromkeys(("errors", "error_norm", "phase"), Data.REFERENCE),
+    **dict.fromkeys(("efforts", "effort_norm", "spectrum"), Data.EFFORT),
+}
+"""What a figure shows nothing without."""
 
 
 def save_figures(
@@ -136,6 +152,8 @@ def save_figures(
     paths: Sequence[EndEffectorPath] = (),
 ) -> list[Path]:
     """Draw all figures into a folder, which must exist; files of the same name are replaced.
+
+    A figure that would be empty, for want of any reference or effort, is left out.
 
     Args:
         runs: The runs, the baseline first; none if only numbers are there.
@@ -185,12 +203,16 @@ def _drawings(
     """Return what can be drawn, by name."""
     drawings: dict[str, Callable[[], Figure]] = {}
     if runs:
-        drawings = {name: partial(draw, runs) for name, draw in FIGURES.items()}
+        drawings = {
+            name: partial(draw, runs)
+            for name, draw in FIGURES.items()
+            if name not in _NEEDED or has_any(runs, _NEEDED[name])
+        }
     known = [run for run in runs if run.label in gains]
     if known:
         drawings["norm"] = partial(norm_figure, known, gains, BUCKETS)
         drawings["multiplier"] = partial(multiplier_figure, known, gains, BUCKETS)
-    if comparison is not None and comparison.others:
+    if comparison is not None and comparison.others and can_be_drawn(comparison):
         drawings["trade_off"] = partial(trade_off_figure, comparison, repeats)
     return drawings
 
@@ -216,10 +238,17 @@ def render(figure: Figure, form: str, transparent: bool = False) -> bytes:
 
 
 def _norm_figure(
-    runs: Sequence[RunSeries], label: str, signal_of: SignalOf, quantity: Quantity, buckets: int
+    runs: Sequence[RunSeries],
+    label: str,
+    signal_of: Callable[[JointSeries], Signal],
+    quantity: Quantity,
+    buckets: int,
 ) -> Figure:
-    signals = [norm_over_joints([signal_of(run, s) for s in run.joints]) for run in runs]
+    signals = [norm_of_run(run, signal_of) for run in runs]
     values = [run_indices(run).value(quantity) for run in runs]
     unit = quantity.unit.replace("^0.5", "$^{0.5}$")
-    notes = [f"{quantity.meaning} {value:.4g} {unit}" for value in values]
+    notes = [
+        f"no {quantity.meaning}" if math.isnan(value) else f"{quantity.meaning} {value:.4g} {unit}"
+        for value in values
+    ]
     return single_panel(runs, label, signals, notes, buckets)

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
+from matplotlib.ticker import MaxNLocator
 
-from hpid_ros.analysis.effort_figures import spectrum
+from hpid_ros.analysis.effort_figures import amplitude_density
 from hpid_ros.analysis.indices import DEFAULT_CUTOFF
 from hpid_ros.analysis.panels import (
     TICK_STEPS,
     add_legend,
     joint_names,
     laid_out,
+    log_ticks,
     panel_grid,
     plain_ticks,
     run_handles,
@@ -26,8 +26,6 @@ from hpid_ros.analysis.phase import phase_curve
 from hpid_ros.analysis.plot_style import INK, run_styles
 from hpid_ros.analysis.series import RunSeries
 
-LEAST_FREQUENCY = 0.5
-"""Where the spectrum begins, in [Hz]: half a segment of Welch's method says nothing below."""
 DECADES_AT_MOST = 6.0
 
 
@@ -48,23 +46,21 @@ def spectrum_panels(runs: Sequence[RunSeries], cutoff: float = DEFAULT_CUTOFF) -
         panel.set_yscale("log")
         highest = 0.0
         for series, style in zip(series_of(runs, name), run_styles(), strict=False):
-            found = spectrum(series.command_time, series.effort)
+            found = amplitude_density(series)
             if found is None:
                 continue
-            shown = (found.frequency >= LEAST_FREQUENCY) & (found.density > 0.0)
-            density = np.sqrt(found.density[shown])
-            highest = max(highest, float(density.max(initial=0.0)))
+            highest = max(highest, float(found.density.max(initial=0.0)))
             line = styled_line(style)
-            line.set_data(found.frequency[shown], density)
+            line.set_data(found.frequency, found.density)
             panel.add_line(line)
         panel.axvline(cutoff, color=INK, linewidth=0.9, linestyle=":")
         panel.autoscale_view()
         if highest:
             low, high = panel.get_ylim()
             panel.set_ylim(max(low, high * 10.0**-DECADES_AT_MOST), high)
-        panel.xaxis.set_major_locator(LogLocator(10.0, numticks=8))
-        panel.yaxis.set_major_locator(LogLocator(10.0, numticks=5))
-        panel.yaxis.set_minor_locator(NullLocator())
+    for panel in panels:
+        log_ticks(panel.xaxis)
+        log_ticks(panel.yaxis)
     handles = run_handles([run.label for run in runs])
     mark = f"chatter above {cutoff:g} Hz"
     handles.append(Line2D([], [], color=INK, linewidth=0.9, linestyle=":", label=mark))

@@ -5,6 +5,16 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+HOLD = "hold"
+"""As a reference: the joint's first position, because it was asked for."""
+MEASURED = "measured"
+"""First word of the source of efforts that nobody commanded."""
+NONE = "none"
+"""There is no reference, or there are no efforts."""
+HELD = "the first position, held as asked for"
+NO_REFERENCE = "no reference was recorded"
+NO_EFFORT = "no effort was recorded"
+
 
 @dataclass(frozen=True)
 class StampQuality:
@@ -59,8 +69,13 @@ class DataQuality:
         answers_states: Whether commands carry the stamps of the states that they answer, so that
             unanswered states can be counted.
         reference: Kind and topic of the reference, for instance
-            ``"trajectory /joint_trajectory"``, or ``"hold"``.
+            ``"trajectory /joint_trajectory"``; ``"hold"`` is the first position, as asked for,
+            ``"none"`` that nothing says it.
         references: Number of reference messages that concern the joint.
+        reference_from: When the joint came under its reference, in seconds since the first state
+            of any joint, in [s]; None without a reference.
+        effort: Topic of the efforts, ``"measured"`` and the topic of the states, or ``"none"``.
+        no_effort: Why there is none; empty if there is.
     """
 
     states: StampQuality = field(default_factory=StampQuality)
@@ -68,8 +83,11 @@ class DataQuality:
     state_clock: str = "header"
     command_clock: str = "header"
     answers_states: bool = True
-    reference: str = "hold"
+    reference: str = NONE
     references: int = 0
+    reference_from: float | None = None
+    effort: str = NONE
+    no_effort: str = ""
 
     @property
     def has_common_time(self) -> bool:

@@ -19,6 +19,13 @@ ANGLE_UNITS = ("rad", "deg")
 """Units in which angles can be given."""
 
 
+class Data(Enum):
+    """What a number is computed from beside the positions."""
+
+    REFERENCE = "reference"
+    EFFORT = "effort"
+
+
 class Fold(Enum):
     """How the numbers of the joints become the one for all of them."""
 
@@ -40,6 +47,8 @@ class Quantity:
         meaning: Plain words.
         fold: How the joints' numbers become the one for all.
         angle_power: Power of the angle's unit in the unit.
+        needs: What it is computed from.
+        else_undefined: Why it is not defined although that is there.
     """
 
     key: str
@@ -48,6 +57,8 @@ class Quantity:
     meaning: str
     fold: Fold = Fold.SUM
     angle_power: int = 0
+    needs: Data = Data.REFERENCE
+    else_undefined: str = "not defined for this run"
 
     def unit_in(self, angle_unit: str) -> str:
         """Return the unit with angles in rad or deg.
@@ -63,33 +74,78 @@ class Quantity:
         return re.sub(r"\brad\b", angle_unit, self.unit)
 
 
-IVC = Quantity("ivc", "IVC", "N m", "variation of the effort")
-IAVC = Quantity("iavc", "IAVC", "N m s", "effort spent")
+NO_STEP = "the reference does not step"
+NO_SPECTRUM = "too few commands, or too rare ones"
+
+IVC = Quantity("ivc", "IVC", "N m", "variation of the effort", needs=Data.EFFORT)
+IAVC = Quantity("iavc", "IAVC", "N m s", "effort spent", needs=Data.EFFORT)
 ITAE = Quantity("itae", "ITAE", "rad s^2", "time-weighted error", angle_power=1)
-EFFORT_L2 = Quantity("effort_l2", "||u||", "N m s^0.5", "L2 norm of the effort", Fold.EUCLIDEAN)
+EFFORT_L2 = Quantity(
+    "effort_l2",
+    "||u||",
+    "N m s^0.5",
+    "L2 norm of the effort",
+    Fold.EUCLIDEAN,
+    needs=Data.EFFORT,
+)
 ERROR_L2 = Quantity("error_l2", "||e||", "rad s^0.5", "L2 norm of the error", Fold.EUCLIDEAN, 1)
 INDICES = (IVC, IAVC, ITAE)
 """The paper's indices of each joint."""
 NORMS = (EFFORT_L2, ERROR_L2)
 """The paper's norms, over all joints."""
+PAPER = (*INDICES, *NORMS)
+"""What the paper's comparison shows of a run."""
 
 IAE = Quantity("iae", "IAE", "rad s", "absolute error", angle_power=1)
 ISE = Quantity("ise", "ISE", "rad^2 s", "squared error", angle_power=2)
 RMSE = Quantity("rmse", "RMSE", "rad", "root mean square error", Fold.ROOT_MEAN_SQUARE, 1)
 ERROR_MAX = Quantity("error_max", "max|e|", "rad", "largest error", Fold.WORST, 1)
-RISE_TIME = Quantity("rise_time", "rise", "s", "10 % to 90 % of a step", Fold.WORST)
+RISE_TIME = Quantity(
+    "rise_time", "rise", "s", "10 % to 90 % of a step", Fold.WORST, else_undefined=NO_STEP
+)
 SETTLING_TIME = Quantity(
-    "settling_time", "settling", "s", "until within 2 % of a step", Fold.WORST
+    "settling_time",
+    "settling",
+    "s",
+    "until within 2 % of a step",
+    Fold.WORST,
+    else_undefined=NO_STEP,
 )
-OVERSHOOT = Quantity("overshoot", "overshoot", "%", "beyond a step, of its height", Fold.WORST)
+OVERSHOOT = Quantity(
+    "overshoot",
+    "overshoot",
+    "%",
+    "beyond a step, of its height",
+    Fold.WORST,
+    else_undefined=NO_STEP,
+)
 STEADY_STATE_ERROR = Quantity(
-    "steady_state_error", "e_ss", "rad", "mean error at the end of a step", Fold.WORST, 1
+    "steady_state_error",
+    "e_ss",
+    "rad",
+    "mean error at the end of a step",
+    Fold.WORST,
+    1,
+    else_undefined=NO_STEP,
 )
-SATURATION = Quantity("saturation", "saturated", "%", "time with the effort at a limit", Fold.MEAN)
+SATURATION = Quantity(
+    "saturation",
+    "saturated",
+    "%",
+    "time with the effort at a limit",
+    Fold.MEAN,
+    needs=Data.EFFORT,
+)
 CHATTER = Quantity(
-    "chatter", "chatter", "N m", "effort above the cut-off frequency, rms", Fold.EUCLIDEAN
+    "chatter",
+    "chatter",
+    "N m",
+    "effort above the cut-off frequency, rms",
+    Fold.EUCLIDEAN,
+    needs=Data.EFFORT,
+    else_undefined=NO_SPECTRUM,
 )
-ENERGY = Quantity("energy", "energy", "J", "mechanical work exchanged")
+ENERGY = Quantity("energy", "energy", "J", "mechanical work exchanged", needs=Data.EFFORT)
 
 STEP_QUANTITIES = (RISE_TIME, SETTLING_TIME, OVERSHOOT, STEADY_STATE_ERROR)
 """Defined for joints whose reference steps."""
@@ -115,7 +171,7 @@ def find_quantities(names: Iterable[str]) -> tuple[Quantity, ...]:
     """
     several = {
         "all": tuple(QUANTITIES.values()),
-        "paper": (*INDICES, *NORMS),
+        "paper": PAPER,
         "step": STEP_QUANTITIES,
     }
     by_name = {key: (quantity,) for key, quantity in QUANTITIES.items()}

@@ -130,10 +130,19 @@ class Chart {
     pen.strokeStyle = color("--grid");
     pen.textAlign = "center";
     pen.textBaseline = "top";
+    const right = width - RIGHT, floor = height - BOTTOM;
+    for (const at of this.figure.xLog ? minorLogTicks(...xs) : []) {
+      this.tick(pen, color, this.toX(at), floor, 0, 3);
+    }
+    for (const at of this.figure.yLog ? minorLogTicks(...ys) : []) {
+      this.tick(pen, color, LEFT, this.toY(at), -3, 0);
+    }
     let free = 0;
     for (const [at, text] of xTicks) {
       const x = this.toX(at), half = pen.measureText(text).width / 2;
+      if (x < LEFT - 1 || x > right + 1) continue;
       this.stroke(pen, [[at, ys[0]], [at, ys[1]]], [], 1);
+      this.tick(pen, color, x, floor, 0, 5);
       if (x - half < free || x + half > width) continue;
       pen.fillText(text, x, height - BOTTOM + 6);
       free = x + half + 8;
@@ -143,6 +152,7 @@ class Chart {
     let ceiling = height;
     for (const [at, text] of yTicks) {
       this.stroke(pen, [[xs[0], at], [xs[1], at]], [], 1);
+      this.tick(pen, color, LEFT, this.toY(at), -5, 0);
       if (this.toY(at) > ceiling - 14) continue;
       pen.fillText(text, LEFT - 6, this.toY(at));
       ceiling = this.toY(at);
@@ -152,6 +162,17 @@ class Chart {
     if (this.panel.level != null) {
       this.stroke(pen, [[xs[0], this.panel.level], [xs[1], this.panel.level]], [], 0.6);
     }
+  }
+  tick(pen, color, x, y, wide, high) {
+    pen.save();
+    pen.strokeStyle = color("--soft");
+    pen.setLineDash([]);
+    pen.lineWidth = 1;
+    pen.beginPath();
+    pen.moveTo(x, y);
+    pen.lineTo(x + wide, y + high);
+    pen.stroke();
+    pen.restore();
   }
   stroke(pen, points, dashes, width) {
     pen.setLineDash(dashes);

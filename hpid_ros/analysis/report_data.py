@@ -5,22 +5,31 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hpid_ros.analysis.comparison import Comparison
-from hpid_ros.analysis.effort_figures import spectrum
+from hpid_ros.analysis.effort_figures import amplitude_density
 from hpid_ros.analysis.phase import phase_curve
-from hpid_ros.analysis.quantities import IAVC, ITAE, IVC, Quantity
+from hpid_ros.analysis.quantities import IAVC, ITAE, IVC, Data, Quantity
 from hpid_ros.analysis.report_packing import Figure, Line, Mark, Panel, figure_data, line_data
 from hpid_ros.analysis.results import RunIndices
 from hpid_ros.analysis.series import JointSeries, RunSeries, seconds_since
-from hpid_ros.analysis.signals import Gains, Signal, envelope, norm_over_joints
+from hpid_ros.analysis.signals import (
+    Gains,
+    Signal,
+    effort_of,
+    envelope,
+    error_of,
+    has_any,
+    norm_of_run,
+    position_of,
+    reference_of,
+)
+from hpid_ros.analysis.trade_off import can_be_drawn
 
 SAMPLES = 150_000
 """Samples of all lines together: about 1.6 MB of text."""
 LEAST_SAMPLES, MOST_SAMPLES = 200, 6000
 REFERENCE = -1
-LEAST_FREQUENCY = 0.5
 
 
 def figures_data(
@@ -38,7 +47,7 @@ def figures_data(
         gains: What the runs' laws did to their gains, of those for which it is known.
     """
     figures = list(_Figures(runs, comparison, gains).all()) if runs else []
-    if comparison.others:
+    if comparison.others and can_be_drawn(comparison):
         figures.append(_trade_off(comparison, repeats))
     return figures
 
@@ -58,42 +67,43 @@ class _Figures:
 
     def all(self) -> Iterator[Figure]:
         """Yield the figures."""
-        yield self._of_joints(
-            "positions",
-            "Positions and reference [rad]",
-            lambda run, s: s.position,
-            True,
-        )
-        yield self._of_joints("errors", "Errors, reference minus position [rad]", _error)
-        yield self._of_commands()
-        yield self._norm("effort_norm", "Norm of the effort over all joints [N m]", _effort)
-        yield self._norm("error_norm", "Norm of the error over all joints [rad]", _error_signal)
-        yield self._spectrum()
-        yield self._phase()
+        runs = [run for _, run in self._runs]
+        has_errors, has_efforts = has_any(runs, Data.REFERENCE), has_any(runs, Data.EFFORT)
+        if has_errors:
+            yield self._positions("Positions and reference [rad]")
+            yield self._of_joints("errors", "Errors, reference minus position [rad]", error_of)
+        else:
+            yield self._positions("Positions [rad]")
+        if has_efforts:
+            yield self._of_joints("efforts", "Efforts [N m]", effort_of)
+            yield self._norm("effort_norm", "Norm of the effort over all joints [N m]", effort_of)
+        if has_errors:
+            yield self._norm("error_norm", "Norm of the error over all joints [rad]", error_of)
+        if has_efforts:
+            yield self._spectrum()
+        if has_errors:
+            yield self._phase()
         if self._gains:
             yield self._gain("norm", "Homogeneous norm of error and error rate", 0, y_log=True)
             yield self._gain("multiplier", "Gain multiplier (1: the linear PID)", 1, level=1.0)
+
+    def _positions(self, caption: str) -> Figure:
+        figure = self._of_joints("positions", caption, position_of, None)
+        first = self._runs[0][1]
+        for panel, series in zip(figure["panels"], first.joints, strict=True):
+            if series.has_reference:
+                line = self._time_line(REFERENCE, first, reference_of(series))
+                panel["lines"] = [line, *panel["lines"]]
+        return figure
 
     def _of_joints(
         self,
         name: str,
         caption: str,
-        values: Callable[[RunSeries, JointSeries], NDArray[np.float64]],
-        has_reference: bool = False,
+        signal_of: Callable[[JointSeries], Signal],
+        level: float | None = 0.0,
     ) -> Figure:
-        def signal_of(run: RunSeries, series: JointSeries) -> Signal:
-            return Signal(series.state_stamps_ns, values(run, series))
-
-        figure = self._time_figure(name, caption, signal_of, None if has_reference else 0.0)
-        if has_reference:
-            first = self._runs[0][1]
-            for panel, series in zip(figure["panels"], first.joints, strict=True):
-                line = Signal(series.state_stamps_ns, series.reference)
-                panel["lines"] = [self._time_line(REFERENCE, first, line), *panel["lines"]]
-        return figure
-
-    def _of_commands(self) -> Figure:
-        return self._time_figure("efforts", "Efforts [N m]", lambda run, s: _effort(s), 0.0)
+        return self._time_figure(name, caption, lambda run, series: signal_of(series), level)
 
     def _gain(
         self, name: str, caption: str, which: int, level: float | None = None, y_log: bool = False
@@ -127,7 +137,7 @@ class _Figures:
     def _norm(self, name: str, caption: str, signal_of: Callable[[JointSeries], Signal]) -> Figure:
         lines = []
         for k, run in self._runs:
-            norm = norm_over_joints([signal_of(series) for series in run.joints])
+            norm = norm_of_run(run, signal_of)
             lines.append(self._time_line(k, run, norm))
         panel: Panel = {
             "title": "all joints",
@@ -155,11 +165,9 @@ class _Figures:
             lines = []
             for k, run in self._runs:
                 series = run.joints[run.joint_names.index(joint)]
-                found = spectrum(series.command_time, series.effort)
+                found = amplitude_density(series)
                 if found is not None:
-                    shown = (found.frequency >= LEAST_FREQUENCY) & (found.density > 0.0)
-                    density = np.sqrt(found.density[shown])
-                    lines.append(line_data(k, found.frequency[shown], density))
+                    lines.append(line_data(k, found.frequency, found.density))
             panels.append({"title": joint, "lines": lines, "level": None, "marks": []})
         caption = "Spectrum of the effort [N m / √Hz] over the frequency [Hz]"
         return figure_data(
@@ -215,15 +223,3 @@ def _without_plateaus(signal: Signal) -> Signal:
     is_inside = (values[1:-1] == values[:-2]) & (values[1:-1] == values[2:])
     kept = np.concatenate([[True], ~is_inside, [True]])
     return Signal(signal.stamps_ns[kept], values[kept])
-
-
-def _error(run: RunSeries, series: JointSeries) -> NDArray[np.float64]:
-    return series.error
-
-
-def _error_signal(series: JointSeries) -> Signal:
-    return Signal(series.state_stamps_ns, series.error)
-
-
-def _effort(series: JointSeries) -> Signal:
-    return Signal(series.command_stamps_ns, series.effort)

@@ -11,6 +11,9 @@ from hpid_ros.analysis.series import RunSeries
 # Settings by parameter name, of each joint, of each run's label.
 Parameters = Mapping[str, Mapping[str, Mapping[str, object]]]
 
+PRINTED_COLUMNS = (10, 14, 18, 26)
+"""Tables of at least so many columns are set smaller on paper, where nothing scrolls."""
+
 
 def losses(runs: Sequence[RunSeries]) -> Iterator[str]:
     """Yield for each run what went missing: a line if nothing did, else a table by joint.
@@ -134,18 +137,24 @@ def plain_table(name: str, columns: Sequence[str], rows: Iterable[Sequence[objec
         + "</tr>"
         for row in texts
     )
-    return scrolling(name, f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>")
+    table = f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+    return scrolling(name, table, len(columns))
 
 
-def scrolling(name: str, markup: str) -> str:
+def scrolling(name: str, markup: str, columns: int = 2) -> str:
     """Return markup in a box that scrolls by itself, so that the page never does sideways.
 
     Args:
         name: What a screen reader calls it.
         markup: What is in it.
+        columns: How many columns it has beside that of its rows' names.
     """
-    label = escape(name)
-    return f'<div class="scroll" tabindex="0" role="region" aria-label="{label}">{markup}</div>'
+    # The style sheet has a size of type for each of these.
+    size = max((each for each in PRINTED_COLUMNS if each <= columns), default=0)
+    return (
+        f'<div class="scroll" tabindex="0" role="region" aria-label="{escape(name)}" '
+        f'data-columns="{size}">{markup}</div>'
+    )
 
 
 def _flatten(entries: Mapping[str, object], prefix: str = "") -> Iterator[tuple[str, object]]:

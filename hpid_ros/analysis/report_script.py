@@ -46,6 +46,20 @@ tabs.forEach((tab, k) => {
   });
 });
 
+// Wide tables say so, and on which side there is more -------------------------------------------
+const boxes = [...document.querySelectorAll(".scroll")];
+const mark = (box) => {
+  const rest = box.scrollWidth - box.clientWidth;
+  box.classList.toggle("wide", rest > 1);
+  box.classList.toggle("more-left", box.scrollLeft > 1);
+  box.classList.toggle("more-right", rest - box.scrollLeft > 1);
+};
+const seen = new ResizeObserver((entries) => entries.forEach((entry) => mark(entry.target)));
+boxes.forEach((box) => {
+  seen.observe(box);
+  box.addEventListener("scroll", () => mark(box), {passive: true});
+});
+
 // Theme ------------------------------------------------------------------------------------------
 const themes = ["auto", "light", "dark"];
 const themeButton = make("button", {type: "button", class: "theme"}, "theme: auto");

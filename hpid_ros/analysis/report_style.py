@@ -61,10 +61,24 @@ p { margin: .5rem 0; max-width: 46rem; overflow-wrap: anywhere; }
 }
 .warning { border-left: 4px solid var(--worse); padding: .4rem 1.1rem; }
 .soft { color: var(--soft); font-size: .9rem; font-weight: 400; }
-.scroll { overflow-x: auto; max-width: 100%; position: relative; }
+.scroll {
+  overflow-x: auto; max-width: 100%; position: relative;
+  scrollbar-width: thin; scrollbar-color: var(--soft) var(--panel);
+}
+.scroll.more-right { mask-image: linear-gradient(to left, transparent, #000 3.5rem); }
+.scroll.more-left th[scope=row], .scroll.more-left thead th.text {
+  box-shadow: inset -2px 0 var(--line);
+}
+.scroll.wide::before {
+  content: "wider than the page: scroll sideways"; display: block; position: sticky; left: 0;
+  width: max-content; max-width: 100%; font-size: .82rem; color: var(--soft);
+}
 .scroll + .scroll { margin-top: 1.5rem; }
 sup { line-height: 0; }
-table { border-collapse: collapse; font-size: .92rem; font-variant-numeric: tabular-nums; }
+table {
+  border-collapse: separate; border-spacing: 0; font-size: .92rem;
+  font-variant-numeric: tabular-nums;
+}
 th, td { padding: .3rem .6rem; text-align: right; white-space: nowrap; }
 th { font-weight: 600; }
 th[scope=row], .text { text-align: left; }
@@ -122,7 +136,16 @@ figcaption { font-weight: 600; margin-bottom: .4rem; }
 @media print {
   [role=tablist], .theme, .zoom { display: none; }
   section[hidden] { display: block !important; }
-  .scroll { overflow: visible; }
+  .scroll { overflow: visible; mask-image: none !important; }
+  .scroll.wide::before { display: none; }
+  .scroll table { font-size: 9pt; }
+  .scroll[data-columns="10"] table { font-size: 7pt; }
+  .scroll[data-columns="14"] table { font-size: 5.5pt; }
+  .scroll[data-columns="18"] table { font-size: 4pt; }
+  .scroll[data-columns="26"] table { font-size: 2.8pt; }
+  .scroll th, .scroll td { padding: .15em .5em; }
+  .scroll th.text, .scroll td.text { white-space: normal; }
+  thead { display: table-row-group; }
   .panel { break-inside: avoid; }
 }
 """

@@ -6,7 +6,8 @@ import re
 from collections.abc import Sequence
 from html import escape
 
-from hpid_ros.analysis.comparison import Comparison, Verdict, verdict
+from hpid_ros.analysis.comparison import THRESHOLD, Comparison, Verdict, verdict
+from hpid_ros.analysis.footnotes import footnotes
 from hpid_ros.analysis.number_text import format_ratio, format_values
 from hpid_ros.analysis.quantities import QUANTITIES, Quantity
 from hpid_ros.analysis.report_facts import scrolling
@@ -46,6 +47,7 @@ def index_table(comparison: Comparison) -> str:
         f'<table><thead><tr><th class="text" scope="col" rowspan="2">joint</th>{groups}</tr>'
         f"<tr>{labels}</tr></thead><tbody>{''.join(rows[:-1])}</tbody>"
         f"<tfoot>{rows[-1]}</tfoot></table>",
+        len(headings) * len(comparison.indices),
     )
 
 
@@ -80,7 +82,7 @@ def further_tables(comparison: Comparison) -> list[str]:
 
 
 def legend(comparison: Comparison) -> str:
-    """Return what symbols and marks of the tables mean.
+    """Return what symbols and marks of the tables mean, and why numbers are not there.
 
     Args:
         comparison: What the tables show.
@@ -92,9 +94,11 @@ def legend(comparison: Comparison) -> str:
     if comparison.others:
         text += (
             f" Ratio: run / {comparison.baseline.label}; {MARKS[Verdict.BETTER]} lower, which "
-            f"is better, {MARKS[Verdict.WORSE]} higher, {MARKS[Verdict.EQUAL]} equal."
+            f"is better, {MARKS[Verdict.WORSE]} higher, {MARKS[Verdict.EQUAL]} equal "
+            f"{THRESHOLD}."
         )
-    return f'<p class="soft">{escape(text)}</p>'
+    reasons = "".join(f"<p>{escape(line)}</p>" for line in footnotes(comparison))
+    return f'<p class="soft">{escape(text)}</p>{reasons}'
 
 
 def _overall_table(comparison: Comparison, quantities: Sequence[Quantity], name: str) -> str:
@@ -104,11 +108,13 @@ def _overall_table(comparison: Comparison, quantities: Sequence[Quantity], name:
         cells = "".join(_index_cells(comparison, quantity, (None,))[0])
         meaning = f'<span class="soft">{escape(quantity.meaning)}</span>'
         rows.append(f'<tr><th scope="row">{title} {meaning}</th>{cells}</tr>')
-    labels = "".join(_group_cells("th", _run_headings(comparison)))
+    headings = _run_headings(comparison)
+    labels = "".join(_group_cells("th", headings))
     return scrolling(
         name,
         f'<table><thead><tr><th class="text" scope="col">over all joints</th>{labels}</tr></thead>'
         f"<tbody>{''.join(rows)}</tbody></table>",
+        len(headings) + 2,
     )
 
 
@@ -120,11 +126,13 @@ def _joint_table(comparison: Comparison, quantity: Quantity) -> str:
         f'<tr><th scope="row">{escape(joint or last)}</th>{"".join(cells[k])}</tr>'
         for k, joint in enumerate(joints)
     ]
-    labels = "".join(_group_cells("th", _run_headings(comparison)))
+    headings = _run_headings(comparison)
+    labels = "".join(_group_cells("th", headings))
     return scrolling(
         f"{quantity.meaning} of each joint",
         f'<table><thead><tr><th class="text" scope="col">joint</th>{labels}</tr></thead>'
         f"<tbody>{''.join(rows[:-1])}</tbody><tfoot>{rows[-1]}</tfoot></table>",
+        len(headings),
     )
 
 

@@ -32,13 +32,25 @@ const linearTicks = (low, high, count) => {
   return ticks.map((at) => [at, readable(Math.abs(at) < step * 1e-6 ? 0 : at)]);
 };
 const power = (k) => (Math.abs(k) < 4 ? readable(10 ** k) : `1e${k}`.replace("-", "\u2212"));
-const logTicks = (low, high) => {
-  const ticks = [];
-  for (let k = Math.ceil(low - 1e-9); k <= high + 1e-9; k += 1) ticks.push([k, power(k)]);
-  if (ticks.length > 1) return ticks;
-  const rounded = (at) => readable(Number((10 ** at).toPrecision(2)));
-  return linearTicks(low, high, 3).map(([at]) => [at, rounded(at)]);
+const logAt = (low, high, mantissas) => {
+  const places = [];
+  for (let k = Math.floor(low); k <= high; k += 1) {
+    for (const m of mantissas) {
+      const at = k + Math.log10(m);
+      if (at >= low - 1e-9 && at <= high + 1e-9) places.push(at);
+    }
+  }
+  return places;
 };
+const logTicks = (low, high) => {
+  const decades = logAt(low, high, [1]);
+  if (decades.length > 2) return decades.map((at) => [at, power(Math.round(at))]);
+  const rounded = (at) => [at, readable(Number((10 ** at).toPrecision(1)))];
+  const finer = logAt(low, high, [1, 2, 5]);
+  if (finer.length > 1) return finer.map(rounded);
+  return linearTicks(10 ** low, 10 ** high, 3).map(([at, text]) => [Math.log10(at), text]);
+};
+const minorLogTicks = (low, high) => logAt(low, high, [2, 3, 4, 5, 6, 7, 8, 9]);
 const firstAtLeast = (xs, x) => {
   let low = 0;
   let high = xs.length;

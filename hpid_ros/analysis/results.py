@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from hpid_ros.analysis.conditions import Conditions
-from hpid_ros.analysis.quantities import INDICES, NORMS, Quantity
+from hpid_ros.analysis.quantities import INDICES, NORMS, Data, Quantity
 from hpid_ros.analysis.series import SeriesError
 from hpid_ros.errors import unknown_name
 
@@ -17,9 +17,10 @@ class JointIndices:
     """The indices of one joint, or those of all joints.
 
     Attributes:
-        ivc: Total variation of the effort, in [N m].
-        iavc: Integral of the absolute effort, in [N m s].
-        itae: Integral of the absolute error times the time since the first state, in [rad s^2].
+        ivc: Total variation of the effort, in [N m]; nan without efforts.
+        iavc: Integral of the absolute effort, in [N m s]; likewise.
+        itae: Integral of the absolute error times the time since the first state, in [rad s^2];
+            nan without a reference.
         further: The other quantities by key; one that is not defined, as the rise time without
             a step, is left out.
     """
@@ -40,9 +41,9 @@ class JointIndices:
         return self.further.get(quantity.key, math.nan)
 
     def as_mapping(self) -> dict[str, float | None]:
-        """Return the numbers by key, for JSON: an infinite one becomes None."""
+        """Return the numbers by key for JSON: infinite ones None, undefined ones left out."""
         values = {quantity.key: self.value(quantity) for quantity in INDICES} | dict(self.further)
-        return {key: value if math.isfinite(value) else None for key, value in values.items()}
+        return _for_json(values)
 
 
 @dataclass(frozen=True)
@@ -66,12 +67,18 @@ class RunIndices:
         label: Name of the run.
         joints: Indices by joint name, in the run's order.
         totals: Those of all joints; each quantity's ``fold`` says how they come about.
-        effort_l2: L2 norm of the effort over all joints, in [N m s^0.5].
-        error_l2: L2 norm of the error over all joints, in [rad s^0.5].
+        effort_l2: L2 norm of the effort over all joints, in [N m s^0.5]; nan where a joint has
+            no effort.
+        error_l2: L2 norm of the error over all joints, in [rad s^0.5]; nan where a joint has no
+            reference.
         quantities: Which quantities were computed.
         conditions: Under which conditions; None if that is not known.
         spread: How far repeated runs lie apart; None for a single one.
         angle_unit: The unit of angles in these numbers, ``"rad"`` or ``"deg"``.
+        lacking: What joints lack, and why, by joint. Whatever needs it is nan, over all joints
+            too: a sum over some of them would not be one over all.
+        assumed: What stands in for a recorded reference or commanded efforts, in words.
+        cut: To which part of the recording the numbers were cut; empty if to none.
     """
 
     label: str
@@ -83,6 +90,9 @@ class RunIndices:
     conditions: Conditions | None = None
     spread: Spread | None = None
     angle_unit: str = "rad"
+    lacking: Mapping[str, Mapping[Data, str]] = field(default_factory=dict)
+    assumed: Mapping[Data, str] = field(default_factory=dict)
+    cut: str = ""
 
     def value(self, quantity: Quantity, joint: str | None = None) -> float:
         """Return one number of this run; nan where it is not defined.
@@ -104,6 +114,26 @@ class RunIndices:
             raise SeriesError(unknown_name("joint", joint, self.joints))
         return self.joints[joint].value(quantity)
 
+    def why_undefined(self, quantity: Quantity, joint: str | None = None) -> dict[str, str]:
+        """Return why a number is not defined, by joint; empty where it is.
+
+        Args:
+            quantity: Which one.
+            joint: The joint, or None for all of them.
+        """
+        if not math.isnan(self.value(quantity, joint)):
+            return {}
+        names = self.joints if joint is None else (joint,)
+        missing = {name: self.lacking.get(name, {}).get(quantity.needs) for name in names}
+        known = {name: reason for name, reason in missing.items() if reason is not None}
+        return known or dict.fromkeys(names, quantity.else_undefined)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What the numbers must be read with, one line each, without the run's label."""
+        assumed = (f"{data.value}: {text}" for data, text in self.assumed.items())
+        return (*assumed, *([self.cut] if self.cut else ()))
+
     def as_mapping(self) -> dict[str, object]:
         """Return the numbers with their units as plain dicts, ready for JSON."""
         units = {each.key: each.unit_in(self.angle_unit) for each in self.quantities}
@@ -112,9 +142,17 @@ class RunIndices:
             "units": units,
             "joints": {name: indices.as_mapping() for name, indices in self.joints.items()},
             "totals": self.totals.as_mapping(),
-            "effort_l2": self.effort_l2,
-            "error_l2": self.error_l2,
+            **_for_json({quantity.key: self.value(quantity) for quantity in NORMS}),
         }
+        if self.lacking:
+            mapping["lacking"] = {
+                joint: {data.value: reason for data, reason in reasons.items()}
+                for joint, reasons in self.lacking.items()
+            }
+        if self.assumed:
+            mapping["assumed"] = {data.value: text for data, text in self.assumed.items()}
+        if self.cut:
+            mapping["cut"] = self.cut
         if self.conditions is not None:
             mapping["conditions"] = self.conditions.as_mapping()
         if self.spread is not None:
@@ -127,3 +165,12 @@ class RunIndices:
                 for joint, quartiles in self.spread.quartiles.items()
             }
         return mapping
+
+
+def _for_json(values: Mapping[str, float]) -> dict[str, float | None]:
+    """Return numbers without the undefined ones; an infinite one becomes None."""
+    return {
+        key: value if math.isfinite(value) else None
+        for key, value in values.items()
+        if not math.isnan(value)
+    }

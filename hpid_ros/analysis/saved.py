@@ -3,11 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Any
 
 from hpid_ros.analysis.conditions import Conditions
-from hpid_ros.analysis.quantities import ANGLE_UNITS, INDICES, NORMS, QUANTITIES
+from hpid_ros.analysis.quantities import (
+    ANGLE_UNITS,
+    INDICES,
+    NORMS,
+    QUANTITIES,
+    Data,
+    Quantity,
+)
 from hpid_ros.analysis.results import JointIndices, RunIndices, Spread
 from hpid_ros.analysis.series import SeriesError
 
@@ -51,18 +58,29 @@ def _run(label: str, entry: Mapping[str, Any]) -> RunIndices:
                 f"run {label!r}: {quantity.key} is in {units[quantity.key]}, but must be in "
                 f"{quantity.unit_in(angle_unit)}"
             )
-    joints = {str(name): _indices(values) for name, values in entry["joints"].items()}
+    lacking = {
+        str(joint): {Data(name): str(reason) for name, reason in reasons.items()}
+        for joint, reasons in entry.get("lacking", {}).items()
+    }
+    joints = {
+        str(name): _indices(values, lacking.get(name, {}))
+        for name, values in entry["joints"].items()
+    }
     if not joints:
         raise SeriesError(f"run {label!r} has no joint")
+    missing = {data for reasons in lacking.values() for data in reasons}
     return RunIndices(
         label=label,
         joints=joints,
-        totals=_indices(entry["totals"]),
-        **{quantity.key: _number(entry[quantity.key]) for quantity in NORMS},
+        totals=_indices(entry["totals"], missing),
+        **{quantity.key: _entry(entry, quantity, missing) for quantity in NORMS},
         quantities=quantities,
         conditions=_conditions(entry.get("conditions")),
         spread=_spread(entry),
         angle_unit=angle_unit,
+        lacking=lacking,
+        assumed={Data(name): str(text) for name, text in entry.get("assumed", {}).items()},
+        cut=str(entry.get("cut", "")),
     )
 
 
@@ -84,8 +102,15 @@ def _number(value: object) -> float:
     return float(value)
 
 
-def _indices(values: Mapping[str, object]) -> JointIndices:
-    core = {quantity.key: _number(values[quantity.key]) for quantity in INDICES}
+def _entry(values: Mapping[str, object], quantity: Quantity, missing: Collection[Data]) -> float:
+    """Return a number that must be there unless the run lacks what it needs."""
+    if quantity.needs in missing and quantity.key not in values:
+        return math.nan
+    return _number(values[quantity.key])
+
+
+def _indices(values: Mapping[str, object], missing: Collection[Data]) -> JointIndices:
+    core = {quantity.key: _entry(values, quantity, missing) for quantity in INDICES}
     further = {k: _number(v) for k, v in values.items() if k in QUANTITIES and k not in core}
     return JointIndices(**core, further=further)
 

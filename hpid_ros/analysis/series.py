@@ -31,10 +31,11 @@ class JointSeries:
         joint: Name of the joint.
         state_stamps_ns: Stamps of the states, (N,), strictly increasing, N >= 1, in [ns].
         position: Measured position at each state, (N,), in [rad].
-        reference: Reference sampled at the same stamps, (N,), in [rad].
+        reference: Reference sampled at the same stamps, (N,), in [rad]; empty where nothing says
+            what the joint was to follow.
         command_stamps_ns: Stamps of the states that the commands answer, (M,), strictly
             increasing, in [ns]. M = 0 is a joint whose controller never answered.
-        effort: Effort of each command, (M,), in [N m].
+        effort: Effort of each command, or as it was measured, (M,), in [N m].
 
     Raises:
         SeriesError: If a length differs, a value is not finite, or stamps do not increase.
@@ -58,6 +59,16 @@ class JointSeries:
             self._store(name, self._samples(name, stamps.size))
 
     @property
+    def has_reference(self) -> bool:
+        """Whether it is known what the joint was to follow."""
+        return self.reference.size > 0
+
+    @property
+    def has_effort(self) -> bool:
+        """Whether any effort is known."""
+        return self.effort.size > 0
+
+    @property
     def time(self) -> NDArray[np.float64]:
         """Time of each state since the first state, (N,), in [s]."""
         return seconds_since(self.state_stamps_ns, int(self.state_stamps_ns[0]))
@@ -69,7 +80,13 @@ class JointSeries:
 
     @property
     def error(self) -> NDArray[np.float64]:
-        """Reference minus measured position, (N,), in [rad]."""
+        """Reference minus measured position, (N,), in [rad].
+
+        Raises:
+            SeriesError: Nothing says what the joint was to follow.
+        """
+        if not self.has_reference:
+            raise SeriesError(f"joint {self.joint!r}: no reference was recorded, hence no error")
         return self.reference - self.position
 
     def _store(self, name: str, values: NDArray[Any]) -> NDArray[Any]:
@@ -97,6 +114,8 @@ class JointSeries:
     def _samples(self, name: str, length: int) -> NDArray[np.float64]:
         samples = _own(getattr(self, name), np.float64)
         where = f"joint {self.joint!r}: {name}"
+        if name == "reference" and samples.shape == (0,):
+            return samples
         if samples.shape != (length,):
             raise SeriesError(
                 f"{where} has shape {samples.shape}, but its stamps have ({length},)"

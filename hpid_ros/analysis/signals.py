@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hpid_ros.analysis.series import seconds_since
+from hpid_ros.analysis.quantities import Data
+from hpid_ros.analysis.series import JointSeries, RunSeries, seconds_since
 
 
 class Signal(NamedTuple):
@@ -17,6 +18,42 @@ class Signal(NamedTuple):
 
     stamps_ns: NDArray[np.int64]
     values: NDArray[np.float64]
+
+
+NO_SIGNAL = Signal(np.empty(0, dtype=np.int64), np.empty(0))
+
+
+def position_of(series: JointSeries) -> Signal:
+    """Return a joint's measured position, in [rad]."""
+    return Signal(series.state_stamps_ns, series.position)
+
+
+def reference_of(series: JointSeries) -> Signal:
+    """Return a joint's reference, in [rad]; nothing if it has none."""
+    return Signal(series.state_stamps_ns, series.reference) if series.has_reference else NO_SIGNAL
+
+
+def error_of(series: JointSeries) -> Signal:
+    """Return a joint's error, in [rad]; nothing without a reference."""
+    return Signal(series.state_stamps_ns, series.error) if series.has_reference else NO_SIGNAL
+
+
+def effort_of(series: JointSeries) -> Signal:
+    """Return a joint's effort, in [N m]."""
+    return Signal(series.command_stamps_ns, series.effort)
+
+
+def has_any(runs: Sequence[RunSeries], data: Data) -> bool:
+    """Tell whether any joint of some runs has a reference, or an effort.
+
+    Args:
+        runs: The runs.
+        data: Which of the two.
+    """
+    joints = [series for run in runs for series in run.joints]
+    if data is Data.REFERENCE:
+        return any(series.has_reference for series in joints)
+    return any(series.has_effort for series in joints)
 
 
 class GainSignals(NamedTuple):
@@ -59,6 +96,17 @@ def norm_over_joints(signals: Sequence[Signal]) -> Signal:
             at, known = seconds_since(stamps, origin), seconds_since(stamps_ns, origin)
             squares += np.square(np.interp(at, known, values, left=0.0, right=0.0))
     return Signal(stamps, np.sqrt(squares))
+
+
+def norm_of_run(run: RunSeries, signal_of: Callable[[JointSeries], Signal]) -> Signal:
+    """Return the norm over a run's joints; nothing where one of them has no signal.
+
+    Args:
+        run: The run.
+        signal_of: The signal of a joint.
+    """
+    signals = [signal_of(series) for series in run.joints]
+    return norm_over_joints(signals) if all(each.values.size for each in signals) else NO_SIGNAL
 
 
 def envelope(signal: Signal, buckets: int) -> Signal:

@@ -76,6 +76,8 @@ def find_steps(series: JointSeries) -> list[Step]:
         series: The joint.
     """
     reference, stamps = series.reference, series.state_stamps_ns
+    if not series.has_reference:
+        return []
     steps = []
     for begin, stop in _holds(reference, stamps):
         if begin == 0:

@@ -16,14 +16,21 @@ from rich.measure import Measurement
 from rich.table import Table
 from rich.text import Text
 
-from hpid_ros.analysis.comparison import Comparison, Verdict, verdict
+from hpid_ros.analysis.comparison import (
+    THRESHOLD,
+    Comparison,
+    Verdict,
+    verdict,
+    verdict_lines,
+)
+from hpid_ros.analysis.footnotes import footnotes
 from hpid_ros.analysis.number_text import (
     SIGNIFICANT_DIGITS,
     format_quartiles,
     format_ratio,
     format_values,
 )
-from hpid_ros.analysis.quantities import Fold, Quantity
+from hpid_ros.analysis.quantities import PAPER, Fold, Quantity
 from hpid_ros.analysis.results import RunIndices
 
 MARKS = {Verdict.BETTER: "▼", Verdict.WORSE: "▲", Verdict.EQUAL: "=", Verdict.UNKNOWN: " "}
@@ -58,8 +65,9 @@ class ComparisonTable:
         if self.comparison.norms:
             yield blocks.of_norms()
             yield ""
-        legend = blocks.legend()
-        yield Text(legend.plain.replace("–", "-"), style="dim") if ascii_only else legend
+        lines = [*blocks.legend(), *blocks.verdicts()]
+        for text in lines:
+            yield Text(text.plain.replace("–", "-"), text.style) if ascii_only else text
 
     def _indices(self, blocks: _Blocks, console: Console, options: ConsoleOptions) -> RenderResult:
         unlimited = options.update_width(UNLIMITED_WIDTH)
@@ -139,8 +147,8 @@ class _Blocks:
             block.add_row(Text(self._title(quantity)), *self._norm_row(quantity))
         return block
 
-    def legend(self) -> Text:
-        """Return what symbols and marks mean."""
+    def legend(self) -> list[Text]:
+        """Return what symbols and marks mean, and why numbers are not there."""
         comparison = self._comparison
         shown = comparison.indices or comparison.norms
         lines = [", ".join(f"{q.symbol} {q.meaning}" for q in shown) + "."]
@@ -150,9 +158,18 @@ class _Blocks:
             marks = self._marks
             lines.append(
                 f"Ratio: run / {comparison.baseline.label}; {marks[Verdict.BETTER]} lower, which "
-                f"is better, {marks[Verdict.WORSE]} higher, {marks[Verdict.EQUAL]} equal."
+                f"is better, {marks[Verdict.WORSE]} higher, {marks[Verdict.EQUAL]} equal "
+                f"{THRESHOLD}."
             )
-        return Text("\n".join(lines), style="dim")
+        dim = [Text(line, style="dim") for line in lines]
+        return [*dim, *(Text(line) for line in (*comparison.notes, *footnotes(comparison)))]
+
+    def verdicts(self) -> list[Text]:
+        """Return a line for each run beside the baseline, where the paper's numbers are shown."""
+        comparison = self._comparison
+        if not {*comparison.indices, *comparison.norms} >= set(PAPER):
+            return []
+        return [Text(line, style="bold") for line in verdict_lines(comparison)]
 
     def names(self, quantities: Sequence[Quantity]) -> _Column:
         """Return the names of the rows."""

@@ -6,13 +6,16 @@ import csv
 import io
 import math
 import re
+from collections.abc import Iterator
 
 from hpid_ros.analysis.comparison import Comparison
+from hpid_ros.analysis.footnotes import footnotes
 from hpid_ros.analysis.number_text import UNDEFINED, format_ratio, format_values
 from hpid_ros.analysis.quantities import (
     EFFORT_L2,
     ERROR_L2,
     ERROR_MAX,
+    QUANTITIES,
     STEADY_STATE_ERROR,
     Fold,
     Quantity,
@@ -22,7 +25,7 @@ from hpid_ros.analysis.table import heading_of, total_name
 
 CSV_COLUMNS = (
     *("run", "scope", "joint", "quantity", "unit", "value", "ratio"),
-    *("repeats", "first_quartile", "third_quartile"),
+    *("repeats", "first_quartile", "third_quartile", "note"),
 )
 
 _LATEX_SPECIAL = str.maketrans(
@@ -48,8 +51,9 @@ def table_csv(comparison: Comparison) -> str:
     Columns: :data:`CSV_COLUMNS`. ``scope`` is ``joint``, ``total`` (the sum over joints),
     ``all`` (folded in another way) or ``norm`` (over all joints), and ``joint`` is empty but for
     the first; ``value`` is empty where it is not defined; ``ratio`` is the value over the
-    baseline's (``inf`` against zero) and empty in the baseline's own rows; the last three are
-    empty for a single run.
+    baseline's (``inf`` against zero) and empty in the baseline's own rows; repeats and
+    quartiles are empty for a single run; ``note`` says why value or ratio are not defined, and
+    what stands in for a recorded reference or commanded efforts.
 
     Args:
         comparison: What it holds.
@@ -80,7 +84,22 @@ def _csv_row(
         quartiles = run.spread.quartiles[joint].get(quantity.key, (math.nan, math.nan))
         spread = (str(run.spread.repeats), *(_plain(value) for value in quartiles))
     value, unit = _plain(run.value(quantity, joint)), comparison.unit(quantity)
-    return (run.label, scope, joint or "", quantity.key, unit, value, ratio, *spread)
+    note = "; ".join(_notes(comparison, run, joint, quantity))
+    return (run.label, scope, joint or "", quantity.key, unit, value, ratio, *spread, note)
+
+
+def _notes(
+    comparison: Comparison, run: RunIndices, joint: str | None, quantity: Quantity
+) -> Iterator[str]:
+    """Yield what one number must be read with."""
+    yield from dict.fromkeys(run.why_undefined(quantity, joint).values())
+    if quantity.needs in run.assumed:
+        yield f"{quantity.needs.value}: {run.assumed[quantity.needs]}"
+    if run.cut:
+        yield run.cut
+    for each in comparison.differences(run.label):
+        if quantity.key in each.spoils:
+            yield f"not compared: {each.text}"
 
 
 def _plain(value: float) -> str:
@@ -90,8 +109,9 @@ def _plain(value: float) -> str:
 def table_latex(comparison: Comparison) -> str:
     r"""Return the paper's Table I as plain ``tabular`` environments, for inside a ``table``.
 
-    No package is needed. The lower value of each pair is bold; below the joints stand the totals
-    and their ratios, below the table the L2 norms.
+    No package is needed. The lower value of each pair is bold, unless the runs cannot be compared;
+    below the joints stand the totals and their ratios, below the table the L2 norms and what the
+    numbers must be read with.
 
     Args:
         comparison: What it holds.
@@ -103,6 +123,8 @@ def table_latex(comparison: Comparison) -> str:
         lines.append(r"\par\medskip")
     if comparison.norms:
         lines += _norm_lines(comparison)
+    for note in (*comparison.notes, *footnotes(comparison)):
+        lines += [r"\par\smallskip", rf"{{\footnotesize {_sentence(note)}}}"]
     return "\n".join(lines) + "\n"
 
 
@@ -111,7 +133,7 @@ def _index_lines(comparison: Comparison) -> list[str]:
     columns = "|".join("r" * len(runs) for _ in indices)
     labels = " & ".join(_escape(heading_of(run)) for run in runs)
     joints = (*comparison.joint_names, None)
-    columns_of = {quantity: _index_cells(runs, quantity, joints) for quantity in indices}
+    columns_of = {quantity: _index_cells(comparison, quantity, joints) for quantity in indices}
     titles = [f"{_symbol(q)} [{_unit(comparison.unit(q))}]" for q in indices]
     lines = [
         rf"\begin{{tabular}}{{|l|{columns}|}}",
@@ -133,12 +155,22 @@ def _index_lines(comparison: Comparison) -> list[str]:
 
 
 def _index_cells(
-    runs: tuple[RunIndices, ...], quantity: Quantity, joints: tuple[str | None, ...]
+    comparison: Comparison, quantity: Quantity, joints: tuple[str | None, ...]
 ) -> list[str]:
     """Return for each joint the cells of all runs, the lowest of them bold."""
+    runs = comparison.runs
+    emphasise = _emphasise if _is_compared(comparison, quantity) else _plainly
     values = [[run.value(quantity, joint) for run in runs] for joint in joints]
     texts = iter(format_values(value for row in values for value in row))
-    return [" & ".join(_emphasise(row, [next(texts) for _ in row])) for row in values]
+    return [" & ".join(emphasise(row, [next(texts) for _ in row])) for row in values]
+
+
+def _is_compared(comparison: Comparison, quantity: Quantity) -> bool:
+    return not any(
+        quantity.key in each.spoils
+        for run in comparison.others
+        for each in comparison.differences(run.label)
+    )
 
 
 def _norm_lines(comparison: Comparison) -> list[str]:
@@ -151,7 +183,8 @@ def _norm_lines(comparison: Comparison) -> list[str]:
     for quantity in comparison.norms:
         values = [run.value(quantity) for run in comparison.runs]
         name = f"{_symbol(quantity)} [{_unit(comparison.unit(quantity))}]"
-        cells = _emphasise(values, format_values(values))
+        emphasise = _emphasise if _is_compared(comparison, quantity) else _plainly
+        cells = emphasise(values, format_values(values))
         lines.append(" & ".join([name, *cells]) + r" \\ \hline")
     return [*lines, r"\end{tabular}"]
 
@@ -171,6 +204,10 @@ def _emphasise(values: list[float], texts: list[str]) -> list[str]:
     ]
 
 
+def _plainly(values: list[float], texts: list[str]) -> list[str]:
+    return [_number(text) for text in texts]
+
+
 def _number(text: str) -> str:
     if text == "inf":
         return r"$\infty$"
@@ -178,6 +215,14 @@ def _number(text: str) -> str:
         return "--"
     mantissa, _, exponent = text.partition("e")
     return rf"${mantissa} \cdot 10^{{{exponent}}}$" if exponent else text
+
+
+def _sentence(text: str) -> str:
+    """Return a sentence with symbols of quantities in it."""
+    escaped = _escape(text)
+    for key, symbol in _LATEX_SYMBOLS.items():
+        escaped = escaped.replace(_escape(QUANTITIES[key].symbol), symbol)
+    return escaped
 
 
 def _symbol(quantity: Quantity) -> str:

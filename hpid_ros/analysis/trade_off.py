@@ -30,6 +30,18 @@ EFFORTS = (IVC, IAVC)
 MARKER_SIZE = 8.0
 
 
+def can_be_drawn(comparison: Comparison) -> bool:
+    """Tell whether any run has both its error and its efforts.
+
+    Args:
+        comparison: The runs.
+    """
+    return any(
+        not any(math.isnan(run.value(quantity)) for quantity in (ERROR, *EFFORTS))
+        for run in comparison.runs
+    )
+
+
 @figure_style()
 def trade_off_figure(comparison: Comparison, repeats: Sequence[RunIndices] = ()) -> Figure:
     """Return the error over the effort's variation and over the effort spent.
@@ -77,7 +89,9 @@ def _draw_point(
 ) -> None:
     x, y = run.value(effort), run.value(ERROR)
     if run.spread is not None:
-        (left, right), (low, high) = (run.spread.quartiles[None][q.key] for q in (effort, ERROR))
+        undefined = (math.nan, math.nan)
+        quartiles = run.spread.quartiles[None]
+        (left, right), (low, high) = (quartiles.get(q.key, undefined) for q in (effort, ERROR))
         if all(map(math.isfinite, (left, right, low, high))):
             panel.plot([left, right], [y, y], color=style.color, linewidth=style.width)
             panel.plot([x, x], [low, high], color=style.color, linewidth=style.width)

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from hpid_ros.analysis import Comparison, RunSeries, run_indices
+from hpid_ros.analysis.common_window import common_cuts
 from hpid_ros.bags.reader import read_run
 from hpid_ros.bags.selection import BagSelection
 from hpid_ros.bags.storage import Progress
@@ -33,7 +35,8 @@ def read_runs(
     Raises:
         BagError: A bag cannot be read, or there is not one label for each bag.
     """
-    return tuple(_each_run(paths, labels, joints, selection, progress))
+    selections = [selection or BagSelection()] * len(paths)
+    return tuple(_each_run(paths, labels, joints, selections, progress))
 
 
 def compare_bags(
@@ -46,6 +49,9 @@ def compare_bags(
 ) -> Comparison:
     """Return the indices of several bags, the first one the baseline.
 
+    Bags of unlike length are cut to the time that all of them have, unless the selection has a
+    window.
+
     Args:
         paths: The bags.
         labels: As for :func:`read_runs`.
@@ -57,15 +63,25 @@ def compare_bags(
         BagError: As for :func:`read_runs`.
         SeriesError: The bags' joints differ, or two labels are equal.
     """
-    runs = _each_run(paths, labels, joints, selection, progress)
-    return Comparison(tuple(run_indices(run) for run in runs))
+    chosen = selection or BagSelection()
+    runs = _each_run(paths, labels, joints, [chosen] * len(paths), progress)
+    numbers = [run_indices(run) for run in runs]
+    is_whole = chosen.start is None and chosen.end is None
+    cuts = common_cuts(numbers) if is_whole else ()
+    if cuts:
+        parts = [replace(chosen, start=each.start, end=each.end) for each in cuts]
+        again = _each_run(paths, labels, joints, parts, progress)
+        numbers = [
+            replace(run_indices(run), cut=each.text) for run, each in zip(again, cuts, strict=True)
+        ]
+    return Comparison(tuple(numbers))
 
 
 def _each_run(
     paths: Sequence[Path],
     labels: Sequence[str],
     joints: Sequence[str] | None,
-    selection: BagSelection | None,
+    selections: Sequence[BagSelection],
     progress: Progress | None,
 ) -> Iterator[RunSeries]:
     """Yield the runs one after the other, so that the caller need not hold them all."""
@@ -78,7 +94,7 @@ def _each_run(
             if progress is not None:
                 progress((number + share) / len(paths))
 
-        yield read_run(path, label, joints=joints, selection=selection, progress=told)
+        yield read_run(path, label, joints=joints, selection=selections[number], progress=told)
 
 
 def _distinct_names(paths: Sequence[Path]) -> list[str]:

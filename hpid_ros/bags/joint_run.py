@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hpid_ros.analysis.quality import DataQuality, StampQuality
+from hpid_ros.analysis.quality import HOLD, MEASURED, NO_EFFORT, NONE, DataQuality, StampQuality
 from hpid_ros.analysis.series import JointSeries, Losses, SeriesError
 from hpid_ros.bags.batches import Integers, Numbers
 from hpid_ros.bags.gaps import stamp_quality
@@ -17,11 +17,14 @@ from hpid_ros.bags.recording import Recording
 from hpid_ros.bags.references import (
     LoggedStates,
     ReferenceEvent,
+    first_state,
     interpolate,
     sample_events,
     setpoint_column,
 )
 from hpid_ros.bags.samples import JointSamples
+from hpid_ros.bags.selection import BagSelection
+from hpid_ros.trajectory import JointTrajectory
 
 _NS_PER_S = 1_000_000_000
 _FOREVER_NS = 2**63 - 1
@@ -49,13 +52,22 @@ class Window(NamedTuple):
         return cls(origin_ns, first_ns, last_ns)
 
 
+class _Reference(NamedTuple):
+    """A joint's reference at its states, kind and topic, its messages, when it began, in [ns]."""
+
+    values: Numbers
+    kind: str
+    messages: int
+    begin_ns: int | None
+
+
 class JointRun:
     """One joint of a recording; taking it frees the recording's columns.
 
     Args:
         recording: The recording.
         joint: The joint.
-        clock: ``"header"`` or ``"receive"``.
+        selection: What is asked for.
 
     Attributes:
         states: Its states in the order of their stamps.
@@ -64,8 +76,9 @@ class JointRun:
         SeriesError: No state carries a usable position.
     """
 
-    def __init__(self, recording: Recording, joint: str, clock: str) -> None:
-        self._recording, self._joint, self._clock = recording, joint, clock
+    def __init__(self, recording: Recording, joint: str, selection: BagSelection) -> None:
+        self._recording, self._joint, self._selection = recording, joint, selection
+        self._clock = clock = selection.clock
         taken = recording.states.take(joint)
         if taken is None:
             raise SeriesError(f"joint {joint!r}: no state carries its position")
@@ -91,16 +104,17 @@ class JointRun:
             SeriesError: The window holds no state, or no command carries a usable effort.
         """
         whole = self.states
-        reference, kind, count = self._reference(whole)
+        reference, kind, count, begin = self._reference(whole, window)
         states = whole.within(window.first_ns, window.last_ns)
         if not len(states.stamps_ns):
             raise SeriesError(f"joint {self._joint!r}: no state in the window")
-        commands, command_clock = self._commands()
+        commands, command_clock, effort = self._commands()
         commands = commands.within(window.first_ns, window.last_ns)
         if np.array_equal(commands.stamps_ns, states.stamps_ns):
             commands = commands._replace(stamps_ns=states.stamps_ns)
         losses, answers = self._losses(states, commands, command_clock)
-        reference = Ordered(whole.stamps_ns, reference).within(*window[1:]).values
+        if len(reference):
+            reference = Ordered(whole.stamps_ns, reference).within(*window[1:]).values
         for array in (*states[:2], *commands[:2], reference):
             array.setflags(write=False)
         series = JointSeries(self._joint, *states[:2], reference, *commands[:2])
@@ -112,6 +126,9 @@ class JointRun:
             answers_states=answers,
             reference=kind,
             references=count,
+            reference_from=None if begin is None else _seconds(begin - window.origin_ns),
+            effort=effort if len(commands.stamps_ns) else NONE,
+            no_effort="" if len(commands.stamps_ns) else self._no_effort,
         )
         return series, losses, quality
 
@@ -122,19 +139,43 @@ class JointRun:
             raise SeriesError(f"joint {self._joint!r}: its messages carry no stamps")
         return times
 
-    def _commands(self) -> tuple[Ordered, str]:
-        """Return the commands in the order of their stamps, and whose clock these are."""
-        command = self._recording.choice.command_topics.get(self._joint)
+    def _commands(self) -> tuple[Ordered, str, str]:
+        """Return the commands in the order of their stamps, whose clock these are, their topic."""
+        choice = self._recording.choice
+        self._no_effort = self._why_no_effort()
+        command = choice.command_topics.get(self._joint)
         if command is not None:
             samples = self._recording.floats[command.topic].take(self._joint)
             if samples is not None:
-                return self._unstamped(samples), "receive"
-        for stream in self._recording.commands.values():
+                return self._unstamped(samples), "receive", command.topic
+        for topic, stream in self._recording.commands.items():
             samples = stream.take(self._joint)
-            if samples is not None:
-                samples, not_finite = self._finite_efforts(samples)
-                return ordered(self._times(samples), samples.values, not_finite), self._clock
-        return _EMPTY, self._clock
+            if samples is None:
+                continue
+            if choice.is_measured:
+                return self._measured(samples), self._clock, f"{MEASURED}, of {topic}"
+            samples, not_finite = self._finite_efforts(samples)
+            return ordered(self._times(samples), samples.values, not_finite), self._clock, topic
+        return _EMPTY, self._clock, ""
+
+    def _measured(self, samples: JointSamples) -> Ordered:
+        """Return measured efforts; none where the driver fills the field without measuring."""
+        samples, not_finite = finite(samples)
+        is_asked_for = self._selection.commands is not None
+        if not len(samples.values) or not (is_asked_for or samples.values.any()):
+            state = "not a number" if not len(samples.values) else "zero"
+            topic = self._recording.choice.states
+            self._no_effort = f"the efforts that {topic} measured are {state} throughout"
+            return _EMPTY
+        return ordered(self._times(samples), samples.values, not_finite)
+
+    def _why_no_effort(self) -> str:
+        choice = self._recording.choice
+        if not choice.has_commands:
+            return "no efforts were read, as asked for"
+        if choice.in_doubt:
+            return f"{NO_EFFORT} as such ({', '.join(choice.in_doubt)} may carry them)"
+        return NO_EFFORT
 
     def _unstamped(self, samples: JointSamples) -> Ordered:
         samples, not_finite = self._finite_efforts(samples)
@@ -155,7 +196,8 @@ class JointRun:
         """Return what went missing, and whether commands answer states at all."""
         count = len(states.stamps_ns)
         if not len(commands.stamps_ns):
-            return Losses(count if self._recording.choice.has_commands else 0, 0), True
+            choice = self._recording.choice
+            return Losses(count if choice.has_commands and not choice.is_measured else 0, 0), True
         if commands.stamps_ns is states.stamps_ns:
             return Losses(0, commands.repeated), True
         places = np.searchsorted(commands.stamps_ns, states.stamps_ns)
@@ -165,15 +207,27 @@ class JointRun:
             return Losses(0, commands.repeated), False
         return Losses(count - answered, commands.repeated), True
 
-    def _reference(self, states: Ordered) -> tuple[Numbers, str, int]:
-        """Return the reference at the states, its kind and topic, and how many messages it had."""
-        events = sorted(self._events(), key=lambda each: each[1][:2])
-        if events:
+    def _reference(self, states: Ordered, window: Window) -> _Reference:
+        """Return the reference at the states and where it comes from; none without one."""
+        asked = self._selection.reference
+        if asked == HOLD:
+            held = np.full(len(states.stamps_ns), states.values[0])
+            return _Reference(held, HOLD, 0, None)
+        if isinstance(asked, JointTrajectory):
+            events = self._given(asked, window)
+        else:
+            events = sorted(self._events(), key=lambda each: each[1][:2])
+            events = [(kind, self._on_clock(event)) for kind, event in events]
+        columns = [event for _, event in events]
+        if columns:
             logged = self._logged_states()
-            columns = (self._on_clock(event) for _, event in events)
-            reference = sample_events(columns, logged, states.stamps_ns, float(states.values[0]))
+            begin = min(first_state(each, logged, states.stamps_ns) for each in columns)
+            is_under_way = begin < len(states.stamps_ns)
+            begin_ns = int(states.stamps_ns[begin]) if is_under_way else None
+            values = sample_events(columns, logged, states.stamps_ns, float(states.values[0]))
             kinds = dict.fromkeys(kind for kind, _ in events)
-            return reference, " and ".join(kinds), len(events)
+            count = len(events)
+            return _Reference(values, " and ".join(kinds), count, begin_ns)
         for topic, stream in self._recording.sampled.items():
             samples = stream.take(self._joint)
             if samples is None:
@@ -181,10 +235,23 @@ class JointRun:
             samples, not_finite = finite(samples)
             if len(samples.values):
                 known = ordered(self._times(samples), samples.values, not_finite)
-                reference = interpolate(states.stamps_ns, known.stamps_ns, known.values)
+                values = interpolate(states.stamps_ns, known.stamps_ns, known.values)
                 kind = "sampled" if topic in self._recording.choice.references.sampled else ""
-                return reference, f"{kind or 'controller_state'} {topic}", len(samples.values)
-        return np.full(len(states.stamps_ns), states.values[0]), "hold", 0
+                kind = f"{kind or 'controller_state'} {topic}"
+                begin_ns = max(int(known.stamps_ns[0]), int(states.stamps_ns[0]))
+                return _Reference(values, kind, len(samples.values), begin_ns)
+        return _Reference(np.empty(0), NONE, 0, None)
+
+    def _given(
+        self, trajectory: JointTrajectory, window: Window
+    ) -> list[tuple[str, ReferenceEvent]]:
+        """Return a trajectory that was followed from the first state of any joint on."""
+        if self._joint not in trajectory.joint_names:
+            return []
+        column = trajectory.column(self._joint)
+        if window.origin_ns > 0:
+            column = dataclasses.replace(column, stamp_ns=window.origin_ns)
+        return [("given", ReferenceEvent(-_FOREVER_NS, -1, column))]
 
     def _events(self) -> Iterator[tuple[str, ReferenceEvent]]:
         """Yield the trajectories and setpoints that concern the joint, with kind and topic."""
@@ -225,6 +292,10 @@ class JointRun:
         if not header.any() or start_ns <= 0:
             start_ns = 0  # the states' headers do not tell when it began
         return event._replace(column=dataclasses.replace(column, stamp_ns=start_ns))
+
+
+def _seconds(difference_ns: int) -> float:
+    return difference_ns / _NS_PER_S
 
 
 def _quality(samples: Ordered, window: Window) -> StampQuality:

@@ -17,7 +17,7 @@ from hpid_ros.bags.recording import Recording
 from hpid_ros.bags.selection import BagSelection
 from hpid_ros.bags.storage import Progress, Storage
 from hpid_ros.bags.streams import OrderNeededError
-from hpid_ros.bags.topic_choice import choose_topics
+from hpid_ros.bags.topic_choice import TopicChoice, choose_topics
 from hpid_ros.errors import BagError, unknown_name
 
 __all__ = ["BagReader", "RawMessage", "TopicSummary", "read_run"]
@@ -40,8 +40,10 @@ def read_run(
     States and commands are ordered by their stamps; of several with one stamp the last stands.
     A command answers the state whose stamp it carries. Messages that carry no position (state)
     or no effort (command) for a joint do not concern it, and numbers that are not finite are left
-    out. What could not be read, and what is missing, is in the result's ``quality``; parts that
-    could not be read are logged as warnings too.
+    out. Where nothing carries efforts but the states, these measured ones are taken; a joint for
+    which there are none, or no reference, has none (see :class:`JointSeries`). What could not be
+    read, and what is missing, is in the result's ``quality``; parts that could not be read are
+    logged as warnings too.
 
     Args:
         path: A bag folder, with ``metadata.yaml`` or without, or one ``.mcap`` or ``.db3`` file.
@@ -52,8 +54,8 @@ def read_run(
         progress: Takes the share of the bag that has been read, in [0, 1].
 
     Raises:
-        BagError: If nothing of the bag can be read, or it lacks a topic, a joint, a state or
-            any command, or a trajectory in it cannot be decoded.
+        BagError: If nothing of the bag can be read, or it lacks a topic or a joint that was
+            asked for, or any state, or a trajectory in it cannot be decoded.
         SettingError: The joints are no joints.
     """
     chosen = selection or BagSelection()
@@ -99,6 +101,28 @@ def _recording(
                 f"{where}: messages on {topic} are {topics[topic].encoding or 'of no encoding'}, "
                 "but must be cdr"
             )
+    recording = _collected(storage, where, selection, choice, types, progress)
+    if choice.may_be_measured and not recording.has_efforts():
+        choice = choice.measured()
+        recording = _collected(storage, where, selection, choice, types, progress)
+    _require_messages(where, recording, topics)
+    if choice.in_doubt and not (selection.commands or selection.command_topics):
+        recording.notes.append(
+            f"{', '.join(choice.in_doubt)}: efforts, positions or velocities, which nothing "
+            "tells: not read; --commands effort takes them for efforts"
+        )
+    return recording
+
+
+def _collected(
+    storage: Storage,
+    where: str,
+    selection: BagSelection,
+    choice: TopicChoice,
+    types: Mapping[str, str],
+    progress: Progress,
+) -> Recording:
+    """Read the messages of some topics."""
     joints = None if selection.joints is None else frozenset(selection.joints)
     has_order = selection.clock == "receive"
     while True:
@@ -106,17 +130,15 @@ def _recording(
         try:
             for batch in storage.batches(choice.all, progress):
                 recording.add(batch)
-            break
+            return recording
         except OrderNeededError:
             has_order = True
         except BagError as error:
             raise BagError(f"{where}: {error}") from error
-    _require_messages(where, recording, topics)
-    return recording
 
 
 def _require_messages(where: str, recording: Recording, topics: Mapping[str, TopicInfo]) -> None:
-    """Raise BagError if there are no states, or no commands though they are wanted."""
+    """Raise BagError if there are no states, or no commands though they were asked for."""
     counts = {topic: stream.message_count for topic, stream in recording.streams()}
     counts |= dict.fromkeys(recording.choice.references.trajectory, 0)
     for logged in recording.trajectories:
@@ -124,7 +146,7 @@ def _require_messages(where: str, recording: Recording, topics: Mapping[str, Top
     choice = recording.choice
     missing = [] if counts[choice.states] else [choice.states]
     commands = (*choice.commands, *(each.topic for each in choice.command_topics.values()))
-    if commands and not any(counts[topic] for topic in commands):
+    if not choice.is_measured and commands and not any(counts[topic] for topic in commands):
         missing.append(commands[0])
     if missing:
         listed = ", ".join(f"{name} {counts[name]}" for name in sorted(counts))
@@ -147,12 +169,15 @@ def _joints(where: str, recording: Recording, selection: BagSelection) -> Sequen
     """Return the joints to read, all of which the states name."""
     known = recording.known_joints()
     joints = selection.joints or recording.concerned_joints()
+    if not joints and not recording.is_of_other_joints():
+        joints = known
     if not joints:
         choice = recording.choice
         commands = sorted({*choice.commands, *(c.topic for c in choice.command_topics.values())})
         raise BagError(
             f"{where}: no joint of {choice.states} is commanded on "
-            f"{', '.join(commands) or 'any topic'} or has a reference; joints: {', '.join(known)}"
+            f"{', '.join(commands) or 'any topic'} or has a reference; joints: "
+            f"{', '.join(known)} (--command-topic JOINT=TOPIC[INDEX] says whose efforts are where)"
         )
     for joint in joints:
         if joint not in known:
@@ -164,7 +189,7 @@ def _run(
     label: str, recording: Recording, joints: Sequence[str], selection: BagSelection
 ) -> RunSeries:
     """Return the series of all joints within the window."""
-    runs = {joint: JointRun(recording, joint, selection.clock) for joint in joints}
+    runs = {joint: JointRun(recording, joint, selection) for joint in joints}
     origin_ns = min(int(run.states.stamps_ns[0]) for run in runs.values())
     window = Window.of(origin_ns, selection.start, selection.end)
     series, losses, qualities = [], {}, {}

@@ -117,17 +117,33 @@ class Recording:
                 raise BagError(f"{batch.topic} at {log_time_ns} ns: {error}") from error
             self.trajectories.append(LoggedTrajectory(log_time_ns, place, batch.topic, trajectory))
 
+    def has_efforts(self) -> bool:
+        """Tell whether any command carries a joint's effort."""
+        streams = (*self.commands.values(), *self.floats.values())
+        return any(stream.joints() for stream in streams)
+
+    def is_of_other_joints(self) -> bool:
+        """Tell whether there are commands or references, but of joints that no state names."""
+        known = set(self.known_joints())
+        named = self._concerned()
+        return bool(named) and known.isdisjoint(named)
+
     def known_joints(self) -> list[str]:
         """Return the joints that states name, in their order."""
         return list(self.states.names)
 
     def concerned_joints(self) -> list[str]:
         """Return those that are commanded or have a reference, in the order of the states."""
+        concerned = self._concerned()
+        return [name for name in self.known_joints() if name in concerned]
+
+    def _concerned(self) -> set[str]:
         concerned: set[str] = set()
-        for stream in (*self.commands.values(), *self.sampled.values()):
+        commands = () if self.choice.is_measured else self.commands.values()
+        for stream in (*commands, *self.sampled.values()):
             concerned.update(stream.names)
         for stream in (*self.floats.values(), *self.setpoints.values()):
             concerned.update(stream.joints())
         for logged in self.trajectories:
             concerned.update(logged.trajectory.joint_names)
-        return [name for name in self.known_joints() if name in concerned]
+        return concerned

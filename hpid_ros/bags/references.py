@@ -85,7 +85,7 @@ def sample_events(
     """
     spans: list[_Span] = []
     for event in events:
-        begin = _first_state(event, states, stamps_ns)
+        begin = first_state(event, states, stamps_ns)
         if begin == len(stamps_ns):
             continue
         while spans and spans[-1].begin >= begin:
@@ -117,8 +117,14 @@ def interpolate(stamps_ns: Integers, times_ns: Integers, values: Numbers) -> Num
     return sampled
 
 
-def _first_state(event: ReferenceEvent, states: LoggedStates, stamps_ns: Integers) -> int:
-    """Return the index of the first state under a reference; the length if there is none."""
+def first_state(event: ReferenceEvent, states: LoggedStates, stamps_ns: Integers) -> int:
+    """Return the index of the first state under a reference; the length if there is none.
+
+    Args:
+        event: The reference.
+        states: The joint's states.
+        stamps_ns: Their stamps, strictly increasing, in [ns].
+    """
     begin = len(stamps_ns)
     following = states.first_after(event.log_time_ns, event.place)
     if following < len(states.stamps_ns):

@@ -8,7 +8,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
+from hpid_ros.analysis.quality import HOLD
 from hpid_ros.errors import SettingError, unknown_name
+from hpid_ros.trajectory import JointTrajectory
 
 CLOCKS = ("header", "receive")
 """Where the time of states and stamped commands comes from.
@@ -16,11 +18,17 @@ CLOCKS = ("header", "receive")
 ``header`` is the stamp in the message, ``receive`` the time at which the recorder got it.
 """
 
-REFERENCES = ("auto", "trajectory", "setpoint", "sampled", "controller_state", "hold")
+REFERENCES = ("auto", "trajectory", "setpoint", "sampled", "controller_state", HOLD)
 """Kinds of reference: found in this order; see :class:`BagSelection`."""
 
 NO_COMMANDS = "none"
 """As ``commands``: read no efforts."""
+
+EFFORT_COMMANDS = "effort"
+"""As ``commands``: what controllers publish on ``~/command`` or ``~/commands`` are efforts."""
+
+Reference = str | JointTrajectory
+"""A name of :data:`REFERENCES`, a topic, or the reference itself."""
 
 _MAPPING = re.compile(r"(?P<joint>[^=]+)=(?P<topic>[^=\[\]]+)(\[(?P<element>\d+)\])?")
 
@@ -51,14 +59,17 @@ class BagSelection:
         states: Topic of the states (``sensor_msgs/JointState``).
         commands: Topic of the efforts: ``sensor_msgs/JointState`` or
             ``control_msgs/JointTrajectoryControllerState`` (its output). The topic of the states
-            gives their measured efforts. ``"none"`` reads a bag without commands.
+            gives their measured efforts, which are taken, too, where nothing else carries any.
+            ``"effort"`` takes the numbers of ``*_controller/commands`` for efforts, which
+            neither their names nor their types tell. ``"none"`` reads no efforts.
         command_topics: Topics with the efforts of single joints (``std_msgs/Float64``,
             ``std_msgs/Float64MultiArray``), by joint.
         reference: A name of :data:`REFERENCES`, or a topic: ``trajectory`` is
             ``trajectory_msgs/JointTrajectory``, ``setpoint`` a controller's
             ``std_msgs/Float64``, ``sampled`` its ``~/reference``, ``controller_state`` the
-            reference of a ``JointTrajectoryControllerState``, ``hold`` the first position.
-            ``auto`` takes the first of these that the joint has.
+            reference of a ``JointTrajectoryControllerState``, ``hold`` the first position of
+            each joint. ``auto`` takes the first of these, but for ``hold``, that the joint has.
+            A trajectory is one that was followed from the first state on.
         clock: One of :data:`CLOCKS`. Commands without a stamp have their receive time in either.
         start: Begin of the window, seconds since the first state of any joint, in [s].
         end: End of the window (inclusive), likewise.
@@ -72,7 +83,7 @@ class BagSelection:
     states: str | None = None
     commands: str | None = None
     command_topics: Mapping[str, CommandTopic] = field(default_factory=dict)
-    reference: str = "auto"
+    reference: Reference = "auto"
     clock: str = "header"
     start: float | None = None
     end: float | None = None

@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
+from hpid_ros.analysis.quality import HOLD
 from hpid_ros.bags.layouts import CONTROLLER_STATE, FLOAT64, FLOAT64_MULTI_ARRAY, JOINT_STATE
 from hpid_ros.bags.message_types import JOINT_TRAJECTORY
-from hpid_ros.bags.selection import NO_COMMANDS, REFERENCES, BagSelection, CommandTopic
+from hpid_ros.bags.selection import (
+    EFFORT_COMMANDS,
+    NO_COMMANDS,
+    REFERENCES,
+    BagSelection,
+    CommandTopic,
+)
 from hpid_ros.bags.topic_names import (
     find_topic,
     is_below,
@@ -18,9 +25,12 @@ from hpid_ros.bags.topic_names import (
     namespace_of,
 )
 from hpid_ros.errors import BagError
+from hpid_ros.trajectory import JointTrajectory
 
 _FLOATS = (FLOAT64, FLOAT64_MULTI_ARRAY)
-_COMMANDS_OF_A_JOINT = ("command", "commands", "cmd_force", "cmd_effort")
+_EFFORTS_OF_A_JOINT = ("cmd_force", "cmd_effort")
+_COMMANDS_OF_A_JOINT = ("command", "commands")
+"""Positions, velocities or efforts: only who ran the controllers knows."""
 _NEITHER_STATES_NOR_COMMANDS = ("reference", "terms")
 
 
@@ -41,7 +51,7 @@ class ReferenceTopics(NamedTuple):
 
 
 NO_REFERENCES = ReferenceTopics()
-"""Every joint holds its first position."""
+"""Nothing says what the joints were to follow."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +63,10 @@ class TopicChoice:
         commands: Of stamped commands, JointState or JointTrajectoryControllerState.
         command_topics: Where single joints' commands without stamps are, by joint.
         references: Of the references.
-        has_commands: Whether efforts are wanted.
+        has_commands: Whether efforts are wanted, and there is anything that may carry them.
+        is_measured: Whether the efforts are those that the states measured.
+        may_be_measured: Whether those are to be taken if nothing else carries efforts.
+        in_doubt: Topics that may carry efforts, or something else.
     """
 
     states: str
@@ -61,6 +74,19 @@ class TopicChoice:
     command_topics: Mapping[str, CommandTopic] = field(default_factory=dict)
     references: ReferenceTopics = NO_REFERENCES
     has_commands: bool = True
+    is_measured: bool = False
+    may_be_measured: bool = False
+    in_doubt: tuple[str, ...] = ()
+
+    def measured(self) -> TopicChoice:
+        """Return the same with the efforts that the states measured, and no others."""
+        return replace(
+            self,
+            commands=(self.states,),
+            command_topics={},
+            is_measured=True,
+            may_be_measured=False,
+        )
 
     @property
     def all(self) -> frozenset[str]:
@@ -112,14 +138,22 @@ class _Chooser:
             joint: each._replace(topic=self.named(each.topic, _FLOATS))
             for joint, each in self.selection.command_topics.items()
         }
+        asked = self.selection.commands
         commands, found = self.commands(states, bool(explicit))
-        return TopicChoice(
+        topics = {**found, **explicit}
+        choice = TopicChoice(
             states,
             commands=commands,
-            command_topics={**found, **explicit},
+            command_topics=topics,
             references=self.references(),
-            has_commands=self.selection.commands != NO_COMMANDS,
+            has_commands=asked != NO_COMMANDS,
+            is_measured=commands == (states,),
+            may_be_measured=asked is None and not explicit,
+            in_doubt=self.in_doubt(states, {*commands, *(each.topic for each in topics.values())}),
         )
+        if choice.may_be_measured and not commands and not topics:
+            return choice.measured()
+        return choice
 
     def named(self, name: str, allowed: tuple[str, ...]) -> str:
         return find_topic(self.where, name, self.types, allowed)
@@ -135,7 +169,7 @@ class _Chooser:
         if len(found) > 1:
             raise BagError(
                 f"{self.where}: {what} could be any of {', '.join(found)}; "
-                f"choose by namespace or name the topic ({option})"
+                f"choose by --namespace, or name the topic ({option})"
             )
         return found[0]
 
@@ -150,7 +184,7 @@ class _Chooser:
             raise BagError(
                 f"{self.where}: no topic of states ({JOINT_STATE}); topics: {self.listed()}"
             )
-        return self.one("the states", found, "states")
+        return self.one("the states", found, "--states")
 
     def listed(self) -> str:
         return _listed(self.types)
@@ -158,38 +192,50 @@ class _Chooser:
     def commands(
         self, states: str, has_explicit: bool
     ) -> tuple[tuple[str, ...], dict[str, CommandTopic]]:
-        """Return topics with stamps, and those of single joints without."""
+        """Return topics with stamps, and those of single joints without; none if there is none."""
         asked = self.selection.commands
         if asked == NO_COMMANDS:
             return (), {}
-        if asked is not None:
+        if asked not in (None, EFFORT_COMMANDS):
             return (self.named(asked, (JOINT_STATE, CONTROLLER_STATE)),), {}
         candidates = self.of_type(JOINT_STATE)
         here = f"{self.near}/joint_commands"
         found = [here] if here in candidates else matching("joint_commands", candidates)
-        if found:
-            return (self.one("the commands", found, "commands"),), {}
+        if found and asked is None:
+            return (self.one("the commands", found, "--commands"),), {}
+        wanted: tuple[str, ...] = _EFFORTS_OF_A_JOINT
+        if asked == EFFORT_COMMANDS:
+            wanted += _COMMANDS_OF_A_JOINT
         floats = {
             joint_of(name): CommandTopic(name)
             for name in self.below(*_FLOATS)
-            if last_part(name) in _COMMANDS_OF_A_JOINT
+            if last_part(name) in wanted
         }
+        if asked == EFFORT_COMMANDS:
+            if not floats:
+                raise BagError(
+                    f"{self.where}: no topic of a controller's commands, such as "
+                    f"/elbow_controller/commands ({FLOAT64}, {FLOAT64_MULTI_ARRAY}); topics: "
+                    f"{self.listed()}"
+                )
+            return (), floats
         reports = tuple(self.below(CONTROLLER_STATE))
         if floats or reports or has_explicit:
             return reports, floats
-        found = [
-            name for name in candidates if name != states and not _is_of_a_controller(name, False)
-        ]
-        if found:
-            return (self.one("the commands", found, "commands"),), {}
-        raise BagError(
-            f"{self.where}: no topic of commands; name it (commands), say where each joint's are "
-            f"(command_topics), or read without ({NO_COMMANDS!r}); topics: {self.listed()}"
+        found = [name for name in candidates if name != states and _may_be_commands(name)]
+        return (self.one("the commands", found, "--commands"),) if found else (), {}
+
+    def in_doubt(self, states: str, taken: Collection[str]) -> tuple[str, ...]:
+        """Return topics without names of joints that may carry efforts, or something else."""
+        return tuple(
+            name
+            for name in self.below(*_FLOATS)
+            if last_part(name) in _COMMANDS_OF_A_JOINT and name not in taken
         )
 
     def references(self) -> ReferenceTopics:
         asked = self.selection.reference
-        if asked == "hold":
+        if isinstance(asked, JointTrajectory) or asked == HOLD:
             return NO_REFERENCES
         if asked not in REFERENCES:
             return self.named_reference(asked)
@@ -227,10 +273,15 @@ class _Chooser:
         return ReferenceTopics(controller_state=(topic,))
 
 
-def _is_of_a_controller(topic: str, commands_too: bool = True) -> bool:
+def _is_of_a_controller(topic: str) -> bool:
     """Tell whether a JointState topic is a controller's output by its name."""
+    return last_part(topic) in (*_NEITHER_STATES_NOR_COMMANDS, "joint_commands")
+
+
+def _may_be_commands(topic: str) -> bool:
+    """Tell whether a JointState topic that is not the states' may be commands by its name."""
     last = last_part(topic)
-    return last in _NEITHER_STATES_NOR_COMMANDS or (commands_too and last == "joint_commands")
+    return last not in _NEITHER_STATES_NOR_COMMANDS and "state" not in last
 
 
 def _listed(types: Mapping[str, str]) -> str:

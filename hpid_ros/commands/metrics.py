@@ -47,8 +47,9 @@ def run(options: argparse.Namespace) -> int:
     inputs = inputs_of(options)
     keeps_series = options.figures is not None or options.report is not None
     with _progress() as tell:
-        measured = list(measure(options, inputs, keeps_series, tell))
+        measured = measure(options, inputs, keeps_series, tell)
         outcome = _outcome(options, measured)
+        _require_a_number(outcome.comparison)
         for line in outcome.warnings:
             print(f"hpid: warning: {line}", file=sys.stderr)
         if keeps_series and len(outcome.series) < len(outcome.comparison.runs):
@@ -72,7 +73,11 @@ def _outcome(options: argparse.Namespace, measured: Sequence[Measured]) -> Outco
 
     single = [run for each in measured for run in each.runs]
     single = _baseline_first(options, single)
-    warnings = (*(line for each in measured for line in each.defects), *mismatches(single))
+    warnings = (
+        *(line for each in measured for line in each.defects),
+        *_advice(single, options.commands is None),
+        *mismatches(single),
+    )
     single = [with_angles_in(run, options.units) for run in single]
     comparison = _selected(options, fold_repeats(single))
     labels = [run.label for run in comparison.runs]
@@ -106,6 +111,58 @@ def _outcome(options: argparse.Namespace, measured: Sequence[Measured]) -> Outco
             if (path := _first(measured, label, "end_effector_path")) is not None
         ),
     )
+
+
+_OPTIONS = {
+    "effort": "--commands TOPIC, --commands effort or --command-topic JOINT=TOPIC[INDEX]",
+    "reference": "--reference TOPIC, FILE or hold",
+}
+
+
+def _advice(runs: Sequence[RunIndices], is_measured_a_choice: bool = True) -> list[str]:
+    """Return one line for each set of runs that lack something, with the options that give it.
+
+    Args:
+        runs: The runs.
+        is_measured_a_choice: Whether measured efforts were taken for want of commands.
+    """
+    from hpid_ros.analysis.quantities import Data
+
+    labels: dict[str, list[str]] = {}
+    for run in runs:
+        parts = []
+        if Data.EFFORT in run.assumed and is_measured_a_choice:
+            parts.append(
+                f"efforts are {run.assumed[Data.EFFORT]}, as nothing else carries any "
+                "(--commands TOPIC or --command-topic JOINT=TOPIC[INDEX] names commands)"
+            )
+        for data, options in _OPTIONS.items():
+            reasons: dict[str, list[str]] = {}
+            for joint, lacking in run.lacking.items():
+                for each, reason in lacking.items():
+                    if each.value == data:
+                        reasons.setdefault(reason, []).append(joint)
+            for reason, joints in reasons.items():
+                where = "" if len(joints) == len(run.joints) else f" for {', '.join(joints)}"
+                parts.append(f"{reason}{where}: {options}")
+        if parts:
+            labels.setdefault("; ".join(parts), []).append(repr(run.label))
+    return [
+        f"run{'s' if len(names) > 1 else ''} {', '.join(dict.fromkeys(names))}: {text}"
+        for text, names in labels.items()
+    ]
+
+
+def _require_a_number(comparison: Comparison) -> None:
+    """Raise SettingError if no run has what any of the numbers asked for needs."""
+    from hpid_ros.errors import SettingError
+
+    for run in comparison.runs:
+        for quantity in (*comparison.indices, *comparison.norms):
+            if any(quantity.needs not in run.lacking.get(joint, {}) for joint in run.joints):
+                return
+    lines = "; ".join(_advice(comparison.runs))
+    raise SettingError(f"none of the indices asked for can be computed: {lines}")
 
 
 def _first(measured: Sequence[Measured], label: str, what: str) -> Any:

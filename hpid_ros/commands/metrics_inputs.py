@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from hpid_ros.analysis import RunIndices, RunSeries, run_indices
+from hpid_ros.analysis.common_window import Cut, common_cuts
 from hpid_ros.analysis.quality_text import quality_lines
 from hpid_ros.analysis.saved import runs_from_mapping
 from hpid_ros.analysis.task_figures import EndEffectorFigures, EndEffectorPath
@@ -99,8 +100,11 @@ def measure(
     inputs: Sequence[Input],
     keeps_series: bool,
     tell: Callable[[str, float], None],
-) -> Iterator[Measured]:
-    """Read the inputs one after the other and yield their numbers.
+) -> list[Measured]:
+    """Read the inputs one after the other and return their numbers.
+
+    Recordings of unlike length are cut to the time that all of them have, unless a window was
+    asked for.
 
     Args:
         options: The options.
@@ -111,6 +115,23 @@ def measure(
     Raises:
         HpidError: Something cannot be read.
     """
+    measured = list(_measured(options, inputs, keeps_series, tell, ()))
+    if options.start is not None or options.end is not None:
+        return measured
+    if any(each.is_saved for each in inputs):
+        return measured
+    cuts = common_cuts([run for each in measured for run in each.runs])
+    return list(_measured(options, inputs, keeps_series, tell, cuts)) if cuts else measured
+
+
+def _measured(
+    options: argparse.Namespace,
+    inputs: Sequence[Input],
+    keeps_series: bool,
+    tell: Callable[[str, float], None],
+    cuts: Sequence[Cut],
+) -> Iterator[Measured]:
+    """Read the inputs, of each its cut if there are any."""
     selection = bag_selection(options)
     frame = task_frame(options)
     for number, each in enumerate(inputs):
@@ -125,11 +146,15 @@ def measure(
                 runs = (_relabelled(each, runs),)
             yield Measured(runs, None, each.path, {})
             continue
+        if cuts:
+            selection = replace(selection, start=cuts[number].start, end=cuts[number].end)
         with _silence():  # what the reader logs is in the recording's quality too
             series = read_run(each.path, str(each.label), selection=selection, progress=told)
         if keeps_series:
             series = replace(series, retunes=read_retunes(each.path))
         numbers = run_indices(series, index_settings(options, series.joint_names))
+        if cuts:
+            numbers = replace(numbers, cut=cuts[number].text)
         parameters = _saved_parameters(each.path)
         hand = (None, None) if frame is None else end_effector_of(frame, series)
         yield Measured(

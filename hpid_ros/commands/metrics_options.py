@@ -11,7 +11,7 @@ from hpid_ros.commands.metrics_robot import add_robot_options
 
 if TYPE_CHECKING:
     from hpid_ros.analysis.indices import IndexSettings
-    from hpid_ros.bags.selection import BagSelection
+    from hpid_ros.bags.selection import BagSelection, Reference
 
 EXAMPLES = """\
 examples:
@@ -19,6 +19,8 @@ examples:
   hpid metrics pid_bag hpid_bag --labels PID hPID      the second against the first
   hpid metrics --group PID pid_* --group hPID hpid_*   repeats: medians and quartiles
   hpid metrics my_bag --indices step,rmse --units deg  other indices, angles in degrees
+  hpid metrics my_bag --reference my_motion.yaml       no reference in the bag: it is given
+  hpid metrics my_bag --command-topic elbow=/group_controller/commands[2]
   hpid metrics a_bag b_bag --save ab.json --report ab.html
   hpid metrics my_bag --robot my_robot.urdf            and how far its hand was off
   hpid metrics ab.json results/mine/result.json        saved numbers instead of bags
@@ -69,7 +71,12 @@ def _add_selection(group: Any) -> None:
     group.add_argument("--joints", nargs="+", metavar="JOINT", help="only these joints")
     group.add_argument("--namespace", metavar="NAME", help="which of several robots")
     group.add_argument("--states", metavar="TOPIC", help="of the joint states")
-    group.add_argument("--commands", metavar="TOPIC", help="of the efforts; none for no efforts")
+    group.add_argument(
+        "--commands",
+        metavar="TOPIC",
+        help="of the efforts; effort: *_controller/commands are efforts, the topic of the states: "
+        "measured ones, none: none (found by name and type, else the measured ones)",
+    )
     group.add_argument(
         "--command-topic",
         action="append",
@@ -78,7 +85,13 @@ def _add_selection(group: Any) -> None:
         help="of one joint's efforts; may be given several times",
     )
     group.add_argument(
-        "--reference", default="auto", metavar="KIND", help="kind or topic of the reference (auto)"
+        "--reference",
+        default="auto",
+        metavar="TOPIC|FILE|hold",
+        help="what the joints were to follow: a topic; a YAML file with a reference section, as "
+        "experiments have, followed from the first state on; hold: each joint its first position; "
+        "or a kind of topic: trajectory, setpoint, sampled, controller_state (auto: any of these "
+        "kinds that is there)",
     )
     group.add_argument(
         "--clock", default="header", metavar="CLOCK", help="header or receive (header)"
@@ -150,11 +163,24 @@ def bag_selection(options: argparse.Namespace) -> BagSelection:
         states=options.states,
         commands=options.commands,
         command_topics=parse_command_topics(options.command_topic),
-        reference=options.reference,
+        reference=_reference(options.reference),
         clock=options.clock,
         start=options.start,
         end=options.end,
     )
+
+
+def _reference(text: str) -> Reference:
+    """Return a kind or a topic as it is, and the trajectory of a file.
+
+    Raises:
+        HpidError: The file is not there, or has no usable reference.
+    """
+    if Path(text).suffix not in (".yaml", ".yml") and not Path(text).is_file():
+        return text
+    from hpid_ros.experiment.description import load_reference
+
+    return load_reference(text)
 
 
 def index_settings(options: argparse.Namespace, joints: Sequence[str]) -> IndexSettings:

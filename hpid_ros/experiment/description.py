@@ -106,6 +106,23 @@ def load_experiment(path: str | Path) -> Experiment:
     return experiment
 
 
+def load_reference(path: str | Path) -> JointTrajectory:
+    """Return the reference of a file: an experiment, or any file with a ``reference`` section.
+
+    Args:
+        path: The file (YAML).
+
+    Raises:
+        HpidError: It is not there, or has no usable reference.
+    """
+    document = load_document(path, ExperimentError)
+    return planned_reference(
+        document.values,
+        f"{path}: reference",
+        lambda name: RobotDescription.load(find_resource(name, document.folders)),
+    ).trajectory
+
+
 def _experiment(document: Document, root: Section) -> Experiment:
     control = root.section("control", {})
     rate = control.number("rate", 1000.0, least=0.1, most=1e5)

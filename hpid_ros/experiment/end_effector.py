@@ -69,7 +69,8 @@ class EndEffector:
         run: The run; of its joints those between the root and the link count.
 
     Raises:
-        BagError: The run has none of the link's joints, or only one of the wheels.
+        BagError: The run has none of the link's joints, no reference of one of them, or only one
+            of the wheels.
         RobotDescriptionError: The robot lacks the link or no joint moves it.
     """
 
@@ -82,6 +83,12 @@ class EndEffector:
             raise BagError(
                 f"run {run.label!r} has no joint that moves {frame.link!r}: it has "
                 f"{', '.join(self._series)}, but the link moves with {', '.join(chain)}"
+            )
+        unknown = [joint for joint in recorded if not self._series[joint].has_reference]
+        if unknown:
+            raise BagError(
+                f"run {run.label!r}: how far {frame.link!r} was from its reference is not known: "
+                f"no reference of {', '.join(unknown)} was recorded (--reference gives one)"
             )
         others = {
             name: position

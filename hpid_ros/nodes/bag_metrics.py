@@ -12,9 +12,9 @@ from rclpy.parameter import Parameter
 from hpid_ros.analysis import Comparison, RunIndices, run_indices
 from hpid_ros.analysis.formats import FORMATS
 from hpid_ros.analysis.quality_text import quality_lines
-from hpid_ros.analysis.quantities import ANGLE_UNITS, find_quantities
+from hpid_ros.analysis.quantities import ANGLE_UNITS, Quantity, find_quantities
 from hpid_ros.analysis.units import with_angles_in
-from hpid_ros.bags import read_run
+from hpid_ros.bags import BagSelection, parse_command_topics, read_run
 from hpid_ros.bags.comparison import compare_bags
 from hpid_ros.errors import HpidError, SettingError, unknown_name
 from hpid_ros.nodes import executor
@@ -49,6 +49,7 @@ class BagMetrics(executor.ClosingNode):
             )
         labels = read_only(self, "labels", strings, "One for each bag; folder names if left out")
         self._joints = read_only(self, "joints", strings, "Only these joints; all if left out")
+        self._selection = self._read_selection()
         self._read_format()
         stays = read_only(
             self, "keep_running", False, "Stay, with the result latched on ~/indices"
@@ -58,7 +59,7 @@ class BagMetrics(executor.ClosingNode):
         self._publisher = self.create_publisher(DiagnosticArray, "~/indices", LATCHED)
         if bags:
             paths = [Path(bag) for bag in bags]
-            comparison = compare_bags(paths, labels or (), self._joints)
+            comparison = compare_bags(paths, labels or (), self._joints, selection=self._selection)
             self._baseline = comparison.baseline
             self._report(comparison.runs)
         if self._bags is not None:
@@ -66,6 +67,20 @@ class BagMetrics(executor.ClosingNode):
             self.get_logger().info(f"watching {watch}")
         elif not stays:
             steady_timer(self, 0.0, self.request_stop)
+
+    def _read_selection(self) -> BagSelection:
+        reference = str(
+            read_only(self, "reference", "auto", "Topic of the reference, its kind, or hold")
+        )
+        commands = str(read_only(self, "commands", "", "Topic of the efforts; effort; none"))
+        topics = read_only(
+            self, "command_topics", Parameter.Type.STRING_ARRAY, "JOINT=TOPIC[INDEX] of efforts"
+        )
+        return BagSelection(
+            commands=commands or None,
+            command_topics=parse_command_topics(topics or ()),
+            reference=reference,
+        )
 
     def _read_format(self) -> None:
         self._format = str(
@@ -89,7 +104,9 @@ class BagMetrics(executor.ClosingNode):
         assert self._bags is not None
         for bag in self._bags.new():
             try:
-                series = read_run(bag, self._label(bag), joints=self._joints)
+                series = read_run(
+                    bag, self._label(bag), joints=self._joints, selection=self._selection
+                )
                 for line in quality_lines(series):
                     self.get_logger().warning(line)
                 run = run_indices(series)
@@ -128,7 +145,7 @@ def indices_message(comparison: Comparison) -> DiagnosticArray:
             values = [
                 KeyValue(
                     key=f"{quantity.symbol} [{comparison.unit(quantity)}]",
-                    value=repr(run.value(quantity, joint)),
+                    value=_text(run, quantity, joint),
                 )
                 for quantity in quantities
             ]
@@ -137,6 +154,11 @@ def indices_message(comparison: Comparison) -> DiagnosticArray:
                 DiagnosticStatus(name=name, hardware_id=joint or "", values=values)
             )
     return array
+
+
+def _text(run: RunIndices, quantity: Quantity, joint: str | None) -> str:
+    reasons = dict.fromkeys(run.why_undefined(quantity, joint).values())
+    return f"undefined: {', '.join(reasons)}" if reasons else repr(run.value(quantity, joint))
 
 
 def main(args: Sequence[str] | None = None) -> int:

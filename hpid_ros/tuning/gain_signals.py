@@ -29,9 +29,9 @@ def gain_signals(
         settings: The settings with which it was made, by joint.
 
     Returns:
-        The signals by joint; None if a joint's settings are missing.
+        The signals by joint; None if a joint's settings or its reference are missing.
     """
-    if any(joint not in settings for joint in run.joint_names):
+    if any(each.joint not in settings or not each.has_reference for each in run.joints):
         return None
     return {series.joint: _signals(series, settings[series.joint]) for series in run.joints}
 
