@@ -51,6 +51,17 @@ class ControllerHealth:
         self._last_fault = ""
         self.scheduling = ""
 
+    def begun(self) -> None:
+        """Say once, after the first state, what is in force."""
+        loop, settings = self._loop, self._loop.settings
+        degree = f" with mu = {settings.mu:g}" if settings.law == "hpid" else ""
+        self._node.get_logger().info(
+            f"active: joint {settings.joint}, {settings.law}{degree}, effort within "
+            f"[{settings.u_clamp_min:g}, {settings.u_clamp_max:g}] N m, position within "
+            f"[{settings.position_min:g}, {settings.position_max:g}] rad; {loop.state.value} at "
+            f"{loop.reference[0]:.6g} rad"
+        )
+
     def fault(self, line: str) -> None:
         """Note one line for something that could not be used."""
         self._last_fault = line

@@ -8,7 +8,6 @@ from typing import Any
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 
 from hpid_ros.nodes import executor
-from hpid_ros.nodes.guarded_services import guard_services
 from hpid_ros.nodes.parameters import read_only
 
 
@@ -33,7 +32,7 @@ class ManagedNode(LifecycleNode, executor.ClosingNode):
         self._autostart = bool(
             read_only(self, "autostart", True, "Configure and activate when the node starts")
         )
-        guard_services(self, self.refuse)
+        self.guard(self.refuse)
 
     def start(self) -> None:
         """Configure and activate, unless ``autostart`` is false.
