@@ -194,13 +194,13 @@ def run(
         there.
     """
     command_line = list(sys.argv if args is None else args)
-    end_with_the_launch()
-    load_profile()
     try:
         surplus = remove_ros_args(command_line)[1:]
         if usage is not None and is_asked_for(surplus):
             print(usage.text())
             return 0
+        end_with_the_launch()
+        load_profile()
         if surplus:
             what = " ".join(surplus)
             return _refuse(f"unknown arguments {what}; parameters follow --ros-args -p")
