@@ -2,6 +2,7 @@
 
 import importlib
 import json
+import os
 import re
 import subprocess
 import sys
@@ -19,6 +20,7 @@ from rclpy.parameter_client import AsyncParameterClient
 from hpid_ros.errors import SettingError
 from hpid_ros.names import is_for, node_sections
 from hpid_ros.nodes.given_parameters import as_declared
+from hpid_ros.nodes.launched import LAUNCH
 from hpid_ros.resources import share_folder
 from hpid_ros.tuning.controller_files import settings_from_parameters
 
@@ -380,3 +382,36 @@ def test_two_robots_side_by_side_are_two_robots(harness, experiment_file, tmp_pa
         assert all(each["unanswered"] == 0 for each in counts.values())
         assert robots[name].end["foreign"] == 0
         assert frames[name].startswith(f"{name}/")
+
+
+def test_nodes_do_not_outlive_the_launch_that_started_them(harness, tmp_path):
+    """As ``ros2 launch`` ends on SIGTERM: without a word to what it started."""
+    node = [sys.executable, "-m", "hpid_ros.nodes.joint_controller", "--ros-args"]
+    node += ros_arguments(joint="elbow", gains__p=10.0)
+    launch = (
+        "import os, subprocess, time\n"
+        f"os.environ[{LAUNCH!r}] = str(os.getpid())\n"
+        f"subprocess.Popen({node!r}, stdin=subprocess.DEVNULL).wait()\n"
+    )
+    reader, writer = os.pipe()  # its end is that of all who have it
+    process = subprocess.Popen([sys.executable, "-c", launch], stdout=writer, stderr=writer)
+    os.close(writer)
+    os.set_blocking(reader, False)
+
+    def has_ended():
+        try:
+            return os.read(reader, 65536) == b""
+        except BlockingIOError:
+            return False
+
+    try:
+        harness.wait(lambda: harness.states.get_subscription_count() == 1, what="the node")
+        assert harness.ask(0, 0.0) == 0.0
+        assert harness.ask(MS, -0.1) == pytest.approx(1.0)
+        process.kill()
+        harness.wait(has_ended, what="the node to end")
+        harness.wait(lambda: harness.commands[-1].effort == (0.0,), what="the last command")
+    finally:
+        process.kill()
+        process.wait()
+        os.close(reader)
