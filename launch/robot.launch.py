@@ -1,14 +1,24 @@
 """The simulated robot with its controllers on the open graph, to look into and to retune.
 
 ros2 launch hpid_ros robot.launch.py [experiment:=FILE] [controller:=hPID] [mode:=realtime]
-                                     [composed:=false] [bag:=FOLDER]
+                                     [composed:=false] [bag:=FOLDER] [namespace:=NAME]
+
+Two robots side by side are two launches with a namespace each.
 """
 
+import os
 import tempfile
 from pathlib import Path
 
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, OpaqueFunction, Shutdown
+from launch.actions import (
+    DeclareLaunchArgument,
+    OpaqueFunction,
+    RegisterEventHandler,
+    SetEnvironmentVariable,
+    Shutdown,
+)
+from launch.event_handlers import OnProcessExit, OnProcessIO
 from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
 from launch_ros.actions import Node
 from launch_ros.substitutions import FindPackageShare
@@ -21,12 +31,14 @@ from hpid_ros.experiment.parameter_files import (
     write_parameters,
 )
 from hpid_ros.names import controller_name
+from hpid_ros.nodes.launched import LAUNCH
 
 ARGUMENTS = {
     "controller": ("", None, "label under compare in the experiment file; the last one if empty"),
     "mode": ("realtime", ["realtime", "lockstep"], "lockstep: as fast as the machine allows"),
     "composed": ("false", ["true", "false"], "all controllers in one process"),
     "bag": ("", None, "record into this new folder"),
+    "namespace": ("", None, "of all nodes, topics and services, and before the frames' names"),
     "gui": ("false", ["true", "false"], "show PyBullet's window"),
 }
 
@@ -59,6 +71,7 @@ def nodes(context):
         raise RuntimeError(
             f"controller must be one of {list(experiment.controllers)}, not {label}"
         )
+    namespace = value["namespace"].strip("/")
     folder = Path(tempfile.mkdtemp(prefix="hpid_ros_"))
     controllers, bridge = str(folder / "controllers.yaml"), str(folder / "bridge.yaml")
     robot = str(experiment.world.robot_description)
@@ -68,11 +81,13 @@ def nodes(context):
         Node(
             package="hpid_ros",
             executable="trajectory_publisher",
+            namespace=namespace,
             parameters=[{"reference_file": str(experiment.path)}],
         ),
         Node(
             package="hpid_ros",
             executable="pybullet_bridge",
+            namespace=namespace,
             on_exit=Shutdown(),
             parameters=[
                 bridge,
@@ -80,6 +95,7 @@ def nodes(context):
                     "mode": value["mode"],
                     "gui": value["gui"] == "true",
                     "duration": 0.0,
+                    "frame_prefix": f"{namespace}/" if namespace else "",
                     # The robot would fall while its controllers are still starting, and a bag
                     # without its beginning cannot be compared. The publisher of the reference
                     # listens, too, until the motion has begun.
@@ -97,6 +113,7 @@ def nodes(context):
             Node(
                 package="hpid_ros",
                 executable="joint_controllers",
+                namespace=namespace,
                 ros_arguments=[
                     *("--params-file", controllers),
                     *("-p", "wait_for_reference:=true", "-p", "state_clock:=simulated"),
@@ -108,6 +125,7 @@ def nodes(context):
             Node(
                 package="hpid_ros",
                 executable="joint_controller",
+                namespace=namespace,
                 name=controller_name(joint),
                 parameters=[
                     controllers,
@@ -121,8 +139,34 @@ def nodes(context):
             Node(
                 package="hpid_ros",
                 executable="bag_recorder",
+                namespace=namespace,
                 on_exit=Shutdown(),
                 parameters=[{"bag": value["bag"], "topics": recorded_topics(experiment.world)}],
             )
         )
-    return started
+    return [SetEnvironmentVariable(LAUNCH, str(os.getpid())), *failures(), *started]
+
+
+def failures():
+    """End the launch with the reason, and not with 0, when a process ends with an error.
+
+    One that a signal ended, as somebody who tries out what becomes of the others may do, is none.
+    """
+    last_words = {}
+
+    def note(event):
+        lines = event.text.decode(errors="replace").strip().splitlines()
+        if lines:
+            last_words[event.pid] = lines[-1]
+
+    def ended(event, context):
+        if event.returncode > 0 and not context.is_shutdown:
+            reason = last_words.get(event.pid, "it said nothing")
+            raise RuntimeError(
+                f"{event.process_name} ended with exit code {event.returncode}: {reason}"
+            )
+
+    return [
+        RegisterEventHandler(OnProcessIO(on_stderr=note)),
+        RegisterEventHandler(OnProcessExit(on_exit=ended)),
+    ]

@@ -189,7 +189,7 @@ def test_a_robot_without_a_base_has_no_such_section(experiment_file, tmp_path):
     path.write_text(yaml.safe_dump(document))
     experiment = load_experiment(path)
     assert experiment.world.base is None
-    assert "base" not in bridge_document(experiment)["pybullet_bridge"]["ros__parameters"]
+    assert "base" not in bridge_document(experiment)["/**/pybullet_bridge"]["ros__parameters"]
     run_without_ros(experiment, "PID", tmp_path / "bag", Silence())
     assert "base" not in compute(experiment, {"PID": tmp_path / "bag"}).as_mapping()
 
@@ -197,7 +197,7 @@ def test_a_robot_without_a_base_has_no_such_section(experiment_file, tmp_path):
 def test_the_robot_has_a_base_and_its_urdf_tells_the_lengths(experiment_file):
     experiment = load_experiment(experiment_file())
     assert experiment.world.base == DRIVE
-    assert bridge_document(experiment)["pybullet_bridge"]["ros__parameters"]["base"] == BASE
+    assert bridge_document(experiment)["/**/pybullet_bridge"]["ros__parameters"]["base"] == BASE
 
 
 @pytest.mark.parametrize(

@@ -251,11 +251,11 @@ def test_in_an_experiment_the_model_rolls_where_the_robot_does(experiment_file):
     held = load_experiment(experiment_file(compare={"one": DECOUPLED}, robot__fixed_base=True))
     assert not any(each.model.left_wheel for each in held.controllers["one"])
     document = controllers_document(experiment.controllers["one"], "robot.urdf")
-    assert document["arm_joint_1_controller"]["ros__parameters"]["model"]["description"] == (
+    assert document["/**/arm_joint_1_controller"]["ros__parameters"]["model"]["description"] == (
         "robot.urdf"
     )
     plain = controllers_document(experiment.controllers["none"], "robot.urdf")
-    assert "model" not in plain["arm_joint_1_controller"]["ros__parameters"]
+    assert "model" not in plain["/**/arm_joint_1_controller"]["ros__parameters"]
 
 
 def test_joints_that_are_not_driven_are_locked_and_an_unknown_inertia_is_the_models(

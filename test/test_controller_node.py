@@ -178,7 +178,7 @@ MODELLED = {
         ("joint_controller", {"joint": "a", "gain.p": 1.0}, "did you mean 'gains.p'"),
         ("joint_controller", {"joint": "a", "mu": 0.5}, "(-0.5, 0.5), not 0.5"),
         ("joint_controller", {"joint": "a", "gains.p": ".nan"}, "gains.p"),
-        ("joint_controller", {"joint": "a", "gains.p": 100}, "1.0, not 1"),
+        ("joint_controller", {"joint": "a", "gains.p": "much"}, "gains.p must be a double"),
         ("joint_controller", {"joint": "a", "command_interface": "can"}, "command_interface"),
         ("joint_controller", {"joint": "a", "compensation": "magic"}, "none, gravity, decoupling"),
         ("joint_controller", {"joint": "a", "compensation": "gravity"}, "description is empty"),

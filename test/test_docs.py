@@ -49,3 +49,13 @@ def test_every_example_runs_alone(example, tmp_path):
     )
     assert ended.returncode == 0, ended.stderr
     assert ended.stdout.strip()
+
+
+def test_the_double_integrator_claims_no_settling_that_did_not_happen(capsys):
+    import runpy
+
+    example = runpy.run_path(str(ROOT / "examples" / "double_integrator.py"))
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == "PID            settles in 1.164 s"
+    assert lines[-1] == "hPID, mu +0.2 does not settle within 5 s"
+    assert example["settling_time"](example["Pid"](example["GAINS"]), start=1e-4) == 0.0

@@ -59,10 +59,10 @@ def test_parameter_files_say_what_the_experiment_says(experiment_file):
     experiment = load_experiment(experiment_file())
     document = yaml.safe_load(yaml.safe_dump(controllers_document(experiment.controllers["hPID"])))
     for each in experiment.controllers["hPID"]:
-        parameters = document[f"{each.joint}_controller"]["ros__parameters"]
+        parameters = document[f"/**/{each.joint}_controller"]["ros__parameters"]
         assert parameters["gains"]["p"] == each.gains.p
         assert parameters["mu"] == each.mu
-    bridge = bridge_document(experiment)["pybullet_bridge"]["ros__parameters"]
+    bridge = bridge_document(experiment)["/**/pybullet_bridge"]["ros__parameters"]
     assert bridge["control_rate"] == 1000.0
     assert bridge["joints"] == list(experiment.world.joints)
 

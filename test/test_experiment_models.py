@@ -124,7 +124,7 @@ def test_arrays_that_do_not_fit_are_refused_in_one_line(everything, tmp_path, ha
 
     def refusal(prefix: str, name: str, value: object) -> str:
         document = bridge_document(everything)
-        document["pybullet_bridge"]["ros__parameters"][prefix][name] = value
+        document["/**/pybullet_bridge"]["ros__parameters"][prefix][name] = value
         with pytest.raises(SettingError) as caught:
             bridge_settings(document, tmp_path / "bridge.yaml", domain)
         return str(caught.value)
@@ -142,7 +142,7 @@ def test_arrays_that_do_not_fit_are_refused_in_one_line(everything, tmp_path, ha
 
 
 def test_a_document_of_an_ideal_robot_has_nothing_new(experiment_file):
-    parameters = bridge_document(load_experiment(experiment_file()))["pybullet_bridge"]
+    parameters = bridge_document(load_experiment(experiment_file()))["/**/pybullet_bridge"]
     assert not set(parameters["ros__parameters"]) & {
         *("motor", "pwm", "homing", "effort_delay", "position_noise", "velocity"),
         *("payload_schedule", "wrench_schedule"),

@@ -310,10 +310,11 @@ def test_no_request_ends_the_node(harness, faults):
     for each in odd:
         request = SetParameters.Request(parameters=[each])
         results = call(harness, SetParameters, "set_parameters", request).results
-        assert [result.successful for result in results] == [False]
+        assert [(result.successful, bool(result.reason)) for result in results] == [(False, True)]
         request = SetParametersAtomically.Request(parameters=[each])
         answer = call(harness, SetParametersAtomically, "set_parameters_atomically", request)
         assert not answer.result.successful
+        assert answer.result.reason
     harness.ask(0, 0.0)
     assert harness.ask(MS, -0.5) == pytest.approx(5.0)
     assert process.poll() is None

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 from hpid_ros.analysis.quality import DataQuality, StampQuality
 from hpid_ros.analysis.series import RunSeries
+from hpid_ros.analysis.unfollowed import unfollowed_lines
 
 COLUMNS = (
     *("joint", "stream", "clock", "samples", "rate [Hz]", "from [s]", "to [s]"),
@@ -36,6 +37,7 @@ def quality_lines(run: RunSeries) -> Iterator[str]:
     if received:
         streams = " and ".join(f"{stream}s" for stream in received)
         yield f"run {run.label!r}: {streams} have their receive time, not a stamp of their own"
+    yield from unfollowed_lines([run])
 
 
 def quality_rows(joint: str, quality: DataQuality) -> Iterator[tuple[object, ...]]:

@@ -1,7 +1,7 @@
 """The nodes' parameters of an experiment, as ROS parameter files.
 
 The same files serve the nodes on a real robot: ``ros2 run hpid_ros joint_controllers --ros-args
---params-file controllers.yaml``.
+--params-file controllers.yaml``, in whatever namespace.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import yaml
 from hpid_ros.control import LoopSettings
 from hpid_ros.experiment.description import Experiment
 from hpid_ros.experiment.scene_parameters import scene_document
-from hpid_ros.names import controller_name
+from hpid_ros.names import ANYWHERE, controller_name
 from hpid_ros.robot.differential_drive import DifferentialDrive
 from hpid_ros.simulation.columns import columns
 from hpid_ros.simulation.disturbances import Disturbances
@@ -36,13 +36,15 @@ def controllers_document(settings: Sequence[LoopSettings], robot: str = "") -> d
         robot: The robot's URDF, for controllers whose model has no other.
     """
     document: dict[str, Any] = {
-        "joint_controllers": {"ros__parameters": {"joints": [each.joint for each in settings]}}
+        f"{ANYWHERE}joint_controllers": {
+            "ros__parameters": {"joints": [each.joint for each in settings]}
+        }
     }
     for each in settings:
         values = each.to_parameters()
         if each.model.is_on and not each.model.description:
             values["model.description"] = robot
-        document[controller_name(each.joint)] = {"ros__parameters": _nested(values)}
+        document[f"{ANYWHERE}{controller_name(each.joint)}"] = {"ros__parameters": _nested(values)}
     return document
 
 
@@ -50,7 +52,7 @@ def bridge_document(experiment: Experiment) -> dict[str, Any]:
     """Return the parameters of the bridge."""
     world = experiment.world
     return {
-        "pybullet_bridge": {
+        f"{ANYWHERE}pybullet_bridge": {
             "ros__parameters": {
                 "robot_description": str(world.robot_description),
                 "joints": list(world.joints),

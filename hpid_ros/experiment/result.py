@@ -11,6 +11,7 @@ from pathlib import Path
 from hpid_ros.analysis import Comparison, RunSeries, run_indices
 from hpid_ros.analysis.base_figures import BaseFigures
 from hpid_ros.analysis.signals import GainSignals
+from hpid_ros.analysis.unfollowed import unfollowed_lines, unfollowed_mapping
 from hpid_ros.bags import read_run
 from hpid_ros.experiment.base_result import base_results
 from hpid_ros.experiment.description import Experiment
@@ -64,10 +65,15 @@ class Result:
                 }
                 for run in self.runs
             },
+            **self._unfollowed(),
             **self._of_the_base(),
             **self.task.as_mapping(),
             "parameters": self.parameters(),
         }
+
+    def _unfollowed(self) -> dict[str, object]:
+        found = unfollowed_mapping(self.runs)
+        return {"unfollowed": found} if found else {}
 
     def _of_the_base(self) -> dict[str, object]:
         if not self.base:
@@ -78,7 +84,7 @@ class Result:
     def notes(self) -> tuple[str, ...]:
         """Lines that belong below the table: what a reader must know of the runs."""
         slips = [each.line(label) for label, each in self.base.items() if each.has_slipped]
-        return (*self.task.notes, *slips)
+        return (*unfollowed_lines(self.runs), *self.task.notes, *slips)
 
     def parameters(self) -> dict[str, dict[str, dict[str, object]]]:
         """Return every parameter by run, joint and name."""

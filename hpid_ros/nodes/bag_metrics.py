@@ -23,6 +23,7 @@ from hpid_ros.nodes.parameters import read_only
 from hpid_ros.nodes.qos import LATCHED
 from hpid_ros.nodes.status_pipe import StatusPipe
 from hpid_ros.nodes.steady_timer import steady_timer
+from hpid_ros.nodes.usage import Usage
 
 _LOOK_PERIOD = 0.5  # [s]
 
@@ -161,9 +162,21 @@ def _text(run: RunIndices, quantity: Quantity, joint: str | None) -> str:
     return f"undefined: {', '.join(reasons)}" if reasons else repr(run.value(quantity, joint))
 
 
+USAGE = Usage(
+    "bag_metrics",
+    "Computes the indices of recorded bags, prints them and publishes them latched.",
+    "-p bags:=[FOLDER, ...]",
+    [
+        *("bags", "watch", "labels", "joints", "format", "units", "indices", "keep_running"),
+        "status_fd",
+    ],
+    tells=["~/indices"],
+)
+
+
 def main(args: Sequence[str] | None = None) -> int:
     """Run the metrics."""
-    return executor.run(lambda: [BagMetrics()], args)
+    return executor.run(lambda: [BagMetrics()], args, USAGE)
 
 
 if __name__ == "__main__":

@@ -30,6 +30,7 @@ from hpid_ros.nodes.parameters import read_only
 from hpid_ros.nodes.qos import OFFERED
 from hpid_ros.nodes.status_pipe import StatusPipe
 from hpid_ros.nodes.steady_timer import steady_timer
+from hpid_ros.nodes.usage import Usage
 
 _LOOK_PERIOD = 0.02  # [s]
 _REPORT_PERIOD = 0.05  # [s]
@@ -248,9 +249,18 @@ def _matching(publishers: Sequence[TopicEndpointInfo]) -> QoSProfile:
     )
 
 
+USAGE = Usage(
+    "bag_recorder",
+    "Records topics into a new MCAP bag.",
+    "-p bag:=FOLDER",
+    ["bag", "topics", "status_fd"],
+    ["those of the parameter topics"],
+)
+
+
 def main(args: Sequence[str] | None = None) -> int:
     """Run the recorder."""
-    return executor.run(lambda: [BagRecorder()], args)
+    return executor.run(lambda: [BagRecorder()], args, USAGE)
 
 
 if __name__ == "__main__":

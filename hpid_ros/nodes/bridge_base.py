@@ -67,14 +67,15 @@ class BridgeBase:
     Args:
         node: The bridge.
         world: Its world.
+        prefix: Of the frames' names.
 
     Attributes:
         counts: Messages published, by full name of their topic.
     """
 
-    def __init__(self, node: Node, world: World) -> None:
+    def __init__(self, node: Node, world: World, prefix: str = "") -> None:
         self._world = world
-        self._root = world.description.root
+        self._odom, self._root = prefix + ODOM_FRAME, prefix + world.description.root
         self._odometry = node.create_publisher(Odometry, "odom", OFFERED)
         self._truth = node.create_publisher(Odometry, "base_pose_ground_truth", OFFERED)
         self._publishers = [self._odometry, self._truth]
@@ -115,8 +116,8 @@ class BridgeBase:
             slip = Vector3Stamped(vector=Vector3(x=left, y=right, z=lateral))
             slip.header.stamp, slip.header.frame_id = stamp, self._root
             self._slip.publish(slip)
-        self._odometry.publish(_message(stamp, self._root, values))
-        self._truth.publish(_message(stamp, self._root, truth))
+        self._odometry.publish(_message(stamp, self._odom, self._root, values))
+        self._truth.publish(_message(stamp, self._odom, self._root, truth))
         self._published += 1
 
     def figures(self) -> dict[str, float]:
@@ -134,9 +135,9 @@ class BridgeBase:
         return figures
 
 
-def _message(stamp: Time, root: str, values: OdometryValues) -> Odometry:
+def _message(stamp: Time, odom: str, root: str, values: OdometryValues) -> Odometry:
     message = Odometry(child_frame_id=root)
-    message.header.stamp, message.header.frame_id = stamp, ODOM_FRAME
+    message.header.stamp, message.header.frame_id = stamp, odom
     message.pose.pose = pose_message(values.pose)
     message.pose.covariance = values.pose_covariance
     message.twist.twist.linear = _vector(values.twist.linear)

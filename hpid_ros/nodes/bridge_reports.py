@@ -24,6 +24,7 @@ class BridgeReports:
     Args:
         node: The bridge; it gets the parameters ``report_rate`` and ``ee_link``.
         world: Its world.
+        prefix: Of the frames' names.
         end_ns: Stamp of the last state in [ns], which is reported in any case; None if there is
             none.
 
@@ -32,7 +33,7 @@ class BridgeReports:
         SettingError: The rate is out of range.
     """
 
-    def __init__(self, node: Node, world: World, end_ns: int | None = None) -> None:
+    def __init__(self, node: Node, world: World, prefix: str, end_ns: int | None = None) -> None:
         self._world = world
         rate = read_number(
             node,
@@ -46,11 +47,11 @@ class BridgeReports:
         )
         self._link = world.description.link(self._link or world.description.links[-1])
         self._times = ReportTimes(rate, end_ns)
-        self._task = BridgeTask(node, world, self._link, not self._times.is_off)
+        self._task = BridgeTask(node, world, self._link, prefix, not self._times.is_off)
         if self._times.is_off:
             return
         self._clock = node.create_publisher(Clock, "clock", RARE)
-        self._base = BridgeBase(node, world)
+        self._base = BridgeBase(node, world, prefix)
 
     @property
     def counts(self) -> dict[str, int]:

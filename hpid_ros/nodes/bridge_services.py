@@ -22,6 +22,7 @@ class BridgeServices:
     Args:
         node: The bridge.
         world: Its world.
+        prefix: Of the frames' names.
         reset: Called to go back to time zero.
         resume: Called when the simulation may go on.
 
@@ -30,10 +31,16 @@ class BridgeServices:
     """
 
     def __init__(
-        self, node: Node, world: World, reset: Callable[[], None], resume: Callable[[], None]
+        self,
+        node: Node,
+        world: World,
+        prefix: str,
+        reset: Callable[[], None],
+        resume: Callable[[], None],
     ) -> None:
         self._node = node
         self._world = world
+        self._prefix = prefix
         self._reset = reset
         self._resume = resume
         self._is_paused = False
@@ -93,7 +100,7 @@ class BridgeServices:
         force, torque = message.wrench.force, message.wrench.torque
         try:
             self._world.apply_wrench(
-                message.header.frame_id,
+                message.header.frame_id.removeprefix(self._prefix),
                 (force.x, force.y, force.z),
                 (torque.x, torque.y, torque.z),
                 self._wrench_ns,

@@ -33,10 +33,12 @@ class BridgeTask:
         node: The bridge.
         world: Its world.
         link: Whose pose ``ee_pose`` is.
+        prefix: Of the frames' names.
         has_poses: Whether poses are told at all; events always are.
     """
 
-    def __init__(self, node: Node, world: World, link: str, has_poses: bool) -> None:
+    def __init__(self, node: Node, world: World, link: str, prefix: str, has_poses: bool) -> None:
+        self._odom = prefix + ODOM_FRAME
         self._node, self._world, self._link = node, world, link
         self._counts: dict[str, int] = {}
         self._gripper: Gripper | None = None
@@ -76,7 +78,7 @@ class BridgeTask:
             stamp: Of the present state.
         """
         pose = PoseStamped(pose=pose_message(self._world.link_pose(self._link)))
-        pose.header.stamp, pose.header.frame_id = stamp, ODOM_FRAME
+        pose.header.stamp, pose.header.frame_id = stamp, self._odom
         self._end_effector.publish(pose)
         self._counts[self._end_effector.topic_name] += 1
         if self._world.gripper is None:

@@ -11,6 +11,7 @@ from hpid_ros.nodes.diagnostics import ERROR, OK, WARN, Diagnostics
 from hpid_ros.nodes.loop_timing import LoopTiming
 from hpid_ros.nodes.model_compensation import ModelCompensation
 
+_NO_LIMIT = 1e6  # as the parameters say it
 _MANY_MISSED = 0.5  # of the states of a report
 
 _ON_FALLBACK = (LoopState.SILENT, LoopState.FAULT)
@@ -50,6 +51,26 @@ class ControllerHealth:
         self._missed = self._held = 0
         self._last_fault = ""
         self.scheduling = ""
+
+    def begun(self) -> None:
+        """Say once, after the first state, what is in force."""
+        loop, settings = self._loop, self._loop.settings
+        degree = f" with mu = {settings.mu:g}" if settings.law == "hpid" else ""
+        limits = {
+            "N m": (settings.u_clamp_min, settings.u_clamp_max),
+            "rad": (settings.position_min, settings.position_max),
+            "rad/s": (-settings.velocity_max, settings.velocity_max),
+        }
+        within = [
+            f"[{low:g}, {high:g}] {unit}"
+            for unit, (low, high) in limits.items()
+            if max(-low, high) < _NO_LIMIT
+        ]
+        self._node.get_logger().info(
+            f"active: joint {settings.joint}, {settings.law}{degree}, "
+            f"{'within ' + ', '.join(within) if within else 'no limits'}; "
+            f"{loop.state.value}: {loop.reference[0]:.6g} rad"
+        )
 
     def fault(self, line: str) -> None:
         """Note one line for something that could not be used."""

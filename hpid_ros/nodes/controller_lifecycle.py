@@ -9,7 +9,6 @@ from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackRet
 
 from hpid_ros.errors import ClaimError
 from hpid_ros.nodes import executor
-from hpid_ros.nodes.guarded_services import guard_services
 from hpid_ros.nodes.parameters import read_only
 
 
@@ -37,7 +36,7 @@ class ManagedNode(LifecycleNode, executor.ClosingNode):
             read_only(self, "autostart", True, "Configure and activate when the node starts")
         )
         self.is_starting = self._autostart
-        guard_services(self, self.refuse)
+        self.guard(self.refuse)
 
     def start(self) -> None:
         """Configure and activate, unless ``autostart`` is false.

@@ -56,8 +56,6 @@ class ControllerSettings:
             changes: What is about to be set.
             require: Raises an :class:`~hpid_ros.errors.HpidError` for settings that are refused.
         """
-        if not all(change.name for change in changes):  # rclpy would make a nameless parameter
-            return SetParametersResult(successful=False, reason="a parameter must have a name")
         if not concern_the_loop(changes):
             return SetParametersResult(successful=True)
         values = merged(self._node, LOOP_PARAMETERS, changes)

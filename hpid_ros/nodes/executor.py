@@ -18,24 +18,32 @@ import sys
 import time
 import traceback
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import rclpy
+from rcl_interfaces.msg import ParameterValue
 from rclpy.exceptions import (
-    InvalidParameterTypeException,
+    InvalidParameterValueException,
     NameValidationException,
     ParameterException,
 )
 from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.logging import get_logger
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 from rclpy.utilities import remove_ros_args
 
 from hpid_ros.errors import ClaimError, HpidError, SettingError, unknown_name
+from hpid_ros.nodes.given_parameters import as_declared
+from hpid_ros.nodes.guarded_services import guard_services
+from hpid_ros.nodes.launched import end_with_the_launch
 from hpid_ros.nodes.middleware import load_profile
+from hpid_ros.nodes.parameter_sources import ParameterSources
 from hpid_ros.nodes.security import warn_if_unprotected
 from hpid_ros.nodes.supervisor import Supervisor
+from hpid_ros.nodes.usage import Usage, is_asked_for
 
 BAD_INPUT = 2
 """Exit code of a process whose parameters or arguments cannot be used."""
@@ -49,9 +57,74 @@ _DEADLINE = 86400.0  # [s]; any finite one: spinning goes on when it passes
 
 
 class ClosingNode(Node):
-    """A node that has something to do before its context is gone."""
+    """A node that has something to do before its context is gone.
+
+    Its parameters are taken in the types that it declares, and no request brings it down.
+
+    Attributes:
+        sources: The parameter files of the process.
+
+    Args:
+        name: Node name.
+        options: Passed on to ``rclpy.node.Node``.
+
+    Raises:
+        SettingError: A parameter file has this node in another namespace only.
+    """
 
     supervisor: Supervisor | None = None
+    sources = ParameterSources()
+
+    def __init__(self, name: str, **options: Any) -> None:
+        super().__init__(name, **options)
+        self.guard(lambda line: self.get_logger().warning(line, throttle_duration_sec=1.0))
+
+    def guard(self, fault: Callable[[str], None]) -> None:
+        """Guard the services that are there; for nodes that rclpy builds in a way of its own.
+
+        Args:
+            fault: Called with one line for a request that raised.
+        """
+        guard_services(self, fault)
+        self.sources.require_namespace(self)
+
+    def require_given(self, name: str) -> None:
+        """Refuse a default where parameter files were given, and one has nothing for this node.
+
+        Args:
+            name: Of the parameter, before it is declared.
+
+        Raises:
+            SettingError: Whoever gave that file had something else in mind.
+        """
+        lines = self.sources.without([self])
+        if lines and name not in self._parameter_overrides:
+            raise SettingError(f"{name} must be given: {lines[0]}")
+
+    def declare_parameters(
+        self, namespace: str, parameters: list[Any], ignore_override: bool = False
+    ) -> list[Parameter]:
+        """Declare parameters, as rclpy does; what was given for them is read in their types.
+
+        Raises:
+            SettingError: What was given cannot be read so, or is out of range.
+        """
+        for name, default, *_ in parameters:
+            full = f"{namespace}.{name}" if namespace else name
+            given = self._parameter_overrides.get(full)  # rclpy has no public way to them
+            if given is None:
+                continue
+            try:
+                read = as_declared(given, _type_of(default))
+            except SettingError as error:
+                raise SettingError(f"{self.get_name()}: {error}") from None
+            self._parameter_overrides[full] = read
+            if read.type_ == Parameter.Type.NOT_SET:  # as if it had not been given
+                del self._parameter_overrides[full]
+        try:
+            return list(super().declare_parameters(namespace, parameters, ignore_override))
+        except InvalidParameterValueException as error:
+            raise SettingError(f"{self.get_name()}: {_input_error(error)}") from None
 
     def wind_down(self) -> Future | None:
         """Begin what takes time before the end; called once, while spinning goes on.
@@ -120,23 +193,41 @@ class ClosingNode(Node):
         return False
 
 
-def run(make_nodes: Callable[[], Sequence[ClosingNode]], args: Sequence[str] | None = None) -> int:
+def _type_of(default: object) -> Parameter.Type:
+    """Return the type that a parameter is declared with."""
+    if isinstance(default, Parameter.Type):
+        return default
+    if isinstance(default, ParameterValue):
+        return Parameter.Type(default.type)
+    return Parameter.Type.from_parameter_value(default)
+
+
+def run(
+    make_nodes: Callable[[], Sequence[ClosingNode]],
+    args: Sequence[str] | None = None,
+    usage: Usage | None = None,
+) -> int:
     """Run nodes until a signal or one of them ends the process.
 
     Args:
         make_nodes: Makes the nodes once the context is there.
         args: Command line with ROS arguments; None for that of the process.
+        usage: What ``--help`` prints; nothing is started then.
 
     Returns:
-        The exit code: 0 after SIGINT, SIGTERM and SIGHUP, 1 when a callback raised or a joint is
-        another's, 2 when arguments or parameters cannot be used. Whatever it is, every node has
-        been closed while the graph was there. After another signal the process ends by it, and
-        this never returns.
+        The exit code: 0 for help and after SIGINT, SIGTERM and SIGHUP, 1 when a callback raised
+        or a joint is another's, 2 when arguments or parameters cannot be used. Whatever it is,
+        every node has been closed while the graph was there. After another signal the process
+        ends by it, and this never returns.
     """
     command_line = list(sys.argv if args is None else args)
-    load_profile()
     try:
         surplus = remove_ros_args(command_line)[1:]
+        if usage is not None and is_asked_for(surplus):
+            print(usage.text())
+            return 0
+        end_with_the_launch()
+        load_profile()
         if surplus:
             what = " ".join(surplus)
             return _refuse(f"unknown arguments {what}; parameters follow --ros-args -p")
@@ -145,7 +236,7 @@ def run(make_nodes: Callable[[], Sequence[ClosingNode]], args: Sequence[str] | N
         return _refuse(_ros_error(error))
     try:
         with Supervisor() as supervisor:
-            code = _run_in_context(make_nodes, supervisor)
+            code = _run_in_context(make_nodes, command_line, supervisor)
     finally:
         rclpy.try_shutdown()
     if supervisor.ends_by is not None:
@@ -162,11 +253,16 @@ def _end_by(number: int) -> None:
 
 
 def _run_in_context(
-    make_nodes: Callable[[], Sequence[ClosingNode]], supervisor: Supervisor
+    make_nodes: Callable[[], Sequence[ClosingNode]],
+    command_line: Sequence[str],
+    supervisor: Supervisor,
 ) -> int:
     try:
+        ClosingNode.sources = ParameterSources(command_line)
         nodes = make_nodes()
         _require_known_parameters(nodes)
+        for line in ClosingNode.sources.without(nodes):
+            nodes[0].get_logger().warning(line)
         warn_if_unprotected(nodes[0])  # one of them speaks for the process
     except (HpidError, ParameterException, NameValidationException) as error:
         return _refuse(_input_error(error), _exit_code(error))
@@ -254,10 +350,7 @@ def _require_known_parameters(nodes: Sequence[Node]) -> None:
 
 def _input_error(error: Exception) -> str:
     """Return one line for an error of parameters or names."""
-    line = " ".join(str(error).split())
-    if isinstance(error, InvalidParameterTypeException) and "'INTEGER', expecting" in line:
-        return f"{line} (numbers with a fraction are written 1.0, not 1)"
-    return line.rstrip(" ^")
+    return " ".join(str(error).split()).rstrip(" ^")
 
 
 def _ros_error(error: Exception) -> str:

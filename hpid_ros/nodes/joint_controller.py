@@ -13,9 +13,10 @@ from rclpy.parameter import Parameter
 from rclpy.task import Future
 from sensor_msgs.msg import JointState
 
-from hpid_ros.control import JointLoop
+from hpid_ros.control import LOOP_PARAMETERS, JointLoop
 from hpid_ros.control.damping_stop import DampingStop
 from hpid_ros.control.joint_loop import Motion
+from hpid_ros.control.model_settings import MODEL_PARAMETERS
 from hpid_ros.errors import ClaimError, MessageError
 from hpid_ros.messages import JointReader
 from hpid_ros.nodes import executor
@@ -36,6 +37,7 @@ from hpid_ros.nodes.scheduling import schedule
 from hpid_ros.nodes.state_watchdog import StateWatchdog
 from hpid_ros.nodes.status_pipe import StatusPipe
 from hpid_ros.nodes.steady_timer import steady_timer
+from hpid_ros.nodes.usage import Usage
 
 _READINESS_PERIOD = 0.02  # [s]
 _INACTIVE = "the controller is not active"
@@ -171,12 +173,16 @@ class JointController(ManagedNode):
         self._timing.interrupt()
 
     def _start_when_ready(self) -> None:
-        if self._readiness is None or self._states is not None:
+        if self._readiness is None:
+            return
+        if self._states is not None:
+            if self._loop.stamp_ns is not None:
+                self._readiness.cancel()
+                self._health.begun()
             return
         if not self._claim.settle() or self._waits_for():
             return
         self.is_starting = False
-        self._readiness.cancel()
         self._states = self.create_subscription(
             JointState,
             "joint_states",
@@ -305,9 +311,26 @@ class JointController(ManagedNode):
         self._certification.close()
 
 
+OWN_PARAMETERS = (
+    *("command_interface", "robot_description", "autostart", "stop", "stop_duration"),
+    *("state_watchdog", "certify", "require_certificate", "introspection_rate"),
+    *("wait_for_command_subscribers", "wait_for_reference"),
+    *("realtime_priority", "cpu_affinity", "status_fd"),
+)
+USAGE = Usage(
+    "joint_controller",
+    "Controls one joint: states in, effort commands out.",
+    "-p joint:=JOINT",
+    [*LOOP_PARAMETERS, *MODEL_PARAMETERS, *OWN_PARAMETERS],
+    ["joint_states", "joint_trajectory", "~/setpoint"],
+    ["joint_commands (or ~/commands, ~/command)", "~/reference", "~/terms", "/diagnostics"],
+    ["~/change_state and the others of a managed node"],
+)
+
+
 def main(args: Sequence[str] | None = None) -> int:
     """Run one controller."""
-    return executor.run(lambda: [JointController()], args)
+    return executor.run(lambda: [JointController()], args, USAGE)
 
 
 if __name__ == "__main__":

@@ -13,6 +13,7 @@ from hpid_ros.names import controller_name
 from hpid_ros.nodes import executor
 from hpid_ros.nodes.joint_controller import JointController
 from hpid_ros.nodes.parameters import read_only
+from hpid_ros.nodes.usage import Usage
 
 
 class Composition(executor.ClosingNode):
@@ -54,9 +55,18 @@ def make_nodes() -> list[executor.ClosingNode]:
     return [composition, *controllers]
 
 
+USAGE = Usage(
+    "joint_controllers",
+    "Controls joints in one process, each with a node JOINT_controller of its own, whose "
+    "parameters, topics and services joint_controller --help tells.",
+    "-p joints:=[JOINT, ...] --params-file FILE",
+    ["joints"],
+)
+
+
 def main(args: Sequence[str] | None = None) -> int:
     """Run the controllers."""
-    return executor.run(make_nodes, args)
+    return executor.run(make_nodes, args, USAGE)
 
 
 if __name__ == "__main__":

@@ -19,10 +19,12 @@ from hpid_ros.nodes.bridge_services import BridgeServices
 from hpid_ros.nodes.bridge_timing import BridgeTiming
 from hpid_ros.nodes.diagnostics import ERROR, OK, WARN, Diagnostics
 from hpid_ros.nodes.held_commands import HeldCommands
+from hpid_ros.nodes.parameters import read_only
 from hpid_ros.nodes.qos import ALL_COMMANDS, OFFERED, overridable
 from hpid_ros.nodes.scheduling import schedule
 from hpid_ros.nodes.status_pipe import StatusPipe
 from hpid_ros.nodes.steady_timer import steady_timer
+from hpid_ros.nodes.usage import Usage
 from hpid_ros.nodes.world_parameters import world_settings
 from hpid_ros.simulation.lockstep import Barrier
 from hpid_ros.simulation.world import World
@@ -47,6 +49,7 @@ class PybulletBridge(executor.ClosingNode):
 
     def __init__(self) -> None:
         super().__init__("pybullet_bridge")
+        self.require_given("robot_description")
         settings = world_settings(self)
         self._pace = pace = read_pace(self, len(settings.joints))
         self._status = StatusPipe(self)
@@ -79,8 +82,11 @@ class PybulletBridge(executor.ClosingNode):
             raw=True,
             qos_overriding_options=overridable(),
         )
-        self._reports = BridgeReports(self, self._world, pace.end_ns)
-        self._simulation = BridgeServices(self, self._world, self._reset, self._resume)
+        prefix = str(
+            read_only(self, "frame_prefix", "", "Before each frame's name, e.g. of two robots")
+        )
+        self._reports = BridgeReports(self, self._world, prefix, pace.end_ns)
+        self._simulation = BridgeServices(self, self._world, prefix, self._reset, self._resume)
         self._diagnostics = Diagnostics(self, self._world.description.name)
         self._misread = 0
         self._is_done = False
@@ -236,9 +242,32 @@ class PybulletBridge(executor.ClosingNode):
         self._world.close()
 
 
+USAGE = Usage(
+    "pybullet_bridge",
+    "Simulates a robot in PyBullet behind the topics of a real one.",
+    "-p robot_description:=URDF",
+    [
+        *("robot_description", "joints", "mode", "real_time_factor", "control_rate"),
+        *("physics_steps", "initial_positions", "encoder_counts", "seed", "fixed_base"),
+        *("payload_mass", "gui", "duration", "exit_when_done", "answer_timeout"),
+        *("command_timeout", "wait_for_subscribers", "wait_for_publishers", "report_rate"),
+        *("ee_link", "frame_prefix", "wrench_duration", "base.*", "motor.*", "pwm.*", "homing.*"),
+        *("effort_delay", "position_noise", "velocity", "payload_schedule.*"),
+        *("wrench_schedule.*", "bricks.*", "supports.*", "gripper.*", "gripper_schedule.*"),
+        *("realtime_priority", "cpu_affinity", "status_fd"),
+    ],
+    ["joint_commands", "~/wrench"],
+    [
+        *("joint_states", "clock", "odom", "base_pose_ground_truth", "wheel_slip", "ee_pose"),
+        *("brick_poses", "grip_events", "/diagnostics"),
+    ],
+    ["~/pause", "~/step", "~/reset", "~/grip"],
+)
+
+
 def main(args: Sequence[str] | None = None) -> int:
     """Run the bridge."""
-    return executor.run(lambda: [PybulletBridge()], args)
+    return executor.run(lambda: [PybulletBridge()], args, USAGE)
 
 
 if __name__ == "__main__":

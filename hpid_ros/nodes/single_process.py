@@ -9,6 +9,7 @@ from hpid_ros.nodes import executor, joint_controllers
 from hpid_ros.nodes.bag_recorder import BagRecorder
 from hpid_ros.nodes.parameters import read_only
 from hpid_ros.nodes.pybullet_bridge import PybulletBridge
+from hpid_ros.nodes.usage import Usage
 
 
 class SingleProcess(executor.ClosingNode):
@@ -34,9 +35,18 @@ def make_nodes() -> list[executor.ClosingNode]:
     return [*nodes, BagRecorder()] if process.records else nodes
 
 
+USAGE = Usage(
+    "single_process",
+    "Runs pybullet_bridge and joint_controllers in one process, with record also bag_recorder; "
+    "their --help tells their parameters, topics and services.",
+    "--params-file FILE",
+    ["record"],
+)
+
+
 def main(args: Sequence[str] | None = None) -> int:
     """Run the bridge, the controllers and the recorder."""
-    return executor.run(make_nodes, args)
+    return executor.run(make_nodes, args, USAGE)
 
 
 if __name__ == "__main__":

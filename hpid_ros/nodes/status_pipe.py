@@ -8,10 +8,26 @@ from __future__ import annotations
 
 import json
 import os
+import stat
 
 from rclpy.node import Node
 
 from hpid_ros.nodes.parameters import read_only
+
+
+def _pipes() -> frozenset[int]:
+    found = set()
+    for descriptor in range(_HIGHEST):
+        try:
+            if stat.S_ISFIFO(os.fstat(descriptor).st_mode):
+                found.add(descriptor)
+        except OSError:  # not open
+            continue
+    return frozenset(found)
+
+
+_HIGHEST = 1024  # the usual limit
+_HANDED_DOWN = _pipes()  # before this process has opened any of its own
 
 
 class StatusPipe:
@@ -22,9 +38,11 @@ class StatusPipe:
     """
 
     def __init__(self, node: Node) -> None:
-        self._fd = read_only(
+        fd = read_only(
             node, "status_fd", -1, "File descriptor for one JSON line per event; -1 for none"
         )
+        # The parameters of a node that had a parent may have been dumped and given to this one.
+        self._fd = fd if fd in _HANDED_DOWN else -1
 
     def send(self, event: str, **values: object) -> None:
         """Write one event.

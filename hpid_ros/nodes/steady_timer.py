@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cache
+from weakref import WeakKeyDictionary
 
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.timer import Timer
+
+_CLOCKS: WeakKeyDictionary[Node, Clock] = WeakKeyDictionary()
 
 
 def steady_timer(node: Node, period: float, callback: Callable[[], object]) -> Timer:
@@ -21,10 +23,7 @@ def steady_timer(node: Node, period: float, callback: Callable[[], object]) -> T
         period: In [s].
         callback: Called when it has passed, again and again.
     """
-    return node.create_timer(period, callback, clock=_steady_clock())
-
-
-@cache
-def _steady_clock() -> Clock:
-    """Return the one of this process: the executor has a thread for each clock."""
-    return Clock(clock_type=ClockType.STEADY_TIME)
+    # The executor has a thread for each clock, and warns from eight timers of one clock on, which
+    # the controllers of a few joints have together: so there is one for each node.
+    clock = _CLOCKS.setdefault(node, Clock(clock_type=ClockType.STEADY_TIME))
+    return node.create_timer(period, callback, clock=clock)

@@ -22,6 +22,7 @@ from hpid_ros.nodes.qos import LATCHED, NEWEST_STATES, overridable
 from hpid_ros.nodes.status_pipe import StatusPipe
 from hpid_ros.nodes.steady_timer import steady_timer
 from hpid_ros.nodes.trajectories import to_message
+from hpid_ros.nodes.usage import Usage
 from hpid_ros.planning import planned_reference
 from hpid_ros.resources import find_resource
 from hpid_ros.robot.description import RobotDescription
@@ -96,9 +97,19 @@ class TrajectoryPublisher(executor.ClosingNode):
         self.destroy_subscription(self._states)
 
 
+USAGE = Usage(
+    "trajectory_publisher",
+    "Publishes the reference section of a YAML file, latched.",
+    "-p reference_file:=FILE",
+    ["reference_file", "status_fd"],
+    ["joint_states"],
+    ["joint_trajectory"],
+)
+
+
 def main(args: Sequence[str] | None = None) -> int:
     """Run the publisher."""
-    return executor.run(lambda: [TrajectoryPublisher()], args)
+    return executor.run(lambda: [TrajectoryPublisher()], args, USAGE)
 
 
 if __name__ == "__main__":

@@ -9,7 +9,7 @@ from typing import Any
 from hpid_ros.control import LOOP_PARAMETERS, LoopSettings
 from hpid_ros.control.model_settings import MODEL_PARAMETERS
 from hpid_ros.errors import HpidError, SettingError, unknown_name
-from hpid_ros.names import NODE_PARAMETERS
+from hpid_ros.names import ANYWHERE, NODE_PARAMETERS, node_sections
 from hpid_ros.yaml_files import load_yaml
 
 
@@ -20,7 +20,7 @@ def settings_from_parameter_file(path: Path) -> dict[str, LoopSettings]:
         path: A file as ``ros2 param dump`` and ``hpid compare`` write them.
 
     Returns:
-        By node name, in the order of the file.
+        By node name, in the order of the file; without a namespace where the file names none.
 
     Raises:
         SettingError: The file is no parameter file, has no controller, or one that cannot be
@@ -33,7 +33,8 @@ def settings_from_parameters(document: object, where: str) -> dict[str, LoopSett
     """Return the settings of every joint controller in the content of a parameter file.
 
     Args:
-        document: Node names to ``{"ros__parameters": {...}}``; ``/**`` applies to all.
+        document: Node names to ``{"ros__parameters": {...}}``, where ``/**/NAME`` is a node in any
+            namespace; ``/**`` applies to all.
         where: What the messages call it.
 
     Raises:
@@ -41,7 +42,10 @@ def settings_from_parameters(document: object, where: str) -> dict[str, LoopSett
     """
     if not isinstance(document, Mapping):
         raise SettingError(f"{where} is no ROS parameter file: it must map node names")
-    nodes = {str(name): _flat(_parameters(name, node, where)) for name, node in document.items()}
+    for name, node in document.items():
+        if not node_sections({name: node}):
+            raise SettingError(f"{where}: {name} has no mapping ros__parameters")
+    nodes = {_short(name): _flat(own) for name, own in node_sections(document).items()}
     everywhere = nodes.pop("/**", {})
     found = {}
     for name, own in nodes.items():
@@ -56,11 +60,10 @@ def settings_from_parameters(document: object, where: str) -> dict[str, LoopSett
     return found
 
 
-def _parameters(name: object, node: object, where: str) -> Mapping[str, Any]:
-    parameters = node.get("ros__parameters") if isinstance(node, Mapping) else None
-    if not isinstance(parameters, Mapping):
-        raise SettingError(f"{where}: {name} has no mapping ros__parameters")
-    return parameters
+def _short(name: str) -> str:
+    """Return a node's name as people know it: its namespace only where it has a certain one."""
+    base = name.removeprefix(ANYWHERE).removeprefix("/")
+    return name if "/" in base or "*" in base else base
 
 
 def _flat(parameters: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from hpid_ros.control import LOOP_PARAMETERS
 from hpid_ros.control.model_settings import MODEL_PARAMETERS
 from hpid_ros.control.parameters import Value
-from hpid_ros.names import controller_name
+from hpid_ros.names import ANYWHERE, controller_name
 from hpid_ros.tuning.upgrade import Upgrade
 
 _COMMENT_COLUMN = 48
@@ -27,10 +27,10 @@ def upgrade_text(
     """
     joints = ", ".join(each.settings.joint for each in upgrades)
     lines = [*(f"# {line}".rstrip() for line in header), ""]
-    lines += ["joint_controllers:", "  ros__parameters:", f"    joints: [{joints}]"]
+    lines += [f"{ANYWHERE}joint_controllers:", "  ros__parameters:", f"    joints: [{joints}]"]
     for each in upgrades:
         lines += ["", *(f"# {note}" for note in notes.get(each.settings.joint, ()))]
-        lines += [f"{controller_name(each.settings.joint)}:", "  ros__parameters:"]
+        lines += [f"{ANYWHERE}{controller_name(each.settings.joint)}:", "  ros__parameters:"]
         lines += _parameters(each)
     return "\n".join(lines) + "\n"
 

@@ -1,0 +1,71 @@
+"""What an executable prints when it is asked for help."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+_WIDTH = 96
+_HELP = ("-h", "--help")
+
+
+@dataclass(frozen=True)
+class Usage:
+    """An executable in a few lines.
+
+    Attributes:
+        name: Of the executable.
+        about: What it does, in one sentence.
+        needs: Parameters that must be given, as an example, for instance ``-p joint:=elbow``.
+        parameters: Names of all parameters; ``motor.*`` is a group of them.
+        listens: Topics that it subscribes to.
+        tells: Topics that it publishes.
+        serves: Services beside those of every node.
+    """
+
+    name: str
+    about: str
+    needs: str = ""
+    parameters: Sequence[str] = ()
+    listens: Sequence[str] = ()
+    tells: Sequence[str] = ()
+    serves: Sequence[str] = ()
+
+    def text(self) -> str:
+        """Return all of it."""
+        needs = f" {self.needs}" if self.needs else ""
+        lists = {
+            "parameters": self.parameters,
+            "subscribes to": self.listens,
+            "publishes": self.tells,
+            "services": self.serves,
+        }
+        return "\n".join(
+            [
+                f"usage: {self.name} --ros-args{needs} [-p NAME:=VALUE]... "
+                "[--params-file FILE]... [-r __ns:=/NAMESPACE]",
+                "",
+                self.about,
+                "",
+                *(_wrapped(what, names) for what, names in lists.items() if names),
+                "",
+                "ros2 param describe tells of a running node what each parameter is; "
+                "docs/interfaces.md has all of them.",
+            ]
+        )
+
+
+def is_asked_for(arguments: Sequence[str]) -> bool:
+    """Tell whether arguments ask for help."""
+    return any(argument in _HELP for argument in arguments)
+
+
+def _wrapped(what: str, names: Sequence[str]) -> str:
+    return textwrap.fill(
+        f"{what}: {', '.join(names)}",
+        _WIDTH,
+        subsequent_indent="  ",
+        break_long_words=False,
+        break_on_hyphens=False,
+    )
