@@ -9,9 +9,15 @@ from types import TracebackType
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TaskProgressColumn, TextColumn
-from rich.table import Table
 
+from hpid_ros.analysis.wide_table import UNLIMITED_WIDTH, Column, WideTable
 from hpid_ros.experiment.progress import RunReport
+
+
+def output_console() -> Console:
+    """Return where a command prints: in a pipe or a file nothing limits its width."""
+    console = Console()
+    return console if console.is_terminal else Console(width=UNLIMITED_WIDTH)
 
 
 class RunProgress:
@@ -116,16 +122,16 @@ def print_timing(console: Console, report: RunReport, duration: float) -> None:
     _print_runs(console, [report], duration)
     if report.timing is None:
         return
-    headings = ["joint, in us", "period", "p99", "compute", "p99", "latency", "p99"]
-    table = _table([*headings, "missed", "silent"])
+    headings = ["period", "p99", "compute", "p99", "latency", "p99", "missed", "silent"]
     cycle = report.timing.cycle
-    table.add_row("(bridge)", *_microseconds(cycle.median, cycle.p99))
+    rows = [("(bridge)", [*_microseconds(cycle.median, cycle.p99), *[""] * 6])]
     for joint, each in report.timing.joints.items():
         spreads = (each.period, each.compute, each.latency)
         figures = [figure for spread in spreads for figure in (spread.median, spread.p99)]
-        table.add_row(joint, *_microseconds(*figures), str(each.missed), str(each.unanswered))
+        numbers = [*_microseconds(*figures), str(each.missed), str(each.unanswered)]
+        rows.append((joint, numbers))
     console.print()
-    console.print(table)
+    console.print(_table("joint, in us", headings, rows))
 
 
 def print_result_places(console: Console, places: Mapping[str, Path]) -> None:
@@ -141,16 +147,21 @@ def print_result_places(console: Console, places: Mapping[str, Path]) -> None:
 
 
 def _print_runs(console: Console, reports: Sequence[RunReport], duration: float) -> None:
-    table = _table(["run", "states", "processes", "wall time", "rate", "real time"])
-    for report in reports:
-        table.add_row(
+    headings = ["states", "processes", "wall time", "rate", "real time"]
+    rows = [
+        (
             report.label,
-            str(report.states),
-            str(report.processes),
-            f"{report.wall_time:.2f} s",
-            f"{report.rate:.0f} Hz",
-            f"{duration / report.wall_time:.2f} x",
+            [
+                str(report.states),
+                str(report.processes),
+                f"{report.wall_time:.2f} s",
+                f"{report.rate:.0f} Hz",
+                f"{duration / report.wall_time:.2f} x",
+            ],
         )
+        for report in reports
+    ]
+    table = _table("run", headings, rows)
     console.print()
     console.print(table)
     for report in reports:
@@ -158,12 +169,17 @@ def _print_runs(console: Console, reports: Sequence[RunReport], duration: float)
             console.print(f"{report.label}: {warning}", style="yellow", highlight=False)
 
 
-def _table(headings: Sequence[str]) -> Table:
-    """Return an empty table whose first column is text."""
-    table = Table(box=None, header_style="dim", padding=(0, 2, 0, 0))
-    for index, heading in enumerate(headings):
-        table.add_column(heading, justify="right" if index else "left", no_wrap=True)
-    return table
+def _table(
+    name: str, headings: Sequence[str], rows: Sequence[tuple[str, Sequence[str]]]
+) -> WideTable:
+    """Return a table of numbers whose rows have names."""
+    cells = zip(*(numbers for _, numbers in rows), strict=True)
+    return WideTable(
+        [Column(name, [row for row, _ in rows], is_text=True)],
+        [Column(heading, each) for heading, each in zip(headings, cells, strict=True)],
+        header_style="dim",
+        padding=2,
+    )
 
 
 def _microseconds(*values: float) -> list[str]:

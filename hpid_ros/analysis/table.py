@@ -32,6 +32,7 @@ from hpid_ros.analysis.number_text import (
 )
 from hpid_ros.analysis.quantities import PAPER, Fold, Quantity
 from hpid_ros.analysis.results import RunIndices
+from hpid_ros.analysis.wide_table import UNLIMITED_WIDTH, Column, WideTable, pieces
 
 MARKS = {Verdict.BETTER: "▼", Verdict.WORSE: "▲", Verdict.EQUAL: "=", Verdict.UNKNOWN: " "}
 ASCII_MARKS = {**MARKS, Verdict.BETTER: "v", Verdict.WORSE: "^"}
@@ -41,7 +42,6 @@ STYLES = {
     Verdict.EQUAL: "dim",
     Verdict.UNKNOWN: "dim",
 }
-UNLIMITED_WIDTH = 10_000
 # Spaces between blocks and digits of the largest number, from roomy to tight.
 LAYOUTS = ((3, 5), (2, 5), (1, 5), (1, 4))
 
@@ -87,7 +87,7 @@ class ComparisonTable:
             while count > 1 and not fits(blocks.side_by_side(waiting[:count], gap, digits)):
                 count -= 1
             if count == 1:
-                yield blocks.of_index(waiting[0])
+                yield blocks.of_index(waiting[0], options.max_width)
             else:
                 yield blocks.side_by_side(waiting[:count], gap, digits)
             del waiting[:count]
@@ -128,24 +128,32 @@ class _Blocks:
         )
         return grid
 
-    def of_index(self, quantity: Quantity) -> Table:
+    def of_index(self, quantity: Quantity, width: int) -> Table | WideTable:
         """Return one index alone: the joints' names, then its runs and ratios."""
         columns = [self.names([quantity]), *self._columns(quantity, SIGNIFICANT_DIGITS)]
+        names, *numbers = (
+            Column(each.heading, each.cells, each.justify == "left") for each in columns
+        )
+        if len(pieces([names], numbers, width, 1)) > 1:
+            return WideTable([names], numbers, title=self._title(quantity), box=SIMPLE)
         return _block(self._title(quantity), columns)
 
-    def of_norms(self) -> Table:
+    def of_norms(self) -> WideTable:
         """Return what is shown over all joints alone, one row each."""
         are_l2 = all("L2" in quantity.meaning for quantity in self._comparison.norms)
-        block = Table(box=SIMPLE, show_edge=False, padding=(0, 1, 0, 0))
-        block.add_column(Text("L2, all joints" if are_l2 else "all joints"), overflow="fold")
+        norms = self._comparison.norms
+        names = Column(
+            "L2, all joints" if are_l2 else "all joints",
+            [self._title(quantity) for quantity in norms],
+            is_text=True,
+        )
+        headings: list[str] = []
         for k, run in enumerate(self._comparison.runs):
-            for heading in (heading_of(run), *_quartiles_heading(run)):
-                block.add_column(Text(heading), justify="right", overflow="fold")
-            if k:
-                block.add_column("ratio", justify="right", overflow="fold")
-        for quantity in self._comparison.norms:
-            block.add_row(Text(self._title(quantity)), *self._norm_row(quantity))
-        return block
+            headings += [heading_of(run), *_quartiles_heading(run), *(["ratio"] if k else [])]
+        rows = [self._norm_row(quantity) for quantity in norms]
+        cells = zip(*rows, strict=True)
+        columns = [Column(each, cell) for each, cell in zip(headings, cells, strict=True)]
+        return WideTable([names], columns, box=SIMPLE, header_style="table.header")
 
     def legend(self) -> list[Text]:
         """Return what symbols and marks mean, and why numbers are not there."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
@@ -89,6 +89,36 @@ def progress(console: Console, noun: str, total: int) -> Iterator[Callable[[str]
             shown.update(task, rate=rate, note=note)
 
         yield advanced
+
+
+@contextmanager
+def joint_progress(
+    console: Console, what: str, joints: int, is_logged: bool = False
+) -> Iterator[Callable[[Sequence[str]], None]]:
+    """Show how many joints are done.
+
+    Args:
+        console: Where.
+        what: What is done with them, for instance ``"certified"``.
+        joints: How many there are.
+        is_logged: Tell each with a line of its own where the console is no terminal.
+
+    Returns:
+        Context whose value is to be called with the names of joints that are done.
+    """
+    with progress(console, "joints", joints) as advanced:
+        done = 0
+
+        def told(names: Sequence[str]) -> None:
+            nonlocal done
+            for name in names:
+                done += 1
+                advanced(f"{what}: {name}")
+                if is_logged and not console.is_terminal:
+                    line = f"{what}: {name} ({done} of {joints})"
+                    console.print(line, markup=False, highlight=False, soft_wrap=True)
+
+        yield told
 
 
 @contextmanager

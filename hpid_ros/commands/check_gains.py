@@ -16,6 +16,7 @@ from hpid_ros.errors import RunError, SettingError
 
 if TYPE_CHECKING:
     from hpid_ros.control import LoopSettings
+    from hpid_ros.tuning.controller_files import ParameterFile
     from hpid_ros.tuning.settling import Settling
 
 _GIVEN = {
@@ -58,6 +59,8 @@ def run(options: argparse.Namespace) -> int:
     """Check the gains and print the verdicts."""
     from rich.console import Console
 
+    from hpid_ros.commands.batch import joint_progress
+    from hpid_ros.terminal import output_console
     from hpid_ros.tuning.gain_check import check_gains, inertia_of
     from hpid_ros.tuning.gain_table import GainTable
     from hpid_ros.tuning.saved_certificates import saved_certificates
@@ -66,20 +69,20 @@ def run(options: argparse.Namespace) -> int:
         saved = saved_certificates(options.file)
         if saved:
             return _verify(saved, options.json)
-    loops = _loops(options)
-    known = inertias_from(options, [settings.joint for settings in loops.values()])
-    verdicts = check_gains(
-        [
-            (settings, inertia_of(settings, known.get(settings.joint)))
-            for settings in loops.values()
-        ]
-    )
+    loops, inertias = _loops(options)
+    joints = [settings.joint for settings in loops.values()]
+    known = {**inertias, **inertias_from(options, joints)}
+    judged = [
+        (settings, inertia_of(settings, known.get(settings.joint))) for settings in loops.values()
+    ]
+    with joint_progress(Console(stderr=True), "certified", len(judged)) as tell:
+        verdicts = check_gains(judged, tell)
     names = [name.strip("/").removesuffix("_controller") for name in loops]
     by_name = dict(zip(names, verdicts, strict=True))
     if options.json:
         print(json.dumps({name: each.as_mapping() for name, each in by_name.items()}, indent=2))
     else:
-        Console().print(GainTable(by_name))
+        output_console().print(GainTable(by_name))
     settling = _settling(options, loops)
     if not options.json:
         for finding in settling:
@@ -118,8 +121,10 @@ def _verify(saved: Mapping[str, Mapping[str, Any]], as_json: bool) -> int:
     return DONE if all(each.holds for each in findings.values()) else FAILED
 
 
-def _loops(options: argparse.Namespace) -> dict[str, LoopSettings]:
-    """Return the loops to check by the name to show them under."""
+def _loops(options: argparse.Namespace) -> ParameterFile:
+    """Return the loops to check by the name to show them under, and inertias by joint."""
+    from hpid_ros.tuning.controller_files import ParameterFile
+
     given = {
         parameter: getattr(options, name)
         for name, parameter in _GIVEN.items()
@@ -131,7 +136,7 @@ def _loops(options: argparse.Namespace) -> dict[str, LoopSettings]:
             "check-gains needs one source: a FILE, --live, or gains given as --p --i --d"
         )
     if options.live:
-        return _running()
+        return ParameterFile(_running(), {})
     if options.file:
         return _from_file(options.file)
     from hpid_ros.control import LoopSettings
@@ -140,23 +145,25 @@ def _loops(options: argparse.Namespace) -> dict[str, LoopSettings]:
     if missing:
         raise SettingError(f"gains given as options lack {', '.join(missing)}")
     law = "hpid" if options.mu is not None else "pid"
-    return {"joint": LoopSettings.from_parameters({"joint": "joint", "law": law, **given})}
+    loop = LoopSettings.from_parameters({"joint": "joint", "law": law, **given})
+    return ParameterFile({"joint": loop}, {})
 
 
-def _from_file(path: Path) -> dict[str, LoopSettings]:
+def _from_file(path: Path) -> ParameterFile:
     from hpid_ros.experiment.description import load_experiment
-    from hpid_ros.tuning.controller_files import settings_from_parameters
+    from hpid_ros.tuning.controller_files import ParameterFile, parameters_from
     from hpid_ros.yaml_files import load_document
 
     document = load_document(path, SettingError).values
     if isinstance(document, Mapping) and "compare" in document:
         experiment = load_experiment(path)
-        return {
+        loops = {
             f"{label} {each.joint}": each
             for label, settings in experiment.controllers.items()
             for each in settings
         }
-    return settings_from_parameters(document, str(path))
+        return ParameterFile(loops, {})
+    return parameters_from(document, str(path))
 
 
 def _running() -> dict[str, LoopSettings]:

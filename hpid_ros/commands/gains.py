@@ -51,6 +51,9 @@ def add(commands: Any) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Compute the gains and print them."""
+    from rich.console import Console
+
+    from hpid_ros.commands.batch import joint_progress
     from hpid_ros.control import Gains, LoopSettings
     from hpid_ros.tuning.gain_design import design, yaml_text
 
@@ -62,12 +65,10 @@ def run(options: argparse.Namespace) -> int:
         inertias = {"joint": options.inertia}
     else:
         loops, inertias = _of_experiment(options.experiment)
-    designs = {
-        joint: design(
-            settings, inertias[joint], options.rule, options.closed_loop_time, options.delay
+    with joint_progress(Console(stderr=True), "certified", len(loops)) as tell:
+        designs = design(
+            loops, inertias, options.rule, options.closed_loop_time, options.delay, tell
         )
-        for joint, settings in loops.items()
-    }
     head = f"{options.rule}, closed-loop time {options.closed_loop_time:g} s"
     head += f", delay {options.delay:g} s" if options.delay else ""
     print(yaml_text(designs, head), end="")

@@ -215,11 +215,10 @@ def _print_to_output(
     formats: Mapping[str, Callable[[Comparison], str]],
 ) -> None:
     if options.format == "table" and sys.stdout.isatty():
-        from rich.console import Console
-
         from hpid_ros.analysis.table import ComparisonTable
+        from hpid_ros.terminal import output_console
 
-        Console().print(ComparisonTable(outcome.comparison))
+        output_console().print(ComparisonTable(outcome.comparison))
         print(*end_effector_lines(outcome.end_effectors), sep="", end="", flush=True)
     else:
         text = formats[options.format](outcome.comparison)

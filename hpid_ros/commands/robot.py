@@ -13,11 +13,15 @@ from hpid_ros.commands.robot_options import load_robot
 from hpid_ros.errors import ResultExistsError, RobotDescriptionError, SettingError
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
+    from hpid_ros.analysis.wide_table import WideTable
     from hpid_ros.commands.robot_options import Robot
 
 _COLUMNS = ("range", "effort", "velocity", "damping", "friction", "Jr N²", "inertia", "gravity")
+_CAPTION = (
+    "SI units. Jr N²: rotor inertia as the joint feels it. Inertia: 1 / (M⁻¹)ⱼⱼ on a fixed base "
+    "in the initial pose, and over the joints' ranges. Gravity: effort that holds the initial "
+    "pose."
+)
 _SHOWN = 3  # names in a remark
 
 
@@ -39,9 +43,8 @@ def add(commands: Any) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Show the robot."""
-    from rich.console import Console
-
     from hpid_ros.robot.review import review
+    from hpid_ros.terminal import output_console
 
     if options.save and options.save.exists() and not options.force:
         raise ResultExistsError(f"{options.save} exists; name another with --save or use --force")
@@ -53,8 +56,9 @@ def run(options: argparse.Namespace) -> int:
         document = {"robot": robot.description.name, "joints": facts, "remarks": listed}
         print(json.dumps(document, indent=2))
     else:
-        console = Console()
+        console = output_console()
         console.print(_table(robot.description.name, facts))
+        console.print(_CAPTION, style="dim", highlight=False)
         for each in remarks:
             console.print(f"{_listed(each.names)}: {each.text}", highlight=False, soft_wrap=True)
     if options.save:
@@ -121,23 +125,13 @@ def _finite(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
-def _table(name: str, facts: dict[str, dict[str, Any]]) -> Table:
+def _table(name: str, facts: dict[str, dict[str, Any]]) -> WideTable:
     from rich import box
-    from rich.table import Table
 
-    table = Table(
-        title=name,
-        box=box.SIMPLE_HEAD,
-        caption="SI units. Jr N²: rotor inertia as the joint feels it. Inertia: 1 / (M⁻¹)ⱼⱼ on "
-        "a fixed base in the initial pose, and over the joints' ranges. Gravity: effort that "
-        "holds the initial pose.",
-    )
-    table.add_column("joint")
-    for column in _COLUMNS:
-        table.add_column(column, justify="right")
-    for joint, fact in facts.items():
-        table.add_row(
-            joint,
+    from hpid_ros.analysis.wide_table import Column, WideTable
+
+    rows = [
+        (
             f"{_number(fact['lower'])} … {_number(fact['upper'])}",
             *(_number(fact[key]) for key in ("effort", "velocity", "damping", "friction")),
             _number(fact["reflected_inertia"]),
@@ -145,7 +139,15 @@ def _table(name: str, facts: dict[str, dict[str, Any]]) -> Table:
             f"{_number(fact['largest_inertia'])})",
             f"{fact['gravity']:.2f}",
         )
-    return table
+        for fact in facts.values()
+    ]
+    cells = zip(*rows, strict=True) if rows else [()] * len(_COLUMNS)
+    return WideTable(
+        [Column("joint", list(facts), is_text=True)],
+        [Column(heading, list(each)) for heading, each in zip(_COLUMNS, cells, strict=True)],
+        title=name,
+        box=box.SIMPLE_HEAD,
+    )
 
 
 def _number(value: float | None) -> str:

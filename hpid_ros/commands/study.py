@@ -77,13 +77,12 @@ def run(options: argparse.Namespace) -> int:
 def _print(result: StudyResult, form: str) -> None:
     import json
 
-    from rich.console import Console
-
     from hpid_ros.experiment.study_run import runs_csv
     from hpid_ros.experiment.study_tables import grids, study_markdown, study_text
+    from hpid_ros.terminal import output_console
 
     if form == "text" and sys.stdout.isatty():
-        console = Console()
+        console = output_console()
         for grid in grids(result):
             console.print(grid)
     elif form == "json":

@@ -87,12 +87,11 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _print(result: SweepResult, form: str) -> None:
-    from rich.console import Console
-
     from hpid_ros.experiment.sweep_table import SweepTable, sweep_text
+    from hpid_ros.terminal import output_console
 
     if form == "table" and sys.stdout.isatty():
-        Console().print(SweepTable(result))
+        output_console().print(SweepTable(result))
     else:
         texts = {"table": sweep_text, "csv": type(result).summary_csv, "json": type(result).json}
         print(texts[form](result), end="")

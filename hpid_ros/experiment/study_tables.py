@@ -8,19 +8,19 @@ from typing import NamedTuple
 
 from rich.box import SIMPLE
 from rich.console import Console, ConsoleOptions, RenderResult
-from rich.table import Table
 from rich.text import Text
 
 from hpid_ros.analysis.claims import CLAIMS, Verdict, verdict
 from hpid_ros.analysis.number_text import format_ratio, format_values
 from hpid_ros.analysis.quantities import ITAE, OVERSHOOT, Quantity
-from hpid_ros.analysis.table import UNLIMITED_WIDTH
+from hpid_ros.analysis.wide_table import UNLIMITED_WIDTH, Column, WideTable
 from hpid_ros.experiment.judged_run import LAST_ERROR, PAPER_QUANTITIES
 from hpid_ros.experiment.study_plan import StudyEntry
 from hpid_ros.experiment.study_result import SETTLED, StudyResult
 from hpid_ros.experiment.sweep_result import Quartiles
 
 NOTHING = "-"
+_TEXTS = ("joint", "controller", "verdict", "certified")  # columns that may fold
 _SHOWN = (*PAPER_QUANTITIES, OVERSHOOT)
 
 
@@ -48,13 +48,14 @@ class Grid(NamedTuple):
         return "\n".join(lines) + "\n" + (f"\n{self.note}\n" if self.note else "")
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        table = Table(box=SIMPLE, show_edge=False, padding=(0, 1, 0, 0))
-        for place, heading in enumerate(self.headings):
-            table.add_column(Text(heading), justify="right" if place else "left", overflow="fold")
-        for cells in self.rows:
-            table.add_row(*map(Text, cells))
-        yield Text(self.title, style="bold")
-        yield table
+        columns = [
+            Column(heading, cells, is_text=not place or heading in _TEXTS)
+            for place, (heading, cells) in enumerate(
+                zip(self.headings, zip(*self.rows, strict=True), strict=True)
+            )
+        ]
+        names = 1 + (self.headings[1:2] in (("joint",), ("controller",)))
+        yield WideTable(columns[:names], columns[names:], title=self.title, box=SIMPLE)
         if self.note:
             yield Text(self.note, style="dim")
         yield ""

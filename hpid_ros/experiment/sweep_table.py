@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 
 from rich.box import SIMPLE
 from rich.console import Console, ConsoleOptions, RenderResult
-from rich.measure import Measurement
-from rich.table import Table
 from rich.text import Text
 
 from hpid_ros.analysis.comparison import verdict
 from hpid_ros.analysis.indices import Quantity
 from hpid_ros.analysis.number_text import format_ratio, format_values
-from hpid_ros.analysis.table import ASCII_MARKS, MARKS, STYLES, UNLIMITED_WIDTH
+from hpid_ros.analysis.table import ASCII_MARKS, MARKS, STYLES
+from hpid_ros.analysis.wide_table import UNLIMITED_WIDTH, Column, WideTable
 from hpid_ros.experiment.sweep_axes import shown
 from hpid_ros.experiment.sweep_result import QUANTITIES, Quartiles, SweepResult
 from hpid_ros.experiment.sweep_rows import Row
@@ -25,7 +24,7 @@ _NOTHING = "-"
 class SweepTable:
     """Rows are points; columns are parameters, then median, quartiles and ratio of each index.
 
-    All indices stand side by side while the width allows, else one below the other.
+    Indices stand side by side as far as the width allows.
 
     Attributes:
         result: What it shows.
@@ -35,39 +34,20 @@ class SweepTable:
         self.result = result
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        is_ascii = options.ascii_only
-        wide = self._table(QUANTITIES, is_ascii)
-        unlimited = options.update_width(UNLIMITED_WIDTH)
-        if Measurement.get(console, unlimited, wide).maximum <= options.max_width:
-            yield wide
-        else:
-            for quantity in QUANTITIES:
-                yield self._table((quantity,), is_ascii)
-        yield self._legend()
-
-    def _table(self, quantities: Sequence[Quantity], is_ascii: bool) -> Table:
-        sweep = self.result.sweep
-        places = range(len(sweep.rows))
-        table = Table(box=SIMPLE, show_edge=False, padding=(0, 1, 0, 0))
-        columns: list[tuple[str, list[Text]]] = [
-            ("controller", [_label(row) for row in sweep.rows])
-        ]
+        sweep, is_ascii = self.result.sweep, options.ascii_only
+        names = [Column("controller", [_label(row) for row in sweep.rows], is_text=True)]
         for axis in sweep.axes:
             values = [row.values.get(axis.name) for row in sweep.rows]
             texts = [Text(_NOTHING if each is None else shown(each)) for each in values]
-            columns.append((axis.name, texts))
-        for quantity in quantities:
-            columns += self._columns(quantity, is_ascii)
-        notes = [Text(self.result.note(place)) for place in places]
-        for name, _ in columns:
-            left = name == "controller"
-            table.add_column(Text(name), justify="left" if left else "right", overflow="fold")
+            names.append(Column(axis.name, texts))
+        columns = [
+            Column(*each) for quantity in QUANTITIES for each in self._columns(quantity, is_ascii)
+        ]
+        notes = [Text(self.result.note(place)) for place in range(len(sweep.rows))]
         if any(notes):
-            table.add_column("note", overflow="fold")
-            columns.append(("note", notes))
-        for cells in zip(*(column for _, column in columns), strict=True):
-            table.add_row(*cells)
-        return table
+            columns.append(Column("note", notes, is_text=True))
+        yield WideTable(names, columns, box=SIMPLE)
+        yield self._legend()
 
     def _columns(self, quantity: Quantity, is_ascii: bool) -> list[tuple[str, list[Text]]]:
         places = range(len(self.result.sweep.rows))

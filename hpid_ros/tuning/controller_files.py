@@ -4,13 +4,55 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from hpid_ros.control import LOOP_PARAMETERS, LoopSettings
 from hpid_ros.control.model_settings import MODEL_PARAMETERS
 from hpid_ros.errors import HpidError, SettingError, unknown_name
 from hpid_ros.names import ANYWHERE, NODE_PARAMETERS, node_sections
 from hpid_ros.yaml_files import load_yaml
+
+INERTIA_RANGES = "inertia_ranges"
+"""Section of a parameter file with the least and the largest inertia of joints."""
+
+
+class ParameterFile(NamedTuple):
+    """What a ROS parameter file says of joint controllers.
+
+    Attributes:
+        loops: Settings by node name, in the order of the file.
+        inertias: Least and largest inertia by joint, in [kg m^2], of those that it knows.
+    """
+
+    loops: dict[str, LoopSettings]
+    inertias: dict[str, tuple[float, float]]
+
+
+def parameter_file(path: Path) -> ParameterFile:
+    """Read a parameter file.
+
+    Args:
+        path: As for :func:`settings_from_parameter_file`.
+
+    Raises:
+        SettingError: As there.
+    """
+    return parameters_from(load_yaml(path, SettingError), str(path))
+
+
+def parameters_from(document: object, where: str) -> ParameterFile:
+    """Return what the content of a parameter file says.
+
+    Args:
+        document: As for :func:`settings_from_parameters`.
+        where: What the messages call it.
+
+    Raises:
+        SettingError: As there.
+    """
+    return ParameterFile(
+        settings_from_parameters(document, where), _inertia_ranges(document, where)
+    )
 
 
 def settings_from_parameter_file(path: Path) -> dict[str, LoopSettings]:
@@ -26,7 +68,7 @@ def settings_from_parameter_file(path: Path) -> dict[str, LoopSettings]:
         SettingError: The file is no parameter file, has no controller, or one that cannot be
             used; the line names file and node.
     """
-    return settings_from_parameters(load_yaml(path, SettingError), str(path))
+    return parameter_file(path).loops
 
 
 def settings_from_parameters(document: object, where: str) -> dict[str, LoopSettings]:
@@ -64,6 +106,22 @@ def _short(name: str) -> str:
     """Return a node's name as people know it: its namespace only where it has a certain one."""
     base = name.removeprefix(ANYWHERE).removeprefix("/")
     return name if "/" in base or "*" in base else base
+
+
+def _inertia_ranges(document: object, where: str) -> dict[str, tuple[float, float]]:
+    ranges: dict[str, tuple[float, float]] = {}
+    for name, own in node_sections(document).items():
+        if name.rsplit("/", 1)[-1] != INERTIA_RANGES:
+            continue
+        for joint, value in _flat(own).items():
+            is_pair = isinstance(value, list) and len(value) == 2
+            if not is_pair or not all(isinstance(x, float | int) for x in value):
+                raise SettingError(
+                    f"{where}: {INERTIA_RANGES} of {joint!r} must be its least and largest "
+                    f"inertia, not {value!r}"
+                )
+            ranges[joint] = (float(value[0]), float(value[1]))
+    return ranges
 
 
 def _flat(parameters: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from hpid_ros.control import Gains, LoopSettings
-from hpid_ros.control.stability import certified_degree_interval
+from hpid_ros.control.certificate import DegreeInterval
 from hpid_ros.errors import GainError, SettingError, unknown_name
-from hpid_ros.tuning.certified_degrees import norm_family
+from hpid_ros.tuning.certified_degrees import Loop, certified_degrees
 from hpid_ros.tuning.margins import Margins, loop_margins
 from hpid_ros.tuning.rules import RULES
 
@@ -38,43 +38,63 @@ class DesignedGains:
 
 
 def design(
-    settings: LoopSettings, inertia: float, rule: str, closed_loop_time: float, delay: float
-) -> DesignedGains:
-    """Return a joint's gains by a rule, judged.
+    loops: Mapping[str, LoopSettings],
+    inertias: Mapping[str, float],
+    rule: str,
+    closed_loop_time: float,
+    delay: float,
+    tell: Callable[[Sequence[str]], None] = lambda joints: None,
+) -> dict[str, DesignedGains]:
+    """Return the joints' gains by a rule, judged.
 
     Args:
-        settings: The loop: its degree, norm and velocity filter are judged with.
-        inertia: What one unit of effort accelerates, in [kg m^2].
+        loops: By joint: its degree, norm and velocity filter are judged with.
+        inertias: What one unit of effort accelerates, in [kg m^2], by joint.
         rule: Name of the rule in :data:`~hpid_ros.tuning.rules.RULES`.
         closed_loop_time: In [s].
         delay: Of the loop, in [s].
+        tell: Called with the joints whose degrees have been certified.
 
     Raises:
         SettingError: There is no such rule, or a number is impossible.
+        RunError: A process died.
     """
     if rule not in RULES:
         raise SettingError(unknown_name("rule", rule, RULES))
-    rounded = _rounded(inertia, _INERTIA_DIGITS)
-    exact = RULES[rule](rounded, closed_loop_time, delay)
-    gains = Gains(*(_rounded(each, _GAIN_DIGITS) for each in (exact.p, exact.i, exact.d)))
+    judged: list[Loop] = []
+    for joint, settings in loops.items():
+        inertia = _rounded(inertias[joint], _INERTIA_DIGITS)
+        exact = RULES[rule](inertia, closed_loop_time, delay)
+        gains = Gains(*(_rounded(each, _GAIN_DIGITS) for each in (exact.p, exact.i, exact.d)))
+        # The settings may hold other gains, which go with another inertia.
+        judged.append((replace(settings, gains=gains, inertia=inertia), (inertia, inertia)))
+    found = certified_degrees(judged, tell)
+    return {
+        joint: _designed(*loop, each, delay)
+        for joint, loop, each in zip(loops, judged, found, strict=True)
+    }
+
+
+def _designed(
+    settings: LoopSettings,
+    inertia: tuple[float, float],
+    found: DegreeInterval | GainError,
+    delay: float,
+) -> DesignedGains:
     is_filtered = settings.velocity_source == "filtered"
     filter_time = settings.velocity_filter_time_constant if is_filtered else 0.0
     margins, interval, reason = None, None, ""
     try:
-        margins = loop_margins(gains, rounded, delay=delay, filter_time=filter_time)
+        margins = loop_margins(settings.gains, inertia[0], delay=delay, filter_time=filter_time)
     except GainError as error:
         reason = str(error)
-    # The settings may hold other gains, which go with another inertia.
-    judged = replace(settings, gains=gains, inertia=rounded)
-    try:
-        found = certified_degree_interval(gains, norm_family(judged), rounded)
-    except GainError as error:
-        reason = reason or str(error)
+    if isinstance(found, GainError):
+        reason = reason or str(found)
     else:
         interval = found.lower, found.upper
-        if settings.law == "hpid" and not found.lower <= settings.mu <= found.upper:
+        if settings.law == "hpid" and not found.contains(settings.mu):
             reason = reason or f"mu = {settings.mu:g} is outside the certified interval"
-    return DesignedGains(settings.joint, rounded, gains, margins, interval, reason)
+    return DesignedGains(settings.joint, inertia[0], settings.gains, margins, interval, reason)
 
 
 def yaml_text(designs: Mapping[str, DesignedGains], head: str) -> str:

@@ -5,10 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from rich.console import Console, ConsoleOptions, RenderResult
-from rich.table import Table
 from rich.text import Text
 
-from hpid_ros.control.loop_figures import GOOD_SAMPLING_MARGIN
+from hpid_ros.analysis.wide_table import Column, WideTable
+from hpid_ros.control.loop_figures import (
+    GOOD_SAMPLING_MARGIN,
+    LARGEST_SAMPLING_MARGIN,
+    LARGEST_SAMPLING_MARGIN_LATE,
+)
 from hpid_ros.tuning.gain_check import GainVerdict
 
 _HEADINGS = ("mu", "certified mu", "rho", "T kd", "lam", "settles", "inertia")
@@ -25,19 +29,29 @@ class GainTable:
         self._verdicts = verdicts
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        table = Table(box=None, header_style="bold", padding=(0, 1, 0, 0))
-        table.add_column("loop", overflow="fold")
-        table.add_column("ok", no_wrap=True)
-        for heading in _HEADINGS:
-            table.add_column(heading, justify="right", no_wrap=True)
-        for name, verdict in self._verdicts.items():
-            table.add_row(name, _verdict(verdict), *_cells(verdict))
-        yield table
+        rows = [_cells(verdict) for verdict in self._verdicts.values()]
+        yield WideTable(
+            [
+                Column("loop", list(self._verdicts), is_text=True),
+                Column("ok", [_verdict(verdict) for verdict in self._verdicts.values()], True),
+            ],
+            [
+                Column(heading, cells)
+                for heading, cells in zip(_HEADINGS, zip(*rows, strict=True), strict=True)
+            ],
+        )
         yield ""
         for name, verdict in self._verdicts.items():
             if verdict.reason:
                 yield Text(f"{name}: {verdict.reason}", style="red")
-            if not verdict.is_sampled_fast_enough:
+            if verdict.sampling_margin > LARGEST_SAMPLING_MARGIN_LATE:
+                yield Text(
+                    f"{name}: T kd lam / m = {verdict.sampling_margin:.2f}: the sampled loop "
+                    f"breaks at {LARGEST_SAMPLING_MARGIN_LATE:g} where an effort comes one period "
+                    f"late, as over a topic, and at {LARGEST_SAMPLING_MARGIN:g} at best",
+                    style="red",
+                )
+            elif not verdict.is_sampled_fast_enough:
                 yield Text(
                     f"{name}: T kd lam / m = {verdict.sampling_margin:.2f} exceeds "
                     f"{GOOD_SAMPLING_MARGIN}: sampling will be felt",

@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
+import numpy as np
+
+from hpid_ros.analysis.series import JointSeries
 from hpid_ros.robot.description import RobotDescription
 from hpid_ros.robot.dynamics import Dynamics
 
 _SEED = 1
+_VISITED = 200  # poses of a recording
 
 
 def inertia_ranges(
-    description: RobotDescription, joints: Sequence[str], payload: float, poses: int
+    description: RobotDescription,
+    joints: Sequence[str],
+    payload: float,
+    poses: int | Sequence[Mapping[str, float]],
 ) -> dict[str, tuple[float, float]]:
     """Return the least and the largest inertia that each joint's motor has to accelerate.
 
@@ -22,18 +29,41 @@ def inertia_ranges(
         description: The robot.
         joints: Joints asked for.
         payload: Largest payload in [kg]; the least is none.
-        poses: Poses sampled within the joints' limits, for each payload.
+        poses: How many are sampled within the joints' limits, for each payload; or the poses
+            themselves, in [rad], joints that they leave out at 0.
 
     Raises:
         RobotDescriptionError: The robot lacks a joint, or has no link for the payload.
         SettingError: No pose, or an impossible payload.
     """
     names = list(dict.fromkeys(joints))
-    ranges = [
-        Dynamics(description, payload_mass=mass).inertia_range(names, poses, _SEED)
-        for mass in sorted({0.0, payload})
-    ]
-    return {
-        name: (min(each[name].minimum for each in ranges), max(e[name].maximum for e in ranges))
-        for name in names
-    }
+    found: dict[str, list[float]] = {name: [] for name in names}
+    for mass in sorted({0.0, payload}):
+        dynamics = Dynamics(description, payload_mass=mass)
+        if isinstance(poses, int):
+            for name, each in dynamics.inertia_range(names, poses, _SEED).items():
+                found[name] += [each.minimum, each.maximum]
+        else:
+            for pose in poses:
+                known = {name: at for name, at in pose.items() if name in description.joints}
+                for name, inertia in dynamics.joint_inertias(names, known).items():
+                    found[name].append(inertia)
+    return {name: (min(each), max(each)) for name, each in found.items()}
+
+
+def visited_poses(recorded: Sequence[JointSeries]) -> list[dict[str, float]]:
+    """Return poses of a recording, evenly spaced in time.
+
+    Args:
+        recorded: The joints, of one clock.
+    """
+    if not recorded:
+        return []
+    stamps = np.linspace(
+        min(int(each.state_stamps_ns[0]) for each in recorded),
+        max(int(each.state_stamps_ns[-1]) for each in recorded),
+        _VISITED,
+    )
+    columns = [np.interp(stamps, each.state_stamps_ns, each.position) for each in recorded]
+    names = [each.joint for each in recorded]
+    return [dict(zip(names, map(float, row), strict=True)) for row in zip(*columns, strict=True)]

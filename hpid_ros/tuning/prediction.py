@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+import os
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
 
-from hpid_ros.analysis import Comparison, JointSeries, RunSeries, run_indices
+from hpid_ros.analysis import Comparison, JointSeries, RunIndices, run_indices
 from hpid_ros.analysis.complete_run import complete_run
 from hpid_ros.control import JointLoop, LoopSettings
 from hpid_ros.control.joint_loop import Motion
+from hpid_ros.errors import RunError
 from hpid_ros.simulation import World, WorldSettings
 from hpid_ros.simulation.recording import record_run
 from hpid_ros.trajectory import Column, Knot
@@ -24,8 +28,9 @@ def predict(
     recorded: Sequence[JointSeries],
     fixed_base: bool = False,
     initial_positions: Mapping[str, float] | None = None,
+    tell: Callable[[str], None] = lambda label: None,
 ) -> Comparison:
-    """Simulate controllers on a robot and compare them.
+    """Simulate controllers on a robot, side by side on the machine's cores, and compare them.
 
     The reference is the recorded one, from the recorded start; without a recording each joint
     steps by its ``norm.error_scale`` from where it starts.
@@ -36,8 +41,10 @@ def predict(
         recorded: The recorded joints, or none.
         fixed_base: The robot's root is held.
         initial_positions: Where joints start that are not recorded, in [rad]; others at 0.
+        tell: Called with the label of a controller that has been simulated.
 
     Raises:
+        RunError: A process died.
         HpidError: The robot lacks a joint, or cannot start where the recording does.
     """
     first = next(iter(loops.values()))
@@ -60,8 +67,21 @@ def predict(
     }
     duration = max((float(each.time[-1]) for each in series.values()), default=_STEP_DURATION)
     periods = math.floor(duration * _NANOSECONDS / period_ns)
-    runs = [_run(label, world, each, motions, periods) for label, each in loops.items()]
-    return Comparison(tuple(run_indices(run) for run in runs))
+    indices = {}
+    with ProcessPoolExecutor(min(len(loops), len(os.sched_getaffinity(0)))) as pool:
+        futures = {
+            pool.submit(_run, label, world, each, motions, periods): label
+            for label, each in loops.items()
+        }
+        try:
+            for future in as_completed(futures):
+                indices[futures[future]] = future.result()
+                tell(futures[future])
+        except BrokenProcessPool:
+            raise RunError("a process died while controllers were simulated") from None
+        finally:
+            pool.shutdown(wait=False, cancel_futures=True)
+    return Comparison(tuple(indices[label] for label in loops))
 
 
 def _run(
@@ -70,7 +90,7 @@ def _run(
     settings: Sequence[LoopSettings],
     motions: Mapping[str, Column],
     periods: int,
-) -> RunSeries:
+) -> RunIndices:
     loops = [JointLoop(each) for each in settings]
     for loop in loops:
         motion: Motion = motions[loop.settings.joint]
@@ -78,7 +98,7 @@ def _run(
     with World(world) as robot:
         models = compensators(settings, str(world.robot_description))
         stamps_ns, *columns = record_run(robot, loops, periods, models)
-    return complete_run(label, world.joints, stamps_ns, columns)
+    return run_indices(complete_run(label, world.joints, stamps_ns, columns))
 
 
 def _motion(settings: LoopSettings, series: JointSeries | None, start: float) -> Column:

@@ -2,21 +2,49 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
+from hpid_ros.analysis.comparison import Comparison
+from hpid_ros.analysis.quantities import ITAE, IVC, Quantity
 from hpid_ros.control import HomogeneousPid, LoopSettings
-from hpid_ros.control.loop_figures import GOOD_SAMPLING_MARGIN, sampling_margin
-from hpid_ros.control.stability import certified_degree_interval
-from hpid_ros.errors import GainError
-from hpid_ros.tuning.certified_degrees import norm_family
+from hpid_ros.control.certificate import DegreeInterval
+from hpid_ros.control.loop_figures import (
+    GOOD_SAMPLING_MARGIN,
+    LARGEST_SAMPLING_MARGIN,
+    LARGEST_SAMPLING_MARGIN_LATE,
+    sampling_margin,
+)
+from hpid_ros.control.parameters import LARGEST_EFFORT
+from hpid_ros.errors import GainError, HpidError, NormError
+from hpid_ros.tuning.certified_degrees import certified_degrees
 from hpid_ros.tuning.loop_statistics import LoopStatistics
 
-GOALS = ("smooth", "fast")
+GOALS: Mapping[str, Quantity] = {"smooth": IVC, "fast": ITAE}
+"""What each goal lowers."""
 
 _SHARE_OF_INTERVAL = 0.8
 _STEP = 0.01
 _SLOWEST, _FASTEST = 0.5, 2.0  # multipliers of the bandwidth at the floor of the norm
+_LEAST_GAIN = 0.02  # of the goal's index; what is less is not worth another law
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A loop to be upgraded.
+
+    Attributes:
+        pid: The loop as it is; its gains stay.
+        inertia: Least and largest inertia, in [kg m^2].
+        statistics: Of a recording under the PID, or None.
+        effort: The motor's limit in [N m]; infinite if unknown.
+    """
+
+    pid: LoopSettings
+    inertia: tuple[float, float]
+    statistics: LoopStatistics | None = None
+    effort: float = math.inf
 
 
 @dataclass(frozen=True)
@@ -24,16 +52,58 @@ class Upgrade:
     """A proposal for one joint.
 
     Attributes:
-        settings: The homogeneous loop, ready to run.
+        settings: The loop, ready to run; the linear law where there is nothing to gain.
         interval: Certified degrees.
         inertia: Least and largest inertia that they are certified for, in [kg m^2].
         reasons: Why a parameter has its value, by the parameter's name.
+        remarks: What to know of the loop as it is.
     """
 
     settings: LoopSettings
     interval: tuple[float, float]
     inertia: tuple[float, float]
     reasons: Mapping[str, str] = field(default_factory=dict)
+    remarks: tuple[str, ...] = ()
+
+
+def upgrades(
+    candidates: Sequence[Candidate],
+    goal: str,
+    tell: Callable[[Sequence[str]], None] = lambda joints: None,
+) -> list[Upgrade | HpidError]:
+    """Propose a degree and a norm for the gains of several PIDs.
+
+    The largest degree of the goal's sign is taken that lies in the inner four fifths of the
+    certified interval, keeps the bandwidth at the floor of the norm within half and twice the
+    PID's, and keeps T kd lam / m within what sampling bears.
+
+    Args:
+        candidates: The loops.
+        goal: ``smooth`` (gains fall close to the target) or ``fast`` (they rise).
+        tell: Called with the joints whose degrees have been certified.
+
+    Returns:
+        For each the proposal, or why there is none: the gains are not stable, not even as a
+        sampled PID, or no degree is certified.
+
+    Raises:
+        RunError: A process died.
+    """
+    found: dict[int, Upgrade | HpidError] = {}
+    bases: dict[int, tuple[LoopSettings, dict[str, str], tuple[str, ...]]] = {}
+    for place, each in enumerate(candidates):
+        try:
+            bases[place] = _base(each)
+        except HpidError as error:
+            found[place] = error
+            tell([each.pid.joint])
+    loops = [(base, candidates[place].inertia) for place, (base, *_) in bases.items()]
+    for (place, base), interval in zip(bases.items(), certified_degrees(loops, tell), strict=True):
+        if isinstance(interval, GainError):
+            found[place] = interval
+        else:
+            found[place] = _proposal(candidates[place], *base, goal, interval)
+    return [found[place] for place in range(len(candidates))]
 
 
 def upgrade(
@@ -42,44 +112,123 @@ def upgrade(
     goal: str,
     statistics: LoopStatistics | None = None,
 ) -> Upgrade:
-    """Propose a degree and a norm for the gains of a PID.
-
-    The largest degree of the goal's sign is taken that lies in the inner four fifths of the
-    certified interval, keeps the bandwidth at the floor of the norm within half and twice the
-    PID's, and keeps T kd lam / m within what sampling bears.
-
-    Args:
-        pid: The loop as it is; its gains stay.
-        inertia: Least and largest inertia, in [kg m^2].
-        goal: ``smooth`` (gains fall close to the target) or ``fast`` (they rise).
-        statistics: Of a recording under the PID.
+    """Propose a degree and a norm for the gains of one PID; see :func:`upgrades`.
 
     Raises:
         GainError: The gains are not stable, or no degree is certified.
     """
+    (found,) = upgrades([Candidate(pid, inertia, statistics)], goal)
+    if isinstance(found, HpidError):
+        raise found
+    return found
+
+
+def worthwhile(each: Upgrade, goal: str, prediction: Comparison | None) -> Upgrade:
+    """Return a proposal, or the PID where there is nothing to gain.
+
+    There is something to gain where another degree than 0 qualifies and, as far as a prediction
+    says, the goal's index falls by at least 2 %.
+
+    Args:
+        each: The proposal.
+        goal: ``smooth`` or ``fast``.
+        prediction: The PID, then the proposals, simulated on the robot; None if not known.
+    """
+    settings = each.settings
+    if settings.mu == 0.0:
+        why = each.reasons["mu"]
+    elif prediction is None:
+        return each
+    else:
+        index = GOALS[goal]
+        ratio = prediction.ratio(prediction.others[0].label, index, settings.joint)
+        if ratio <= 1.0 - _LEAST_GAIN or math.isnan(ratio):
+            return each
+        why = (
+            f"with mu {settings.mu:+.2f} the predicted {index.symbol} is {ratio:.3f} of the PID's"
+        )
+    reasons = {**each.reasons, "law": f"nothing to gain, keep your PID: {why}", "mu": "linear"}
+    kept = replace(settings, law="pid", mu=0.0)
+    return replace(each, settings=kept, reasons=reasons)
+
+
+def _base(candidate: Candidate) -> tuple[LoopSettings, dict[str, str], tuple[str, ...]]:
+    """Return the homogeneous loop of degree 0, reasons, and remarks on the PID."""
+    pid = candidate.pid
     reasons: dict[str, str] = dict.fromkeys(("gains.p", "gains.i", "gains.d"), "as before")
-    base = _with_statistics(replace(pid, law="hpid", mu=0.0), statistics, reasons)
-    interval = certified_degree_interval(base.gains, norm_family(base), inertia)
-    ends = (interval.lower, interval.upper)
-    chosen, limit = base, "degree zero: no other one qualifies"
+    base = _with_statistics(replace(pid, law="hpid", mu=0.0), candidate.statistics, reasons)
+    least, largest, limit = base.u_clamp_min, base.u_clamp_max, candidate.effort
+    if limit > 0.0:  # a URDF says 0 where nothing is known
+        base = replace(
+            base, u_clamp_min=max(least, min(-limit, largest)), u_clamp_max=min(largest, limit)
+        )
+    for name, was in (("u_clamp_min", least), ("u_clamp_max", largest)):
+        if getattr(base, name) != was:
+            had = "" if abs(was) == LARGEST_EFFORT else f"; it was {was:g}"
+            reasons[name] = f"effort limit of the URDF{had}"
+    return base, reasons, _sampling_remarks(base, candidate.inertia[0])
+
+
+def _sampling_remarks(settings: LoopSettings, inertia: float) -> tuple[str, ...]:
+    """Say whether sampling is felt by the PID itself.
+
+    Raises:
+        GainError: The sampled PID is unstable.
+    """
+    margin = sampling_margin(settings.gains, settings.control_period, 1.0, inertia)
+    if margin <= GOOD_SAMPLING_MARGIN or settings.discretization != "explicit":
+        return ()
+    figures = (
+        f"T kd / m = {margin:.3g} (T {settings.control_period:g} s, kd {settings.gains.d:g}, "
+        f"least m {inertia:.3g} kg m^2)"
+    )
+    if margin > LARGEST_SAMPLING_MARGIN_LATE:
+        raise GainError(
+            f"the PID itself is beyond what sampling bears: {figures}; the sampled loop breaks at "
+            f"{LARGEST_SAMPLING_MARGIN_LATE:g} where an effort comes one period late, as over a "
+            f"topic, and at {LARGEST_SAMPLING_MARGIN:g} at best: lower gains.d or the period, or "
+            f"say the inertia, if the PID does work"
+        )
+    return (
+        f"sampling is felt by the PID itself: {figures}, above {GOOD_SAMPLING_MARGIN:g}; it "
+        f"breaks at {LARGEST_SAMPLING_MARGIN_LATE:g} where an effort comes one period late",
+    )
+
+
+def _proposal(
+    candidate: Candidate,
+    base: LoopSettings,
+    reasons: dict[str, str],
+    remarks: tuple[str, ...],
+    goal: str,
+    certified: DegreeInterval,
+) -> Upgrade:
+    inertia, ends = candidate.inertia, (certified.lower, certified.upper)
+    chosen, limit = base, "the largest degree that is tried"
     sign = 1.0 if goal == "smooth" else -1.0
     for step in range(1, 50):
         degree = round(sign * step * _STEP, 6)
-        candidate = replace(base, mu=degree)
-        excess = _excess(candidate, ends, inertia[0])
+        try:
+            following = replace(base, mu=degree)
+            excess = _excess(following, ends, inertia[0])
+        except NormError as error:  # its floor has no room below the cap
+            excess = f"is refused: {error}"
         if excess:
-            limit = f"the next one, {degree:+.2f}, {excess}"
+            which = "no other degree than 0 qualifies" if chosen is base else "the next one"
+            limit = f"{which}: {degree:+.2f} {excess}"
             break
-        chosen = candidate
+        chosen = following
     reasons["mu"] = (
         f"goal {goal}: {limit}; certified {ends[0]:+.3f} to {ends[1]:+.3f} for {inertia[0]:.3g} "
         f"to {inertia[1]:.3g} kg m^2"
     )
     reasons["law"] = "the homogeneous PID with the same gains"
-    if pid.inertia == 0.0:
+    if candidate.pid.inertia == 0.0:
         chosen = replace(chosen, inertia=inertia[1])
-        reasons["inertia"] = "largest of the robot's range: unstable gains are refused"
-    return Upgrade(chosen, ends, inertia, reasons)
+        reasons["inertia"] = (
+            f"largest of {inertia[0]:.6g} to {inertia[1]:.6g} kg m^2: unstable gains are refused"
+        )
+    return Upgrade(chosen, ends, inertia, reasons, remarks)
 
 
 def _with_statistics(

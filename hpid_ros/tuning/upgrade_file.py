@@ -5,61 +5,87 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 
-from hpid_ros.control import LOOP_PARAMETERS
+from hpid_ros.control import LOOP_PARAMETERS, LoopSettings
 from hpid_ros.control.model_settings import MODEL_PARAMETERS
 from hpid_ros.control.parameters import Value
 from hpid_ros.names import ANYWHERE, controller_name
+from hpid_ros.tuning.controller_files import INERTIA_RANGES
+from hpid_ros.tuning.gain_design import number_text
 from hpid_ros.tuning.upgrade import Upgrade
 
 _COMMENT_COLUMN = 48
+_LEAST_PLAIN = 1e-4  # what is smaller would lose digits without an exponent
 _SPECS = {**LOOP_PARAMETERS, **MODEL_PARAMETERS}
 
 
 def upgrade_text(
-    upgrades: Sequence[Upgrade], header: Sequence[str], notes: Mapping[str, Sequence[str]]
+    loops: Sequence[Upgrade | LoopSettings],
+    header: Sequence[str],
+    notes: Mapping[str, Sequence[str]],
 ) -> str:
     """Return the file.
 
     Args:
-        upgrades: One for each joint.
+        loops: One for each joint: what is proposed, or the loop as it was.
         header: Lines about the whole, without the comment sign.
         notes: Further lines about a joint, by its name.
     """
-    joints = ", ".join(each.settings.joint for each in upgrades)
+    settings = [each.settings if isinstance(each, Upgrade) else each for each in loops]
+    joints = ", ".join(each.joint for each in settings)
     lines = [*(f"# {line}".rstrip() for line in header), ""]
     lines += [f"{ANYWHERE}joint_controllers:", "  ros__parameters:", f"    joints: [{joints}]"]
-    for each in upgrades:
-        lines += ["", *(f"# {note}" for note in notes.get(each.settings.joint, ()))]
-        lines += [f"{ANYWHERE}{controller_name(each.settings.joint)}:", "  ros__parameters:"]
-        lines += _parameters(each)
+    lines += _inertia_ranges([each for each in loops if isinstance(each, Upgrade)])
+    for each, own in zip(loops, settings, strict=True):
+        lines += ["", *(f"# {note}" for note in notes.get(own.joint, ()))]
+        lines += [f"{ANYWHERE}{controller_name(own.joint)}:", "  ros__parameters:"]
+        lines += _parameters(own, each.reasons if isinstance(each, Upgrade) else {})
     return "\n".join(lines) + "\n"
 
 
-def _parameters(upgrade: Upgrade) -> list[str]:
+def _inertia_ranges(upgrades: Sequence[Upgrade]) -> list[str]:
+    """Return a section for the commands that judge gains; a controller has one inertia."""
+    if not upgrades:
+        return []
+    lines = [
+        "",
+        "# Least and largest inertia [kg m^2], read by hpid check-gains and upgrade; no node",
+    ]
+    lines += ["# has this name.", f"{ANYWHERE}{INERTIA_RANGES}:", "  ros__parameters:"]
+    for each in upgrades:
+        low, high = (_value(value) for value in each.inertia)
+        lines.append(f"    {_value(each.settings.joint)}: [{low}, {high}]")
+    return lines
+
+
+def _parameters(settings: LoopSettings, reasons: Mapping[str, str]) -> list[str]:
     lines: list[str] = []
     section = ""
-    for name, value in upgrade.settings.to_parameters().items():
+    for name, value in settings.to_parameters().items():
         *path, last = name.split(".")
         inner = ".".join(path)
         if inner and inner != section:
             lines.append(f"    {inner}:")
         section = inner
         entry = f"{'      ' if inner else '    '}{last}: {_value(value)}"
-        lines.append(f"{entry:<{_COMMENT_COLUMN}}  # {_reason(upgrade, name, value)}")
+        lines.append(f"{entry:<{_COMMENT_COLUMN}}  # {_reason(reasons, name, value)}")
     return lines
 
 
 def _value(value: Value) -> str:
     """Return a YAML scalar that ROS reads as the type it is."""
+    if isinstance(value, bool):
+        return str(value).lower()
     if isinstance(value, str):
         return value if value.isidentifier() else json.dumps(value)
+    if 0.0 < abs(value) < _LEAST_PLAIN:
+        return number_text(value)
     text = f"{value:.6g}"
     return text if "." in text and "e" not in text else f"{value:.10f}".rstrip("0") + "0"
 
 
-def _reason(upgrade: Upgrade, name: str, value: Value) -> str:
-    if name in upgrade.reasons:
-        return upgrade.reasons[name]
+def _reason(reasons: Mapping[str, str], name: str, value: Value) -> str:
+    if name in reasons:
+        return reasons[name]
     spec = _SPECS[name]
     origin = "default" if value == spec.default else "as before"
     text = spec.description
