@@ -29,11 +29,11 @@ class RunProgress:
     ) -> None:
         self._duration, self._labels, self._period = duration, tuple(labels), period
         self._progress = Progress(
-            TextColumn("{task.description}", style="bold"),
+            TextColumn("{task.description}", style="bold", markup=False),
             BarColumn(bar_width=24),
             TaskProgressColumn(),
-            TextColumn("{task.fields[figures]}"),
-            TextColumn("{task.fields[phase]}", style="dim"),
+            TextColumn("{task.fields[figures]}", markup=False),
+            TextColumn("{task.fields[phase]}", style="dim", markup=False),
             console=console,
             refresh_per_second=10,
         )

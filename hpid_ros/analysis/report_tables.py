@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from html import escape
 
 from hpid_ros.analysis.comparison import Comparison, Verdict, verdict
 from hpid_ros.analysis.number_text import format_ratio, format_values
 from hpid_ros.analysis.quantities import QUANTITIES, Quantity
 from hpid_ros.analysis.report_facts import scrolling
 from hpid_ros.analysis.table import MARKS, heading_of, quartiles_of, total_name
+from hpid_ros.foreign_text import html_text
 
 _SPOKEN = {
     Verdict.BETTER: "lower",
@@ -29,7 +29,7 @@ def index_table(comparison: Comparison) -> str:
     headings = _run_headings(comparison)
     groups = "".join(
         f'<th class="group first" scope="colgroup" colspan="{len(headings)}">'
-        f"{escape(quantity.symbol)} [{_unit(comparison, quantity)}]</th>"
+        f"{html_text(quantity.symbol)} [{_unit(comparison, quantity)}]</th>"
         for quantity in comparison.indices
     )
     labels = "".join(_group_cells("th", headings)) * len(comparison.indices)
@@ -37,7 +37,7 @@ def index_table(comparison: Comparison) -> str:
     cells = {q: _index_cells(comparison, q, joints) for q in comparison.indices}
     total = total_name(comparison.indices)
     rows = [
-        f'<tr><th scope="row">{escape(joint or total)}</th>'
+        f'<tr><th scope="row">{html_text(joint or total)}</th>'
         f"{''.join(''.join(cells[quantity][k]) for quantity in comparison.indices)}</tr>"
         for k, joint in enumerate(joints)
     ]
@@ -72,9 +72,9 @@ def further_tables(comparison: Comparison) -> list[str]:
     parts = [_overall_table(comparison, quantities, "All indices over all joints")]
     for quantity in quantities:
         table = _joint_table(comparison, quantity)
-        title = f"{escape(quantity.symbol)} [{_unit(comparison, quantity)}]"
+        title = f"{html_text(quantity.symbol)} [{_unit(comparison, quantity)}]"
         parts.append(
-            f"<details><summary>{title}: {escape(quantity.meaning)}</summary>{table}</details>"
+            f"<details><summary>{title}: {html_text(quantity.meaning)}</summary>{table}</details>"
         )
     return parts
 
@@ -94,15 +94,15 @@ def legend(comparison: Comparison) -> str:
             f" Ratio: run / {comparison.baseline.label}; {MARKS[Verdict.BETTER]} lower, which "
             f"is better, {MARKS[Verdict.WORSE]} higher, {MARKS[Verdict.EQUAL]} equal."
         )
-    return f'<p class="soft">{escape(text)}</p>'
+    return f'<p class="soft">{html_text(text)}</p>'
 
 
 def _overall_table(comparison: Comparison, quantities: Sequence[Quantity], name: str) -> str:
     rows = []
     for quantity in quantities:
-        title = f"{escape(quantity.symbol)} [{_unit(comparison, quantity)}]"
+        title = f"{html_text(quantity.symbol)} [{_unit(comparison, quantity)}]"
         cells = "".join(_index_cells(comparison, quantity, (None,))[0])
-        meaning = f'<span class="soft">{escape(quantity.meaning)}</span>'
+        meaning = f'<span class="soft">{html_text(quantity.meaning)}</span>'
         rows.append(f'<tr><th scope="row">{title} {meaning}</th>{cells}</tr>')
     labels = "".join(_group_cells("th", _run_headings(comparison)))
     return scrolling(
@@ -117,7 +117,7 @@ def _joint_table(comparison: Comparison, quantity: Quantity) -> str:
     cells = _index_cells(comparison, quantity, joints)
     last = f"all: {quantity.fold.value}"
     rows = [
-        f'<tr><th scope="row">{escape(joint or last)}</th>{"".join(cells[k])}</tr>'
+        f'<tr><th scope="row">{html_text(joint or last)}</th>{"".join(cells[k])}</tr>'
         for k, joint in enumerate(joints)
     ]
     labels = "".join(_group_cells("th", _run_headings(comparison)))
@@ -131,7 +131,7 @@ def _joint_table(comparison: Comparison, quantity: Quantity) -> str:
 def _run_headings(comparison: Comparison) -> list[str]:
     headings: list[str] = []
     for run in comparison.runs:
-        headings.append(escape(heading_of(run)))
+        headings.append(html_text(heading_of(run)))
         headings += [] if run.spread is None else ["quartiles"]
         headings += [] if run is comparison.baseline else ["ratio"]
     return headings
@@ -174,4 +174,4 @@ def _ratio(ratio: float) -> str:
 
 
 def _unit(comparison: Comparison, quantity: Quantity) -> str:
-    return re.sub(r"\^([\d.]+)", r"<sup>\1</sup>", escape(comparison.unit(quantity)))
+    return re.sub(r"\^([\d.]+)", r"<sup>\1</sup>", html_text(comparison.unit(quantity)))

@@ -56,8 +56,7 @@ def add(commands: Any) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Check the gains and print the verdicts."""
-    from rich.console import Console
-
+    from hpid_ros.text_output import TextConsole
     from hpid_ros.tuning.gain_check import check_gains, inertia_of
     from hpid_ros.tuning.gain_table import GainTable
     from hpid_ros.tuning.saved_certificates import saved_certificates
@@ -79,7 +78,7 @@ def run(options: argparse.Namespace) -> int:
     if options.json:
         print(json.dumps({name: each.as_mapping() for name, each in by_name.items()}, indent=2))
     else:
-        Console().print(GainTable(by_name))
+        TextConsole().print(GainTable(by_name))
     settling = _settling(options, loops)
     if not options.json:
         for finding in settling:

@@ -33,15 +33,14 @@ def add(commands: Any) -> None:
 def run(options: argparse.Namespace) -> int:
     """Run the comparison and print what it gave."""
     # Imported here, as in every command: --help and errors do not wait for them.
-    from rich.console import Console
-
     from hpid_ros.analysis.table import ComparisonTable
     from hpid_ros.experiment.compare import compare
     from hpid_ros.terminal import RunProgress, print_notes, print_reports
+    from hpid_ros.text_output import TextConsole
 
     experiment = named_experiment(options.experiment)
     output = output_folder(options, experiment.name)
-    console = Console()
+    console = TextConsole()
     period = experiment.world.control_period_ns * 1e-9
     labels = tuple(experiment.controllers)
     with RunProgress(console, experiment.duration, labels, period) as progress:

@@ -158,11 +158,10 @@ def _print_to_output(
     formats: Mapping[str, Callable[[Comparison], str]],
 ) -> None:
     if options.format == "table" and sys.stdout.isatty():
-        from rich.console import Console
-
         from hpid_ros.analysis.table import ComparisonTable
+        from hpid_ros.text_output import TextConsole
 
-        Console().print(ComparisonTable(outcome.comparison))
+        TextConsole().print(ComparisonTable(outcome.comparison))
         print(*end_effector_lines(outcome.end_effectors), sep="", end="", flush=True)
     else:
         text = formats[options.format](outcome.comparison)
@@ -173,10 +172,11 @@ def _print_to_output(
 @contextmanager
 def _progress() -> Iterator[Callable[[str, float], None]]:
     """Show on a terminal what is being read, how far it is and how long it will take."""
-    from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-    console = Console(stderr=True)
+    from hpid_ros.text_output import TextConsole
+
+    console = TextConsole(stderr=True)
     if not console.is_terminal:
         yield lambda what, share: None
         return

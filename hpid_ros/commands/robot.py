@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 from hpid_ros.commands import DONE
 from hpid_ros.commands.robot_options import load_robot
-from hpid_ros.errors import ResultExistsError, RobotDescriptionError, SettingError
+from hpid_ros.errors import RobotDescriptionError, SettingError
+from hpid_ros.output_files import refuse_output, write_file
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -39,12 +40,12 @@ def add(commands: Any) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Show the robot."""
-    from rich.console import Console
-
     from hpid_ros.robot.review import review
+    from hpid_ros.text_output import TextConsole
 
-    if options.save and options.save.exists() and not options.force:
-        raise ResultExistsError(f"{options.save} exists; name another with --save or use --force")
+    if options.save:
+        inputs = [Path(options.file)]
+        refuse_output(options.save, force=options.force, inputs=inputs, option="--save")
     robot = load_robot(options.file)
     facts = _facts(robot, options.poses)
     remarks = review(robot.description)
@@ -53,7 +54,7 @@ def run(options: argparse.Namespace) -> int:
         document = {"robot": robot.description.name, "joints": facts, "remarks": listed}
         print(json.dumps(document, indent=2))
     else:
-        console = Console()
+        console = TextConsole()
         console.print(_table(robot.description.name, facts))
         for each in remarks:
             console.print(f"{_listed(each.names)}: {each.text}", highlight=False, soft_wrap=True)
@@ -74,7 +75,7 @@ def _save(robot: Robot, path: Path) -> None:
 
     try:
         # With nothing to amend, only its meshes are named so that they are found from there.
-        path.write_text(amended(robot.description, {}, {}, {}).xml, encoding="utf-8")
+        write_file(path, amended(robot.description, {}, {}, {}).xml)
     except OSError as error:
         raise SettingError(
             f"cannot write {path}: {(error.strerror or str(error)).lower()}"

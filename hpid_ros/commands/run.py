@@ -50,12 +50,11 @@ def add(commands: Any) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the controller and print what it gave."""
-    from rich.console import Console
-
     from hpid_ros.analysis.table import ComparisonTable
     from hpid_ros.experiment.graph_options import GraphOptions
     from hpid_ros.experiment.single_run import run_controller
     from hpid_ros.terminal import RunProgress, print_notes, print_result_places, print_timing
+    from hpid_ros.text_output import TextConsole
 
     graph = GraphOptions(
         processes=_processes(options),
@@ -66,7 +65,7 @@ def run(options: argparse.Namespace) -> int:
     experiment = named_experiment(options.experiment)
     label = options.controller or list(experiment.controllers)[-1]
     output = output_folder(options, experiment.name)
-    console = Console()
+    console = TextConsole()
     period = experiment.world.control_period_ns * 1e-9
     with RunProgress(console, experiment.duration, [label], period) as progress:
         ran = run_controller(experiment, label, output, progress, graph, force=options.force)

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 from hpid_ros.commands import DONE
 from hpid_ros.commands.robot_options import add_robot_options, inertias_from
-from hpid_ros.errors import ResultExistsError, SettingError
+from hpid_ros.errors import SettingError
+from hpid_ros.output_files import refuse_output, write_file
 
 if TYPE_CHECKING:
     from hpid_ros.analysis import Comparison, JointSeries
@@ -45,14 +46,13 @@ def add(commands: Any) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Propose, predict, write."""
-    from rich.console import Console
-
+    from hpid_ros.text_output import TextConsole
     from hpid_ros.tuning.controller_files import settings_from_parameter_file
     from hpid_ros.tuning.gain_check import inertia_of
     from hpid_ros.tuning.upgrade import upgrade
 
-    if options.output.exists() and not options.force:
-        raise ResultExistsError(f"{options.output} exists; name another with -o or use --force")
+    inputs = [file for file in (options.file, options.bag) if file is not None]
+    refuse_output(options.output, force=options.force, inputs=inputs, option="-o")
     loops = list(settings_from_parameter_file(options.file).values())
     known = inertias_from(options, [each.joint for each in loops])
     recorded = _recorded(options.bag, loops)
@@ -62,7 +62,7 @@ def run(options: argparse.Namespace) -> int:
     ]
     comparison = _prediction(options, upgrades, recorded)
     _write(options, upgrades, comparison)
-    console = Console()
+    console = TextConsole()
     for each in upgrades:
         console.print(f"{each.settings.joint}: mu {each.settings.mu:+.2f}", highlight=False)
         console.print(f"  {each.reasons['mu']}", style="dim", highlight=False)
@@ -133,7 +133,7 @@ def _write(
             ratios = (f"{q.symbol} {comparison.ratio('hPID', q, joint):.3f}" for q in INDICES)
             notes[joint] = [f"Predicted on the model, over the PID: {', '.join(ratios)}."]
     try:
-        options.output.write_text(upgrade_text(upgrades, header, notes), encoding="utf-8")
+        write_file(options.output, upgrade_text(upgrades, header, notes))
     except OSError as error:
         reason = (error.strerror or str(error)).lower()
         raise SettingError(f"cannot write {options.output}: {reason}") from None

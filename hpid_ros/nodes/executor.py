@@ -35,6 +35,7 @@ from rclpy.task import Future
 from rclpy.utilities import remove_ros_args
 
 from hpid_ros.errors import HpidError, SettingError, unknown_name
+from hpid_ros.foreign_text import shown
 from hpid_ros.nodes.middleware import load_profile
 from hpid_ros.nodes.security import warn_if_unprotected
 
@@ -176,7 +177,7 @@ def _fail(error: Exception) -> int:
     """Print one line for an error that nobody expected: what, and where."""
     place = traceback.extract_tb(error.__traceback__)[-1:]
     where = f" ({place[0].filename}:{place[0].lineno})" if place else ""
-    print(f"{type(error).__name__}: {' '.join(str(error).split())}{where}", file=sys.stderr)
+    print(shown(f"{type(error).__name__}: {' '.join(str(error).split())}{where}"), file=sys.stderr)
     return FAILED
 
 
@@ -220,7 +221,7 @@ def _ros_error(error: Exception) -> str:
 
 
 def _refuse(line: str) -> int:
-    print(line, file=sys.stderr)
+    print(shown(line), file=sys.stderr)
     return BAD_INPUT
 
 
