@@ -25,6 +25,7 @@ from hpid_ros.commands import (
 )
 from hpid_ros.errors import HpidError, RunError
 from hpid_ros.interrupts import heed_interrupts
+from hpid_ros.text_output import guarded_output
 
 
 def main(args: Sequence[str] | None = None) -> int:
@@ -35,6 +36,11 @@ def main(args: Sequence[str] | None = None) -> int:
     """
     options = _parser().parse_args(args)
     heed_interrupts()
+    with guarded_output():
+        return _run(options)
+
+
+def _run(options: argparse.Namespace) -> int:
     command: Callable[[argparse.Namespace], int] = options.command
     try:
         return command(options)

@@ -10,9 +10,14 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable
 
+from hpid_ros.foreign_text import shown
+
 
 class HpidError(Exception):
-    """Root of all errors of this package."""
+    """Root of all errors of this package; its text is one line that can be printed anywhere."""
+
+    def __str__(self) -> str:
+        return shown(super().__str__())
 
 
 class GainError(HpidError, ValueError):

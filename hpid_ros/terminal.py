@@ -12,12 +12,13 @@ from rich.progress import BarColumn, Progress, TaskID, TaskProgressColumn, TextC
 
 from hpid_ros.analysis.wide_table import UNLIMITED_WIDTH, Column, WideTable
 from hpid_ros.experiment.progress import RunReport
+from hpid_ros.text_output import TextConsole
 
 
-def output_console() -> Console:
+def output_console() -> TextConsole:
     """Return where a command prints: in a pipe or a file nothing limits its width."""
-    console = Console()
-    return console if console.is_terminal else Console(width=UNLIMITED_WIDTH)
+    console = TextConsole()
+    return console if console.is_terminal else TextConsole(width=UNLIMITED_WIDTH)
 
 
 class RunProgress:
@@ -35,11 +36,11 @@ class RunProgress:
     ) -> None:
         self._duration, self._labels, self._period = duration, tuple(labels), period
         self._progress = Progress(
-            TextColumn("{task.description}", style="bold"),
+            TextColumn("{task.description}", style="bold", markup=False),
             BarColumn(bar_width=24),
             TaskProgressColumn(),
-            TextColumn("{task.fields[figures]}"),
-            TextColumn("{task.fields[phase]}", style="dim"),
+            TextColumn("{task.fields[figures]}", markup=False),
+            TextColumn("{task.fields[phase]}", style="dim", markup=False),
             console=console,
             refresh_per_second=10,
         )

@@ -81,7 +81,7 @@ def test_nothing_is_overwritten_without_force(experiment_file, tmp_path, capsys)
     assert (folder / "note.txt").exists()
     assert main([*command, "--force"]) == DONE
     assert (folder / "result.json").read_bytes() == before
-    assert not (folder / "note.txt").exists()
+    assert (folder / "note.txt").read_text() == "mine"
 
 
 def test_force_never_replaces_what_is_no_result(experiment_file, tmp_path, capsys):

@@ -460,6 +460,10 @@ def test_hpid_robot_saves_a_robot_that_loads_from_anywhere(tmp_path: Path, capsy
     assert main(["robot", file, "--poses", "1", "--save", str(saved)]) == 0
     assert main(["robot", file, "--poses", "1", "--save", str(saved)]) == 2
     assert "exists" in capsys.readouterr().err
+    before = saved.read_bytes()
+    assert main(["robot", str(saved), "--poses", "1", "--save", str(saved), "--force"]) == 2
+    assert "is an input" in capsys.readouterr().err
+    assert saved.read_bytes() == before
     description = RobotDescription.load(saved)
     assert description.joints["lbr_iiwa_joint_6"].gear_ratio == 160.0
     with World(WorldSettings(saved, tuple(description.joints), fixed_base=True)) as world:

@@ -22,6 +22,7 @@ from bag_builder import (
 from hpid_ros.bags import BagWriter
 from hpid_ros.cli import main
 from hpid_ros.commands import BAD_INPUT, DONE
+from hpid_ros.experiment.result_folder import MARKER
 from hpid_ros.messages.joint_state import JointStateTemplate
 
 
@@ -293,7 +294,7 @@ def test_saved_numbers_alone_draw_the_trade_off_and_say_what_is_missing(run, res
         tmp_path / "r.html",
     )
     assert code == DONE
-    assert [path.name for path in folder.iterdir()] == ["trade_off.png"]
+    assert {path.name for path in folder.iterdir()} == {"trade_off.png", MARKER}
     assert "only runs from bags are drawn" in errors
 
 
@@ -302,9 +303,38 @@ def test_nothing_is_replaced_unless_forced(run, result, tmp_path):
     target.write_text("mine")
     code, printed, errors = run(result, "--save", target)
     assert (code, printed, target.read_text()) == (BAD_INPUT, "", "mine")
-    assert errors == f"hpid: {target} exists; name another or replace it with --force\n"
+    named = f"hpid: {target} exists; name another with --save or replace it with --force\n"
+    assert errors == named
     assert run(result, "--save", target, "--force")[0] == DONE
     assert json.loads(target.read_text())["indices"] == saved_indices(result)
+
+
+def test_figures_replace_figures_of_ours_and_nothing_else(run, result, tmp_path):
+    folder = tmp_path / "figures"
+    numbers = result / "result.json"
+    command = (numbers, "--figures", folder, "--formats", "png")
+    assert run(*command)[0] == DONE
+    (folder / "photo.png").write_text("mine")
+    assert run(*command)[0] == BAD_INPUT
+    assert run(*command, "--force")[0] == DONE
+    assert (folder / "photo.png").read_text() == "mine"
+    other = tmp_path / "photos"
+    other.mkdir()
+    (other / "trade_off.png").write_text("mine")
+    code, _, errors = run(numbers, "--figures", other, "--formats", "png", "--force")
+    assert (code, (other / "trade_off.png").read_text()) == (BAD_INPUT, "mine")
+    assert "has no hpid_result.json" in errors
+
+
+@pytest.mark.parametrize("option", ["--save", "--report"])
+@pytest.mark.parametrize("inside", [".", "result.json", "bags/PID/metadata.yaml"])
+def test_what_is_read_is_never_replaced(run, result, option, inside):
+    target = result / inside
+    source = target if target.suffix == ".json" else result / "bags" / "PID"
+    before = target.is_file() and target.read_bytes()
+    code, printed, errors = run(source, option, target, "--force")
+    assert (code, printed, len(errors.splitlines())) == (BAD_INPUT, "", 1)
+    assert (target.is_file() and target.read_bytes()) == before
 
 
 # What is wrong ---------------------------------------------------------------------------------

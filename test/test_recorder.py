@@ -187,7 +187,7 @@ def test_a_recorder_that_was_frozen_tells_what_it_missed(harness, tmp_path, faul
     frozen_at = time.monotonic()
     recorder.process.send_signal(signal.SIGSTOP)
     flood(30_000)
-    harness.wait(lambda: time.monotonic() > frozen_at + 1.1, what="the end of the freeze")
+    harness.wait(lambda: time.monotonic() > frozen_at + 2.2, what="the end of the freeze")
     recorder.process.send_signal(signal.SIGCONT)
 
     def missed():
@@ -204,11 +204,11 @@ def test_a_recorder_that_was_frozen_tells_what_it_missed(harness, tmp_path, faul
     assert closed["counts"] == {"/joint_states": events.recorded()}
     assert closed["missed"] == {"/joint_states": missed()}
     assert sent - first <= events.recorded() + missed() - 30_000 <= sent
-    assert events.last("stood_still")["duration"] > 1.0
+    assert events.last("stood_still")["duration"] > 2.0
     metadata = yaml.safe_load((tmp_path / "bag" / "metadata.yaml").read_text())
     custom = metadata["rosbag2_bagfile_information"]["custom_data"]
     assert json.loads(custom[MISSED]) == {"/joint_states": missed()}
-    assert float(custom[STOOD_STILL]) > 1.0
+    assert float(custom[STOOD_STILL]) > 2.0
     with BagReader(tmp_path / "bag") as bag:
         assert len(list(bag.messages())) == events.recorded()
     assert recorder.last_words().endswith(f"missed {missed()} on /joint_states")

@@ -277,6 +277,12 @@ def test_nothing_is_overwritten_and_names_are_unlike(files, tmp_path, capsys):
     assert study(files[:1], tmp_path / "s", "--force") == BAD_INPUT
     assert study(files[:1], tmp_path / "s", "--resume") == BAD_INPUT
     assert (tmp_path / "s" / "mine.txt").exists()
+    # A journal that somebody else wrote, or an earlier version: not ours to write over.
+    (tmp_path / "s" / "runs.jsonl").write_text("mine")
+    capsys.readouterr()
+    assert study(files[:1], tmp_path / "s", "--resume") == BAD_INPUT
+    assert "has no hpid_result.json" in capsys.readouterr().err
+    assert (tmp_path / "s" / "runs.jsonl").read_text() == "mine"
 
 
 def evidence(ivc=0.5, iavc=0.7, effort=0.7, itae=0.9, error=1.0, better=6, of=6, **more):

@@ -456,7 +456,7 @@ def test_a_sweep_overwrites_nothing_unasked(experiment_file, tmp_path, capsys):
     assert "--force" in err
     assert (folder / "note.txt").exists()
     assert run_cli([*options, "--force"], capsys)[0] == DONE
-    assert not (folder / "note.txt").exists()
+    assert (folder / "note.txt").exists()
 
 
 @pytest.mark.parametrize(

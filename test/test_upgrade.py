@@ -140,6 +140,9 @@ def test_from_recording_to_a_file_that_runs_and_is_certified(result, tmp_path, c
     assert [line.split(":")[0].strip() for line in numbers] == ["joints"]
     assert main(["check-gains", str(file)]) == DONE
     assert "exists" in refused(command, capsys)
+    own = [*command[:-1], str(parameters), "--force"]
+    assert "is an input; name another file with -o" in refused(own, capsys)
+    assert list(map(settings_from_parameter_file, (parameters, file))) == [before, after]
 
 
 def refused(command, capsys):

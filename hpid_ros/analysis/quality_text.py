@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from hpid_ros.analysis.quality import DataQuality, StampQuality
 from hpid_ros.analysis.series import RunSeries
 from hpid_ros.analysis.unfollowed import unfollowed_lines
+from hpid_ros.foreign_text import shown
 
 COLUMNS = (
     *("joint", "stream", "clock", "samples", "rate [Hz]", "from [s]", "to [s]"),
@@ -20,6 +21,11 @@ def quality_lines(run: RunSeries) -> Iterator[str]:
     Args:
         run: The run.
     """
+    for line in _lines(run):
+        yield shown(line)
+
+
+def _lines(run: RunSeries) -> Iterator[str]:
     joints = run.quality.joints
     for line in run.quality.lines:
         yield f"run {run.label!r}: {line}"

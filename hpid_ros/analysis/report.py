@@ -8,7 +8,6 @@ escaped.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from html import escape
 
 from hpid_ros.analysis.comparison import Comparison, answer
 from hpid_ros.analysis.path_plots import path_data
@@ -29,6 +28,7 @@ from hpid_ros.analysis.results import RunIndices
 from hpid_ros.analysis.series import RunSeries, SeriesError
 from hpid_ros.analysis.signals import Gains
 from hpid_ros.analysis.task_figures import EndEffectorPath
+from hpid_ros.foreign_text import html_text
 
 _UNKNOWN = "<p>The parameters of the controllers are not known.</p>"
 _NO_RECORDING = "<p>The numbers were saved without their recordings.</p>"
@@ -72,9 +72,9 @@ def render_report(
     if paths:
         figures.append(path_data(paths, labels))
     body = [
-        f"<header><h1>{escape(title)}</h1></header>",
-        f'<p class="answer">{escape(answer(comparison))}</p>',
-        *(f'<p class="warning">{escape(text)}</p>' for text in warnings),
+        f"<header><h1>{html_text(title)}</h1></header>",
+        f'<p class="answer">{html_text(answer(comparison))}</p>',
+        *(f'<p class="warning">{html_text(text)}</p>' for text in warnings),
         *_losses_warning(runs),
         "<h2>Indices</h2>",
         *([index_table(comparison)] if comparison.indices else []),
@@ -109,7 +109,7 @@ def _figures(figures: Sequence[Figure]) -> Iterator[str]:
     for figure in figures:
         yield (
             f'<figure id="{figure["name"]}">'
-            f"<figcaption>{escape(figure['caption'])}</figcaption></figure>"
+            f"<figcaption>{html_text(figure['caption'])}</figcaption></figure>"
         )
 
 
@@ -124,14 +124,14 @@ def _losses_warning(runs: Sequence[RunSeries]) -> Iterator[str]:
                 f"{run.label} lost samples in {', '.join(lost)}: unanswered states {unanswered}, "
                 f"repeated commands {repeated}; see Data."
             )
-            yield f'<p class="warning">{escape(text)}</p>'
+            yield f'<p class="warning">{html_text(text)}</p>'
 
 
 def _page(title: str, body: str, data: str) -> str:
     return (
         '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f"<title>{escape(title)}</title>\n<style>{STYLE_SHEET}</style>\n</head>\n"
+        f"<title>{html_text(title)}</title>\n<style>{STYLE_SHEET}</style>\n</head>\n"
         f"<body>\n<main>\n{body}\n</main>\n"
         f'<script type="application/json" id="report-data">{data}</script>\n'
         f"<script>\n{SCRIPT}</script>\n</body>\n</html>\n"

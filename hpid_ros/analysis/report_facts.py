@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from html import escape
 
 from hpid_ros.analysis.quality_text import COLUMNS, quality_rows
 from hpid_ros.analysis.series import RunSeries
+from hpid_ros.foreign_text import html_text
 
 # Settings by parameter name, of each joint, of each run's label.
 Parameters = Mapping[str, Mapping[str, Mapping[str, object]]]
@@ -26,7 +26,7 @@ def losses(runs: Sequence[RunSeries]) -> Iterator[str]:
         if not any(run.losses.values()) and len(counts) == 1:
             states, commands = counts.pop()
             text = f"{run.label}: none. Each joint has {states} states and {commands} commands."
-            yield f"<p>{escape(text)}</p>"
+            yield f"<p>{html_text(text)}</p>"
             continue
         rows = [
             (
@@ -39,7 +39,7 @@ def losses(runs: Sequence[RunSeries]) -> Iterator[str]:
             for series in run.joints
         ]
         columns = ("joint", "states", "commands", "unanswered states", "repeated commands")
-        yield f"<h3>{escape(run.label)}</h3>"
+        yield f"<h3>{html_text(run.label)}</h3>"
         yield plain_table(f"Losses of {run.label}", columns, rows)
 
 
@@ -53,11 +53,11 @@ def data_quality(runs: Sequence[RunSeries]) -> Iterator[str]:
         quality = run.quality
         if not quality.joints:
             continue
-        yield f"<h3>Recording of {escape(run.label)}</h3>"
+        yield f"<h3>Recording of {html_text(run.label)}</h3>"
         for line in quality.lines:
-            yield f"<p>{escape(line)}</p>"
+            yield f"<p>{html_text(line)}</p>"
         references = {each.reference for each in quality.joints.values()}
-        yield f"<p>Reference: {escape(', '.join(sorted(references)))}.</p>"
+        yield f"<p>Reference: {html_text(', '.join(sorted(references)))}.</p>"
         rows = [row for joint, each in quality.joints.items() for row in quality_rows(joint, each)]
         yield plain_table(f"Recording of {run.label}", COLUMNS, rows)
 
@@ -85,7 +85,7 @@ def parameter_tables(parameters: Parameters) -> Iterator[str]:
         parameters: Settings by run, joint and parameter.
     """
     for label, joints in parameters.items():
-        yield f"<h3>{escape(label)}</h3>"
+        yield f"<h3>{html_text(label)}</h3>"
         names = list(dict.fromkeys(name for settings in joints.values() for name in settings))
         names = [name for name in names if name != "joint"]  # the rows' own name
         texts = {
@@ -98,7 +98,7 @@ def parameter_tables(parameters: Parameters) -> Iterator[str]:
             yield plain_table(f"Parameters of {label}", ("joint", *own), rows)
         if shared:
             settings = ", ".join(f"{name} = {texts[name][0]}" for name in shared)
-            yield f"<p>The same for all joints: {escape(settings)}.</p>"
+            yield f"<p>The same for all joints: {html_text(settings)}.</p>"
 
 
 def provenance_table(provenance: Mapping[str, object]) -> str:
@@ -108,7 +108,7 @@ def provenance_table(provenance: Mapping[str, object]) -> str:
         provenance: Any mapping of plain values and mappings.
     """
     rows = "".join(
-        f'<tr><th scope="row">{escape(name)}</th><td>{escape(_text(value))}</td></tr>'
+        f'<tr><th scope="row">{html_text(name)}</th><td>{html_text(_text(value))}</td></tr>'
         for name, value in _flatten(provenance)
     )
     return scrolling("Provenance", f'<table class="wrap"><tbody>{rows}</tbody></table>')
@@ -128,12 +128,12 @@ def plain_table(name: str, columns: Sequence[str], rows: Iterable[Sequence[objec
         for k in range(len(columns))
     ]
     head = "".join(
-        f'<th{kind} scope="col">{escape(column)}</th>'
+        f'<th{kind} scope="col">{html_text(column)}</th>'
         for kind, column in zip(kinds, columns, strict=True)
     )
     body = "".join(
         "<tr>"
-        + "".join(f"<td{k}>{escape(t)}</td>" for k, t in zip(kinds, row, strict=True))
+        + "".join(f"<td{k}>{html_text(t)}</td>" for k, t in zip(kinds, row, strict=True))
         + "</tr>"
         for row in texts
     )
@@ -152,7 +152,7 @@ def scrolling(name: str, markup: str, columns: int = 2) -> str:
     # The style sheet has a size of type for each of these.
     size = max((each for each in PRINTED_COLUMNS if each <= columns), default=0)
     return (
-        f'<div class="scroll" tabindex="0" role="region" aria-label="{escape(name)}" '
+        f'<div class="scroll" tabindex="0" role="region" aria-label="{html_text(name)}" '
         f'data-columns="{size}">{markup}</div>'
     )
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from html import escape
 
 from hpid_ros.analysis.comparison import THRESHOLD, Comparison, Verdict, verdict
 from hpid_ros.analysis.footnotes import footnotes
@@ -12,6 +11,7 @@ from hpid_ros.analysis.number_text import format_ratio, format_values
 from hpid_ros.analysis.quantities import QUANTITIES, Quantity
 from hpid_ros.analysis.report_facts import scrolling
 from hpid_ros.analysis.table import MARKS, heading_of, quartiles_of, total_name
+from hpid_ros.foreign_text import html_text
 
 _SPOKEN = {
     Verdict.BETTER: "lower",
@@ -30,7 +30,7 @@ def index_table(comparison: Comparison) -> str:
     headings = _run_headings(comparison)
     groups = "".join(
         f'<th class="group first" scope="colgroup" colspan="{len(headings)}">'
-        f"{escape(quantity.symbol)} [{_unit(comparison, quantity)}]</th>"
+        f"{html_text(quantity.symbol)} [{_unit(comparison, quantity)}]</th>"
         for quantity in comparison.indices
     )
     labels = "".join(_group_cells("th", headings)) * len(comparison.indices)
@@ -38,7 +38,7 @@ def index_table(comparison: Comparison) -> str:
     cells = {q: _index_cells(comparison, q, joints) for q in comparison.indices}
     total = total_name(comparison.indices)
     rows = [
-        f'<tr><th scope="row">{escape(joint or total)}</th>'
+        f'<tr><th scope="row">{html_text(joint or total)}</th>'
         f"{''.join(''.join(cells[quantity][k]) for quantity in comparison.indices)}</tr>"
         for k, joint in enumerate(joints)
     ]
@@ -74,9 +74,9 @@ def further_tables(comparison: Comparison) -> list[str]:
     parts = [_overall_table(comparison, quantities, "All indices over all joints")]
     for quantity in quantities:
         table = _joint_table(comparison, quantity)
-        title = f"{escape(quantity.symbol)} [{_unit(comparison, quantity)}]"
+        title = f"{html_text(quantity.symbol)} [{_unit(comparison, quantity)}]"
         parts.append(
-            f"<details><summary>{title}: {escape(quantity.meaning)}</summary>{table}</details>"
+            f"<details><summary>{title}: {html_text(quantity.meaning)}</summary>{table}</details>"
         )
     return parts
 
@@ -97,16 +97,16 @@ def legend(comparison: Comparison) -> str:
             f"is better, {MARKS[Verdict.WORSE]} higher, {MARKS[Verdict.EQUAL]} equal "
             f"{THRESHOLD}."
         )
-    reasons = "".join(f"<p>{escape(line)}</p>" for line in footnotes(comparison))
-    return f'<p class="soft">{escape(text)}</p>{reasons}'
+    reasons = "".join(f"<p>{html_text(line)}</p>" for line in footnotes(comparison))
+    return f'<p class="soft">{html_text(text)}</p>{reasons}'
 
 
 def _overall_table(comparison: Comparison, quantities: Sequence[Quantity], name: str) -> str:
     rows = []
     for quantity in quantities:
-        title = f"{escape(quantity.symbol)} [{_unit(comparison, quantity)}]"
+        title = f"{html_text(quantity.symbol)} [{_unit(comparison, quantity)}]"
         cells = "".join(_index_cells(comparison, quantity, (None,))[0])
-        meaning = f'<span class="soft">{escape(quantity.meaning)}</span>'
+        meaning = f'<span class="soft">{html_text(quantity.meaning)}</span>'
         rows.append(f'<tr><th scope="row">{title} {meaning}</th>{cells}</tr>')
     headings = _run_headings(comparison)
     labels = "".join(_group_cells("th", headings))
@@ -123,7 +123,7 @@ def _joint_table(comparison: Comparison, quantity: Quantity) -> str:
     cells = _index_cells(comparison, quantity, joints)
     last = f"all: {quantity.fold.value}"
     rows = [
-        f'<tr><th scope="row">{escape(joint or last)}</th>{"".join(cells[k])}</tr>'
+        f'<tr><th scope="row">{html_text(joint or last)}</th>{"".join(cells[k])}</tr>'
         for k, joint in enumerate(joints)
     ]
     headings = _run_headings(comparison)
@@ -139,7 +139,7 @@ def _joint_table(comparison: Comparison, quantity: Quantity) -> str:
 def _run_headings(comparison: Comparison) -> list[str]:
     headings: list[str] = []
     for run in comparison.runs:
-        headings.append(escape(heading_of(run)))
+        headings.append(html_text(heading_of(run)))
         headings += [] if run.spread is None else ["quartiles"]
         headings += [] if run is comparison.baseline else ["ratio"]
     return headings
@@ -182,4 +182,4 @@ def _ratio(ratio: float) -> str:
 
 
 def _unit(comparison: Comparison, quantity: Quantity) -> str:
-    return re.sub(r"\^([\d.]+)", r"<sup>\1</sup>", escape(comparison.unit(quantity)))
+    return re.sub(r"\^([\d.]+)", r"<sup>\1</sup>", html_text(comparison.unit(quantity)))

@@ -6,7 +6,6 @@ ratio carries a mark besides its colour, so that better and worse read without i
 
 from __future__ import annotations
 
-import io
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -33,6 +32,8 @@ from hpid_ros.analysis.number_text import (
 from hpid_ros.analysis.quantities import PAPER, Fold, Quantity
 from hpid_ros.analysis.results import RunIndices
 from hpid_ros.analysis.wide_table import UNLIMITED_WIDTH, Column, WideTable, pieces
+from hpid_ros.foreign_text import shown
+from hpid_ros.text_output import plain_console
 
 MARKS = {Verdict.BETTER: "▼", Verdict.WORSE: "▲", Verdict.EQUAL: "=", Verdict.UNKNOWN: " "}
 ASCII_MARKS = {**MARKS, Verdict.BETTER: "v", Verdict.WORSE: "^"}
@@ -102,10 +103,7 @@ def table_text(comparison: Comparison, width: int = 100) -> str:
         comparison: What it shows.
         width: Columns at most; a table too wide for it is broken into blocks.
     """
-    # A StringIO has no encoding of its own: the text is Unicode, whatever the terminal is.
-    console = Console(
-        file=io.StringIO(), width=width, color_system=None, legacy_windows=False, emoji=False
-    )
+    console = plain_console(width)
     with console.capture() as capture:
         console.print(ComparisonTable(comparison))
     lines = (line.rstrip() for line in capture.get().splitlines())
@@ -163,9 +161,9 @@ class _Blocks:
         if any(run.spread for run in comparison.runs):
             lines.append("(n): median of n runs, with the first and third quartile.")
         if comparison.others:
-            marks = self._marks
+            marks, baseline = self._marks, heading_of(comparison.baseline)
             lines.append(
-                f"Ratio: run / {comparison.baseline.label}; {marks[Verdict.BETTER]} lower, which "
+                f"Ratio: run / {baseline}; {marks[Verdict.BETTER]} lower, which "
                 f"is better, {marks[Verdict.WORSE]} higher, {marks[Verdict.EQUAL]} equal "
                 f"{THRESHOLD}."
             )
@@ -181,7 +179,7 @@ class _Blocks:
 
     def names(self, quantities: Sequence[Quantity]) -> _Column:
         """Return the names of the rows."""
-        names = [Text(name) for name in self._comparison.joint_names]
+        names = [Text(shown(name)) for name in self._comparison.joint_names]
         return _Column("joint", [*names, Text(total_name(quantities))], "left")
 
     def _title(self, quantity: Quantity) -> str:
@@ -228,7 +226,8 @@ class _Column(NamedTuple):
 
 def heading_of(run: RunIndices) -> str:
     """Return a run's label, with the number of its repeats where there are several."""
-    return run.label if run.spread is None else f"{run.label} ({run.spread.repeats})"
+    label = shown(run.label)
+    return label if run.spread is None else f"{label} ({run.spread.repeats})"
 
 
 def quartiles_of(run: RunIndices, quantity: Quantity, joint: str | None) -> str:

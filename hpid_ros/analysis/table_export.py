@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 import re
 from collections.abc import Iterator
@@ -22,6 +20,7 @@ from hpid_ros.analysis.quantities import (
 )
 from hpid_ros.analysis.results import RunIndices
 from hpid_ros.analysis.table import heading_of, total_name
+from hpid_ros.foreign_text import csv_text, shown
 
 CSV_COLUMNS = (
     *("run", "scope", "joint", "quantity", "unit", "value", "ratio"),
@@ -58,31 +57,29 @@ def table_csv(comparison: Comparison) -> str:
     Args:
         comparison: What it holds.
     """
-    text = io.StringIO()
-    rows = csv.writer(text, lineterminator="\n")
-    rows.writerow(CSV_COLUMNS)
+    rows: list[tuple[object, ...]] = [CSV_COLUMNS]
     for run in comparison.runs:
         for joint in comparison.joint_names:
             for quantity in comparison.indices:
-                rows.writerow(_csv_row(comparison, run, "joint", joint, quantity))
+                rows.append(_csv_row(comparison, run, "joint", joint, quantity))
         for quantity in comparison.indices:
             scope = "total" if quantity.fold is Fold.SUM else "all"
-            rows.writerow(_csv_row(comparison, run, scope, None, quantity))
+            rows.append(_csv_row(comparison, run, scope, None, quantity))
         for quantity in comparison.norms:
-            rows.writerow(_csv_row(comparison, run, "norm", None, quantity))
-    return text.getvalue()
+            rows.append(_csv_row(comparison, run, "norm", None, quantity))
+    return csv_text(rows)
 
 
 def _csv_row(
     comparison: Comparison, run: RunIndices, scope: str, joint: str | None, quantity: Quantity
-) -> tuple[str, ...]:
-    ratio = ""
+) -> tuple[object, ...]:
+    ratio: object = ""
     if run is not comparison.baseline:
         ratio = _plain(comparison.ratio(run.label, quantity, joint))
-    spread: tuple[str, ...] = ("", "", "")
+    spread: tuple[object, ...] = ("", "", "")
     if run.spread is not None:
         quartiles = run.spread.quartiles[joint].get(quantity.key, (math.nan, math.nan))
-        spread = (str(run.spread.repeats), *(_plain(value) for value in quartiles))
+        spread = (run.spread.repeats, *(_plain(value) for value in quartiles))
     value, unit = _plain(run.value(quantity, joint)), comparison.unit(quantity)
     note = "; ".join(_notes(comparison, run, joint, quantity))
     return (run.label, scope, joint or "", quantity.key, unit, value, ratio, *spread, note)
@@ -102,8 +99,8 @@ def _notes(
             yield f"not compared: {each.text}"
 
 
-def _plain(value: float) -> str:
-    return "" if math.isnan(value) else repr(value)
+def _plain(value: float) -> float | str:
+    return "" if math.isnan(value) else float(value)
 
 
 def table_latex(comparison: Comparison) -> str:
@@ -239,4 +236,4 @@ def _unit(unit: str) -> str:
 
 
 def _escape(text: str) -> str:
-    return text.translate(_LATEX_SPECIAL)
+    return shown(text).translate(_LATEX_SPECIAL)

@@ -19,6 +19,7 @@ from hpid_ros.bags.storage import Progress, Storage
 from hpid_ros.bags.streams import OrderNeededError
 from hpid_ros.bags.topic_choice import TopicChoice, choose_topics
 from hpid_ros.errors import BagError, unknown_name
+from hpid_ros.foreign_text import shown
 
 __all__ = ["BagReader", "RawMessage", "TopicSummary", "read_run"]
 
@@ -84,7 +85,7 @@ def read_run(
         stood_still=time_stood_still(own),
     )
     for line in quality.lines:
-        _log.warning("%s: %s", where, line)
+        _log.warning("%s", shown(f"{where}: {line}"))
     return replace(run, quality=quality)
 
 

@@ -10,11 +10,11 @@ from hpid_ros.errors import SettingError
 
 if TYPE_CHECKING:
     import argparse
-    from pathlib import Path
 
     from rich.console import Console
 
     from hpid_ros.experiment.batch import Outcome
+    from hpid_ros.experiment.result_folder import ResultFolder
 
 
 def add_jobs(parser: argparse.ArgumentParser) -> None:
@@ -35,7 +35,7 @@ def check_jobs(options: argparse.Namespace) -> None:
 
 
 @contextmanager
-def telling_where(console: Console, folder: Path, interrupted: str) -> Iterator[None]:
+def telling_where(console: Console, folder: ResultFolder, interrupted: str) -> Iterator[None]:
     """Say at the end where the result is, or after an interrupt where the rest of it is.
 
     Args:
@@ -46,9 +46,9 @@ def telling_where(console: Console, folder: Path, interrupted: str) -> Iterator[
     try:
         yield
     except KeyboardInterrupt:
-        console.print(f"{interrupted}: {folder}", soft_wrap=True, highlight=False)
+        console.print(f"{interrupted}: {folder.path}", soft_wrap=True, highlight=False)
         raise
-    console.print(f"result: {folder}", soft_wrap=True, highlight=False)
+    console.print(f"result: {folder.path}", soft_wrap=True, highlight=False)
 
 
 @contextmanager

@@ -57,10 +57,9 @@ def add(commands: Any) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Check the gains and print the verdicts."""
-    from rich.console import Console
-
     from hpid_ros.commands.batch import joint_progress
     from hpid_ros.terminal import output_console
+    from hpid_ros.text_output import TextConsole
     from hpid_ros.tuning.gain_check import check_gains, inertia_of
     from hpid_ros.tuning.gain_table import GainTable
     from hpid_ros.tuning.saved_certificates import saved_certificates
@@ -75,7 +74,7 @@ def run(options: argparse.Namespace) -> int:
     judged = [
         (settings, inertia_of(settings, known.get(settings.joint))) for settings in loops.values()
     ]
-    with joint_progress(Console(stderr=True), "certified", len(judged)) as tell:
+    with joint_progress(TextConsole(stderr=True), "certified", len(judged)) as tell:
         verdicts = check_gains(judged, tell)
     names = [name.strip("/").removesuffix("_controller") for name in loops]
     by_name = dict(zip(names, verdicts, strict=True))

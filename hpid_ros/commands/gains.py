@@ -51,10 +51,9 @@ def add(commands: Any) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Compute the gains and print them."""
-    from rich.console import Console
-
     from hpid_ros.commands.batch import joint_progress
     from hpid_ros.control import Gains, LoopSettings
+    from hpid_ros.text_output import TextConsole
     from hpid_ros.tuning.gain_design import design, yaml_text
 
     inertias: Mapping[str, float]
@@ -65,7 +64,7 @@ def run(options: argparse.Namespace) -> int:
         inertias = {"joint": options.inertia}
     else:
         loops, inertias = _of_experiment(options.experiment)
-    with joint_progress(Console(stderr=True), "certified", len(loops)) as tell:
+    with joint_progress(TextConsole(stderr=True), "certified", len(loops)) as tell:
         designs = design(
             loops, inertias, options.rule, options.closed_loop_time, options.delay, tell
         )

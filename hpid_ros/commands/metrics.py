@@ -229,10 +229,11 @@ def _print_to_output(
 @contextmanager
 def _progress() -> Iterator[Callable[[str, float], None]]:
     """Show on a terminal what is being read, how far it is and how long it will take."""
-    from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-    console = Console(stderr=True)
+    from hpid_ros.text_output import TextConsole
+
+    console = TextConsole(stderr=True)
     if not console.is_terminal:
         yield lambda what, share: None
         return

@@ -22,6 +22,7 @@ from hpid_ros.commands.metrics_options import bag_selection, index_settings
 from hpid_ros.commands.metrics_robot import end_effector_of, task_frame
 from hpid_ros.commands.retunes import read_retunes
 from hpid_ros.errors import SettingError
+from hpid_ros.labels import is_label, require_label
 
 RESULT = "result.json"
 LABEL = "label"
@@ -81,11 +82,14 @@ def inputs_of(options: argparse.Namespace) -> list[Input]:
             f"there must be one label for each of {len(options.bags)} bags, "
             f"not {len(options.labels)}"
         )
+    for label in options.labels or ():
+        require_label(label, "--labels", SettingError)
     labels = options.labels or [None] * len(options.bags)
     named = [Input(path, label) for path, label in zip(options.bags, labels, strict=True)]
     for label, *paths in options.group:
         if not paths:
             raise SettingError(f"--group {label} names no bag: it takes a label, then bags")
+        require_label(label, "--group", SettingError)
         named += [Input(Path(path), label) for path in paths]
     inputs = [each for one in named for each in _expanded(one)]
     if options.baseline is not None and Path(options.baseline).exists():
@@ -194,6 +198,9 @@ def _expanded(one: Input) -> list[Input]:
     document = _load_json(one.path / RESULT)
     indices = document.get("indices") if isinstance(document, dict) else None
     labels = list(indices.get("runs", {})) if isinstance(indices, dict) else []
+    # The file may be anybody's: a name that is no label does not lead to a bag of this folder.
+    if not all(map(is_label, labels)):
+        return [Input(one.path / RESULT, one.label)]
     bags = [Input(one.path / "bags" / label, one.label or label) for label in labels]
     if not bags or not all(bag.path.exists() for bag in bags):
         return [Input(one.path / RESULT, one.label)]

@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING
 from hpid_ros import __version__
 from hpid_ros.analysis import Comparison, RunIndices, RunSeries
 from hpid_ros.analysis.task_figures import EndEffectorFigures, EndEffectorPath
-from hpid_ros.errors import ResultExistsError, SettingError, unknown_name
+from hpid_ros.errors import SettingError, unknown_name
+from hpid_ros.output_files import refuse_output, write_file
 
 if TYPE_CHECKING:
     from hpid_ros.analysis.signals import Gains
@@ -58,11 +59,21 @@ def refuse_existing(options: argparse.Namespace) -> None:
     for form in figure_formats(options):
         if form not in ("png", "pdf", "svg"):
             raise SettingError(unknown_name("figure format", form, ("png", "pdf", "svg")))
-    for path in (options.save, options.report, options.figures):
-        if path is None or not path.exists() or options.force:
-            continue
-        if path is not options.figures or not path.is_dir() or any(path.iterdir()):
-            raise ResultExistsError(f"{path} exists; name another or replace it with --force")
+    inputs = _inputs(options)
+    for option, path in (("--save", options.save), ("--report", options.report)):
+        if path is not None:
+            refuse_output(path, force=options.force, inputs=inputs, option=option)
+    if options.figures is not None:
+        from hpid_ros.experiment.result_folder import check_place
+
+        check_place(options.figures, force=options.force, inputs=inputs, option="--figures")
+
+
+def _inputs(options: argparse.Namespace) -> list[Path]:
+    """Return all that is read, of which nothing is replaced."""
+    named = [*options.bags, *(path for _, *paths in options.group for path in paths)]
+    named += [each for each in (options.baseline, options.parameters) if each is not None]
+    return [Path(each) for each in named if Path(each).exists()]
 
 
 def figure_formats(options: argparse.Namespace) -> list[str]:
@@ -82,25 +93,14 @@ def write_outputs(options: argparse.Namespace, outcome: Outcome) -> list[Path]:
     written: list[Path] = []
     try:
         if options.save is not None:
-            _write(options.save, _saved_text(outcome))
+            write_file(options.save, _saved_text(outcome))
             written.append(options.save)
         gains = {} if options.figures is None and options.report is None else _gains(outcome)
         if options.figures is not None:
-            from hpid_ros.analysis.plots import save_figures
-
-            options.figures.mkdir(parents=True, exist_ok=True)
-            save_figures(
-                outcome.series,
-                options.figures,
-                figure_formats(options),
-                comparison=outcome.comparison,
-                repeats=outcome.repeats,
-                gains=gains,
-                paths=outcome.paths,
-            )
+            _save_figures(options, outcome, gains)
             written.append(options.figures)
         if options.report is not None:
-            _write(options.report, _report_text(outcome, gains))
+            write_file(options.report, _report_text(outcome, gains))
             written.append(options.report)
     except OSError as error:
         reason = (error.strerror or str(error)).lower()
@@ -108,9 +108,23 @@ def write_outputs(options: argparse.Namespace, outcome: Outcome) -> list[Path]:
     return written
 
 
-def _write(path: Path, text: str) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(text, encoding="utf-8")
+def _save_figures(options: argparse.Namespace, outcome: Outcome, gains: Gains) -> None:
+    from hpid_ros.analysis.plots import save_figures
+    from hpid_ros.experiment.result_folder import ResultFolder
+
+    with ResultFolder.create(
+        options.figures, force=options.force, inputs=_inputs(options), option="--figures"
+    ) as folder:
+        for path in save_figures(
+            outcome.series,
+            folder.path,
+            figure_formats(options),
+            comparison=outcome.comparison,
+            repeats=outcome.repeats,
+            gains=gains,
+            paths=outcome.paths,
+        ):
+            folder.add(path.name)
 
 
 def _saved_text(outcome: Outcome) -> str:

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 from hpid_ros.commands import DONE
 from hpid_ros.commands.robot_options import load_robot
-from hpid_ros.errors import ResultExistsError, RobotDescriptionError, SettingError
+from hpid_ros.errors import RobotDescriptionError, SettingError
+from hpid_ros.output_files import refuse_output, write_file
 
 if TYPE_CHECKING:
     from hpid_ros.analysis.wide_table import WideTable
@@ -46,8 +47,9 @@ def run(options: argparse.Namespace) -> int:
     from hpid_ros.robot.review import review
     from hpid_ros.terminal import output_console
 
-    if options.save and options.save.exists() and not options.force:
-        raise ResultExistsError(f"{options.save} exists; name another with --save or use --force")
+    if options.save:
+        inputs = [Path(options.file)]
+        refuse_output(options.save, force=options.force, inputs=inputs, option="--save")
     robot = load_robot(options.file)
     facts = _facts(robot, options.poses)
     remarks = review(robot.description)
@@ -78,7 +80,7 @@ def _save(robot: Robot, path: Path) -> None:
 
     try:
         # With nothing to amend, only its meshes are named so that they are found from there.
-        path.write_text(amended(robot.description, {}, {}, {}).xml, encoding="utf-8")
+        write_file(path, amended(robot.description, {}, {}, {}).xml)
     except OSError as error:
         raise SettingError(
             f"cannot write {path}: {(error.strerror or str(error)).lower()}"

@@ -53,10 +53,9 @@ def add(commands: Any) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the study and print its tables."""
-    from rich.console import Console
-
     from hpid_ros.experiment.study_plan import default_files, plan_study
     from hpid_ros.experiment.study_run import kept_records, run_study, study_folder
+    from hpid_ros.text_output import TextConsole
 
     check_jobs(options)
     if options.resume and (options.force or options.output is None):
@@ -64,11 +63,12 @@ def run(options: argparse.Namespace) -> int:
     files = options.experiments or default_files()
     plan = plan_study(files, joints=options.joint, seeds=options.seeds)
     path = output_folder(options, "study")
-    folder = study_folder(path, force=options.force, resume=options.resume)
-    told = Console(stderr=True)
-    with telling_where(told, folder.path, "what was run"):
+    inputs = [file for entry in plan.entries for file in entry.experiment.inputs]
+    folder = study_folder(path, force=options.force, resume=options.resume, inputs=inputs)
+    told = TextConsole(stderr=True)
+    with telling_where(told, folder, "what was run"):
         runs = len(plan.tasks()) - len(kept_records(plan, folder))
-        with run_progress(told, runs) as ended:
+        with folder, run_progress(told, runs) as ended:
             result = run_study(plan, folder, options.jobs, ended)
         _print(result, options.table)
     return FAILED if result.failures else DONE

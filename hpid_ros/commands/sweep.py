@@ -59,12 +59,11 @@ def add(commands: Any) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the sweep and print its table."""
-    from rich.console import Console
-
     from hpid_ros.experiment.result_folder import ResultFolder
     from hpid_ros.experiment.sweep import plan_sweep
     from hpid_ros.experiment.sweep_axes import Axis
     from hpid_ros.experiment.sweep_run import run_sweep
+    from hpid_ros.text_output import TextConsole
 
     axes = [Axis.parse(text) for text in options.vary]
     check_jobs(options)
@@ -77,10 +76,10 @@ def run(options: argparse.Namespace) -> int:
         seeds=options.seeds,
     )
     path = output_folder(options, f"{experiment.name}-sweep")
-    folder = ResultFolder.create(path, force=options.force, parts=())
-    told = Console(stderr=True)
-    with telling_where(told, folder.path, "what was run"):
-        with run_progress(told, len(sweep.tasks())) as ended:
+    folder = ResultFolder.create(path, force=options.force, inputs=experiment.inputs)
+    told = TextConsole(stderr=True)
+    with telling_where(told, folder, "what was run"):
+        with folder, run_progress(told, len(sweep.tasks())) as ended:
             result = run_sweep(sweep, folder, options.jobs, ended)
         _print(result, options.format)
     return FAILED if result.failures else DONE

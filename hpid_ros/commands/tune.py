@@ -15,6 +15,7 @@ from hpid_ros.commands.experiment_options import (
     output_folder,
 )
 from hpid_ros.errors import SettingError
+from hpid_ros.labels import require_label
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -92,20 +93,21 @@ def add(commands: Any) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Search, and print what was found."""
-    from rich.console import Console
-
-    from hpid_ros.experiment.result_folder import ResultFolder
+    from hpid_ros.experiment.result_folder import EXPERIMENT, ResultFolder
     from hpid_ros.experiment.search import Search
     from hpid_ros.experiment.search_result import SearchResult
+    from hpid_ros.text_output import TextConsole
 
     check_jobs(options)
+    if options.label is not None:
+        require_label(options.label, "--label", SettingError)
     plan = _plan(options)
     path = output_folder(options, f"{plan.experiment.name}-tune-{options.law}")
-    folder = ResultFolder.create(path, force=options.force, parts=())
-    folder.experiment.write_text(plan.experiment.text, encoding="utf-8")
-    told = Console(stderr=True)
-    with telling_where(told, folder.path, "what was found"):
-        with progress(told, "points", plan.total) as advanced:
+    folder = ResultFolder.create(path, force=options.force, inputs=plan.experiment.inputs)
+    told = TextConsole(stderr=True)
+    with telling_where(told, folder, "what was found"):
+        with folder, progress(told, "points", plan.total) as advanced:
+            folder.write(EXPERIMENT, plan.experiment.text)
             search = Search(plan, options.jobs, _least_cost(advanced))
             result = SearchResult(search, options.label or _LABELS[options.law])
             try:

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 from hpid_ros.commands import DONE, FAILED
 from hpid_ros.commands.robot_options import add_robot_options, inertias_from, load_robot
-from hpid_ros.errors import HpidError, ResultExistsError, SettingError
+from hpid_ros.errors import HpidError, SettingError
+from hpid_ros.output_files import refuse_output, write_file
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -57,14 +58,13 @@ def add(commands: Any) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Propose, predict, write."""
-    from rich.console import Console
-
     from hpid_ros.terminal import output_console
+    from hpid_ros.text_output import TextConsole
     from hpid_ros.tuning.controller_files import parameter_file
 
-    if options.output.exists() and not options.force:
-        raise ResultExistsError(f"{options.output} exists; name another with -o or use --force")
-    console, told = output_console(), Console(stderr=True)
+    inputs = [file for file in (options.file, options.bag) if file is not None]
+    refuse_output(options.output, force=options.force, inputs=inputs, option="-o")
+    console, told = output_console(), TextConsole(stderr=True)
     file = parameter_file(options.file)
     loops = list(file.loops.values())
     recorded = _recorded(options.bag, loops)
@@ -77,10 +77,10 @@ def run(options: argparse.Namespace) -> int:
             lines = [f"{joint}: NOT upgraded, kept as it was", str(failures[joint])]
         else:
             lines = _summary(proposals[joint])
-        console.print(lines[0], highlight=False, markup=False, soft_wrap=True)
+        console.print(lines[0], soft_wrap=True)
         for line in lines[1:]:
             style = "red" if joint in failures else "dim"
-            console.print(f"  {line}", style=style, highlight=False, markup=False, soft_wrap=True)
+            console.print(f"  {line}", style=style, soft_wrap=True)
     if comparison is not None:
         from hpid_ros.analysis.table import ComparisonTable
 
@@ -228,7 +228,7 @@ def _write(
             notes[joint].append(f"Predicted on the model, over the PID: {', '.join(ratios)}.")
     written = [proposals.get(loop.joint, loop) for loop in loops]
     try:
-        options.output.write_text(upgrade_text(written, header, notes), encoding="utf-8")
+        write_file(options.output, upgrade_text(written, header, notes))
     except OSError as error:
         reason = (error.strerror or str(error)).lower()
         raise SettingError(f"cannot write {options.output}: {reason}") from None

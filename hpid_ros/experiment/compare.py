@@ -11,7 +11,7 @@ from hpid_ros.experiment.graph_run import run_on_graph
 from hpid_ros.experiment.in_process_run import run_without_ros
 from hpid_ros.experiment.progress import Progress, RunReport
 from hpid_ros.experiment.result import Result, compute, save
-from hpid_ros.experiment.result_folder import ResultFolder
+from hpid_ros.experiment.result_folder import EXPERIMENT, ResultFolder
 from hpid_ros.tuning.saved_certificates import certificates
 
 
@@ -50,8 +50,15 @@ def compare(
     Raises:
         HpidError: The folder is in the way, a run failed, or a bag cannot be read.
     """
-    folder = ResultFolder.create(output, force=force)
-    folder.experiment.write_text(experiment.text, encoding="utf-8")
+    with ResultFolder.create(output, force=force, inputs=experiment.inputs) as folder:
+        result, reports = _compare(experiment, folder, progress, in_process)
+    return Compared(result, tuple(reports), folder)
+
+
+def _compare(
+    experiment: Experiment, folder: ResultFolder, progress: Progress, in_process: bool
+) -> tuple[Result, list[RunReport]]:
+    folder.write(EXPERIMENT, experiment.text)
     reports = []
     for label in experiment.controllers:
         bag = folder.bag(label)
@@ -67,4 +74,4 @@ def compare(
     save(result, folder, reports, "in one process" if in_process else "ROS 2 graph")
     progress.phase("", "certifying the degrees")
     folder.write("certificates.json", json.dumps(certificates(experiment.controllers)) + "\n")
-    return Compared(result, tuple(reports), folder)
+    return result, reports

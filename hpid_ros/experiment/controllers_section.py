@@ -9,6 +9,7 @@ from hpid_ros.control import LOOP_PARAMETERS, LoopSettings
 from hpid_ros.control.model_settings import MODEL_PARAMETERS
 from hpid_ros.errors import ExperimentError, HpidError, unknown_name
 from hpid_ros.experiment.model_of_world import with_robot
+from hpid_ros.labels import require_label
 from hpid_ros.robot.description import RobotDescription
 from hpid_ros.robot.joints import JointDescription
 from hpid_ros.sections import Section
@@ -42,6 +43,8 @@ def controllers_from(root: Section, world: WorldSettings) -> dict[str, tuple[Loo
     labels = compared.items()
     if not labels:
         raise ExperimentError("compare must name at least one controller")
+    for label in labels:
+        require_label(label, compared.where, ExperimentError)
     joints = RobotDescription.load(world.robot_description).select(world.joints)
     result = {}
     for label in labels:

@@ -20,6 +20,7 @@ from hpid_ros.experiment.world_models import (
     homing_from,
     noise_from,
 )
+from hpid_ros.labels import require_label
 from hpid_ros.planning import BrickPlan, planned_reference
 from hpid_ros.resources import find_resource
 from hpid_ros.robot.description import RobotDescription
@@ -49,6 +50,7 @@ class Experiment:
             driven joint, in the world's order.
         judged: The joints that studies and searches look at, in the world's order.
         plan: The brick task behind the reference; None for any other kind.
+        files: The files that it was read from: its own, and those that it extends.
     """
 
     name: str
@@ -62,6 +64,7 @@ class Experiment:
     controllers: Mapping[str, tuple[LoopSettings, ...]]
     judged: tuple[str, ...]
     plan: BrickPlan | None = None
+    files: tuple[Path, ...] = ()
 
     @property
     def periods(self) -> int:
@@ -74,6 +77,12 @@ class Experiment:
         if self.world.workplace.bricks:
             return self.world.workplace.gripper.link
         return RobotDescription.load(self.world.robot_description).last_link
+
+    @property
+    def inputs(self) -> tuple[Path, ...]:
+        """The files that a run of it reads: its own, and the robot's."""
+        robot = str(self.world.robot_description)
+        return self.files if robot.lstrip().startswith("<") else (*self.files, Path(robot))
 
     @property
     def digest(self) -> str:
@@ -149,9 +158,10 @@ def _experiment(document: Document, root: Section) -> Experiment:
     if round(duration * _NANOSECONDS) % period_ns:
         raise ExperimentError(f"duration {duration} s is not a whole number of control periods")
     return Experiment(
-        name=root.text("name"),
+        name=require_label(root.text("name"), root.place("name"), ExperimentError),
         text=document.text,
         path=document.files[0],
+        files=document.files,
         duration=duration,
         seed=seed,
         answer_timeout=answer_timeout,

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Iterable
 from pathlib import Path
 
+from hpid_ros.errors import ExperimentError
 from hpid_ros.experiment.base_recording import recorded_topics
 from hpid_ros.experiment.description import Experiment
 from hpid_ros.experiment.graph_options import GraphOptions
@@ -17,6 +20,7 @@ from hpid_ros.names import controller_name
 from hpid_ros.simulation.base_monitor import REPORT_RATE
 from hpid_ros.simulation.task_values import task_topics
 
+_NODE_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]{0,200}")
 BRIDGE, RECORDER, REFERENCE = "pybullet_bridge", "bag_recorder", "trajectory_publisher"
 COMPOSED, SINGLE = "joint_controllers", "single_process"
 
@@ -115,6 +119,23 @@ class GraphNodes:
                 report_rate=REPORT_RATE if task_topics(self._experiment.world) else 0.0,
             ),
         ]
+
+
+def require_node_names(joints: Iterable[str]) -> None:
+    """Refuse joints after which no node, and no file of its log, can be called.
+
+    Args:
+        joints: Their names, as the robot's description has them.
+
+    Raises:
+        ExperimentError: A name is not letters, digits and underscores.
+    """
+    for joint in joints:
+        if not _NODE_NAME.fullmatch(controller_name(joint)):
+            raise ExperimentError(
+                f"joint {joint!r} cannot have a node, whose name is letters, digits and "
+                "underscores, the first no digit; --in-process needs none"
+            )
 
 
 def _parameters(**values: object) -> list[str]:

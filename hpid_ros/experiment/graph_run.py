@@ -10,7 +10,7 @@ from typing import Any
 
 from hpid_ros.errors import RunError
 from hpid_ros.experiment.description import Experiment
-from hpid_ros.experiment.graph_nodes import GraphNodes
+from hpid_ros.experiment.graph_nodes import GraphNodes, require_node_names
 from hpid_ros.experiment.graph_options import GraphOptions
 from hpid_ros.experiment.isolation import closed_environment, own_domain, require_no_sockets
 from hpid_ros.experiment.node_process import NodeGroup, NodeProcess
@@ -46,9 +46,11 @@ def run_on_graph(
             a process of its own, in lock-step, recorded.
 
     Raises:
+        ExperimentError: A joint's name cannot be part of a node's.
         RunError: A node failed, or something was not recorded.
     """
     options = options or GraphOptions()
+    require_node_names(each.joint for each in experiment.controllers[label])
     nodes = GraphNodes(experiment, label, bag, folder, options)
     with (
         own_domain() as domain,

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import math
 from collections.abc import Mapping
@@ -18,6 +16,7 @@ from hpid_ros.experiment.result_folder import ResultFolder
 from hpid_ros.experiment.search import Search
 from hpid_ros.experiment.search_plan import Evaluation
 from hpid_ros.experiment.search_snippet import compare_entry
+from hpid_ros.foreign_text import csv_text
 
 
 class SearchResult:
@@ -43,19 +42,19 @@ class SearchResult:
 
     def points_csv(self) -> str:
         """Return every point, one a row: its place, parameters, cost, ratios, last error."""
-        text = io.StringIO()
-        write = csv.writer(text, lineterminator="\n").writerow
         names = [each.name for each in self._plan.space.parameters]
         keys = [quantity.key for quantity in PAPER_QUANTITIES]
         ratios = [f"{key}_ratio" for key in keys]
-        write(["point", "stage", *names, "cost", *ratios, LAST_ERROR.key, "note"])
+        rows: list[list[object]] = [
+            ["point", "stage", *names, "cost", *ratios, LAST_ERROR.key, "note"]
+        ]
         for each in self._search.evaluations:
             cells = [each.ratios.get(key, "") for key in keys]
             cost = each.cost if math.isfinite(each.cost) else ""
             last = each.last_error if math.isfinite(each.last_error) else ""
             values = [each.values[name] for name in names]
-            write([each.number, each.stage, *values, cost, *cells, last, each.note])
-        return text.getvalue()
+            rows.append([each.number, each.stage, *values, cost, *cells, last, each.note])
+        return csv_text(rows)
 
     def as_mapping(self) -> dict[str, object]:
         """Return everything that the plan determines, ready for JSON."""
@@ -127,7 +126,7 @@ class SearchResult:
             self.label, [each.ratios for each in run], None if best is None else run.index(best)
         )
         baseline = next(iter(self._plan.experiment.controllers))
-        front_figure([points], baseline).savefig(folder.path / "trade_off.png")
+        front_figure([points], baseline).savefig(folder.file("trade_off.png"))
 
 
 def _mapping(best: Evaluation) -> Mapping[str, Any]:

@@ -11,7 +11,7 @@ from hpid_ros.experiment.graph_options import GraphOptions
 from hpid_ros.experiment.graph_run import run_on_graph
 from hpid_ros.experiment.progress import Progress, RunReport
 from hpid_ros.experiment.result import Result, compute, save_numbers, save_timing
-from hpid_ros.experiment.result_folder import ResultFolder
+from hpid_ros.experiment.result_folder import EXPERIMENT, ResultFolder
 
 
 @dataclass(frozen=True)
@@ -53,8 +53,18 @@ def run_controller(
     """
     if label not in experiment.controllers:
         raise ExperimentError(unknown_name("controller", label, experiment.controllers))
-    folder = ResultFolder.create(output, force=force)
-    folder.experiment.write_text(experiment.text, encoding="utf-8")
+    with ResultFolder.create(output, force=force, inputs=experiment.inputs) as folder:
+        return _run(experiment, label, folder, progress, options)
+
+
+def _run(
+    experiment: Experiment,
+    label: str,
+    folder: ResultFolder,
+    progress: Progress,
+    options: GraphOptions,
+) -> SingleRun:
+    folder.write(EXPERIMENT, experiment.text)
     bag, nodes = folder.bag(label), folder.nodes(label)
     report = run_on_graph(experiment, label, bag, nodes, progress, options)
     progress.advanced(label, experiment.duration)

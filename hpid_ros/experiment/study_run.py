@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import closing
 from pathlib import Path
 
@@ -16,17 +14,21 @@ from hpid_ros.experiment.study_journal import QUANTITIES, TOTAL, RunRecord, read
 from hpid_ros.experiment.study_plan import RunKey, StudyPlan
 from hpid_ros.experiment.study_result import StudyResult
 from hpid_ros.experiment.study_tables import study_markdown, study_text
+from hpid_ros.foreign_text import csv_text
 
 JOURNAL = "runs.jsonl"
 
 
-def study_folder(path: Path, *, force: bool = False, resume: bool = False) -> ResultFolder:
+def study_folder(
+    path: Path, *, force: bool = False, resume: bool = False, inputs: Iterable[Path] = ()
+) -> ResultFolder:
     """Return the folder of a study, made anew or carried on.
 
     Args:
         path: Where.
         force: Replace a result that is there.
         resume: Carry on the study that is there.
+        inputs: Files that are read; their folders are no place for a result.
 
     Raises:
         ResultExistsError: The path exists and is not to be replaced, or is no study to carry on.
@@ -34,8 +36,8 @@ def study_folder(path: Path, *, force: bool = False, resume: bool = False) -> Re
     if resume and path.exists():
         if not (path / JOURNAL).is_file():
             raise ResultExistsError(f"{path} is not a study that could be carried on")
-        return ResultFolder(path)
-    return ResultFolder.create(path, force=force, parts=("experiments",))
+        return ResultFolder.reopen(path)
+    return ResultFolder.create(path, force=force, inputs=inputs)
 
 
 def run_study(
@@ -66,11 +68,10 @@ def run_study(
     result = StudyResult(plan, records)
     for entry in plan.entries:
         folder.write(f"experiments/{entry.name}.yaml", entry.experiment.text)
-    journal = folder.path / JOURNAL
-    _write(journal, plan, records)
+    _write(folder, plan, records)
     try:
         with (
-            journal.open("a", encoding="utf-8") as lines,
+            folder.file(JOURNAL).open("a", encoding="utf-8") as lines,
             closing(run_batch(tuple(tasks.values()), jobs)) as batch,
         ):
             for outcome in batch:
@@ -82,7 +83,7 @@ def run_study(
                 lines.flush()
                 advanced(outcome)
     finally:
-        _write(journal, plan, records)
+        _write(folder, plan, records)
         save(result, folder)
     return result
 
@@ -127,10 +128,8 @@ def runs_csv(result: StudyResult) -> str:
     Args:
         result: The study.
     """
-    text = io.StringIO()
-    write = csv.writer(text, lineterminator="\n").writerow
     keys = [quantity.key for quantity in QUANTITIES]
-    write(["experiment", "controller", "seed", "joint", *keys, "failure"])
+    rows: list[list[object]] = [["experiment", "controller", "seed", "joint", *keys, "failure"]]
     for key in result.plan.tasks():
         record = result.records.get(key)
         if record is None:
@@ -138,13 +137,12 @@ def runs_csv(result: StudyResult) -> str:
         for joint in record.numbers or [TOTAL]:
             numbers = record.numbers.get(joint, {})
             name = "all" if joint == TOTAL else joint
-            write([*key, name, *(numbers.get(each, "") for each in keys), record.failure])
-    return text.getvalue()
+            values = [numbers.get(each, "") for each in keys]
+            rows.append([*key, name, *values, record.failure])
+    return csv_text(rows)
 
 
-def _write(journal: Path, plan: StudyPlan, records: dict[RunKey, RunRecord]) -> None:
+def _write(folder: ResultFolder, plan: StudyPlan, records: dict[RunKey, RunRecord]) -> None:
     """Write the journal in the plan's order, whatever order the runs ended in."""
     lines = [records[key].line() + "\n" for key in plan.tasks() if key in records]
-    beside = journal.with_suffix(".part")
-    beside.write_text("".join(lines), encoding="utf-8")
-    beside.replace(journal)
+    folder.write(JOURNAL, "".join(lines))

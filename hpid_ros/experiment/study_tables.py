@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -18,6 +17,7 @@ from hpid_ros.experiment.judged_run import LAST_ERROR, PAPER_QUANTITIES
 from hpid_ros.experiment.study_plan import StudyEntry
 from hpid_ros.experiment.study_result import SETTLED, StudyResult
 from hpid_ros.experiment.sweep_result import Quartiles
+from hpid_ros.text_output import plain_console
 
 NOTHING = "-"
 _TEXTS = ("joint", "controller", "verdict", "certified")  # columns that may fold
@@ -81,9 +81,7 @@ def study_text(result: StudyResult) -> str:
     Args:
         result: The study.
     """
-    console = Console(
-        file=io.StringIO(), width=UNLIMITED_WIDTH, color_system=None, legacy_windows=False
-    )
+    console = plain_console(UNLIMITED_WIDTH)
     with console.capture() as capture:
         for grid in grids(result):
             console.print(grid)

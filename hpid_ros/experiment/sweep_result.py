@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import math
 from collections.abc import Mapping, Sequence
@@ -18,6 +16,7 @@ from hpid_ros.experiment.batch import Outcome
 from hpid_ros.experiment.provenance import versions
 from hpid_ros.experiment.sweep import Sweep
 from hpid_ros.experiment.sweep_rows import Row
+from hpid_ros.foreign_text import csv_text
 
 QUANTITIES = (IVC, IAVC, ITAE, EFFORT_L2, ERROR_L2)
 """What a sweep shows of a run."""
@@ -105,36 +104,33 @@ class SweepResult:
 
     def runs_csv(self) -> str:
         """Return every run, one a row: row's place, controller, parameters, seed, numbers."""
-        text = io.StringIO()
-        write = csv.writer(text, lineterminator="\n").writerow
         names = [axis.name for axis in self.sweep.axes]
-        write(["row", "controller", *names, "seed", *(q.key for q in QUANTITIES), "failure"])
+        keys = [q.key for q in QUANTITIES]
+        rows: list[list[object]] = [["row", "controller", *names, "seed", *keys, "failure"]]
         for place, row in enumerate(self.sweep.rows):
-            lead = [place, row.label, *(row.values.get(name, "") for name in names)]
+            lead: list[object] = [place, row.label, *(row.values.get(name, "") for name in names)]
             if row.refusal:
-                write([*lead, "", *[""] * len(QUANTITIES), f"refused: {row.refusal}"])
+                rows.append([*lead, "", *[""] * len(QUANTITIES), f"refused: {row.refusal}"])
             for seed in () if row.refusal else self.sweep.seeds:
                 outcome = self.outcomes.get((place, seed))
                 if outcome is not None:
-                    write([*lead, seed, *_numbers(outcome), outcome.failure])
-        return text.getvalue()
+                    rows.append([*lead, seed, *_numbers(outcome), outcome.failure])
+        return csv_text(rows)
 
     def summary_csv(self) -> str:
         """Return every row with medians, quartiles and ratios, at full precision."""
-        text = io.StringIO()
-        write = csv.writer(text, lineterminator="\n").writerow
         names = [axis.name for axis in self.sweep.axes]
         parts = ("median", "first_quartile", "third_quartile", "ratio")
         numbers = [f"{q.key}_{part}" for q in QUANTITIES for part in parts]
-        write(["controller", *names, *numbers, "note"])
+        rows: list[list[object]] = [["controller", *names, *numbers, "note"]]
         for place, row in enumerate(self.sweep.rows):
             cells: list[object] = [row.label, *(row.values.get(name, "") for name in names)]
             for quantity in QUANTITIES:
                 own, ratios = self.quartiles(place, quantity), self.ratios(place, quantity)
                 cells += ["", "", ""] if own is None else [own.median, own.first, own.third]
                 cells.append("" if ratios is None else ratios.median)
-            write([*cells, self.note(place)])
-        return text.getvalue()
+            rows.append([*cells, self.note(place)])
+        return csv_text(rows)
 
     def as_mapping(self) -> dict[str, object]:
         """Return everything that the experiment and the grid determine, ready for JSON."""

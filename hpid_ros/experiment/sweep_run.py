@@ -6,7 +6,7 @@ from collections.abc import Callable
 from contextlib import closing
 
 from hpid_ros.experiment.batch import Outcome, run_batch
-from hpid_ros.experiment.result_folder import ResultFolder
+from hpid_ros.experiment.result_folder import EXPERIMENT, ResultFolder
 from hpid_ros.experiment.sweep import Sweep
 from hpid_ros.experiment.sweep_result import SweepResult
 from hpid_ros.experiment.sweep_table import sweep_text
@@ -27,7 +27,7 @@ def run_sweep(
         SettingError: As for :func:`~hpid_ros.experiment.batch.run_batch`.
         RunError: A process died.
     """
-    folder.experiment.write_text(sweep.experiment.text, encoding="utf-8")
+    folder.write(EXPERIMENT, sweep.experiment.text)
     tasks = sweep.tasks()
     keys = tuple(tasks)
     outcomes: dict[tuple[int, int], Outcome] = {}

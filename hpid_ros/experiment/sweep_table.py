@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Iterable
 
 from rich.box import SIMPLE
@@ -17,6 +16,7 @@ from hpid_ros.analysis.wide_table import UNLIMITED_WIDTH, Column, WideTable
 from hpid_ros.experiment.sweep_axes import shown
 from hpid_ros.experiment.sweep_result import QUANTITIES, Quartiles, SweepResult
 from hpid_ros.experiment.sweep_rows import Row
+from hpid_ros.text_output import plain_console
 
 _NOTHING = "-"
 
@@ -75,9 +75,7 @@ class SweepTable:
 
 def sweep_text(result: SweepResult) -> str:
     """Return the table as plain text, one line a row however long it is."""
-    console = Console(
-        file=io.StringIO(), width=UNLIMITED_WIDTH, color_system=None, legacy_windows=False
-    )
+    console = plain_console(UNLIMITED_WIDTH)
     with console.capture() as capture:
         console.print(SweepTable(result))
     lines = (line.rstrip() for line in capture.get().splitlines())

@@ -35,7 +35,7 @@ from hpid_ros.nodes.usage import Usage
 _LOOK_PERIOD = 0.02  # [s]
 _REPORT_PERIOD = 0.05  # [s]
 _DIAGNOSTICS_PERIOD = 1.0  # [s]
-_STANDSTILL = 1.0  # [s] between two reports: well below the lease after which nobody counts
+_STANDSTILL = 2.0  # [s] between two reports: well below the lease after which nobody counts
 _DEFAULT_TOPICS = ["joint_trajectory", "joint_commands", "joint_states"]
 _MESSAGE_TYPE = re.compile(r"([A-Za-z]\w*)/msg/([A-Za-z]\w*)", re.ASCII)
 
@@ -89,6 +89,7 @@ class BagRecorder(executor.ClosingNode):
                 self._status.send("failed", reason=str(error))
                 raise
             del self._waiting[0]
+            self._looked = time.monotonic()  # importing a type takes long on a busy machine
         self._look.cancel()
         self._status.send("recording")
 

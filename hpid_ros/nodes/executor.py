@@ -36,6 +36,7 @@ from rclpy.task import Future
 from rclpy.utilities import remove_ros_args
 
 from hpid_ros.errors import ClaimError, HpidError, SettingError, unknown_name
+from hpid_ros.foreign_text import shown
 from hpid_ros.nodes.given_parameters import as_declared
 from hpid_ros.nodes.guarded_services import guard_services
 from hpid_ros.nodes.launched import end_with_the_launch
@@ -319,7 +320,7 @@ def _fail(error: Exception) -> int:
     """Print one line for an error that nobody expected: what, and where."""
     place = traceback.extract_tb(error.__traceback__)[-1:]
     where = f" ({place[0].filename}:{place[0].lineno})" if place else ""
-    print(f"{type(error).__name__}: {' '.join(str(error).split())}{where}", file=sys.stderr)
+    print(shown(f"{type(error).__name__}: {' '.join(str(error).split())}{where}"), file=sys.stderr)
     return FAILED
 
 
@@ -360,7 +361,7 @@ def _ros_error(error: Exception) -> str:
 
 
 def _refuse(line: str, code: int = BAD_INPUT) -> int:
-    print(line, file=sys.stderr)
+    print(shown(line), file=sys.stderr)
     return code
 
 
