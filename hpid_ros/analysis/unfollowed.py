@@ -23,12 +23,13 @@ def unfollowed(run: RunSeries) -> dict[str, float]:
         run: The run.
 
     Returns:
-        By joint, the error that it exceeded nearly always, in [rad].
+        By joint, the error that it exceeded nearly always, in [rad]; of joints with a reference.
     """
-    least = {series.joint: _usual_least(series) for series in run.joints}
+    told = [series for series in run.joints if series.reference.size]
+    least = {series.joint: _usual_least(series) for series in told}
     allowed = {
         series.joint: max(SMALL, SHARE_OF_RANGE * float(np.ptp(series.reference)))
-        for series in run.joints
+        for series in told
     }
     return {joint: error for joint, error in least.items() if error > allowed[joint]}
 
