@@ -7,28 +7,34 @@ word: the node would run with its defaults, and a bridge would simulate another 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from pathlib import Path
 
+import yaml
 from rclpy.node import Node
 
 from hpid_ros.errors import SettingError
 from hpid_ros.names import ANYWHERE, is_for, node_sections
-from hpid_ros.yaml_files import load_yaml
+
+
+class _Names(yaml.SafeLoader):
+    """Reads the names in files of launch, which tags its arrays as tuples of Python."""
+
+
+_Names.add_multi_constructor("tag:yaml.org,2002:python/", lambda loader, suffix, node: None)
 
 
 class ParameterSources:
     """The parameter files of a process.
 
     Args:
-        command_line: Its arguments, which rcl has taken.
-
-    Raises:
-        SettingError: A file cannot be read.
+        command_line: Its arguments, with files that rcl has read.
     """
 
     def __init__(self, command_line: Sequence[str] = ()) -> None:
         self._files: dict[str, list[str]] = {}
         for file in _files(command_line):
-            self._files[file] = list(node_sections(load_yaml(file, SettingError)))
+            text = Path(file).read_text(encoding="utf-8", errors="replace")
+            self._files[file] = list(node_sections(yaml.load(text, _Names)))
 
     def require_namespace(self, node: Node) -> None:
         """Refuse a file that has this node in another namespace only.

@@ -1,0 +1,80 @@
+"""The launch file of the open graph, where ROS's own launch is installed."""
+
+import os
+import shutil
+import signal
+import subprocess
+
+import pytest
+from ament_index_python import PackageNotFoundError, get_package_prefix
+
+
+def is_there():
+    try:
+        return bool(shutil.which("ros2") and get_package_prefix("hpid_ros"))
+    except PackageNotFoundError:
+        return False
+
+
+pytestmark = [
+    pytest.mark.skipif(not is_there(), reason="ros2 launch, or hpid_ros in it, is not installed"),
+    pytest.mark.timeout(200),
+]
+
+
+@pytest.fixture
+def launch(harness, tmp_path):
+    """Return a function that launches the robot, its output going into ``launch.log``."""
+    started = []
+
+    def start(*arguments):
+        with (tmp_path / "launch.log").open("wb") as log:
+            process = subprocess.Popen(
+                ["ros2", "launch", "hpid_ros", "robot.launch.py", *arguments],
+                stdout=log,
+                stderr=subprocess.STDOUT,
+                start_new_session=True,
+                env={**os.environ, "ROS_LOG_DIR": str(tmp_path / "ros")},
+            )
+        started.append(process)
+        return process
+
+    yield start
+    for process in started:
+        if process.poll() is None:
+            process.send_signal(signal.SIGINT)
+            process.wait(30)
+
+
+def nodes(harness, namespace):
+    return {
+        name for name, where in harness.node.get_node_names_and_namespaces() if where == namespace
+    }
+
+
+@pytest.mark.parametrize("ending", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_a_namespaced_robot_comes_up_and_goes_with_its_launch(
+    harness, launch, experiment_file, tmp_path, ending
+):
+    process = launch(
+        f"experiment:={experiment_file()}", "namespace:=left", "composed:=true", "controller:=PID"
+    )
+    log = tmp_path / "launch.log"
+    harness.wait(lambda: log.read_text().count("active: joint") == 8, within=120.0, what="joints")
+    assert "left.arm_joint_1_controller" in log.read_text()
+    assert {"pybullet_bridge", "arm_joint_1_controller"} <= nodes(harness, "/left")
+    process.send_signal(ending)
+    process.wait(30)
+    harness.wait(lambda: not nodes(harness, "/left"), within=60.0, what="the nodes to end")
+
+
+def test_a_launch_whose_processes_fail_ends_with_their_reason(
+    harness, launch, tmp_path, experiment_file
+):
+    (tmp_path / "taken").mkdir()
+    process = launch(f"experiment:={experiment_file()}", f"bag:={tmp_path / 'taken'}")
+    assert process.wait(120) == 1
+    lines = (tmp_path / "launch.log").read_text().splitlines()
+    (line,) = [line for line in lines if "Caught exception in launch" in line]
+    assert "ended with exit code 2" in line
+    assert "exists already" in line
