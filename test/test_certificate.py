@@ -13,6 +13,7 @@ from scipy.optimize import linprog
 from hpid_ros.control import CanonicalNorm, Gains, HomogeneousPid, WeightedNorm
 from hpid_ros.control.certificate import CertifiedSpan
 from hpid_ros.control.certificate_check import margins_at, span_margins
+from hpid_ros.control.certificate_search import shared_spans
 from hpid_ros.control.closed_loop import closed_loop_field, dilated, state_norm
 from hpid_ros.control.loop_figures import settling_time_bound
 from hpid_ros.control.lyapunov import (
@@ -304,3 +305,26 @@ def test_the_search_needs_no_more_than_the_narrowest_inertia_allows():
         of_it = [span for span in spans if span.inertia == inertia]
         assert (of_it[0].lower, of_it[-1].upper) == (found.lower, found.upper)
     verify_certificate(found.certificate)
+
+
+def test_a_shape_that_holds_at_two_inertias_holds_between_them():
+    gains = Gains(39.6, 132.0, 3.96)
+    found = certified_degree_interval(
+        gains, lambda mu: WeightedNorm.scaled(mu, 0.3, 0.2), (0.12, 0.16), 0.02
+    )
+    by_inertia = [
+        [span for span in found.certificate.spans if span.inertia == each]
+        for each in found.certificate.inertias
+    ]
+    least, middle, largest = by_inertia
+    shared = shared_spans(largest, least, 0.15)
+    assert len(shared) > 10
+    for span in shared[::5]:
+        for norm in span.norms:
+            assert span_margins(gains, span, norm).rate >= 0.99 * span.rate
+    assert {(span.lower, span.upper) for span in shared} <= {(s.lower, s.upper) for s in middle}
+    moved = [
+        dataclasses.replace(span, shape=tuple(map(tuple, 1.1 * np.array(span.shape))))
+        for span in least
+    ]
+    assert shared_spans(largest, moved, 0.15) == []

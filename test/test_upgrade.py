@@ -1,22 +1,31 @@
 """hpid upgrade: statistics of a recording, the choice of the degree, the file."""
 
+import argparse
+import json
 import math
+import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import yaml
 
+from hpid_ros.analysis import Comparison
+from hpid_ros.analysis.indices import JointIndices, RunIndices
 from hpid_ros.analysis.series import JointSeries
 from hpid_ros.cli import main
-from hpid_ros.commands import BAD_INPUT, DONE
+from hpid_ros.commands import BAD_INPUT, DONE, FAILED
+from hpid_ros.commands.robot_options import inertias_from
 from hpid_ros.control import Gains, LoopSettings
 from hpid_ros.control.stability import certified_degree_interval, verify_certificate
 from hpid_ros.errors import GainError, SettingError
 from hpid_ros.simulation.encoders import Encoder
 from hpid_ros.tuning.certified_degrees import norm_family
-from hpid_ros.tuning.controller_files import settings_from_parameter_file
+from hpid_ros.tuning.controller_files import parameter_file, settings_from_parameter_file
+from hpid_ros.tuning.inertias import visited_poses
 from hpid_ros.tuning.loop_statistics import loop_statistics
-from hpid_ros.tuning.upgrade import upgrade
+from hpid_ros.tuning.upgrade import Candidate, upgrade, upgrades, worthwhile
+from hpid_ros.tuning.upgrade_file import upgrade_text
 
 MS = 1_000_000
 
@@ -86,6 +95,182 @@ def test_unstable_gains_are_not_upgraded():
         upgrade(pid(gains=Gains(1.0, 9.0, 1.0), inertia=0.0), (1.0, 1.0), "fast")
 
 
+def test_a_pid_beyond_the_sampling_limit_is_refused_with_its_figures():
+    too_fast = pid(gains=Gains(400.0, 132.0, 3.96), control_period=0.1, inertia=0.0)
+    with pytest.raises(GainError, match=r"the PID itself .* T kd / m = 3\.04 .* breaks at 0\.85"):
+        upgrade(too_fast, (0.13026, 0.2), "fast")
+    # backward Euler bears it
+    slow = replace(too_fast, inertia=0.2, discretization="semi_implicit")
+    assert upgrade(slow, (0.13026, 0.2), "fast").remarks == ()
+
+
+@pytest.mark.parametrize("goal", ["smooth", "fast"])
+def test_a_pid_that_feels_sampling_is_told_so(goal):
+    found = upgrade(pid(control_period=0.01), (0.132, 0.132), goal)
+    (remark,) = found.remarks
+    assert "T kd / m = 0.3 (T 0.01 s, kd 3.96, least m 0.132 kg m^2), above 0.25" in remark
+    if goal == "fast":  # whatever the degree, T kd lam / m would be larger: the floor has no room
+        assert found.settings.mu == 0.0
+        kept = worthwhile(found, goal, None)
+        assert kept.settings.law == "pid"
+        assert "nothing to gain, keep your PID: goal fast: no other degree" in kept.reasons["law"]
+
+
+def prediction(**ratios):
+    """Return a comparison whose hPID has these multiples of every index of the PID's."""
+    runs = []
+    for label in ("PID", "hPID"):
+        indices = {
+            joint: JointIndices(*[3.0 * (ratio if label == "hPID" else 1.0)] * 3)
+            for joint, ratio in ratios.items()
+        }
+        runs.append(RunIndices(label, indices, JointIndices(1.0, 1.0, 1.0), 1.0, 1.0))
+    return Comparison(tuple(runs))
+
+
+@pytest.mark.parametrize(
+    ("ratio", "is_kept"), [(0.9, False), (0.979, False), (0.985, True), (1.3, True)]
+)
+def test_where_the_goals_index_does_not_fall_the_pid_is_kept(ratio, is_kept):
+    found = upgrade(pid(), (0.1, 0.2), "smooth")
+    judged = worthwhile(found, "smooth", prediction(elbow=ratio))
+    assert (judged.settings.law == "pid") == is_kept
+    assert judged.settings.gains == pid().gains
+    assert ("nothing to gain" in judged.reasons["law"]) == is_kept
+    if is_kept:
+        assert f"the predicted IVC is {ratio:.3f} of the PID's" in judged.reasons["law"]
+
+
+@pytest.mark.parametrize(
+    ("own", "limit", "clamps"),
+    [
+        ((-1e6, 1e6), 30.0, (-30.0, 30.0)),
+        ((-10.0, 50.0), 30.0, (-10.0, 30.0)),
+        ((-10.0, 10.0), 30.0, (-10.0, 10.0)),
+        ((-1e6, 1e6), 0.0, (-1e6, 1e6)),  # a URDF's 0 says nothing
+        ((-1e6, 1e6), math.inf, (-1e6, 1e6)),
+    ],
+)
+def test_effort_limits_are_the_narrower_of_the_urdfs_and_the_pids(own, limit, clamps):
+    loop = pid(u_clamp_min=own[0], u_clamp_max=own[1])
+    (found,) = upgrades([Candidate(loop, (0.132, 0.132), effort=limit)], "smooth")
+    assert (found.settings.u_clamp_min, found.settings.u_clamp_max) == clamps
+    for name, was, now in zip(("u_clamp_min", "u_clamp_max"), own, clamps, strict=True):
+        assert ("effort limit of the URDF" in found.reasons.get(name, "")) == (was != now)
+
+
+def test_the_range_of_inertia_is_in_the_file_and_counts_when_gains_are_checked(tmp_path, capsys):
+    found = upgrade(pid(inertia=0.0), (0.1, 0.2), "fast")
+    file = tmp_path / "upgraded.yaml"
+    file.write_text(upgrade_text([found], ["A test."], {}))
+    known = parameter_file(file)
+    assert known.inertias == {"elbow": (0.1, 0.2)}
+    assert list(known.loops) == ["elbow_controller"]
+    assert main(["check-gains", str(file), "--json"]) == DONE
+    assert json.loads(capsys.readouterr().out)["elbow"]["inertia"] == [0.1, 0.2]
+    assert main(["check-gains", str(file), "--inertia", "elbow=0.15:0.3", "--json"]) == DONE
+    assert json.loads(capsys.readouterr().out)["elbow"]["inertia"] == [0.15, 0.3]
+    file.write_text(file.read_text().replace("[0.1, 0.2]", "[0.1]"))
+    assert main(["check-gains", str(file)]) == BAD_INPUT
+    assert "least and largest inertia, not [0.1]" in capsys.readouterr().err
+
+
+def parameter_text(**joints):
+    """Return a parameter file of PIDs with these gains."""
+    return yaml.safe_dump(
+        {
+            f"{joint}_controller": {
+                "ros__parameters": {
+                    "joint": joint,
+                    "law": "pid",
+                    "gains": dict(zip("pid", gains, strict=True)),
+                }
+            }
+            for joint, gains in joints.items()
+        }
+    )
+
+
+def test_a_joint_that_fails_is_named_and_the_others_go_on(tmp_path, capsys):
+    file, new = tmp_path / "pids.yaml", tmp_path / "new.yaml"
+    good = (39.6, 132.0, 3.96)
+    file.write_text(parameter_text(a=good, unstable=(1.0, 9.0, 1.0), b=good))
+    command = ["upgrade", str(file), "--goal", "fast", "-o", str(new)]
+    command += ["--inertia", "a=0.132", "b=0.1:0.2", "--inertia", "unstable=1"]
+    assert main(command) == FAILED
+    said = capsys.readouterr()
+    assert "unstable: NOT upgraded, kept as it was\n  the loop is unstable: p d = 1" in said.out
+    lines = [line.split() for line in said.err.splitlines()]
+    assert {words[1] for words in lines} == {"a", "b", "unstable"}
+    assert [words[2:] for words in lines] == [[f"({k}", "of", "3)"] for k in (1, 2, 3)]
+    text = new.read_text()
+    assert "# NOT upgraded: the loop is unstable" in text
+    after = parameter_file(new)
+    assert [each.law for each in after.loops.values()] == ["hpid", "hpid", "pid"]
+    assert after.inertias == {"a": (0.132, 0.132), "b": (0.1, 0.2)}
+    assert after.loops["unstable_controller"].gains == Gains(1.0, 9.0, 1.0)
+
+
+def test_where_every_joint_fails_nothing_is_written(tmp_path, capsys):
+    file, new = tmp_path / "pids.yaml", tmp_path / "new.yaml"
+    file.write_text(parameter_text(a=(1.0, 9.0, 1.0)))
+    command = ["upgrade", str(file), "--goal", "fast", "-o", str(new), "--inertia", "1"]
+    assert main(command) == BAD_INPUT
+    assert "no joint can be upgraded: the loop is unstable" in capsys.readouterr().err
+    assert not new.exists()
+
+
+@pytest.mark.parametrize(
+    ("given", "found"),
+    [
+        (["0.5"], {"a": (0.5, 0.5), "b": (0.5, 0.5)}),
+        (["0.5", "1"], {"a": (0.5, 1.0), "b": (0.5, 1.0)}),
+        (["a=0.5"], {"a": (0.5, 0.5)}),
+        (["a=0.5:1", "b=2"], {"a": (0.5, 1.0), "b": (2.0, 2.0)}),
+        (["3", "b=2"], {"a": (3.0, 3.0), "b": (2.0, 2.0)}),
+        (["1", "2", "3"], "not 3"),
+        (["c=1"], "unknown joint in --inertia 'c'; known: a, b"),
+        (["a=x"], "not 'a=x'"),
+        (["=1"], "not '=1'"),
+        (["a=1:2:3"], "not 'a=1:2:3'"),
+        (["a=2:1"], "inertia of 'a' must be positive and finite"),
+        (["nan"], "must be positive and finite"),
+    ],
+)
+def test_inertia_is_said_of_all_joints_or_of_one(given, found):
+    options = argparse.Namespace(inertia=[given], urdf=None, payload=0.0, poses=None)
+    if isinstance(found, dict):
+        assert inertias_from(options, ["a", "b"]) == found
+    else:
+        with pytest.raises(SettingError, match=re.escape(found)):
+            inertias_from(options, ["a", "b"])
+
+
+def test_inertias_beside_a_robot_are_its_own_but_for_those_that_are_said():
+    joints = ["arm_joint_1", "arm_joint_2"]
+    options = argparse.Namespace(
+        inertia=[["arm_joint_1=0.5:0.7"]],
+        urdf="urdf/mobile_manipulator.urdf",
+        payload=0.0,
+        poses=None,
+    )
+    everywhere = inertias_from(options, joints)
+    assert everywhere["arm_joint_1"] == (0.5, 0.7)
+    low, high = everywhere["arm_joint_2"]
+    visited = inertias_from(options, joints, [{"arm_joint_3": 0.1}, {"arm_joint_3": 0.12}])
+    assert low < visited["arm_joint_2"][0] <= visited["arm_joint_2"][1] < high
+    asked = argparse.Namespace(**{**vars(options), "poses": 200})
+    assert inertias_from(asked, joints, [{"arm_joint_3": 0.1}]) == everywhere
+
+
+def test_the_poses_of_a_recording_are_spread_over_its_time():
+    poses = visited_poses([recording()])
+    assert len(poses) == 200
+    assert poses[0]["elbow"] == pytest.approx(0.0, abs=1e-2)
+    assert poses[-1]["elbow"] == pytest.approx(0.5, abs=1e-2)
+    assert visited_poses([]) == []
+
+
 @pytest.mark.parametrize(
     ("series", "words"),
     [
@@ -128,7 +313,9 @@ def test_from_recording_to_a_file_that_runs_and_is_certified(result, tmp_path, c
     command = ["upgrade", str(parameters), "--goal", "fast", "--bag", str(result / "bags" / "PID")]
     command += ["--urdf", "urdf/mobile_manipulator.urdf", "--poses", "3", "-o", str(file)]
     assert main(command) == DONE
-    assert "Predicted, simulated on the model" in capsys.readouterr().out
+    said = capsys.readouterr()
+    assert "Predicted, simulated on the model" in said.out
+    assert "simulating the PID and the proposal" in said.err
     before, after = map(settings_from_parameter_file, (parameters, file))
     assert list(before) == list(after)
     for name, settings in after.items():
@@ -137,7 +324,8 @@ def test_from_recording_to_a_file_that_runs_and_is_certified(result, tmp_path, c
         assert settings.gains == before[name].gains
         assert settings.encoder_resolution == pytest.approx(math.tau / 16384, rel=1e-4)
     numbers = [line for line in file.read_text().splitlines() if ": " in line and "#" not in line]
-    assert [line.split(":")[0].strip() for line in numbers] == ["joints"]
+    joints = [settings.joint for settings in after.values()]  # in the section of inertias
+    assert [line.split(":")[0].strip() for line in numbers] == ["joints", *joints]
     assert main(["check-gains", str(file)]) == DONE
     assert "exists" in refused(command, capsys)
     own = [*command[:-1], str(parameters), "--force"]
@@ -148,7 +336,8 @@ def test_from_recording_to_a_file_that_runs_and_is_certified(result, tmp_path, c
 def refused(command, capsys):
     capsys.readouterr()
     assert main(command) == BAD_INPUT
-    (line,) = capsys.readouterr().err.strip().splitlines()
+    *progress, line = capsys.readouterr().err.strip().splitlines()
+    assert all(each.startswith("certified: ") for each in progress)
     return line
 
 

@@ -57,8 +57,7 @@ def robot_table():
     fact = {
         "lower": -2.96706, "upper": 2.96706, "effort": 176.4, "velocity": 1.4835,
         "damping": 0.5123, "friction": 0.3579, "reflected_inertia": 3.3818, "inertia": 4.7312,
-        "gravity": -123.456,
-        "least_inertia": 3.4123, "largest_inertia": 12.9871,
+        "gravity": -123.456, "least_inertia": 3.4123, "largest_inertia": 12.9871,
     }  # fmt: skip
     return _table("a robot", {"iiwa_joint_1": fact, "iiwa_joint_2": {**fact, "effort": None}})
 

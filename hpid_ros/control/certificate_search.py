@@ -32,6 +32,29 @@ _MEDIUM = (30, 60)
 _FINE = (80, 260)
 _REFINED = 4
 _AMPLE = 3.0
+_SAME = 1e-12  # of two P; rounding when units are changed and changed back
+
+
+def shared_spans(
+    one: Sequence[CertifiedSpan], other: Sequence[CertifiedSpan], inertia: float
+) -> list[CertifiedSpan]:
+    """Return spans that are certified at an inertia between two others because they are there.
+
+    For one P, x'P f(x) is a linear function of one over the inertia: what is negative at two
+    inertias is negative between them.
+
+    Args:
+        one: Spans of a loop at one inertia.
+        other: Spans of the loop at the other inertia.
+        inertia: Between the two, in [kg m^2].
+    """
+    return [
+        CertifiedSpan(inertia, here.norms, here.shape, min(here.rate, there.rate))
+        for here in one
+        for there in other
+        if (here.lower, here.upper) == (there.lower, there.upper)
+        and np.allclose(here.shape, there.shape, rtol=_SAME, atol=0.0)
+    ]
 
 
 class CertificateSearch:
@@ -83,6 +106,7 @@ class CertificateSearch:
         tolerance: float,
         outermost: float = OUTERMOST_DEGREE,
         like: Sequence[CertifiedSpan] = (),
+        certain: Sequence[CertifiedSpan] = (),
     ) -> list[CertifiedSpan]:
         """Return certified spans that follow each other from degree zero.
 
@@ -91,6 +115,7 @@ class CertificateSearch:
             tolerance: How far the end may fall short of what the search can certify.
             outermost: Size of the degree at which it ends; no more is asked for.
             like: Spans of the same loop at another inertia: their P are tried first.
+            certain: Spans of this loop that are known to be certified.
 
         Raises:
             GainError: Not even degree zero is certified.
@@ -100,6 +125,13 @@ class CertificateSearch:
         shape: Array | None = None
         while abs(here) < outermost and width >= 0.5 * tolerance:
             there = direction * round(min(abs(here) + width, outermost), 12)
+            ends = sorted((here, there))
+            ready = [span for span in certain if [span.lower, span.upper] == ends]
+            if ready:
+                shape = self._in_units(ready[0])
+                spans.append(ready[0])
+                here = there
+                continue
             middle = 0.5 * (here + there)
             others = [self._in_units(span) for span in like if span.lower <= middle <= span.upper]
             found = self._find((here, middle, there), shape, others)

@@ -95,31 +95,30 @@ def certified_degree_interval(
         SettingError: A tolerance that is not positive.
     """
     # Imported here: a controller that only checks Routh and Hurwitz does not wait for numpy.
-    from hpid_ros.control.certificate_search import OUTERMOST_DEGREE, CertificateSearch
+    from hpid_ros.control.certificate_search import (
+        OUTERMOST_DEGREE,
+        CertificateSearch,
+        shared_spans,
+    )
 
     if not tolerance > 0.0:
         raise SettingError(f"the tolerance of a degree must be positive, not {tolerance}")
     # From the largest inertia, where the integral weighs most and the interval is narrowest: the
-    # others need not be searched beyond its ends, and often share its P.
-    searches = [
-        CertificateSearch(gains, each, norm_of_degree)
-        for each in reversed(require_certifiable(gains, inertia))
-    ]
-    sides = []
+    # others need not be searched beyond its ends, and often share its P. The middle comes last.
+    inertias = require_certifiable(gains, inertia)
+    order = dict.fromkeys((inertias[-1], inertias[0], *inertias[1:-1]))
+    searches = {each: CertificateSearch(gains, each, norm_of_degree) for each in order}
+    spans: dict[float, list[CertifiedSpan]] = {each: [] for each in inertias}
     for direction in (-1.0, 1.0):
         found: list[list[CertifiedSpan]] = []
         outermost = OUTERMOST_DEGREE
-        for search in searches:
+        for each, search in searches.items():
             like = found[-1] if found else ()
-            found.append(search.outward(direction, tolerance, outermost, like))
+            certain = shared_spans(found[0], found[1], each) if len(found) == 2 else ()
+            found.append(search.outward(direction, tolerance, outermost, like, certain))
             outermost = max(abs(found[-1][-1].lower), abs(found[-1][-1].upper))
-        sides.append(found)
-    spans = [
-        span
-        for below, above in zip(*(reversed(side) for side in sides), strict=True)
-        for span in (*reversed(below), *above)
-    ]
-    certificate = Certificate(gains, tuple(spans))
+            spans[each] += reversed(found[-1]) if direction < 0.0 else found[-1]
+    certificate = Certificate(gains, tuple(span for own in spans.values() for span in own))
     return DegreeInterval(certificate.lower, certificate.upper, certificate)
 
 
