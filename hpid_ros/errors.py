@@ -13,6 +13,10 @@ from collections.abc import Iterable
 from hpid_ros.foreign_text import shown
 
 
+_SHOWN_NAMES = 100
+"""Names that exist, in a message."""
+
+
 class HpidError(Exception):
     """Root of all errors of this package; its text is one line that can be printed anywhere."""
 
@@ -65,7 +69,7 @@ class ClaimError(HpidError, RuntimeError):
 
 
 def unknown_name(kind: str, name: object, known: Iterable[str]) -> str:
-    """Return the line for a name that does not exist: nearest first, then all that do.
+    """Return the line for a name that does not exist: nearest first, then those that do.
 
     Args:
         kind: What the name was meant to be, for instance ``"parameter"``.
@@ -75,4 +79,6 @@ def unknown_name(kind: str, name: object, known: Iterable[str]) -> str:
     names = sorted(known)
     nearest = difflib.get_close_matches(str(name), names, n=1, cutoff=0.5)
     hint = f" did you mean {nearest[0]!r}?" if nearest else ""
-    return f"unknown {kind} {str(name)!r};{hint} known: {', '.join(names) or 'none'}"
+    further = f" and {len(names) - _SHOWN_NAMES} more" if len(names) > _SHOWN_NAMES else ""
+    shown = ", ".join(names[:_SHOWN_NAMES]) + further
+    return f"unknown {kind} {str(name)!r};{hint} known: {shown or 'none'}"

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from hpid_ros.cli import main
 from hpid_ros.errors import RobotDescriptionError
 from hpid_ros.robot import RobotDescription
 
@@ -134,3 +135,86 @@ def test_a_file_that_cannot_be_read_is_one_clear_line(tmp_path: Path):
             RobotDescription.load(path)
         assert "\n" not in str(caught.value)
         assert str(path) in str(caught.value)
+
+
+def links(names: str) -> str:
+    return "".join(f'<link name="{name}"/>' for name in names.split())
+
+
+def joints(*pairs: tuple[str, str]) -> str:
+    return "".join(
+        f'<joint name="j{k}" type="continuous"><parent link="{parent}"/><child link="{child}"/>'
+        "</joint>"
+        for k, (parent, child) in enumerate(pairs, 1)
+    )
+
+
+LAUGHS = "".join(f'<!ENTITY a{k} "{f"&a{k - 1};" * 10}">' for k in range(1, 13))
+CHAIN = range(5000)
+NO_TREES = {
+    "two in a circle": (
+        links("a b c d") + joints(("a", "b"), ("c", "d"), ("d", "c")),
+        "links hang in a circle, on no root: c, d",
+    ),
+    "all in a circle": (
+        links("a b") + joints(("a", "b"), ("b", "a")),
+        "must have one root link, not 0: none",
+    ),
+    "a link on itself": (
+        links("a b") + joints(("a", "b"), ("b", "b")),
+        "link 'b' hangs on two joints, 'j1' and 'j2'",
+    ),
+    "a link with two parents": (
+        links("a b c") + joints(("a", "b"), ("a", "c"), ("b", "c")),
+        "link 'c' hangs on two joints, 'j2' and 'j3'",
+    ),
+    "a link that is not there": (
+        links("a b") + joints(("a", "b"), ("b", "x")),
+        "joint 'j2', child: unknown link 'x'; known: a, b",
+    ),
+    "a link twice": (links("a b b") + joints(("a", "b")), "two links of the name 'b'"),
+    "links in a row": (
+        links(" ".join(f"l{k}" for k in CHAIN))
+        + joints(*((f"l{k}", f"l{k + 1}") for k in CHAIN[:-1])),
+        "more than 256 links in a row",
+    ),
+    "deep elements": (
+        links("a") + "<x>" * 200_000 + "</x>" * 200_000,
+        "its elements have more than 32 levels",
+    ),
+    "a macro": (
+        '<xacro:macro name="m" xmlns:xacro="http://www.ros.org/wiki/xacro"/>',
+        "is xacro and not a URDF yet: expand it first",
+    ),
+    "an expression": ('<link name="${side}_arm"/>', "is xacro and not a URDF yet"),
+}
+
+
+@pytest.mark.parametrize("what", NO_TREES)
+def test_links_that_are_no_tree_are_one_line(tmp_path: Path, capsys, what: str):
+    content, says = NO_TREES[what]
+    file = tmp_path / "robot.urdf"
+    file.write_text(f'<robot name="r">{content}</robot>')
+    assert main(["robot", str(file)]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"hpid: {file}")
+    assert says in line
+
+
+@pytest.mark.parametrize(
+    ("entities", "text"),
+    [
+        (f'<!ENTITY a0 "ha">{LAUGHS}', "&a12;"),
+        (f'<!ENTITY a "{"x" * 100_000}">', "&a;" * 50_000),
+        ('<!ENTITY a SYSTEM "file:///etc/passwd">', "&a;"),
+    ],
+)
+def test_entities_are_not_expanded_without_end(entities: str, text: str):
+    xml = f'<!DOCTYPE robot [{entities}]><robot name="r"><link name="a"/><x>{text}</x></robot>'
+    with pytest.raises(RobotDescriptionError, match="is not readable XML"):
+        RobotDescription.load(xml)
+
+
+def test_a_file_larger_than_any_urdf_is_not_read_to_its_end():
+    with pytest.raises(RobotDescriptionError, match="has more than 16777216 bytes"):
+        RobotDescription.load("/dev/zero")

@@ -6,10 +6,19 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
+from typing import Any
 from xml.etree import ElementTree
 
 from hpid_ros.errors import RobotDescriptionError, unknown_name
 from hpid_ros.robot.joints import JointDescription, read_joint, read_rotors
+
+LARGEST_FILE = 16 << 20
+"""Bytes of a URDF; meshes are files of their own."""
+_MOST_LEVELS = 32
+"""Levels of elements; a URDF has six, and extensions few more."""
+_LONGEST_CHAIN = 256
+_PIECE = 1 << 16
+_SHOWN = 5
 
 
 @dataclass(frozen=True)
@@ -55,11 +64,17 @@ class RobotDescription:
             return _parse(source.lstrip(), "robot description", None)
         path = Path(source)
         try:
-            text = path.read_text(encoding="utf-8")
+            with path.open("rb") as stream:
+                raw = stream.read(LARGEST_FILE + 1)
+            text = raw[:LARGEST_FILE].decode("utf-8")
         except FileNotFoundError:
             raise RobotDescriptionError(f"robot description {path} does not exist") from None
         except (OSError, ValueError) as error:
             raise RobotDescriptionError(f"robot description {path}: {error}") from error
+        if len(raw) > LARGEST_FILE:
+            raise RobotDescriptionError(
+                f"robot description {path} has more than {LARGEST_FILE} bytes"
+            )
         return _parse(text.lstrip("\ufeff \t\r\n"), str(path), path.resolve().parent)
 
     def select(self, names: Iterable[str]) -> tuple[JointDescription, ...]:
@@ -90,14 +105,12 @@ class RobotDescription:
 
 def _parse(xml: str, origin: str, folder: Path | None) -> RobotDescription:
     """Parse URDF text; ``origin`` names it in messages."""
-    try:
-        root = ElementTree.fromstring(xml)
-    except (ElementTree.ParseError, ValueError) as error:
-        raise RobotDescriptionError(f"{origin} is not readable XML: {error}") from error
+    root = _elements(xml, origin)
     if root.tag != "robot":
         raise RobotDescriptionError(
             f"{origin} is not a URDF: its root is <{root.tag}>, not <robot>"
         )
+    _require_no_xacro(root, origin)
     rotors = read_rotors(root, origin)
     joints: dict[str, JointDescription] = {}
     for element in root.findall("joint"):
@@ -118,12 +131,87 @@ def _parse(xml: str, origin: str, folder: Path | None) -> RobotDescription:
     )
 
 
+def _elements(xml: str, origin: str) -> ElementTree.Element:
+    """Return the root of an XML text that is no deeper than a URDF can be."""
+    parser: Any = ElementTree.XMLPullParser(("start", "end"))
+    root: ElementTree.Element | None = None
+    depth = 0
+    try:
+        for begin in range(0, len(xml), _PIECE):
+            parser.feed(xml[begin : begin + _PIECE])
+            for event, element in parser.read_events():
+                root = element if root is None else root
+                depth += 1 if event == "start" else -1
+                if depth > _MOST_LEVELS:  # what walks through it calls itself for each
+                    raise RobotDescriptionError(
+                        f"{origin} is no URDF: its elements have more than {_MOST_LEVELS} levels"
+                    )
+        parser.close()
+    except (ElementTree.ParseError, ValueError) as error:
+        if isinstance(error, RobotDescriptionError):
+            raise
+        raise RobotDescriptionError(f"{origin} is not readable XML: {error}") from error
+    if root is None:
+        raise RobotDescriptionError(f"{origin} is not readable XML: no element found")
+    return root
+
+
+def _require_no_xacro(robot: ElementTree.Element, origin: str) -> None:
+    for element in robot.iter():
+        if "/xacro" in element.tag or any("${" in text for text in element.attrib.values()):
+            raise RobotDescriptionError(
+                f"{origin} is xacro and not a URDF yet: expand it first (xacro FILE > robot.urdf)"
+            )
+
+
 def _root_link(robot: ElementTree.Element, links: tuple[str, ...], origin: str) -> str:
-    """Return the one link that is no joint's child."""
-    children = {child.get("link") for child in robot.findall("joint/child")}
-    roots = [link for link in links if link not in children]
+    """Return the one link that is no joint's child, after a look at whether they are a tree."""
+    known = set(links)
+    for name in links:
+        if name not in known:
+            raise RobotDescriptionError(f"{origin} has two links of the name {name!r}")
+        known.remove(name)
+    below: dict[str, list[str]] = {name: [] for name in links}
+    joint_of: dict[str, str] = {}
+    for joint in robot.findall("joint"):
+        name = joint.get("name", "")
+        ends = []
+        for tag in ("parent", "child"):
+            element = joint.find(tag)
+            end = "" if element is None else element.get("link", "")
+            if end not in below:
+                raise RobotDescriptionError(
+                    f"{origin}, joint {name!r}, {tag}: {unknown_name('link', end, links)}"
+                )
+            ends.append(end)
+        parent, child = ends
+        if child in joint_of:
+            raise RobotDescriptionError(
+                f"{origin}: link {child!r} hangs on two joints, {joint_of[child]!r} and {name!r}"
+            )
+        joint_of[child] = name
+        below[parent].append(child)
+    roots = [link for link in links if link not in joint_of]
     if len(roots) != 1:
         raise RobotDescriptionError(
             f"{origin} must have one root link, not {len(roots)}: {', '.join(roots) or 'none'}"
         )
+    _require_tree(roots[0], below, origin)
     return roots[0]
+
+
+def _require_tree(root: str, below: Mapping[str, list[str]], origin: str) -> None:
+    """Raise RobotDescriptionError for links in a circle, and for more in a row than arms have."""
+    reached: set[str] = set()
+    row, length = [root], 0
+    while row:
+        length += 1
+        if length > _LONGEST_CHAIN:  # libraries that walk it call themselves for each link
+            raise RobotDescriptionError(f"{origin} has more than {_LONGEST_CHAIN} links in a row")
+        reached.update(row)
+        row = [child for link in row for child in below[link]]
+    circle = [name for name in below if name not in reached]
+    if circle:
+        raise RobotDescriptionError(
+            f"{origin}: links hang in a circle, on no root: {', '.join(circle[:_SHOWN])}"
+        )
