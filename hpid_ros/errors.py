@@ -12,7 +12,6 @@ from collections.abc import Iterable
 
 from hpid_ros.foreign_text import shown
 
-
 _SHOWN_NAMES = 100
 """Names that exist, in a message."""
 

@@ -15,8 +15,8 @@ ALLOWED = {
     "trajectory": set(),
     "messages": set(),
     "robot": set(),
-    "analysis": set(),
-    "bags": {"analysis", "messages", "trajectory"},
+    "analysis": {"text_output"},
+    "bags": {"yaml_files", "analysis", "messages", "trajectory"},
     "simulation": {"control", "robot"},
     "planning": {"robot", "trajectory"},
     "nodes": {
@@ -30,12 +30,15 @@ ALLOWED = {
         *("planning", "tuning"),
     },
 }
-EVERYWHERE = {"durations", "errors", "names", "sections"}  # pure, and below every room
+# Pure, and below every room.
+EVERYWHERE = {"durations", "errors", "foreign_text", "labels", "names", "sections"}
 SHELL = {
     "resources",
     "yaml_files",
     "interrupts",
+    "output_files",
     "terminal",
+    "text_output",
 }  # files and signals: for shells alone
 ONLY_IN = {
     "rclpy": "nodes",
