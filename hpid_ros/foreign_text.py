@@ -50,6 +50,15 @@ def html_text(text: str) -> str:
     return html.escape(shown(text))
 
 
+def figure_text(text: str) -> str:
+    """Return a text for a figure, as text: matplotlib takes what is between dollars for a formula.
+
+    Args:
+        text: Any text.
+    """
+    return shown(text).replace("$", r"\$")
+
+
 def csv_text(rows: Iterable[Sequence[object]]) -> str:
     """Return rows as CSV.
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import secrets
 from collections.abc import Iterable
+from contextlib import suppress
 from pathlib import Path
 
 from hpid_ros.errors import ResultExistsError
@@ -60,7 +61,8 @@ def write_file(path: Path, content: str | bytes) -> None:
             beside.chmod(path.stat().st_mode & 0o7777)
         beside.replace(path)
     except BaseException as error:
-        beside.unlink(missing_ok=True)
+        with suppress(OSError):
+            beside.unlink(missing_ok=True)
         if isinstance(error, OSError):
-            error.filename = str(path)  # and not the one beside it
+            error.filename, error.filename2 = str(path), None  # what the person has named
         raise

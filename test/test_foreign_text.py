@@ -176,6 +176,17 @@ def test_tables_and_reports_show_names_as_text(name):
     assert shown(name) in terminal.getvalue()
 
 
+def test_figures_show_names_as_text_and_not_as_formulas(tmp_path, capsys):
+    name = "$\\bad{$" + TITLE
+    bag_of(tmp_path / "bag", name, label=name)
+    options = [str(tmp_path / "bag"), "--commands", "/joint_states", "--formats", "svg"]
+    folder = tmp_path / "figures"
+    assert main(["metrics", *options, "--figures", str(folder)]) == DONE
+    drawings = [path.read_text() for path in folder.glob("*.svg")]
+    assert any(html_text(name) in drawing for drawing in drawings)
+    assert not any("\x1b" in drawing for drawing in drawings)
+
+
 def test_what_is_printed_past_a_console_is_text_as_well(capsys):
     with guarded_output():
         print(TITLE, "a\tb")

@@ -155,6 +155,7 @@ def test_what_is_saved_depends_on_the_plan_alone(files, tmp_path, capsys):
     assert study(files, tmp_path / "many", "--table", "docs", jobs=3) == DONE
     assert capsys.readouterr().out == (tmp_path / "one" / "tables.md").read_text()
     names = {"runs.csv", "runs.jsonl", "study.json", "tables.md", "tables.txt", "experiments"}
+    names.add("hpid_result.json")
     assert {each.name for each in (tmp_path / "one").iterdir()} == names
     for name in sorted(names - {"experiments"}):
         one, many = (tmp_path / folder / name for folder in ("one", "many"))

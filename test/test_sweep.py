@@ -410,7 +410,8 @@ def test_what_is_saved_depends_on_the_sweep_alone(experiment_file, tmp_path, cap
     )
     assert code == DONE
     names = {each.name for each in (tmp_path / "one").iterdir()}
-    assert names == {"experiment.yaml", "sweep.csv", "sweep.json", "table.txt"}
+    tables = {"sweep.csv", "sweep.json", "table.txt"}
+    assert names == {"experiment.yaml", "hpid_result.json", *tables}
     for name in names:
         one, many = (tmp_path / folder / name for folder in ("one", "many"))
         assert one.read_bytes() == many.read_bytes()

@@ -284,7 +284,7 @@ def test_what_is_saved_depends_neither_on_the_jobs_nor_on_the_day(path, tmp_path
     names = {each.name for each in one.iterdir()}
     assert names == {
         *("best.yaml", "experiment.yaml", "points.csv", "table.txt", "tune.json"),
-        "trade_off.png",
+        *("trade_off.png", "hpid_result.json"),
     }
     for name in names:
         assert (one / name).read_bytes() == (two / name).read_bytes()

@@ -26,6 +26,7 @@ from hpid_ros.analysis.plot_style import (
 from hpid_ros.analysis.series import JointSeries, RunSeries, SeriesError, seconds_since
 from hpid_ros.analysis.signals import Signal, envelope
 from hpid_ros.analysis.tick_labels import TickLabels
+from hpid_ros.foreign_text import figure_text
 
 TIME_LABEL = "time [s]"
 REFERENCE_LABEL = "reference"
@@ -75,7 +76,7 @@ def joint_panels(
         if is_log:
             panel.set_yscale("log")
             log_ticks(panel.yaxis)
-    handles = run_handles([run.label for run in runs])
+    handles = run_handles([figure_text(run.label) for run in runs])
     if reference_of is not None:
         handles.append(_reference_line(REFERENCE_LABEL))
     if any(run.retunes for run in runs):
@@ -110,7 +111,9 @@ def single_panel(
     panel.set_ylim(bottom=0.0)
     panel.set_xlabel(TIME_LABEL)
     panel.set_ylabel(label)
-    handles = run_handles([f"{run.label}: {n}" for run, n in zip(runs, notes, strict=True)])
+    handles = run_handles(
+        [f"{figure_text(run.label)}: {n}" for run, n in zip(runs, notes, strict=True)]
+    )
     if any(run.retunes for run in runs):
         handles.append(_retune_line())
     add_legend(figure, handles, columns_at_most=2)
@@ -133,7 +136,7 @@ def panel_grid(
     axes = figure.subplots(rows, columns, sharex=shares_x, squeeze=False)
     panels: list[Axes] = list(axes.flat[: len(names)])
     for k, (name, panel) in enumerate(zip(names, panels, strict=True)):
-        panel.set_title(name)
+        panel.set_title(figure_text(name))
         # The last panel of each column carries the labels, also where the last row has gaps.
         panel.tick_params(labelbottom=not shares_x or k + columns >= len(names))
     for panel in axes.flat[len(names) :]:

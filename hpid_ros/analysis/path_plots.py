@@ -22,6 +22,7 @@ from hpid_ros.analysis.report_packing import Figure as FigureData
 from hpid_ros.analysis.report_packing import Panel, figure_data, line_data
 from hpid_ros.analysis.series import SeriesError
 from hpid_ros.analysis.task_figures import EndEffectorPath
+from hpid_ros.foreign_text import figure_text
 
 VIEWS = (("from above", 0, 1, "x [m]", "y [m]"), ("from the side", 0, 2, "x [m]", "z [m]"))
 """Title of a view, the axes that it shows, and their labels."""
@@ -65,7 +66,7 @@ def path_figure(paths: Sequence[EndEffectorPath]) -> Figure:
         panel.set_ylabel(y_label)
         for axis in (panel.xaxis, panel.yaxis):
             plain_ticks(axis, MaxNLocator(6, steps=TICK_STEPS))
-    handles = run_handles([path.label for path in paths])
+    handles = run_handles([figure_text(path.label) for path in paths])
     handles.append(
         Line2D([], [], color=REFERENCE, linewidth=_REFERENCE_WIDTH, label=REFERENCE_LABEL)
     )

@@ -25,6 +25,7 @@ from hpid_ros.analysis.panels import (
 from hpid_ros.analysis.phase import phase_curve
 from hpid_ros.analysis.plot_style import INK, run_styles
 from hpid_ros.analysis.series import RunSeries
+from hpid_ros.foreign_text import figure_text
 
 DECADES_AT_MOST = 6.0
 
@@ -61,7 +62,7 @@ def spectrum_panels(runs: Sequence[RunSeries], cutoff: float = DEFAULT_CUTOFF) -
     for panel in panels:
         log_ticks(panel.xaxis)
         log_ticks(panel.yaxis)
-    handles = run_handles([run.label for run in runs])
+    handles = run_handles([figure_text(run.label) for run in runs])
     mark = f"chatter above {cutoff:g} Hz"
     handles.append(Line2D([], [], color=INK, linewidth=0.9, linestyle=":", label=mark))
     add_legend(figure, handles)
@@ -92,5 +93,5 @@ def phase_panels(runs: Sequence[RunSeries], points: int) -> Figure:
         panel.autoscale_view()
         plain_ticks(panel.xaxis, MaxNLocator(7, steps=TICK_STEPS))
         plain_ticks(panel.yaxis, MaxNLocator(5, steps=TICK_STEPS))
-    add_legend(figure, run_handles([run.label for run in runs]))
+    add_legend(figure, run_handles([figure_text(run.label) for run in runs]))
     return laid_out(figure)

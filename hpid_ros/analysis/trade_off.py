@@ -24,6 +24,7 @@ from hpid_ros.analysis.plot_style import (
 from hpid_ros.analysis.quantities import IAVC, ITAE, IVC, Quantity
 from hpid_ros.analysis.results import RunIndices
 from hpid_ros.analysis.table import heading_of
+from hpid_ros.foreign_text import figure_text
 
 ERROR = ITAE
 EFFORTS = (IVC, IAVC)
@@ -109,6 +110,6 @@ def _point(
         markersize=MARKER_SIZE,
         markeredgecolor="white",
         linestyle="",
-        label=label,
+        label=figure_text(label),
         zorder=4,
     )

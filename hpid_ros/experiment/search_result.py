@@ -36,9 +36,10 @@ class SearchResult:
         if best is None:
             return ""
         entry = compare_entry(self._plan.experiment, self._plan.space.law, best.loops)
-        return yaml.safe_dump(
+        text: str = yaml.safe_dump(
             {"compare": {self.label: entry}}, sort_keys=False, default_flow_style=None, width=96
         )
+        return text
 
     def points_csv(self) -> str:
         """Return every point, one a row: its place, parameters, cost, ratios, last error."""
