@@ -19,7 +19,8 @@ from hpid_ros.bags.references import (
     ReferenceEvent,
     interpolate,
     sample_events,
-    setpoint_column,
+    sample_setpoints,
+    setpoint_events,
 )
 from hpid_ros.bags.samples import JointSamples
 
@@ -167,13 +168,26 @@ class JointRun:
 
     def _reference(self, states: Ordered) -> tuple[Numbers, str, int]:
         """Return the reference at the states, its kind and topic, and how many messages it had."""
-        events = sorted(self._events(), key=lambda each: each[1][:2])
-        if events:
+        trajectories, setpoints = list(self._trajectories()), self._setpoints()
+        if trajectories or setpoints is not None:
             logged = self._logged_states()
-            columns = (self._on_clock(event) for _, event in events)
-            reference = sample_events(columns, logged, states.stamps_ns, float(states.values[0]))
-            kinds = dict.fromkeys(kind for kind, _ in events)
-            return reference, " and ".join(kinds), len(events)
+            first, count = float(states.values[0]), len(trajectories)
+            events = [event for _, event in trajectories]
+            if setpoints is not None:
+                kind, positions = setpoints
+                count += len(positions.values)
+                if not trajectories:
+                    held = sample_setpoints(positions, logged, states.stamps_ns, first)
+                    if held is not None:
+                        return held, kind, count
+                events += setpoint_events(self._joint, positions)
+            events.sort(key=lambda event: event[:2])
+            columns = (self._on_clock(event) for event in events)
+            reference = sample_events(columns, logged, states.stamps_ns, first)
+            kinds = dict.fromkeys(kind for kind, _ in trajectories)
+            if setpoints is not None:
+                kinds[setpoints[0]] = None
+            return reference, " and ".join(kinds), count
         for topic, stream in self._recording.sampled.items():
             samples = stream.take(self._joint)
             if samples is None:
@@ -186,27 +200,22 @@ class JointRun:
                 return reference, f"{kind or 'controller_state'} {topic}", len(samples.values)
         return np.full(len(states.stamps_ns), states.values[0]), "hold", 0
 
-    def _events(self) -> Iterator[tuple[str, ReferenceEvent]]:
-        """Yield the trajectories and setpoints that concern the joint, with kind and topic."""
-        for log_time_ns, place, topic, trajectory in self._recording.trajectories:
-            if self._joint in trajectory.joint_names:
-                column = trajectory.column(self._joint)
-                yield f"trajectory {topic}", ReferenceEvent(log_time_ns, place, column)
+    def _trajectories(self) -> Iterator[tuple[str, ReferenceEvent]]:
+        """Yield the trajectories that concern the joint, with kind and topic."""
+        for log_time_ns, place, topic, places, column in self._recording.trajectories:
+            at = places.get(self._joint)
+            if at is not None:
+                event = ReferenceEvent(log_time_ns, place, column(self._joint, at))
+                yield f"trajectory {topic}", event
+
+    def _setpoints(self) -> tuple[str, JointSamples] | None:
+        """Return the setpoints of the joint with kind and topic; None if it has none."""
         topic = self._recording.choice.references.setpoint.get(self._joint, "")
         samples = self._recording.setpoints[topic].take(self._joint) if topic else None
         if samples is None:
-            return
+            return None
         samples, _ = finite(samples)
-        assert samples.log_times_ns is not None
-        assert samples.places is not None
-        for log_time_ns, place, position in zip(
-            samples.log_times_ns.tolist(),
-            samples.places.tolist(),
-            samples.values.tolist(),
-            strict=True,
-        ):
-            column = setpoint_column(self._joint, position)
-            yield f"setpoint {topic}", ReferenceEvent(log_time_ns, place, column)
+        return (f"setpoint {topic}", samples) if len(samples.values) else None
 
     def _logged_states(self) -> LoggedStates:
         samples = self._samples

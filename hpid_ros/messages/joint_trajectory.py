@@ -64,11 +64,15 @@ class MixedTrajectory(NamedTuple):
     points: tuple[tuple[int, tuple[float, ...], tuple[float, ...], tuple[float, ...]], ...]
 
 
-def decode_trajectory(raw: bytes) -> TrajectoryArrays | MixedTrajectory:
+def decode_trajectory(
+    raw: bytes, most_points: int = MOST_POINTS, most_mixed_points: int = MOST_MIXED_POINTS
+) -> TrajectoryArrays | MixedTrajectory:
     """Decode a serialised JointTrajectory.
 
     Args:
         raw: The serialised message with its encapsulation header.
+        most_points: Points of one layout that it may have.
+        most_mixed_points: Points that it may have that differ in layout.
 
     Returns:
         Arrays, or one point after the other where they differ in layout or the byte order is
@@ -83,8 +87,8 @@ def decode_trajectory(raw: bytes) -> TrajectoryArrays | MixedTrajectory:
     cursor.string()
     names = cursor.strings()
     count = cursor.scalar("I")
-    if count > MOST_POINTS:
-        raise MessageError(f"a JointTrajectory may have {MOST_POINTS} points, not {count}")
+    if count > most_points:
+        raise MessageError(f"a JointTrajectory may have {most_points} points, not {count}")
     if count * _LEAST_POINT > len(raw):
         raise MessageError(f"a JointTrajectory of {len(raw)} bytes cannot hold {count} points")
     stamp_ns = seconds * NANOSECONDS + nanoseconds
@@ -96,7 +100,7 @@ def decode_trajectory(raw: bytes) -> TrajectoryArrays | MixedTrajectory:
     points = _records(raw, start, lengths, count) if raw[1] == 1 else None
     if points is None:
         cursor.offset = start
-        return MixedTrajectory(stamp_ns, names, _mixed(cursor, count))
+        return MixedTrajectory(stamp_ns, names, _mixed(cursor, count, most_mixed_points))
     times_ns = _merged(points, "seconds").astype(np.int64) * NANOSECONDS
     times_ns += _merged(points, "nanoseconds").astype(np.int64)
     return TrajectoryArrays(
@@ -105,13 +109,13 @@ def decode_trajectory(raw: bytes) -> TrajectoryArrays | MixedTrajectory:
 
 
 def _mixed(
-    cursor: Cursor, count: int
+    cursor: Cursor, count: int, most: int
 ) -> tuple[tuple[int, tuple[float, ...], tuple[float, ...], tuple[float, ...]], ...]:
     """Return points one by one; there may be fewer of them, since each takes its time."""
-    if count > MOST_MIXED_POINTS:
+    if count > most:
         raise MessageError(
             f"a JointTrajectory whose points differ in their arrays may have "
-            f"{MOST_MIXED_POINTS} points, not {count}"
+            f"{most} points, not {count}"
         )
     points = []
     for _ in range(count):

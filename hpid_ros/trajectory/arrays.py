@@ -36,13 +36,48 @@ def column_from_arrays(
     Raises:
         TrajectoryError: As for :class:`JointTrajectory`, or it has no such joint.
     """
+    require_trajectory(names, stamp_ns, times_ns, derivatives)
+    if joint not in names:
+        raise TrajectoryError(f"the trajectory lacks the joint {joint!r}")
+    return checked_column(joint, list(names).index(joint), stamp_ns, times_ns, derivatives)
+
+
+def require_trajectory(
+    names: Sequence[str],
+    stamp_ns: int,
+    times_ns: NDArray[np.int64],
+    derivatives: tuple[Numbers, Numbers, Numbers],
+) -> None:
+    """Raise TrajectoryError for what :class:`JointTrajectory` refuses.
+
+    Args:
+        names: The joints.
+        stamp_ns: As for :func:`column_from_arrays`.
+        times_ns: Likewise.
+        derivatives: Likewise.
+    """
     for index in _suspects(len(names), stamp_ns, times_ns, derivatives):
         _check_alone(names, stamp_ns, times_ns, derivatives, index)
     # Two points at most: the joints, the stamp, and that there is a point at all.
     _check_alone(names, stamp_ns, times_ns, derivatives, len(times_ns) - 1)
-    if joint not in names:
-        raise TrajectoryError(f"the trajectory lacks the joint {joint!r}")
-    at = list(names).index(joint)
+
+
+def checked_column(
+    joint: str,
+    at: int,
+    stamp_ns: int,
+    times_ns: NDArray[np.int64],
+    derivatives: tuple[Numbers, Numbers, Numbers],
+) -> Column:
+    """Return one joint's column of a trajectory that :func:`require_trajectory` let pass.
+
+    Args:
+        joint: The joint.
+        at: Its place among the names.
+        stamp_ns: As for :func:`column_from_arrays`.
+        times_ns: Likewise.
+        derivatives: Likewise.
+    """
     rows = [
         each[:, at].tolist() if each.shape[1] else [None] * len(times_ns) for each in derivatives
     ]
