@@ -16,7 +16,7 @@ ALLOWED = {
     "messages": set(),
     "robot": set(),
     "analysis": set(),
-    "bags": {"analysis", "messages", "trajectory"},
+    "bags": {"analysis", "messages", "trajectory", "yaml_files"},  # metadata.yaml, with its bounds
     "simulation": {"control", "robot"},
     "planning": {"robot", "trajectory"},
     "nodes": {
