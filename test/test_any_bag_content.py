@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import tempfile
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -28,12 +29,19 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from hpid_ros.analysis import run_indices
 from hpid_ros.analysis.quantities import find_quantities
 from hpid_ros.analysis.series import JointSeries, Losses, RunSeries
-from hpid_ros.bags import BagSelection, parse_command_topics, read_run
-from hpid_ros.bags.references import LoggedStates, ReferenceEvent, sample_events
+from hpid_ros.bags import BagSelection, layouts, parse_command_topics, read_run, streams
+from hpid_ros.bags.references import (
+    LoggedStates,
+    ReferenceEvent,
+    sample_events,
+    sample_setpoints,
+    setpoint_events,
+)
+from hpid_ros.bags.samples import JointSamples
 from hpid_ros.cli import main
 from hpid_ros.errors import BagError, SettingError
 from hpid_ros.messages.joint_state import JointStateTemplate
-from hpid_ros.trajectory import Column, Knot
+from hpid_ros.trajectory import Column, JointTrajectory, Knot, TrajectoryPoint
 
 FLOAT64 = "std_msgs/msg/Float64"
 FLOATS = "std_msgs/msg/Float64MultiArray"
@@ -523,3 +531,68 @@ def test_one_joint_without_energy_leaves_no_sum(tmp_path):
 def _series(start_ns):
     numbers = np.arange(10.0)
     return start_ns + MS * np.arange(10), numbers, numbers
+
+
+@given(
+    st.lists(st.tuples(st.integers(0, 40), st.integers(0, 200)), max_size=30, unique=True),
+    st.lists(st.tuples(st.integers(0, 40), st.integers(0, 60)), min_size=1, max_size=30),
+)
+def test_setpoints_taken_at_once_are_those_taken_one_by_one(told, heard):
+    heard.sort(key=lambda state: state[0])
+    columns = [np.array(column, dtype=np.int64) for column in zip(*heard, strict=True)]
+    states = LoggedStates(columns[0], 2 * np.arange(len(heard)) + 1, columns[1])
+    stamps_ns = np.unique(states.stamps_ns)
+    log_times, places = (np.array([each[k] for each in told], dtype=np.int64) for k in (0, 1))
+    setpoints = JointSamples(None, log_times, places, 1.0 + np.arange(len(told)))
+    events = sorted(setpoint_events("a", setpoints), key=lambda event: event[:2])
+    expected = sample_events(events, states, stamps_ns, 0.5)
+    found = sample_setpoints(setpoints, states, stamps_ns, 0.5)
+    if (np.diff(states.stamps_ns) >= 0).all():
+        assert found is not None
+    if found is not None:
+        np.testing.assert_array_equal(found, expected)
+
+
+def test_a_thousand_joints_with_messages_of_their_own_are_read_in_one_go(tmp_path, monkeypatch):
+    names = [f"joint_{k:04d}" for k in range(1000)]
+    log = []
+    for k in range(4):
+        log.append(state(k * MS, **dict.fromkeys(names, 0.1 * k)))
+        log += [command(k * MS, **{name: k + j / 1000}) for j, name in enumerate(names)]
+    bag = write_bag(tmp_path / "bag", log)
+    counts = Counter()
+    learn, equal_rows = layouts.LAYOUTS[JOINT_STATE], streams._equal_rows
+
+    def learned(raw: bytes):
+        counts["learned"] += 1
+        return learn(raw)
+
+    def compared(rows):
+        counts["compared"] += 1
+        return equal_rows(rows)
+
+    monkeypatch.setattr(streams, "_equal_rows", compared)
+    monkeypatch.setattr(streams, "LAYOUTS", {**layouts.LAYOUTS, JOINT_STATE: learned})
+    run = read(bag)
+    assert len(run.joints) == 1000
+    for j, series in enumerate(run.joints):
+        np.testing.assert_array_equal(series.effort, np.arange(4) + j / 1000)
+    # Each is learned once in a batch; all messages are compared once, not for each of them.
+    assert counts["learned"] < 3 * len(names)
+    assert counts["compared"] < 20
+
+
+def test_a_trajectory_of_a_hundred_thousand_points_is_sampled_exactly(tmp_path):
+    points = 100_000
+    times = np.arange(points) * 10_000
+    positions = np.sin(1e-3 * np.arange(points))
+    motion = JointTrajectory(
+        ("a",),
+        tuple(TrajectoryPoint(int(t), (float(q),)) for t, q in zip(times, positions, strict=True)),
+    )
+    log = [(name, 0, raw) for name, _, raw in [trajectory_message(0, motion)]]
+    for k in range(1, 900):
+        log += [state(k * MS, a=0.0), command(k * MS, a=0.0)]
+    (series,) = read(write_bag(tmp_path / "bag", log)).joints
+    # The trajectory begins with the first state.
+    np.testing.assert_allclose(series.reference, positions[100 * np.arange(899)], atol=1e-12)

@@ -380,7 +380,7 @@ def test_values_that_no_analysis_can_use_are_named(tmp_path):
     )
     assert "a JointState of 4 bytes ends" in refused(bad)
     bad = write_bag(tmp_path / "worse", [*small_log(), ("joint_trajectory", 5, b"\x00\x01")])
-    assert "2 bytes are no trajectory_msgs/msg/JointTrajectory" in refused(bad)
+    assert "/joint_trajectory at 5 ns: a JointTrajectory must start with" in refused(bad)
 
 
 @pytest.mark.parametrize("storage", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])

@@ -20,7 +20,8 @@ from hpid_ros.bags.references import (
     first_state,
     interpolate,
     sample_events,
-    setpoint_column,
+    sample_setpoints,
+    setpoint_events,
 )
 from hpid_ros.bags.samples import JointSamples
 from hpid_ros.bags.selection import BagSelection
@@ -214,20 +215,15 @@ class JointRun:
             held = np.full(len(states.stamps_ns), states.values[0])
             return _Reference(held, HOLD, 0, None)
         if isinstance(asked, JointTrajectory):
-            events = self._given(asked, window)
+            trajectories, setpoints = self._given(asked, window), None
         else:
-            events = sorted(self._events(), key=lambda each: each[1][:2])
-            events = [(kind, self._on_clock(event)) for kind, event in events]
-        columns = [event for _, event in events]
-        if columns:
-            logged = self._logged_states()
-            begin = min(first_state(each, logged, states.stamps_ns) for each in columns)
-            is_under_way = begin < len(states.stamps_ns)
-            begin_ns = int(states.stamps_ns[begin]) if is_under_way else None
-            values = sample_events(columns, logged, states.stamps_ns, float(states.values[0]))
-            kinds = dict.fromkeys(kind for kind, _ in events)
-            count = len(events)
-            return _Reference(values, " and ".join(kinds), count, begin_ns)
+            trajectories = [
+                (kind, self._on_clock(event))
+                for kind, event in sorted(self._trajectories(), key=lambda each: each[1][:2])
+            ]
+            setpoints = self._setpoints()
+        if trajectories or setpoints is not None:
+            return self._followed(trajectories, setpoints, states)
         for topic, stream in self._recording.sampled.items():
             samples = stream.take(self._joint)
             if samples is None:
@@ -242,6 +238,34 @@ class JointRun:
                 return _Reference(values, kind, len(samples.values), begin_ns)
         return _Reference(np.empty(0), NONE, 0, None)
 
+    def _followed(
+        self,
+        trajectories: list[tuple[str, ReferenceEvent]],
+        setpoints: tuple[str, JointSamples] | None,
+        states: Ordered,
+    ) -> _Reference:
+        """Return the reference that trajectories and setpoints make together."""
+        logged, stamps_ns = self._logged_states(), states.stamps_ns
+        first = float(states.values[0])
+        kinds = dict.fromkeys(kind for kind, _ in trajectories)
+        events = [event for _, event in trajectories]
+        count, values = len(events), None
+        if setpoints is not None:
+            kind, positions = setpoints
+            kinds[kind] = None
+            count += len(positions.values)
+            told = sorted(setpoint_events(self._joint, positions), key=lambda each: each[:2])
+            if not events:
+                values = sample_setpoints(positions, logged, stamps_ns, first)
+            events = sorted([*events, *told], key=lambda each: each[:2])
+        # Where setpoints could be sampled at once, they are heard in the order of the log.
+        heard = events if values is None else events[:1]
+        begin = min(first_state(each, logged, stamps_ns) for each in heard)
+        begin_ns = int(stamps_ns[begin]) if begin < len(stamps_ns) else None
+        if values is None:
+            values = sample_events(events, logged, stamps_ns, first)
+        return _Reference(values, " and ".join(kinds), count, begin_ns)
+
     def _given(
         self, trajectory: JointTrajectory, window: Window
     ) -> list[tuple[str, ReferenceEvent]]:
@@ -253,27 +277,22 @@ class JointRun:
             column = dataclasses.replace(column, stamp_ns=window.origin_ns)
         return [("given", ReferenceEvent(-_FOREVER_NS, -1, column))]
 
-    def _events(self) -> Iterator[tuple[str, ReferenceEvent]]:
-        """Yield the trajectories and setpoints that concern the joint, with kind and topic."""
-        for log_time_ns, place, topic, trajectory in self._recording.trajectories:
-            if self._joint in trajectory.joint_names:
-                column = trajectory.column(self._joint)
-                yield f"trajectory {topic}", ReferenceEvent(log_time_ns, place, column)
+    def _trajectories(self) -> Iterator[tuple[str, ReferenceEvent]]:
+        """Yield the trajectories that concern the joint, with kind and topic."""
+        for log_time_ns, place, topic, places, column in self._recording.trajectories:
+            at = places.get(self._joint)
+            if at is not None:
+                event = ReferenceEvent(log_time_ns, place, column(self._joint, at))
+                yield f"trajectory {topic}", event
+
+    def _setpoints(self) -> tuple[str, JointSamples] | None:
+        """Return the setpoints of the joint with kind and topic; None if it has none."""
         topic = self._recording.choice.references.setpoint.get(self._joint, "")
         samples = self._recording.setpoints[topic].take(self._joint) if topic else None
         if samples is None:
-            return
+            return None
         samples, _ = finite(samples)
-        assert samples.log_times_ns is not None
-        assert samples.places is not None
-        for log_time_ns, place, position in zip(
-            samples.log_times_ns.tolist(),
-            samples.places.tolist(),
-            samples.values.tolist(),
-            strict=True,
-        ):
-            column = setpoint_column(self._joint, position)
-            yield f"setpoint {topic}", ReferenceEvent(log_time_ns, place, column)
+        return (f"setpoint {topic}", samples) if len(samples.values) else None
 
     def _logged_states(self) -> LoggedStates:
         samples = self._samples

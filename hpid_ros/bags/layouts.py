@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hpid_ros.bags.batches import Integers, Numbers
 from hpid_ros.bags.cdr import ENCAPSULATION, CdrWalker, Doubles
@@ -68,11 +67,6 @@ class Layout:
         message = np.frombuffer(self.sample, dtype=np.uint8)
         row[ENCAPSULATION : ENCAPSULATION + len(message)] = message
         return row.view("<u8") & self.mask
-
-    def claims(self, rows: Words) -> NDArray[np.bool_]:
-        """Tell which rows, all of this length, have this layout, (n,)."""
-        is_equal: NDArray[np.bool_] = ((rows & self.mask) == self.values).all(axis=1)
-        return is_equal
 
     def stamps_ns(self, rows: Words, which: Integers | slice) -> Integers:
         """Return the header stamps of some rows of this layout, (n,), in [ns]."""

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import functools
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from rosbags.typesys import Stores, get_typestore
 
-from hpid_ros.errors import MessageError
-from hpid_ros.trajectory import JointTrajectory, TrajectoryPoint
+from hpid_ros.trajectory import JointTrajectory
 
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
@@ -24,42 +23,6 @@ _NS_PER_S = 1_000_000_000
 def jazzy_types() -> Typestore:
     """Return Jazzy's message definitions; building them takes some 50 ms, once."""
     return get_typestore(Stores.ROS2_JAZZY)
-
-
-def decode_joint_trajectory(raw: bytes) -> JointTrajectory:
-    """Decode a serialised ``trajectory_msgs/msg/JointTrajectory``.
-
-    Args:
-        raw: The message with its encapsulation header.
-
-    Raises:
-        MessageError: The bytes are no such message.
-        TrajectoryError: They are, but a controller would refuse the trajectory.
-    """
-    message: Any
-    try:
-        message = jazzy_types().deserialize_cdr(raw, JOINT_TRAJECTORY)
-    # rosbags lets whatever its generated code trips over escape: struct, index, Unicode errors.
-    except Exception as error:
-        raise MessageError(f"{len(raw)} bytes are no {JOINT_TRAJECTORY}: {error!r}") from error
-    return JointTrajectory(
-        tuple(message.joint_names),
-        tuple(
-            TrajectoryPoint(
-                _nanoseconds(point.time_from_start),
-                tuple(point.positions.tolist()),
-                tuple(point.velocities.tolist()),
-                tuple(point.accelerations.tolist()),
-            )
-            for point in message.points
-        ),
-        _nanoseconds(message.header.stamp),
-    )
-
-
-def _nanoseconds(time: Any) -> int:
-    """Return a ``builtin_interfaces`` Time or Duration in [ns]."""
-    return int(time.sec) * _NS_PER_S + int(time.nanosec)
 
 
 def encode_joint_trajectory(trajectory: JointTrajectory) -> bytes:

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import NamedTuple
 
 from hpid_ros.bags.batches import TopicBatch
 from hpid_ros.bags.layouts import CONTROLLER_STATE, FLOAT64, JOINT_STATE
-from hpid_ros.bags.message_types import decode_joint_trajectory
 from hpid_ros.bags.streams import JointStream
 from hpid_ros.bags.topic_choice import TopicChoice
 from hpid_ros.errors import BagError, MessageError, TrajectoryError
-from hpid_ros.trajectory import JointTrajectory
+from hpid_ros.messages import decode_trajectory
+from hpid_ros.trajectory import Column
+from hpid_ros.trajectory.arrays import checked_column, require_arrays
 
 
 class LoggedTrajectory(NamedTuple):
@@ -21,13 +22,31 @@ class LoggedTrajectory(NamedTuple):
         log_time_ns: When it was recorded, in [ns].
         place: Its place in the files.
         topic: Where it was published.
-        trajectory: What was published.
+        places: Place of each joint among its names.
+        column: Gives the column of a joint and its place.
     """
 
     log_time_ns: int
     place: int
     topic: str
-    trajectory: JointTrajectory
+    places: Mapping[str, int]
+    column: Callable[[str, int], Column]
+
+
+def _decoded(raw: bytes) -> tuple[Mapping[str, int], Callable[[str, int], Column]]:
+    """Return the joints of a serialised trajectory and what gives their columns.
+
+    Raises:
+        MessageError: The bytes are no trajectory.
+        TrajectoryError: They are, but a controller would refuse it.
+    """
+    # A recording may hold any number of points: reading it need not keep pace with a robot.
+    decoded = decode_trajectory(raw, len(raw), len(raw))
+    derivatives = decoded.positions, decoded.velocities, decoded.accelerations
+    times_ns, stamp_ns = decoded.times_ns, decoded.stamp_ns
+    require_arrays(decoded.names, stamp_ns, times_ns, derivatives, decoded.lengths, decoded.point)
+    places = {name: index for index, name in enumerate(decoded.names)}
+    return places, lambda joint, at: checked_column(joint, at, stamp_ns, times_ns, derivatives)
 
 
 class Recording:
@@ -108,14 +127,14 @@ class Recording:
         for index in range(len(batch.starts)):
             log_time_ns, place = int(batch.log_times_ns[index]), int(batch.places[index])
             try:
-                trajectory = decode_joint_trajectory(batch.raw(index))
+                decoded = _decoded(batch.raw(index))
             except TrajectoryError as error:
                 self.notes.append(f"a trajectory is left out, as controllers refuse it: {error}")
                 continue
             except MessageError as error:
                 # Whatever was followed from here on is unknown.
                 raise BagError(f"{batch.topic} at {log_time_ns} ns: {error}") from error
-            self.trajectories.append(LoggedTrajectory(log_time_ns, place, batch.topic, trajectory))
+            self.trajectories.append(LoggedTrajectory(log_time_ns, place, batch.topic, *decoded))
 
     def has_efforts(self) -> bool:
         """Tell whether any command carries a joint's effort."""
@@ -145,5 +164,5 @@ class Recording:
         for stream in (*self.floats.values(), *self.setpoints.values()):
             concerned.update(stream.joints())
         for logged in self.trajectories:
-            concerned.update(logged.trajectory.joint_names)
+            concerned.update(logged.places)
         return concerned

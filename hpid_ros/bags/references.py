@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from hpid_ros.bags.batches import Integers, Numbers
+from hpid_ros.bags.samples import JointSamples
 from hpid_ros.trajectory import Column, Knot, ReferenceSample, SplineReference
 from hpid_ros.trajectory.spline import SECONDS_PER_NANOSECOND, segment
 
@@ -55,9 +56,50 @@ class _Span(NamedTuple):
     knots: list[Knot]
 
 
-def setpoint_column(joint: str, position: float) -> Column:
-    """Return a setpoint as a trajectory of one point that is taken at once."""
-    return Column(joint, (Knot(0, position),))
+def setpoint_events(joint: str, setpoints: JointSamples) -> Iterator[ReferenceEvent]:
+    """Yield setpoints as trajectories of one point that are taken at once."""
+    assert setpoints.log_times_ns is not None
+    assert setpoints.places is not None
+    for log_time_ns, place, position in zip(
+        setpoints.log_times_ns.tolist(),
+        setpoints.places.tolist(),
+        setpoints.values.tolist(),
+        strict=True,
+    ):
+        yield ReferenceEvent(log_time_ns, place, Column(joint, (Knot(0, position),)))
+
+
+def sample_setpoints(
+    setpoints: JointSamples, states: LoggedStates, stamps_ns: Integers, first_position: float
+) -> Numbers | None:
+    """Return what :func:`sample_events` gives for setpoints alone, all at once.
+
+    Args:
+        setpoints: In any order.
+        states: The joint's states.
+        stamps_ns: The stamps to sample at, strictly increasing, (n,), in [ns].
+        first_position: The joint's first position, in [rad].
+
+    Returns:
+        The reference, (n,), in [rad]; None where the stamps of the states jump back, so that
+        one after the other must be looked at.
+    """
+    assert setpoints.log_times_ns is not None
+    assert setpoints.places is not None
+    order = np.lexsort((setpoints.places, setpoints.log_times_ns))
+    log_times, places = setpoints.log_times_ns[order], setpoints.places[order]
+    following = np.searchsorted(states.log_times_ns, log_times)
+    last = np.searchsorted(states.log_times_ns, log_times, "right")
+    for index in np.flatnonzero(following < last).tolist():  # logged in the same nanosecond
+        following[index] = states.first_after(int(log_times[index]), int(places[index]))
+    is_heard = following < len(states.stamps_ns)
+    begins = np.searchsorted(stamps_ns, states.stamps_ns[following[is_heard]])
+    if (begins[1:] < begins[:-1]).any():
+        return None
+    positions = np.concatenate(([first_position], setpoints.values[order][is_heard]))
+    # Of several before one state the last stands.
+    sampled: Numbers = positions[np.searchsorted(begins, np.arange(len(stamps_ns)), "right")]
+    return sampled
 
 
 def sample_events(

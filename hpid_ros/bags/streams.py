@@ -89,6 +89,7 @@ class JointStream:
         self._keeps_order = keeps_order
         self._families: dict[int, list[LayoutFamily]] = {}
         self._groups: dict[tuple[str, ...], _Group] = {}
+        self._groups_of: dict[str, list[tuple[str, ...]]] = {}
         self._last_log_time_ns = -(2**63)
         self._is_log_ordered = True
         self._columns_of: WeakKeyDictionary[Layout, Mapping[str, int]] = WeakKeyDictionary()
@@ -123,18 +124,17 @@ class JointStream:
 
     def joints(self) -> frozenset[str]:
         """Return the joints that have numbers."""
-        return frozenset(joint for group in self._groups for joint in group)
+        return frozenset(self._groups_of)
 
     def take(self, joint: str) -> JointSamples | None:
         """Return one joint's samples and forget them; None if there are none."""
         parts, is_in_order = [], self._is_log_ordered
-        for joints, group in list(self._groups.items()):
-            column = group.values.pop(joint, None)
-            if column is not None:
-                parts.append(JointSamples(*group.clock, column.finished()))
-                is_in_order &= group.is_in_order
-                if not group.values:
-                    del self._groups[joints]
+        for joints in self._groups_of.pop(joint, ()):
+            group = self._groups[joints]
+            parts.append(JointSamples(*group.clock, group.values.pop(joint).finished()))
+            is_in_order &= group.is_in_order
+            if not group.values:
+                del self._groups[joints]
         if not parts:
             return None
         if len(parts) == 1 and is_in_order:
@@ -152,23 +152,34 @@ class JointStream:
         is_left = np.ones(len(rows), dtype=np.bool_)
         for family in families:
             for layout, claims in family.split(rows):
-                self._keep(layout, rows, claims, batch)
+                self._keep(layout, rows, np.flatnonzero(claims), batch)
                 is_left &= ~claims
         while is_left.any():
-            index = int(np.argmax(is_left))
-            try:
-                layout = self._learn(batch.raw(index))
-            except MessageError as error:
-                self.undecodable += 1
-                self.first_failure = self.first_failure or str(error)
-                is_left[index] = False
+            left = np.flatnonzero(is_left)
+            first = self._learned(batch, int(left[0]))
+            if first is None:
+                is_left[left[0]] = False
                 continue
-            _remember(layout, families)
-            claims = layout.claims(rows)
-            self._keep(layout, rows, claims, batch)
-            is_left &= ~claims
+            for which in _equal_rows(rows[left] & first.mask):
+                here = left[which]
+                own = first if here[0] == left[0] else self._learned(batch, int(here[0]))
+                if own is None or not np.array_equal(own.mask, first.mask):
+                    here = here[:1]  # the others may differ from it where the first's mask is zero
+                is_left[here] = False
+                if own is not None:
+                    _remember(own, families)
+                    self._keep(own, rows, here, batch)
 
-    def _keep(self, layout: Layout, rows: Words, claims: Claims, batch: TopicBatch) -> None:
+    def _learned(self, batch: TopicBatch, index: int) -> Layout | None:
+        """Return the layout of one message; None if it is not of the type."""
+        try:
+            return self._learn(batch.raw(index))
+        except MessageError as error:
+            self.undecodable += 1
+            self.first_failure = self.first_failure or str(error)
+            return None
+
+    def _keep(self, layout: Layout, rows: Words, which: Integers, batch: TopicBatch) -> None:
         """Append the numbers of messages of one layout to their group."""
         columns = self._columns(layout)
         if not columns:
@@ -176,16 +187,18 @@ class JointStream:
         joints = tuple(columns)
         group = self._groups.get(joints)
         if group is None:
-            if not self._keeps_order and not self.joints().isdisjoint(joints):
+            if not self._keeps_order and any(joint in self._groups_of for joint in joints):
                 raise OrderNeededError
             group = _Group(joints, layout.stamp is not None, self._keeps_order)
             self._groups[joints] = group
-        which: Integers | slice = slice(None) if claims.all() else np.flatnonzero(claims)
-        group.append(layout, rows, which, batch)
+            for joint in joints:
+                self._groups_of.setdefault(joint, []).append(joints)
+        picked: Integers | slice = slice(None) if len(which) == len(rows) else which
+        group.append(layout, rows, picked, batch)
         if not (group.is_in_order or self._keeps_order):
             raise OrderNeededError
         for joint, index in columns.items():
-            group.values[joint].append(layout.column(rows, self._field, index)[which])
+            group.values[joint].append(layout.column(rows, self._field, index)[picked])
 
     def _columns(self, layout: Layout) -> Mapping[str, int]:
         """Return which wanted joint is at which place of the field."""
@@ -215,6 +228,17 @@ def _remember(layout: Layout, families: list[LayoutFamily]) -> None:
             family.add(layout)
             return
     families.append(LayoutFamily(layout))
+
+
+def _equal_rows(rows: Words) -> list[Integers]:
+    """Return which rows are equal to each other, the first one's first."""
+    is_first = (rows == rows[0]).all(axis=1)
+    if is_first.all():
+        return [np.flatnonzero(is_first)]
+    order = np.lexsort(rows.T)
+    is_new = (rows[order[1:]] != rows[order[:-1]]).any(axis=1)
+    groups = np.split(order, np.flatnonzero(is_new) + 1)
+    return sorted(groups, key=lambda group: int(group[0]))
 
 
 def _picked(batch: TopicBatch, which: Claims) -> Iterator[Integers]:

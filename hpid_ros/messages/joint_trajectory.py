@@ -97,11 +97,15 @@ class MixedTrajectory(NamedTuple):
         return int(self.times_ns[index]), p, v, a
 
 
-def decode_trajectory(raw: bytes) -> TrajectoryArrays | MixedTrajectory:
+def decode_trajectory(
+    raw: bytes, most_points: int = MOST_POINTS, most_mixed_points: int = MOST_MIXED_POINTS
+) -> TrajectoryArrays | MixedTrajectory:
     """Decode a serialised JointTrajectory.
 
     Args:
         raw: The serialised message with its encapsulation header.
+        most_points: Points of one layout that it may have.
+        most_mixed_points: Points that it may have that differ in layout.
 
     Returns:
         Arrays; mixed where points differ in layout or the byte order is foreign.
@@ -115,8 +119,8 @@ def decode_trajectory(raw: bytes) -> TrajectoryArrays | MixedTrajectory:
     cursor.string()
     names = cursor.strings()
     count = cursor.scalar("I")
-    if count > MOST_POINTS:
-        raise MessageError(f"a JointTrajectory may have {MOST_POINTS} points, not {count}")
+    if count > most_points:
+        raise MessageError(f"a JointTrajectory may have {most_points} points, not {count}")
     if count * _LEAST_POINT > len(raw):
         raise MessageError(f"a JointTrajectory of {len(raw)} bytes cannot hold {count} points")
     stamp_ns = seconds * NANOSECONDS + nanoseconds
@@ -127,7 +131,7 @@ def decode_trajectory(raw: bytes) -> TrajectoryArrays | MixedTrajectory:
     lengths = tuple(len(cursor.doubles()) for _ in range(_ARRAYS))
     points = _records(raw, start, lengths, count) if raw[1] == 1 else None
     if points is None:
-        return _mixed(raw, stamp_ns, names, start, count)
+        return _mixed(raw, stamp_ns, names, start, count, most_mixed_points)
     times_ns = _merged(points, "seconds").astype(np.int64) * NANOSECONDS
     times_ns += _merged(points, "nanoseconds").astype(np.int64)
     return TrajectoryArrays(
@@ -136,13 +140,13 @@ def decode_trajectory(raw: bytes) -> TrajectoryArrays | MixedTrajectory:
 
 
 def _mixed(
-    raw: bytes, stamp_ns: int, names: tuple[str, ...], start: int, count: int
+    raw: bytes, stamp_ns: int, names: tuple[str, ...], start: int, count: int, most: int
 ) -> MixedTrajectory:
     """Take points that differ; there may be fewer of them, since each takes its time."""
-    if count > MOST_MIXED_POINTS:
+    if count > most:
         raise MessageError(
             f"a JointTrajectory whose points differ in their arrays may have "
-            f"{MOST_MIXED_POINTS} points, not {count}"
+            f"{most} points, not {count}"
         )
     order = "<" if raw[1] else ">"
     lengths, starts, ends = _places(raw, start - ENCAPSULATION, count, order)

@@ -91,13 +91,47 @@ def column_from_arrays(
     Raises:
         TrajectoryError: As for ``JointTrajectory``, or it has no such joint.
     """
+    require_arrays(names, stamp_ns, times_ns, derivatives, lengths, point)
+    if joint not in names:
+        raise TrajectoryError(unknown_name("joint", joint, names))
+    return checked_column(joint, list(names).index(joint), stamp_ns, times_ns, derivatives)
+
+
+def require_arrays(
+    names: Sequence[str],
+    stamp_ns: int,
+    times_ns: Integers,
+    derivatives: tuple[Numbers, Numbers, Numbers],
+    lengths: Integers,
+    point: Callable[[int], Point],
+) -> None:
+    """Refuse what ``JointTrajectory`` refuses; the arguments are those of column_from_arrays.
+
+    Raises:
+        TrajectoryError: As for ``JointTrajectory``.
+    """
     for index in _suspects(len(names), stamp_ns, times_ns, derivatives, lengths):
         _check_alone(names, stamp_ns, point, index)
     # Two points at most: the joints, the stamp, and that there is a point at all.
     _check_alone(names, stamp_ns, point, len(times_ns) - 1)
-    if joint not in names:
-        raise TrajectoryError(unknown_name("joint", joint, names))
-    at = list(names).index(joint)
+
+
+def checked_column(
+    joint: str,
+    at: int,
+    stamp_ns: int,
+    times_ns: Integers,
+    derivatives: tuple[Numbers, Numbers, Numbers],
+) -> Column:
+    """Return one joint's column of a trajectory that :func:`require_arrays` let pass.
+
+    Args:
+        joint: The joint.
+        at: Its place among the names.
+        stamp_ns: When the trajectory starts in [ns].
+        times_ns: Time from start of each point in [ns].
+        derivatives: As for :func:`column_from_arrays`.
+    """
     none = np.full(len(times_ns), np.nan)
     p, v, a = (each[:, at].copy() if each.shape[1] else none for each in derivatives)
     return Column(joint, KnotArrays(times_ns, p, v, a), stamp_ns)
