@@ -95,7 +95,7 @@ def test_a_failing_contender_costs_its_own_figures_alone_in_one_line():
     group = Group(contenders, (figure(), lost))
     found, line = figures_of(group, {"a.b", "a.c"}, 2, lambda line: None)
     assert found.ratio.median == 0.5
-    assert line == "a.c: not measured: broken: RunError: nobody answered"
+    assert line == "a.c: not measured: broken: RunError: nobody\\nanswered"
     assert len(attempts) == 1
 
 

@@ -21,6 +21,8 @@ def near(bound):
 
 def values_of(spec):
     """Return a strategy of a parameter's values; most of them are allowed."""
+    if isinstance(spec.default, bool):
+        return st.sampled_from([True, False, True, False, 1.0, "true"])
     if isinstance(spec.default, str):
         texts = spec.choices or ("elbow", "", "\n")
         return st.sampled_from([*texts, *texts, "no such thing", 1.0])
@@ -42,13 +44,15 @@ SETS = st.fixed_dictionaries(
 LIKELY = st.fixed_dictionaries(  # what is seldom refused for one of many numbers
     {
         "joint": st.just("elbow"),
+        "state_timeout": st.just(1.0),
+        "control_period": st.floats(1e-6, 0.66),
         "mu": st.one_of(values_of(LOOP_PARAMETERS["mu"]), st.floats(-0.4999, 0.4999)),
         "gains.d": st.floats(-12.0, 6.0).map(lambda power: 10.0**power),
     },
     optional={
         name: values_of(LOOP_PARAMETERS[name])
         for name in LOOP_PARAMETERS
-        if name.split(".")[0] in ("norm", "control_period", "encoder_resolution", "discretization")
+        if name.split(".")[0] in ("norm", "encoder_resolution", "discretization")
         or name == "velocity_filter_time_constant"
     },
 )
@@ -57,7 +61,9 @@ LIKELY = st.fixed_dictionaries(  # what is seldom refused for one of many number
 @settings(max_examples=400, deadline=None)
 @given(st.one_of(SETS, LIKELY))
 @example({"joint": "j", "mu": -0.001, "gains.d": 500.0})
-@example({"joint": "j", "mu": -1e-300, "gains.d": 1e6, "control_period": 10.0})
+@example(
+    {"joint": "j", "mu": -1e-300, "gains.d": 1e6, "control_period": 0.5, "state_timeout": 1.0}
+)
 @example({"joint": "j", "mu": -5e-324, "gains.d": 1e6, "norm.type": "canonical"})
 @example({"joint": "j", "mu": 0.3, "encoder_resolution": 1.0, "norm.rate_weight": 1e6})
 def test_a_set_is_taken_or_refused_with_a_reason(values):

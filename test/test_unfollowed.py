@@ -73,6 +73,6 @@ def test_a_comparison_names_the_joint_below_the_table_and_in_the_result(experime
     assert not followed.notes
     assert "unfollowed" not in followed.as_mapping()
     assert not_followed.as_mapping()["unfollowed"] == {"hPID": {"elbow": pytest.approx(0.4)}}
-    folder = ResultFolder(tmp_path)
-    save_numbers(not_followed, folder, [], "nothing")
+    with ResultFolder.create(tmp_path / "result") as folder:
+        save_numbers(not_followed, folder, [], "nothing")
     assert "run 'hPID': these joints do not follow" in (folder.path / "table.txt").read_text()

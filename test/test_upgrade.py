@@ -96,7 +96,9 @@ def test_unstable_gains_are_not_upgraded():
 
 
 def test_a_pid_beyond_the_sampling_limit_is_refused_with_its_figures():
-    too_fast = pid(gains=Gains(400.0, 132.0, 3.96), control_period=0.1, inertia=0.0)
+    too_fast = pid(
+        gains=Gains(400.0, 132.0, 3.96), control_period=0.1, state_timeout=0.5, inertia=0.0
+    )
     with pytest.raises(GainError, match=r"the PID itself .* T kd / m = 3\.04 .* breaks at 0\.85"):
         upgrade(too_fast, (0.13026, 0.2), "fast")
     # backward Euler bears it

@@ -427,7 +427,8 @@ def test_other_robots_load_and_swing(model: str, caplog: pytest.LogCaptureFixtur
 
 
 def test_a_robot_that_bullet_cannot_load_is_one_clear_line(capfd: pytest.CaptureFixture[str]):
-    ghost = FLYER.replace('<link name="speck"/>', "")
+    shapeless = "<collision><geometry/></collision>"
+    ghost = FLYER.replace('<link name="speck"/>', f'<link name="speck">{shapeless}</link>')
     with pytest.raises(RobotDescriptionError, match="PyBullet cannot load") as caught:
         World(WorldSettings(ghost, ("hinge",)))
     assert "\n" not in str(caught.value)

@@ -312,7 +312,7 @@ class JointController(ManagedNode):
 
 
 OWN_PARAMETERS = (
-    *("command_interface", "robot_description", "autostart", "stop", "stop_duration"),
+    *("command_interface", "claim", "robot_description", "autostart", "stop", "stop_duration"),
     *("state_watchdog", "certify", "require_certificate", "introspection_rate"),
     *("wait_for_command_subscribers", "wait_for_reference"),
     *("realtime_priority", "cpu_affinity", "status_fd"),
