@@ -316,6 +316,7 @@ class JointLoop(LoopView):
         if first is not None:
             return self.reject(stamp_ns, step)
         self.last_fault = step
+        self.counts.rejected += 1
         self._clock.skip(stamp_ns)
         return self._law.effort
 

@@ -28,10 +28,11 @@ class LoopCounts:
         silences: Times in which the fallback effort was given for want of states.
         takeovers: Times in which the loop took the joint over anew, after a gap, a silence,
             states that could not be used, or a jump.
-        jumps: States whose position no joint can have come to since the last one.
+        jumps: Rejected states whose position no joint can have come to since the last one.
         missed: States that must have been lost, by the stamps and ``control_period``.
         saturated: Samples whose effort was limited.
-        rejected: States that were not finite or no joint's, or made the law's effort so.
+        rejected: States that were not finite or no joint's, or made the law's effort so, or whose
+            position jumped.
     """
 
     samples: int = 0
