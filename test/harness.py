@@ -76,12 +76,24 @@ class Harness:
 
     def ask(self, stamp_ns, position, velocity=0.0, joint="elbow"):
         """Publish one state and return the effort that answers it."""
+        self.publish(stamp_ns, position, velocity, joint)
+        return self._answer(stamp_ns, lambda: None)
+
+    def ask_newcomer(self, stamp_ns, position, velocity=0.0, joint="elbow"):
+        """Publish one state until it is answered: a subscription may not be matched yet."""
+        return self._answer(stamp_ns, lambda: self.publish(stamp_ns, position, velocity, joint))
+
+    def publish(self, stamp_ns, position, velocity=0.0, joint="elbow"):
+        """Publish one state."""
         template = JointStateTemplate([joint], position=True, velocity=True)
         self.states.publish(template.encode(stamp_ns, position=[position], velocity=[velocity]))
-        self.wait(
-            lambda: any(each.stamp_ns == stamp_ns for each in self.commands),
-            what=f"the answer to {stamp_ns}",
-        )
+
+    def _answer(self, stamp_ns, insist):
+        def is_answered():
+            insist()
+            return any(each.stamp_ns == stamp_ns for each in self.commands)
+
+        self.wait(is_answered, what=f"the answer to {stamp_ns}")
         return next(each.effort[0] for each in self.commands if each.stamp_ns == stamp_ns)
 
     def set_parameters(self, node, atomically=True, **values):

@@ -182,7 +182,7 @@ def test_a_second_controller_of_a_joint_is_refused_and_names_the_first(harness, 
     third = start(harness, "third")
     harness.wait(lambda: "listening" in events(third), what="the third to be active")
     faults.count("joints taken over from a killed controller")
-    assert harness.ask(2 * MS, 0.3) == pytest.approx(0.0)
+    assert harness.ask_newcomer(2 * MS, 0.3) == pytest.approx(0.0)
 
 
 def events(process):

@@ -168,7 +168,7 @@ USAGE = Usage(
     "-p bags:=[FOLDER, ...]",
     [
         *("bags", "watch", "labels", "joints", "format", "units", "indices", "keep_running"),
-        "status_fd",
+        *("reference", "commands", "command_topics", "status_fd"),
     ],
     tells=["~/indices"],
 )
