@@ -96,7 +96,7 @@ class Driver:
         self.node.create_subscription(
             JointState, "joint_commands", self._on_command, RARE, raw=True
         )
-        self._due = time.monotonic()
+        self._due = self._lived = time.monotonic()
 
     def _on_command(self, raw: bytes) -> None:
         self.effort = decode_joint_state(raw).effort[0]
@@ -130,11 +130,14 @@ class Driver:
         self._due = max(self._due + _PERIOD, time.monotonic() - 10 * _PERIOD)
         while (left := self._due - time.monotonic()) > 0.0:
             self.executor.spin_once(timeout_sec=left)
+        now = time.monotonic()
+        # A late period is a long one; while a flood is sent the joint stands still.
+        dt, self._lived = min(now - self._lived, 10 * _PERIOD), now
         if self.is_braked or not self.commands:
             self.velocity = 0.0
         else:
-            self.velocity += _PERIOD * (self.effort + _LOAD) / _INERTIA
-        self.position += _PERIOD * self.velocity
+            self.velocity += dt * (self.effort + _LOAD) / _INERTIA
+        self.position += dt * self.velocity
         if self.is_told:
             self.tell()
 
@@ -311,7 +314,7 @@ def glitch(driver: Driver) -> Felt:
     driver.live(_RUN_IN)
     since = time.monotonic()
     driver.reported = lambda position: position + 1.0
-    driver.live(_PERIOD)
+    driver.tell()
     driver.reported = lambda position: position
     driver.live(_AFTER)
     return driver.felt(since)

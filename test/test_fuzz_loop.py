@@ -195,12 +195,15 @@ class NothingKicks(RuleBasedStateMachine):
     def _wrapped(self):
         return (self.position + math.pi) % math.tau - math.pi
 
-    def _sample(self, is_back=False):
+    def _sample(self, is_back=False, has_jumped=False):
         takeovers, samples = self.loop.counts.takeovers, self.loop.counts.samples
         before = self.loop.reference
+        rate_before = abs(before[1] - self.loop.velocity)
         effort = self.loop.step(self.stamp_ns, self._wrapped(), self.velocity)
         assert self.loop.counts.samples == samples + 1
         rate = abs(self.loop.reference[1] - self.loop.velocity)
+        if has_jumped:  # in control until now: the derivative term was there before
+            rate += rate_before
         if self.loop.counts.takeovers > takeovers:
             assert abs(effort - self.in_force) <= 5.0 * rate + 1e-6
             self.taken_over_ns = self.stamp_ns
@@ -217,15 +220,21 @@ class NothingKicks(RuleBasedStateMachine):
             self._move(1e-3, acceleration)
             self._sample()
 
-    @rule(seconds=st.floats(0.0, 1.0), is_noticed=st.booleans(), counts=st.booleans())
-    def freeze(self, seconds, is_noticed, counts):
+    @rule(
+        seconds=st.floats(0.0, 1.0),
+        noticed=st.sampled_from(("never", "at its end", "in time")),
+        counts=st.booleans(),
+    )
+    def freeze(self, seconds, noticed, counts):
         stamp_ns = self.stamp_ns
         self._move(seconds)
-        if is_noticed:
+        if noticed == "in time":
             self.in_force = self.loop.lapse()
             assert self.in_force == FALLBACK
-            if counts:  # stamps that count samples do not tell
-                self.stamp_ns = stamp_ns
+        elif noticed == "at its end":
+            self.loop.wake()
+        if noticed != "never" and counts:  # stamps that count samples do not tell
+            self.stamp_ns = stamp_ns
         self.stamp_ns += MS
         # Within the timeout the loop goes on, and its reference has moved meanwhile.
         self._sample(is_back=seconds < self.values.get("state_timeout", 0.1))
@@ -270,7 +279,7 @@ class NothingKicks(RuleBasedStateMachine):
             return
         assert self.loop.step(self.stamp_ns, self._wrapped(), self.velocity) == self.in_force
         self._move(1e-3)
-        self._sample()
+        self._sample(has_jumped=True)
 
     @rule(distance=st.floats(-1.0, 1.0))
     def follow_smoothly(self, distance):

@@ -151,6 +151,32 @@ def test_a_joint_that_is_elsewhere_for_good_is_taken_over_from_there():
     assert loop.reference == (0.5, 0.0)
 
 
+def test_of_jumps_in_a_row_the_damping_is_not_added_up():
+    """An encoder that is now here, now there, on a joint that moves all the while."""
+    loop = JointLoop(settings(velocity_max=5.0))
+    for k in range(200):
+        loop.step(k * MS, 1e-3 * k, 1.0)
+    here = loop.effort
+    efforts = [
+        loop.step(k * MS, 1e-3 * k + (2.0 if (k // 2) % 2 else 0.0), 1.0) for k in range(200, 240)
+    ]
+    assert loop.counts.takeovers > 15
+    # Each takes over at rest, at the joint's 1 rad/s: 20 N m of damping, as held before.
+    assert np.max(np.abs(np.array(efforts) - here)) < 20.0 + 1.0
+
+
+@pytest.mark.parametrize("clock", ["wall", "simulated"])
+def test_a_silence_in_which_nobody_gave_another_effort_ends_with_the_effort_in_force(clock):
+    loop = JointLoop(settings(state_clock=clock, fallback_effort=1.0))
+    loop.follow(Setpoint(1.0))
+    before = run(loop, 0, 200, 0.2)
+    loop.wake()
+    assert loop.step(200 * MS, 0.2, 0.0) == pytest.approx(before, abs=0.1)
+    # Only a simulated clock can be paused.
+    assert loop.counts.takeovers == (clock == "wall")
+    assert loop.counts.silences == 1
+
+
 def test_positions_that_jump_about_are_no_positions():
     loop = JointLoop(settings(fallback_effort=0.5, velocity_max=5.0))
     loop.follow(Setpoint(0.5))

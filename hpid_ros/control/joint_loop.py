@@ -37,8 +37,9 @@ class JointLoop(LoopView):
     Where the joint was without a command of the loop for longer than ``state_timeout`` (a gap
     between the stamps, :meth:`lapse`, states that cannot be used), and where its position
     jumped, the loop takes over anew: it starts from where the joint is, with the effort in force
-    as its integral, and glides onto a motion that is under way. A single stamp from the future,
-    with one after it that continues those before, leaves nothing behind.
+    as its integral (after a jump without its derivative term), and glides onto a motion that is
+    under way. A single stamp from the future, with one after it that continues those before,
+    leaves nothing behind.
 
     Args:
         settings: Checked settings.
@@ -102,7 +103,7 @@ class JointLoop(LoopView):
         self.settings = settings
         self._adopt(settings)
         if self.is_on_fallback:
-            self._law.effort = settings.fallback
+            self._law.give(settings.fallback)
 
     def reset(self) -> None:
         """Forget integral, velocity and time; start the motion anew with the next state."""
@@ -140,6 +141,15 @@ class JointLoop(LoopView):
             self.supersede(self.settings.fallback)
         return self.settings.fallback
 
+    def wake(self) -> None:
+        """Note that states have stayed away for too long, and nobody has given another effort.
+
+        As after :meth:`lapse` the next state is a takeover, but from the effort in force.
+        """
+        self.counts.silences += 1
+        if not self.settings.is_simulated:
+            self.supersede(self._law.effort)
+
     def supersede(self, effort: float) -> None:
         """Note that the joint was given another effort: the next state is a takeover from it.
 
@@ -147,7 +157,7 @@ class JointLoop(LoopView):
             effort: In [N m].
         """
         self._is_takeover_due = True
-        self._law.effort = effort
+        self._law.give(effort)
 
     @property
     def is_on_fallback(self) -> bool:
@@ -226,7 +236,7 @@ class JointLoop(LoopView):
                 wanted, acceleration = inside, 0.0  # at a stop the reference rests
         following.position, following.velocity = wanted, rate
         if is_takeover:
-            law.take_over(law.effort, model, acceleration)
+            law.take_over(model, acceleration, is_still_damped=is_next)
         self._state = LoopState.HOLDING if following.motion is None else LoopState.FOLLOWING
         self._rate = speed = self._velocity.update(position, velocity, dt)
         self._error = error = wanted - position
@@ -263,7 +273,7 @@ class JointLoop(LoopView):
     def _fault(self) -> float:
         self.counts.rejected += 1
         self._state = LoopState.FAULT
-        self._law.effort = self.settings.fallback
+        self._law.give(self.settings.fallback)
         return self._law.effort
 
     def _interrupt(self, dt: float) -> None:
@@ -277,7 +287,7 @@ class JointLoop(LoopView):
             self._before_jump = _BeforeJump.of(self)
             self._is_takeover_due = True
             if self._clock.has_lapsed:
-                self._law.effort = self.settings.fallback
+                self._law.give(self.settings.fallback)
             if self._unwrapper is not None:
                 self._unwrapper.interrupt()
 

@@ -28,6 +28,7 @@ class LimitedLaw:
         "_anti_windup",
         "_counts",
         "_gain",
+        "_is_given",
         "_law",
         "_model_effort",
         "_settings",
@@ -89,26 +90,43 @@ class LimitedLaw:
             limits.take_over(self.limits, motion[0])
             effort = limits.limit(effort, *motion, before=effort, dt=0.0)
         self._anti_windup, self.limits = settings.make_anti_windup(), limits
-        self._law, self._settings, self.effort = law, settings, effort
+        self._law, self._settings = law, settings
+        self.give(effort)
+
+    def give(self, effort: float) -> None:
+        """Note the effort that is in force for another reason than the law's last sample.
+
+        Args:
+            effort: In [N m].
+        """
+        self.effort, self._is_given = effort, True
 
     def reset(self) -> None:
         """Forget the integral, and be without effort."""
         self._law.reset()
-        self.effort = 0.0
+        self.give(0.0)
         self._gain, self._model_effort = 1.0, 0.0
 
-    def take_over(self, effort: float, model: ModelTerm | None, acceleration: float) -> None:
-        """Begin anew with an effort in force: the integral becomes what it needs.
+    def take_over(
+        self, model: ModelTerm | None, acceleration: float, *, is_still_damped: bool
+    ) -> None:
+        """Begin anew with the effort in force: the integral becomes what it needs.
 
         Args:
-            effort: In [N m].
             model: The model's term of the sample to come; None without a model.
             acceleration: The reference's, in [rad/s^2].
+            is_still_damped: The joint has been in control until now, so the derivative term of
+                the sample to come takes the place of the last one. It is left out: of two
+                takeovers in a row the damping would be in the integral twice.
         """
         settings, law = self._settings, self._law
-        self.effort = integral = effort
+        integral = self.effort
+        if is_still_damped and not self._is_given:
+            terms = self.terms
+            rest = terms.p + terms.i + self._model_effort
+            integral = min(max(rest, settings.u_clamp_min), settings.u_clamp_max)
         if model is not None:
-            integral = (effort - model.effort) / model.gain
+            integral = (integral - model.effort) / model.gain
             if model.follows_acceleration:
                 integral -= acceleration
         law.reset()
@@ -168,7 +186,7 @@ class LimitedLaw:
         # In the law's own units: what is taken from the effort is taken from the law's output.
         integral = self._anti_windup(before, after, error, wanted / gain, effort / gain, dt)
         law.restore_integral(min(max(integral, settings.i_clamp_min), settings.i_clamp_max))
-        self.effort = effort
+        self.effort, self._is_given = effort, False
         return effort
 
     def damping_stop(

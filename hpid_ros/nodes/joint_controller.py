@@ -217,8 +217,8 @@ class JointController(ManagedNode):
         if sample is None:
             self._health.foreign += 1
             return
-        if self._watchdog.hear(sample.stamp_ns, began_ns):  # no fallback follows the answer
-            self._loop.lapse()
+        if self._watchdog.hear(sample.stamp_ns, began_ns):
+            self._loop.wake()
         if self._was_held:
             self._was_held = False
             self._loop.supersede(0.0)

@@ -94,14 +94,19 @@ class StateWatchdog:
             now_ns: When it came, on ``time.perf_counter_ns``.
 
         Returns:
-            Whether it ends a silence that no look has noticed: the process was stopped, or busy.
+            Whether it ends a silence that neither thread has noticed, so that no effort was
+            given in it: the process was stopped, or busy.
         """
         if stamp_ns == self._stamp_ns:
             return False
         before_ns, self._stamp_ns, self._last_ns = self._last_ns, stamp_ns, now_ns
         if self._timer is None or before_ns is None or before_ns == self._noticed_ns:
             return False
-        return now_ns - before_ns > self._timeout * _NANOSECONDS
+        silence = (now_ns - before_ns) / _NANOSECONDS
+        if before_ns == self._given_ns:
+            self._note(silence, True)
+            return False
+        return silence > self._timeout
 
     def rest(self) -> None:
         """Look no more, and forget what came."""
