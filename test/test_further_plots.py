@@ -116,6 +116,24 @@ def test_the_phase_portrait_shows_the_error_and_its_true_rate(runs):
     assert thin.error.size <= 100
 
 
+def test_a_jump_of_the_reference_tears_the_phase_portrait():
+    """Its derivative says nothing of the joint, and would hide all that does."""
+    t = np.arange(4001) * 1e-3
+    stamps = np.round(t * 1e9).astype(np.int64)
+    reference = np.where(t < 2.0, 0.0, 1.0)
+    position = np.where(t < 2.0, 0.0, 1.0 - np.exp(-5.0 * (t - 2.0)))
+    series = JointSeries("a", stamps, position, reference, stamps, t)
+    for points, share in ((10_000, 1e-3), (100, 0.05)):
+        curve = phase_curve(series, points)
+        assert np.isnan(curve.rate).sum() == 1
+        after = np.flatnonzero(np.isnan(curve.rate))[0] + 1
+        assert np.allclose(curve.rate[after:], -5.0 * curve.error[after:], atol=0.2)
+        assert np.nanmax(np.abs(curve.rate)) == pytest.approx(5.0, rel=0.05 + share)
+        assert curve.error[after - 1] == 0.0
+    ramp = dataclasses.replace(series, reference=np.clip(t - 1.0, 0.0, 1.0))
+    assert not np.isnan(phase_curve(ramp, 10_000).rate).any()
+
+
 def test_the_rate_of_the_phase_portrait_is_not_drowned_by_encoder_counts():
     t = np.arange(4001) * 1e-3
     count = 2 * math.pi / 16384

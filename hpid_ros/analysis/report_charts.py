@@ -197,7 +197,13 @@ class Chart {
     pen.setLineDash(style ? style.dashes : []);
     pen.lineWidth = style ? 1.5 : 5;
     pen.beginPath();
-    for (let k = first; k < stop; k += 1) pen.lineTo(this.toX(x[k]), this.toY(y[k]));
+    let isDown = false;  // a line is torn where there is no number
+    for (let k = first; k < stop; k += 1) {
+      const isThere = !Number.isNaN(y[k]);
+      if (isThere && isDown) pen.lineTo(this.toX(x[k]), this.toY(y[k]));
+      else if (isThere) pen.moveTo(this.toX(x[k]), this.toY(y[k]));
+      isDown = isThere;
+    }
     pen.stroke();
     pen.setLineDash([]);
   }
