@@ -9,6 +9,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from hpid_ros.control import CanonicalNorm, Gains, WeightedNorm
+from hpid_ros.control.gains import is_hurwitz, require_hurwitz
 from hpid_ros.control.loop_figures import (
     decay_time,
     gain_multiplier_range,
@@ -19,8 +20,6 @@ from hpid_ros.control.loop_figures import (
 from hpid_ros.control.stability import (
     certified_degree_interval,
     certify_degree,
-    is_hurwitz,
-    require_hurwitz,
     verify_certificate,
 )
 from hpid_ros.errors import GainError, NormError, SettingError

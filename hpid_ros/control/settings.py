@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from hpid_ros.control.anti_windup import AntiWindup, anti_windup
-from hpid_ros.control.gains import Gains
+from hpid_ros.control.gains import Gains, require_hurwitz
 from hpid_ros.control.homogeneity import (
     CanonicalNorm,
     WeightedNorm,
@@ -27,7 +27,6 @@ from hpid_ros.control.parameters import (
 )
 from hpid_ros.control.pid import Pid
 from hpid_ros.control.semi_implicit import SemiImplicitHomogeneousPid
-from hpid_ros.control.stability import require_hurwitz
 from hpid_ros.control.unwrapping import Unwrapper
 from hpid_ros.control.velocity import (
     FilteredVelocity,

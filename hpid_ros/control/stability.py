@@ -6,12 +6,11 @@ gains is stable for degrees close to zero; how close is what a certificate says.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from hpid_ros.control.certificate import Certificate, CertifiedSpan, DegreeInterval
-from hpid_ros.control.gains import Gains
+from hpid_ros.control.gains import Gains, require_hurwitz
 from hpid_ros.control.homogeneity import CanonicalNorm, WeightedNorm
 from hpid_ros.errors import GainError, SettingError
 
@@ -23,47 +22,11 @@ __all__ = [
     "DegreeInterval",
     "certified_degree_interval",
     "certify_degree",
-    "is_hurwitz",
     "require_certifiable",
-    "require_hurwitz",
     "verify_certificate",
 ]
 
 Norm = WeightedNorm | CanonicalNorm
-
-
-def is_hurwitz(gains: Gains, inertia: float = 1.0) -> bool:
-    """Tell whether the linear PID stabilises a joint of this inertia.
-
-    The loop on ``m e'' = -u + p`` is ``m s^3 + kd s^2 + kp s + ki``; by Routh and Hurwitz it is
-    stable if and only if the gains are positive and ``kp kd > m ki``. Without integral action
-    the loop is of second order and positive ``kp`` and ``kd`` suffice.
-
-    Args:
-        gains: The gains.
-        inertia: What one unit of effort accelerates, in [kg m^2].
-    """
-    return gains.p > 0.0 and gains.d > 0.0 and gains.p * gains.d > inertia * gains.i
-
-
-def require_hurwitz(gains: Gains, inertia: float) -> None:
-    """Refuse gains whose linear loop is unstable.
-
-    Args:
-        gains: The gains.
-        inertia: What one unit of effort accelerates, in [kg m^2].
-
-    Raises:
-        GainError: The loop is unstable, or the inertia is not positive and finite.
-    """
-    if not math.isfinite(inertia) or inertia <= 0.0:
-        raise GainError(f"the inertia must be positive and finite, not {inertia} kg m^2")
-    if not is_hurwitz(gains, inertia):
-        raise GainError(
-            f"the loop is unstable: p d = {gains.p * gains.d:g} must exceed "
-            f"i x inertia = {gains.i * inertia:g} (p {gains.p:g}, i {gains.i:g}, d {gains.d:g}, "
-            f"inertia {inertia:g} kg m^2), and p and d must be positive"
-        )
 
 
 def certified_degree_interval(

@@ -6,7 +6,8 @@ from collections.abc import Hashable
 
 from hpid_ros.control import LoopSettings
 from hpid_ros.control.closed_loop import effective_gains
-from hpid_ros.control.stability import certify_degree, is_hurwitz
+from hpid_ros.control.gains import is_hurwitz
+from hpid_ros.control.stability import certify_degree
 from hpid_ros.errors import GainError, NormError, SettingError
 
 _DIGITS = 9

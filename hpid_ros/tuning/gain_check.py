@@ -11,6 +11,7 @@ from typing import Any
 
 from hpid_ros.control import HomogeneousPid, LoopSettings
 from hpid_ros.control.certificate import Certificate, DegreeInterval
+from hpid_ros.control.gains import is_hurwitz
 from hpid_ros.control.loop_figures import (
     GOOD_SAMPLING_MARGIN,
     gain_multiplier_range,
@@ -18,7 +19,7 @@ from hpid_ros.control.loop_figures import (
     sampling_margin,
     settling_time_bound,
 )
-from hpid_ros.control.stability import certify_degree, is_hurwitz
+from hpid_ros.control.stability import certify_degree
 from hpid_ros.errors import GainError, SettingError
 from hpid_ros.tuning.certified_degrees import Loop, certified_degrees, norm_family
 

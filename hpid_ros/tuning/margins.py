@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq, minimize_scalar
 
-from hpid_ros.control.gains import Gains
-from hpid_ros.control.stability import require_hurwitz
+from hpid_ros.control.gains import Gains, require_hurwitz
 from hpid_ros.errors import GainError
 
 _DECADES = 4.0
