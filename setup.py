@@ -82,7 +82,7 @@ setup(
         *folder("launch"),
         *folder("urdf"),
     ],
-    package_data={PACKAGE: ["py.typed"]},
+    package_data={PACKAGE: ["py.typed", "report/html/assets/*"]},
     python_requires=">=3.10",
     install_requires=["setuptools", *INSTALL_REQUIRES],
     extras_require=EXTRAS,
@@ -95,7 +95,7 @@ setup(
     entry_points={
         "console_scripts": [
             *(f"{name} = {PACKAGE}.nodes.{name}:main" for name in EXECUTABLES),
-            f"hpid = {PACKAGE}.cli:main",
+            f"hpid = {PACKAGE}.cli.main:main",
         ],
     },
 )

@@ -19,8 +19,8 @@ from benchmarks.figures import Group, Outcome
 from benchmarks.measuring import figures_of
 from benchmarks.processes import ROOT
 from benchmarks.table import print_table, wide_console
-from hpid_ros.errors import SettingError, unknown_name
-from hpid_ros.interrupts import heed_interrupts
+from hpid_ros.base.errors import SettingError, unknown_name
+from hpid_ros.base.interrupts import heed_interrupts
 
 ROUNDS, ROUNDS_QUICK = 5, 2
 RESULTS = ROOT / "benchmarks" / "results"

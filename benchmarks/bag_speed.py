@@ -24,8 +24,8 @@ from pathlib import Path
 from rosbags.highlevel import AnyReader
 
 from hpid_ros.bags import read_run
-from hpid_ros.bags.mcap_records import Catalogue
-from hpid_ros.bags.mcap_stream import Arena, RecordStream
+from hpid_ros.bags.columns.mcap.records import Catalogue
+from hpid_ros.bags.columns.mcap.stream import Arena, RecordStream
 
 MIB = 1 << 20
 

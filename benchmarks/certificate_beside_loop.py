@@ -18,8 +18,8 @@ import time
 from pathlib import Path
 from typing import NamedTuple
 
-from hpid_ros.experiment.isolation import closed_environment, own_domain
-from hpid_ros.experiment.node_process import NodeGroup
+from hpid_ros.experiment.graph.isolation import closed_environment, own_domain
+from hpid_ros.experiment.graph.processes import NodeGroup
 
 PERIOD = 0.001  # [s]
 RETUNE_EVERY = 500  # states
@@ -55,8 +55,8 @@ def measure(certify: bool, seconds: float, folder: Path) -> Measurement:
     from rclpy.executors import SingleThreadedExecutor
     from sensor_msgs.msg import JointState
 
-    from hpid_ros.messages import EffortReader, JointStateTemplate
-    from hpid_ros.nodes.qos import ALL_COMMANDS, OFFERED
+    from hpid_ros.nodes.ros.middleware import ALL_COMMANDS, OFFERED
+    from hpid_ros.wire import EffortReader, JointStateTemplate
 
     with own_domain() as domain, NodeGroup(closed_environment(domain), folder) as group:
         context = rclpy.Context()

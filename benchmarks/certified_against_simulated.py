@@ -26,11 +26,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
+from hpid_ros.base.errors import GainError, NormError
 from hpid_ros.control import CanonicalNorm, Gains, WeightedNorm
-from hpid_ros.control.certificate_check import margins_at
-from hpid_ros.control.loop_figures import integral_ratio
-from hpid_ros.control.stability import Norm, certified_degree_interval
-from hpid_ros.errors import GainError, NormError
+from hpid_ros.stability.bounds import integral_ratio
+from hpid_ros.stability.check import margins_at
+from hpid_ros.stability.verdict import Norm, certified_degree_interval
 
 STARTS = 4
 HORIZONS = (250.0, 3000.0)  # in units of 1 / ki^(1/3); the second where the first decides nothing

@@ -21,10 +21,11 @@ from tempfile import TemporaryDirectory
 from unittest import mock
 
 from benchmarks.tracking import tracking
-from hpid_ros.errors import RunError
-from hpid_ros.experiment import graph_run, node_process
-from hpid_ros.experiment.graph_nodes import GraphNodes
-from hpid_ros.experiment.graph_options import GraphOptions
+from hpid_ros.base.errors import RunError
+from hpid_ros.experiment.graph import processes as node_process
+from hpid_ros.experiment.graph import run as graph_run
+from hpid_ros.experiment.graph.nodes import GraphNodes
+from hpid_ros.experiment.graph.options import GraphOptions
 from hpid_ros.experiment.progress import Silence
 
 _WITHOUT_EVENTS = Path(__file__).parent / "without_events_executor"

@@ -11,14 +11,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from hpid_ros.errors import RunError
+from hpid_ros.base.errors import RunError
+from hpid_ros.base.interrupts import raise_if_interrupted
+from hpid_ros.base.names import controller_name
 from hpid_ros.experiment.description import Experiment
-from hpid_ros.experiment.graph_nodes import GraphNodes
-from hpid_ros.experiment.graph_options import GraphOptions
-from hpid_ros.experiment.isolation import require_no_sockets
-from hpid_ros.experiment.node_process import NodeGroup, NodeProcess
-from hpid_ros.interrupts import raise_if_interrupted
-from hpid_ros.names import controller_name
+from hpid_ros.experiment.graph.isolation import require_no_sockets
+from hpid_ros.experiment.graph.nodes import GraphNodes
+from hpid_ros.experiment.graph.options import GraphOptions
+from hpid_ros.experiment.graph.processes import NodeGroup, NodeProcess
 
 KINDS = ("kill", "terminate", "freeze")
 """SIGKILL and a restart; SIGTERM and a restart; SIGSTOP and, some time after, SIGCONT."""

@@ -7,9 +7,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from benchmarks.processes import Scripts
-from hpid_ros.errors import RunError
-from hpid_ros.experiment.graph_options import PROCESSES
-from hpid_ros.experiment.isolation import closed_environment, own_domain
+from hpid_ros.base.errors import RunError
+from hpid_ros.experiment.graph.isolation import closed_environment, own_domain
+from hpid_ros.experiment.graph.options import PROCESSES
 
 _WITHIN = 120.0  # [s] for a whole run
 _ASKER = "asker"

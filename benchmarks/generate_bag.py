@@ -16,8 +16,8 @@ from rosbags.typesys import Stores, get_typestore
 
 from hpid_ros.bags import BagWriter
 from hpid_ros.bags.message_types import JOINT_STATE, JOINT_TRAJECTORY, encode_joint_trajectory
-from hpid_ros.messages import JointStateTemplate
 from hpid_ros.trajectory import JointTrajectory, TrajectoryPoint
+from hpid_ros.wire import JointStateTemplate
 
 JOINTS = ("wheel_left", "wheel_right", *(f"arm_joint_{number}" for number in range(1, 7)))
 START_NS = 1_700_000_000_000_000_000

@@ -14,9 +14,9 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from hpid_ros.errors import RunError
-from hpid_ros.experiment.child_processes import beginning, end_all
-from hpid_ros.interrupts import raise_if_interrupted
+from hpid_ros.base.errors import RunError
+from hpid_ros.base.interrupts import raise_if_interrupted
+from hpid_ros.experiment.graph.processes import beginning, end_all
 
 ROOT = Path(__file__).resolve().parents[1]
 

@@ -14,7 +14,7 @@ from benchmarks.measuring import time_per_item
 from benchmarks.tracking import tracking
 from hpid_ros.bags.message_types import JOINT_STATE, jazzy_types
 from hpid_ros.bags.writer import BagWriter
-from hpid_ros.messages import JointStateTemplate
+from hpid_ros.wire import JointStateTemplate
 
 TOPIC = "/joint_states"
 

@@ -25,9 +25,9 @@ from benchmarks.leftovers import watched_leftovers
 from benchmarks.memory import private_bytes
 from benchmarks.processes import Scripts
 from benchmarks.surroundings import own_surroundings
-from hpid_ros.errors import RunError
-from hpid_ros.experiment.node_process import NodeGroup
-from hpid_ros.interrupts import heed_interrupts, raise_if_interrupted
+from hpid_ros.base.errors import RunError
+from hpid_ros.base.interrupts import heed_interrupts, raise_if_interrupted
+from hpid_ros.experiment.graph.processes import NodeGroup
 
 GROWTH_AT_MOST = 1.0  # [MiB] of any process after the warm-up
 RETUNES = 5.0  # sets of parameters in a second

@@ -29,12 +29,12 @@ from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from hpid_ros.errors import RunError, SettingError, unknown_name
-from hpid_ros.experiment.isolation import closed_environment, own_domain
-from hpid_ros.experiment.node_process import NodeGroup, NodeProcess
-from hpid_ros.interrupts import heed_interrupts
-from hpid_ros.messages import JointStateTemplate, decode_joint_state
-from hpid_ros.nodes.qos import LATCHED, OFFERED, RARE
+from hpid_ros.base.errors import RunError, SettingError, unknown_name
+from hpid_ros.base.interrupts import heed_interrupts
+from hpid_ros.experiment.graph.isolation import closed_environment, own_domain
+from hpid_ros.experiment.graph.processes import NodeGroup, NodeProcess
+from hpid_ros.nodes.ros.middleware import LATCHED, OFFERED, RARE
+from hpid_ros.wire import JointStateTemplate, decode_joint_state
 
 JOINT, NODE = "elbow", "elbow_controller"
 OTHERS = ("a", "b", "c", "d", "e")

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import cache
 
+from hpid_ros.base.resources import find_resource
 from hpid_ros.experiment.description import Experiment, load_experiment
-from hpid_ros.resources import find_resource
 
 
 def tracking(physics_steps: int | None = None, duration: float | None = None) -> Experiment:

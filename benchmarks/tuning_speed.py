@@ -86,7 +86,7 @@ def _cost(command: Sequence[str], tree: Path) -> Cost:
     environment = {**os.environ, "PYTHONPATH": str(tree)}
     before, begun = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
     subprocess.run(
-        [sys.executable, "-m", "hpid_ros.cli", *command],
+        [sys.executable, "-m", "hpid_ros.cli.main", *command],
         cwd=tree,
         env=environment,
         capture_output=True,

@@ -10,12 +10,12 @@ from pathlib import Path
 from benchmarks.figures import Bound, Figure, Group, Source, middle
 from benchmarks.processes import Scripts
 from benchmarks.tracking import tracking
-from hpid_ros.errors import RunError
-from hpid_ros.experiment.isolation import closed_environment, own_domain
-from hpid_ros.experiment.node_process import NodeGroup, NodeProcess
-from hpid_ros.experiment.parameter_files import controllers_document, write_parameters
-from hpid_ros.interrupts import raise_if_interrupted
-from hpid_ros.names import controller_name
+from hpid_ros.base.errors import RunError
+from hpid_ros.base.interrupts import raise_if_interrupted
+from hpid_ros.base.names import controller_name
+from hpid_ros.experiment.graph.isolation import closed_environment, own_domain
+from hpid_ros.experiment.graph.parameter_files import controllers_document, write_parameters
+from hpid_ros.experiment.graph.processes import NodeGroup, NodeProcess
 
 LABEL = "hPID"
 

@@ -18,10 +18,10 @@ sys.path[:0] = [str(ROOT), str(ROOT / "benchmarks")]
 
 from certified_against_simulated import SimulatedLoop  # noqa: E402
 
-from hpid_ros.analysis.plot_style import RUN_STYLES, figure_style  # noqa: E402
 from hpid_ros.control import Gains, WeightedNorm  # noqa: E402
-from hpid_ros.control.closed_loop import closed_loop_field  # noqa: E402
-from hpid_ros.control.stability import certified_degree_interval  # noqa: E402
+from hpid_ros.report.figures.style import RUN_STYLES, figure_style  # noqa: E402
+from hpid_ros.stability.closed_loop import closed_loop_field  # noqa: E402
+from hpid_ros.stability.verdict import certified_degree_interval  # noqa: E402
 
 FIGURES = Path(__file__).parent / "figures"
 STIFFNESS, DAMPING = 5.0, 2.0  # kp [1/s^2] and kd [1/s] of the family, on a unit inertia

@@ -5,11 +5,11 @@ The wrist starts 0.3 rad away from its setpoint; everything else is held where i
 
 import math
 
+from hpid_ros.base.resources import find_resource
 from hpid_ros.control import Gains, JointLoop, LoopSettings
-from hpid_ros.control.joint_loop import Setpoint
-from hpid_ros.resources import find_resource
+from hpid_ros.control.reference import Setpoint
 from hpid_ros.simulation import World, WorldSettings
-from hpid_ros.simulation.in_process import run_in_process
+from hpid_ros.simulation.engine import run_in_process
 
 JOINT, GAINS, INERTIA = "arm_joint_4", Gains(p=7.56, i=25.2, d=0.756), 0.0252
 COUNTS = 16384  # of the encoder, per revolution

@@ -23,15 +23,15 @@ from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
 from launch_ros.actions import Node
 from launch_ros.substitutions import FindPackageShare
 
-from hpid_ros.experiment.base_recording import recorded_topics
+from hpid_ros.base.names import controller_name
 from hpid_ros.experiment.description import load_experiment
-from hpid_ros.experiment.parameter_files import (
+from hpid_ros.experiment.graph.parameter_files import (
     bridge_document,
     controllers_document,
     write_parameters,
 )
-from hpid_ros.names import controller_name
-from hpid_ros.nodes.launched import LAUNCH
+from hpid_ros.experiment.in_process import recorded_topics
+from hpid_ros.nodes.ros.process import LAUNCH
 
 ARGUMENTS = {
     "controller": ("", None, "label under compare in the experiment file; the last one if empty"),

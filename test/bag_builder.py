@@ -10,8 +10,8 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 from rosbags.typesys import Stores, get_typestore
 
 from hpid_ros.bags import BagReader, BagWriter
-from hpid_ros.messages.joint_state import JointStateTemplate
 from hpid_ros.trajectory import JointTrajectory, TrajectoryPoint
+from hpid_ros.wire.joint_state import JointStateTemplate
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 JOINT_TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"

@@ -8,8 +8,8 @@ import yaml
 from harness import Harness
 from hypothesis import settings
 
-from hpid_ros.experiment.isolation import closed_environment, own_domain
-from hpid_ros.resources import share_folder
+from hpid_ros.base.resources import share_folder
+from hpid_ros.experiment.graph.isolation import closed_environment, own_domain
 
 settings.register_profile("suite", deadline=None)  # a busy machine is not a failure
 settings.load_profile("suite")

@@ -9,9 +9,9 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 
-from hpid_ros.experiment.node_process import NodeGroup
-from hpid_ros.messages import JointStateTemplate, decode_joint_state
-from hpid_ros.nodes.qos import OFFERED
+from hpid_ros.experiment.graph.processes import NodeGroup
+from hpid_ros.nodes.ros.middleware import OFFERED
+from hpid_ros.wire import JointStateTemplate, decode_joint_state
 
 _VALUES = {
     bool: (ParameterType.PARAMETER_BOOL, "bool_value"),

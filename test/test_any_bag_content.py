@@ -28,20 +28,21 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from hpid_ros.analysis import run_indices
 from hpid_ros.analysis.quantities import find_quantities
-from hpid_ros.analysis.series import JointSeries, Losses, RunSeries
-from hpid_ros.bags import BagSelection, layouts, parse_command_topics, read_run, streams
-from hpid_ros.bags.references import (
+from hpid_ros.bags import BagSelection, parse_command_topics, read_run
+from hpid_ros.bags.columns import layouts, streams
+from hpid_ros.bags.columns.samples import JointSamples
+from hpid_ros.bags.run.references import (
     LoggedStates,
     ReferenceEvent,
     sample_events,
     sample_setpoints,
     setpoint_events,
 )
-from hpid_ros.bags.samples import JointSamples
-from hpid_ros.cli import main
-from hpid_ros.errors import BagError, SettingError
-from hpid_ros.messages.joint_state import JointStateTemplate
+from hpid_ros.base.errors import BagError, SettingError
+from hpid_ros.cli.main import main
+from hpid_ros.recordings.series import JointSeries, Losses, RunSeries
 from hpid_ros.trajectory import Column, JointTrajectory, Knot, TrajectoryPoint
+from hpid_ros.wire.joint_state import JointStateTemplate
 
 FLOAT64 = "std_msgs/msg/Float64"
 FLOATS = "std_msgs/msg/Float64MultiArray"

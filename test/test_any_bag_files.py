@@ -18,11 +18,11 @@ from mcap.writer import CompressionType, IndexType, Writer
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as rosbags_writer
 
-from hpid_ros.analysis.series import RunSeries
 from hpid_ros.bags import BagReader, read_run
-from hpid_ros.bags.sqlite_file import SqliteFile
-from hpid_ros.bags.storage import Storage
-from hpid_ros.errors import BagError
+from hpid_ros.bags.columns.sqlite.file import SqliteFile
+from hpid_ros.bags.columns.storage import Storage
+from hpid_ros.base.errors import BagError
+from hpid_ros.recordings.series import RunSeries
 
 FIELDS = ("state_stamps_ns", "position", "reference", "command_stamps_ns", "effort")
 COUNT = 400

@@ -7,12 +7,12 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from harness import ros_arguments
 
-from hpid_ros.analysis.indices import run_indices
+from hpid_ros.analysis.indices.run import run_indices
 from hpid_ros.bags import BagSelection, BagWriter, read_run
-from hpid_ros.errors import SettingError
-from hpid_ros.messages import JointStateTemplate
-from hpid_ros.nodes.finished_bags import FinishedBags
-from hpid_ros.nodes.qos import LATCHED
+from hpid_ros.base.errors import SettingError
+from hpid_ros.nodes.bag_metrics import FinishedBags
+from hpid_ros.nodes.ros.middleware import LATCHED
+from hpid_ros.wire import JointStateTemplate
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 

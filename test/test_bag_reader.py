@@ -30,11 +30,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
-from hpid_ros.analysis.series import JointSeries, Losses
 from hpid_ros.bags import BagReader, BagSelection, BagWriter, read_run
-from hpid_ros.errors import BagError
-from hpid_ros.messages.joint_state import JointStateTemplate, decode_joint_state
+from hpid_ros.base.errors import BagError
+from hpid_ros.recordings.series import JointSeries, Losses
 from hpid_ros.trajectory import JointTrajectory
+from hpid_ros.wire.joint_state import JointStateTemplate, decode_joint_state
 
 
 def read_one(path: Path, log: Log, joint: str = "a") -> tuple[JointSeries, Losses]:
@@ -233,7 +233,7 @@ def test_a_trajectory_that_controllers_refuse_changes_nothing(tmp_path, caplog):
 
 def test_the_reference_is_the_one_that_the_joint_loop_follows(tmp_path):
     from hpid_ros.control import Gains, JointLoop
-    from hpid_ros.control.settings import LoopSettings
+    from hpid_ros.control.settings.loop import LoopSettings
 
     def cubic(**at_seconds: float) -> JointTrajectory:
         points = ramp("a", **at_seconds).points

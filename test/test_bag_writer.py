@@ -17,8 +17,8 @@ from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
 from hpid_ros.bags import BagReader, BagTopic, BagWriter, TopicQos
-from hpid_ros.errors import BagError, ResultExistsError
-from hpid_ros.messages.joint_state import JointStateTemplate
+from hpid_ros.base.errors import BagError, ResultExistsError
+from hpid_ros.wire.joint_state import JointStateTemplate
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 MS = 1_000_000
@@ -220,7 +220,7 @@ def test_wrong_use_is_refused_with_what_is_allowed(tmp_path):
 FULL_DISK = """
 import resource, sys
 from hpid_ros.bags import BagWriter
-from hpid_ros.errors import BagError
+from hpid_ros.base.errors import BagError
 
 def fill(path):
     with BagWriter(path) as bag:

@@ -19,22 +19,21 @@ from nav_msgs.msg import Odometry
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
-from hpid_ros.analysis.base_figures import PoseErrors, base_figures, relative
+from hpid_ros.analysis.indices.base import PoseErrors, base_figures, relative
 from hpid_ros.bags import read_run
-from hpid_ros.bags.base_messages import read_planar, read_vectors
-from hpid_ros.errors import BagError, ExperimentError, SettingError
+from hpid_ros.bags.messages import read_planar, read_vectors
+from hpid_ros.base.errors import BagError, ExperimentError, SettingError
 from hpid_ros.experiment.description import load_experiment
-from hpid_ros.experiment.in_process_run import run_without_ros
-from hpid_ros.experiment.parameter_files import bridge_document
+from hpid_ros.experiment.graph.parameter_files import bridge_document
+from hpid_ros.experiment.in_process import run_without_ros
 from hpid_ros.experiment.progress import Silence
-from hpid_ros.experiment.result import compute
-from hpid_ros.messages import JointStateTemplate
-from hpid_ros.nodes.qos import OFFERED
+from hpid_ros.experiment.result.result import compute
+from hpid_ros.nodes.ros.middleware import OFFERED
 from hpid_ros.robot.differential_drive import DifferentialDrive
 from hpid_ros.robot.odometry import PlanarPose, integrated
 from hpid_ros.simulation import World, WorldSettings
-from hpid_ros.simulation.base_monitor import BaseMonitor, ReportTimes, planar
-from hpid_ros.simulation.slip import SlipMeter
+from hpid_ros.simulation.base import BaseMonitor, ReportTimes, SlipMeter, planar
+from hpid_ros.wire import JointStateTemplate
 
 URDF = Path(__file__).parents[1] / "urdf" / "mobile_manipulator.urdf"
 WHEELS = ("wheel_left_joint", "wheel_right_joint")

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import example, given, reject, settings
 from hypothesis import strategies as st
 
-from hpid_ros.errors import TrajectoryError
+from hpid_ros.base.errors import TrajectoryError
 from hpid_ros.robot.differential_drive import DifferentialDrive
 from hpid_ros.robot.odometry import integrated
 from hpid_ros.trajectory import BasePath, base_path, reference_from

@@ -19,7 +19,7 @@ from benchmarks.figures import Bound, Figure, Group, Outcome, Source, middle
 from benchmarks.floor_graph import run_floor
 from benchmarks.measuring import figures_of, time_per_item
 from benchmarks.pendulums import LABEL, pendulum_experiment
-from hpid_ros.errors import RunError
+from hpid_ros.base.errors import RunError
 
 ROOT = Path(__file__).parents[1]
 DEMANDED = {

@@ -18,10 +18,10 @@ from rosbags.rosbag2 import CompressionMode, StoragePlugin
 from test_mcap_options import write_mcap
 
 from hpid_ros.bags import read_run
-from hpid_ros.bags.compression import LIMIT_VARIABLE, zstd
-from hpid_ros.cli import main
-from hpid_ros.errors import ExperimentError
-from hpid_ros.yaml_files import MOST_LEVELS, load_yaml
+from hpid_ros.bags.columns.compression import LIMIT_VARIABLE, zstd
+from hpid_ros.base.errors import ExperimentError
+from hpid_ros.cli.main import main
+from hpid_ros.documents.yaml_files import MOST_LEVELS, load_yaml
 
 MIB = 1 << 20
 MAGIC = b"\x89MCAP0\r\n"
@@ -126,7 +126,7 @@ def test_the_default_limit_bounds_the_memory_of_a_process(tmp_path, name):
     if name.endswith("zstd"):
         path.write_bytes(packed)
     run = subprocess.run(
-        [sys.executable, "-m", "hpid_ros.cli", "metrics", str(path)],
+        [sys.executable, "-m", "hpid_ros.cli.main", "metrics", str(path)],
         capture_output=True,
         text=True,
         timeout=60,

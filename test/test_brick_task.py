@@ -12,9 +12,7 @@ import pytest
 import rclpy
 import yaml
 
-from hpid_ros.analysis import RunSeries
-from hpid_ros.analysis.series import JointSeries
-from hpid_ros.bags.task_messages import (
+from hpid_ros.bags.messages import (
     POSE,
     POSES,
     PoseColumns,
@@ -25,18 +23,19 @@ from hpid_ros.bags.task_messages import (
     read_statuses,
 )
 from hpid_ros.bags.writer import BagWriter
-from hpid_ros.cli import main
-from hpid_ros.errors import BagError, ExperimentError, SettingError
+from hpid_ros.base.errors import BagError, ExperimentError, SettingError
+from hpid_ros.base.resources import share_folder
+from hpid_ros.cli.main import main
 from hpid_ros.experiment.description import load_experiment
-from hpid_ros.experiment.end_effector import EndEffector, TaskFrame, moving_joints
-from hpid_ros.experiment.graph_run import run_on_graph
-from hpid_ros.experiment.in_process_run import run_without_ros
-from hpid_ros.experiment.parameter_files import bridge_document, write_parameters
+from hpid_ros.experiment.graph.parameter_files import bridge_document, write_parameters
+from hpid_ros.experiment.graph.run import run_on_graph
+from hpid_ros.experiment.in_process import run_without_ros
 from hpid_ros.experiment.progress import RunReport, Silence
-from hpid_ros.experiment.result import compute, save
-from hpid_ros.experiment.result_folder import ResultFolder
-from hpid_ros.nodes.world_parameters import world_settings
-from hpid_ros.resources import share_folder
+from hpid_ros.experiment.result.end_effector import EndEffector, TaskFrame, moving_joints
+from hpid_ros.experiment.result.folder import ResultFolder
+from hpid_ros.experiment.result.result import compute, save
+from hpid_ros.nodes.bridge.world_parameters import world_settings
+from hpid_ros.recordings.series import JointSeries, RunSeries
 from hpid_ros.robot import RobotDescription
 from hpid_ros.robot.differential_drive import DifferentialDrive
 from hpid_ros.robot.kinematics import Kinematics
@@ -369,7 +368,7 @@ def test_a_run_without_the_arm_has_no_end_effector():
 
 
 def test_messages_come_back_as_they_were(tmp_path):
-    from hpid_ros.bags.whole_messages import Stamp
+    from hpid_ros.bags.messages import Stamp
 
     status = Status(1_500_000_001, 1, "light", "missed: far", {"distance [m]": repr(0.1 + 0.2)})
     pose = ((0.1, -0.2, 0.3), (0.0, 0.6, 0.0, 0.8))

@@ -10,29 +10,33 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from scipy.optimize import linprog
 
+from hpid_ros.base.errors import GainError, NormError, SettingError
 from hpid_ros.control import CanonicalNorm, Gains, HomogeneousPid, WeightedNorm
-from hpid_ros.control.certificate import CertifiedSpan
-from hpid_ros.control.certificate_check import margins_at, span_margins
-from hpid_ros.control.certificate_search import shared_spans
-from hpid_ros.control.closed_loop import closed_loop_field, dilated, state_norm
-from hpid_ros.control.loop_figures import settling_time_bound
-from hpid_ros.control.lyapunov import (
+from hpid_ros.stability.bounds import settling_time_bound
+from hpid_ros.stability.certificate import Certificate, CertifiedSpan
+from hpid_ros.stability.check import margins_at, span_margins
+from hpid_ros.stability.closed_loop import (
+    closed_loop_field,
+    dilated,
+    norm_values,
+    state_norm,
+    unit_curve,
+)
+from hpid_ros.stability.quadratic_forms import (
     first_shapes,
+    least_maximum,
     lyapunov_solution,
     scaled_loop,
     worst_rate,
     worst_rates,
 )
-from hpid_ros.control.minimax import least_maximum
-from hpid_ros.control.norm_arrays import norm_values, unit_curve
-from hpid_ros.control.sphere_grid import SphereGrid, monotonicity, time_unit
-from hpid_ros.control.stability import (
-    Certificate,
+from hpid_ros.stability.search import shared_spans
+from hpid_ros.stability.sphere_grid import SphereGrid, monotonicity, time_unit
+from hpid_ros.stability.verdict import (
     certified_degree_interval,
     certify_degree,
     verify_certificate,
 )
-from hpid_ros.errors import GainError, NormError, SettingError
 
 DEGREES = st.floats(-0.49, 0.49)
 WEIGHTS = st.floats(-1.5, 1.5).map(lambda power: 10.0**power)

@@ -11,8 +11,8 @@ from diagnostic_msgs.msg import DiagnosticArray
 from harness import ros_arguments
 
 from hpid_ros.control import LoopSettings
-from hpid_ros.nodes.qos import RARE
-from hpid_ros.tuning.certifier import Certifier
+from hpid_ros.nodes.ros.middleware import RARE
+from hpid_ros.stability.certifier import Certifier
 
 NEAR_THE_LIMIT = {
     "gains__p": 5.0,

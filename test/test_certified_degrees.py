@@ -2,11 +2,11 @@
 
 import pytest
 
+from hpid_ros.base.errors import GainError
 from hpid_ros.control import Gains, LoopSettings
-from hpid_ros.control.stability import certified_degree_interval, verify_certificate
-from hpid_ros.errors import GainError
-from hpid_ros.tuning import certified_degrees as module
-from hpid_ros.tuning.certified_degrees import certified_degrees, kind_of, norm_family
+from hpid_ros.stability import degrees as module
+from hpid_ros.stability.degrees import certified_degrees, kind_of, norm_family
+from hpid_ros.stability.verdict import certified_degree_interval, verify_certificate
 
 NEAR_THE_LIMIT = Gains(5.0, 9.0, 2.0)
 

@@ -6,11 +6,11 @@ import pytest
 import yaml
 from harness import ros_arguments
 
-from hpid_ros.cli import main
-from hpid_ros.commands import BAD_INPUT, DONE, FAILED
-from hpid_ros.control.certificate import Certificate
-from hpid_ros.control.stability import verify_certificate
-from hpid_ros.resources import share_folder
+from hpid_ros.base.resources import share_folder
+from hpid_ros.cli.commands import BAD_INPUT, DONE, FAILED
+from hpid_ros.cli.main import main
+from hpid_ros.stability.certificate import Certificate
+from hpid_ros.stability.verdict import verify_certificate
 from hpid_ros.tuning.controller_files import settings_from_parameters
 
 WELL_TUNED = ["--p", "100", "--i", "100", "--d", "20", "--rate-weight", "0.1", "--inertia", "1"]

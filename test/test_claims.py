@@ -19,15 +19,14 @@ from hypothesis import strategies as st
 from sensor_msgs.msg import JointState
 from two_hosts import HostsError, network_environment, plug, pull, two_hosts
 
-from hpid_ros.experiment.isolation import closed_environment, own_domain
-from hpid_ros.experiment.node_process import NodeGroup
-from hpid_ros.messages import JointStateTemplate, decode_joint_state
-from hpid_ros.names import claim_topic
-from hpid_ros.nodes.claims import LEASE, Claim, ClaimState, HeardClaims
-from hpid_ros.nodes.host_lock import HostLock
-from hpid_ros.nodes.joint_claim import to_message
-from hpid_ros.nodes.qos import LATCHED, OFFERED
-from hpid_ros.simulation.followed import FollowedSender
+from hpid_ros.base.names import claim_topic
+from hpid_ros.experiment.graph.isolation import closed_environment, own_domain
+from hpid_ros.experiment.graph.processes import NodeGroup
+from hpid_ros.nodes.controller.claims import LEASE, Claim, ClaimState, HeardClaims, HostLock
+from hpid_ros.nodes.controller.joint_claim import to_message
+from hpid_ros.nodes.ros.middleware import LATCHED, OFFERED
+from hpid_ros.simulation.lockstep import FollowedSender
+from hpid_ros.wire import JointStateTemplate, decode_joint_state
 
 MS = 1_000_000
 GAINS = {"law": "pid", "gains__p": 10.0, "certify": False, "state_watchdog": False}

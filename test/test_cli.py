@@ -8,9 +8,9 @@ import sys
 import pytest
 import yaml
 
-from hpid_ros.cli import main
-from hpid_ros.commands import BAD_INPUT, DONE
-from hpid_ros.resources import share_folder
+from hpid_ros.base.resources import share_folder
+from hpid_ros.cli.commands import BAD_INPUT, DONE
+from hpid_ros.cli.main import main
 
 
 def test_in_process_comparison_prints_the_table_and_leaves_the_result(
@@ -30,7 +30,7 @@ def test_in_process_comparison_prints_the_table_and_leaves_the_result(
 
 
 def test_the_default_experiment_is_the_papers():
-    from hpid_ros.commands.experiment_options import DEFAULT_EXPERIMENT
+    from hpid_ros.cli.commands.options import DEFAULT_EXPERIMENT
     from hpid_ros.experiment.description import load_experiment
 
     experiment = load_experiment(share_folder() / DEFAULT_EXPERIMENT)
@@ -121,7 +121,7 @@ def test_usage_errors_end_with_two():
 def test_in_process_needs_no_ros(experiment_file, tmp_path):
     """People without ROS, and sweeps, run the same experiment file."""
     code = (
-        "import sys; sys.modules['rclpy'] = None; from hpid_ros.cli import main; "
+        "import sys; sys.modules['rclpy'] = None; from hpid_ros.cli.main import main; "
         f"sys.exit(main(['compare', {str(experiment_file())!r}, '--in-process', "
         f"'-o', {str(tmp_path / 'result')!r}]))"
     )

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from hpid_ros.experiment.isolation import CLOSED_MODE, require_no_sockets
-from hpid_ros.experiment.node_process import NodeGroup
+from hpid_ros.experiment.graph.isolation import CLOSED_MODE, require_no_sockets
+from hpid_ros.experiment.graph.processes import NodeGroup
 
 INTRUDER = Path(__file__).with_name("intruder.py")
 NOBODY = 65534

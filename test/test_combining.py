@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hpid_ros.errors import TrajectoryError
+from hpid_ros.base.errors import TrajectoryError
 from hpid_ros.trajectory import (
     JointTrajectory,
     TrajectoryPoint,

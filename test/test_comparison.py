@@ -12,9 +12,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
-from hpid_ros.analysis.common_window import common_cuts
+from hpid_ros.analysis.comparability import common_cuts
 from hpid_ros.analysis.comparison import Comparison, Judgement, Verdict, answer, ratio, verdict
-from hpid_ros.analysis.indices import (
+from hpid_ros.analysis.indices.run import IndexSettings, run_indices
+from hpid_ros.analysis.quantities import (
+    CHATTER,
     EFFORT_L2,
     ERROR_L2,
     IAVC,
@@ -22,18 +24,15 @@ from hpid_ros.analysis.indices import (
     ITAE,
     IVC,
     NORMS,
-    IndexSettings,
-    JointIndices,
-    RunIndices,
-    run_indices,
+    Data,
 )
-from hpid_ros.analysis.number_text import format_ratio, format_values
-from hpid_ros.analysis.quality import DataQuality, RecordingQuality
-from hpid_ros.analysis.quantities import CHATTER, Data
+from hpid_ros.analysis.results import JointIndices, RunIndices
 from hpid_ros.analysis.saved import runs_from_mapping
-from hpid_ros.analysis.series import JointSeries, RunSeries, SeriesError
-from hpid_ros.analysis.table import ComparisonTable, table_text
-from hpid_ros.analysis.table_export import CSV_COLUMNS, table_csv, table_latex
+from hpid_ros.recordings.quality import DataQuality, RecordingQuality
+from hpid_ros.recordings.series import JointSeries, RunSeries, SeriesError
+from hpid_ros.report.tables.export import CSV_COLUMNS, table_csv, table_latex
+from hpid_ros.report.tables.numbers import format_ratio, format_values
+from hpid_ros.report.tables.table import ComparisonTable, table_text
 
 # The paper's Table I and norms.
 PAPER_PID = ((982, 114, 2.776), (2390, 142, 4.385), (836, 43, 1.198), (111, 67, 6.589))

@@ -8,18 +8,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from hpid_ros.base.errors import RobotDescriptionError, SettingError
+from hpid_ros.base.resources import share_folder
+from hpid_ros.compensation.coupling import coupling, relaxation
+from hpid_ros.compensation.joint_space import JointSpace
+from hpid_ros.compensation.loops import Compensator
+from hpid_ros.compensation.model import DecouplingShare, GravityShare, RobotDynamics
+from hpid_ros.compensation.states import RobotState, RobotStates
 from hpid_ros.control import LoopSettings
-from hpid_ros.control.compensation import Compensator
-from hpid_ros.control.robot_states import RobotState, RobotStates
-from hpid_ros.errors import RobotDescriptionError, SettingError
-from hpid_ros.resources import share_folder
-from hpid_ros.robot.compensation import DecouplingShare, GravityShare, RobotDynamics
-from hpid_ros.robot.coupling import coupling, relaxation
 from hpid_ros.robot.description import RobotDescription
 from hpid_ros.robot.differential_drive import DifferentialDrive
-from hpid_ros.robot.dynamics import Dynamics
-from hpid_ros.robot.joint_space import JointSpace
-from hpid_ros.robot.rigid_body import build_model, velocity_index
+from hpid_ros.robot.dynamics import Dynamics, build_model, velocity_index
 
 ROBOT = RobotDescription.load(share_folder() / "urdf" / "mobile_manipulator.urdf")
 DRIVE = DifferentialDrive.of(ROBOT, "wheel_left_joint", "wheel_right_joint")

@@ -6,15 +6,15 @@ from diagnostic_msgs.msg import DiagnosticArray
 from sensor_msgs.msg import JointState
 
 from hpid_ros.bags import read_run
+from hpid_ros.base.resources import share_folder
+from hpid_ros.compensation.build import compensators
 from hpid_ros.control import JointLoop, LoopSettings
 from hpid_ros.experiment.compare import compare
 from hpid_ros.experiment.description import load_experiment
 from hpid_ros.experiment.progress import Silence
-from hpid_ros.messages import JointStateTemplate
-from hpid_ros.nodes.qos import RARE
-from hpid_ros.resources import share_folder
+from hpid_ros.nodes.ros.middleware import RARE
 from hpid_ros.robot.description import RobotDescription
-from hpid_ros.tuning.compensation import compensators
+from hpid_ros.wire import JointStateTemplate
 
 ROBOT = str(share_folder() / "urdf" / "mobile_manipulator.urdf")
 JOINTS = tuple(RobotDescription.load(ROBOT).joints)

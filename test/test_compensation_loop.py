@@ -8,18 +8,19 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hpid_ros.cli import main
+from hpid_ros.base.errors import GainError, SettingError
+from hpid_ros.base.resources import share_folder
+from hpid_ros.cli.main import main
 from hpid_ros.control import JointLoop, LoopSettings
-from hpid_ros.control.joint_loop import LoopState, Setpoint
-from hpid_ros.control.model_term import ModelTerm
-from hpid_ros.errors import GainError, SettingError
+from hpid_ros.control.limited_law import ModelTerm
+from hpid_ros.control.loop_state import LoopState
+from hpid_ros.control.reference import Setpoint
 from hpid_ros.experiment.description import load_experiment
-from hpid_ros.experiment.parameter_files import controllers_document
-from hpid_ros.experiment.simulated_run import RunTask, WorldKeeper, simulated_indices
-from hpid_ros.resources import share_folder
+from hpid_ros.experiment.graph.parameter_files import controllers_document
+from hpid_ros.stability.gain_check import inertia_of, judge
+from hpid_ros.studies.batch import RunTask, WorldKeeper, simulated_indices
 from hpid_ros.trajectory import Column, Knot
 from hpid_ros.tuning.controller_files import settings_from_parameters
-from hpid_ros.tuning.gain_check import inertia_of, judge
 
 MS = 1_000_000
 SECOND = 1000 * MS

@@ -5,18 +5,18 @@ import re
 import numpy as np
 import pytest
 
+from hpid_ros.base.errors import SettingError
+from hpid_ros.base.resources import share_folder
+from hpid_ros.compensation.build import compensators
+from hpid_ros.compensation.joint_space import JointSpace
+from hpid_ros.compensation.loops import Compensator
+from hpid_ros.compensation.model import DecouplingShare, RobotDynamics
+from hpid_ros.compensation.states import RobotStates
 from hpid_ros.control import JointLoop, LoopSettings
-from hpid_ros.control.compensation import Compensator
-from hpid_ros.control.joint_loop import Setpoint
-from hpid_ros.control.robot_states import RobotStates
-from hpid_ros.errors import SettingError
-from hpid_ros.resources import share_folder
-from hpid_ros.robot.compensation import DecouplingShare, RobotDynamics
+from hpid_ros.control.reference import Setpoint
 from hpid_ros.robot.description import RobotDescription
-from hpid_ros.robot.joint_space import JointSpace
 from hpid_ros.simulation import World, WorldSettings
-from hpid_ros.simulation.recording import record_run
-from hpid_ros.tuning.compensation import compensators
+from hpid_ros.simulation.engine import record_run
 
 ROBOT = (share_folder() / "urdf" / "mobile_manipulator.urdf").read_text()
 SMOOTH = re.sub(r'friction="[0-9.]+"', 'friction="0"', ROBOT)  # no Coulomb friction

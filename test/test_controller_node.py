@@ -14,9 +14,9 @@ from std_msgs.msg import Float64
 from trajectory_msgs.msg import JointTrajectory
 
 from hpid_ros.control import LOOP_PARAMETERS, JointLoop, LoopSettings
-from hpid_ros.experiment.isolation import network_sockets
-from hpid_ros.nodes.qos import LATCHED, RARE
-from hpid_ros.nodes.trajectories import to_message
+from hpid_ros.experiment.graph.isolation import network_sockets
+from hpid_ros.nodes.ros.middleware import LATCHED, RARE
+from hpid_ros.nodes.ros.trajectories import to_message
 from hpid_ros.robot.description import RobotDescription
 from hpid_ros.trajectory import minimum_jerk
 

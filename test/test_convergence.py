@@ -11,10 +11,10 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from hpid_ros.control import CanonicalNorm, Gains, WeightedNorm
-from hpid_ros.control.certificate_check import margins_at
-from hpid_ros.control.closed_loop import closed_loop_field, dilated, state_norm
-from hpid_ros.control.loop_figures import decay_time
-from hpid_ros.control.stability import certify_degree
+from hpid_ros.stability.bounds import decay_time
+from hpid_ros.stability.check import margins_at
+from hpid_ros.stability.closed_loop import closed_loop_field, dilated, state_norm
+from hpid_ros.stability.verdict import certify_degree
 
 GAINS = Gains(p=3.0, i=1.0, d=3.0)
 DIRECTIONS = ((1.0, 0.0, 0.0), (0.3, -1.0, 0.5), (0.0, 0.0, 1.0))

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hpid_ros.errors import HpidError, RobotDescriptionError, SettingError
+from hpid_ros.base.errors import HpidError, RobotDescriptionError, SettingError
 from hpid_ros.robot import RobotDescription
 from hpid_ros.robot.differential_drive import DifferentialDrive
 

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from hpid_ros.errors import RobotDescriptionError, SettingError
+from hpid_ros.base.errors import RobotDescriptionError, SettingError
 from hpid_ros.simulation import World, WorldSettings
-from hpid_ros.simulation.disturbances import Disturbances, PayloadChange, WrenchPulse
+from hpid_ros.simulation.world.disturbances import Disturbances, PayloadChange, WrenchPulse
 
 URDF = Path(__file__).parents[1] / "urdf" / "mobile_manipulator.urdf"
 ARM = tuple(f"arm_joint_{number}" for number in range(1, 7))

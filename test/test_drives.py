@@ -10,13 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hpid_ros.errors import SettingError
+from hpid_ros.base.errors import SettingError
 from hpid_ros.robot import RobotDescription
 from hpid_ros.robot.dynamics import Dynamics
 from hpid_ros.simulation import World, WorldSettings
-from hpid_ros.simulation.drives import Drive, DriveSettings
-from hpid_ros.simulation.motor import Motor
-from hpid_ros.simulation.pwm import Pwm
+from hpid_ros.simulation.drives import Drive, DriveSettings, Motor, Pwm
 
 URDF = Path(__file__).parents[1] / "urdf" / "mobile_manipulator.urdf"
 WHEEL = "wheel_left_joint"

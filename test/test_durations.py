@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hpid_ros.durations import NOTHING, Durations
+from hpid_ros.base.durations import NOTHING, Durations
 
 TIMES = st.lists(st.integers(200, 10**11), min_size=1, max_size=300)
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hpid_ros.errors import RobotDescriptionError, SettingError
+from hpid_ros.base.errors import RobotDescriptionError, SettingError
 from hpid_ros.robot import RobotDescription
 from hpid_ros.robot.dynamics import Dynamics
 

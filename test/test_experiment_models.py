@@ -8,16 +8,15 @@ import pytest
 import rclpy
 import yaml
 
-from hpid_ros.errors import ExperimentError, SettingError
+from hpid_ros.base.errors import ExperimentError, SettingError
 from hpid_ros.experiment.description import load_experiment
-from hpid_ros.experiment.parameter_files import bridge_document, write_parameters
-from hpid_ros.experiment.simulated_run import RunTask, WorldKeeper, simulate
-from hpid_ros.nodes.realism_parameters import MEANINGS
-from hpid_ros.nodes.world_parameters import world_settings
-from hpid_ros.simulation.disturbances import Disturbances, PayloadChange, WrenchPulse
-from hpid_ros.simulation.hall import Homing
-from hpid_ros.simulation.motor import Motor
-from hpid_ros.simulation.pwm import Pwm
+from hpid_ros.experiment.graph.parameter_files import bridge_document, write_parameters
+from hpid_ros.nodes.bridge.realism import MEANINGS
+from hpid_ros.nodes.bridge.world_parameters import world_settings
+from hpid_ros.simulation.drives import Motor, Pwm
+from hpid_ros.simulation.sensors import Homing
+from hpid_ros.simulation.world.disturbances import Disturbances, PayloadChange, WrenchPulse
+from hpid_ros.studies.batch import RunTask, WorldKeeper, simulate
 
 MOTOR = {"torque_constant": 0.03, "resistance": 1.0, "supply_voltage": 24.0}
 EVERYTHING = {

@@ -6,12 +6,12 @@ from pathlib import Path
 import pytest
 import yaml
 
-from hpid_ros.errors import ExperimentError, TrajectoryError
+from hpid_ros.base.errors import ExperimentError, TrajectoryError
+from hpid_ros.base.resources import share_folder
+from hpid_ros.documents.yaml_files import load_document
 from hpid_ros.experiment.compare import compare
 from hpid_ros.experiment.description import load_experiment
 from hpid_ros.experiment.progress import Silence
-from hpid_ros.resources import share_folder
-from hpid_ros.yaml_files import load_document
 
 PAPER = share_folder() / "config" / "experiments" / "paper.yaml"
 

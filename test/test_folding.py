@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from hpid_ros.analysis.comparability import mismatches
 from hpid_ros.analysis.comparison import Comparison
 from hpid_ros.analysis.folding import fold_repeats, median_and_quartiles
-from hpid_ros.analysis.indices import IndexSettings, run_indices
-from hpid_ros.analysis.mismatches import mismatches
+from hpid_ros.analysis.indices.run import IndexSettings, run_indices
 from hpid_ros.analysis.quantities import (
     ENERGY,
     ERROR_L2,
@@ -24,10 +24,10 @@ from hpid_ros.analysis.quantities import (
     RMSE,
 )
 from hpid_ros.analysis.saved import runs_from_mapping
-from hpid_ros.analysis.series import JointSeries, RunSeries, SeriesError
-from hpid_ros.analysis.table import table_text
-from hpid_ros.analysis.table_export import table_csv, table_latex
 from hpid_ros.analysis.units import with_angles_in
+from hpid_ros.recordings.series import JointSeries, RunSeries, SeriesError
+from hpid_ros.report.tables.export import table_csv, table_latex
+from hpid_ros.report.tables.table import table_text
 
 MS = 1_000_000
 

@@ -13,18 +13,23 @@ import numpy as np
 import pytest
 import yaml
 
-from hpid_ros.cli import main
-from hpid_ros.errors import ExperimentError, RobotDescriptionError
+from hpid_ros.base.errors import ExperimentError, RobotDescriptionError
+from hpid_ros.base.resources import (
+    ResourceError,
+    find_resource,
+    package_folder,
+    package_uri,
+    share_folder,
+)
+from hpid_ros.cli.main import main
 from hpid_ros.experiment.description import load_experiment
-from hpid_ros.experiment.simulated_run import RunTask, WorldKeeper, simulate
-from hpid_ros.resources import ResourceError, find_resource, share_folder
 from hpid_ros.robot import RobotDescription
 from hpid_ros.robot.amendments import JointAmendment, amended
 from hpid_ros.robot.dynamics import Dynamics
-from hpid_ros.robot.packages import package_folder, package_uri
 from hpid_ros.simulation import World, WorldSettings
-from hpid_ros.simulation.bullet import pybullet
-from hpid_ros.simulation.model import bullet_urdf
+from hpid_ros.simulation.world.bullet import pybullet
+from hpid_ros.simulation.world.model import bullet_urdf
+from hpid_ros.studies.batch import RunTask, WorldKeeper, simulate
 
 EXPERIMENTS = share_folder() / "config" / "experiments"
 IIWA = "package://pybullet_data/kuka_iiwa/model.urdf"
@@ -59,7 +64,9 @@ def short(name: str, tmp_path: Path, duration: float = 0.2, **robot_changes: obj
 
 
 def test_robots_of_python_packages_are_found_without_importing_them():
-    code = f"import sys; from hpid_ros.resources import find_resource; find_resource({IIWA!r});"
+    code = (
+        f"import sys; from hpid_ros.base.resources import find_resource; find_resource({IIWA!r});"
+    )
     code += "sys.exit(bool({'pybullet', 'pybullet_data'} & set(sys.modules)))"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
     path = find_resource(IIWA)

@@ -13,19 +13,19 @@ from hypothesis import strategies as st
 from test_comparison import run
 
 from hpid_ros.analysis import Comparison
-from hpid_ros.analysis.report import render_report
-from hpid_ros.analysis.table import ComparisonTable, table_text
-from hpid_ros.analysis.table_export import table_csv, table_latex
 from hpid_ros.bags import BagWriter
-from hpid_ros.cli import main
-from hpid_ros.commands import BAD_INPUT, DONE
-from hpid_ros.errors import ExperimentError, HpidError, ResultExistsError
+from hpid_ros.base.console import TextConsole, guarded_output
+from hpid_ros.base.errors import ExperimentError, HpidError, ResultExistsError
+from hpid_ros.base.foreign_text import csv_text, html_text, shown, shown_lines
+from hpid_ros.base.names import is_label
+from hpid_ros.cli.commands import BAD_INPUT, DONE
+from hpid_ros.cli.main import main
 from hpid_ros.experiment.description import load_experiment
-from hpid_ros.experiment.graph_nodes import require_node_names
-from hpid_ros.foreign_text import csv_text, html_text, shown, shown_lines
-from hpid_ros.labels import is_label
-from hpid_ros.messages import JointStateTemplate
-from hpid_ros.text_output import TextConsole, guarded_output
+from hpid_ros.experiment.graph.nodes import require_node_names
+from hpid_ros.report.html.page import render_report
+from hpid_ros.report.tables.export import table_csv, table_latex
+from hpid_ros.report.tables.table import ComparisonTable, table_text
+from hpid_ros.wire import JointStateTemplate
 
 TITLE = "\x1b]0;owned\x07"  # sets the title of a terminal
 LINK = "\x1b]8;;http://evil\x1b\\click\x1b]8;;\x1b\\"
@@ -204,7 +204,7 @@ def test_errors_are_one_printable_line_also_in_the_logs_of_nodes():
 def test_a_file_that_cannot_be_parsed_is_told_in_one_line(tmp_path):
     path = tmp_path / f"x{TITLE}.yaml"
     path.write_text(yaml.safe_dump({"name": TITLE}))
-    command = [sys.executable, "-m", "hpid_ros.cli", "compare", str(path)]
+    command = [sys.executable, "-m", "hpid_ros.cli.main", "compare", str(path)]
     run = subprocess.run(command, capture_output=True, text=True, check=False)
     assert run.returncode == BAD_INPUT
     assert len(run.stderr.splitlines()) == 1

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from hpid_ros.analysis.effort_figures import (
+from hpid_ros.analysis.indices.effort import (
     PLATEAU,
     amplitude_density,
     chatter,
@@ -16,8 +16,9 @@ from hpid_ros.analysis.effort_figures import (
     saturation_share,
     spectrum,
 )
-from hpid_ros.analysis.exact_sum import exact_sum
-from hpid_ros.analysis.indices import IndexSettings, joint_indices, run_indices
+from hpid_ros.analysis.indices.integrals import exact_sum
+from hpid_ros.analysis.indices.run import IndexSettings, joint_indices, run_indices
+from hpid_ros.analysis.indices.step_response import find_steps, step_response
 from hpid_ros.analysis.quantities import (
     CHATTER,
     ERROR_MAX,
@@ -32,8 +33,7 @@ from hpid_ros.analysis.quantities import (
     STEP_QUANTITIES,
     find_quantities,
 )
-from hpid_ros.analysis.series import JointSeries, RunSeries, SeriesError
-from hpid_ros.analysis.step_response import find_steps, step_response
+from hpid_ros.recordings.series import JointSeries, RunSeries, SeriesError
 
 MS = 1_000_000
 

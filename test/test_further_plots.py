@@ -8,26 +8,27 @@ import pytest
 from matplotlib.figure import Figure
 
 from hpid_ros.analysis.comparison import Comparison
-from hpid_ros.analysis.effort_figures import chatter
 from hpid_ros.analysis.folding import fold_repeats
-from hpid_ros.analysis.gain_plots import multiplier_figure, norm_figure
-from hpid_ros.analysis.indices import run_indices
-from hpid_ros.analysis.panels import log_ticks
-from hpid_ros.analysis.phase import phase_curve
-from hpid_ros.analysis.plot_style import RUN_STYLES
-from hpid_ros.analysis.plots import (
+from hpid_ros.analysis.indices.effort import chatter
+from hpid_ros.analysis.indices.run import run_indices
+from hpid_ros.analysis.quantities import ITAE, IVC
+from hpid_ros.control import Gains, LoopSettings
+from hpid_ros.recordings.series import JointSeries, Retune, RunSeries, SeriesError
+from hpid_ros.report.figures.panels import log_ticks
+from hpid_ros.report.figures.plots import (
     FIGURES,
     efforts_figure,
     error_norm_figure,
+    multiplier_figure,
+    norm_figure,
     phase_figure,
     render,
     save_figures,
     spectrum_figure,
 )
-from hpid_ros.analysis.quantities import ITAE, IVC
-from hpid_ros.analysis.series import JointSeries, Retune, RunSeries, SeriesError
-from hpid_ros.analysis.trade_off import trade_off_figure
-from hpid_ros.control import Gains, LoopSettings
+from hpid_ros.report.figures.portraits import phase_curve
+from hpid_ros.report.figures.style import RUN_STYLES
+from hpid_ros.report.figures.trade_off import trade_off_figure
 from hpid_ros.tuning.gain_signals import gain_signals
 
 

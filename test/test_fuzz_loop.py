@@ -10,11 +10,12 @@ from hypothesis import settings as effort_of
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
+from hpid_ros.base.errors import HpidError, MessageError
 from hpid_ros.control import Gains, JointLoop, LoopSettings
-from hpid_ros.control.joint_loop import LoopState, Setpoint
-from hpid_ros.errors import HpidError, MessageError
-from hpid_ros.messages import JointReader
+from hpid_ros.control.loop_state import LoopState
+from hpid_ros.control.reference import Setpoint
 from hpid_ros.trajectory import Column, Knot
+from hpid_ros.wire import JointReader
 
 MS = 1_000_000
 ROUNDS, MESSAGES = 10, 5000

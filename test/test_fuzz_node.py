@@ -17,9 +17,9 @@ from rcl_interfaces.srv import (
 from rclpy.qos import qos_profile_parameters
 from test_controller_node import pure_loop
 
+from hpid_ros.base.errors import HpidError
 from hpid_ros.control import LOOP_PARAMETERS, LoopSettings
-from hpid_ros.errors import HpidError
-from hpid_ros.messages import JointStateTemplate
+from hpid_ros.wire import JointStateTemplate
 
 MS = 1_000_000
 MESSAGES, SETS = 10_000, 10_000

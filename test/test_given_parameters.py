@@ -17,11 +17,11 @@ from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters
 from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.parameter_client import AsyncParameterClient
 
-from hpid_ros.errors import SettingError
-from hpid_ros.names import is_for, node_sections
-from hpid_ros.nodes.given_parameters import as_declared
-from hpid_ros.nodes.launched import LAUNCH
-from hpid_ros.resources import share_folder
+from hpid_ros.base.errors import SettingError
+from hpid_ros.base.names import is_for, node_sections
+from hpid_ros.base.resources import share_folder
+from hpid_ros.nodes.ros.given_parameters import as_declared
+from hpid_ros.nodes.ros.process import LAUNCH
 from hpid_ros.tuning.controller_files import settings_from_parameters
 
 T = Parameter.Type
@@ -300,7 +300,7 @@ class Robot:
     """One of two robots: a bridge, its controllers and its reference in a namespace."""
 
     def __init__(self, harness, name, experiment, folder):
-        from hpid_ros.experiment.parameter_files import (
+        from hpid_ros.experiment.graph.parameter_files import (
             bridge_document,
             controllers_document,
             write_parameters,

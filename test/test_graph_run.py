@@ -14,16 +14,16 @@ import pytest
 from mcap_ros2.reader import read_ros2_messages
 
 from hpid_ros.bags import read_run
-from hpid_ros.errors import RunError
+from hpid_ros.base.errors import RunError
 from hpid_ros.experiment.compare import compare
 from hpid_ros.experiment.description import load_experiment
-from hpid_ros.experiment.graph_run import run_on_graph
-from hpid_ros.experiment.isolation import (
+from hpid_ros.experiment.graph.isolation import (
     closed_environment,
     network_sockets,
     own_domain,
     require_no_sockets,
 )
+from hpid_ros.experiment.graph.run import run_on_graph
 from hpid_ros.experiment.progress import Silence
 
 
@@ -179,7 +179,13 @@ def test_whatever_ends_a_comparison_ends_its_nodes_and_leaves_a_readable_bag(
     experiment_file, tmp_path, number
 ):
     folder = tmp_path / "result"
-    command = [sys.executable, "-m", "hpid_ros.cli", "compare", experiment_file(duration=100.0)]
+    command = [
+        sys.executable,
+        "-m",
+        "hpid_ros.cli.main",
+        "compare",
+        experiment_file(duration=100.0),
+    ]
     hpid = subprocess.Popen(
         [*command, "--output", folder],
         stdout=subprocess.DEVNULL,

@@ -11,13 +11,18 @@ import numpy as np
 import pybullet
 import pytest
 
-from hpid_ros.errors import RobotDescriptionError, SettingError
+from hpid_ros.base.errors import RobotDescriptionError, SettingError
 from hpid_ros.robot import RobotDescription
-from hpid_ros.robot.chain import LinkPose
 from hpid_ros.robot.dynamics import Dynamics
-from hpid_ros.robot.kinematics import Kinematics
+from hpid_ros.robot.kinematics import Kinematics, LinkPose
 from hpid_ros.simulation import World, WorldSettings
-from hpid_ros.simulation.bricks import Brick, GripCommand, GripperSettings, Support, Workplace
+from hpid_ros.simulation.world.workpieces import (
+    Brick,
+    GripCommand,
+    GripperSettings,
+    Support,
+    Workplace,
+)
 
 URDF = Path(__file__).parents[1] / "urdf" / "mobile_manipulator.urdf"
 ROBOT = RobotDescription.load(URDF)

@@ -7,9 +7,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import brentq
 
+from hpid_ros.base.errors import NormError
 from hpid_ros.control import CanonicalNorm, WeightedNorm
-from hpid_ros.control.homogeneity import norm_floor
-from hpid_ros.errors import NormError
+from hpid_ros.control.norms import norm_floor
 
 DEGREES = st.floats(-0.49, 0.49)
 SIGNS = st.sampled_from([-1.0, 1.0])

@@ -8,20 +8,15 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from hpid_ros.analysis.indices import (
-    EFFORT_L2,
-    INDICES,
-    ITAE,
-    IVC,
+from hpid_ros.analysis.indices.integrals import (
     integral_of_absolute,
     itae,
-    joint_indices,
     l2_norm,
-    run_indices,
     total_variation,
 )
-from hpid_ros.analysis.quantities import QUANTITIES, Data
-from hpid_ros.analysis.series import JointSeries, Losses, RunSeries, SeriesError
+from hpid_ros.analysis.indices.run import joint_indices, run_indices
+from hpid_ros.analysis.quantities import EFFORT_L2, INDICES, ITAE, IVC, QUANTITIES, Data
+from hpid_ros.recordings.series import JointSeries, Losses, RunSeries, SeriesError
 
 # Closed forms for u = sin t and e = exp(-t) on [0, 9], to ten digits.
 IVC_OF_SINE = 5.587881515

@@ -6,9 +6,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from hpid_ros.base.errors import GainError, HpidError, NormError, SettingError
 from hpid_ros.control import LOOP_PARAMETERS, Gains, JointLoop, LoopSettings
-from hpid_ros.control.joint_loop import LoopState, Setpoint
-from hpid_ros.errors import GainError, HpidError, NormError, SettingError
+from hpid_ros.control.loop_state import LoopState
+from hpid_ros.control.reference import Setpoint
 from hpid_ros.trajectory import Column, Knot
 
 MS = 1_000_000

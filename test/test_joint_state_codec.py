@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rosbags.typesys import Stores, get_typestore
 
-from hpid_ros.errors import MessageError
-from hpid_ros.messages import (
+from hpid_ros.base.errors import MessageError
+from hpid_ros.wire import (
     EffortReader,
     JointReader,
     JointStateLayout,

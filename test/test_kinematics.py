@@ -8,10 +8,9 @@ import numpy as np
 import pybullet
 import pytest
 
-from hpid_ros.errors import RobotDescriptionError, SettingError
+from hpid_ros.base.errors import RobotDescriptionError, SettingError
 from hpid_ros.robot import RobotDescription
-from hpid_ros.robot.chain import rotation_angles
-from hpid_ros.robot.kinematics import Kinematics, LinkPose, ReachError
+from hpid_ros.robot.kinematics import Kinematics, LinkPose, ReachError, rotation_angles
 from hpid_ros.simulation import World, WorldSettings
 
 URDF = Path(__file__).parents[1] / "urdf" / "mobile_manipulator.urdf"

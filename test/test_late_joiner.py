@@ -6,11 +6,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from trajectory_msgs.msg import JointTrajectory as JointTrajectoryMessage
 
-from hpid_ros.errors import TrajectoryError
-from hpid_ros.messages import JointStateTemplate
-from hpid_ros.nodes.qos import LATCHED
-from hpid_ros.nodes.trajectories import from_message, to_message
+from hpid_ros.base.errors import TrajectoryError
+from hpid_ros.nodes.ros.middleware import LATCHED
+from hpid_ros.nodes.ros.trajectories import from_message, to_message
 from hpid_ros.trajectory import JointTrajectory, TrajectoryPoint, minimum_jerk
+from hpid_ros.wire import JointStateTemplate
 
 MS = 1_000_000
 

@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from hpid_ros.base.errors import GainError, NormError
 from hpid_ros.control import CanonicalNorm, Gains, HomogeneousPid, Pid, WeightedNorm
-from hpid_ros.errors import GainError, NormError
 
 DEGREES = st.floats(-0.49, 0.49)
 SIGNALS = st.lists(

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from hpid_ros.base.names import controller_name
+from hpid_ros.base.resources import share_folder
 from hpid_ros.experiment.description import load_experiment
-from hpid_ros.names import controller_name
-from hpid_ros.resources import share_folder
 
 CONFIG = share_folder() / "config"
 JOINTS = load_experiment(CONFIG / "experiments" / "paper.yaml").world.joints

@@ -6,9 +6,9 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from hpid_ros.base.errors import HpidError, NormError
 from hpid_ros.control import LOOP_PARAMETERS, LoopSettings, WeightedNorm
-from hpid_ros.control.homogeneity import norm_floor
-from hpid_ros.errors import HpidError, NormError
+from hpid_ros.control.norms import norm_floor
 
 ANYWHERE = (0.0, -0.0, 5e-324, 1e-300, 1e-12, 1.0, math.nan, math.inf, 1e300, 3, True, None, "x")
 

@@ -12,9 +12,9 @@ from mcap.reader import NonSeekingReader
 from mcap.writer import CompressionType, IndexType, Writer
 
 from hpid_ros.bags import BagReader, read_run
+from hpid_ros.bags.columns.storage import Storage
 from hpid_ros.bags.repair import repair_bag
-from hpid_ros.bags.storage import Storage
-from hpid_ros.cli import main
+from hpid_ros.cli.main import main
 
 TYPES = {
     "joint_states": "sensor_msgs/msg/JointState",

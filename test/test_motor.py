@@ -9,9 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hpid_ros.errors import SettingError
-from hpid_ros.simulation.motor import Motor
-from hpid_ros.simulation.pwm import Pwm
+from hpid_ros.base.errors import SettingError
+from hpid_ros.simulation.drives import Motor, Pwm
 
 MOTOR = Motor(torque_constant=0.03, resistance=0.8, supply_voltage=24.0)
 MOTORS = st.builds(

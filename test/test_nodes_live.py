@@ -8,12 +8,12 @@ from harness import ros_arguments
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
 
-from hpid_ros.messages import JointStateTemplate, decode_joint_state
-from hpid_ros.nodes.held_commands import HeldCommands
-from hpid_ros.nodes.qos import ALL_COMMANDS, LATCHED, OFFERED, RARE
-from hpid_ros.nodes.trajectories import to_message
-from hpid_ros.nodes.trajectory_subscriptions import TrajectorySubscriptions
+from hpid_ros.nodes.bridge.commanders import HeldCommands
+from hpid_ros.nodes.controller.references import TrajectorySubscriptions
+from hpid_ros.nodes.ros.middleware import ALL_COMMANDS, LATCHED, OFFERED, RARE
+from hpid_ros.nodes.ros.trajectories import to_message
 from hpid_ros.trajectory import minimum_jerk
+from hpid_ros.wire import JointStateTemplate, decode_joint_state
 
 MS = 1_000_000
 

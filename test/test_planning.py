@@ -9,14 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hpid_ros.errors import TrajectoryError
+from hpid_ros.base.errors import TrajectoryError
 from hpid_ros.planning import BrickGoal, Placement, PlanOptions, TaskRobot
 from hpid_ros.planning.bricks import plan_bricks
-from hpid_ros.planning.section import planned_reference
+from hpid_ros.planning.configuration import planned_reference
 from hpid_ros.robot import RobotDescription
-from hpid_ros.robot.chain import rotation_angles
 from hpid_ros.robot.differential_drive import DifferentialDrive
-from hpid_ros.robot.kinematics import Kinematics
+from hpid_ros.robot.kinematics import Kinematics, rotation_angles
 from hpid_ros.robot.odometry import integrated
 from hpid_ros.trajectory.spline import SplineReference
 

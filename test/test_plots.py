@@ -10,9 +10,11 @@ from hypothesis.extra import numpy as hnp
 from matplotlib.colors import to_rgb
 from PIL import Image
 
-from hpid_ros.analysis.indices import l2_norm
-from hpid_ros.analysis.plot_style import PAPER, RUN_STYLES
-from hpid_ros.analysis.plots import (
+from hpid_ros.analysis.indices.integrals import l2_norm
+from hpid_ros.analysis.signals import Signal, envelope, norm_over_joints
+from hpid_ros.recordings.series import JointSeries, RunSeries, SeriesError
+from hpid_ros.report.figures.panels import TickLabels
+from hpid_ros.report.figures.plots import (
     FIGURES,
     effort_norm_figure,
     efforts_figure,
@@ -22,9 +24,7 @@ from hpid_ros.analysis.plots import (
     render,
     save_figures,
 )
-from hpid_ros.analysis.series import JointSeries, RunSeries, SeriesError
-from hpid_ros.analysis.signals import Signal, envelope, norm_over_joints
-from hpid_ros.analysis.tick_labels import TickLabels
+from hpid_ros.report.figures.style import PAPER, RUN_STYLES
 
 START_NS = 1_700_000_000_000_000_000
 
@@ -244,8 +244,8 @@ def test_drawing_leaves_matplotlib_as_it_was_and_pyplot_alone():
     program = (
         "import sys, matplotlib\n"
         "before = matplotlib.rcParams.copy()\n"
-        "from hpid_ros.analysis.plots import FIGURES, render\n"
-        "from hpid_ros.analysis.series import JointSeries, RunSeries\n"
+        "from hpid_ros.report.figures.plots import FIGURES, render\n"
+        "from hpid_ros.recordings.series import JointSeries, RunSeries\n"
         "run = RunSeries('x', (JointSeries('a', [0, 9], [0, 1], [1, 1], [0, 9], [1, 2]),))\n"
         "assert all(render(draw([run]), 'svg') for draw in FIGURES.values())\n"
         "assert matplotlib.rcParams.copy() == before\n"

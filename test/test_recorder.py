@@ -11,10 +11,9 @@ import pytest
 import yaml
 from harness import ros_arguments
 
-from hpid_ros.analysis.quality_text import quality_lines
-from hpid_ros.analysis.report_facts import data_quality
+from hpid_ros.analysis.doubts import quality_lines
 from hpid_ros.bags import BagReader, BagWriter, read_run
-from hpid_ros.bags.missed import (
+from hpid_ros.bags.metadata import (
     MISSED,
     STOOD_STILL,
     missed_entries,
@@ -23,10 +22,11 @@ from hpid_ros.bags.missed import (
 )
 from hpid_ros.bags.repair import repair_bag
 from hpid_ros.bags.selection import BagSelection
-from hpid_ros.cli import main
-from hpid_ros.errors import BagError
-from hpid_ros.messages import JointStateTemplate
-from hpid_ros.names import PROFILE_FILES
+from hpid_ros.base.errors import BagError
+from hpid_ros.base.names import PROFILE_FILES
+from hpid_ros.cli.main import main
+from hpid_ros.report.html.facts import data_quality
+from hpid_ros.wire import JointStateTemplate
 
 MS = 1_000_000
 JOINT_STATE = "sensor_msgs/msg/JointState"
@@ -134,9 +134,9 @@ class Events:
 FLOOD = """
 import sys, rclpy
 from sensor_msgs.msg import JointState
-from hpid_ros.messages import JointStateTemplate
-from hpid_ros.names import PROFILE_FILES
-from hpid_ros.nodes.qos import OFFERED
+from hpid_ros.wire import JointStateTemplate
+from hpid_ros.base.names import PROFILE_FILES
+from hpid_ros.nodes.ros.middleware import OFFERED
 rclpy.init()
 publisher = rclpy.create_node("flood").create_publisher(JointState, "joint_states", OFFERED)
 state = JointStateTemplate(["elbow"], position=True, effort=True)

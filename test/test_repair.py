@@ -16,9 +16,9 @@ from mcap.reader import make_reader
 
 from hpid_ros.bags import BagReader, BagWriter, read_run
 from hpid_ros.bags.repair import repair_bag
-from hpid_ros.cli import main
-from hpid_ros.errors import BagError, ResultExistsError
-from hpid_ros.messages import JointStateTemplate
+from hpid_ros.base.errors import BagError, ResultExistsError
+from hpid_ros.cli.main import main
+from hpid_ros.wire import JointStateTemplate
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 MS = 1_000_000
@@ -214,7 +214,7 @@ needs_mounts = pytest.mark.skipif(
 def run_on_mount(folder, options, experiment):
     """Run an experiment whose result is on a file system with these options."""
     code = f'mount -t tmpfs -o {options} none {folder} && exec "$@"'
-    command = [sys.executable, "-m", "hpid_ros.cli", "run", experiment]
+    command = [sys.executable, "-m", "hpid_ros.cli.main", "run", experiment]
     command += ["--output", str(folder / "result")]
     return subprocess.run(
         [*MOUNTS, "sh", "-c", code, "sh", *map(str, command)],
@@ -249,7 +249,13 @@ def test_a_run_whose_recorder_is_killed_leaves_a_bag_that_can_be_measured(
     experiment_file, tmp_path, number
 ):
     folder = tmp_path / "result"
-    command = [sys.executable, "-m", "hpid_ros.cli", "run", str(experiment_file(duration=100.0))]
+    command = [
+        sys.executable,
+        "-m",
+        "hpid_ros.cli.main",
+        "run",
+        str(experiment_file(duration=100.0)),
+    ]
     run = subprocess.Popen(
         [*command, "--output", str(folder)], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE
     )

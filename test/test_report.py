@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from hpid_ros.analysis.comparison import Comparison, answer
-from hpid_ros.analysis.indices import run_indices
-from hpid_ros.analysis.number_text import format_values
-from hpid_ros.analysis.report import render_report
-from hpid_ros.analysis.series import JointSeries, Losses, Retune, RunSeries, SeriesError
+from hpid_ros.analysis.indices.run import run_indices
 from hpid_ros.analysis.signals import GainSignals, Signal
+from hpid_ros.recordings.series import JointSeries, Losses, Retune, RunSeries, SeriesError
+from hpid_ros.report.html.page import render_report
+from hpid_ros.report.tables.numbers import format_values
 
 VOID = {"meta", "br", "hr", "img", "link", "input"}
 HOSTILE = "<script>alert('x')</script>&\""

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from hpid_ros.analysis.comparison import Comparison
-from hpid_ros.analysis.indices import run_indices
-from hpid_ros.analysis.report import render_report
-from hpid_ros.analysis.series import JointSeries, Retune, RunSeries
+from hpid_ros.analysis.indices.run import run_indices
+from hpid_ros.recordings.series import JointSeries, Retune, RunSeries
+from hpid_ros.report.html.page import render_report
 
 playwright = pytest.importorskip("playwright.sync_api", reason="pip install playwright")
 

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import pytest
 
-from hpid_ros.cli import main
-from hpid_ros.commands import BAD_INPUT, DONE
-from hpid_ros.errors import ExperimentError, ResultExistsError
-from hpid_ros.experiment.result_folder import MARKER, Marker, ResultFolder
-from hpid_ros.output_files import write_file
+from hpid_ros.base.errors import ExperimentError, ResultExistsError
+from hpid_ros.base.output_files import write_file
+from hpid_ros.cli.commands import BAD_INPUT, DONE
+from hpid_ros.cli.main import main
+from hpid_ros.experiment.result.folder import MARKER, Marker, ResultFolder
 
 
 def wait_for(condition, within):
@@ -236,7 +236,7 @@ def test_an_interrupted_comparison_keeps_the_former_result_and_its_own_readable_
     made(output)
     before = files_in(output)
     long = experiment_file(duration=200.0)
-    command = [sys.executable, "-m", "hpid_ros.cli", "compare", str(long), "--in-process"]
+    command = [sys.executable, "-m", "hpid_ros.cli.main", "compare", str(long), "--in-process"]
     run = subprocess.Popen(
         [*command, "-o", str(output), "--force"],
         stdout=subprocess.DEVNULL,

@@ -5,10 +5,10 @@ import pytest
 
 from hpid_ros.bags import BagWriter
 from hpid_ros.bags.message_types import jazzy_types
-from hpid_ros.cli import main
-from hpid_ros.commands import DONE
-from hpid_ros.commands.retunes import PARAMETER_EVENTS, read_retunes
-from hpid_ros.messages import JointStateTemplate
+from hpid_ros.cli.commands import DONE
+from hpid_ros.cli.commands.metrics.retunes import PARAMETER_EVENTS, read_retunes
+from hpid_ros.cli.main import main
+from hpid_ros.wire import JointStateTemplate
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 MS = 1_000_000

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from hpid_ros.cli import main
-from hpid_ros.errors import RobotDescriptionError
+from hpid_ros.base.errors import RobotDescriptionError
+from hpid_ros.cli.main import main
 from hpid_ros.robot import RobotDescription
 
 XML = """<robot name="pair" xmlns:drake="http://drake.mit.edu">

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hpid_ros.errors import MessageError
-from hpid_ros.messages import JointStateTemplate, RobotReader, decode_joint_state
+from hpid_ros.base.errors import MessageError
+from hpid_ros.wire import JointStateTemplate, RobotReader, decode_joint_state
 
 NAMES = ("shoulder", "elbow", "wrist", "gripper")
 

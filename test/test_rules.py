@@ -8,17 +8,17 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hpid_ros.cli import main
-from hpid_ros.commands import BAD_INPUT, DONE, FAILED
+from hpid_ros.base.errors import GainError, SettingError
+from hpid_ros.base.resources import share_folder
+from hpid_ros.cli.commands import BAD_INPUT, DONE, FAILED
+from hpid_ros.cli.main import main
 from hpid_ros.control import Gains
-from hpid_ros.errors import GainError, SettingError
 from hpid_ros.experiment.description import load_experiment
 from hpid_ros.experiment.inertias import initial_inertias
-from hpid_ros.resources import share_folder
 from hpid_ros.robot.description import RobotDescription
 from hpid_ros.robot.differential_drive import DifferentialDrive
-from hpid_ros.robot.rolling import wheel_inertias
-from hpid_ros.tuning.margins import loop_margins
+from hpid_ros.robot.dynamics import wheel_inertias
+from hpid_ros.tuning.gain_design import loop_margins
 from hpid_ros.tuning.rules import RULES, pole_placement, recognise, simc, simc_series
 
 EXPERIMENTS = sorted((share_folder() / "config" / "experiments").glob("*.yaml"))

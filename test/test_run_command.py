@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hpid_ros.bags import read_run
-from hpid_ros.cli import main
+from hpid_ros.cli.main import main
 
 FORMS = {"each": [], "composed": ["--composed"], "single": ["--single-process"]}
 PROCESSES = {"each": 11, "composed": 4, "single": 2}

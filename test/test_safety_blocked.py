@@ -12,8 +12,8 @@ from harness import ros_arguments
 from rclpy.serialization import serialize_message
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from hpid_ros.messages import JointStateTemplate
-from hpid_ros.nodes.qos import LATCHED, OFFERED
+from hpid_ros.nodes.ros.middleware import LATCHED, OFFERED
+from hpid_ros.wire import JointStateTemplate
 
 MS = 1_000_000
 TIMEOUT = 0.1  # [s], the state_timeout here

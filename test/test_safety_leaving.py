@@ -10,7 +10,7 @@ from controller_health import NAME, TRANSITIONS, change, state
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 
-from hpid_ros.messages import JointStateTemplate
+from hpid_ros.wire import JointStateTemplate
 
 MS = 1_000_000
 GAINS = {"law": "pid", "gains__p": 10.0, "gains__i": 4.0, "gains__d": 2.0}

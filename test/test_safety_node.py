@@ -15,8 +15,8 @@ from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from std_msgs.msg import Float64
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from hpid_ros.messages import JointStateTemplate
-from hpid_ros.nodes.qos import RARE
+from hpid_ros.nodes.ros.middleware import RARE
+from hpid_ros.wire import JointStateTemplate
 
 MS = 1_000_000
 GAINS = {"gains__p": 10.0, "gains__i": 4.0, "gains__d": 2.0}

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from harness import ros_arguments
 
-from hpid_ros.messages import JointStateTemplate
+from hpid_ros.wire import JointStateTemplate
 
 MS = 1_000_000
 GAINS = {"law": "pid", "gains__p": 10.0, "gains__i": 4.0, "gains__d": 2.0}

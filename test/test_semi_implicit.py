@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from hpid_ros.base.errors import GainError, NormError
 from hpid_ros.control import Gains, HomogeneousPid, WeightedNorm
-from hpid_ros.control.semi_implicit import SemiImplicitHomogeneousPid
-from hpid_ros.errors import GainError, NormError
+from hpid_ros.control.homogeneous_pid import SemiImplicitHomogeneousPid
 
 GAINS = Gains(p=300.0, i=1000.0, d=30.0)  # three poles at -10 rad/s on a unit inertia
 VALUES = st.floats(-2.0, 2.0).filter(lambda x: x == 0.0 or abs(x) > 1e-9)

@@ -12,12 +12,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hpid_ros.errors import SettingError
+from hpid_ros.base.errors import SettingError
 from hpid_ros.simulation import World, WorldSettings
-from hpid_ros.simulation.encoders import Encoder
-from hpid_ros.simulation.hall import HallSwitch, Homing
-from hpid_ros.simulation.in_process import Sample, run_in_process
-from hpid_ros.simulation.sensors import Sensors
+from hpid_ros.simulation.engine import Sample, run_in_process
+from hpid_ros.simulation.sensors import Encoder, HallSwitch, Homing
+from hpid_ros.simulation.world.drivetrain import Sensors
 
 URDF = Path(__file__).parents[1] / "urdf" / "mobile_manipulator.urdf"
 WHEELS = ("wheel_left_joint", "wheel_right_joint")

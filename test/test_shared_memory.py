@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from hpid_ros.experiment.shared_memory import SHARED_MEMORY, clear_dead
+from hpid_ros.experiment.graph.isolation import SHARED_MEMORY, clear_dead
 
 SEGMENT, PORT = "fastrtps_0123456789abcdef", "fastrtps_port7651"
 

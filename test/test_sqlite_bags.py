@@ -13,9 +13,9 @@ from mcap.reader import NonSeekingReader
 from rosbags.rosbag2 import CompressionMode, StoragePlugin, Writer
 
 from hpid_ros.bags import BagReader
+from hpid_ros.bags.columns.storage import Storage
 from hpid_ros.bags.repair import repair_bag
-from hpid_ros.bags.storage import Storage
-from hpid_ros.cli import main
+from hpid_ros.cli.main import main
 
 PAGE = 4096
 STATES = 1000

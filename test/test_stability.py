@@ -8,21 +8,21 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
+from hpid_ros.base.errors import GainError, NormError, SettingError
 from hpid_ros.control import CanonicalNorm, Gains, WeightedNorm
 from hpid_ros.control.gains import is_hurwitz, require_hurwitz
-from hpid_ros.control.loop_figures import (
+from hpid_ros.stability.bounds import (
     decay_time,
     gain_multiplier_range,
     integral_ratio,
     sampling_margin,
     settling_time_bound,
 )
-from hpid_ros.control.stability import (
+from hpid_ros.stability.verdict import (
     certified_degree_interval,
     certify_degree,
     verify_certificate,
 )
-from hpid_ros.errors import GainError, NormError, SettingError
 
 POSITIVE = st.floats(0.05, 50.0)
 

@@ -12,21 +12,19 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hpid_ros.analysis.claims import CLAIMS, NUMERIC_CLAIMS, Evidence, Verdict, verdict
-from hpid_ros.analysis.indices import INDICES
-from hpid_ros.cli import main
-from hpid_ros.commands import BAD_INPUT, DONE, FAILED
-from hpid_ros.errors import RunError
-from hpid_ros.experiment import batch
+from hpid_ros.analysis.quantities import INDICES
+from hpid_ros.base.errors import RunError
+from hpid_ros.base.resources import share_folder
+from hpid_ros.cli.commands import BAD_INPUT, DONE, FAILED
+from hpid_ros.cli.main import main
 from hpid_ros.experiment.description import load_experiment
-from hpid_ros.experiment.in_process_run import run_without_ros
-from hpid_ros.experiment.judged_run import LAST_ERROR, JudgedTask
+from hpid_ros.experiment.in_process import run_without_ros
 from hpid_ros.experiment.progress import Silence
-from hpid_ros.experiment.result import compute
-from hpid_ros.experiment.simulated_run import WorldKeeper, simulate, simulated_indices
-from hpid_ros.experiment.study_journal import read_journal
-from hpid_ros.experiment.study_plan import default_files, plan_study
-from hpid_ros.resources import share_folder
+from hpid_ros.experiment.result.result import compute
+from hpid_ros.studies import batch
+from hpid_ros.studies.batch import LAST_ERROR, JudgedTask, WorldKeeper, simulate, simulated_indices
+from hpid_ros.studies.claims import CLAIMS, NUMERIC_CLAIMS, Evidence, Verdict, verdict
+from hpid_ros.studies.study_plan import default_files, plan_study, read_journal
 
 ARM = ["arm_joint_1", "arm_joint_2", "arm_joint_3"]
 EXPERIMENTS = share_folder() / "config" / "experiments"

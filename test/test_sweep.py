@@ -15,23 +15,29 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hpid_ros.analysis.indices import INDICES, IVC, JointIndices, RunIndices
-from hpid_ros.cli import main
-from hpid_ros.commands import BAD_INPUT, DONE, FAILED, INTERRUPTED
+from hpid_ros.analysis.quantities import INDICES, IVC
+from hpid_ros.analysis.results import JointIndices, RunIndices
+from hpid_ros.base.errors import RunError, SettingError
+from hpid_ros.cli.commands import BAD_INPUT, DONE, FAILED, INTERRUPTED
+from hpid_ros.cli.main import main
 from hpid_ros.control import JointLoop
-from hpid_ros.errors import RunError, SettingError
-from hpid_ros.experiment import batch
-from hpid_ros.experiment.batch import Outcome, run_batch
 from hpid_ros.experiment.description import load_experiment
-from hpid_ros.experiment.in_process_run import run_without_ros
+from hpid_ros.experiment.in_process import run_without_ros
 from hpid_ros.experiment.progress import Silence
-from hpid_ros.experiment.result import compute
-from hpid_ros.experiment.simulated_run import RunTask, WorldKeeper, simulate, simulated_indices
-from hpid_ros.experiment.sweep import plan_sweep
-from hpid_ros.experiment.sweep_axes import Axis
-from hpid_ros.experiment.sweep_result import QUANTITIES, SweepResult
+from hpid_ros.experiment.result.result import compute
 from hpid_ros.simulation import World
-from hpid_ros.simulation.in_process import run_in_process
+from hpid_ros.simulation.engine import run_in_process
+from hpid_ros.studies import batch
+from hpid_ros.studies.batch import (
+    Outcome,
+    RunTask,
+    WorldKeeper,
+    run_batch,
+    simulate,
+    simulated_indices,
+)
+from hpid_ros.studies.sweep import Axis, plan_sweep
+from hpid_ros.studies.sweep_result import QUANTITIES, SweepResult
 from hpid_ros.trajectory import JointTrajectory, TrajectoryPoint
 
 
@@ -208,7 +214,13 @@ def test_an_interrupt_ends_every_process_and_leaves_what_was_run(
     experiment_file, tmp_path, is_warm
 ):
     folder = tmp_path / "sweep"
-    command = [sys.executable, "-m", "hpid_ros.cli", "sweep", str(experiment_file(duration=2.0))]
+    command = [
+        sys.executable,
+        "-m",
+        "hpid_ros.cli.main",
+        "sweep",
+        str(experiment_file(duration=2.0)),
+    ]
     command += ["--vary", "mu=-0.2:0.2:50", "--jobs", "2", "-o", str(folder)]
     process = subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True

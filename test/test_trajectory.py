@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hpid_ros.errors import TrajectoryError
+from hpid_ros.base.errors import TrajectoryError
 from hpid_ros.trajectory import (
     Column,
     JointTrajectory,

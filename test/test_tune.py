@@ -11,22 +11,27 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hpid_ros.analysis.pareto import pareto_front
 from hpid_ros.analysis.results import JointIndices, RunIndices
-from hpid_ros.cli import main
-from hpid_ros.commands import BAD_INPUT, DONE, FAILED, INTERRUPTED
-from hpid_ros.control.stability import is_hurwitz
-from hpid_ros.errors import GainError, SettingError
-from hpid_ros.experiment import batch
-from hpid_ros.experiment import search as search_module
+from hpid_ros.base.errors import GainError, SettingError
+from hpid_ros.cli.commands import BAD_INPUT, DONE, FAILED, INTERRUPTED
+from hpid_ros.cli.main import main
+from hpid_ros.control.gains import is_hurwitz
 from hpid_ros.experiment.description import load_experiment
-from hpid_ros.experiment.search import Search
-from hpid_ros.experiment.search_cost import Cost, WorstExcess, mean_ratios
-from hpid_ros.experiment.search_plan import Evaluation, SearchPlan
-from hpid_ros.experiment.search_snippet import compare_entry
-from hpid_ros.experiment.search_space import HPID_PARAMETERS, PID_PARAMETERS, SearchSpace
-from hpid_ros.experiment.simulated_run import simulated_indices
-from hpid_ros.tuning import degree_check
+from hpid_ros.report.figures.studies import pareto_front
+from hpid_ros.stability import degrees as degree_check
+from hpid_ros.studies import batch
+from hpid_ros.studies import search as search_module
+from hpid_ros.studies.batch import simulated_indices
+from hpid_ros.studies.search import Evaluation, Search, SearchPlan
+from hpid_ros.studies.search_result import compare_entry
+from hpid_ros.studies.search_space import (
+    HPID_PARAMETERS,
+    PID_PARAMETERS,
+    Cost,
+    SearchSpace,
+    WorstExcess,
+    mean_ratios,
+)
 
 ARM = ["arm_joint_1", "arm_joint_2"]
 

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from hpid_ros.analysis import Comparison, JointSeries, RunSeries, run_indices
-from hpid_ros.analysis.quality_text import quality_lines
-from hpid_ros.analysis.unfollowed import unfollowed, unfollowed_lines
+from hpid_ros.analysis import Comparison, run_indices
+from hpid_ros.analysis.doubts import quality_lines, unfollowed, unfollowed_lines
 from hpid_ros.experiment.description import load_experiment
-from hpid_ros.experiment.result import Result, save_numbers
-from hpid_ros.experiment.result_folder import ResultFolder
+from hpid_ros.experiment.result.folder import ResultFolder
+from hpid_ros.experiment.result.result import Result, save_numbers
+from hpid_ros.recordings.series import JointSeries, RunSeries
 
 TIME = np.linspace(0.0, 4.0, 4001)
 MOVE = np.clip(TIME - 1.0, 0.0, 0.5)  # at rest, half a radian in half a second, at rest

@@ -6,10 +6,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from hpid_ros.base.errors import SettingError
 from hpid_ros.control import Gains, JointLoop, LoopSettings
-from hpid_ros.control.joint_loop import Setpoint
-from hpid_ros.control.unwrapping import Unwrapper
-from hpid_ros.errors import SettingError
+from hpid_ros.control.reference import Setpoint
+from hpid_ros.control.velocity import Unwrapper
 from hpid_ros.trajectory import Column, Knot
 
 MS = 1_000_000

@@ -11,20 +11,19 @@ import pytest
 import yaml
 
 from hpid_ros.analysis import Comparison
-from hpid_ros.analysis.indices import JointIndices, RunIndices
-from hpid_ros.analysis.series import JointSeries
-from hpid_ros.cli import main
-from hpid_ros.commands import BAD_INPUT, DONE, FAILED
-from hpid_ros.commands.robot_options import inertias_from
+from hpid_ros.analysis.results import JointIndices, RunIndices
+from hpid_ros.base.errors import GainError, SettingError
+from hpid_ros.cli.commands import BAD_INPUT, DONE, FAILED
+from hpid_ros.cli.commands.options import inertias_from
+from hpid_ros.cli.main import main
 from hpid_ros.control import Gains, LoopSettings
-from hpid_ros.control.stability import certified_degree_interval, verify_certificate
-from hpid_ros.errors import GainError, SettingError
-from hpid_ros.simulation.encoders import Encoder
-from hpid_ros.tuning.certified_degrees import norm_family
+from hpid_ros.recordings.series import JointSeries
+from hpid_ros.simulation.sensors import Encoder
+from hpid_ros.stability.degrees import norm_family
+from hpid_ros.stability.verdict import certified_degree_interval, verify_certificate
 from hpid_ros.tuning.controller_files import parameter_file, settings_from_parameter_file
 from hpid_ros.tuning.inertias import visited_poses
-from hpid_ros.tuning.loop_statistics import loop_statistics
-from hpid_ros.tuning.upgrade import Candidate, upgrade, upgrades, worthwhile
+from hpid_ros.tuning.upgrade import Candidate, loop_statistics, upgrade, upgrades, worthwhile
 from hpid_ros.tuning.upgrade_file import upgrade_text
 
 MS = 1_000_000
@@ -296,10 +295,10 @@ def test_recordings_that_say_nothing_are_refused(series, words):
 @pytest.fixture(scope="module")
 def result(tmp_path_factory):
     """Return the folder of a short comparison on the graph: parameter files and bags."""
+    from hpid_ros.base.resources import share_folder
     from hpid_ros.experiment.compare import compare
     from hpid_ros.experiment.description import load_experiment
     from hpid_ros.experiment.progress import Silence
-    from hpid_ros.resources import share_folder
 
     folder = tmp_path_factory.mktemp("upgrade")
     document = yaml.safe_load((share_folder() / "config/experiments/tracking.yaml").read_text())

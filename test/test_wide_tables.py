@@ -13,12 +13,12 @@ from rich.console import Console
 from rich.text import Text
 
 from hpid_ros.analysis import Comparison
-from hpid_ros.analysis.table import ComparisonTable
-from hpid_ros.analysis.wide_table import UNLIMITED_WIDTH, Column, WideTable
+from hpid_ros.cli.commands.check_gains import GainTable
+from hpid_ros.cli.terminal import output_console
 from hpid_ros.control import Gains, LoopSettings
-from hpid_ros.terminal import output_console
-from hpid_ros.tuning.gain_check import GainVerdict
-from hpid_ros.tuning.gain_table import GainTable
+from hpid_ros.report.tables.table import ComparisonTable
+from hpid_ros.report.tables.wide_table import UNLIMITED_WIDTH, Column, WideTable
+from hpid_ros.stability.gain_check import GainVerdict
 
 WIDTHS = (40, 60, 80)
 NUMBER = re.compile(r"(?<![\w.])[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?(?![\w.])")
@@ -52,7 +52,7 @@ def gain_table():
 
 
 def robot_table():
-    from hpid_ros.commands.robot import _table
+    from hpid_ros.cli.commands.robot import _table
 
     fact = {
         "lower": -2.96706, "upper": 2.96706, "effort": 176.4, "velocity": 1.4835,
@@ -74,7 +74,7 @@ def comparison_table():
 
 
 def study_grid():
-    from hpid_ros.experiment.study_tables import Grid
+    from hpid_ros.studies.study_tables import Grid
 
     headings = ("index", "PID", "hPID", "ratio", "searched", "ratio")
     row = (
@@ -89,7 +89,7 @@ def study_grid():
 
 
 def timing_table():
-    from hpid_ros.terminal import _table
+    from hpid_ros.cli.terminal import _table
 
     headings = ["period", "p99", "compute", "p99", "latency", "p99", "missed", "silent"]
     row = ["1000.4", "1523.1", "55.5", "1234", "77.7", "2345", "12", "34567"]
@@ -162,7 +162,7 @@ def in_terminal(command, columns):
 
 
 def test_hpid_robot_shows_the_same_numbers_in_a_narrow_terminal_and_in_a_pipe():
-    command = [sys.executable, "-m", "hpid_ros.cli", "robot", "urdf/mobile_manipulator.urdf"]
+    command = [sys.executable, "-m", "hpid_ros.cli.main", "robot", "urdf/mobile_manipulator.urdf"]
     command += ["--poses", "3"]
     piped = subprocess.run(command, capture_output=True, text=True, check=True).stdout
     (facts,) = [json.loads(subprocess.check_output([*command, "--json"]))["joints"]]
@@ -177,7 +177,7 @@ def test_hpid_robot_shows_the_same_numbers_in_a_narrow_terminal_and_in_a_pipe():
 
 def test_a_gain_table_names_a_sampling_rate_that_breaks_the_loop():
     loop = LoopSettings("elbow", Gains(100.0, 100.0, 20.0), control_period=0.06)
-    from hpid_ros.tuning.gain_check import judge
+    from hpid_ros.stability.gain_check import judge
 
     text = printed(GainTable({"elbow": judge(loop, (1.0, 1.0))}), 80)
     assert "T kd lam / m = 1.20: the sampled loop breaks at 0.85" in " ".join(text.split())

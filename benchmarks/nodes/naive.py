@@ -24,7 +24,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 
 from benchmarks.tracking import tracking
-from hpid_ros.simulation.world import World
+from hpid_ros.simulation.world.world import World
 from hpid_ros.trajectory import SplineReference
 
 LABEL = "PID"

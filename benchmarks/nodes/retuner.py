@@ -19,7 +19,7 @@ from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
-from hpid_ros.names import controller_name
+from hpid_ros.base.names import controller_name
 
 _GENTLE = (-0.12, -0.08)  # degrees about that of the run
 _TOO_LARGE = 0.7

@@ -12,12 +12,12 @@ from dataclasses import dataclass
 from enum import Enum
 from functools import cached_property
 
+from hpid_ros.analysis.comparability import run_differences
 from hpid_ros.analysis.conditions import EVERYTHING, Difference
-from hpid_ros.analysis.indices import INDICES, NORMS, Quantity, RunIndices
-from hpid_ros.analysis.mismatches import run_differences
-from hpid_ros.analysis.quantities import PAPER
-from hpid_ros.analysis.series import SeriesError
-from hpid_ros.errors import unknown_name
+from hpid_ros.analysis.quantities import INDICES, NORMS, PAPER, Quantity
+from hpid_ros.analysis.results import RunIndices
+from hpid_ros.base.errors import unknown_name
+from hpid_ros.recordings.series import SeriesError
 
 # Half of the last digit that tables show: what reads as 1.000 is called equal.
 EQUAL_WITHIN = 5e-4

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hpid_ros.analysis.quantities import CHATTER, QUANTITIES
-from hpid_ros.analysis.series import JointSeries, RunSeries
+from hpid_ros.recordings.series import JointSeries, RunSeries
 
 KNOTS = 33
 """Points at which each reference is kept."""

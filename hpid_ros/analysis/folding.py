@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 
 from hpid_ros.analysis.quantities import INDICES, NORMS, Data, Quantity
 from hpid_ros.analysis.results import JointIndices, RunIndices, Spread
-from hpid_ros.analysis.series import SeriesError
+from hpid_ros.recordings.series import SeriesError
 
 Pair = tuple[float, float]
 

@@ -11,8 +11,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from enum import Enum
 
-from hpid_ros.analysis.series import SeriesError
-from hpid_ros.errors import unknown_name
+from hpid_ros.base.errors import unknown_name
+from hpid_ros.recordings.series import SeriesError
 
 DEGREES_PER_RADIAN = 180.0 / math.pi
 ANGLE_UNITS = ("rad", "deg")

@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 
 from hpid_ros.analysis.conditions import Conditions
 from hpid_ros.analysis.quantities import INDICES, NORMS, Data, Quantity
-from hpid_ros.analysis.series import SeriesError
-from hpid_ros.errors import unknown_name
+from hpid_ros.base.errors import unknown_name
+from hpid_ros.recordings.series import SeriesError
 
 
 @dataclass(frozen=True)

@@ -7,16 +7,9 @@ from collections.abc import Collection, Mapping
 from typing import Any
 
 from hpid_ros.analysis.conditions import Conditions
-from hpid_ros.analysis.quantities import (
-    ANGLE_UNITS,
-    INDICES,
-    NORMS,
-    QUANTITIES,
-    Data,
-    Quantity,
-)
+from hpid_ros.analysis.quantities import ANGLE_UNITS, INDICES, NORMS, QUANTITIES, Data, Quantity
 from hpid_ros.analysis.results import JointIndices, RunIndices, Spread
-from hpid_ros.analysis.series import SeriesError
+from hpid_ros.recordings.series import SeriesError
 
 
 def runs_from_mapping(document: object, where: str) -> tuple[RunIndices, ...]:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpid_ros.analysis.quantities import Data
-from hpid_ros.analysis.series import JointSeries, RunSeries, seconds_since
+from hpid_ros.recordings.series import JointSeries, RunSeries, seconds_since
 
 
 class Signal(NamedTuple):

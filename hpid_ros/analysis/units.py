@@ -14,8 +14,8 @@ from hpid_ros.analysis.quantities import (
     Quantity,
 )
 from hpid_ros.analysis.results import JointIndices, RunIndices, Spread
-from hpid_ros.analysis.series import SeriesError
-from hpid_ros.errors import unknown_name
+from hpid_ros.base.errors import unknown_name
+from hpid_ros.recordings.series import SeriesError
 
 
 def with_angles_in(run: RunIndices, angle_unit: str) -> RunIndices:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rosbags.rosbag2 import Reader
 
-from hpid_ros.errors import BagError, unknown_name
+from hpid_ros.base.errors import BagError, unknown_name
 
 if TYPE_CHECKING:
     from typing_extensions import Self

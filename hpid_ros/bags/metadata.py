@@ -1,13 +1,21 @@
-"""What ``metadata.yaml`` of a bag's folder says, whoever wrote it."""
+"""``metadata.yaml`` of a bag: what it says, and what its recorder missed.
+
+A recorder that was slower than what it recorded, or frozen for a while, knows from the middleware
+how many messages it never got. Where it stood still for longer than a publisher's lease (5 s with
+the profile of an experiment, else 20 s) the two forget each other, and nobody counts: how long it
+stood still is told, too. The stamps of a stream show all that as gaps, where they are regular.
+"""
 
 from __future__ import annotations
 
+import json
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from hpid_ros.errors import BagError
-from hpid_ros.yaml_files import load_yaml
+from hpid_ros.base.errors import BagError
+from hpid_ros.documents.yaml_files import load_yaml
 
 METADATA = "metadata.yaml"
 _KEY = "rosbag2_bagfile_information"
@@ -50,3 +58,49 @@ def counts_of(metadata: Mapping[str, Any]) -> dict[str, int]:
     except (KeyError, TypeError, ValueError, OverflowError):
         return {}
     return counts
+
+
+MISSED = "hpid_ros/missed_messages"
+"""Name of the entry with the counts: JSON, by topic."""
+
+STOOD_STILL = "hpid_ros/stood_still"
+"""Name of the entry with the time that the recorder stood still, in [s]."""
+
+
+def missed_entries(missed: Mapping[str, int], stood_still: float) -> dict[str, str]:
+    """Return the entries for the metadata.
+
+    Args:
+        missed: Messages that were not recorded, by topic.
+        stood_still: How long the recorder stood still, in [s].
+    """
+    counts = json.dumps(dict(missed), sort_keys=True)
+    return {MISSED: counts, STOOD_STILL: f"{stood_still:.3f}"}
+
+
+def missed_messages(metadata: Mapping[str, str]) -> dict[str, int]:
+    """Return the messages that a bag's recorder missed, by topic; only those that missed some.
+
+    Args:
+        metadata: The bag's ``custom_data``, whoever wrote it: what is no count is passed over.
+    """
+    try:
+        entry = json.loads(metadata.get(MISSED, "{}"))
+    except (ValueError, RecursionError):
+        return {}
+    if not isinstance(entry, dict):
+        return {}
+    return {topic: count for topic, count in entry.items() if type(count) is int and count > 0}
+
+
+def time_stood_still(metadata: Mapping[str, str]) -> float:
+    """Return how long a bag's recorder stood still, in [s]; zero if it did not or did not say.
+
+    Args:
+        metadata: As for :func:`missed_messages`.
+    """
+    try:
+        seconds = float(metadata.get(STOOD_STILL, "0"))
+    except ValueError:
+        return 0.0
+    return seconds if math.isfinite(seconds) and seconds > 0.0 else 0.0

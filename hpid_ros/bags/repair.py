@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
-from hpid_ros.bags.batches import TopicBatch
+from hpid_ros.bags.columns.batches import TopicBatch
+from hpid_ros.bags.columns.storage import Progress, Storage
 from hpid_ros.bags.message_types import JOINT_TRAJECTORY
-from hpid_ros.bags.storage import Progress, Storage
 from hpid_ros.bags.writer import BagTopic, BagWriter, TopicQos
-from hpid_ros.errors import BagError
+from hpid_ros.base.errors import BagError
 
 _LATCHED = TopicQos(transient_local=True, depth=1)
 

@@ -8,8 +8,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from hpid_ros.analysis.quality import HOLD
-from hpid_ros.errors import SettingError, unknown_name
+from hpid_ros.base.errors import SettingError, unknown_name
+from hpid_ros.recordings.quality import HOLD
 from hpid_ros.trajectory import JointTrajectory
 
 CLOCKS = ("header", "receive")

@@ -11,8 +11,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
+from hpid_ros.base.errors import SettingError
 from hpid_ros.control.gains import Gains
-from hpid_ros.errors import SettingError
 
 STRATEGIES = ("none", "conditional_integration", "back_calculation")
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from hpid_ros.control.motion_limits import MotionLimits
-from hpid_ros.control.motions import LARGEST_POSITION, SECONDS_PER_NANOSECOND
+from hpid_ros.control.limits import MotionLimits
+from hpid_ros.control.reference import LARGEST_POSITION, SECONDS_PER_NANOSECOND
 from hpid_ros.control.velocity import VelocitySource
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from hpid_ros.errors import GainError
+from hpid_ros.base.errors import GainError
 
 
 @dataclass(frozen=True)

@@ -6,28 +6,17 @@ import math
 from copy import copy, deepcopy
 from typing import NamedTuple
 
+from hpid_ros.base.errors import SettingError
 from hpid_ros.control.damping_stop import DampingStop
-from hpid_ros.control.following import Following
-from hpid_ros.control.limited_law import LimitedLaw
-from hpid_ros.control.loop_clock import LoopClock
-from hpid_ros.control.loop_state import LoopCounts, LoopState
-from hpid_ros.control.loop_view import LoopView
-from hpid_ros.control.model_term import ModelTerm
-from hpid_ros.control.motions import (
-    LARGEST_POSITION,
-    SECONDS_PER_NANOSECOND,
-    Motion,
-    Reference,
-    Setpoint,
-)
-from hpid_ros.control.settings import LoopSettings
+from hpid_ros.control.limited_law import LimitedLaw, ModelTerm
+from hpid_ros.control.loop_state import LoopClock, LoopCounts, LoopState
+from hpid_ros.control.pid import Terms
+from hpid_ros.control.reference import LARGEST_POSITION, SECONDS_PER_NANOSECOND, Following, Motion
+from hpid_ros.control.settings.loop import LoopSettings
 from hpid_ros.control.velocity import VelocitySource
-from hpid_ros.errors import SettingError
-
-__all__ = ["JointLoop", "LoopCounts", "LoopState", "Motion", "Reference", "Setpoint"]
 
 
-class JointLoop(LoopView):
+class JointLoop:
     """The control of one joint, without ROS, files or clocks.
 
     Time enters with the stamps of the states alone: equal stamps are a repeat, which gets the
@@ -135,7 +124,7 @@ class JointLoop(LoopView):
         Returns:
             ``fallback_effort``, within the effort limits, in [N m].
         """
-        self._clock.has_lapsed = True
+        self._clock.lapse()
         self.counts.silences += 1
         if not self.settings.is_simulated:
             self.supersede(self.settings.fallback)
@@ -229,12 +218,7 @@ class JointLoop(LoopView):
         is_takeover = False
         if self._is_takeover_due or not following.is_standing:
             is_takeover = self._begin(stamp_ns, position)
-        wanted, rate, acceleration = following.sample(stamp_ns, settings.takeover_time)
-        if law.limits is not None:
-            inside, rate = law.limits.reference(wanted, rate)
-            if inside != wanted:
-                wanted, acceleration = inside, 0.0  # at a stop the reference rests
-        following.position, following.velocity = wanted, rate
+        wanted, rate, acceleration = following.sample(stamp_ns, settings.takeover_time, law.limits)
         if is_takeover:
             law.take_over(model, acceleration, is_still_damped=is_next)
         self._state = LoopState.HOLDING if following.motion is None else LoopState.FOLLOWING
@@ -343,6 +327,62 @@ class JointLoop(LoopView):
         else:
             self._following.stand(position)
         return is_takeover
+
+    @property
+    def state(self) -> LoopState:
+        """What the loop is doing."""
+        return LoopState.SILENT if self._clock.has_lapsed else self._state
+
+    @property
+    def effort(self) -> float:
+        """The effort of the last sample in [N m]."""
+        return self._law.effort
+
+    @property
+    def terms(self) -> Terms:
+        """The law's terms of the last sample in [N m], before the limits."""
+        return self._law.terms
+
+    @property
+    def model_effort(self) -> float:
+        """What a model added in the last sample, in [N m], before the limits; 0 without one."""
+        return self._law.model_effort
+
+    @property
+    def integral(self) -> float:
+        """The integral term that the next sample uses, in [N m]."""
+        return self._law.integral
+
+    @property
+    def reference(self) -> tuple[float, float]:
+        """Reference position [rad] and velocity [rad/s] of the last sample."""
+        return self._following.position, self._following.velocity
+
+    @property
+    def error(self) -> float:
+        """Reference minus measured position of the last sample in [rad]."""
+        return self._error
+
+    @property
+    def stamp_ns(self) -> int | None:
+        """Stamp of the last state in [ns]; None before the first one."""
+        return self._clock.stamp_ns
+
+    @property
+    def has_motion(self) -> bool:
+        """Whether the loop was told to follow anything."""
+        return self._following.motion is not None
+
+    @property
+    def velocity(self) -> float:
+        """The velocity that the last sample used, in [rad/s]."""
+        return self._rate
+
+    @property
+    def braked(self) -> int:
+        """Samples in which a soft stop or the velocity limit braked the joint."""
+        limits = self._law.limits
+        return limits.braked if limits else 0
 
 
 class _BeforeJump(NamedTuple):

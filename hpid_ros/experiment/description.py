@@ -7,28 +7,27 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from hpid_ros.base.errors import ExperimentError, HpidError, unknown_name
+from hpid_ros.base.names import require_label
+from hpid_ros.base.resources import find_resource
 from hpid_ros.control import LoopSettings
-from hpid_ros.errors import ExperimentError, HpidError, unknown_name
-from hpid_ros.experiment.base_section import base_from
-from hpid_ros.experiment.controllers_section import controllers_from, judged_from
-from hpid_ros.experiment.model_of_world import models_of
-from hpid_ros.experiment.scene_section import workplace_from
-from hpid_ros.experiment.world_models import (
+from hpid_ros.documents.sections import Section
+from hpid_ros.documents.yaml_files import Document, load_document
+from hpid_ros.experiment.controllers import controllers_from, judged_from, models_of
+from hpid_ros.experiment.world import (
     Layers,
+    base_from,
     disturbances_from,
     drives_from,
     homing_from,
     noise_from,
+    workplace_from,
 )
-from hpid_ros.labels import require_label
 from hpid_ros.planning import BrickPlan, planned_reference
-from hpid_ros.resources import find_resource
+from hpid_ros.robot.configuration import amended_by
 from hpid_ros.robot.description import RobotDescription
-from hpid_ros.robot.section import amended_by
-from hpid_ros.sections import Section
 from hpid_ros.simulation.settings import VELOCITIES, WorldSettings
 from hpid_ros.trajectory import JointTrajectory
-from hpid_ros.yaml_files import Document, load_document
 
 _NANOSECONDS = 1_000_000_000
 

@@ -28,7 +28,7 @@ def initial_inertias(
     Raises:
         RobotDescriptionError: Pinocchio cannot read the robot.
     """
-    from hpid_ros.robot.rolling import wheel_inertias
+    from hpid_ros.robot.dynamics import wheel_inertias
 
     world = experiment.world
     description = RobotDescription.load(world.robot_description)

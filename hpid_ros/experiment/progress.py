@@ -1,11 +1,85 @@
-"""What a run tells while it goes on."""
+"""The progress of a run, and where its time went."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Any, Protocol
 
-from hpid_ros.experiment.run_timing import RunTiming
+from hpid_ros.base.durations import NOTHING, Spread
+
+
+@dataclass(frozen=True)
+class JointTiming:
+    """One joint's controller, seen from itself and from the bridge.
+
+    Attributes:
+        samples: States that it answered.
+        missed: States that never reached it, by their stamps.
+        unanswered: States for which the bridge had no command of it.
+        period: Between two states.
+        compute: From a state's bytes to the command handed to the middleware.
+        latency: From a state's publication to the arrival of its answer.
+    """
+
+    samples: int
+    missed: int
+    unanswered: int
+    period: Spread
+    compute: Spread
+    latency: Spread
+
+
+@dataclass(frozen=True)
+class RunTiming:
+    """All nodes of a run.
+
+    Attributes:
+        cycle: Between two states, as the bridge publishes them.
+        joints: By joint; one whose controller was killed has told nothing and is not there.
+    """
+
+    cycle: Spread
+    joints: Mapping[str, JointTiming]
+
+    def as_mapping(self) -> dict[str, object]:
+        """Return all figures with their units, ready for JSON."""
+        return {
+            "unit": "us",
+            "cycle": self.cycle._asdict(),
+            "joints": {
+                joint: {
+                    name: value._asdict() if isinstance(value, Spread) else value
+                    for name, value in vars(timing).items()
+                }
+                for joint, timing in self.joints.items()
+            },
+        }
+
+
+def run_timing(
+    finished: Mapping[str, Any], controllers: Mapping[str, Mapping[str, Any]]
+) -> RunTiming:
+    """Put the bridge's and the controllers' events together.
+
+    Args:
+        finished: The bridge's event ``finished``.
+        controllers: The event ``timing`` of each controller, by joint.
+    """
+    bridge = finished["timing"]
+    joints = {
+        joint: JointTiming(
+            samples=event["samples"],
+            missed=event["missed"],
+            unanswered=finished["counts"][joint]["unanswered"],
+            period=Spread(**event["period"]),
+            compute=Spread(**event["compute"]),
+            latency=Spread(**bridge["latency"].get(joint, NOTHING._asdict())),
+        )
+        for joint, event in controllers.items()
+        if joint in finished["counts"]
+    }
+    return RunTiming(Spread(**bridge["cycle"]), joints)
 
 
 class Progress(Protocol):

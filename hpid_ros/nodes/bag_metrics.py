@@ -1,29 +1,68 @@
-"""Computes the indices of recorded bags, prints them and publishes them latched."""
+"""Indices of recorded bags, printed and published latched."""
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.parameter import Parameter
 
 from hpid_ros.analysis import Comparison, RunIndices, run_indices
-from hpid_ros.analysis.formats import FORMATS
-from hpid_ros.analysis.quality_text import quality_lines
+from hpid_ros.analysis.doubts import quality_lines
 from hpid_ros.analysis.quantities import ANGLE_UNITS, Quantity, find_quantities
 from hpid_ros.analysis.units import with_angles_in
 from hpid_ros.bags import BagSelection, parse_command_topics, read_run
-from hpid_ros.bags.comparison import compare_bags
-from hpid_ros.errors import HpidError, SettingError, unknown_name
-from hpid_ros.nodes import executor
-from hpid_ros.nodes.finished_bags import FinishedBags
-from hpid_ros.nodes.parameters import read_only
-from hpid_ros.nodes.qos import LATCHED
-from hpid_ros.nodes.status_pipe import StatusPipe
-from hpid_ros.nodes.steady_timer import steady_timer
-from hpid_ros.nodes.usage import Usage
+from hpid_ros.base.errors import HpidError, SettingError, unknown_name
+from hpid_ros.metrics.comparison import compare_bags
+from hpid_ros.nodes.ros import executor
+from hpid_ros.nodes.ros.middleware import LATCHED
+from hpid_ros.nodes.ros.parameters import read_only
+from hpid_ros.nodes.ros.status import StatusPipe
+from hpid_ros.nodes.ros.steady_timer import steady_timer
+from hpid_ros.nodes.ros.usage import Usage
+from hpid_ros.report.tables.export import FORMATS
+
+_FINISHED = "metadata.yaml"
+"""A recorder writes it last: without it a bag is still being recorded, or was cut off."""
+
+
+class FinishedBags:
+    """Looks for finished bags below a folder, at any depth; those there already are not new.
+
+    Args:
+        folder: Where to look.
+
+    Raises:
+        SettingError: It is no folder.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        if not folder.is_dir():
+            raise SettingError(f"watch must name a folder, {folder} is none")
+        self._folder = folder
+        self._known = set(self._sizes())
+        self._before: dict[Path, int] = {}
+
+    def new(self) -> list[Path]:
+        """Return the bags that were finished by the last call and are complete now, by name."""
+        sizes = {bag: size for bag, size in self._sizes().items() if bag not in self._known}
+        # A file that still grows is being written this moment.
+        fresh = sorted(bag for bag, size in sizes.items() if self._before.get(bag) == size > 0)
+        self._known.update(fresh)
+        self._before = sizes
+        return fresh
+
+    def _sizes(self) -> dict[Path, int]:
+        """Return the size of each finished bag's last file."""
+        sizes = {}
+        for file in self._folder.rglob(_FINISHED):
+            with suppress(FileNotFoundError):  # a bag may go while it is looked at
+                sizes[file.parent] = file.stat().st_size
+        return sizes
+
 
 _LOOK_PERIOD = 0.5  # [s]
 

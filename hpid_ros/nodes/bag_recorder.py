@@ -21,16 +21,15 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 from rclpy.validate_topic_name import validate_topic_name
 
-from hpid_ros.bags.missed import missed_entries
+from hpid_ros.bags.metadata import missed_entries
 from hpid_ros.bags.writer import BagTopic, BagWriter, TopicQos
-from hpid_ros.errors import BagError, HpidError, SettingError
-from hpid_ros.nodes import executor
-from hpid_ros.nodes.diagnostics import ERROR, OK, WARN, Diagnostics
-from hpid_ros.nodes.parameters import read_only
-from hpid_ros.nodes.qos import OFFERED
-from hpid_ros.nodes.status_pipe import StatusPipe
-from hpid_ros.nodes.steady_timer import steady_timer
-from hpid_ros.nodes.usage import Usage
+from hpid_ros.base.errors import BagError, HpidError, SettingError
+from hpid_ros.nodes.ros import executor
+from hpid_ros.nodes.ros.middleware import OFFERED
+from hpid_ros.nodes.ros.parameters import read_only
+from hpid_ros.nodes.ros.status import ERROR, OK, WARN, Diagnostics, StatusPipe
+from hpid_ros.nodes.ros.steady_timer import steady_timer
+from hpid_ros.nodes.ros.usage import Usage
 
 _LOOK_PERIOD = 0.02  # [s]
 _REPORT_PERIOD = 0.05  # [s]

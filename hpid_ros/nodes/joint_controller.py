@@ -13,31 +13,30 @@ from rclpy.parameter import Parameter
 from rclpy.task import Future
 from sensor_msgs.msg import JointState
 
+from hpid_ros.base.errors import ClaimError, MessageError
 from hpid_ros.control import LOOP_PARAMETERS, JointLoop
 from hpid_ros.control.damping_stop import DampingStop
-from hpid_ros.control.joint_loop import Motion
-from hpid_ros.control.model_settings import MODEL_PARAMETERS
-from hpid_ros.errors import ClaimError, MessageError
-from hpid_ros.messages import JointReader
-from hpid_ros.nodes import executor
-from hpid_ros.nodes.certification import Certification
-from hpid_ros.nodes.commands import COMMAND_INTERFACES, joint_commands, sender_of
-from hpid_ros.nodes.controller_health import ControllerHealth
-from hpid_ros.nodes.controller_lifecycle import ManagedNode
-from hpid_ros.nodes.controller_references import ControllerReferences
-from hpid_ros.nodes.controller_settings import ControllerSettings, concern_the_loop
-from hpid_ros.nodes.controller_stop import ControllerStop
-from hpid_ros.nodes.introspection import Introspection
-from hpid_ros.nodes.joint_claim import JointClaim, claims_joint
-from hpid_ros.nodes.loop_timing import LoopTiming
-from hpid_ros.nodes.model_compensation import model_compensation
-from hpid_ros.nodes.parameters import read_only
-from hpid_ros.nodes.qos import NEWEST_STATES, overridable
-from hpid_ros.nodes.scheduling import schedule
-from hpid_ros.nodes.state_watchdog import StateWatchdog
-from hpid_ros.nodes.status_pipe import StatusPipe
-from hpid_ros.nodes.steady_timer import steady_timer
-from hpid_ros.nodes.usage import Usage
+from hpid_ros.control.reference import Motion
+from hpid_ros.control.settings.model import MODEL_PARAMETERS
+from hpid_ros.nodes.controller.certification import Certification
+from hpid_ros.nodes.controller.commands import COMMAND_INTERFACES, joint_commands, sender_of
+from hpid_ros.nodes.controller.health import ControllerHealth, LoopTiming
+from hpid_ros.nodes.controller.introspection import Introspection
+from hpid_ros.nodes.controller.joint_claim import JointClaim, claims_joint
+from hpid_ros.nodes.controller.lifecycle import ManagedNode
+from hpid_ros.nodes.controller.model import model_compensation
+from hpid_ros.nodes.controller.references import ControllerReferences
+from hpid_ros.nodes.controller.settings import ControllerSettings, concern_the_loop
+from hpid_ros.nodes.controller.stop import ControllerStop
+from hpid_ros.nodes.controller.watchdog import StateWatchdog
+from hpid_ros.nodes.ros import executor
+from hpid_ros.nodes.ros.middleware import NEWEST_STATES, overridable
+from hpid_ros.nodes.ros.parameters import read_only
+from hpid_ros.nodes.ros.process import schedule
+from hpid_ros.nodes.ros.status import StatusPipe
+from hpid_ros.nodes.ros.steady_timer import steady_timer
+from hpid_ros.nodes.ros.usage import Usage
+from hpid_ros.wire import JointReader
 
 _READINESS_PERIOD = 0.02  # [s]
 _INACTIVE = "the controller is not active"

@@ -8,12 +8,12 @@ from collections.abc import Sequence
 from rclpy.parameter import Parameter
 from rclpy.validate_node_name import validate_node_name
 
-from hpid_ros.errors import SettingError
-from hpid_ros.names import controller_name
-from hpid_ros.nodes import executor
+from hpid_ros.base.errors import SettingError
+from hpid_ros.base.names import controller_name
 from hpid_ros.nodes.joint_controller import JointController
-from hpid_ros.nodes.parameters import read_only
-from hpid_ros.nodes.usage import Usage
+from hpid_ros.nodes.ros import executor
+from hpid_ros.nodes.ros.parameters import read_only
+from hpid_ros.nodes.ros.usage import Usage
 
 
 class Composition(executor.ClosingNode):

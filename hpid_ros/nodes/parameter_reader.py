@@ -13,7 +13,7 @@ from rclpy.parameter import parameter_value_to_python
 from rclpy.parameter_client import AsyncParameterClient
 
 from hpid_ros.control import LOOP_PARAMETERS
-from hpid_ros.control.model_settings import MODEL_PARAMETERS
+from hpid_ros.control.settings.model import MODEL_PARAMETERS
 
 _SERVICE = "rcl_interfaces/srv/GetParameters"
 _QUIET_FOR = 1.0  # [s] without a new node, after which the graph is taken as known

@@ -9,25 +9,22 @@ from typing import Any
 
 from sensor_msgs.msg import JointState
 
-from hpid_ros.errors import MessageError
-from hpid_ros.messages import EffortReader, JointStateTemplate
-from hpid_ros.nodes import executor
-from hpid_ros.nodes.bridge_commanders import Commanders
-from hpid_ros.nodes.bridge_pace import read_pace
-from hpid_ros.nodes.bridge_reports import BridgeReports
-from hpid_ros.nodes.bridge_services import BridgeServices
-from hpid_ros.nodes.bridge_timing import BridgeTiming
-from hpid_ros.nodes.diagnostics import ERROR, OK, WARN, Diagnostics
-from hpid_ros.nodes.held_commands import HeldCommands
-from hpid_ros.nodes.parameters import read_only
-from hpid_ros.nodes.qos import ALL_COMMANDS, OFFERED, overridable
-from hpid_ros.nodes.scheduling import schedule
-from hpid_ros.nodes.status_pipe import StatusPipe
-from hpid_ros.nodes.steady_timer import steady_timer
-from hpid_ros.nodes.usage import Usage
-from hpid_ros.nodes.world_parameters import world_settings
+from hpid_ros.base.errors import MessageError
+from hpid_ros.nodes.bridge.commanders import Commanders, HeldCommands
+from hpid_ros.nodes.bridge.pace import BridgeTiming, read_pace
+from hpid_ros.nodes.bridge.reports import BridgeReports
+from hpid_ros.nodes.bridge.services import BridgeServices
+from hpid_ros.nodes.bridge.world_parameters import world_settings
+from hpid_ros.nodes.ros import executor
+from hpid_ros.nodes.ros.middleware import ALL_COMMANDS, OFFERED, overridable
+from hpid_ros.nodes.ros.parameters import read_only
+from hpid_ros.nodes.ros.process import schedule
+from hpid_ros.nodes.ros.status import ERROR, OK, WARN, Diagnostics, StatusPipe
+from hpid_ros.nodes.ros.steady_timer import steady_timer
+from hpid_ros.nodes.ros.usage import Usage
 from hpid_ros.simulation.lockstep import Barrier
-from hpid_ros.simulation.world import World
+from hpid_ros.simulation.world.world import World
+from hpid_ros.wire import EffortReader, JointStateTemplate
 
 _READINESS_PERIOD = 0.01  # [s]
 _LOOKS = 8  # at who is missing, in one answer_timeout

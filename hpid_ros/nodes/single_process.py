@@ -5,11 +5,12 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 
-from hpid_ros.nodes import executor, joint_controllers
+from hpid_ros.nodes import joint_controllers
 from hpid_ros.nodes.bag_recorder import BagRecorder
-from hpid_ros.nodes.parameters import read_only
 from hpid_ros.nodes.pybullet_bridge import PybulletBridge
-from hpid_ros.nodes.usage import Usage
+from hpid_ros.nodes.ros import executor
+from hpid_ros.nodes.ros.parameters import read_only
+from hpid_ros.nodes.ros.usage import Usage
 
 
 class SingleProcess(executor.ClosingNode):

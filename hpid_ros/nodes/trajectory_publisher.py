@@ -14,19 +14,19 @@ from collections.abc import Sequence
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory as JointTrajectoryMessage
 
-from hpid_ros.errors import MessageError, SettingError, TrajectoryError
-from hpid_ros.messages import decode_joint_state
-from hpid_ros.nodes import executor
-from hpid_ros.nodes.parameters import read_only
-from hpid_ros.nodes.qos import LATCHED, NEWEST_STATES, overridable
-from hpid_ros.nodes.status_pipe import StatusPipe
-from hpid_ros.nodes.steady_timer import steady_timer
-from hpid_ros.nodes.trajectories import to_message
-from hpid_ros.nodes.usage import Usage
+from hpid_ros.base.errors import MessageError, SettingError, TrajectoryError
+from hpid_ros.base.resources import find_resource
+from hpid_ros.documents.yaml_files import load_document
+from hpid_ros.nodes.ros import executor
+from hpid_ros.nodes.ros.middleware import LATCHED, NEWEST_STATES, overridable
+from hpid_ros.nodes.ros.parameters import read_only
+from hpid_ros.nodes.ros.status import StatusPipe
+from hpid_ros.nodes.ros.steady_timer import steady_timer
+from hpid_ros.nodes.ros.trajectories import to_message
+from hpid_ros.nodes.ros.usage import Usage
 from hpid_ros.planning import planned_reference
-from hpid_ros.resources import find_resource
 from hpid_ros.robot.description import RobotDescription
-from hpid_ros.yaml_files import load_document
+from hpid_ros.wire import decode_joint_state
 
 
 class TrajectoryPublisher(executor.ClosingNode):

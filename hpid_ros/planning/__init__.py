@@ -4,9 +4,16 @@
 when there is such a task, since it needs Pinocchio.
 """
 
-from hpid_ros.planning.options import PlanOptions, TaskRobot
-from hpid_ros.planning.plan import BrickGoal, BrickPlan, Grip, Placement, TaskPose
-from hpid_ros.planning.section import PlannedReference, planned_reference, reference_from
+from hpid_ros.planning.configuration import PlannedReference, planned_reference, reference_from
+from hpid_ros.planning.plan import (
+    BrickGoal,
+    BrickPlan,
+    Grip,
+    Placement,
+    PlanOptions,
+    TaskPose,
+    TaskRobot,
+)
 
 __all__ = [
     "BrickGoal",

@@ -4,7 +4,6 @@
 :mod:`~hpid_ros.robot.dynamics` is the only importer of Pinocchio and is imported by name.
 """
 
-from hpid_ros.robot.description import RobotDescription
-from hpid_ros.robot.joints import JointDescription
+from hpid_ros.robot.description import JointDescription, RobotDescription
 
 __all__ = ["JointDescription", "RobotDescription"]

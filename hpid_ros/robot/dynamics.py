@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 
@@ -9,10 +10,76 @@ import numpy as np
 import numpy.typing as npt
 import pinocchio
 
-from hpid_ros.errors import RobotDescriptionError, SettingError, unknown_name
-from hpid_ros.robot.description import RobotDescription
-from hpid_ros.robot.joints import JointDescription
-from hpid_ros.robot.rigid_body import PAYLOAD_LINK, build_model, velocity_index
+from hpid_ros.base.errors import RobotDescriptionError, SettingError, unknown_name
+from hpid_ros.robot.description import JointDescription, RobotDescription
+from hpid_ros.robot.differential_drive import DifferentialDrive
+
+PAYLOAD_LINK = "payload"
+
+
+def build_model(
+    description: RobotDescription,
+    root: pinocchio.JointModel | None = None,
+    *,
+    payload_mass: float = 0.0,
+    payload_link: str = PAYLOAD_LINK,
+    mass_scale: float = 1.0,
+    locked: Iterable[str] = (),
+) -> pinocchio.Model:
+    """Build the model of a robot.
+
+    Args:
+        description: The robot.
+        root: The joint that carries the root link; None holds it in place.
+        payload_mass: Point mass at the payload link, in [kg].
+        payload_link: Link that carries the payload.
+        mass_scale: Factor on the mass and inertia of every link; rotors and payload not.
+        locked: Joints that are held at 0 and leave the model.
+
+    Returns:
+        The model; its armature is the rotors' reflected inertia, in [kg m^2].
+
+    Raises:
+        RobotDescriptionError: Pinocchio cannot build a model of the URDF, the robot lacks a
+            locked joint, or has a payload and no link for it.
+        SettingError: A mass is negative or not finite, or the factor is not positive.
+    """
+    if not (math.isfinite(payload_mass) and payload_mass >= 0.0):
+        raise SettingError(f"payload_mass {payload_mass!r} must be a finite number >= 0 [kg]")
+    if not (math.isfinite(mass_scale) and mass_scale > 0.0):
+        raise SettingError(f"mass_scale {mass_scale!r} must be a positive number")
+    try:
+        model = pinocchio.buildModelFromXML(description.xml, *(() if root is None else (root,)))
+    except (ValueError, RuntimeError) as error:
+        reason = " ".join(str(error).split())
+        raise RobotDescriptionError(f"Pinocchio cannot read the robot: {reason}") from error
+    held = [joint.name for joint in description.select(locked)]
+    if held:
+        indices = [model.getJointId(name) for name in held]
+        model = pinocchio.buildReducedModel(model, indices, pinocchio.neutral(model))
+    if mass_scale != 1.0:
+        for index in range(model.njoints):
+            body = model.inertias[index]
+            scaled = pinocchio.Inertia(
+                mass_scale * body.mass, body.lever, mass_scale * body.inertia
+            )
+            model.inertias[index] = scaled
+    armature = np.zeros(model.nv)
+    for joint in description.joints.values():
+        if joint.name not in held:
+            armature[velocity_index(model, joint.name)] = joint.reflected_inertia
+    model.armature = armature
+    if payload_mass:
+        frame = model.frames[model.getFrameId(description.link(payload_link))]
+        load = pinocchio.Inertia(payload_mass, np.zeros(3), np.zeros((3, 3)))
+        model.appendBodyToJoint(frame.parentJoint, load, frame.placement)
+    return model
+
+
+def velocity_index(model: pinocchio.Model, joint: str) -> int:
+    """Return where a joint's velocity stands in the model's velocity vector."""
+    return int(model.joints[model.getJointId(joint)].idx_v)
+
 
 Vector = npt.NDArray[np.float64]
 
@@ -201,3 +268,58 @@ class Dynamics:
 def _bounds(joint: JointDescription) -> tuple[float, float]:
     """Return finite bounds of a joint's position, in [rad]."""
     return max(joint.lower, -np.pi), min(joint.upper, np.pi)
+
+
+_FORWARD, _YAW = 0, 5  # of the twist of the root link, in its own axes
+
+
+class _RollingRobot(Dynamics):
+    """The robot with a free root, seen through wheels that roll and do not slip."""
+
+    def wheel_mass(
+        self, drive: DifferentialDrive, positions: Mapping[str, float]
+    ) -> dict[str, float]:
+        """Return each wheel's effective inertia in [kg m^2]."""
+        mass = self._mass(positions)
+        motions = np.zeros((mass.shape[0], 2))
+        for column, rates in enumerate(((1.0, 0.0), (0.0, 1.0))):
+            motions[_FORWARD, column], motions[_YAW, column] = drive.twist(*rates)
+            motions[self._velocity_index(drive.joints[column]), column] = 1.0
+        mobility = np.diagonal(np.linalg.inv(motions.T @ mass @ motions))
+        return {
+            joint: float(1.0 / each) for joint, each in zip(drive.joints, mobility, strict=True)
+        }
+
+
+def wheel_inertias(
+    description: RobotDescription,
+    drive: DifferentialDrive,
+    positions: Mapping[str, float],
+    payload_mass: float = 0.0,
+    payload_link: str = "payload",
+) -> dict[str, float]:
+    r"""Return what each wheel's motor has to accelerate while the robot rolls on the ground.
+
+    With J the motion of the robot for the two wheel rates, no slip and the other joints held,
+
+    .. math:: m_j = 1 / ((J^T M J)^{-1})_{jj}
+
+    so the other wheel is free to roll. Supporting balls are taken to have no drag and no mass
+    of their own.
+
+    Args:
+        description: The robot, its root's origin between the wheels.
+        drive: The wheels.
+        positions: Position of each joint, in [rad]; joints left out are at 0.
+        payload_mass: Point mass at the payload link, in [kg].
+        payload_link: Link that carries the payload.
+
+    Returns:
+        Effective inertia by wheel joint, in [kg m^2].
+
+    Raises:
+        RobotDescriptionError: The robot lacks a joint or the payload's link.
+        SettingError: A position or the payload is impossible.
+    """
+    robot = _RollingRobot(description, False, payload_mass, payload_link)
+    return robot.wheel_mass(drive, positions)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
-from hpid_ros.robot.packages import package_folder
+from hpid_ros.base.resources import package_folder
 
 _FILE, _PACKAGE = "file://", "package://"
 

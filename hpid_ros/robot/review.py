@@ -7,10 +7,9 @@ from collections.abc import Callable, Iterator
 from typing import NamedTuple
 from xml.etree import ElementTree
 
-from hpid_ros.errors import RobotDescriptionError
+from hpid_ros.base.errors import RobotDescriptionError
 from hpid_ros.robot.amendments import is_possible, principal_moments
-from hpid_ros.robot.description import RobotDescription
-from hpid_ros.robot.joints import JointDescription
+from hpid_ros.robot.description import JointDescription, RobotDescription
 from hpid_ros.robot.meshes import find_mesh, mesh_places
 
 _ALIKE = 4

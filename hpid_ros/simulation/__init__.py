@@ -7,6 +7,6 @@ PyBullet.
 
 from hpid_ros.simulation.poses import Pose, Twist
 from hpid_ros.simulation.settings import WorldSettings
-from hpid_ros.simulation.world import World
+from hpid_ros.simulation.world.world import World
 
 __all__ = ["Pose", "Twist", "World", "WorldSettings"]

@@ -6,10 +6,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, fields
 from typing import Any, TypeVar
 
-from hpid_ros.errors import SettingError
-from hpid_ros.simulation.hall import Homing
-from hpid_ros.simulation.motor import Motor
-from hpid_ros.simulation.pwm import Pwm
+from hpid_ros.base.errors import SettingError
+from hpid_ros.simulation.drives import Motor, Pwm
+from hpid_ros.simulation.sensors import Homing
 
 Model = TypeVar("Model", Motor, Pwm, Homing)
 

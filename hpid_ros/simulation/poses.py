@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from hpid_ros.simulation.bullet import pybullet
+from hpid_ros.simulation.world.bullet import pybullet
 
 ROOT = -1  # Bullet's index of a robot's root link
 

@@ -1,80 +1,166 @@
-"""What the robot's board reads of its joints, once a control period."""
+"""Encoders and Hall switches on the joints' output shafts.
+
+An incremental encoder knows how far a joint has turned since power came on, not where it stands.
+A joint is led past a magnet at constant speed; when the switch is seen to change, the counter
+is set to the position at which the switch is said to change.
+"""
 
 from __future__ import annotations
 
+import math
 import random
-from collections.abc import Sequence
+from dataclasses import dataclass
 
-from hpid_ros.simulation.settings import WorldSettings
+from hpid_ros.base.errors import SettingError
 
 
-class Sensors:
-    """Encoders with noise, with the zero that a homing run found, and with differences.
+@dataclass(frozen=True)
+class Encoder:
+    """A position sensor with a finite number of counts per revolution.
 
-    What is drawn by chance comes from a stream of each joint's own, which neither the other
-    joints nor the number of readings change.
+    A position is rounded to the middle of its count: the error is at most half a count,
+    pi / counts, either way. Where the counts begin is a matter of how the disc was mounted.
 
-    Args:
-        settings: Settings of the world.
-        start: Positions of the driven joints at time 0, in [rad].
+    Attributes:
+        counts: Counts per revolution of the joint's output shaft (all four edges of each line);
+            0 is an ideal sensor.
+        phase: Where zero lies in its count, from the middle, in [counts].
+
+    Raises:
+        SettingError: The number of counts is negative or not a whole number.
     """
 
-    def __init__(self, settings: WorldSettings, start: Sequence[float]) -> None:
-        self._encoders = settings.encoders
-        self._noise = settings.position_noises
-        self._chances = [stream(settings.seed, "noise", joint) for joint in settings.joints]
-        self._period = settings.control_period_ns * 1e-9
-        self._has_differences = settings.velocity == "differences"
-        self._offsets = [0.0] * len(settings.joints)
-        for index, homing in enumerate(settings.homings):
-            if homing is not None:
-                chance = stream(settings.seed, "homing", settings.joints[index])
-                self._offsets[index] = homing.error(
-                    start[index], self._period, self._encoders[index], chance
-                )
-        self.positions = self._read(start)
-        """Measured positions, in [rad]."""
-        self.velocities = (0.0,) * len(start) if self._has_differences else None
-        """Measured velocities, in [rad/s]; None where none are."""
+    counts: int = 0
+    phase: float = 0.0
 
-    @property
-    def offsets(self) -> tuple[float, ...]:
-        """What the readings are wrong by since homing, in [rad]."""
-        return tuple(self._offsets)
-
-    def sample(self, positions: Sequence[float]) -> None:
-        """Measure once; called once a control period.
-
-        Args:
-            positions: True positions, in [rad].
-        """
-        before, self.positions = self.positions, self._read(positions)
-        if self._has_differences:
-            self.velocities = tuple(
-                [
-                    (now - then) / self._period
-                    for now, then in zip(self.positions, before, strict=True)
-                ]
+    def __post_init__(self) -> None:
+        if isinstance(self.counts, bool) or not isinstance(self.counts, int) or self.counts < 0:
+            raise SettingError(
+                f"encoder_counts {self.counts!r} must be a whole number >= 0 (0: ideal sensor)"
             )
 
-    def _read(self, positions: Sequence[float]) -> tuple[float, ...]:
-        each = zip(
-            self._encoders, positions, self._noise, self._chances, self._offsets, strict=True
-        )
-        return tuple(
-            [
-                encoder.read(position + (noise * chance.gauss(0.0, 1.0) if noise else 0.0)) + off
-                for encoder, position, noise, chance, off in each
-            ]
-        )
+    @property
+    def resolution(self) -> float:
+        """Size of one count, in [rad]; 0 for an ideal sensor."""
+        return math.tau / self.counts if self.counts else 0.0
+
+    def read(self, position: float) -> float:
+        """Return the measured position.
+
+        Args:
+            position: True position, in [rad].
+
+        Returns:
+            The middle of the count that the position is in, in [rad].
+        """
+        if not self.counts:
+            return position
+        count = round(position * self.counts / math.tau + self.phase)
+        return (count - self.phase) * math.tau / self.counts
 
 
-def stream(seed: int, purpose: str, joint: str) -> random.Random:
-    """Return a joint's own source of chance, the same in every process.
+LEAST_SPEED = 1e-6  # [rad/s]
+FARTHEST = 1e3  # [rad]
 
-    Args:
-        seed: Of the world.
-        purpose: What is drawn from it.
-        joint: Name of the joint.
+
+@dataclass(frozen=True)
+class HallSwitch:
+    """A switch that is on beyond a position, with a hysteresis.
+
+    Attributes:
+        position: Middle of its two switching points, at most 1000 either way, in [rad].
+        hysteresis: Distance between them, in [rad].
+
+    Raises:
+        SettingError: A value is not finite, or the hysteresis negative.
     """
-    return random.Random(f"{seed} {purpose} {joint}")
+
+    position: float
+    hysteresis: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not abs(self.position) <= FARTHEST:
+            raise SettingError(
+                f"homing.position {self.position!r} must be in [-{FARTHEST:g}, {FARTHEST:g}] rad"
+            )
+        if not (math.isfinite(self.hysteresis) and self.hysteresis >= 0.0):
+            raise SettingError(f"homing.hysteresis {self.hysteresis!r} must be finite and >= 0")
+
+    def read(self, position: float, was_on: bool) -> bool:
+        """Return whether the switch is on.
+
+        Args:
+            position: Of the joint, in [rad].
+            was_on: Whether it was on before.
+        """
+        half = self.hysteresis / 2.0
+        return position > self.position + (-half if was_on else half)
+
+
+@dataclass(frozen=True)
+class Homing:
+    """A homing run, done before time 0.
+
+    The joint is led from its initial position towards the switch, and past it, by a drive that
+    keeps its speed; the board looks at the switch once a control period, at a moment of the
+    travel that chance decides. The error that remains is the way from the switch's place to
+    where it was seen, at most half the hysteresis and one period's way, and the encoder's
+    rounding.
+
+    Attributes:
+        speed: Of the run, in [rad/s].
+        position: Where the switch is, in [rad].
+        hysteresis: Of the switch, in [rad].
+
+    Raises:
+        SettingError: A value is out of its range.
+    """
+
+    speed: float
+    position: float = 0.0
+    hysteresis: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.speed) and self.speed >= LEAST_SPEED):
+            raise SettingError(
+                f"homing.speed {self.speed!r} must be a finite number >= {LEAST_SPEED:g} [rad/s]"
+            )
+        _ = self.switch
+
+    @property
+    def switch(self) -> HallSwitch:
+        """The switch."""
+        return HallSwitch(self.position, self.hysteresis)
+
+    def largest_error(self, period: float, encoder: Encoder) -> float:
+        """Return the bound on :meth:`error`'s absolute value, in [rad].
+
+        Args:
+            period: Time between two looks at the switch, in [s].
+            encoder: The joint's encoder.
+        """
+        return self.hysteresis / 2.0 + self.speed * period + encoder.resolution / 2.0
+
+    def error(self, start: float, period: float, encoder: Encoder, chance: random.Random) -> float:
+        """Run, and return what the readings are wrong by from then on.
+
+        Args:
+            start: Position at which power came on, in [rad].
+            period: Time between two looks at the switch, in [s].
+            encoder: The joint's encoder.
+            chance: Decides when the switch is looked at.
+
+        Returns:
+            Reading minus position, the encoder's rounding aside, in [rad].
+        """
+        switch = self.switch
+        was_on = start > switch.position
+        step = math.copysign(self.speed * period, -1.0 if was_on else 1.0)
+        edge = switch.position + math.copysign(switch.hysteresis / 2.0, step)
+        # No look before the edge can see anything: the run begins with the last of them.
+        offset = chance.random()
+        before = max(0, math.floor((edge - start) / step - offset))
+        seen = start + (offset + before) * step
+        while switch.read(seen, was_on) == was_on:
+            seen += step
+        return switch.position - encoder.read(seen)

@@ -8,21 +8,20 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from hpid_ros.errors import SettingError, unknown_name
+from hpid_ros.base.errors import SettingError, unknown_name
 from hpid_ros.robot.description import RobotDescription
 from hpid_ros.robot.differential_drive import DifferentialDrive
-from hpid_ros.simulation.bricks import Workplace
-from hpid_ros.simulation.disturbances import Disturbances, require_mass
 from hpid_ros.simulation.drives import DriveSettings
-from hpid_ros.simulation.encoders import Encoder
-from hpid_ros.simulation.hall import Homing
+from hpid_ros.simulation.sensors import Encoder, Homing
+from hpid_ros.simulation.world.disturbances import Disturbances, require_mass
+from hpid_ros.simulation.world.workpieces import Workplace
 
 VELOCITIES = ("none", "differences")
 
 
 @dataclass(frozen=True)
 class WorldSettings:
-    """Settings of a :class:`~hpid_ros.simulation.world.World`.
+    """Settings of a :class:`~hpid_ros.simulation.world.world.World`.
 
     Attributes:
         robot_description: Path of a URDF, or its XML text.

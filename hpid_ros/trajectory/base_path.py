@@ -9,9 +9,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from hpid_ros.errors import TrajectoryError
-from hpid_ros.trajectory.base_knots import leg_knots
-from hpid_ros.trajectory.base_legs import Drive, Leg, PathPose, TimeLaw, Turn
+from hpid_ros.base.errors import TrajectoryError
+from hpid_ros.trajectory.base_legs import Drive, Leg, PathPose, TimeLaw, Turn, leg_knots
 from hpid_ros.trajectory.joint_trajectory import JointTrajectory, TrajectoryPoint
 from hpid_ros.trajectory.spline import Knot
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from itertools import pairwise
 from typing import NamedTuple
 
-from hpid_ros.errors import TrajectoryError
+from hpid_ros.base.errors import TrajectoryError
 from hpid_ros.trajectory.joint_trajectory import JointTrajectory, TrajectoryPoint
 from hpid_ros.trajectory.spline import SECONDS_PER_NANOSECOND, Column, segment
 

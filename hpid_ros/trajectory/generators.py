@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
-from hpid_ros.errors import TrajectoryError
+from hpid_ros.base.errors import TrajectoryError
 from hpid_ros.trajectory.joint_trajectory import JointTrajectory, TrajectoryPoint
 
 _NANOSECONDS = 1_000_000_000

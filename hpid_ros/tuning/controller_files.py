@@ -6,11 +6,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from hpid_ros.base.errors import HpidError, SettingError, unknown_name
+from hpid_ros.base.names import ANYWHERE, NODE_PARAMETERS, node_sections
 from hpid_ros.control import LOOP_PARAMETERS, LoopSettings
-from hpid_ros.control.model_settings import MODEL_PARAMETERS
-from hpid_ros.errors import HpidError, SettingError, unknown_name
-from hpid_ros.names import ANYWHERE, NODE_PARAMETERS, node_sections
-from hpid_ros.yaml_files import load_yaml
+from hpid_ros.control.settings.model import MODEL_PARAMETERS
+from hpid_ros.documents.yaml_files import load_yaml
 
 INERTIA_RANGES = "inertia_ranges"
 """Section of a parameter file with the least and the largest inertia of joints."""

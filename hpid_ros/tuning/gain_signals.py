@@ -7,11 +7,11 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from hpid_ros.analysis.series import JointSeries, RunSeries
 from hpid_ros.analysis.signals import GainSignals, Signal
 from hpid_ros.control import LoopSettings
 from hpid_ros.control.homogeneous_pid import HomogeneousPid
-from hpid_ros.control.norm_arrays import norm_values
+from hpid_ros.recordings.series import JointSeries, RunSeries
+from hpid_ros.stability.closed_loop import norm_values
 
 Array = NDArray[np.float64]
 

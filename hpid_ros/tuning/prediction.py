@@ -8,15 +8,15 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 
-from hpid_ros.analysis import Comparison, JointSeries, RunIndices, run_indices
-from hpid_ros.analysis.complete_run import complete_run
+from hpid_ros.analysis import Comparison, RunIndices, run_indices
+from hpid_ros.base.errors import RunError
+from hpid_ros.compensation.build import compensators
 from hpid_ros.control import JointLoop, LoopSettings
-from hpid_ros.control.joint_loop import Motion
-from hpid_ros.errors import RunError
+from hpid_ros.control.reference import Motion
+from hpid_ros.recordings.series import JointSeries, complete_run
 from hpid_ros.simulation import World, WorldSettings
-from hpid_ros.simulation.recording import record_run
+from hpid_ros.simulation.engine import record_run
 from hpid_ros.trajectory import Column, Knot
-from hpid_ros.tuning.compensation import compensators
 
 _NANOSECONDS = 1_000_000_000
 _STEP_DURATION = 3.0  # [s]

@@ -11,8 +11,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from hpid_ros.base.errors import SettingError
 from hpid_ros.control.gains import Gains
-from hpid_ros.errors import SettingError
 
 
 class SeriesPid(NamedTuple):

@@ -5,10 +5,10 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 
+from hpid_ros.base.names import ANYWHERE, controller_name
 from hpid_ros.control import LOOP_PARAMETERS, LoopSettings
-from hpid_ros.control.model_settings import MODEL_PARAMETERS
-from hpid_ros.control.parameters import Value
-from hpid_ros.names import ANYWHERE, controller_name
+from hpid_ros.control.settings.model import MODEL_PARAMETERS
+from hpid_ros.control.settings.table import Value
 from hpid_ros.tuning.controller_files import INERTIA_RANGES
 from hpid_ros.tuning.gain_design import number_text
 from hpid_ros.tuning.upgrade import Upgrade

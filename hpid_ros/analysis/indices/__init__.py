@@ -1,0 +1,1 @@
+"""Performance indices: arrays in, named numbers out."""

@@ -1,0 +1,178 @@
+"""How well a task was done: the end effector against its reference, and what became of bricks."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hpid_ros.recordings.series import SeriesError
+
+Numbers = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class PoseDeviation:
+    """Deviation of a frame from another over N instants.
+
+    Attributes:
+        rms_position: Root of the mean squared distance, in [m].
+        largest_position: In [m].
+        rms_orientation: Root of the mean squared angle, in [rad].
+        largest_orientation: In [rad].
+    """
+
+    rms_position: float
+    largest_position: float
+    rms_orientation: float
+    largest_orientation: float
+
+    @classmethod
+    def of(cls, distances: Numbers, angles: Numbers) -> PoseDeviation:
+        """Return the figures of deviations.
+
+        Args:
+            distances: (N,), in [m].
+            angles: (N,), in [rad].
+
+        Raises:
+            SeriesError: There is no instant.
+        """
+        if not len(distances) or len(distances) != len(angles):
+            raise SeriesError(
+                f"a deviation needs one distance and one angle for each instant, got "
+                f"{len(distances)} and {len(angles)}"
+            )
+        return cls(
+            float(np.sqrt(np.mean(distances**2))),
+            float(distances.max()),
+            float(np.sqrt(np.mean(angles**2))),
+            float(angles.max()),
+        )
+
+
+@dataclass(frozen=True)
+class EndEffectorFigures:
+    """The end effector of one run in the task frame.
+
+    Attributes:
+        link: Its name.
+        frame: The task frame: ``odom``, or the root link where the base is unknown.
+        tracking: By the measured joints and the wheels' odometry, against the reference.
+        truth: By its true pose, against the reference; None where that was not recorded.
+    """
+
+    link: str
+    frame: str
+    tracking: PoseDeviation
+    truth: PoseDeviation | None = None
+
+    def as_mapping(self) -> dict[str, object]:
+        """Return all figures by name, with those of the deviations nested."""
+        return asdict(self)
+
+    def line(self, label: str) -> str:
+        """Return one line for people.
+
+        Args:
+            label: Name of the run.
+        """
+        text = f"{label}: {self.link} in {self.frame}: {_deviation(self.tracking)}"
+        return text if self.truth is None else f"{text}; in truth {_deviation(self.truth)}"
+
+
+@dataclass(frozen=True, eq=False)
+class EndEffectorPath:
+    """Where an end effector was to be and where it was, for the figure.
+
+    Attributes:
+        label: Name of the run.
+        reference: (N, 3), in [m].
+        position: At the same instants, (N, 3), in [m].
+    """
+
+    label: str
+    reference: Numbers
+    position: Numbers
+
+
+@dataclass(frozen=True)
+class BrickFigures:
+    """What became of one brick in one run.
+
+    Attributes:
+        name: Name of the brick.
+        grasped: Whether it was ever held.
+        distance: Between the brick and the hand at the first closing that was for it, in [m];
+            None if there was none.
+        angle: Between its faces and the fingers then, in [rad].
+        lost: Whether it was ever pulled out of the grip.
+        position_error: From where it lies at the end to its place, in [m]; None without a place.
+        orientation_error: Likewise, in [rad].
+        reason: Why it was missed or lost first, in words; empty if it was neither.
+    """
+
+    name: str
+    grasped: bool
+    distance: float | None
+    angle: float | None
+    lost: bool
+    position_error: float | None
+    orientation_error: float | None
+    reason: str = ""
+
+    def as_mapping(self) -> dict[str, object]:
+        """Return all figures by name but the name itself."""
+        mapping = asdict(self)
+        del mapping["name"]
+        return mapping
+
+    def line(self, label: str) -> str:
+        """Return one line for people.
+
+        Args:
+            label: Name of the run.
+        """
+        outcome = "lost" if self.lost else "carried" if self.grasped else "not grasped"
+        text = f"{label}: brick {self.name} {outcome}"
+        if self.reason:
+            text += f" ({self.reason})"
+        if self.distance is not None and self.angle is not None:
+            text += f", {_mm(self.distance)} and {_mrad(self.angle)} off at closing"
+        if self.position_error is not None and self.orientation_error is not None:
+            text += (
+                f", lies {_mm(self.position_error)} and {_mrad(self.orientation_error)} from its "
+                "place"
+            )
+        return text
+
+
+def task_notes(
+    end_effectors: Sequence[tuple[str, EndEffectorFigures]],
+    bricks: Sequence[tuple[str, Sequence[BrickFigures]]],
+) -> list[str]:
+    """Return the lines below the table of a brick task; none where there were no bricks.
+
+    Args:
+        end_effectors: By label of the run.
+        bricks: By label of the run.
+    """
+    lines = [brick.line(label) for label, each in bricks for brick in each]
+    return lines + [figures.line(label) for label, figures in end_effectors if lines]
+
+
+def _deviation(deviation: PoseDeviation) -> str:
+    return (
+        f"RMS {_mm(deviation.rms_position)} and {_mrad(deviation.rms_orientation)}, largest "
+        f"{_mm(deviation.largest_position)} and {_mrad(deviation.largest_orientation)} off"
+    )
+
+
+def _mm(metres: float) -> str:
+    return f"{1e3 * metres:.3g} mm"
+
+
+def _mrad(angle: float) -> str:
+    return f"{1e3 * angle:.3g} mrad"

@@ -1,0 +1,1 @@
+"""Columns of numbers out of the storages of rosbag2."""

@@ -1,0 +1,1 @@
+"""MCAP files, finished or cut off."""

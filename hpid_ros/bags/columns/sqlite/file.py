@@ -1,0 +1,374 @@
+"""One SQLite file of rosbag2: of any schema version, past pages that are damaged."""
+
+from __future__ import annotations
+
+import itertools
+import shutil
+import sqlite3
+import struct
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, closing
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from urllib.parse import quote
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hpid_ros.bags.columns.batches import (
+    Advance,
+    Integers,
+    Report,
+    TopicBatch,
+    TopicInfo,
+    batch_of,
+)
+from hpid_ros.bags.columns.sqlite.pages import PageReader, Rows, UnusualPageError
+from hpid_ros.base.errors import BagError
+
+_BATCH_ROWS = 1 << 14
+_BATCH_BYTES = 4 << 20
+_FIRST_STEP = 16
+"""Rows that are passed over after a damaged page; doubled as long as that does not help."""
+
+_ROWS = (
+    "SELECT rowid, topic_id, timestamp, data FROM messages "
+    "WHERE rowid >= ? AND topic_id IN ({}) ORDER BY rowid"
+)
+_COLUMNS = [
+    ("id", "INTEGER", 1),
+    ("topic_id", "INTEGER", 0),
+    ("timestamp", "INTEGER", 0),
+    ("data", "BLOB", 0),
+]
+"""Name, type and place in the primary key."""
+
+_FAILURES = (sqlite3.Error, UnicodeDecodeError)
+"""What damage raises; the second when SQLite quotes it."""
+
+_LONGEST_REASON = 200
+_LARGEST_ID = 2**63 - 1
+_HEAD = struct.Struct(">16xH6xII60xI4x")
+"""Page size, change counter, page count, and the change for which that count was written."""
+
+_LARGEST_PAGE = 65536
+_STEPS_AT_ONCE = 1 << 20
+_STEPS_PER_BYTE = 4
+"""Instructions of SQLite for each byte of a file: a row has 12 bytes or more and takes some 10."""
+
+Row = tuple[int, int, int, bytes]
+
+
+class SqliteFile:
+    """An open ``.db3`` file.
+
+    Args:
+        path: The file; a write-ahead log beside it is read too.
+        report: Takes a line about what cannot be read while opening.
+
+    Raises:
+        BagError: The file cannot be opened, or its topics cannot be read.
+    """
+
+    def __init__(self, path: Path, report: Report) -> None:
+        path = path.resolve()  # a log lies beside the file, not beside a link to it
+        if not path.is_file():
+            raise BagError("no such file")
+        self._size, self._steps = path.stat().st_size, 0
+        with ExitStack() as stack:
+            path, self._is_cut_off = _whole_pages(path, stack, report)
+            self._connection, is_alone = _connected(path, self._is_cut_off, report)
+            stack.callback(self._connection.close)
+            self._connection.set_progress_handler(self._is_too_long, _STEPS_AT_ONCE)
+            try:
+                self._topics = self._read_topics()
+                root = self._root_page() if is_alone else None
+                stream = stack.enter_context(path.open("rb"))
+                self._pages = None if root is None else PageReader(stream, root)
+            except (*_FAILURES, BagError, UnusualPageError, OSError) as error:
+                raise BagError(_line(error)) from error
+            self._stack = stack.pop_all()
+
+    def _is_too_long(self) -> bool:
+        """Stop a query that takes more steps than the file has rows for: pages in a circle."""
+        self._steps += _STEPS_AT_ONCE
+        return self._steps > _STEPS_AT_ONCE + _STEPS_PER_BYTE * self._size
+
+    def _read_topics(self) -> dict[str, tuple[list[int], TopicInfo]]:
+        """Return the numbers of each topic and what is known of it, in the order of the names."""
+        columns = self._columns("topics")
+        if not {"id", "name", "type", "serialization_format"} <= columns:
+            raise BagError("no bag: it has no table of topics")
+        if not {"topic_id", "timestamp", "data"} <= self._columns("messages"):
+            raise BagError("no bag: it has no table of messages")
+        query = "SELECT id, name, type, serialization_format FROM topics"
+        topics = self._connection.execute(query).fetchall()
+        definitions: dict[str, str] = {}
+        if self._columns("message_definitions"):
+            query = "SELECT topic_type, encoded_message_definition FROM message_definitions"
+            definitions = dict(self._connection.execute(query).fetchall())
+        found: dict[str, tuple[list[int], TopicInfo]] = {}
+        for number, name, kind, encoding in topics:
+            if tuple(map(type, (number, name, kind, encoding))) != (int, str, str, str):
+                raise BagError("a topic has no proper number, name or type")
+            info = TopicInfo(kind, encoding, None, str(definitions.get(kind, "")))
+            found.setdefault(name, ([], info))[0].append(number)
+        return dict(sorted(found.items()))
+
+    def _columns(self, table: str) -> set[str]:
+        """Return the columns of a table; none if there is no such table.
+
+        Raises:
+            BagError: It is a view, or some of it is computed when it is read: not a bag, and
+                whatever it computes may have no end.
+        """
+        row = self._connection.execute(
+            "SELECT type, rootpage FROM sqlite_master "
+            "WHERE name = ? COLLATE NOCASE AND type IN ('table', 'view')",
+            (table,),
+        ).fetchone()
+        if row is None:
+            return set()
+        columns = self._connection.execute(f"PRAGMA table_xinfo({table})").fetchall()
+        if row[0] != "table" or not row[1] or any(column[6] for column in columns):
+            raise BagError(f"no bag: {table} is no plain table, but computed when it is read")
+        return {column[1] for column in columns}
+
+    def _root_page(self) -> int | None:
+        """Return the root page of the messages if their table is as rosbag2 makes it."""
+        columns = self._connection.execute("PRAGMA table_info(messages)").fetchall()
+        if [(row[1], row[2], row[5]) for row in columns] != _COLUMNS:
+            return None
+        row = self._connection.execute(
+            "SELECT rootpage FROM sqlite_master WHERE type = 'table' AND name = 'messages' "
+            "AND sql NOT LIKE '%WITHOUT%'"
+        ).fetchone()
+        return row[0] if row and isinstance(row[0], int) else None
+
+    def topics(self) -> dict[str, TopicInfo]:
+        """Return the topics by full name; counting their messages would read the whole file."""
+        return {name: info for name, (_, info) in self._topics.items()}
+
+    def close(self) -> None:
+        """Close the file."""
+        self._stack.close()
+
+    def batches(
+        self, topics: frozenset[str], report: Report, done: Advance
+    ) -> Iterator[TopicBatch]:
+        """Yield the messages of some topics; what cannot be read is reported, never raised.
+
+        Args:
+            topics: Full names.
+            report: Takes one line about each part that cannot be read.
+            done: Takes the number of bytes that are done.
+        """
+        self._steps = 0
+        wanted = {name: numbers for name, (numbers, _) in self._topics.items() if name in topics}
+        place, (following, largest) = 0, self._ids(report)
+        span, first = max(largest - following, 1), following
+
+        def advance() -> None:
+            done(min(self._size, self._size * (following - first) // span))
+
+        try:
+            for found in self.pages():
+                yield from self._of_pages(found, wanted, place, report)
+                following, place = int(found.ids[-1]) + 1, place + len(found.ids)
+                advance()
+            is_whole = self._pages is not None
+        except UnusualPageError:
+            is_whole = False
+        if not is_whole and self._is_cut_off and self._pages is not None:
+            for found in self._pages.loose_rows(following):
+                yield from self._of_pages(found, wanted, place, report)
+                place += len(found.ids)
+        elif not is_whole:  # SQLite knows what it is, or what is wrong with it
+            for rows in self._batches_of_rows(wanted, following, largest, report):
+                yield from self._of_rows(rows, wanted, place, report)
+                following, place = rows[-1][0] + 1, place + len(rows)
+                advance()
+        done(self._size)
+
+    def pages(self) -> Iterator[Rows]:
+        """Yield rows straight from the pages, as far as these are as rosbag2 writes them.
+
+        Raises:
+            UnusualPageError: They are not; what was yielded before is right.
+        """
+        if self._pages is not None:
+            yield from self._pages.rows()
+
+    def _of_pages(
+        self, rows: Rows, wanted: Mapping[str, Sequence[int]], place: int, report: Report
+    ) -> Iterator[TopicBatch]:
+        """Yield rows of pages; those that go on elsewhere are read whole, in their order."""
+        bounds = np.flatnonzero(np.diff(np.cumsum(np.maximum(-rows.sizes, 0)) // _BATCH_BYTES))
+        for begin, end in itertools.pairwise((0, *(bounds + 1).tolist(), len(rows.ids))):
+            part = slice(begin, end)
+            for name, numbers in wanted.items():
+                which = begin + np.flatnonzero(_is_one_of(rows.topic_ids[part], numbers))
+                if not len(which):
+                    continue
+                sizes, times, places = rows.sizes[which], rows.times_ns[which], place + which
+                if (sizes >= 0).all():
+                    yield TopicBatch(name, rows.buffer, rows.starts[which], sizes, times, places)
+                    continue
+                raws = [self._raw(rows, index, report) for index in which.tolist()]
+                is_there = np.array([raw is not None for raw in raws])
+                if is_there.any():
+                    whole = [raw for raw in raws if raw is not None]
+                    yield batch_of(name, whole, times[is_there], places[is_there])
+
+    def _raw(self, rows: Rows, index: int, report: Report) -> bytes | None:
+        """Return the data of one row, or None if it cannot be read."""
+        assert self._pages is not None
+        try:
+            return self._pages.data(rows, index)
+        except UnusualPageError as error:
+            report(f"row {int(rows.ids[index])} is left out: {error}")
+            return None
+
+    def _ids(self, report: Report) -> tuple[int, int]:
+        """Return bounds of the row numbers."""
+        try:
+            query = "SELECT min(rowid), max(rowid) FROM messages"
+            smallest, largest = self._connection.execute(query).fetchone()
+        except _FAILURES:
+            pass
+        else:
+            return (smallest, largest) if isinstance(smallest, int) else (1, 0)
+        try:  # max() fails wherever a file is cut off
+            (smallest,) = self._connection.execute("SELECT min(rowid) FROM messages").fetchone()
+        except _FAILURES as error:
+            if not self._is_cut_off:
+                report(f"the first rows are damaged: {_line(error)}")
+            smallest = 1
+        return (smallest if isinstance(smallest, int) else 1), _LARGEST_ID
+
+    def _batches_of_rows(
+        self,
+        wanted: Mapping[str, Sequence[int]],
+        following: int,
+        largest: int,
+        report: Report,
+    ) -> Iterator[list[Row]]:
+        """Yield rows in the order of their ids, passing over pages that cannot be read."""
+        numbers = itertools.chain.from_iterable(wanted.values())
+        query = _ROWS.format(",".join(map(str, numbers)))
+        step, damaged_from, reason = _FIRST_STEP, following, ""
+        rows: list[Row] = []
+        while following <= largest:
+            try:
+                with closing(self._connection.execute(query, (following,))) as cursor:
+                    size = 0
+                    for row in cursor:
+                        if row[0] < following:
+                            raise sqlite3.DatabaseError("rows are not in order")
+                        if reason:
+                            report(f"rows {damaged_from} to {row[0] - 1} are damaged, left out")
+                            step, reason = _FIRST_STEP, ""
+                        rows.append(row)
+                        following = row[0] + 1
+                        size += len(row[3]) if type(row[3]) is bytes else 0
+                        if len(rows) == _BATCH_ROWS or size >= _BATCH_BYTES:
+                            yield rows
+                            rows, size = [], 0
+                break
+            except _FAILURES as error:
+                if not reason:
+                    damaged_from, reason = following, _line(error)
+                following, step = following + step, 2 * step
+        if rows:
+            yield rows
+        if reason:
+            report(f"rows from {damaged_from} on are left out: {reason}")
+
+    def _of_rows(
+        self,
+        rows: Sequence[Row],
+        wanted: Mapping[str, Sequence[int]],
+        place: int,
+        report: Report,
+    ) -> Iterator[TopicBatch]:
+        kept = [row for row in rows if tuple(map(type, row)) == (int, int, int, bytes)]
+        if len(kept) < len(rows):  # a damaged row holds anything
+            report(f"{len(rows) - len(kept)} rows are no messages, left out")
+        if not kept:
+            return
+        _, owners, times, blobs = zip(*kept, strict=True)
+        owner, time = (np.array(each, dtype=np.int64) for each in (owners, times))
+        whole = batch_of("", blobs, time, place + np.arange(len(kept)))
+        for name, numbers in wanted.items():
+            is_own = _is_one_of(owner, numbers)
+            if is_own.any():
+                yield TopicBatch(name, whole.buffer, *(part[is_own] for part in whole[2:]))
+
+
+def _is_one_of(owners: Integers, numbers: Sequence[int]) -> NDArray[np.bool_]:
+    return owners == numbers[0] if len(numbers) == 1 else np.isin(owners, numbers)
+
+
+def _line(error: Exception) -> str:
+    """Return an error's text as one line; SQLite quotes what it found in the file."""
+    return " ".join(str(error).split())[:_LONGEST_REASON]
+
+
+def _whole_pages(path: Path, stack: ExitStack, report: Report) -> tuple[Path, bool]:
+    """Return a file all of whose pages are whole, and whether pages are missing at its end.
+
+    SQLite takes what is missing of the last page to be zeros, so that its rows would be wrong: a
+    file that ends within a page is copied up to there.
+
+    Args:
+        path: The file.
+        stack: Takes the folder of the copy.
+        report: Told of what is missing.
+    """
+    if _is_filled(path, "-wal"):  # the log has the pages, and their count
+        return path, False
+    with path.open("rb") as stream:
+        head = stream.read(_HEAD.size)
+    if len(head) < _HEAD.size:
+        return path, False
+    page, change, count, of_change = _HEAD.unpack(head)
+    page = _LARGEST_PAGE if page == 1 else page
+    size = path.stat().st_size
+    whole = page * count if change == of_change else 0
+    if size < whole:
+        report(f"it is cut off: {size} of {whole} bytes are there")
+    elif page and size % page:
+        report(f"it ends within a page of {page} bytes")
+    if not page or not size % page:
+        return path, size < whole
+    copy = Path(stack.enter_context(TemporaryDirectory(prefix="hpid_bag_"))) / path.name
+    with path.open("rb") as source, copy.open("wb") as target:
+        shutil.copyfileobj(source, target)
+        target.truncate(size - size % page)
+    return copy, size < whole
+
+
+def _is_filled(path: Path, suffix: str) -> bool:
+    beside = path.with_name(f"{path.name}{suffix}")
+    return beside.is_file() and beside.stat().st_size > 0
+
+
+def _connected(path: Path, is_cut_off: bool, report: Report) -> tuple[sqlite3.Connection, bool]:
+    """Open a file for reading, with its log if there is one; tell whether it is all there is."""
+    has_log, has_journal = _is_filled(path, "-wal"), _is_filled(path, "-journal")
+    if has_journal:
+        report("the recorder was stopped in a transaction; messages may be missing")
+    for mode in ("mode=ro", "immutable=1") if has_log else ("immutable=1",):
+        try:
+            connection = sqlite3.connect(f"file:{quote(str(path))}?{mode}", uri=True)
+            if is_cut_off:
+                # Without it SQLite opens no file with fewer pages than the header counts.
+                connection.execute("PRAGMA writable_schema=ON")
+            connection.execute("SELECT count(*) FROM sqlite_master").fetchone()
+        except _FAILURES as error:
+            failure = error
+            continue
+        if has_log and mode != "mode=ro":
+            report("its write-ahead log cannot be read; messages are missing")
+        return connection, not (has_log or has_journal)
+    raise BagError(_line(failure))

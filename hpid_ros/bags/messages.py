@@ -1,0 +1,342 @@
+"""Whole messages, made and read back: odometry and slip of a base, poses, the gripper's doings.
+
+For topics of a few messages; what comes a thousand times a second is read as columns.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hpid_ros.bags.columns.storage import Storage
+from hpid_ros.bags.message_types import jazzy_types
+from hpid_ros.bags.run.topics import find_topic
+from hpid_ros.base.errors import BagError
+
+_NS_PER_S = 1_000_000_000
+
+Vector = tuple[float, float, float]
+PoseValues = tuple[Vector, tuple[float, float, float, float]]
+"""Position in [m] and quaternion x, y, z, w."""
+
+
+class Stamp(NamedTuple):
+    """Header of a message.
+
+    Attributes:
+        stamp_ns: In [ns].
+        frame: Its ``frame_id``.
+    """
+
+    stamp_ns: int
+    frame: str
+
+
+def new(kind: str, **values: Any) -> Any:
+    """Return a message of a type by its fields."""
+    return jazzy_types().types[kind](**values)
+
+
+def encoded(kind: str, **values: Any) -> bytes:
+    """Return a serialised message of a type by its fields."""
+    return bytes(jazzy_types().serialize_cdr(new(kind, **values), kind))
+
+
+def header_of(stamp: Stamp) -> Any:
+    """Return a ``std_msgs/msg/Header``."""
+    seconds, rest = divmod(stamp.stamp_ns, _NS_PER_S)
+    time = new("builtin_interfaces/msg/Time", sec=seconds, nanosec=rest)
+    return new("std_msgs/msg/Header", stamp=time, frame_id=stamp.frame)
+
+
+def pose_of(pose: PoseValues) -> Any:
+    """Return a ``geometry_msgs/msg/Pose``."""
+    (x, y, z), (qx, qy, qz, qw) = pose
+    return new(
+        "geometry_msgs/msg/Pose",
+        position=new("geometry_msgs/msg/Point", x=float(x), y=float(y), z=float(z)),
+        orientation=new(
+            "geometry_msgs/msg/Quaternion", x=float(qx), y=float(qy), z=float(qz), w=float(qw)
+        ),
+    )
+
+
+def vector_of(vector: Vector) -> Any:
+    """Return a ``geometry_msgs/msg/Vector3``."""
+    x, y, z = vector
+    return new("geometry_msgs/msg/Vector3", x=float(x), y=float(y), z=float(z))
+
+
+def stamp_ns_of(message: Any) -> int:
+    """Return the stamp of a message with a header, in [ns]."""
+    stamp = message.header.stamp
+    return int(stamp.sec) * _NS_PER_S + int(stamp.nanosec)
+
+
+def messages_on(bag: Path, topic: str, kind: str) -> list[Any]:
+    """Return the messages on a topic in the order of the log; none where it is not there.
+
+    Args:
+        bag: The bag.
+        topic: Its name; without a leading slash also its last part.
+        kind: Its type.
+
+    Raises:
+        BagError: The topic has another type, or the bag or a message cannot be read.
+    """
+    deserialize = jazzy_types().deserialize_cdr
+    with Storage(bag) as storage:
+        where = f"bag {storage.path}"
+        known = {name: info.type for name, info in storage.topics().items()}
+        if not any(name.rpartition("/")[2] == topic.rpartition("/")[2] for name in known):
+            return []
+        name = find_topic(where, topic, known, (kind,))
+        found = []
+        for batch in storage.batches(frozenset({name}), lambda share: None):
+            for index in range(len(batch.starts)):
+                try:
+                    found.append(deserialize(batch.raw(index), kind))
+                # rosbags lets whatever its generated code trips over escape.
+                except Exception as error:
+                    line = f"{where}: a message on {name} is no {kind}: {error!r}"
+                    raise BagError(line) from error
+    return found
+
+
+ODOMETRY = "nav_msgs/msg/Odometry"
+VECTOR = "geometry_msgs/msg/Vector3Stamped"
+
+Numbers = NDArray[np.float64]
+
+
+class PlanarColumns(NamedTuple):
+    """Poses of a base in the plane, as one topic tells them.
+
+    Attributes:
+        stamps_ns: Ascending, (N,), in [ns].
+        poses: x [m], y [m] and heading [rad], which does not wrap, (N, 3).
+    """
+
+    stamps_ns: NDArray[np.int64]
+    poses: Numbers
+
+
+def encode_odometry(
+    header: Stamp,
+    child: str,
+    pose: PoseValues,
+    pose_covariance: Sequence[float],
+    twist: tuple[Vector, Vector],
+    twist_covariance: Sequence[float],
+) -> bytes:
+    """Return a serialised ``nav_msgs/msg/Odometry``.
+
+    Args:
+        header: Stamp and frame of the pose.
+        child: Frame of the twist, ``child_frame_id``.
+        pose: Position in [m] and quaternion x, y, z, w.
+        pose_covariance: 36 numbers, row by row.
+        twist: Linear [m/s] and angular [rad/s].
+        twist_covariance: 36 numbers, row by row.
+    """
+    linear, angular = twist
+    return encoded(
+        ODOMETRY,
+        header=header_of(header),
+        child_frame_id=child,
+        pose=new(
+            "geometry_msgs/msg/PoseWithCovariance",
+            pose=pose_of(pose),
+            covariance=np.array(pose_covariance, dtype=np.float64),
+        ),
+        twist=new(
+            "geometry_msgs/msg/TwistWithCovariance",
+            twist=new(
+                "geometry_msgs/msg/Twist", linear=vector_of(linear), angular=vector_of(angular)
+            ),
+            covariance=np.array(twist_covariance, dtype=np.float64),
+        ),
+    )
+
+
+def encode_vector(header: Stamp, vector: Vector) -> bytes:
+    """Return a serialised ``geometry_msgs/msg/Vector3Stamped``."""
+    return encoded(VECTOR, header=header_of(header), vector=vector_of(vector))
+
+
+def read_planar(bag: Path, topic: str) -> PlanarColumns:
+    """Return the poses of an odometry topic in the plane.
+
+    Args:
+        bag: The bag.
+        topic: Its name; without a leading slash also its last part.
+
+    Raises:
+        BagError: The bag lacks the topic or messages on it, or cannot be read.
+    """
+    stamps, rows = [], []
+    for message in _present(bag, topic, ODOMETRY):
+        pose = message.pose.pose
+        q = pose.orientation
+        heading = np.arctan2(2.0 * (q.w * q.z + q.x * q.y), 1.0 - 2.0 * (q.y**2 + q.z**2))
+        stamps.append(stamp_ns_of(message))
+        rows.append((pose.position.x, pose.position.y, float(heading)))
+    order, stamps_ns = _ordered(stamps)
+    poses = np.array(rows)[order]
+    poses[:, 2] = np.unwrap(poses[:, 2])
+    return PlanarColumns(stamps_ns, poses)
+
+
+def read_vectors(bag: Path, topic: str) -> tuple[NDArray[np.int64], Numbers]:
+    """Return stamps in [ns], (N,), and x, y, z, (N, 3), of a topic of stamped vectors.
+
+    Raises:
+        BagError: As for :func:`read_planar`.
+    """
+    stamps, rows = [], []
+    for message in _present(bag, topic, VECTOR):
+        stamps.append(stamp_ns_of(message))
+        rows.append((message.vector.x, message.vector.y, message.vector.z))
+    order, stamps_ns = _ordered(stamps)
+    return stamps_ns, np.array(rows)[order]
+
+
+def _present(bag: Path, topic: str, kind: str) -> list[Any]:
+    found = messages_on(bag, topic, kind)
+    if not found:
+        raise BagError(f"bag {bag}: no message on {topic}")
+    return found
+
+
+def _ordered(stamps: list[int]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return places in the order of the stamps, the last of each stamp, and the stamps."""
+    stamps_ns = np.array(stamps, dtype=np.int64)
+    order = np.argsort(stamps_ns, kind="stable")
+    is_last = np.append(np.diff(stamps_ns[order]) > 0, True)
+    order = order[is_last]
+    return order, stamps_ns[order]
+
+
+POSE = "geometry_msgs/msg/PoseStamped"
+POSES = "geometry_msgs/msg/PoseArray"
+STATUSES = "diagnostic_msgs/msg/DiagnosticArray"
+
+
+class PoseColumns(NamedTuple):
+    """K poses at N times, as one topic tells them.
+
+    Attributes:
+        stamps_ns: Ascending, (N,), in [ns].
+        positions: (N, K, 3), in [m].
+        orientations: Quaternions x, y, z, w, (N, K, 4).
+    """
+
+    stamps_ns: NDArray[np.int64]
+    positions: Numbers
+    orientations: Numbers
+
+
+class Status(NamedTuple):
+    """One ``diagnostic_msgs/DiagnosticStatus`` with the stamp of its array.
+
+    Attributes:
+        stamp_ns: In [ns].
+        level: 0 good, 1 a warning, 2 an error.
+        name: Of what it is.
+        message: In words.
+        values: Figures as texts, by name.
+    """
+
+    stamp_ns: int
+    level: int
+    name: str
+    message: str
+    values: Mapping[str, str]
+
+
+def encode_pose(header: Stamp, pose: PoseValues) -> bytes:
+    """Return a serialised ``geometry_msgs/msg/PoseStamped``.
+
+    Args:
+        header: Its header.
+        pose: The pose.
+    """
+    return encoded(POSE, header=header_of(header), pose=pose_of(pose))
+
+
+def encode_poses(header: Stamp, poses: Sequence[PoseValues]) -> bytes:
+    """Return a serialised ``geometry_msgs/msg/PoseArray``.
+
+    Args:
+        header: Its header.
+        poses: The poses.
+    """
+    return encoded(POSES, header=header_of(header), poses=[pose_of(pose) for pose in poses])
+
+
+def encode_status(status: Status) -> bytes:
+    """Return a serialised ``diagnostic_msgs/msg/DiagnosticArray`` of one status."""
+    one = new(
+        "diagnostic_msgs/msg/DiagnosticStatus",
+        level=status.level,
+        name=status.name,
+        message=status.message,
+        hardware_id="",
+        values=[
+            new("diagnostic_msgs/msg/KeyValue", key=key, value=value)
+            for key, value in status.values.items()
+        ],
+    )
+    return encoded(STATUSES, header=header_of(Stamp(status.stamp_ns, "")), status=[one])
+
+
+def read_poses(bag: Path, topic: str, kind: str = POSES) -> PoseColumns | None:
+    """Return the poses of a topic; None where there is no such topic or nothing on it.
+
+    Args:
+        bag: The bag.
+        topic: Its name; without a leading slash also its last part.
+        kind: :data:`POSES` or :data:`POSE`.
+
+    Raises:
+        BagError: The bag or a message cannot be read, or the number of poses changes.
+    """
+    rows: dict[int, Numbers] = {}
+    for message in messages_on(bag, topic, kind):
+        poses = message.poses if kind == POSES else [message.pose]
+        rows[stamp_ns_of(message)] = np.array([_numbers(pose) for pose in poses]).reshape(-1, 7)
+    if not rows:
+        return None
+    stamps = sorted(rows)
+    if len({len(row) for row in rows.values()}) > 1:
+        raise BagError(f"bag {bag}: the number of poses on {topic} changes")
+    whole = np.array([rows[stamp] for stamp in stamps])
+    return PoseColumns(np.array(stamps, dtype=np.int64), whole[..., :3], whole[..., 3:])
+
+
+def read_statuses(bag: Path, topic: str) -> list[Status]:
+    """Return what a topic of diagnostics says, in the order of the log; nothing without it.
+
+    Raises:
+        BagError: The bag or a message cannot be read.
+    """
+    return [
+        Status(
+            stamp_ns_of(message),
+            int(status.level),
+            status.name,
+            status.message,
+            {pair.key: pair.value for pair in status.values},
+        )
+        for message in messages_on(bag, topic, STATUSES)
+        for status in message.status
+    ]
+
+
+def _numbers(pose: Any) -> tuple[float, ...]:
+    p, q = pose.position, pose.orientation
+    return p.x, p.y, p.z, q.x, q.y, q.z, q.w

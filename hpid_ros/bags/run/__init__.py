@@ -1,0 +1,1 @@
+"""A run out of a bag: which topics, which references, joint by joint."""

@@ -1,0 +1,326 @@
+"""One joint of a recording as a series, with what was lost and on what it stands."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from hpid_ros.bags.columns.batches import Integers, Numbers
+from hpid_ros.bags.columns.samples import JointSamples
+from hpid_ros.bags.run.recording import Recording
+from hpid_ros.bags.run.references import (
+    LoggedStates,
+    ReferenceEvent,
+    first_state,
+    interpolate,
+    sample_events,
+    sample_setpoints,
+    setpoint_events,
+)
+from hpid_ros.bags.run.stamps import Ordered, carried, finite, ordered, stamp_quality
+from hpid_ros.bags.selection import BagSelection
+from hpid_ros.recordings.quality import HOLD, MEASURED, NO_EFFORT, NONE, DataQuality, StampQuality
+from hpid_ros.recordings.series import JointSeries, Losses, SeriesError
+from hpid_ros.trajectory import JointTrajectory
+
+_NS_PER_S = 1_000_000_000
+_FOREVER_NS = 2**63 - 1
+_EMPTY = Ordered(np.empty(0, dtype=np.int64), np.empty(0))
+
+
+class Window(NamedTuple):
+    """The time that is read, both ends included.
+
+    Attributes:
+        origin_ns: First state of any joint, in [ns].
+        first_ns: Its first instant, in [ns].
+        last_ns: Its last instant, in [ns].
+    """
+
+    origin_ns: int
+    first_ns: int
+    last_ns: int
+
+    @classmethod
+    def of(cls, origin_ns: int, start: float | None, end: float | None) -> Window:
+        """Return the window between two times since the first state, in [s]; None is no bound."""
+        first_ns = -_FOREVER_NS if start is None else origin_ns + round(start * _NS_PER_S)
+        last_ns = _FOREVER_NS if end is None else origin_ns + round(end * _NS_PER_S)
+        return cls(origin_ns, first_ns, last_ns)
+
+
+class _Reference(NamedTuple):
+    """A joint's reference at its states, kind and topic, its messages, when it began, in [ns]."""
+
+    values: Numbers
+    kind: str
+    messages: int
+    begin_ns: int | None
+
+
+class JointRun:
+    """One joint of a recording; taking it frees the recording's columns.
+
+    Args:
+        recording: The recording.
+        joint: The joint.
+        selection: What is asked for.
+
+    Attributes:
+        states: Its states in the order of their stamps.
+
+    Raises:
+        SeriesError: No state carries a usable position.
+    """
+
+    def __init__(self, recording: Recording, joint: str, selection: BagSelection) -> None:
+        self._recording, self._joint, self._selection = recording, joint, selection
+        self._clock = clock = selection.clock
+        taken = recording.states.take(joint)
+        if taken is None:
+            raise SeriesError(f"joint {joint!r}: no state carries its position")
+        samples, not_finite = finite(taken)
+        if not len(samples.values):
+            raise SeriesError(f"joint {joint!r}: position must be finite, but no state's is")
+        self._samples = samples
+        self._stamps_ns = self._times(samples)
+        self.states = ordered(self._stamps_ns, samples.values, not_finite)
+        if clock == "header" and len(samples.values) > 1 and not self.states.stamps_ns.any():
+            raise SeriesError(
+                f"joint {joint!r}: its states carry no stamps; read them with clock 'receive'"
+            )
+
+    def is_within(self, window: Window) -> bool:
+        """Tell whether the joint has a state in a window."""
+        return len(self.states.within(window.first_ns, window.last_ns).stamps_ns) > 0
+
+    def series(self, window: Window) -> tuple[JointSeries, Losses, DataQuality]:
+        """Return the joint's series within a window, its losses and its quality.
+
+        Raises:
+            SeriesError: The window holds no state, or no command carries a usable effort.
+        """
+        whole = self.states
+        reference, kind, count, begin = self._reference(whole, window)
+        states = whole.within(window.first_ns, window.last_ns)
+        if not len(states.stamps_ns):
+            raise SeriesError(f"joint {self._joint!r}: no state in the window")
+        commands, command_clock, effort = self._commands()
+        commands = commands.within(window.first_ns, window.last_ns)
+        if np.array_equal(commands.stamps_ns, states.stamps_ns):
+            commands = commands._replace(stamps_ns=states.stamps_ns)
+        losses, answers = self._losses(states, commands, command_clock)
+        if len(reference):
+            reference = Ordered(whole.stamps_ns, reference).within(*window[1:]).values
+        for array in (*states[:2], *commands[:2], reference):
+            array.setflags(write=False)
+        series = JointSeries(self._joint, *states[:2], reference, *commands[:2])
+        quality = DataQuality(
+            states=_quality(states, window),
+            commands=_quality(commands, window),
+            state_clock=self._clock,
+            command_clock=command_clock,
+            answers_states=answers,
+            reference=kind,
+            references=count,
+            reference_from=None if begin is None else _seconds(begin - window.origin_ns),
+            effort=effort if len(commands.stamps_ns) else NONE,
+            no_effort="" if len(commands.stamps_ns) else self._no_effort,
+        )
+        return series, losses, quality
+
+    def _times(self, samples: JointSamples) -> Integers:
+        """Return the samples' times on the chosen clock."""
+        times = samples.stamps_ns if self._clock == "header" else samples.log_times_ns
+        if times is None:
+            raise SeriesError(f"joint {self._joint!r}: its messages carry no stamps")
+        return times
+
+    def _commands(self) -> tuple[Ordered, str, str]:
+        """Return the commands in the order of their stamps, whose clock these are, their topic."""
+        choice = self._recording.choice
+        self._no_effort = self._why_no_effort()
+        command = choice.command_topics.get(self._joint)
+        if command is not None:
+            samples = self._recording.floats[command.topic].take(self._joint)
+            if samples is not None:
+                return self._unstamped(samples), "receive", command.topic
+        for topic, stream in self._recording.commands.items():
+            samples = stream.take(self._joint)
+            if samples is None:
+                continue
+            if choice.is_measured:
+                return self._measured(samples), self._clock, f"{MEASURED}, of {topic}"
+            samples, not_finite = self._finite_efforts(samples)
+            return ordered(self._times(samples), samples.values, not_finite), self._clock, topic
+        return _EMPTY, self._clock, ""
+
+    def _measured(self, samples: JointSamples) -> Ordered:
+        """Return measured efforts; none where the driver fills the field without measuring."""
+        samples, not_finite = finite(samples)
+        is_asked_for = self._selection.commands is not None
+        if not len(samples.values) or not (is_asked_for or samples.values.any()):
+            state = "not a number" if not len(samples.values) else "zero"
+            topic = self._recording.choice.states
+            self._no_effort = f"the efforts that {topic} measured are {state} throughout"
+            return _EMPTY
+        return ordered(self._times(samples), samples.values, not_finite)
+
+    def _why_no_effort(self) -> str:
+        choice = self._recording.choice
+        if not choice.has_commands:
+            return "no efforts were read, as asked for"
+        if choice.in_doubt:
+            return f"{NO_EFFORT} as such ({', '.join(choice.in_doubt)} may carry them)"
+        return NO_EFFORT
+
+    def _unstamped(self, samples: JointSamples) -> Ordered:
+        samples, not_finite = self._finite_efforts(samples)
+        times, states = samples.log_times_ns, self._samples
+        assert times is not None
+        if self._clock == "header":
+            assert states.log_times_ns is not None
+            times = carried(times, states.log_times_ns, self._stamps_ns)
+        return ordered(times, samples.values, not_finite)
+
+    def _finite_efforts(self, samples: JointSamples) -> tuple[JointSamples, int]:
+        samples, not_finite = finite(samples)
+        if not len(samples.values):
+            raise SeriesError(f"joint {self._joint!r}: effort must be finite, but no command's is")
+        return samples, not_finite
+
+    def _losses(self, states: Ordered, commands: Ordered, clock: str) -> tuple[Losses, bool]:
+        """Return what went missing, and whether commands answer states at all."""
+        count = len(states.stamps_ns)
+        if not len(commands.stamps_ns):
+            choice = self._recording.choice
+            return Losses(count if choice.has_commands and not choice.is_measured else 0, 0), True
+        if commands.stamps_ns is states.stamps_ns:
+            return Losses(0, commands.repeated), True
+        places = np.searchsorted(commands.stamps_ns, states.stamps_ns)
+        places = np.minimum(places, len(commands.stamps_ns) - 1)
+        answered = int(np.count_nonzero(commands.stamps_ns[places] == states.stamps_ns))
+        if clock == "receive" or not answered:
+            return Losses(0, commands.repeated), False
+        return Losses(count - answered, commands.repeated), True
+
+    def _reference(self, states: Ordered, window: Window) -> _Reference:
+        """Return the reference at the states and where it comes from; none without one."""
+        asked = self._selection.reference
+        if asked == HOLD:
+            held = np.full(len(states.stamps_ns), states.values[0])
+            return _Reference(held, HOLD, 0, None)
+        if isinstance(asked, JointTrajectory):
+            trajectories, setpoints = self._given(asked, window), None
+        else:
+            trajectories = [
+                (kind, self._on_clock(event))
+                for kind, event in sorted(self._trajectories(), key=lambda each: each[1][:2])
+            ]
+            setpoints = self._setpoints()
+        if trajectories or setpoints is not None:
+            return self._followed(trajectories, setpoints, states)
+        for topic, stream in self._recording.sampled.items():
+            samples = stream.take(self._joint)
+            if samples is None:
+                continue
+            samples, not_finite = finite(samples)
+            if len(samples.values):
+                known = ordered(self._times(samples), samples.values, not_finite)
+                values = interpolate(states.stamps_ns, known.stamps_ns, known.values)
+                kind = "sampled" if topic in self._recording.choice.references.sampled else ""
+                kind = f"{kind or 'controller_state'} {topic}"
+                begin_ns = max(int(known.stamps_ns[0]), int(states.stamps_ns[0]))
+                return _Reference(values, kind, len(samples.values), begin_ns)
+        return _Reference(np.empty(0), NONE, 0, None)
+
+    def _followed(
+        self,
+        trajectories: list[tuple[str, ReferenceEvent]],
+        setpoints: tuple[str, JointSamples] | None,
+        states: Ordered,
+    ) -> _Reference:
+        """Return the reference that trajectories and setpoints make together."""
+        logged, stamps_ns = self._logged_states(), states.stamps_ns
+        first = float(states.values[0])
+        kinds = dict.fromkeys(kind for kind, _ in trajectories)
+        events = [event for _, event in trajectories]
+        count, values = len(events), None
+        if setpoints is not None:
+            kind, positions = setpoints
+            kinds[kind] = None
+            count += len(positions.values)
+            told = sorted(setpoint_events(self._joint, positions), key=lambda each: each[:2])
+            if not events:
+                values = sample_setpoints(positions, logged, stamps_ns, first)
+            events = sorted([*events, *told], key=lambda each: each[:2])
+        # Where setpoints could be sampled at once, they are heard in the order of the log.
+        heard = events if values is None else events[:1]
+        begin = min(first_state(each, logged, stamps_ns) for each in heard)
+        begin_ns = int(stamps_ns[begin]) if begin < len(stamps_ns) else None
+        if values is None:
+            values = sample_events(events, logged, stamps_ns, first)
+        return _Reference(values, " and ".join(kinds), count, begin_ns)
+
+    def _given(
+        self, trajectory: JointTrajectory, window: Window
+    ) -> list[tuple[str, ReferenceEvent]]:
+        """Return a trajectory that was followed from the first state of any joint on."""
+        if self._joint not in trajectory.joint_names:
+            return []
+        column = trajectory.column(self._joint)
+        if window.origin_ns > 0:
+            column = dataclasses.replace(column, stamp_ns=window.origin_ns)
+        return [("given", ReferenceEvent(-_FOREVER_NS, -1, column))]
+
+    def _trajectories(self) -> Iterator[tuple[str, ReferenceEvent]]:
+        """Yield the trajectories that concern the joint, with kind and topic."""
+        for log_time_ns, place, topic, places, column in self._recording.trajectories:
+            at = places.get(self._joint)
+            if at is not None:
+                event = ReferenceEvent(log_time_ns, place, column(self._joint, at))
+                yield f"trajectory {topic}", event
+
+    def _setpoints(self) -> tuple[str, JointSamples] | None:
+        """Return the setpoints of the joint with kind and topic; None if it has none."""
+        topic = self._recording.choice.references.setpoint.get(self._joint, "")
+        samples = self._recording.setpoints[topic].take(self._joint) if topic else None
+        if samples is None:
+            return None
+        samples, _ = finite(samples)
+        return (f"setpoint {topic}", samples) if len(samples.values) else None
+
+    def _logged_states(self) -> LoggedStates:
+        samples = self._samples
+        assert samples.log_times_ns is not None
+        assert samples.places is not None
+        return LoggedStates(samples.log_times_ns, samples.places, self._stamps_ns)
+
+    def _on_clock(self, event: ReferenceEvent) -> ReferenceEvent:
+        """Carry the start of a trajectory to the clock of the series."""
+        column, header = event.column, self._samples.stamps_ns
+        if self._clock == "header" or not column.stamp_ns or header is None:
+            return event
+        following = self._logged_states().first_after(event.log_time_ns, event.place)
+        following = min(following, len(header) - 1)
+        start_ns = column.stamp_ns + int(self._stamps_ns[following] - header[following])
+        if not header.any() or start_ns <= 0:
+            start_ns = 0  # the states' headers do not tell when it began
+        return event._replace(column=dataclasses.replace(column, stamp_ns=start_ns))
+
+
+def _seconds(difference_ns: int) -> float:
+    return difference_ns / _NS_PER_S
+
+
+def _quality(samples: Ordered, window: Window) -> StampQuality:
+    return stamp_quality(
+        samples.stamps_ns,
+        window.origin_ns,
+        repeated=samples.repeated,
+        out_of_order=samples.out_of_order,
+        not_finite=samples.not_finite,
+    )

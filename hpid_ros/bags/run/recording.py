@@ -1,0 +1,168 @@
+"""Everything of a run that was recorded, collected in one pass over its bag."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from typing import NamedTuple
+
+from hpid_ros.bags.columns.batches import TopicBatch
+from hpid_ros.bags.columns.layouts import CONTROLLER_STATE, FLOAT64, JOINT_STATE
+from hpid_ros.bags.columns.streams import JointStream
+from hpid_ros.bags.run.topics import TopicChoice
+from hpid_ros.base.errors import BagError, MessageError, TrajectoryError
+from hpid_ros.trajectory import Column
+from hpid_ros.trajectory.joint_trajectory import checked_column, require_arrays
+from hpid_ros.wire import decode_trajectory
+
+
+class LoggedTrajectory(NamedTuple):
+    """A trajectory and its place in the log.
+
+    Attributes:
+        log_time_ns: When it was recorded, in [ns].
+        place: Its place in the files.
+        topic: Where it was published.
+        places: Place of each joint among its names.
+        column: Gives the column of a joint and its place.
+    """
+
+    log_time_ns: int
+    place: int
+    topic: str
+    places: Mapping[str, int]
+    column: Callable[[str, int], Column]
+
+
+def _decoded(raw: bytes) -> tuple[Mapping[str, int], Callable[[str, int], Column]]:
+    """Return the joints of a serialised trajectory and what gives their columns.
+
+    Raises:
+        MessageError: The bytes are no trajectory.
+        TrajectoryError: They are, but a controller would refuse it.
+    """
+    # A recording may hold any number of points: reading it need not keep pace with a robot.
+    decoded = decode_trajectory(raw, len(raw), len(raw))
+    derivatives = decoded.positions, decoded.velocities, decoded.accelerations
+    times_ns, stamp_ns = decoded.times_ns, decoded.stamp_ns
+    require_arrays(decoded.names, stamp_ns, times_ns, derivatives, decoded.lengths, decoded.point)
+    places = {name: index for index, name in enumerate(decoded.names)}
+    return places, lambda joint, at: checked_column(joint, at, stamp_ns, times_ns, derivatives)
+
+
+class Recording:
+    """The messages of a run as columns and trajectories.
+
+    Args:
+        choice: The topics.
+        types: Their types.
+        joints: Only these joints' numbers; all if None.
+        has_order: Whether places and receive times of stamped commands are kept.
+
+    Attributes:
+        choice: The topics.
+        states: Positions.
+        commands: Efforts with stamps, by topic.
+        floats: Efforts without stamps, by topic.
+        setpoints: By topic.
+        sampled: Sampled references, by topic, controllers' own first.
+        trajectories: In the order of the files.
+        notes: What was left out on purpose.
+    """
+
+    def __init__(
+        self,
+        choice: TopicChoice,
+        types: Mapping[str, str],
+        joints: frozenset[str] | None,
+        has_order: bool,
+    ) -> None:
+        self.choice = choice
+        self.notes: list[str] = []
+        self.trajectories: list[LoggedTrajectory] = []
+        self.states = JointStream(JOINT_STATE, "position", joints)
+        self.commands = {
+            topic: JointStream(types[topic], "effort", joints, keeps_order=has_order)
+            for topic in choice.commands
+        }
+        elements: dict[str, dict[int, str]] = {}
+        for joint, (topic, element) in choice.command_topics.items():
+            elements.setdefault(topic, {})[element] = joint
+        self.floats = {
+            topic: JointStream(types[topic], "data", elements=of_topic)
+            for topic, of_topic in elements.items()
+        }
+        references = choice.references
+        self.setpoints = {
+            topic: JointStream(FLOAT64, "data", elements={0: joint})
+            for joint, topic in references.setpoint.items()
+        }
+        self.sampled = {
+            topic: JointStream(JOINT_STATE, "position", joints) for topic in references.sampled
+        } | {
+            topic: JointStream(CONTROLLER_STATE, "reference", joints)
+            for topic in references.controller_state
+        }
+
+    def streams(self) -> Iterator[tuple[str, JointStream]]:
+        """Yield topic and stream of everything but trajectories."""
+        yield self.choice.states, self.states
+        for streams in (self.commands, self.floats, self.setpoints, self.sampled):
+            yield from streams.items()
+
+    def add(self, batch: TopicBatch) -> None:
+        """Take the next messages of a topic.
+
+        Raises:
+            OrderNeededError: As :meth:`JointStream.add`.
+            BagError: A trajectory cannot be decoded.
+        """
+        if batch.topic in self.choice.references.trajectory:
+            self._add_trajectories(batch)
+            return
+        for topic, stream in self.streams():
+            if topic == batch.topic:
+                stream.add(batch)
+
+    def _add_trajectories(self, batch: TopicBatch) -> None:
+        for index in range(len(batch.starts)):
+            log_time_ns, place = int(batch.log_times_ns[index]), int(batch.places[index])
+            try:
+                decoded = _decoded(batch.raw(index))
+            except TrajectoryError as error:
+                self.notes.append(f"a trajectory is left out, as controllers refuse it: {error}")
+                continue
+            except MessageError as error:
+                # Whatever was followed from here on is unknown.
+                raise BagError(f"{batch.topic} at {log_time_ns} ns: {error}") from error
+            self.trajectories.append(LoggedTrajectory(log_time_ns, place, batch.topic, *decoded))
+
+    def has_efforts(self) -> bool:
+        """Tell whether any command carries a joint's effort."""
+        streams = (*self.commands.values(), *self.floats.values())
+        return any(stream.joints() for stream in streams)
+
+    def is_of_other_joints(self) -> bool:
+        """Tell whether there are commands or references, but of joints that no state names."""
+        known = set(self.known_joints())
+        named = self._concerned()
+        return bool(named) and known.isdisjoint(named)
+
+    def known_joints(self) -> list[str]:
+        """Return the joints that states name, in their order."""
+        return list(self.states.names)
+
+    def concerned_joints(self) -> list[str]:
+        """Return those that are commanded or have a reference, in the order of the states."""
+        concerned = self._concerned()
+        return [name for name in self.known_joints() if name in concerned]
+
+    def _concerned(self) -> set[str]:
+        concerned: set[str] = set()
+        commands = () if self.choice.is_measured else self.commands.values()
+        for stream in (*commands, *self.sampled.values()):
+            concerned.update(stream.names)
+        for stream in (*self.floats.values(), *self.setpoints.values()):
+            concerned.update(stream.joints())
+        for logged in self.trajectories:
+            concerned.update(logged.places)
+        return concerned

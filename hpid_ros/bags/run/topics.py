@@ -1,0 +1,343 @@
+"""The topics of a bag that are a run's states, commands and references."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+from hpid_ros.bags.columns.layouts import (
+    CONTROLLER_STATE,
+    FLOAT64,
+    FLOAT64_MULTI_ARRAY,
+    JOINT_STATE,
+)
+from hpid_ros.bags.message_types import JOINT_TRAJECTORY
+from hpid_ros.bags.selection import (
+    EFFORT_COMMANDS,
+    NO_COMMANDS,
+    REFERENCES,
+    BagSelection,
+    CommandTopic,
+)
+from hpid_ros.base.errors import BagError, unknown_name
+from hpid_ros.recordings.quality import HOLD
+from hpid_ros.trajectory import JointTrajectory
+
+_CONTROLLER = "_controller"
+
+
+def find_topic(where: str, name: str, types: Mapping[str, str], allowed: Collection[str]) -> str:
+    """Return the full name of a topic.
+
+    Args:
+        where: The bag, for errors.
+        name: With a leading slash the full name; without one also its last parts, so that
+            ``joint_states`` finds ``/arm/joint_states``.
+        types: Types of all topics by full name.
+        allowed: Types that it may have.
+
+    Raises:
+        BagError: If there is no such topic, if there are several, or it has another type.
+    """
+    found = matching(name, types)
+    if not found:
+        raise BagError(f"{where}: {unknown_name('topic', name, types)}")
+    if len(found) > 1:
+        raise BagError(f"{where}: topic {name!r} could be any of {', '.join(found)}")
+    (topic,) = found
+    if types[topic] not in allowed:
+        raise BagError(
+            f"{where}: topic {topic} is {types[topic]}, but must be {' or '.join(allowed)}"
+        )
+    return topic
+
+
+def matching(name: str, topics: Collection[str]) -> list[str]:
+    """Return the topics that a name can mean, in order: one if it is a full name."""
+    bare = name.lstrip("/")
+    found = [topic for topic in topics if topic.lstrip("/") == bare]
+    if not found and not name.startswith("/"):
+        found = [topic for topic in topics if topic.endswith(f"/{bare}")]
+    return sorted(found)
+
+
+def namespace_of(topic: str) -> str:
+    """Return the part before the last slash: ``/left`` for ``/left/joint_states``."""
+    return topic.rpartition("/")[0]
+
+
+def last_part(topic: str) -> str:
+    """Return the part after the last slash."""
+    return topic.rpartition("/")[2]
+
+
+def is_below(topic: str, namespace: str) -> bool:
+    """Tell whether a topic is in a namespace or in one below it."""
+    return topic.startswith(f"{namespace.rstrip('/')}/")
+
+
+def joint_of(topic: str) -> str:
+    """Return the joint of a controller's own topic: ``elbow`` of ``/elbow_controller/command``."""
+    return last_part(namespace_of(topic)).removesuffix(_CONTROLLER)
+
+
+_FLOATS = (FLOAT64, FLOAT64_MULTI_ARRAY)
+_EFFORTS_OF_A_JOINT = ("cmd_force", "cmd_effort")
+_COMMANDS_OF_A_JOINT = ("command", "commands")
+"""Positions, velocities or efforts: only who ran the controllers knows."""
+_NEITHER_STATES_NOR_COMMANDS = ("reference", "terms")
+
+
+class ReferenceTopics(NamedTuple):
+    """Topics that say what the joints were to follow.
+
+    Attributes:
+        trajectory: JointTrajectory.
+        setpoint: Float64, by joint.
+        sampled: JointState with sampled references.
+        controller_state: JointTrajectoryControllerState with references.
+    """
+
+    trajectory: tuple[str, ...] = ()
+    setpoint: Mapping[str, str] = {}
+    sampled: tuple[str, ...] = ()
+    controller_state: tuple[str, ...] = ()
+
+
+NO_REFERENCES = ReferenceTopics()
+"""Nothing says what the joints were to follow."""
+
+
+@dataclass(frozen=True)
+class TopicChoice:
+    """The topics of a run.
+
+    Attributes:
+        states: Of the states.
+        commands: Of stamped commands, JointState or JointTrajectoryControllerState.
+        command_topics: Where single joints' commands without stamps are, by joint.
+        references: Of the references.
+        has_commands: Whether efforts are wanted, and there is anything that may carry them.
+        is_measured: Whether the efforts are those that the states measured.
+        may_be_measured: Whether those are to be taken if nothing else carries efforts.
+        in_doubt: Topics that may carry efforts, or something else.
+    """
+
+    states: str
+    commands: tuple[str, ...] = ()
+    command_topics: Mapping[str, CommandTopic] = field(default_factory=dict)
+    references: ReferenceTopics = NO_REFERENCES
+    has_commands: bool = True
+    is_measured: bool = False
+    may_be_measured: bool = False
+    in_doubt: tuple[str, ...] = ()
+
+    def measured(self) -> TopicChoice:
+        """Return the same with the efforts that the states measured, and no others."""
+        return replace(
+            self,
+            commands=(self.states,),
+            command_topics={},
+            is_measured=True,
+            may_be_measured=False,
+        )
+
+    @property
+    def all(self) -> frozenset[str]:
+        """All topics that are read."""
+        references = self.references
+        return frozenset(
+            (
+                self.states,
+                *self.commands,
+                *(each.topic for each in self.command_topics.values()),
+                *references.trajectory,
+                *references.setpoint.values(),
+                *references.sampled,
+                *references.controller_state,
+            )
+        )
+
+
+def choose_topics(where: str, types: Mapping[str, str], selection: BagSelection) -> TopicChoice:
+    """Find the topics of a run.
+
+    Args:
+        where: The bag, for errors.
+        types: Types of its topics by full name.
+        selection: What is asked for.
+
+    Raises:
+        BagError: A topic that was named is not there or of a wrong type, or what is needed
+            cannot be found or could be any of several.
+    """
+    return _Chooser(where, types, selection).choice()
+
+
+class _Chooser:
+    def __init__(self, where: str, types: Mapping[str, str], selection: BagSelection) -> None:
+        self.where, self.selection, self.types = where, selection, types
+        if selection.namespace is not None:
+            namespace = f"/{selection.namespace.strip('/')}"
+            self.types = {name: types[name] for name in types if is_below(name, namespace)}
+            if not self.types:
+                raise BagError(
+                    f"{where}: no topic is below namespace {namespace}; topics: {_listed(types)}"
+                )
+
+    def choice(self) -> TopicChoice:
+        states = self.states()
+        self.near = namespace_of(states)
+        explicit = {
+            joint: each._replace(topic=self.named(each.topic, _FLOATS))
+            for joint, each in self.selection.command_topics.items()
+        }
+        asked = self.selection.commands
+        commands, found = self.commands(states, bool(explicit))
+        topics = {**found, **explicit}
+        choice = TopicChoice(
+            states,
+            commands=commands,
+            command_topics=topics,
+            references=self.references(),
+            has_commands=asked != NO_COMMANDS,
+            is_measured=commands == (states,),
+            may_be_measured=asked is None and not explicit,
+            in_doubt=self.in_doubt(states, {*commands, *(each.topic for each in topics.values())}),
+        )
+        if choice.may_be_measured and not commands and not topics:
+            return choice.measured()
+        return choice
+
+    def named(self, name: str, allowed: tuple[str, ...]) -> str:
+        return find_topic(self.where, name, self.types, allowed)
+
+    def of_type(self, *types: str) -> list[str]:
+        return sorted(name for name, kind in self.types.items() if kind in types)
+
+    def below(self, *types: str) -> list[str]:
+        """Return the topics of some types in the namespace of the states."""
+        return [name for name in self.of_type(*types) if is_below(name, self.near)]
+
+    def one(self, what: str, found: list[str], option: str) -> str:
+        if len(found) > 1:
+            raise BagError(
+                f"{self.where}: {what} could be any of {', '.join(found)}; "
+                f"choose by --namespace, or name the topic ({option})"
+            )
+        return found[0]
+
+    def states(self) -> str:
+        if self.selection.states is not None:
+            return self.named(self.selection.states, (JOINT_STATE,))
+        candidates = self.of_type(JOINT_STATE)
+        found = matching("joint_states", candidates)
+        if not found:
+            found = [name for name in candidates if not _is_of_a_controller(name)]
+        if not found:
+            raise BagError(
+                f"{self.where}: no topic of states ({JOINT_STATE}); topics: {self.listed()}"
+            )
+        return self.one("the states", found, "--states")
+
+    def listed(self) -> str:
+        return _listed(self.types)
+
+    def commands(
+        self, states: str, has_explicit: bool
+    ) -> tuple[tuple[str, ...], dict[str, CommandTopic]]:
+        """Return topics with stamps, and those of single joints without; none if there is none."""
+        asked = self.selection.commands
+        if asked == NO_COMMANDS:
+            return (), {}
+        if asked not in (None, EFFORT_COMMANDS):
+            return (self.named(asked, (JOINT_STATE, CONTROLLER_STATE)),), {}
+        candidates = self.of_type(JOINT_STATE)
+        here = f"{self.near}/joint_commands"
+        found = [here] if here in candidates else matching("joint_commands", candidates)
+        if found and asked is None:
+            return (self.one("the commands", found, "--commands"),), {}
+        wanted: tuple[str, ...] = _EFFORTS_OF_A_JOINT
+        if asked == EFFORT_COMMANDS:
+            wanted += _COMMANDS_OF_A_JOINT
+        floats = {
+            joint_of(name): CommandTopic(name)
+            for name in self.below(*_FLOATS)
+            if last_part(name) in wanted
+        }
+        if asked == EFFORT_COMMANDS:
+            if not floats:
+                raise BagError(
+                    f"{self.where}: no topic of a controller's commands, such as "
+                    f"/elbow_controller/commands ({FLOAT64}, {FLOAT64_MULTI_ARRAY}); topics: "
+                    f"{self.listed()}"
+                )
+            return (), floats
+        reports = tuple(self.below(CONTROLLER_STATE))
+        if floats or reports or has_explicit:
+            return reports, floats
+        found = [name for name in candidates if name != states and _may_be_commands(name)]
+        return (self.one("the commands", found, "--commands"),) if found else (), {}
+
+    def in_doubt(self, states: str, taken: Collection[str]) -> tuple[str, ...]:
+        """Return topics without names of joints that may carry efforts, or something else."""
+        return tuple(
+            name
+            for name in self.below(*_FLOATS)
+            if last_part(name) in _COMMANDS_OF_A_JOINT and name not in taken
+        )
+
+    def references(self) -> ReferenceTopics:
+        asked = self.selection.reference
+        if isinstance(asked, JointTrajectory) or asked == HOLD:
+            return NO_REFERENCES
+        if asked not in REFERENCES:
+            return self.named_reference(asked)
+        here = f"{self.near}/joint_trajectory"
+        trajectories = self.below(JOINT_TRAJECTORY)
+        found = ReferenceTopics(
+            (here,) if here in trajectories else tuple(trajectories),
+            {
+                joint_of(name): name
+                for name in self.below(FLOAT64)
+                if last_part(name) == "setpoint"
+            },
+            tuple(name for name in self.below(JOINT_STATE) if last_part(name) == "reference"),
+            tuple(self.below(CONTROLLER_STATE)),
+        )
+        if asked == "auto":
+            return found
+        wanted = getattr(found, asked)
+        if not wanted:
+            raise BagError(f"{self.where}: no {asked} as reference; topics: {self.listed()}")
+        return NO_REFERENCES._replace(**{asked: wanted})
+
+    def named_reference(self, name: str) -> ReferenceTopics:
+        allowed = (JOINT_TRAJECTORY, FLOAT64, JOINT_STATE, CONTROLLER_STATE)
+        topic = self.named(name, allowed)
+        kind = self.types[topic]
+        if kind == FLOAT64:
+            joints = self.selection.joints or ()
+            joint = joints[0] if len(joints) == 1 else joint_of(topic)
+            return ReferenceTopics(setpoint={joint: topic})
+        if kind == JOINT_TRAJECTORY:
+            return ReferenceTopics(trajectory=(topic,))
+        if kind == JOINT_STATE:
+            return ReferenceTopics(sampled=(topic,))
+        return ReferenceTopics(controller_state=(topic,))
+
+
+def _is_of_a_controller(topic: str) -> bool:
+    """Tell whether a JointState topic is a controller's output by its name."""
+    return last_part(topic) in (*_NEITHER_STATES_NOR_COMMANDS, "joint_commands")
+
+
+def _may_be_commands(topic: str) -> bool:
+    """Tell whether a JointState topic that is not the states' may be commands by its name."""
+    last = last_part(topic)
+    return last not in _NEITHER_STATES_NOR_COMMANDS and "state" not in last
+
+
+def _listed(types: Mapping[str, str]) -> str:
+    return ", ".join(f"{name} ({types[name]})" for name in sorted(types)) or "none"

@@ -1,0 +1,78 @@
+"""What goes to a terminal: text, in which nothing that came from outside controls it."""
+
+from __future__ import annotations
+
+import io
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
+from typing import IO, Any, TextIO, cast
+
+from rich.console import Console, ConsoleOptions, RenderableType
+from rich.segment import Segment
+from rich.text import Text
+
+from hpid_ros.base.foreign_text import shown_lines
+
+
+class TextConsole(Console):
+    """A console on which every text is text: no markup, no emoji codes, no escape sequences.
+
+    Styles are given with the texts. What a foreign name would do is shown instead.
+
+    Args:
+        options: Those of :class:`rich.console.Console`.
+    """
+
+    def __init__(self, **options: Any) -> None:
+        if "file" not in options:
+            options["file"] = _unguarded(sys.stderr if options.get("stderr") else sys.stdout)
+        super().__init__(**({"markup": False, "emoji": False, "highlight": False} | options))
+
+    def render_str(self, text: str, *args: Any, **options: Any) -> Text:
+        """Return a text as :class:`rich.text.Text`."""
+        return super().render_str(shown_lines(text), *args, **options)
+
+    def render(
+        self, renderable: RenderableType, options: ConsoleOptions | None = None
+    ) -> Iterator[Segment]:
+        """Yield the segments of something."""
+        if isinstance(renderable, Text):
+            plain = shown_lines(renderable.plain)
+            if plain != renderable.plain:
+                renderable = Text(plain, style=renderable.style, justify=renderable.justify)
+        yield from super().render(renderable, options)
+
+
+def plain_console(width: int) -> TextConsole:
+    """Return a console for texts: Unicode without colours, whatever the terminal is.
+
+    Args:
+        width: Columns at most.
+    """
+    return TextConsole(file=io.StringIO(), width=width, color_system=None, legacy_windows=False)
+
+
+class _Guard:
+    """A stream that writes text alone, for all that is printed past a console."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self.stream = stream
+
+    def write(self, text: str) -> int:
+        return self.stream.write(shown_lines(text))
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.stream, name)
+
+
+@contextmanager
+def guarded_output() -> Iterator[None]:
+    """Let nothing but text be printed while the block runs."""
+    out, err = (cast("TextIO", _Guard(_unguarded(each))) for each in (sys.stdout, sys.stderr))
+    with redirect_stdout(out), redirect_stderr(err):
+        yield
+
+
+def _unguarded(stream: IO[str]) -> TextIO:
+    return stream.stream if isinstance(stream, _Guard) else cast("TextIO", stream)

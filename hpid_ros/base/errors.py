@@ -1,0 +1,83 @@
+"""The errors that hpid_ros raises, one tree.
+
+Every error is also the builtin that a caller would expect (``ValueError`` for a bad value,
+``FileExistsError`` for a folder in the way), so that code that knows nothing of this package
+can still catch it. Messages are one line: what came, what is allowed, which names exist.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+from hpid_ros.base.foreign_text import shown
+
+_SHOWN_NAMES = 100
+"""Names that exist, in a message."""
+
+
+class HpidError(Exception):
+    """Root of all errors of this package; its text is one line that can be printed anywhere."""
+
+    def __str__(self) -> str:
+        return shown(super().__str__())
+
+
+class GainError(HpidError, ValueError):
+    """A set of gains that is not finite, not positive or does not stabilise the loop."""
+
+
+class NormError(HpidError, ValueError):
+    """A homogeneous norm that is not one: degree, weights or shape out of range."""
+
+
+class SettingError(HpidError, ValueError):
+    """A setting of a joint loop or a node that is out of range or unknown."""
+
+
+class TrajectoryError(HpidError, ValueError):
+    """A reference trajectory that cannot be followed."""
+
+
+class RobotDescriptionError(HpidError, ValueError):
+    """A URDF that cannot be read, or that lacks something that was asked of it."""
+
+
+class MessageError(HpidError, ValueError):
+    """Bytes that are not the message they claim to be."""
+
+
+class BagError(HpidError, ValueError):
+    """A bag that cannot be read, or lacks the messages that were asked of it."""
+
+
+class ExperimentError(HpidError, ValueError):
+    """An experiment file with a missing, unknown or impossible entry."""
+
+
+class ResultExistsError(HpidError, FileExistsError):
+    """A result folder that is already there; nothing is overwritten unasked."""
+
+
+class RunError(HpidError, RuntimeError):
+    """A run of processes that failed or lost one of them."""
+
+
+class ClaimError(HpidError, RuntimeError):
+    """A joint that another controller holds."""
+
+
+def unknown_name(kind: str, name: object, known: Iterable[str]) -> str:
+    """Return the line for a name that does not exist: nearest first, then those that do.
+
+    Args:
+        kind: What the name was meant to be, for instance ``"parameter"``.
+        name: What came.
+        known: The names that exist.
+    """
+    names = sorted(known)
+    nearest = difflib.get_close_matches(str(name), names, n=1, cutoff=0.5)
+    hint = f" did you mean {nearest[0]!r}?" if nearest else ""
+    further = f" and {len(names) - _SHOWN_NAMES} more" if len(names) > _SHOWN_NAMES else ""
+    shown = ", ".join(names[:_SHOWN_NAMES]) + further
+    return f"unknown {kind} {str(name)!r};{hint} known: {shown or 'none'}"

@@ -1,0 +1,139 @@
+"""Files that packages carry: the share folder of this one, and those of ament packages.
+
+Nothing is imported to find out: a data package may print, or pull in what it belongs to.
+
+The same names work in a source checkout, after a plain ``pip install`` (which puts the folder
+below the environment's prefix) and in a ROS installation (below the ament prefix).
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import re
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from hpid_ros.base.errors import HpidError
+
+_AMENT_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
+
+
+def package_folder(name: str) -> Path | None:
+    """Return the folder that ``package://name`` stands for.
+
+    Args:
+        name: Name of a package.
+
+    Returns:
+        The share folder of the ament package of that name (below a prefix of
+        ``AMENT_PREFIX_PATH``, the first wins), else the folder of the Python package of that
+        name, for instance ``pybullet_data``; None where there is neither.
+    """
+    if not _AMENT_NAME.fullmatch(name):
+        return None
+    for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
+        share = Path(prefix) / "share" / name
+        if prefix and (share / "package.xml").is_file():
+            return share
+    return _python_package(name)
+
+
+def package_uri(path: Path) -> str:
+    """Return the ``package://`` name of a file in a package, else its absolute path.
+
+    A text with such names means the same on every machine that has the package.
+
+    Args:
+        path: A file.
+    """
+    for folder in path.parents:
+        if package_folder(folder.name) == folder:
+            return f"package://{folder.name}/{path.relative_to(folder).as_posix()}"
+    return str(path)
+
+
+def _python_package(name: str) -> Path | None:
+    if not name.isidentifier() or name in sys.builtin_module_names:
+        return None
+    try:
+        spec = importlib.util.find_spec(name)
+    except (ImportError, ValueError):  # a module that is imported and has no spec
+        return None
+    if spec is None or spec.origin is None:  # a mere folder on the path is no package
+        return None
+    places = spec.submodule_search_locations
+    return Path(next(iter(places))).resolve() if places else None
+
+
+_PACKAGE = "hpid_ros"
+_SCHEME = "package://"
+
+
+class ResourceError(HpidError, FileNotFoundError):
+    """A file that is neither where it was said to be nor in the package's share folder."""
+
+
+def share_folder() -> Path:
+    """Return the folder that holds this package's config, urdf and launch files.
+
+    Raises:
+        ResourceError: The package was installed without them.
+    """
+    for folder in _candidates():
+        if (folder / "package.xml").is_file() and (folder / "config").is_dir():
+            return folder
+    raise ResourceError(f"the share folder of {_PACKAGE} is not installed")
+
+
+def _candidates() -> Iterator[Path]:
+    yield Path(__file__).resolve().parents[2]
+    for prefix in [*os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep), sys.prefix]:
+        if prefix:
+            yield Path(prefix) / "share" / _PACKAGE
+
+
+def find_resource(name: str, beside: Sequence[Path] = ()) -> Path:
+    """Return the file of this name.
+
+    Args:
+        name: An absolute path; a path in one of ``beside`` or in the working directory; a path
+            in the share folder; or ``PACKAGE/path`` in an ament or Python package, for instance
+            ``pybullet_data/kuka_iiwa/model.urdf``. ``package://PACKAGE/path`` is the last of
+            these and nothing else.
+        beside: Folders to look in first, in this order.
+
+    Raises:
+        ResourceError: There is no such file.
+    """
+    places = list(_places(name, beside))
+    for path in places:
+        if path.is_file():
+            return path.resolve()
+    raise ResourceError(f"there is no file {name} ({_list(places, name)})")
+
+
+def _places(name: str, beside: Sequence[Path]) -> Iterator[Path]:
+    """Yield the files that a name may mean, the likeliest first."""
+    relative = name.removeprefix(_SCHEME)
+    package, _, below = relative.partition("/")
+    if relative == name:
+        yield from (folder / name for folder in beside)
+        yield Path(name)
+        yield share_folder() / name
+    elif package == _PACKAGE:
+        yield share_folder() / below
+        return
+    folder = package_folder(package) if below else None
+    if folder is not None:
+        yield folder / below
+
+
+def _list(places: list[Path], name: str) -> str:
+    """Say where a name was looked for."""
+    looked = ", ".join(dict.fromkeys(str(path.absolute().parent) for path in places))
+    if not looked:
+        package = name.removeprefix(_SCHEME).partition("/")[0]
+        return f"there is no ament or Python package {package}"
+    return f"looked in {looked}"

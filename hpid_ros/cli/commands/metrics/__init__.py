@@ -1,0 +1,1 @@
+"""``hpid metrics``: the indices of recordings, alone or compared."""

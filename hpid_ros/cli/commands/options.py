@@ -1,0 +1,364 @@
+"""Options that several commands have in common: experiments, batches, robots."""
+
+from __future__ import annotations
+
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from hpid_ros.base.resources import find_resource
+
+if TYPE_CHECKING:
+    import argparse
+
+    from hpid_ros.experiment.description import Experiment
+import argparse
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from hpid_ros.base.errors import ExperimentError, HpidError, SettingError, unknown_name
+
+if TYPE_CHECKING:
+    from hpid_ros.robot.description import RobotDescription
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    import argparse
+
+    from rich.console import Console
+
+    from hpid_ros.experiment.result.folder import ResultFolder
+    from hpid_ros.studies.batch import Outcome
+
+
+DEFAULT_EXPERIMENT = "config/experiments/paper.yaml"
+"""What runs if no file is named."""
+
+
+def add_experiment(parser: argparse.ArgumentParser) -> None:
+    """Add the experiment's file, which may be left out, to the parser."""
+    parser.add_argument(
+        "experiment", nargs="?", metavar="FILE", help="experiment file (the paper's comparison)"
+    )
+
+
+def named_experiment(file: str | None) -> Experiment:
+    """Return the experiment of a file, or the paper's if none is named.
+
+    Raises:
+        SettingError: It cannot be read.
+    """
+    from hpid_ros.experiment.description import load_experiment
+
+    return load_experiment(file or find_resource(DEFAULT_EXPERIMENT))
+
+
+def add_joints(parser: argparse.ArgumentParser, purpose: str) -> None:
+    """Add ``--joint``, which may be repeated, to the parser; ``purpose`` says what for."""
+    parser.add_argument("--joint", action="append", default=[], metavar="NAME", help=purpose)
+
+
+def add_output(parser: argparse.ArgumentParser, default: str) -> None:
+    """Add ``--output`` and ``--force`` to the parser; ``default`` is the folder in words."""
+    parser.add_argument(
+        "-o", "--output", type=Path, metavar="FOLDER", help=f"folder (results/{default}-TIME)"
+    )
+    parser.add_argument("--force", action="store_true", help="replace an existing result")
+
+
+def output_folder(options: argparse.Namespace, name: str) -> Path:
+    """Return the folder that ``--output`` names, or ``results/NAME-TIME``."""
+    return options.output or Path("results") / f"{name}-{datetime.now():%Y%m%d-%H%M%S}"
+
+
+_POSES = 200
+
+
+@dataclass(frozen=True)
+class Robot:
+    """A robot that an option names.
+
+    Attributes:
+        source: Path of its URDF, or the XML text where more is known than the URDF says.
+        description: What that says.
+        fixed_base: Whether its root is held.
+        initial_positions: Where its joints stand at first, in [rad]; others at 0.
+    """
+
+    source: str
+    description: RobotDescription
+    fixed_base: bool = False
+    initial_positions: Mapping[str, float] = field(default_factory=dict)
+
+
+def load_robot(name: str) -> Robot:
+    """Return the robot of a URDF, or of an experiment file.
+
+    Args:
+        name: A file that :func:`.find_resource` finds; an experiment's name
+            ends in ``.yaml`` or ``.yml``.
+
+    Raises:
+        HpidError: There is no such file, or it cannot be read.
+    """
+    from hpid_ros.base.resources import find_resource
+    from hpid_ros.robot.description import RobotDescription
+
+    file = find_resource(name)
+    if file.suffix not in (".yaml", ".yml"):
+        return Robot(str(file), RobotDescription.load(file))
+    from hpid_ros.experiment.description import load_experiment
+
+    world = load_experiment(file).world
+    source = str(world.robot_description)
+    description = RobotDescription.load(source)
+    return Robot(source, description, world.fixed_base, world.initial_positions)
+
+
+def add_robot_options(parser: argparse.ArgumentParser) -> None:
+    """Add ``--inertia``, ``--urdf``, ``--payload`` and ``--poses``."""
+    parser.add_argument(
+        "--inertia",
+        action="append",
+        nargs="+",
+        default=[],
+        metavar="M",
+        help="of every joint: M, or LOW HIGH; of one: JOINT=M or JOINT=LOW:HIGH, also where "
+        "--urdf says that of the others",
+    )
+    parser.add_argument(
+        "--urdf",
+        metavar="FILE",
+        help="compute inertias over the joints' ranges from this robot: a URDF, or an experiment "
+        "file (.yaml) with what it knows better",
+    )
+    parser.add_argument(
+        "--payload", type=float, default=0.0, metavar="KG", help="largest payload, with --urdf"
+    )
+    parser.add_argument(
+        "--poses",
+        type=int,
+        metavar="N",
+        help=f"sampled over the joints' ranges, with --urdf ({_POSES})",
+    )
+
+
+Range = tuple[float, float]
+
+
+def inertias_from(
+    options: argparse.Namespace,
+    joints: Sequence[str],
+    poses: Sequence[Mapping[str, float]] = (),
+) -> dict[str, Range]:
+    """Return the least and the largest inertia that the options say, by joint.
+
+    Args:
+        options: Parsed options.
+        joints: The joints asked for.
+        poses: Where the robot is known to go, in [rad]: the inertias are those of these poses,
+            unless the options want some sampled.
+
+    Returns:
+        In [kg m^2]; empty when the options say nothing.
+
+    Raises:
+        SettingError: They contradict each other, or the robot cannot be used.
+    """
+    of_all, of_one = _given(options.inertia)
+    unknown = [joint for joint in of_one if joint not in joints]
+    if unknown:
+        raise SettingError(unknown_name("joint in --inertia", unknown[0], joints))
+    if of_all and options.urdf:
+        raise SettingError(
+            "--inertia takes JOINT=M or JOINT=LOW:HIGH beside --urdf, which says that of "
+            "the others"
+        )
+    if of_all:
+        found = dict.fromkeys(joints, of_all)
+    elif options.urdf:
+        asked = [joint for joint in joints if joint not in of_one]
+        found = _of_robot(options, asked, poses) if asked else {}
+    else:
+        found = {}
+    found |= of_one
+    for joint, (low, high) in found.items():
+        if not 0.0 < low <= high < math.inf:
+            raise SettingError(
+                f"the inertia of {joint!r} must be positive and finite, its least value not above "
+                f"its largest, not {low:g} to {high:g} kg m^2"
+            )
+    return found
+
+
+def _given(inertias: Sequence[Sequence[str]]) -> tuple[Range | None, dict[str, Range]]:
+    """Return what ``--inertia`` says of all joints, and of single ones."""
+    numbers: list[float] = []
+    of_one: dict[str, Range] = {}
+    for text in (each for texts in inertias for each in texts):
+        joint, is_named, value = text.rpartition("=")
+        try:
+            found = [float(each) for each in (value.split(":") if is_named else [value])]
+        except ValueError:
+            found = []
+        if len(found) not in (1, 2) or (is_named and not joint):
+            raise SettingError(
+                f"--inertia takes M, LOW HIGH, JOINT=M or JOINT=LOW:HIGH, not {text!r}"
+            )
+        if is_named:
+            of_one[joint] = (found[0], found[-1])
+        else:
+            numbers += found
+    if len(numbers) > 2:
+        raise SettingError(
+            f"--inertia takes one number, or the least and the largest, not {len(numbers)}"
+        )
+    return ((numbers[0], numbers[-1]) if numbers else None), of_one
+
+
+def _of_robot(
+    options: argparse.Namespace, joints: Sequence[str], poses: Sequence[Mapping[str, float]]
+) -> dict[str, Range]:
+    from hpid_ros.tuning.inertias import inertia_ranges
+
+    wanted = _POSES if options.poses is None else options.poses
+    try:
+        robot = load_robot(options.urdf)
+        if poses and options.poses is None:
+            known = [{**robot.initial_positions, **pose} for pose in poses]
+            return inertia_ranges(robot.description, joints, options.payload, known)
+        return inertia_ranges(robot.description, joints, options.payload, wanted)
+    except ExperimentError:  # names the file itself
+        raise
+    except HpidError as error:
+        raise SettingError(f"{options.urdf}: {error}") from None
+
+
+def add_jobs(parser: argparse.ArgumentParser) -> None:
+    """Add ``--jobs`` to the parser."""
+    parser.add_argument(
+        "-j", "--jobs", type=int, metavar="N", help="processes (one for each processor)"
+    )
+
+
+def check_jobs(options: argparse.Namespace) -> None:
+    """Refuse an impossible number of processes.
+
+    Raises:
+        SettingError: It is not positive.
+    """
+    if options.jobs is not None and options.jobs < 1:
+        raise SettingError(f"--jobs must be at least 1, not {options.jobs}")
+
+
+@contextmanager
+def telling_where(console: Console, folder: ResultFolder, interrupted: str) -> Iterator[None]:
+    """Say at the end where the result is, or after an interrupt where the rest of it is.
+
+    Args:
+        console: Where to say so.
+        folder: The result folder.
+        interrupted: What the folder holds after an interrupt.
+    """
+    try:
+        yield
+    except KeyboardInterrupt:
+        console.print(f"{interrupted}: {folder.path}", soft_wrap=True, highlight=False)
+        raise
+    console.print(f"result: {folder.path}", soft_wrap=True, highlight=False)
+
+
+@contextmanager
+def progress(console: Console, noun: str, total: int) -> Iterator[Callable[[str], None]]:
+    """Show how many are done, their rate and the remaining time; nothing to a file.
+
+    Args:
+        console: Where.
+        noun: What is counted.
+        total: How many there are.
+
+    Returns:
+        Context whose value is to be called for each that has ended, with a note to show.
+    """
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeRemainingColumn,
+    )
+
+    columns = (
+        TextColumn(noun, style="bold"),
+        BarColumn(bar_width=24),
+        MofNCompleteColumn(),
+        TextColumn("{task.fields[rate]}"),
+        TimeRemainingColumn(elapsed_when_finished=True),
+        TextColumn("{task.fields[note]}"),
+    )
+    with Progress(*columns, console=console, disable=not console.is_terminal) as shown:
+        task = shown.add_task("", total=total, rate="", note="")
+
+        def advanced(note: str) -> None:
+            shown.advance(task)
+            speed = shown.tasks[0].finished_speed or shown.tasks[0].speed
+            rate = f"{speed:.2f} {noun}/s" if speed else ""
+            shown.update(task, rate=rate, note=note)
+
+        yield advanced
+
+
+@contextmanager
+def joint_progress(
+    console: Console, what: str, joints: int, is_logged: bool = False
+) -> Iterator[Callable[[Sequence[str]], None]]:
+    """Show how many joints are done.
+
+    Args:
+        console: Where.
+        what: What is done with them, for instance ``"certified"``.
+        joints: How many there are.
+        is_logged: Tell each with a line of its own where the console is no terminal.
+
+    Returns:
+        Context whose value is to be called with the names of joints that are done.
+    """
+    with progress(console, "joints", joints) as advanced:
+        done = 0
+
+        def told(names: Sequence[str]) -> None:
+            nonlocal done
+            for name in names:
+                done += 1
+                advanced(f"{what}: {name}")
+                if is_logged and not console.is_terminal:
+                    line = f"{what}: {name} ({done} of {joints})"
+                    console.print(line, markup=False, highlight=False, soft_wrap=True)
+
+        yield told
+
+
+@contextmanager
+def run_progress(console: Console, runs: int) -> Iterator[Callable[[Outcome], None]]:
+    """Show the progress of runs and how many have failed.
+
+    Args:
+        console: Where.
+        runs: How many there are.
+
+    Returns:
+        Context whose value is to be told of every run that has ended.
+    """
+    failures = 0
+    with progress(console, "runs", runs) as advanced:
+
+        def ended(outcome: Outcome) -> None:
+            nonlocal failures
+            failures += bool(outcome.failure)
+            advanced(f"[yellow]{failures} failed" if failures else "")
+
+        yield ended

@@ -1,0 +1,156 @@
+"""``hpid robot``: what a robot's description says, and what it does not."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hpid_ros.base.errors import RobotDescriptionError, SettingError
+from hpid_ros.base.output_files import refuse_output, write_file
+from hpid_ros.cli.commands import DONE
+from hpid_ros.cli.commands.options import load_robot
+
+if TYPE_CHECKING:
+    from hpid_ros.cli.commands.options import Robot
+    from hpid_ros.report.tables.wide_table import WideTable
+
+_COLUMNS = ("range", "effort", "velocity", "damping", "friction", "Jr N²", "inertia", "gravity")
+_CAPTION = (
+    "SI units. Jr N²: rotor inertia as the joint feels it. Inertia: 1 / (M⁻¹)ⱼⱼ on a fixed base "
+    "in the initial pose, and over the joints' ranges. Gravity: effort that holds the initial "
+    "pose."
+)
+_SHOWN = 3  # names in a remark
+
+
+def add(commands: Any) -> None:
+    """Add the command to the parser."""
+    parser = commands.add_parser(
+        "robot",
+        help="show a robot: its joints, their inertias, and what its URDF lacks",
+        description="Show the joints of a URDF, or of an experiment's robot with all that the "
+        "experiment knows better, and what to know before it is simulated.",
+    )
+    parser.add_argument("file", metavar="FILE", help="URDF, or experiment file (.yaml)")
+    parser.add_argument("--poses", type=int, default=200, help="poses sampled for the inertias")
+    parser.add_argument("--json", action="store_true", help="machine-readable")
+    parser.add_argument("--save", type=Path, metavar="URDF", help="write the robot to a new file")
+    parser.add_argument("--force", action="store_true", help="replace an existing file")
+    parser.set_defaults(command=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Show the robot."""
+    from hpid_ros.cli.terminal import output_console
+    from hpid_ros.robot.review import review
+
+    if options.save:
+        inputs = [Path(options.file)]
+        refuse_output(options.save, force=options.force, inputs=inputs, option="--save")
+    robot = load_robot(options.file)
+    facts = _facts(robot, options.poses)
+    remarks = review(robot.description)
+    if options.json:
+        listed = [{"names": each.names, "text": each.text} for each in remarks]
+        document = {"robot": robot.description.name, "joints": facts, "remarks": listed}
+        print(json.dumps(document, indent=2))
+    else:
+        console = output_console()
+        console.print(_table(robot.description.name, facts))
+        console.print(_CAPTION, style="dim", highlight=False)
+        for each in remarks:
+            console.print(f"{_listed(each.names)}: {each.text}", highlight=False, soft_wrap=True)
+    if options.save:
+        _save(robot, options.save)
+    return DONE
+
+
+def _listed(names: tuple[str, ...]) -> str:
+    """Return a few names and how many more there are."""
+    shown = names if len(names) <= _SHOWN else names[: _SHOWN - 1]
+    more = f" and {len(names) - len(shown)} more" if len(names) > len(shown) else ""
+    return ", ".join(shown) + more
+
+
+def _save(robot: Robot, path: Path) -> None:
+    from hpid_ros.robot.amendments import amended
+
+    try:
+        # With nothing to amend, only its meshes are named so that they are found from there.
+        write_file(path, amended(robot.description, {}, {}, {}).xml)
+    except OSError as error:
+        raise SettingError(
+            f"cannot write {path}: {(error.strerror or str(error)).lower()}"
+        ) from None
+
+
+def _facts(robot: Robot, poses: int) -> dict[str, dict[str, Any]]:
+    """Return what is known of each joint; None is unlimited."""
+    import numpy as np
+
+    from hpid_ros.robot.dynamics import Dynamics
+
+    joints = robot.description.joints
+    dynamics = Dynamics(robot.description)
+    start = robot.initial_positions
+    try:
+        inertias = dynamics.inertia_range(joints, poses, 1, start)
+    except np.linalg.LinAlgError:
+        raise RobotDescriptionError(
+            f"the mass matrix of {robot.description.name!r} cannot be inverted: a joint moves "
+            "nothing that has mass"
+        ) from None
+    gravity = dynamics.gravity_torques(joints, start)
+    return {
+        name: {
+            "type": joint.type,
+            "lower": _finite(joint.lower),
+            "upper": _finite(joint.upper),
+            "effort": _finite(joint.effort),
+            "velocity": _finite(joint.velocity),
+            "damping": joint.damping,
+            "friction": joint.friction,
+            "reflected_inertia": joint.reflected_inertia,
+            "inertia": inertias[name].nominal,
+            "least_inertia": inertias[name].minimum,
+            "largest_inertia": inertias[name].maximum,
+            "gravity": gravity[name],
+        }
+        for name, joint in joints.items()
+    }
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def _table(name: str, facts: dict[str, dict[str, Any]]) -> WideTable:
+    from rich import box
+
+    from hpid_ros.report.tables.wide_table import Column, WideTable
+
+    rows = [
+        (
+            f"{_number(fact['lower'])} … {_number(fact['upper'])}",
+            *(_number(fact[key]) for key in ("effort", "velocity", "damping", "friction")),
+            _number(fact["reflected_inertia"]),
+            f"{_number(fact['inertia'])} ({_number(fact['least_inertia'])} … "
+            f"{_number(fact['largest_inertia'])})",
+            f"{fact['gravity']:.2f}",
+        )
+        for fact in facts.values()
+    ]
+    cells = zip(*rows, strict=True) if rows else [()] * len(_COLUMNS)
+    return WideTable(
+        [Column("joint", list(facts), is_text=True)],
+        [Column(heading, list(each)) for heading, each in zip(_COLUMNS, cells, strict=True)],
+        title=name,
+        box=box.SIMPLE_HEAD,
+    )
+
+
+def _number(value: float | None) -> str:
+    return "none" if value is None else f"{value:.3g}"

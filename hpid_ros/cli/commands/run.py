@@ -1,0 +1,88 @@
+"""``hpid run``: one controller of an experiment on the graph, and how its time was spent."""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any
+
+from hpid_ros.cli.commands import DONE
+from hpid_ros.cli.commands.options import (
+    add_experiment,
+    add_output,
+    named_experiment,
+    output_folder,
+)
+
+
+def add(commands: Any) -> None:
+    """Add the command to the parser."""
+    parser = commands.add_parser(
+        "run",
+        help="run one controller of an experiment and show how its time was spent",
+        description="Run one controller of an experiment on the real ROS 2 graph, record it, and "
+        "end with its indices and with a table of periods, compute times, latencies and losses.",
+    )
+    add_experiment(parser)
+    parser.add_argument(
+        "--controller", metavar="LABEL", help="which of its controllers (the last one)"
+    )
+    spread = parser.add_mutually_exclusive_group()
+    spread.add_argument(
+        "--composed", action="store_true", help="all controllers in one process, not one each"
+    )
+    spread.add_argument(
+        "--single-process", action="store_true", help="controllers and robot in one process"
+    )
+    parser.add_argument(
+        "--realtime", action="store_true", help="paced by the wall clock, not in lock-step"
+    )
+    parser.add_argument(
+        "--realtime-priority",
+        type=int,
+        default=0,
+        metavar="N",
+        help="SCHED_FIFO priority of the control loop, 1 to 99",
+    )
+    parser.add_argument("--no-record", action="store_true", help="leave no bag and no indices")
+    add_output(parser, "NAME")
+    parser.set_defaults(command=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the controller and print what it gave."""
+    from hpid_ros.cli.terminal import (
+        RunProgress,
+        output_console,
+        print_notes,
+        print_result_places,
+        print_timing,
+    )
+    from hpid_ros.experiment.compare import run_controller
+    from hpid_ros.experiment.graph.options import GraphOptions
+    from hpid_ros.report.tables.table import ComparisonTable
+
+    graph = GraphOptions(
+        processes=_processes(options),
+        is_recorded=not options.no_record,
+        is_realtime=options.realtime,
+        realtime_priority=options.realtime_priority,
+    )
+    experiment = named_experiment(options.experiment)
+    label = options.controller or list(experiment.controllers)[-1]
+    output = output_folder(options, experiment.name)
+    console = output_console()
+    period = experiment.world.control_period_ns * 1e-9
+    with RunProgress(console, experiment.duration, [label], period) as progress:
+        ran = run_controller(experiment, label, output, progress, graph, force=options.force)
+    if ran.result:
+        console.print(ComparisonTable(ran.result.comparison))
+        print_notes(console, ran.result.notes)
+    print_timing(console, ran.report, experiment.duration)
+    print_result_places(console, {"result": ran.folder.path})
+    return DONE
+
+
+def _processes(options: argparse.Namespace) -> str:
+    if options.single_process:
+        return "single"
+    return "composed" if options.composed else "each"

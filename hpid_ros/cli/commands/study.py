@@ -1,0 +1,99 @@
+"""``hpid study``: experiments over many seeds, and what becomes of the paper's claims."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from typing import TYPE_CHECKING, Any
+
+from hpid_ros.base.errors import SettingError
+from hpid_ros.cli.commands import DONE, FAILED
+from hpid_ros.cli.commands.options import (
+    add_jobs,
+    add_joints,
+    add_output,
+    check_jobs,
+    output_folder,
+    run_progress,
+    telling_where,
+)
+
+if TYPE_CHECKING:
+    from hpid_ros.studies.study_result import StudyResult
+
+
+def add(commands: Any) -> None:
+    """Add the command to the parser."""
+    parser = commands.add_parser(
+        "study",
+        help="run experiments over many seeds and hold the paper's claims to them",
+        description="Run every controller of every experiment with many seeds, without ROS, on "
+        "every core. Prints medians with quartiles, ratios to each experiment's first "
+        "controller, and for every claim of the paper whether it holds.",
+        epilog="A run that fails is named, the others go on, and the exit code is 1. An "
+        "interrupt leaves what was run; --resume carries on. The numbers are those of hpid "
+        "compare, to the last bit, with any number of jobs.",
+    )
+    parser.add_argument(
+        "experiments",
+        nargs="*",
+        metavar="FILE",
+        help="experiment files (all of this package but the bricks)",
+    )
+    add_joints(parser, "judge this joint; may be repeated (those that each experiment judges)")
+    parser.add_argument(
+        "--seeds", type=int, default=20, metavar="N", help="runs of each controller (20)"
+    )
+    add_jobs(parser)
+    add_output(parser, "study")
+    parser.add_argument(
+        "--resume", action="store_true", help="carry on the study in the output folder"
+    )
+    parser.add_argument(
+        "--table",
+        choices=("text", "docs", "csv", "json"),
+        default="text",
+        help="of the output; docs is Markdown",
+    )
+    parser.set_defaults(command=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the study and print its tables."""
+    from hpid_ros.base.console import TextConsole
+    from hpid_ros.studies.study_plan import default_files, plan_study
+    from hpid_ros.studies.study_run import kept_records, run_study, study_folder
+
+    check_jobs(options)
+    if options.resume and (options.force or options.output is None):
+        raise SettingError("--resume needs the study's folder as --output, and not --force")
+    files = options.experiments or default_files()
+    plan = plan_study(files, joints=options.joint, seeds=options.seeds)
+    path = output_folder(options, "study")
+    inputs = [file for entry in plan.entries for file in entry.experiment.inputs]
+    folder = study_folder(path, force=options.force, resume=options.resume, inputs=inputs)
+    told = TextConsole(stderr=True)
+    with telling_where(told, folder, "what was run"):
+        runs = len(plan.tasks()) - len(kept_records(plan, folder))
+        with folder, run_progress(told, runs) as ended:
+            result = run_study(plan, folder, options.jobs, ended)
+        _print(result, options.table)
+    return FAILED if result.failures else DONE
+
+
+def _print(result: StudyResult, form: str) -> None:
+    import json
+
+    from hpid_ros.cli.terminal import output_console
+    from hpid_ros.studies.study_run import runs_csv
+    from hpid_ros.studies.study_tables import grids, study_markdown, study_text
+
+    if form == "text" and sys.stdout.isatty():
+        console = output_console()
+        for grid in grids(result):
+            console.print(grid)
+    elif form == "json":
+        print(json.dumps(result.as_mapping(), indent=2))
+    else:
+        texts = {"text": study_text, "docs": study_markdown, "csv": runs_csv}
+        print(texts[form](result), end="")

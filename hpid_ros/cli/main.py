@@ -1,0 +1,73 @@
+"""``hpid``: the umbrella command."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Sequence
+
+from hpid_ros import __version__
+from hpid_ros.base.console import guarded_output
+from hpid_ros.base.errors import HpidError, RunError
+from hpid_ros.base.interrupts import heed_interrupts
+from hpid_ros.cli.commands import (
+    BAD_INPUT,
+    FAILED,
+    INTERRUPTED,
+    check_gains,
+    compare,
+    gains,
+    repair,
+    robot,
+    run,
+    study,
+    sweep,
+    tune,
+    upgrade,
+)
+from hpid_ros.cli.commands.metrics import command as metrics
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the command line and return its exit code.
+
+    Args:
+        args: Arguments after the program's name; None for those of the process.
+    """
+    options = _parser().parse_args(args)
+    heed_interrupts()
+    with guarded_output():
+        return _run(options)
+
+
+def _run(options: argparse.Namespace) -> int:
+    command: Callable[[argparse.Namespace], int] = options.command
+    try:
+        return command(options)
+    except RunError as error:
+        print(f"hpid: {error}", file=sys.stderr)
+        return FAILED
+    except HpidError as error:
+        print(f"hpid: {error}", file=sys.stderr)
+        return BAD_INPUT
+    except KeyboardInterrupt:
+        print("hpid: interrupted", file=sys.stderr)
+        return INTERRUPTED
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="hpid", description="Linear and homogeneous PID, joint by joint, on ROS 2."
+    )
+    parser.add_argument("--version", action="version", version=f"hpid_ros {__version__}")
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+    for each in (
+        *(compare, run, sweep, study, metrics, repair),
+        *(gains, check_gains, tune, upgrade, robot),
+    ):
+        each.add(commands)
+    return parser
+
+
+if __name__ == "__main__":
+    sys.exit(main())

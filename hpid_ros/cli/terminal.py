@@ -1,0 +1,187 @@
+"""What a person sees in the terminal while an experiment runs, and at its end."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from types import TracebackType
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskID, TaskProgressColumn, TextColumn
+
+from hpid_ros.base.console import TextConsole
+from hpid_ros.experiment.progress import RunReport
+from hpid_ros.report.tables.wide_table import UNLIMITED_WIDTH, Column, WideTable
+
+
+def output_console() -> TextConsole:
+    """Return where a command prints: in a pipe or a file nothing limits its width."""
+    console = TextConsole()
+    return console if console.is_terminal else TextConsole(width=UNLIMITED_WIDTH)
+
+
+class RunProgress:
+    """A progress bar for each run, with simulated time, rate and real-time factor.
+
+    Args:
+        console: The terminal.
+        duration: Length of each run in [s].
+        labels: The controllers, in their order.
+        period: Control period in [s].
+    """
+
+    def __init__(
+        self, console: Console, duration: float, labels: Sequence[str], period: float
+    ) -> None:
+        self._duration, self._labels, self._period = duration, tuple(labels), period
+        self._progress = Progress(
+            TextColumn("{task.description}", style="bold", markup=False),
+            BarColumn(bar_width=24),
+            TaskProgressColumn(),
+            TextColumn("{task.fields[figures]}", markup=False),
+            TextColumn("{task.fields[phase]}", style="dim", markup=False),
+            console=console,
+            refresh_per_second=10,
+        )
+        self._tasks: dict[str, TaskID] = {}
+        self._begun: dict[str, tuple[float, float]] = {}
+
+    def __enter__(self) -> RunProgress:
+        self._progress.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        for task in self._tasks.values() if error is None else ():
+            self._progress.update(task, phase="")
+        self._progress.stop()
+
+    def phase(self, label: str, what: str) -> None:
+        """Show what a run is doing; the empty label stands for the work after all runs."""
+        label = label or self._labels[-1]
+        if label not in self._tasks:
+            width = max(len(each) for each in self._labels)
+            self._tasks[label] = self._progress.add_task(
+                label.ljust(width), total=self._duration, figures="", phase=what
+            )
+        self._progress.update(self._tasks[label], phase=what)
+
+    def advanced(self, label: str, simulated: float) -> None:
+        """Move a run's bar, with the rate since its first report."""
+        now = time.monotonic()
+        first, begun = self._begun.setdefault(label, (simulated, now))
+        figures = f"{simulated:5.2f} s"
+        if now - begun > 0.2:
+            factor = (simulated - first) / (now - begun)
+            figures += f"  {factor / self._period:6.0f} Hz  {factor:5.2f} x real time"
+        is_done = simulated >= self._duration
+        if not is_done or simulated > first:
+            self._progress.update(self._tasks[label], completed=simulated, figures=figures)
+        if is_done:
+            self._progress.update(self._tasks[label], completed=simulated, phase="")
+
+
+def print_reports(
+    console: Console, reports: Sequence[RunReport], duration: float, folder: Path
+) -> None:
+    """Print how the runs of a comparison went, and where the result lies.
+
+    Args:
+        console: The terminal.
+        reports: One for each run.
+        duration: Length of each run in [s].
+        folder: Folder of the result.
+    """
+    _print_runs(console, reports, duration)
+    print_result_places(console, {"result": folder, "report": folder / "report.html"})
+
+
+def print_notes(console: Console, notes: Sequence[str]) -> None:
+    """Print what a reader must know of the runs, below their table.
+
+    Args:
+        console: The terminal.
+        notes: The lines.
+    """
+    for note in notes:
+        console.print(note, style="yellow", highlight=False, soft_wrap=True)
+
+
+def print_timing(console: Console, report: RunReport, duration: float) -> None:
+    """Print how one run went, and where the time of its nodes went.
+
+    Args:
+        console: The terminal.
+        report: The run.
+        duration: Its length in [s].
+    """
+    _print_runs(console, [report], duration)
+    if report.timing is None:
+        return
+    headings = ["period", "p99", "compute", "p99", "latency", "p99", "missed", "silent"]
+    cycle = report.timing.cycle
+    rows = [("(bridge)", [*_microseconds(cycle.median, cycle.p99), *[""] * 6])]
+    for joint, each in report.timing.joints.items():
+        spreads = (each.period, each.compute, each.latency)
+        figures = [figure for spread in spreads for figure in (spread.median, spread.p99)]
+        numbers = [*_microseconds(*figures), str(each.missed), str(each.unanswered)]
+        rows.append((joint, numbers))
+    console.print()
+    console.print(_table("joint, in us", headings, rows))
+
+
+def print_result_places(console: Console, places: Mapping[str, Path]) -> None:
+    """Print where a result lies.
+
+    Args:
+        console: The terminal.
+        places: Paths by what lies there.
+    """
+    console.print()
+    for what, path in places.items():
+        console.print(f"{what}: {path}", soft_wrap=True, highlight=False)
+
+
+def _print_runs(console: Console, reports: Sequence[RunReport], duration: float) -> None:
+    headings = ["states", "processes", "wall time", "rate", "real time"]
+    rows = [
+        (
+            report.label,
+            [
+                str(report.states),
+                str(report.processes),
+                f"{report.wall_time:.2f} s",
+                f"{report.rate:.0f} Hz",
+                f"{duration / report.wall_time:.2f} x",
+            ],
+        )
+        for report in reports
+    ]
+    table = _table("run", headings, rows)
+    console.print()
+    console.print(table)
+    for report in reports:
+        for warning in report.warnings:
+            console.print(f"{report.label}: {warning}", style="yellow", highlight=False)
+
+
+def _table(
+    name: str, headings: Sequence[str], rows: Sequence[tuple[str, Sequence[str]]]
+) -> WideTable:
+    """Return a table of numbers whose rows have names."""
+    cells = zip(*(numbers for _, numbers in rows), strict=True)
+    return WideTable(
+        [Column(name, [row for row, _ in rows], is_text=True)],
+        [Column(heading, each) for heading, each in zip(headings, cells, strict=True)],
+        header_style="dim",
+        padding=2,
+    )
+
+
+def _microseconds(*values: float) -> list[str]:
+    return [f"{value:.0f}" if value >= 100.0 else f"{value:.1f}" for value in values]

@@ -1,0 +1,1 @@
+"""Models of the robot in the loops: gravity, decoupling, and the states that they need."""

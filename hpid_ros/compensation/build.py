@@ -1,0 +1,220 @@
+"""The model that a loop's settings ask for, built and checked before the loop begins."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import lru_cache
+from typing import NamedTuple
+
+from hpid_ros.base.errors import RobotDescriptionError, SettingError
+from hpid_ros.base.resources import find_resource
+from hpid_ros.compensation.coupling import Coupling, Settling, coupling
+from hpid_ros.compensation.joint_space import JointSpace
+from hpid_ros.compensation.loops import Compensator
+from hpid_ros.compensation.model import DecouplingShare, GravityShare, RobotDynamics
+from hpid_ros.compensation.states import RobotStates
+from hpid_ros.control import LoopSettings
+from hpid_ros.control.settings.model import ModelSettings
+from hpid_ros.robot.description import RobotDescription
+from hpid_ros.robot.differential_drive import DifferentialDrive
+
+_OF_THE_STATES = (
+    "model",
+    "control_period",
+    "state_timeout",
+    "velocity_source",
+    "velocity_filter_time_constant",
+    "acceleration_bound",
+)
+
+
+class LoopModel(NamedTuple):
+    """One joint's model, ready to run.
+
+    Attributes:
+        compensator: Gives the term of each state.
+        text: What it is, in one line for people.
+    """
+
+    compensator: Compensator
+    text: str
+
+
+def loop_model(settings: LoopSettings, robot: str) -> LoopModel | None:
+    """Build the model of one joint's loop.
+
+    Args:
+        settings: The loop's.
+        robot: The robot's URDF, XML text or path, where the settings name none.
+
+    Returns:
+        None without a compensation.
+
+    Raises:
+        HpidError: There is no robot, it cannot be read, lacks the joint, or the joints' efforts
+            would not settle.
+    """
+    if not settings.model.is_on:
+        return None
+    dynamics, states = _of_the_robot(settings, robot)
+    return LoopModel(_of_the_joint(settings, dynamics, states), _text(settings, robot, dynamics))
+
+
+def compensators(loops: Sequence[LoopSettings], robot: str) -> list[Compensator | None]:
+    """Build the models of the loops of one process; what they have in common they share.
+
+    Args:
+        loops: Their settings.
+        robot: As for :func:`loop_model`.
+
+    Returns:
+        One for each loop; None for one without a compensation.
+
+    Raises:
+        HpidError: As for :func:`loop_model`.
+    """
+    shared: dict[tuple[object, ...], tuple[RobotDynamics, RobotStates]] = {}
+    found: list[Compensator | None] = []
+    for settings in loops:
+        if not settings.model.is_on:
+            found.append(None)
+            continue
+        key = tuple(getattr(settings, name) for name in _OF_THE_STATES)
+        if key not in shared:
+            shared[key] = _of_the_robot(settings, robot)
+        found.append(_of_the_joint(settings, *shared[key]))
+    return found
+
+
+def coupling_of(settings: LoopSettings, robot: str) -> Coupling:
+    """Return the coupling of the joints of a loop's model, over the robot's poses.
+
+    Args:
+        settings: Of a loop with a model.
+        robot: As for :func:`loop_model`.
+
+    Raises:
+        HpidError: The robot cannot be read.
+    """
+    return _coupled(settings.model, _source(settings.model, robot))[1]
+
+
+def with_inertia(settings: LoopSettings, robot: str) -> LoopSettings:
+    """Return settings with the joint's inertia, where decoupling leaves it to the model.
+
+    It decides nothing about the law, which acts on a unit double integrator, but the soft stops
+    brake with it.
+
+    Args:
+        settings: The loop's.
+        robot: As for :func:`loop_model`.
+
+    Raises:
+        HpidError: As for :func:`loop_model`.
+    """
+    if not settings.model.is_decoupling or settings.inertia > 0.0:
+        return settings
+    joints, found = _coupled(settings.model, _source(settings.model, robot))
+    _require(settings.joint, joints)
+    return replace(settings, inertia=found.inertia[joints.index(settings.joint)])
+
+
+def robot_xml(source: str) -> str:
+    """Return the text of a URDF.
+
+    Args:
+        source: The text itself, or a path that :func:`.find_resource` finds.
+
+    Raises:
+        HpidError: There is no such file, or it cannot be read.
+    """
+    if source.lstrip().startswith("<"):
+        return source
+    return RobotDescription.load(find_resource(source)).xml
+
+
+def _of_the_robot(settings: LoopSettings, robot: str) -> tuple[RobotDynamics, RobotStates]:
+    """Return the dynamics, and what completes the states for them."""
+    model = settings.model
+    space = _space(model, _source(model, robot))
+    time_constant = 0.0
+    if model.is_decoupling:
+        found = Settling.of(settings, coupling_of(settings, robot))
+        if not found.is_settling:
+            raise SettingError(found.text)
+        time_constant = found.time_constant
+    described = space.description.joints
+    endless = [name for name in space.joints if described[name].type == "continuous"]
+    states = RobotStates(settings, space.joints, model.is_decoupling, time_constant, endless)
+    return RobotDynamics(space), states
+
+
+def _of_the_joint(
+    settings: LoopSettings, dynamics: RobotDynamics, states: RobotStates
+) -> Compensator:
+    """Return one joint's share of the robot's dynamics."""
+    _require(settings.joint, states.joints)
+    if settings.model.is_decoupling:
+        return Compensator(DecouplingShare(dynamics, settings.joint), states)
+    return Compensator(GravityShare(dynamics.space, settings.joint), states)
+
+
+def _text(settings: LoopSettings, robot: str, dynamics: RobotDynamics) -> str:
+    """Say in one line what a model is."""
+    model = settings.model
+    base = (
+        f"rolling on {model.left_wheel} and {model.right_wheel}"
+        if model.left_wheel
+        else "its root held fixed (no model.left_wheel is named)"
+    )
+    count = len(dynamics.space.joints)
+    text = f"compensation {model.compensation}: model of {count} joints, {base}"
+    if not model.is_decoupling:
+        return text
+    return f"{text}; {Settling.of(settings, coupling_of(settings, robot)).text}"
+
+
+def _source(model: ModelSettings, robot: str) -> str:
+    """Return the XML text of the model's robot."""
+    source = model.description or robot
+    if not source:
+        raise SettingError(
+            f"compensation {model.compensation} needs the robot: robot_description is empty"
+        )
+    return robot_xml(source)
+
+
+def _space(model: ModelSettings, xml: str) -> JointSpace:
+    description = RobotDescription.load(xml)
+    drive = None
+    if model.left_wheel:
+        drive = DifferentialDrive.of(
+            description,
+            model.left_wheel,
+            model.right_wheel,
+            model.wheel_radius or None,
+            model.wheel_separation or None,
+        )
+    return JointSpace(
+        description,
+        drive,
+        payload_mass=model.payload,
+        payload_link=model.payload_link,
+        mass_scale=model.mass_scale,
+        locked=model.locked,
+    )
+
+
+@lru_cache(maxsize=64)
+def _coupled(model: ModelSettings, xml: str) -> tuple[tuple[str, ...], Coupling]:
+    """Return the joints of a model and their coupling."""
+    space = _space(model, xml)
+    return space.joints, coupling(space)
+
+
+def _require(joint: str, joints: Sequence[str]) -> None:
+    if joint not in joints:
+        raise RobotDescriptionError(
+            f"the model of joint {joint!r} lacks it; it has {', '.join(joints)}"
+        )

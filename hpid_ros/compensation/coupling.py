@@ -1,0 +1,164 @@
+r"""Decoupled joints that use each other's last efforts: whether they settle.
+
+Each joint's node computes its effort from the *last* efforts of the others. With the mass matrix
+M, :math:`B = M^{-1}` and :math:`D = \mathrm{diag}\,B`, the nodes together iterate
+
+.. math:: u^+ = D^{-1} (b - (B - D) f), \qquad f^+ = f + \alpha (u^+ - f)
+
+once a sample: a Jacobi iteration, relaxed by the filter on the measured efforts,
+:math:`\alpha = T / (\tau + T)`. Its eigenvalues are :math:`1 - \alpha\mu` with those
+:math:`\mu > 0` of :math:`D^{-1} B`. Their sum is the number n of joints, so that
+:math:`\alpha \le 2/n` settles for every robot; without a filter it settles where all
+:math:`\mu < 2`. With :math:`\alpha = 1/\mu_{max}` no part of it alternates.
+
+Source: Y. Saad, *Iterative Methods for Sparse Linear Systems*, section 4.2 (Jacobi iteration),
+4.1 (relaxation).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from typing import NamedTuple
+
+import numpy as np
+
+from hpid_ros.base.errors import SettingError
+from hpid_ros.compensation.joint_space import JointSpace
+from hpid_ros.control import LoopSettings
+
+POSES, SEED = 200, 1
+
+
+class Coupling(NamedTuple):
+    """How strongly the joints of a robot are coupled, over its poses.
+
+    Attributes:
+        least: Least eigenvalue of D^-1 B met; 1 for joints that do not feel each other.
+        largest: Largest eigenvalue met.
+        inertia: Least of what each joint's motor has to accelerate, 1/B_jj, in [kg m^2], in the
+            order of the robot's joints.
+    """
+
+    least: float
+    largest: float
+    inertia: tuple[float, ...]
+
+    def radius(self, relaxation: float = 1.0) -> float:
+        """Return the factor by which the iteration's error shrinks in each sample.
+
+        Args:
+            relaxation: alpha, in (0, 1]; 1 without a filter.
+        """
+        return max(abs(1.0 - relaxation * self.least), abs(1.0 - relaxation * self.largest))
+
+    def filter_time_constant(self, period: float) -> float:
+        """Return the shortest filter with which no part of the iteration alternates, in [s].
+
+        Args:
+            period: Time between two samples in [s].
+        """
+        return period * max(self.largest - 1.0, 0.0)
+
+
+def coupling(space: JointSpace, samples: int = POSES, seed: int = SEED) -> Coupling:
+    """Return the coupling over the zero pose and poses drawn evenly within the joints' limits.
+
+    Args:
+        space: The robot.
+        samples: Number of poses drawn.
+        seed: Seed of the draw.
+
+    Raises:
+        SettingError: There is not one pose to draw.
+    """
+    if samples < 1:
+        raise SettingError(f"samples {samples} must be >= 1")
+    joints = [space.description.joints[name] for name in space.joints]
+    low = [max(joint.lower, -math.pi) for joint in joints]
+    high = [min(joint.upper, math.pi) for joint in joints]
+    draw = np.random.default_rng(seed).uniform(low, high, (samples, len(joints)))
+    rest = (0.0,) * len(joints)
+    least, largest, inertia = 1.0, 1.0, np.full(len(joints), np.inf)
+    for pose in (np.zeros(len(joints)), *draw):
+        mobility = np.linalg.inv(space.equations(pose.tolist(), rest).mass)
+        own = np.diagonal(mobility)
+        scale = 1.0 / np.sqrt(own)
+        values = np.linalg.eigvalsh(mobility * np.outer(scale, scale))
+        least, largest = min(least, float(values[0])), max(largest, float(values[-1]))
+        inertia = np.minimum(inertia, 1.0 / own)
+    return Coupling(least, largest, tuple(inertia.tolist()))
+
+
+def relaxation(time_constant: float, period: float) -> float:
+    """Return alpha of a first-order filter by backward Euler.
+
+    Args:
+        time_constant: In [s].
+        period: Time between two samples in [s].
+    """
+    return period / (time_constant + period)
+
+
+class Settling(NamedTuple):
+    """What is known of the joints' efforts.
+
+    Attributes:
+        time_constant: Of the low-pass on the other joints' efforts in [s].
+        radius: Factor by which the efforts' errors shrink in each sample, at the worst pose.
+        text: The finding in one line, for people.
+    """
+
+    time_constant: float
+    radius: float
+    text: str
+
+    @property
+    def is_settling(self) -> bool:
+        """Whether the errors shrink."""
+        return self.radius < 1.0
+
+    @classmethod
+    def of(cls, settings: LoopSettings, coupling: Coupling) -> Settling:
+        """Judge a loop with decoupling.
+
+        Args:
+            settings: The loop's.
+            coupling: Of its model's joints.
+        """
+        period = settings.control_period
+        time_constant = settings.model.effort_filter_time_constant
+        if time_constant < 0.0:
+            time_constant = coupling.filter_time_constant(period)
+        radius = coupling.radius(relaxation(time_constant, period))
+        if radius < 1.0:
+            text = (
+                f"efforts of the other joints, filtered by {1e3 * time_constant:.3g} ms, settle "
+                f"by a factor {radius:.2f} in each sample (without a filter "
+                f"{coupling.radius():.2f}), over {POSES} poses"
+            )
+        else:
+            shortest = period * (0.5 * coupling.largest - 1.0)
+            text = (
+                f"decoupled joints would not settle: in each sample their last efforts change "
+                f"the next ones by a factor of up to {radius:.3g}; "
+                f"model.effort_filter_time_constant must exceed {shortest:.3g} s, "
+                f"not {time_constant:g} s (-1 chooses it)"
+            )
+        return cls(time_constant, radius, text)
+
+
+def settling_of(loops: Iterable[LoopSettings], robot: str) -> list[Settling]:
+    """Judge loops with decoupling; those of one model and one rate are judged once.
+
+    Args:
+        loops: Settings of the loops.
+        robot: The robot's URDF, XML text or path, where the settings name none.
+
+    Raises:
+        HpidError: A model's robot is not known or cannot be read.
+    """
+    from hpid_ros.compensation.build import coupling_of
+
+    different = {(each.model, each.control_period): each for each in loops}
+    return [Settling.of(each, coupling_of(each, robot)) for each in different.values()]

@@ -1,0 +1,193 @@
+"""What a model is told of the whole robot: states of all joints, completed and checked."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Sequence
+from typing import NamedTuple
+
+from hpid_ros.control.reference import LARGEST_POSITION, SECONDS_PER_NANOSECOND
+from hpid_ros.control.settings.loop import LoopSettings
+from hpid_ros.control.velocity import Unwrapper
+
+_NO_TIME = -1  # before every stamp of a usable state
+
+
+class RobotState(NamedTuple):
+    """One state of a robot, along the joints of its model.
+
+    Attributes:
+        positions: Measured, in [rad].
+        velocities: Measured, or estimated from the positions, in [rad/s].
+        efforts: Measured, behind the filter, in [N m]; zeros where they are not needed.
+    """
+
+    positions: Sequence[float]
+    velocities: Sequence[float]
+    efforts: Sequence[float]
+
+
+class RobotStates:
+    """Makes of measured states what a model can use, or holds the last one for a while.
+
+    Velocities come from the source that the loop's own velocity comes from, one for each joint.
+    Efforts go through a first-order low-pass by backward Euler. A state that cannot be used
+    (a joint is missing, a number is not finite, there are no efforts) is answered with the last
+    one that could, for at most ``state_timeout`` by the stamps.
+
+    Attributes:
+        joints: Joints of the model, in the order of every vector here.
+        held: States that were answered with an earlier one.
+        lost: States for which there was none.
+        last_fault: What was last wrong with a state, in words.
+
+    Args:
+        settings: Of the joint's loop: ``state_timeout`` and how velocities are found.
+        joints: Joints of the model.
+        needs_efforts: Whether the model needs efforts.
+        filter_time_constant: Of the efforts' low-pass in [s]; 0 is none.
+        endless: Joints that turn without end: their encoders may begin anew after each turn.
+    """
+
+    def __init__(
+        self,
+        settings: LoopSettings,
+        joints: Sequence[str],
+        needs_efforts: bool,
+        filter_time_constant: float = 0.0,
+        endless: Collection[str] = (),
+    ) -> None:
+        self.held = self.lost = 0
+        self.last_fault = ""
+        self.joints = tuple(joints)
+        self._settings = settings
+        self._timeout = settings.state_timeout
+        self._velocities = [settings.make_velocity_source() for _ in self.joints]
+        self._unwrappers = [
+            (place, Unwrapper(math.tau)) for place, name in enumerate(joints) if name in endless
+        ]
+        self._needs_efforts = needs_efforts
+        self._time_constant = filter_time_constant
+        self._no_efforts = (0.0,) * len(self.joints)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the past: the next state is the first one."""
+        for velocity in self._velocities:
+            velocity.reset()
+        for _, unwrapper in self._unwrappers:
+            unwrapper.reset()
+        self._stamp_ns = _NO_TIME
+        self._state: RobotState | None = None
+
+    def retune(self, settings: LoopSettings) -> None:
+        """Go by other settings of the loop from the next state on.
+
+        Args:
+            settings: Checked settings of the same joint and the same compensation.
+        """
+        if settings.velocity_parameters != self._settings.velocity_parameters:
+            self._velocities = [settings.make_velocity_source() for _ in self.joints]
+            if self._state is not None:
+                seen = zip(
+                    self._velocities, self._state.positions, self._state.velocities, strict=True
+                )
+                for source, position, velocity in seen:
+                    source.take_over(position, velocity)
+        self._settings, self._timeout = settings, settings.state_timeout
+
+    def observe(
+        self,
+        stamp_ns: int,
+        positions: Sequence[float],
+        velocities: Sequence[float] | None,
+        efforts: Sequence[float] | None,
+    ) -> RobotState | None:
+        """Take one measured state.
+
+        Args:
+            stamp_ns: Its stamp in [ns].
+            positions: Of the model's joints in [rad].
+            velocities: In [rad/s]; None when the robot reports none.
+            efforts: In [N m]; None when the robot reports none.
+
+        Returns:
+            The state for the model; None when there is none to be used.
+        """
+        state = self._state
+        if stamp_ns == self._stamp_ns and state is not None:
+            return state
+        fault = self._fault(positions, velocities, efforts)
+        if fault:
+            return self.hold(stamp_ns, fault)
+        dt = (stamp_ns - self._stamp_ns) * SECONDS_PER_NANOSECOND
+        if state is not None and not 0.0 < dt <= self._timeout:
+            self.reset()
+        before, self._stamp_ns = self._state, stamp_ns
+        if before is None:
+            dt = 0.0
+        if self._unwrappers:
+            positions = list(positions)
+            for place, unwrapper in self._unwrappers:
+                positions[place] = unwrapper.update(positions[place])
+        rates: Sequence[float | None] = velocities or (None,) * len(positions)
+        found = [
+            source.update(position, rate, dt)
+            for source, position, rate in zip(self._velocities, positions, rates, strict=True)
+        ]
+        seen = self._no_efforts if efforts is None or not self._needs_efforts else efforts
+        if before is not None and self._time_constant:
+            share = dt / (self._time_constant + dt)
+            seen = [a + share * (b - a) for a, b in zip(before.efforts, seen, strict=True)]
+        self._state = RobotState(positions, found, seen)
+        return self._state
+
+    def hold(self, stamp_ns: int, reason: str) -> RobotState | None:
+        """Return the last usable state in place of one that is not, if it is recent.
+
+        Args:
+            stamp_ns: Stamp of the state that cannot be used, in [ns].
+            reason: What is wrong with it, in words.
+        """
+        self.last_fault = reason
+        elapsed = (stamp_ns - self._stamp_ns) * SECONDS_PER_NANOSECOND
+        if self._state is not None and 0.0 <= elapsed <= self._timeout:
+            self.held += 1
+            return self._state
+        self.lost += 1
+        return None
+
+    def _fault(
+        self,
+        positions: Sequence[float],
+        velocities: Sequence[float] | None,
+        efforts: Sequence[float] | None,
+    ) -> str:
+        """Return what makes a state unusable, in words; empty if nothing."""
+        if not _are_possible(positions):
+            return f"positions of the model: {self._worst(positions)} rad"
+        if velocities is not None and not _are_possible(velocities):
+            return f"velocities of the model: {self._worst(velocities)} rad/s"
+        if self._needs_efforts:
+            if efforts is None:
+                return "the states have no efforts, which decoupling needs"
+            if not _are_possible(efforts):
+                return f"efforts of the model: {self._worst(efforts)} N m"
+        return ""
+
+    def _worst(self, values: Sequence[float]) -> str:
+        """Return the first joint whose number is none of a joint, with it."""
+        for joint, value in zip(self.joints, values, strict=True):
+            if not -LARGEST_POSITION <= value <= LARGEST_POSITION:
+                return f"{joint} {value}"
+        return "beyond all bounds"
+
+
+def _are_possible(values: Sequence[float]) -> bool:
+    """Tell whether all numbers are finite and some joint's."""
+    # A sum is finite only if nothing in it is nan, with which min and max would be blind.
+    return (
+        math.isfinite(sum(values))
+        and max(values) <= LARGEST_POSITION
+        and min(values) >= -LARGEST_POSITION
+    )

@@ -1,0 +1,299 @@
+r"""Homogeneous norms of one joint's error state.
+
+The dilation is :math:`d(s) = \mathrm{diag}(e^{(1-\mu)s}, e^{s})` on (error, error rate). A
+homogeneous norm is continuous, positive definite and scales as :math:`\|d(s)x\|_d = e^s \|x\|_d`.
+
+Source: the paper, section "Homogeneous norm".
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Sequence
+
+from hpid_ros.base.errors import NormError
+
+DEGREE_LIMIT = 0.5
+"""Degrees lie strictly between minus and plus this."""
+
+GOOD_SAMPLING_MARGIN = 0.25
+"""T kd lam / m up to which sampling is not felt; see
+:func:`~hpid_ros.stability.bounds.sampling_margin`."""
+
+
+def require_degree(degree: float) -> None:
+    """Refuse a homogeneity degree that the law does not allow.
+
+    Raises:
+        NormError: The degree is not strictly inside (-0.5, 0.5).
+    """
+    if not -DEGREE_LIMIT < degree < DEGREE_LIMIT:
+        raise NormError(f"the degree mu must lie in (-0.5, 0.5), not {degree}")
+
+
+class WeightedNorm:
+    r"""Weighted homogeneous norm.
+
+    .. math:: \|(e, \dot e)\|_d = \gamma_1 |e|^{1/(1-\mu)} + \gamma_2 |\dot e|
+
+    Source: the paper, section "Homogeneous norm", weights r = (1 - mu, 1).
+
+    Args:
+        degree: Homogeneity degree mu, in (-0.5, 0.5).
+        error_weight: gamma_1, in [1 / rad^{1/(1-mu)}].
+        rate_weight: gamma_2, in [s/rad].
+
+    Raises:
+        NormError: The degree is out of range or a weight is not positive and finite.
+    """
+
+    __slots__ = ("degree", "error_exponent", "error_weight", "rate_weight")
+
+    def __init__(self, degree: float, error_weight: float, rate_weight: float) -> None:
+        require_degree(degree)
+        for name, value in (("error_weight", error_weight), ("rate_weight", rate_weight)):
+            _require_positive(name, value)
+        self.degree = float(degree)
+        self.error_weight = float(error_weight)
+        self.rate_weight = float(rate_weight)
+        self.error_exponent = 1.0 / (1.0 - degree)
+
+    @classmethod
+    def scaled(cls, degree: float, error_scale: float, rate_weight: float) -> WeightedNorm:
+        r"""Return the norm :math:`(|e|/e_{max})^{1/(1-\mu)} + \gamma_2 |\dot e|`.
+
+        The experiment's norm with its largest error in the consistent place: an error of
+        ``error_scale`` at rest has norm 1 whatever the degree.
+
+        Args:
+            degree: Homogeneity degree mu, in (-0.5, 0.5).
+            error_scale: e_max in [rad], fixed in advance.
+            rate_weight: gamma_2 in [s/rad].
+
+        Raises:
+            NormError: As for the class, or ``error_scale`` is not positive and finite.
+        """
+        require_degree(degree)
+        _require_positive("error_scale", error_scale)
+        return cls(degree, float(error_scale) ** (-1.0 / (1.0 - degree)), rate_weight)
+
+    def __call__(self, error: float, error_rate: float) -> float:
+        """Return the norm; zero only at the origin.
+
+        Args:
+            error: Reference minus measured position, in [rad].
+            error_rate: Its time derivative, in [rad/s].
+        """
+        weighted_error: float = self.error_weight * abs(error) ** self.error_exponent
+        return weighted_error + self.rate_weight * abs(error_rate)
+
+    def __repr__(self) -> str:
+        return f"WeightedNorm({self.degree}, {self.error_weight}, {self.rate_weight})"
+
+
+class CanonicalNorm:
+    r"""Canonical homogeneous norm: the n > 0 with :math:`\|d(-\ln n)\,x\|_P = 1`.
+
+    Source: the paper, equation (3), with the weighted Euclidean norm of P; monotone if and only
+    if :math:`P \succ 0` and :math:`PG + GP \succ 0` for G = diag(1 - mu, 1), which is
+    :math:`4(1-\mu)p_{11}p_{22} > (2-\mu)^2 p_{12}^2`.
+
+    Args:
+        degree: Homogeneity degree mu, in (-0.5, 0.5).
+        shape: The symmetric 2x2 matrix P, rows or nested sequences.
+
+    Raises:
+        NormError: The degree is out of range, or P is not a finite symmetric positive definite
+            2x2 matrix for which the dilation is monotone.
+    """
+
+    __slots__ = ("_fastest", "_p11", "_p12", "_p22", "_slowest", "degree")
+
+    _SLOPE_MARGIN = 1e-6
+    _TOLERANCE = 1e-15
+    _ITERATIONS_AT_MOST = 60
+
+    def __init__(self, degree: float, shape: Sequence[Sequence[float]]) -> None:
+        require_degree(degree)
+        p11, p12, p22 = _checked_shape(shape)
+        if not 4.0 * (1.0 - degree) * p11 * p22 > ((2.0 - degree) * p12) ** 2:
+            raise NormError(
+                f"the dilation of degree {degree} is not monotone for P = [[{p11:g}, {p12:g}], "
+                f"[{p12:g}, {p22:g}]]: 4 (1 - mu) p11 p22 = {4 * (1 - degree) * p11 * p22:g} must "
+                f"exceed (2 - mu)^2 p12^2 = {((2 - degree) * p12) ** 2:g}"
+            )
+        self.degree = float(degree)
+        self._p11, self._p12, self._p22 = p11, p12, p22
+        self._slowest, self._fastest = self._slopes()
+
+    @property
+    def shape(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """The matrix P."""
+        return (self._p11, self._p12), (self._p12, self._p22)
+
+    def _slopes(self) -> tuple[float, float]:
+        """Return the least and largest slope of -0.5 ln(y'Py) in ln n.
+
+        They are the generalised eigenvalues of ((PG + GP)/2, P), the roots of a quadratic, which
+        is a double one when mu p12 = 0; the margin covers what the root loses to rounding then.
+        """
+        r = 1.0 - self.degree
+        a, b, c = r * self._p11, 0.5 * (1.0 + r) * self._p12, self._p22
+        quadratic = self._p11 * self._p22 - self._p12**2
+        linear = a * self._p22 + c * self._p11 - 2.0 * b * self._p12
+        constant = a * c - b * b
+        root = math.sqrt(max(linear * linear - 4.0 * quadratic * constant, 0.0))
+        fastest = (linear + root) / (2.0 * quadratic)
+        slowest = constant / (quadratic * fastest)
+        return slowest * (1.0 - self._SLOPE_MARGIN), fastest * (1.0 + self._SLOPE_MARGIN)
+
+    def __call__(self, error: float, error_rate: float) -> float:
+        """Return the norm; zero only at the origin.
+
+        Newton's method in s = ln n, safeguarded by bisection; the point is first brought to
+        unit size by the dilation itself, so that no square under- or overflows.
+
+        Args:
+            error: Reference minus measured position, in [rad].
+            error_rate: Its time derivative, in [rad/s].
+        """
+        if error == 0.0 and error_rate == 0.0:
+            return 0.0
+        r = 1.0 - self.degree
+        scale = max(
+            math.log(abs(error)) / r if error else -math.inf,
+            math.log(abs(error_rate)) if error_rate else -math.inf,
+        )
+        y1 = error * math.exp(-r * scale)
+        y2 = error_rate * math.exp(-scale)
+        return math.exp(scale + self._solve(y1, y2))
+
+    def _solve(self, error: float, error_rate: float) -> float:
+        """Return s = ln n of a point of about unit size."""
+        r, p11, p12, p22 = 1.0 - self.degree, self._p11, self._p12, self._p22
+        square = p11 * error * error + 2.0 * p12 * error * error_rate + p22 * error_rate**2
+        start = 0.5 * math.log(square)
+        ends = (start / self._fastest, start / self._slowest)
+        low, high = min(ends) - self._SLOPE_MARGIN, max(ends) + self._SLOPE_MARGIN
+        s = min(max(start, low), high)
+        for _ in range(self._ITERATIONS_AT_MOST):
+            y1, y2 = error * math.exp(-r * s), error_rate * math.exp(-s)
+            a, b, c = p11 * y1 * y1, p12 * y1 * y2, p22 * y2 * y2
+            square = a + 2.0 * b + c
+            value = math.log(square)
+            if value > 0.0:
+                low = s
+            else:
+                high = s
+            move = value * square / (2.0 * (r * a + (1.0 + r) * b + c))
+            if not low <= s + move <= high:
+                move = 0.5 * (low + high) - s
+            s += move
+            if abs(move) <= self._TOLERANCE * (1.0 + abs(s)):
+                break
+        return s
+
+    def __repr__(self) -> str:
+        return f"CanonicalNorm({self.degree}, {self.shape})"
+
+
+def scaled_norm(
+    kind: str, degree: float, error_scale: float, rate_weight: float
+) -> WeightedNorm | CanonicalNorm:
+    """Return the norm of a loop's parameters: 1 for an error of ``error_scale`` at rest.
+
+    Args:
+        kind: ``weighted`` or ``canonical``.
+        degree: Homogeneity degree mu, in (-0.5, 0.5).
+        error_scale: e_max in [rad].
+        rate_weight: Weight of the error rate in [s/rad].
+
+    Raises:
+        NormError: The degree is out of range, or a number is not positive and finite.
+    """
+    if kind == "weighted":
+        return WeightedNorm.scaled(degree, error_scale, rate_weight)
+    return CanonicalNorm(degree, ((error_scale**-2, 0.0), (0.0, rate_weight**2)))
+
+
+def norm_floor(
+    norm: WeightedNorm | CanonicalNorm,
+    *,
+    period: float,
+    derivative_gain: float,
+    resolution: float = 0.0,
+    filter_time_constant: float = 0.0,
+    cap: float = sys.float_info.max,
+) -> float:
+    """Return the least value of the norm that measurement and sampling can bear.
+
+    The largest of 1e-6; the norm of two encoder steps in position and of the rate that they
+    feign behind the velocity filter; and, for a negative degree, the norm at which the gain
+    multiplier reaches a quarter of what the sampled loop bears, ``T kd lam <= 0.25``.
+
+    Source: Livne and Levant, "Proper discretization of homogeneous differentiators" (2014), for
+    the principle; the numbers were measured on the sampled double integrator.
+
+    Args:
+        norm: The norm.
+        period: Sampling period T in [s].
+        derivative_gain: Effective derivative gain, ``kd`` over the inertia, in [1/s].
+        resolution: Encoder step in [rad]; 0 for none.
+        filter_time_constant: Of the velocity filter in [s].
+        cap: What the floor must lie below.
+
+    Raises:
+        NormError: It cannot.
+    """
+    floor = 1e-6
+    if resolution > 0.0:
+        feigned_rate = 2.0 * resolution / (filter_time_constant + period)
+        feigned = norm(2.0 * resolution, 0.0) + norm(0.0, feigned_rate)
+        if not feigned < cap:
+            raise NormError(
+                f"the norm of what an encoder_resolution of {resolution:g} rad feigns, "
+                f"{feigned:.3g}, must lie below norm.cap = {cap:g}: it is the norm's floor"
+            )
+        floor = max(floor, feigned)
+    if norm.degree < 0.0 and derivative_gain > 0.0:
+        # In logarithms: close to degree zero the floor is too large, or too small, for a number.
+        logarithm = math.log(GOOD_SAMPLING_MARGIN) - math.log(period) - math.log(derivative_gain)
+        log_floor = logarithm / norm.degree
+        if not log_floor < math.log(cap):
+            least = _power_of_ten(log_floor / math.log(10.0))
+            raise NormError(
+                f"T kd / m = {period * derivative_gain:g} exceeds {GOOD_SAMPLING_MARGIN:g}, which "
+                f"mu = {norm.degree:g} keeps by a norm.floor of {least} alone, and that must lie "
+                f"below norm.cap = {cap:g}: lower gains.d or the period, choose another mu, or "
+                f"set norm.floor"
+            )
+        floor = max(floor, math.exp(log_floor))
+    return floor
+
+
+def _power_of_ten(exponent: float) -> str:
+    is_number = exponent < sys.float_info.max_10_exp
+    return f"{10.0**exponent:.3g}" if is_number else f"10^{exponent:.3g}"
+
+
+def _require_positive(name: str, value: float) -> None:
+    if not (math.isfinite(value) and value > 0.0):
+        raise NormError(f"{name} must be positive and finite, not {value}")
+
+
+def _checked_shape(shape: Sequence[Sequence[float]]) -> tuple[float, float, float]:
+    try:
+        (p11, p12), (p21, p22) = ((float(x) for x in row) for row in shape)
+    except (TypeError, ValueError):
+        raise NormError(f"the shape P must be a 2x2 matrix of numbers, not {shape!r}") from None
+    if not all(math.isfinite(x) for x in (p11, p12, p21, p22)):
+        raise NormError(f"the shape P must be finite, not [[{p11}, {p12}], [{p21}, {p22}]]")
+    if p12 != p21:
+        raise NormError(f"the shape P must be symmetric, not [[.., {p12:g}], [{p21:g}, ..]]")
+    if not (p11 > 0.0 and p11 * p22 > p12 * p12):
+        raise NormError(
+            f"the shape P must be positive definite: p11 = {p11:g} must exceed 0 and p11 p22 = "
+            f"{p11 * p22:g} must exceed p12^2 = {p12 * p12:g}"
+        )
+    return p11, p12, p22

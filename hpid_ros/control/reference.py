@@ -1,0 +1,267 @@
+"""The reference of a loop: motions, and the passage from one to the next without a jump."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+from hpid_ros.base.errors import SettingError
+from hpid_ros.control.limits import MotionLimits
+
+LARGEST_POSITION = 1e9
+"""Positions, velocities and references beyond this [rad, rad/s] are no joint's."""
+
+SECONDS_PER_NANOSECOND = 1e-9
+
+
+class Reference(Protocol):
+    """Where the joint should be, on the control clock."""
+
+    def sample(self, stamp_ns: int) -> Sequence[float]:
+        """Return position [rad], velocity [rad/s], acceleration [rad/s^2] at an instant [ns]."""
+
+
+class Motion(Protocol):
+    """What a loop can be told to do: it becomes a reference when the loop takes it over."""
+
+    def start(self, now_ns: int, position: float, velocity: float) -> Reference:
+        """Take over from where the reference stands, see ``trajectory.Column.start``."""
+
+    def is_under_way(self, now_ns: int) -> bool:
+        """Tell whether it began before an instant, so that taking it over would jump."""
+
+    def target(self, now_ns: int) -> float:
+        """Return the position that it leads to first, or has now if it is under way, in [rad]."""
+
+
+@dataclass(frozen=True)
+class Setpoint:
+    """Hold one position.
+
+    Attributes:
+        position: In [rad].
+
+    Raises:
+        SettingError: The position is not finite, or no joint's.
+    """
+
+    position: float
+
+    def __post_init__(self) -> None:
+        if not -LARGEST_POSITION <= self.position <= LARGEST_POSITION:
+            raise SettingError(
+                f"a setpoint must be finite and within {LARGEST_POSITION:g} rad, "
+                f"not {self.position}"
+            )
+
+    def start(self, now_ns: int, position: float, velocity: float) -> Setpoint:
+        """Return itself: a setpoint is the same at all times."""
+        return self
+
+    def is_under_way(self, now_ns: int) -> bool:
+        """Return False: whoever sends a setpoint means a step."""
+        return False
+
+    def target(self, now_ns: int) -> float:
+        """Return the position."""
+        return self.position
+
+    def sample(self, stamp_ns: int) -> tuple[float, float, float]:
+        """Return the position at rest."""
+        return self.position, 0.0, 0.0
+
+
+@dataclass(frozen=True)
+class Turned:
+    """Another reference, whole turns away.
+
+    Attributes:
+        onto: The other reference.
+        offset: How much further this one is, in [rad].
+    """
+
+    onto: Reference
+    offset: float
+
+    def sample(self, stamp_ns: int) -> tuple[float, float, float]:
+        """Return the reference at an instant."""
+        position, velocity, acceleration = self.onto.sample(stamp_ns)
+        return position + self.offset, velocity, acceleration
+
+
+class Glide:
+    r"""A reference that begins where the joint is and ends on another one.
+
+    The difference at the start, :math:`\delta` in position and :math:`\dot\delta` in velocity,
+    fades with the quintics that have no acceleration at either end, over :math:`s \in [0, 1]`:
+
+    .. math::
+        \delta\,(1 - 10 s^3 + 15 s^4 - 6 s^5) + \dot\delta\,T\,(s - 6 s^3 + 8 s^4 - 3 s^5)
+
+    Args:
+        onto: The reference to end on.
+        now_ns: The instant of the start in [ns].
+        position: Where it starts in [rad].
+        velocity: How fast it starts in [rad/s].
+        duration: T in [s], positive.
+    """
+
+    def __init__(
+        self, onto: Reference, now_ns: int, position: float, velocity: float, duration: float
+    ) -> None:
+        target = onto.sample(now_ns)
+        self.onto = onto
+        self._begin_ns = now_ns
+        self._duration = duration
+        self.end_ns = now_ns + round(duration / SECONDS_PER_NANOSECOND)
+        self._offset = position - target[0]
+        self._carried = (velocity - target[1]) * duration
+
+    def sample(self, stamp_ns: int) -> tuple[float, float, float]:
+        """Return the reference at an instant."""
+        position, velocity, acceleration = self.onto.sample(stamp_ns)
+        if not self._begin_ns <= stamp_ns < self.end_ns:
+            return position, velocity, acceleration
+        T, a, b = self._duration, self._offset, self._carried
+        s = (stamp_ns - self._begin_ns) * SECONDS_PER_NANOSECOND / T
+        squared = s * s
+        cubed = squared * s
+        return (
+            position
+            + a * (1.0 - cubed * (10.0 - 15.0 * s + 6.0 * squared))
+            + b * (s - cubed * (6.0 - 8.0 * s + 3.0 * squared)),
+            velocity
+            + a / T * (-30.0 * squared * (1.0 - 2.0 * s + squared))
+            + b / T * (1.0 - squared * (18.0 - 32.0 * s + 15.0 * squared)),
+            acceleration
+            + a / (T * T) * (-60.0 * s * (1.0 - 3.0 * s + 2.0 * squared))
+            + b / (T * T) * (-s * (36.0 - 96.0 * s + 60.0 * squared)),
+        )
+
+
+class Following:
+    """Turns motions into the reference of each sample.
+
+    Attributes:
+        motion: What is followed; None while the joint is held where it was.
+        position: The reference's position of the last sample in [rad].
+        velocity: Its velocity in [rad/s].
+        turn: A motion that is taken up may be told as many turns away as bring it nearest to
+            the reference, in [rad]; 0 takes it as it is told.
+    """
+
+    __slots__ = (
+        *("_glide_end_ns", "_pending", "_reference"),
+        *("motion", "position", "turn", "velocity"),
+    )
+
+    def __init__(self) -> None:
+        self.motion: Motion | None = None
+        self.turn = 0.0
+        self.restart()
+
+    @property
+    def is_standing(self) -> bool:
+        """Whether there is a reference; the first state makes one."""
+        return self._reference is not None
+
+    def follow(self, motion: Motion | None) -> None:
+        """Follow a motion from the next sample on; None forgets what was followed."""
+        self.motion = self._pending = motion
+
+    def restart(self) -> None:
+        """Forget where the reference stands, and start the motion anew."""
+        self._pending = self.motion
+        self._reference: Reference | None = None
+        self._glide_end_ns: int | None = None
+        self.position = self.velocity = 0.0
+
+    def stand(self, position: float) -> None:
+        """Hold a position until there is a motion.
+
+        Args:
+            position: In [rad].
+        """
+        self._reference, self._glide_end_ns = Setpoint(position), None
+        self.position, self.velocity = position, 0.0
+
+    def take_over(self, stamp_ns: int, position: float, duration: float) -> None:
+        """Start from a position again, and glide onto what is followed.
+
+        Args:
+            stamp_ns: The control clock in [ns].
+            position: Where the joint is in [rad].
+            duration: How long the glide takes in [s]; 0 jumps.
+        """
+        onto = self._onto()
+        self.stand(position)
+        if self.motion is not None and self._pending is None:
+            onto = _turned(onto, self._turns_to(onto.sample(stamp_ns)[0]))
+            self._glide(onto, stamp_ns, position, 0.0, duration)
+
+    def sample(
+        self, stamp_ns: int, duration: float, limits: MotionLimits | None
+    ) -> Sequence[float]:
+        """Return the reference of a sample: position, velocity and acceleration.
+
+        There must be a reference, see :attr:`is_standing`.
+
+        Args:
+            stamp_ns: The control clock in [ns].
+            duration: How long a glide takes that begins now, in [s].
+            limits: Where the reference ends; None where it does not.
+        """
+        if self._pending is not None:
+            self._begin(self._pending, stamp_ns, duration)
+        elif self._glide_end_ns is not None and stamp_ns >= self._glide_end_ns:
+            self._reference, self._glide_end_ns = self._onto(), None
+        wanted = self._reference.sample(stamp_ns)  # type: ignore[union-attr]
+        position, velocity, acceleration = wanted
+        if limits is not None:
+            inside, velocity = limits.reference(position, velocity)
+            if inside != position:  # at a stop the reference rests
+                position, acceleration = inside, 0.0
+            wanted = position, velocity, acceleration
+        self.position, self.velocity = position, velocity
+        return wanted
+
+    def _begin(self, motion: Motion, stamp_ns: int, duration: float) -> None:
+        """Turn to a motion: from where the reference stands, or onto it if it is under way."""
+        before = self._reference
+        assert before is not None
+        self._pending = None
+        offset = self._turns_to(motion.target(stamp_ns)) if self.turn else 0.0
+        onto = _turned(motion.start(stamp_ns, self.position - offset, self.velocity), offset)
+        self._reference, self._glide_end_ns = onto, None
+        if motion.is_under_way(stamp_ns):
+            position, velocity = before.sample(stamp_ns)[:2]
+            self._glide(onto, stamp_ns, position, velocity, duration)
+
+    def _turns_to(self, target: float) -> float:
+        """Return the whole turns from a target to the reference, in [rad]."""
+        return self.turn * round((self.position - target) / self.turn) if self.turn else 0.0
+
+    def _onto(self) -> Reference:
+        """Return the reference that is followed in the end."""
+        reference = self._reference
+        assert reference is not None
+        return reference.onto if isinstance(reference, Glide) else reference
+
+    def _glide(
+        self, onto: Reference, stamp_ns: int, position: float, velocity: float, duration: float
+    ) -> None:
+        """Follow a reference, gliding onto it if it is elsewhere."""
+        self._reference, self._glide_end_ns = onto, None
+        if duration > 0.0 and tuple(onto.sample(stamp_ns)[:2]) != (position, velocity):
+            glide = Glide(onto, stamp_ns, position, velocity, duration)
+            self._reference, self._glide_end_ns = glide, glide.end_ns
+
+
+def _turned(onto: Reference, offset: float) -> Reference:
+    """Return a reference so many rad further."""
+    if offset == 0.0:
+        return onto
+    if isinstance(onto, Turned):
+        return Turned(onto.onto, onto.offset + offset)
+    return Turned(onto, offset)

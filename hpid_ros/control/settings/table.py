@@ -1,0 +1,293 @@
+"""Every parameter of a joint loop: name, unit, range, default.
+
+The table serves the node's parameters, the experiment files and the documentation alike.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from hpid_ros.base.errors import SettingError
+from hpid_ros.control.anti_windup import STRATEGIES
+
+LAWS = ("hpid", "pid")
+NORMS = ("weighted", "canonical")
+VELOCITY_SOURCES = ("measured", "filtered", "homogeneous_differentiator")
+DISCRETIZATIONS = ("explicit", "semi_implicit")
+
+_LARGEST_GAIN = 1e6
+LARGEST_EFFORT = 1e6
+LARGEST_NORM = 1e6
+LARGEST_MOTION = 1e6
+"""A position or velocity limit of this size is none."""
+
+CLOCKS = ("wall", "simulated")
+
+LONGEST_TIMEOUT = 1.0
+"""No watchdog may be patient for longer than this, in [s]."""
+
+Value = str | float | bool
+
+
+@dataclass(frozen=True)
+class ParameterSpec:
+    """One parameter of a joint loop.
+
+    Attributes:
+        name: Dotted name, as in ROS.
+        default: Its value when none is given; its type is the parameter's type.
+        description: What it is, with the unit in brackets.
+        minimum: Least allowed number.
+        maximum: Largest allowed number.
+        choices: Allowed texts.
+    """
+
+    name: str
+    default: Value
+    description: str
+    minimum: float = -math.inf
+    maximum: float = math.inf
+    choices: tuple[str, ...] = ()
+
+    def checked(self, value: object) -> Value:
+        """Return the value in the parameter's type.
+
+        Raises:
+            SettingError: Wrong type, not finite, out of range, or not one of the choices.
+        """
+        if isinstance(self.default, bool):
+            if not isinstance(value, bool):
+                raise SettingError(f"{self.name} must be true or false, not {value!r}")
+            return value
+        if isinstance(self.default, str):
+            if not isinstance(value, str) or (self.choices and value not in self.choices):
+                allowed = f"one of {', '.join(self.choices)}" if self.choices else "a text"
+                raise SettingError(f"{self.name} must be {allowed}, not {value!r}")
+            return value
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise SettingError(f"{self.name} must be a number, not {value!r}")
+        if not math.isfinite(value) or not self.minimum <= value <= self.maximum:
+            raise SettingError(
+                f"{self.name} must lie in [{self.minimum:g}, {self.maximum:g}], not {value}"
+            )
+        return float(value)
+
+
+def _gain(name: str, term: str, unit: str) -> ParameterSpec:
+    return ParameterSpec(
+        name,
+        0.0,
+        f"{term} gain [{unit}]; error = reference - measurement, gains positive",
+        0.0,
+        _LARGEST_GAIN,
+    )
+
+
+_TABLE = (
+    ParameterSpec("joint", "", "Name of the joint in joint_states and joint_commands"),
+    ParameterSpec("law", "hpid", "Control law: homogeneous PID or linear PID", choices=LAWS),
+    _gain("gains.p", "Proportional", "N m/rad"),
+    _gain("gains.i", "Integral", "N m/(rad s)"),
+    _gain("gains.d", "Derivative", "N m s/rad"),
+    ParameterSpec(
+        "mu",
+        0.0,
+        "Homogeneity degree, strictly inside (-0.5, 0.5); 0 is the linear PID",
+        -0.5,
+        0.5,
+    ),
+    ParameterSpec("norm.type", "weighted", "Homogeneous norm", choices=NORMS),
+    ParameterSpec(
+        "norm.error_scale", 1.0, "Error at rest whose norm is 1, e_max [rad]", 1e-6, LARGEST_NORM
+    ),
+    ParameterSpec(
+        "norm.rate_weight", 0.1, "Weight of the error rate in the norm [s/rad]", 1e-6, 1e6
+    ),
+    ParameterSpec(
+        "norm.floor",
+        -1.0,
+        "Least value of the norm; 0 is the paper's law exactly, -1 computes it from "
+        "encoder_resolution, velocity_filter_time_constant and control_period",
+        -1.0,
+        LARGEST_NORM,
+    ),
+    ParameterSpec("norm.cap", LARGEST_NORM, "Largest value of the norm", 1e-6, LARGEST_NORM),
+    ParameterSpec(
+        "u_clamp_max",
+        LARGEST_EFFORT,
+        "Upper effort limit [N m]",
+        -LARGEST_EFFORT,
+        LARGEST_EFFORT,
+    ),
+    ParameterSpec(
+        "u_clamp_min",
+        -LARGEST_EFFORT,
+        "Lower effort limit [N m]",
+        -LARGEST_EFFORT,
+        LARGEST_EFFORT,
+    ),
+    ParameterSpec(
+        "i_clamp_max",
+        LARGEST_EFFORT,
+        "Upper limit of the integral term [N m]",
+        -LARGEST_EFFORT,
+        LARGEST_EFFORT,
+    ),
+    ParameterSpec(
+        "i_clamp_min",
+        -LARGEST_EFFORT,
+        "Lower limit of the integral term [N m]",
+        -LARGEST_EFFORT,
+        LARGEST_EFFORT,
+    ),
+    ParameterSpec(
+        "antiwindup_strategy",
+        "conditional_integration",
+        "What the integral does while the effort is limited, as in control_toolbox",
+        choices=STRATEGIES,
+    ),
+    ParameterSpec(
+        "tracking_time_constant",
+        0.0,
+        "Of back_calculation [s]; 0 chooses sqrt(gains.d / gains.i)",
+        0.0,
+        1e3,
+    ),
+    ParameterSpec(
+        "velocity_source",
+        "measured",
+        "Where the velocity comes from: the message (filtered differences where it has none), "
+        "always filtered differences of the position, or Levant's differentiator",
+        choices=VELOCITY_SOURCES,
+    ),
+    ParameterSpec(
+        "velocity_filter_time_constant", 0.005, "Of the first-order velocity filter [s]", 0.0, 10.0
+    ),
+    ParameterSpec(
+        "acceleration_bound",
+        50.0,
+        "Acceleration that the joint does not exceed, for homogeneous_differentiator [rad/s^2]",
+        1e-3,
+        1e6,
+    ),
+    ParameterSpec(
+        "discretization",
+        "explicit",
+        "Step of the law: explicit, or semi_implicit for periods from 5 ms on with a weak "
+        "integral (needs inertia)",
+        choices=DISCRETIZATIONS,
+    ),
+    ParameterSpec(
+        "encoder_wrap",
+        -1.0,
+        "The encoder begins anew after so much [rad], as a driver does that reports (-pi, pi] or "
+        "[0, 2 pi); 0 never; -1 after 2 pi where robot_description has the joint as continuous",
+        -1.0,
+        1e3,
+    ),
+    ParameterSpec(
+        "angle_wraparound",
+        False,
+        "Take the shorter way round to each new reference; for joints that turn without end",
+    ),
+    ParameterSpec(
+        "position_step_max",
+        0.0,
+        "A position that differs from the last one by more than this [rad], and twice "
+        "velocity_max times the time between, is a fault; 0 chooses 0.1, or pi where there is "
+        "no velocity_max; 1e6 is none",
+        0.0,
+        LARGEST_MOTION,
+    ),
+    ParameterSpec(
+        "effort_rate_max",
+        0.0,
+        "Largest change of the effort [N m/s]; 0 is none. Faults go to fallback_effort at once",
+        0.0,
+        1e9,
+    ),
+    ParameterSpec(
+        "position_max",
+        LARGEST_MOTION,
+        "Upper soft stop [rad]; 1e6 is none",
+        -LARGEST_MOTION,
+        LARGEST_MOTION,
+    ),
+    ParameterSpec(
+        "position_min",
+        -LARGEST_MOTION,
+        "Lower soft stop [rad]; -1e6 is none",
+        -LARGEST_MOTION,
+        LARGEST_MOTION,
+    ),
+    ParameterSpec(
+        "velocity_max", LARGEST_MOTION, "Velocity limit [rad/s]; 1e6 is none", 1e-6, LARGEST_MOTION
+    ),
+    ParameterSpec(
+        "soft_stop.margin",
+        0.05,
+        "Effort towards a stop begins to fade this far before it [rad]",
+        1e-6,
+        10.0,
+    ),
+    ParameterSpec(
+        "soft_stop.k_position",
+        0.0,
+        "Velocity allowed towards a stop for each rad of distance [1/s]; 0 chooses "
+        "0.75 gains.p / gains.d",
+        0.0,
+        1e6,
+    ),
+    ParameterSpec(
+        "soft_stop.k_velocity",
+        0.0,
+        "Braking for each rad/s beyond the velocity allowed [N m s/rad]; 0 chooses gains.d",
+        0.0,
+        1e6,
+    ),
+    ParameterSpec(
+        "takeover_time",
+        0.5,
+        "The reference glides for so long from where the joint is onto a motion that is under "
+        "way [s]; 0 jumps",
+        0.0,
+        100.0,
+    ),
+    ParameterSpec(
+        "fallback_effort",
+        0.0,
+        "Effort while there is no usable state [N m], within the effort limits",
+        -LARGEST_EFFORT,
+        LARGEST_EFFORT,
+    ),
+    ParameterSpec(
+        "state_timeout",
+        0.1,
+        "A longer time between two states is a gap, after which the loop takes over anew [s]",
+        1e-6,
+        LONGEST_TIMEOUT,
+    ),
+    ParameterSpec(
+        "state_clock",
+        "wall",
+        "What stamps the states: wall, or simulated, which can be paused without a takeover",
+        choices=CLOCKS,
+    ),
+    ParameterSpec("control_period", 0.001, "Nominal time between two states [s]", 1e-6, 10.0),
+    ParameterSpec(
+        "encoder_resolution", 0.0, "Step of the measured position [rad]; 0 if unknown", 0.0, 1.0
+    ),
+    ParameterSpec(
+        "inertia",
+        0.0,
+        "What one unit of effort accelerates at this joint [kg m^2]; 0 if unknown. When known, "
+        "gains whose linear loop is unstable are refused",
+        0.0,
+        1e6,
+    ),
+)
+
+LOOP_PARAMETERS: Mapping[str, ParameterSpec] = {spec.name: spec for spec in _TABLE}
+"""Every parameter of a joint loop by its dotted name."""

@@ -1,0 +1,1 @@
+"""Configuration files: YAML, sections with checked keys, documents that extend others."""

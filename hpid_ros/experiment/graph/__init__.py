@@ -1,0 +1,1 @@
+"""An experiment on the graph: processes, parameter files, isolation."""

@@ -1,0 +1,147 @@
+"""The processes of one run on the graph: which there are, and what each is told."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from pathlib import Path
+
+from hpid_ros.base.errors import ExperimentError
+from hpid_ros.base.names import controller_name
+from hpid_ros.experiment.description import Experiment
+from hpid_ros.experiment.graph.options import GraphOptions
+from hpid_ros.experiment.graph.parameter_files import (
+    bridge_document,
+    controllers_document,
+    write_parameters,
+)
+from hpid_ros.experiment.graph.processes import NodeGroup, NodeProcess
+from hpid_ros.experiment.in_process import recorded_topics
+from hpid_ros.simulation.base import REPORT_RATE
+from hpid_ros.simulation.world.gripper import task_topics
+
+_NODE_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]{0,200}")
+BRIDGE, RECORDER, REFERENCE = "pybullet_bridge", "bag_recorder", "trajectory_publisher"
+COMPOSED, SINGLE = "joint_controllers", "single_process"
+
+
+class GraphNodes:
+    """Starts the nodes of one run.
+
+    Attributes:
+        bridge: Name of the process that holds the bridge.
+        recorder: Name of the process that holds the recorder.
+        vital: Names of the processes that a run cannot do without.
+        topics: What is recorded, in the order in which the recorder subscribes.
+
+    Args:
+        experiment: The experiment.
+        label: Which of its controllers.
+        bag: Folder of the bag to create.
+        folder: Existing folder for parameter files and logs.
+        options: How the run is spread over processes, paced and recorded.
+    """
+
+    def __init__(
+        self,
+        experiment: Experiment,
+        label: str,
+        bag: Path | None,
+        folder: Path,
+        options: GraphOptions,
+    ) -> None:
+        self._experiment, self._label, self._options = experiment, label, options
+        self._bag, self._folder = bag, folder
+        self.topics = recorded_topics(experiment.world)
+        is_single = options.processes == "single"
+        self.bridge = SINGLE if is_single else BRIDGE
+        self.recorder = SINGLE if is_single else RECORDER
+        self.vital = frozenset({self.bridge, self.recorder, REFERENCE})
+
+    def start(self, group: NodeGroup) -> list[NodeProcess]:
+        """Write the parameter files and start every process.
+
+        Args:
+            group: Takes the processes.
+        """
+        settings = self._experiment.controllers[self._label]
+        robot = str(self._experiment.world.robot_description)
+        write_parameters(self._folder / "bridge.yaml", bridge_document(self._experiment))
+        write_parameters(self._folder / "controllers.yaml", controllers_document(settings, robot))
+        reference = _parameters(reference_file=self._experiment.path)
+        nodes = [group.start(REFERENCE, REFERENCE, reference)]
+        topics = self.topics
+        of_recorder = (
+            _parameters(bag=self._bag, topics=topics) if self._options.is_recorded else []
+        )
+        of_all = _parameters(realtime_priority=self._options.realtime_priority)
+        controllers, bridge = self.controller_arguments(), self.bridge_arguments() + of_all
+        if self._options.processes == "single":
+            of_recorder += _parameters(record=self._options.is_recorded)
+            everything = [*controllers, *bridge, *of_recorder]
+            return [*nodes, group.start(SINGLE, SINGLE, everything, is_renamed=False)]
+        if self._options.is_recorded:
+            nodes.append(group.start(RECORDER, RECORDER, of_recorder))
+        if self._options.processes == "composed":
+            nodes.append(group.start(COMPOSED, COMPOSED, controllers, is_renamed=False))
+        else:
+            names = [controller_name(each.joint) for each in settings]
+            nodes += [group.start(name, "joint_controller", controllers) for name in names]
+        return [*nodes, group.start(BRIDGE, BRIDGE, bridge)]
+
+    def controller_arguments(self) -> list[str]:
+        """Return the ROS arguments of a controller of the run, also for one that starts late."""
+        return [
+            *("--params-file", str(self._folder / "controllers.yaml")),
+            *_parameters(
+                wait_for_command_subscribers=1 + self._options.is_recorded,
+                wait_for_reference=True,
+                introspection_rate=0.0,
+                certify=False,
+                # In lock-step silence is a slow machine or a pause, and the control clock waits.
+                state_watchdog=self._options.is_realtime,
+                state_clock="simulated",
+                realtime_priority=self._options.realtime_priority,
+            ),
+        ]
+
+    def bridge_arguments(self) -> list[str]:
+        """Return the ROS arguments of the bridge."""
+        joints = len(self._experiment.world.joints)
+        return [
+            *("--params-file", str(self._folder / "bridge.yaml")),
+            *_parameters(
+                mode="realtime" if self._options.is_realtime else "lockstep",
+                exit_when_done=False,
+                # The controllers, the recorder, and the publisher of the reference.
+                wait_for_subscribers=joints + self._options.is_recorded + 1,
+                wait_for_publishers=joints,
+                report_rate=REPORT_RATE if task_topics(self._experiment.world) else 0.0,
+            ),
+        ]
+
+
+def require_node_names(joints: Iterable[str]) -> None:
+    """Refuse joints after which no node, and no file of its log, can be called.
+
+    Args:
+        joints: Their names, as the robot's description has them.
+
+    Raises:
+        ExperimentError: A name is not letters, digits and underscores.
+    """
+    for joint in joints:
+        if not _NODE_NAME.fullmatch(controller_name(joint)):
+            raise ExperimentError(
+                f"joint {joint!r} cannot have a node, whose name is letters, digits and "
+                "underscores, the first no digit; --in-process needs none"
+            )
+
+
+def _parameters(**values: object) -> list[str]:
+    """Return ROS arguments that set parameters."""
+    arguments = []
+    for name, value in values.items():
+        text = str(value).lower() if isinstance(value, bool) else str(value)
+        arguments += ["-p", f"{name}:={text}"]
+    return arguments

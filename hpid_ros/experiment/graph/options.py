@@ -1,0 +1,41 @@
+"""How a run on the graph is spread over processes, paced and recorded."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from hpid_ros.base.errors import SettingError
+
+PROCESSES = ("each", "composed", "single")
+
+
+@dataclass(frozen=True)
+class GraphOptions:
+    """Choices that change how fast a run goes and, in lock-step, nothing of its numbers.
+
+    Attributes:
+        processes: ``each``: every controller in a process of its own; ``composed``: all
+            controllers in one process beside the bridge's; ``single``: controllers, bridge and
+            recorder in one process.
+        is_recorded: Whether a recorder writes a bag.
+        is_realtime: The wall clock paces the states, and no state waits for its answers.
+        realtime_priority: SCHED_FIFO priority of controllers and bridge; 0 asks for none.
+
+    Raises:
+        SettingError: There is no such form, or the priority is out of range.
+    """
+
+    processes: str = "each"
+    is_recorded: bool = True
+    is_realtime: bool = False
+    realtime_priority: int = 0
+
+    def __post_init__(self) -> None:
+        if self.processes not in PROCESSES:
+            raise SettingError(
+                f"processes must be one of {', '.join(PROCESSES)}, not {self.processes!r}"
+            )
+        if not 0 <= self.realtime_priority <= 99:
+            raise SettingError(
+                f"realtime_priority must lie in [0, 99], not {self.realtime_priority}"
+            )

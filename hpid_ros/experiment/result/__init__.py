@@ -1,0 +1,1 @@
+"""The result of an experiment: its folder, its numbers, its figures."""

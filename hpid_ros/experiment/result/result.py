@@ -1,0 +1,192 @@
+"""From the bags of a comparison to its numbers, tables, figures and report."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from hpid_ros.analysis import Comparison, run_indices
+from hpid_ros.analysis.doubts import unfollowed_lines, unfollowed_mapping
+from hpid_ros.analysis.indices.base import BaseFigures
+from hpid_ros.analysis.signals import GainSignals
+from hpid_ros.bags import read_run
+from hpid_ros.experiment.description import Experiment
+from hpid_ros.experiment.progress import RunReport
+from hpid_ros.experiment.result.folder import ResultFolder, versions
+from hpid_ros.experiment.result.robot import TaskResult, base_results, task_result
+from hpid_ros.recordings.series import RunSeries
+
+
+@dataclass(frozen=True)
+class Result:
+    """A comparison, computed.
+
+    Attributes:
+        experiment: What was compared.
+        runs: The recorded runs, the baseline first.
+        comparison: Their numbers.
+        base: How the base drove in each run; empty for a robot without a base.
+        task: The end effector in each run, and what became of bricks.
+    """
+
+    experiment: Experiment
+    runs: tuple[RunSeries, ...]
+    comparison: Comparison
+    base: Mapping[str, BaseFigures] = field(default_factory=dict)
+    task: TaskResult = field(default_factory=TaskResult)
+
+    def as_mapping(self) -> dict[str, object]:
+        """Return everything that the experiment determines, and nothing that the clock does.
+
+        Two runs of the same experiment with the same versions give the same mapping to the
+        last bit, on the graph and in one process.
+        """
+        experiment = self.experiment
+        return {
+            "experiment": experiment.name,
+            "sha256": experiment.digest,
+            "seed": experiment.seed,
+            "duration": experiment.duration,
+            "control_period": experiment.world.control_period_ns * 1e-9,
+            "versions": versions(),
+            "indices": self.comparison.as_mapping(),
+            "samples": {
+                run.label: {
+                    series.joint: {
+                        "states": len(series.position),
+                        "commands": len(series.effort),
+                        **dataclasses.asdict(run.losses[series.joint]),
+                    }
+                    for series in run.joints
+                }
+                for run in self.runs
+            },
+            **self._unfollowed(),
+            **self._of_the_base(),
+            **self.task.as_mapping(),
+            "parameters": self.parameters(),
+        }
+
+    def _unfollowed(self) -> dict[str, object]:
+        found = unfollowed_mapping(self.runs)
+        return {"unfollowed": found} if found else {}
+
+    def _of_the_base(self) -> dict[str, object]:
+        if not self.base:
+            return {}
+        return {"base": {label: each.as_mapping() for label, each in self.base.items()}}
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Lines that belong below the table: what a reader must know of the runs."""
+        slips = [each.line(label) for label, each in self.base.items() if each.has_slipped]
+        return (*unfollowed_lines(self.runs), *self.task.notes, *slips)
+
+    def parameters(self) -> dict[str, dict[str, dict[str, object]]]:
+        """Return every parameter by run, joint and name."""
+        return {
+            label: {each.joint: dict(each.to_parameters()) for each in settings}
+            for label, settings in self.experiment.controllers.items()
+        }
+
+
+def compute(experiment: Experiment, bags: Mapping[str, Path]) -> Result:
+    """Read the bags and compute the indices.
+
+    Args:
+        experiment: What was run.
+        bags: The bag of each controller, the baseline first.
+
+    Raises:
+        HpidError: A bag cannot be read or lacks something.
+    """
+    joints = experiment.world.joints
+    runs = tuple(read_run(bag, label, joints=joints) for label, bag in bags.items())
+    comparison = Comparison(tuple(run_indices(run) for run in runs))
+    base = base_results(experiment, bags, runs)
+    return Result(experiment, runs, comparison, base, task_result(experiment, bags, runs))
+
+
+def save_numbers(
+    result: Result, folder: ResultFolder, reports: Sequence[RunReport], how: str
+) -> None:
+    """Write the numbers of a result: indices and table, and how long everything took.
+
+    Args:
+        result: The result.
+        folder: Its folder.
+        reports: How the runs went.
+        how: On what they ran, for instance ``"ROS 2 graph"``.
+    """
+    from hpid_ros.report.tables.table import table_text
+
+    folder.write("result.json", json.dumps(result.as_mapping(), indent=2) + "\n")
+    notes = "".join(f"{note}\n" for note in result.notes)
+    folder.write("table.txt", table_text(result.comparison) + notes)
+    save_timing(folder, reports, how)
+
+
+def save_timing(folder: ResultFolder, reports: Sequence[RunReport], how: str) -> None:
+    """Write how long the runs took, as for :func:`save_numbers`."""
+    timing = {"ran": how, "runs": {each.label: each.as_mapping() for each in reports}}
+    folder.write("timing.json", json.dumps(timing, indent=2) + "\n")
+
+
+def save(result: Result, folder: ResultFolder, reports: Sequence[RunReport], how: str) -> None:
+    """Write the result: first the numbers, then what is drawn from them.
+
+    Args:
+        result: The result.
+        folder: Its folder.
+        reports: How the runs went.
+        how: On what they ran, for instance ``"ROS 2 graph"``.
+    """
+    save_numbers(result, folder, reports, how)
+
+    # Drawing is slow to import, and numbers that are saved survive a failure to draw them.
+    from hpid_ros.report.figures.plots import save_figures
+    from hpid_ros.report.html.page import render_report
+    from hpid_ros.report.tables.export import table_csv, table_latex
+
+    folder.write("table.csv", table_csv(result.comparison))
+    folder.write("table.tex", table_latex(result.comparison))
+    gains = _gain_signals(result)
+    paths = result.task.paths
+    save_figures(
+        result.runs, folder.figures, comparison=result.comparison, gains=gains, paths=paths
+    )
+    provenance = {
+        "experiment": result.experiment.name,
+        "ran": how,
+        "command": f"hpid compare {result.experiment.path.name}",
+        "seed": result.experiment.seed,
+        "SHA-256 of experiment and robot": result.experiment.digest,
+        "versions": versions(),
+    }
+    folder.write(
+        "report.html",
+        render_report(
+            result.comparison,
+            result.runs,
+            provenance,
+            result.parameters(),
+            gains=gains,
+            paths=paths,
+        ),
+    )
+
+
+def _gain_signals(result: Result) -> dict[str, dict[str, GainSignals]]:
+    """Return norm and gain multiplier over time, by run and joint."""
+    from hpid_ros.tuning.gain_signals import gain_signals
+
+    found = {}
+    for run in result.runs:
+        settings = {each.joint: each for each in result.experiment.controllers[run.label]}
+        signals = gain_signals(run, settings)
+        if signals is not None:
+            found[run.label] = signals
+    return found

@@ -1,0 +1,1 @@
+"""The indices of recordings: from bags to a comparison."""

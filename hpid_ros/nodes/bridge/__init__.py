@@ -1,0 +1,1 @@
+"""Parts of the bridge to the simulated robot."""

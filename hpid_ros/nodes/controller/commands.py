@@ -1,0 +1,241 @@
+"""How an effort leaves a controller: the message that the hardware side understands."""
+
+from __future__ import annotations
+
+import os
+import socket
+import threading
+import time
+from collections.abc import Callable
+from hashlib import sha256
+from typing import Protocol
+
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64, Float64MultiArray
+
+from hpid_ros.base.errors import SettingError
+from hpid_ros.nodes.ros.middleware import OFFERED, overridable
+from hpid_ros.wire import JointStateTemplate
+
+_NANOSECONDS = 1_000_000_000
+_LOCK_WITHIN = 0.2  # [s]; whoever holds it longer is stuck in the middleware, as we would be
+
+
+class CommandSink(Protocol):
+    """Publishes one joint's efforts."""
+
+    publisher: Publisher
+
+    def send(self, stamp_ns: int, effort: float) -> None:
+        """Publish an effort.
+
+        Args:
+            stamp_ns: Stamp of the state that it answers in [ns].
+            effort: In [N m].
+        """
+
+
+class JointStateCommands:
+    """One name and one effort in a JointState, stamped with the state that it answers.
+
+    The convention of Isaac Sim and of ``topic_based_ros2_control``. Efforts have no frame: in its
+    place stands who sends them.
+
+    Args:
+        node: The node that publishes.
+        joint: The joint.
+        sender: Who it is.
+    """
+
+    def __init__(self, node: Node, joint: str, sender: str) -> None:
+        self.publisher = node.create_publisher(
+            JointState, "joint_commands", OFFERED, qos_overriding_options=overridable()
+        )
+        self._template = JointStateTemplate([joint], sender, effort=True)
+
+    def send(self, stamp_ns: int, effort: float) -> None:
+        """Publish an effort in [N m]."""
+        self.publisher.publish(self._template.encode(stamp_ns, effort=(effort,)))
+
+
+class Float64MultiArrayCommands:
+    """An array of one, for the forward and effort group controllers of ros2_control.
+
+    Args:
+        node: The node that publishes, on ``~/commands``.
+        joint: The joint.
+        sender: Who it is, for which the message has no place.
+    """
+
+    def __init__(self, node: Node, joint: str, sender: str) -> None:
+        self.publisher = node.create_publisher(
+            Float64MultiArray, "~/commands", OFFERED, qos_overriding_options=overridable()
+        )
+        self._message = Float64MultiArray(data=[0.0])
+
+    def send(self, stamp_ns: int, effort: float) -> None:
+        """Publish an effort in [N m]; the message has no stamp."""
+        self._message.data[0] = effort
+        self.publisher.publish(self._message)
+
+
+class Float64Commands:
+    """A bare number, for Gazebo's joint force topics.
+
+    Args:
+        node: The node that publishes, on ``~/command``.
+        joint: The joint.
+        sender: Who it is, for which the message has no place.
+    """
+
+    def __init__(self, node: Node, joint: str, sender: str) -> None:
+        self.publisher = node.create_publisher(
+            Float64, "~/command", OFFERED, qos_overriding_options=overridable()
+        )
+        self._message = Float64()
+
+    def send(self, stamp_ns: int, effort: float) -> None:
+        """Publish an effort in [N m]; the message has no stamp."""
+        self._message.data = effort
+        self.publisher.publish(self._message)
+
+
+def sender_of(node: Node, is_alone: bool) -> str:
+    """Return what tells a node's commands from those of all others.
+
+    Args:
+        node: The node.
+        is_alone: Whether no other node of its name can command the joint. Then the name says it
+            all, and two runs of one experiment record the same bytes.
+    """
+    name = str(node.get_fully_qualified_name())
+    if is_alone:
+        return name
+    process = f"{socket.gethostname()} {os.getpid()} {time.monotonic_ns()}"
+    return f"{name}#{sha256(process.encode()).hexdigest()[:6]}"
+
+
+def node_of(sender: str) -> str:
+    """Return the full name of the node that a sender is."""
+    return sender.partition("#")[0]
+
+
+def unanswering(stamp_ns: int) -> int:
+    """Return a stamp beside one that was answered, of a command that answers no state.
+
+    A bridge in lock-step passes it over, so that a simulation that was paused goes on as if
+    nothing had been; a robot, or a bridge in realtime, acts on it.
+    """
+    return stamp_ns + 1 if (stamp_ns + 1) % _NANOSECONDS else stamp_ns - 1
+
+
+class Commands:
+    """One joint's commands, from the thread of the executor and from its supervisor's.
+
+    They never overtake each other: what one of them gives is whole, and after :meth:`shut`
+    nothing is given by either, whatever the other was about to give.
+
+    Args:
+        sink: Where they go.
+    """
+
+    def __init__(self, sink: CommandSink) -> None:
+        self.publisher = sink.publisher
+        self._sink = sink
+        self._lock = threading.Lock()
+        self._stamp_ns: int | None = None  # of the last answer; None once the joint is left
+        self._is_held = self._is_shut = False
+
+    def send(self, stamp_ns: int, effort: float) -> None:
+        """Publish the effort that answers a state.
+
+        Args:
+            stamp_ns: Stamp of the state in [ns].
+            effort: In [N m].
+        """
+        with self._lock:
+            if not (self._is_held or self._is_shut):
+                self._stamp_ns = stamp_ns
+                self._sink.send(stamp_ns, effort)
+
+    def leave(self, stamp_ns: int) -> None:
+        """Publish a zero, the last command until the next state is answered.
+
+        Args:
+            stamp_ns: Stamp of the last state in [ns].
+        """
+        with self._lock:
+            self._stamp_ns = None
+            if not (self._is_held or self._is_shut):
+                self._sink.send(stamp_ns, 0.0)
+
+    def fall_back(self, effort: float, is_due: Callable[[], bool]) -> None:
+        """Publish an effort that answers no state.
+
+        Args:
+            effort: In [N m].
+            is_due: Asked when no other command can come between its answer and the effort.
+        """
+        if not self._lock.acquire(timeout=_LOCK_WITHIN):
+            return
+        try:
+            if self._stamp_ns is not None and not (self._is_held or self._is_shut) and is_due():
+                self._sink.send(unanswering(self._stamp_ns), effort)
+        finally:
+            self._lock.release()
+
+    def hold(self) -> None:
+        """Publish a zero, and nothing else before :meth:`go_on`."""
+        self._is_held = True
+        self._zero()
+
+    def go_on(self) -> None:
+        """Publish again what is given."""
+        self._is_held = False
+
+    def shut(self) -> None:
+        """Publish a zero, and nothing else any more."""
+        if not self._is_shut:
+            self._is_shut = True
+            self._zero()
+
+    def _zero(self) -> None:
+        """Give no effort where there may be one; a command that is under way comes before."""
+        if not self._lock.acquire(timeout=_LOCK_WITHIN):
+            return
+        try:
+            if self._stamp_ns is not None:
+                self._sink.send(unanswering(self._stamp_ns), 0.0)
+        finally:
+            self._lock.release()
+
+
+_SINKS: dict[str, Callable[[Node, str, str], CommandSink]] = {
+    "joint_state": JointStateCommands,
+    "float64_multi_array": Float64MultiArrayCommands,
+    "float64": Float64Commands,
+}
+
+COMMAND_INTERFACES = tuple(_SINKS)
+"""The names that the parameter ``command_interface`` may have."""
+
+
+def joint_commands(node: Node, joint: str, interface: str, sender: str) -> Commands:
+    """Return the commands of a joint, by the name of their interface.
+
+    Args:
+        node: The node that publishes.
+        joint: The joint.
+        interface: One of :data:`COMMAND_INTERFACES`.
+        sender: From :func:`sender_of`.
+
+    Raises:
+        SettingError: There is no such interface.
+    """
+    if interface not in _SINKS:
+        raise SettingError(
+            f"command_interface must be one of {', '.join(_SINKS)}, not {interface!r}"
+        )
+    return Commands(_SINKS[interface](node, joint, sender))

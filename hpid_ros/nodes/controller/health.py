@@ -1,0 +1,216 @@
+"""A controller's health and timing: every irregularity counted and named."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from rclpy.node import Node
+
+from hpid_ros.base.durations import Durations
+from hpid_ros.control import JointLoop
+from hpid_ros.control.loop_state import LoopState
+from hpid_ros.nodes.controller.certification import Certification
+from hpid_ros.nodes.controller.model import ModelCompensation
+from hpid_ros.nodes.ros.status import ERROR, OK, WARN, Diagnostics
+
+
+class LoopTiming:
+    """Wall-clock figures of one controller.
+
+    The period is the time between two states' callbacks; jitter is how far its 99th percentile
+    lies above its median. The compute time runs from the bytes of a state in hand to the command
+    handed to the middleware.
+    """
+
+    def __init__(self) -> None:
+        self._periods, self._computes = Durations(), Durations()
+        self._note_period, self._note_compute = self._periods.note, self._computes.note
+        self.last_ns: int | None = None
+        """When the last sample began on a steady clock, in [ns]."""
+
+    def note(self, began_ns: int, ended_ns: int) -> None:
+        """Note one sample.
+
+        Args:
+            began_ns: When its callback began on a steady clock, in [ns].
+            ended_ns: When its command was sent, in [ns].
+        """
+        if self.last_ns is not None:
+            self._note_period(began_ns - self.last_ns)
+        self.last_ns = began_ns
+        self._note_compute(ended_ns - began_ns)
+
+    def interrupt(self) -> None:
+        """Take the next sample as the first one: the time until then is no period."""
+        self.last_ns = None
+
+    def recent(self) -> dict[str, float]:
+        """Return the figures since the last call, with their units, for ``/diagnostics``."""
+        period, compute = self._periods.recent(), self._computes.recent()
+        return {
+            "period, median [us]": period.median,
+            "period, 99th percentile [us]": period.p99,
+            "period, largest [us]": period.maximum,
+            "jitter [us]": period.p99 - period.median,
+            "compute time, median [us]": compute.median,
+            "compute time, 99th percentile [us]": compute.p99,
+            "compute time, largest [us]": compute.maximum,
+        }
+
+    def whole(self) -> dict[str, Any]:
+        """Return the figures of the whole run, in [us], for a parent process."""
+        return {
+            "period": self._periods.whole()._asdict(),
+            "compute": self._computes.whole()._asdict(),
+        }
+
+
+_NO_LIMIT = 1e6  # as the parameters say it
+_MANY_MISSED = 0.5  # of the states of a report
+
+_ON_FALLBACK = (LoopState.SILENT, LoopState.FAULT)
+
+
+class ControllerHealth:
+    """Counts what a controller refused, and publishes its status.
+
+    Attributes:
+        period: Time between two reports in [s].
+        foreign: States that were about other joints.
+        misread: Bytes that were no state of this joint.
+
+    Args:
+        node: The controller.
+        loop: Its loop.
+        certification: Its certificate.
+        timing: Its timing.
+        model: Its model; None without a compensation.
+    """
+
+    period = 1.0
+
+    def __init__(
+        self,
+        node: Node,
+        loop: JointLoop,
+        certification: Certification,
+        timing: LoopTiming,
+        model: ModelCompensation | None = None,
+    ) -> None:
+        self._node, self._loop, self._model = node, loop, model
+        self._certification, self._timing = certification, timing
+        self._diagnostics = Diagnostics(node, loop.settings.joint)
+        self.foreign = self.misread = 0
+        self._references = self._requests = 0
+        self._missed = self._held = 0
+        self._last_fault = ""
+        self.scheduling = ""
+
+    def begun(self) -> None:
+        """Say once, after the first state, what is in force."""
+        loop, settings = self._loop, self._loop.settings
+        degree = f" with mu = {settings.mu:g}" if settings.law == "hpid" else ""
+        limits = {
+            "N m": (settings.u_clamp_min, settings.u_clamp_max),
+            "rad": (settings.position_min, settings.position_max),
+            "rad/s": (-settings.velocity_max, settings.velocity_max),
+        }
+        within = [
+            f"[{low:g}, {high:g}] {unit}"
+            for unit, (low, high) in limits.items()
+            if max(-low, high) < _NO_LIMIT
+        ]
+        self._node.get_logger().info(
+            f"active: joint {settings.joint}, {settings.law}{degree}, "
+            f"{'within ' + ', '.join(within) if within else 'no limits'}; "
+            f"{loop.state.value}: {loop.reference[0]:.6g} rad"
+        )
+
+    def fault(self, line: str) -> None:
+        """Note one line for something that could not be used."""
+        self._last_fault = line
+        self._node.get_logger().warning(line, throttle_duration_sec=1.0)
+
+    def misread_state(self, line: str) -> None:
+        """Note bytes that were no state of this joint."""
+        self.misread += 1
+        self.fault(f"state refused: {line}")
+
+    def refused_reference(self, line: str) -> None:
+        """Note a trajectory or setpoint that was not taken."""
+        self._references += 1
+        self.fault(f"reference refused: {line}")
+
+    def refused_request(self, line: str) -> None:
+        """Note a service request, or a transition, that failed."""
+        self._requests += 1
+        self.fault(line)
+
+    def report(self, lifecycle: str, waiting: str, claim: str, refusal: str) -> None:
+        """Publish the status now.
+
+        Args:
+            lifecycle: The managed node's state.
+            waiting: What an active controller still waits for; empty if nothing.
+            claim: How its claim of the joint stands.
+            refusal: Whose the joint is if not its own; empty if nobody has said so.
+        """
+        loop, counts = self._loop, self._loop.counts
+        is_active = lifecycle == "active"
+        message, level = loop.state.value, OK
+        warning = self._certification.warning or self._slowness() or self._model_fault()
+        if not is_active:
+            message, level = (f"{lifecycle}: {refusal}", WARN) if refusal else (lifecycle, OK)
+        elif loop.state in _ON_FALLBACK:
+            message, level = f"{message}; {warning}" if warning else message, ERROR
+        elif loop.state is LoopState.WAITING or waiting or warning:
+            message, level = waiting or warning or message, WARN
+        self._diagnostics.publish(
+            level,
+            message,
+            {
+                "lifecycle": lifecycle,
+                "claim": claim,
+                "law": loop.settings.law,
+                "degree mu": loop.settings.mu,
+                "certified degrees": self._certification.degrees,
+                "samples": counts.samples,
+                "gaps": counts.gaps,
+                "missed samples": counts.missed,
+                "silences": counts.silences,
+                "takeovers": counts.takeovers,
+                "position jumps": counts.jumps,
+                "repeats": counts.repeats,
+                "clock resets": counts.resets,
+                "saturated samples": counts.saturated,
+                "braked samples": loop.braked,
+                "rejected samples": counts.rejected + self.misread,
+                "states of other joints": self.foreign,
+                "refused references": self._references,
+                "refused requests": self._requests,
+                "effort [N m]": loop.effort,
+                "integral term [N m]": loop.integral,
+                "error [rad]": loop.error,
+                **self._timing.recent(),
+                **(self._model.readings() if self._model else {"compensation": "none"}),
+                "scheduling": self.scheduling,
+                "last fault": self._last_fault or "none",
+                "last irregular state": loop.last_fault or "none",
+            },
+        )
+
+    def _model_fault(self) -> str:
+        """Return a warning when the model could not use a state of the last report."""
+        if self._model is None:
+            return ""
+        held, self._held = self._held, self._model.held
+        return f"model terms are held: {self._model.fault}" if self._held > held else ""
+
+    def _slowness(self) -> str:
+        """Return a warning when most states of the last report seem lost."""
+        missed = self._loop.counts.missed - self._missed
+        self._missed += missed
+        settings = self._loop.settings
+        if missed < _MANY_MISSED * self.period / settings.control_period:
+            return ""
+        return f"states come more slowly than control_period = {settings.control_period:g} s says"

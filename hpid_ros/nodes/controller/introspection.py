@@ -1,0 +1,65 @@
+"""What a person may look into while a loop runs: ``~/reference`` and ``~/terms``."""
+
+from __future__ import annotations
+
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+
+from hpid_ros.control import JointLoop
+from hpid_ros.nodes.ros.middleware import RARE
+from hpid_ros.nodes.ros.parameters import read_number
+from hpid_ros.wire import JointStateTemplate
+
+_NANOSECONDS = 1_000_000_000
+
+
+class Introspection:
+    """Publishes the sampled reference and the law's terms at a limited rate.
+
+    Args:
+        node: The controller's node; it gets the parameter ``introspection_rate``.
+        joint: The joint.
+        has_model: Whether a model adds a term of its own.
+
+    Raises:
+        SettingError: The rate is not a number.
+    """
+
+    def __init__(self, node: Node, joint: str, has_model: bool = False) -> None:
+        rate = read_number(
+            node,
+            "introspection_rate",
+            20.0,
+            "Rate of ~/reference and ~/terms [Hz]; 0 is off, negative is every sample",
+            (-1e6, 1e6),
+        )
+        self._period_ns = round(_NANOSECONDS / rate) if rate > 0.0 else 0
+        self._is_on = rate != 0.0
+        self._has_model = has_model
+        self._last_ns: int | None = None
+        if not self._is_on:
+            return
+        self._reference = node.create_publisher(JointState, "~/reference", RARE)
+        self._terms = node.create_publisher(JointState, "~/terms", RARE)
+        self._reference_template = JointStateTemplate([joint], position=True, velocity=True)
+        names = ["p", "i", "d", *(["model"] if has_model else [])]
+        self._terms_template = JointStateTemplate(names, effort=True)
+
+    def sample(self, stamp_ns: int, loop: JointLoop) -> None:
+        """Publish this sample if it is due on the control clock.
+
+        Args:
+            stamp_ns: The sample's stamp in [ns].
+            loop: The loop that has just taken it.
+        """
+        if not self._is_on:
+            return
+        if self._last_ns is not None and 0 <= stamp_ns - self._last_ns < self._period_ns:
+            return
+        self._last_ns = stamp_ns
+        position, velocity = loop.reference
+        self._reference.publish(
+            self._reference_template.encode(stamp_ns, position=(position,), velocity=(velocity,))
+        )
+        terms = (*loop.terms, loop.model_effort) if self._has_model else loop.terms
+        self._terms.publish(self._terms_template.encode(stamp_ns, effort=terms))

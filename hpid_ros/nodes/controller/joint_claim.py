@@ -1,0 +1,259 @@
+"""One controller a joint: who is active claims it, and who would be second is refused.
+
+On one host the kernel decides, at once. Between hosts the graph does: a claim is told on a topic
+of the joint's own beside its commands, again and again, and others listen to it before they move
+the joint. Neither does anything when a state comes.
+"""
+
+from __future__ import annotations
+
+import os
+import socket
+import time
+from collections.abc import Callable
+from dataclasses import replace
+
+from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+from rclpy.node import Node
+from rclpy.timer import Timer
+
+from hpid_ros.base.errors import ClaimError, SettingError
+from hpid_ros.base.names import claim_topic
+from hpid_ros.nodes.controller.claims import LEASE, Claim, ClaimState, HeardClaims, HostLock
+from hpid_ros.nodes.ros.middleware import LATCHED, has_shared_memory_alone
+from hpid_ros.nodes.ros.parameters import read_only
+from hpid_ros.nodes.ros.steady_timer import steady_timer
+
+SCOPES = ("joint", "none")
+
+_BEAT = 0.25  # [s]; six of them are a lease
+_SETTLES_WITHIN = 0.25  # [s]; a holder on a network that is found at all has answered by then
+_CLOCK = getattr(time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC)  # goes on while a host sleeps
+_STARTED_NS = time.time_ns()  # one for all joints of a process: all of them win, or none
+
+
+def claims_joint(node: Node) -> bool:
+    """Declare the parameter ``claim`` and tell whether it asks for a joint of the node's own.
+
+    Args:
+        node: The controller.
+
+    Raises:
+        SettingError: There is no such scope.
+    """
+    scope = read_only(
+        node,
+        "claim",
+        "joint",
+        "What an active controller claims for itself alone: joint, or none: then several may "
+        "command one joint, and nobody says so but the bridge",
+    )
+    if scope not in SCOPES:
+        raise SettingError(f"claim must be one of {', '.join(SCOPES)}, not {scope!r}")
+    return bool(scope == "joint")
+
+
+class JointClaim:
+    """The claim of a controller's joint, from activation until the joint has been left.
+
+    Args:
+        node: The controller.
+        is_claiming: Whether it claims anything, see :func:`claims_joint`.
+        joint: Its joint.
+        commands: Full name of the topic of its commands.
+        lose: Called when the joint is another's after all, with the reason, and whether the claim
+            was held already.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        is_claiming: bool,
+        joint: str,
+        commands: str,
+        lose: Callable[[ClaimError, bool], None],
+    ) -> None:
+        self._node, self._is_claiming, self._lose = node, is_claiming, lose
+        self._mine: Claim | None = None
+        self._timer: Timer | None = None
+        self.refusal = ""
+        if not self._is_claiming:
+            return
+        # Graphs of the same domain that do not reach each other have nothing to share.
+        self._is_closed = has_shared_memory_alone()
+        graph = f"shared memory of user {os.getuid()}" if self._is_closed else "network"
+        domain = node.context.get_domain_id()
+        name = node.get_fully_qualified_name()
+        host, pid = socket.gethostname(), os.getpid()
+        realm = HostLock.realm()
+        self._lock = HostLock(f"{graph} {domain} {commands} {joint}", name) if realm else None
+        if not realm:
+            realm = f"{host} {pid} {name}"
+            node.get_logger().warning(
+                "this system has no abstract unix sockets: two controllers of one joint on this "
+                "host find out only once they hear each other"
+            )
+        self._claim = Claim(joint, commands, name, host, pid, _STARTED_NS, f"{realm} {graph}")
+        self._others = HeardClaims()
+        self._listening_since: float | None = None
+        self._told = 0.0
+        topic = claim_topic(commands, joint)
+        self._publisher = node.create_publisher(DiagnosticStatus, topic, LATCHED)
+        node.create_subscription(DiagnosticStatus, topic, self._hear, LATCHED)
+
+    @property
+    def text(self) -> str:
+        """How it stands, for ``/diagnostics``."""
+        if not self._is_claiming:
+            return "none"
+        return "none yet" if self._mine is None else self._mine.state.value
+
+    @property
+    def is_settled(self) -> bool:
+        """Whether the joint may be commanded."""
+        return not self._is_claiming or (
+            self._mine is not None and self._mine.state is ClaimState.HELD
+        )
+
+    def take(self) -> None:
+        """Claim the joint.
+
+        Raises:
+            ClaimError: Another controller has claimed it.
+        """
+        if not self._is_claiming or self._mine is not None:
+            return
+        holder = self._lock.take() if self._lock else ""
+        other = self._others.standing(_now())
+        if not holder and other is not None:
+            self._free()
+            holder = _named(other)
+        if holder:
+            raise self._refused(holder)
+        self.refusal = ""
+        self._listening_since = None
+        # In the closed mode nobody else is there to be listened to.
+        state = ClaimState.HELD if self._is_closed else ClaimState.WISHED
+        self._mine = self._claim.become(state)
+        self._timer = steady_timer(self._node, _BEAT, self._beat)
+        self._tell()
+
+    def settle(self) -> bool:
+        """Hold the joint once others have had the time to say that it is theirs.
+
+        Returns:
+            Whether it is held.
+        """
+        if self._mine is not None and self._mine.state is ClaimState.WISHED:
+            now = _now()
+            if self._listening_since is None:  # the first call while messages are taken
+                self._listening_since = now
+            if now - self._listening_since >= _SETTLES_WITHIN:
+                self._mine = self._mine.become(ClaimState.HELD)
+                self._tell()
+        return self.is_settled
+
+    def release(self) -> None:
+        """Give the joint back, if it was claimed."""
+        if self._mine is None:
+            return
+        self._mine = self._mine.become(ClaimState.RELEASED)
+        self._tell()
+        self._mine = None
+        if self._timer is not None:
+            self._node.destroy_timer(self._timer)
+            self._timer = None
+        self._free()
+
+    def _free(self) -> None:
+        if self._lock is not None:
+            self._lock.release()
+
+    def _beat(self) -> None:
+        if self._mine is None:
+            return
+        self._begin_anew_if_lapsed()
+        self.settle()
+        self._tell()
+
+    def _begin_anew_if_lapsed(self) -> None:
+        """Wish again after having stood still: for the others the claim has ended."""
+        if self._mine is None or _now() - self._told <= LEASE:
+            return
+        self._listening_since = None
+        if self._mine.state is ClaimState.HELD:
+            self._mine = self._claim = replace(self._claim, since_ns=time.time_ns())
+        self._tell()
+
+    def _hear(self, message: DiagnosticStatus) -> None:
+        try:
+            claim = _from_message(message)
+        except (KeyError, ValueError):
+            self._node.get_logger().warning(
+                f"no claim of a joint: {message.name!r}", throttle_duration_sec=5.0
+            )
+            return
+        mine = self._claim
+        if claim.realm == mine.realm or (claim.joint, claim.commands) != (
+            mine.joint,
+            mine.commands,
+        ):
+            return
+        self._others.hear(claim, _now())
+        if claim.state is ClaimState.RELEASED or self._mine is None:
+            return
+        self._begin_anew_if_lapsed()
+        if self._mine.yields_to(claim):
+            was_held = self._mine.state is ClaimState.HELD
+            self._lose(self._refused(_named(claim)), was_held)
+
+    def _tell(self) -> None:
+        assert self._mine is not None
+        self._publisher.publish(to_message(self._mine))
+        self._told = _now()
+
+    def _refused(self, holder: str) -> ClaimError:
+        self.refusal = f"joint {self._claim.joint} is commanded by {holder}"
+        return ClaimError(
+            f"{self._claim.node}: {self.refusal}; one controller at a time may be active, unless "
+            f"each has the parameter claim: none"
+        )
+
+
+def _now() -> float:
+    return time.clock_gettime(_CLOCK)
+
+
+def _named(claim: Claim) -> str:
+    return f"{claim.node} (process {claim.pid} on host {claim.host})"
+
+
+def to_message(claim: Claim) -> DiagnosticStatus:
+    """Return the message that tells a claim."""
+    values = {
+        "commands": claim.commands,
+        "host": claim.host,
+        "pid": str(claim.pid),
+        "since [ns]": str(claim.since_ns),
+        "realm": claim.realm,
+    }
+    return DiagnosticStatus(
+        name=claim.node,
+        hardware_id=claim.joint,
+        message=claim.state.value,
+        values=[KeyValue(key=key, value=value) for key, value in values.items()],
+    )
+
+
+def _from_message(message: DiagnosticStatus) -> Claim:
+    values = {pair.key: pair.value for pair in message.values}
+    return Claim(
+        joint=message.hardware_id,
+        commands=values["commands"],
+        node=message.name,
+        host=values["host"],
+        pid=int(values["pid"]),
+        since_ns=int(values["since [ns]"]),
+        realm=values["realm"],
+        state=ClaimState(message.message),
+    )

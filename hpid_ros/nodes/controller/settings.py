@@ -1,0 +1,151 @@
+"""A controller's settings: declared, merged with changes, checked as a whole."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from hpid_ros.base.resources import find_resource
+from hpid_ros.compensation.build import with_inertia
+from hpid_ros.control import LOOP_PARAMETERS, LoopSettings
+from hpid_ros.control.settings.table import Value
+from hpid_ros.nodes.controller.model import declare_model, model_values
+from hpid_ros.nodes.ros.parameters import declare, merged, read_only, verdict
+from hpid_ros.robot.description import RobotDescription
+
+
+@dataclass(frozen=True)
+class RobotLimits:
+    """What the robot's description allows a joint; it holds beside the parameters.
+
+    Attributes:
+        effort: Largest absolute effort in [N m].
+        lower: Lowest position in [rad].
+        upper: Highest position in [rad].
+        velocity: Largest absolute velocity in [rad/s].
+        is_continuous: Whether the joint turns without end.
+    """
+
+    effort: float = math.inf
+    lower: float = -math.inf
+    upper: float = math.inf
+    velocity: float = math.inf
+    is_continuous: bool = False
+
+    def within(self, settings: LoopSettings) -> LoopSettings:
+        """Return the settings within these limits.
+
+        Raises:
+            SettingError: The positions that the settings allow are none that the robot allows.
+        """
+        wraps = self.is_continuous and settings.encoder_wrap < 0.0
+        return replace(
+            settings,
+            encoder_wrap=math.tau if wraps else settings.encoder_wrap,
+            u_clamp_max=max(min(settings.u_clamp_max, self.effort), -self.effort),
+            u_clamp_min=min(max(settings.u_clamp_min, -self.effort), self.effort),
+            position_max=min(settings.position_max, self.upper),
+            position_min=max(settings.position_min, self.lower),
+            velocity_max=min(settings.velocity_max, self.velocity),
+        )
+
+
+def robot_source(node: Node) -> str:
+    """Declare ``robot_description`` and return it: XML text or a path, empty for none.
+
+    Args:
+        node: The controller.
+    """
+    return str(
+        read_only(
+            node,
+            "robot_description",
+            "",
+            "URDF of the robot, XML text or path: limits effort, position and velocity",
+        )
+    )
+
+
+def robot_limits(node: Node, source: str) -> RobotLimits:
+    """Return what a robot's description allows a joint.
+
+    Args:
+        node: The controller, with the parameter ``joint``.
+        source: From :func:`robot_source`.
+
+    Returns:
+        None of them where no robot is given. A velocity of 0 is none either, as many URDFs
+        write it.
+
+    Raises:
+        HpidError: The robot cannot be found or read, or lacks the joint.
+    """
+    joint = node.get_parameter("joint").value
+    if not source or not joint:  # a missing joint is refused with the other settings
+        return RobotLimits()
+    if not source.lstrip().startswith("<"):
+        source = str(find_resource(source))
+    (found,) = RobotDescription.load(source).select([joint])
+    velocity = found.velocity if found.velocity > 0.0 else math.inf
+    is_continuous = found.type == "continuous"
+    return RobotLimits(found.effort, found.lower, found.upper, velocity, is_continuous)
+
+
+class ControllerSettings:
+    """Makes of a controller's parameters the settings of its loop, within the robot's limits.
+
+    Attributes:
+        robot: The parameter ``robot_description``: XML text or a path, empty for none.
+
+    Args:
+        node: The controller; it gets the parameters of its loop, of its model and of its robot.
+
+    Raises:
+        HpidError: The robot cannot be found or read, or lacks the joint.
+    """
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        declare(node, LOOP_PARAMETERS.values(), read_only=["joint"])
+        declare_model(node)
+        self.robot = robot_source(node)
+        self._limits = robot_limits(node, self.robot)
+
+    def with_changes(self, changes: Sequence[Parameter] = ()) -> LoopSettings:
+        """Return the settings that would be in force after a change.
+
+        Args:
+            changes: What is about to be set.
+
+        Raises:
+            HpidError: The parameters cannot be used as a whole.
+        """
+        return self._checked(merged(self._node, LOOP_PARAMETERS, changes))
+
+    def verdict(
+        self, changes: Sequence[Parameter], require: Callable[[LoopSettings], None]
+    ) -> SetParametersResult:
+        """Say whether a change can be put in force.
+
+        Args:
+            changes: What is about to be set.
+            require: Raises an :class:`.HpidError` for settings that are refused.
+        """
+        if not concern_the_loop(changes):
+            return SetParametersResult(successful=True)
+        values = merged(self._node, LOOP_PARAMETERS, changes)
+        return verdict(values, lambda each: require(self._checked(each)))
+
+    def _checked(self, values: Mapping[str, Value]) -> LoopSettings:
+        settings = LoopSettings.from_parameters({**values, **model_values(self._node)})
+        return with_inertia(self._limits.within(settings), self.robot)
+
+
+def concern_the_loop(changes: Sequence[Parameter]) -> bool:
+    """Tell whether a change is about the loop at all."""
+    return any(change.name in LOOP_PARAMETERS for change in changes)

@@ -1,0 +1,1 @@
+"""Parts of every node: executor, parameters, qualities of service."""

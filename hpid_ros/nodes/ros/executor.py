@@ -1,0 +1,371 @@
+"""How a process of nodes starts, spins and stops.
+
+``EventsExecutor`` is several times faster than the wait-set executors. Two of its traits need
+care: ``spin()`` without a deadline starves callbacks, so it is always given one; and with
+rclpy's own signal handlers the context is dead before a last command could be sent. Signals
+are therefore taken by a :class:`.Supervisor`, and end the spinning; the
+nodes close while the context still lives, and the context is shut down last.
+"""
+
+from __future__ import annotations
+
+import gc
+import math
+import os
+import re
+import signal
+import sys
+import time
+import traceback
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import rclpy
+from rcl_interfaces.msg import ParameterValue
+from rclpy.exceptions import (
+    InvalidParameterValueException,
+    NameValidationException,
+    ParameterException,
+)
+from rclpy.executors import Executor, SingleThreadedExecutor
+from rclpy.logging import get_logger
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.signals import SignalHandlerOptions
+from rclpy.task import Future
+from rclpy.utilities import remove_ros_args
+
+from hpid_ros.base.errors import ClaimError, HpidError, SettingError, unknown_name
+from hpid_ros.base.foreign_text import shown
+from hpid_ros.nodes.ros.given_parameters import ParameterSources, as_declared
+from hpid_ros.nodes.ros.middleware import load_profile
+from hpid_ros.nodes.ros.process import end_with_the_launch, warn_if_unprotected
+from hpid_ros.nodes.ros.services import guard_services
+from hpid_ros.nodes.ros.supervisor import Supervisor
+from hpid_ros.nodes.ros.usage import Usage, is_asked_for
+
+BAD_INPUT = 2
+"""Exit code of a process whose parameters or arguments cannot be used."""
+
+FAILED = 1
+"""Exit code of a process that a callback ended, or whose joint another controller holds."""
+
+_WIND_DOWN_WITHIN = 4.5  # [s] from the request to the close of the nodes
+_SWITCH_INTERVAL = 5e-4  # [s]; how late a thread beside the loop (a decoder) makes a sample
+_DEADLINE = 86400.0  # [s]; any finite one: spinning goes on when it passes
+
+
+class ClosingNode(Node):
+    """A node that has something to do before its context is gone.
+
+    Its parameters are taken in the types that it declares, and no request brings it down.
+
+    Attributes:
+        sources: The parameter files of the process.
+
+    Args:
+        name: Node name.
+        options: Passed on to ``rclpy.node.Node``.
+
+    Raises:
+        SettingError: A parameter file has this node in another namespace only.
+    """
+
+    supervisor: Supervisor | None = None
+    sources = ParameterSources()
+
+    def __init__(self, name: str, **options: Any) -> None:
+        super().__init__(name, **options)
+        self.guard(lambda line: self.get_logger().warning(line, throttle_duration_sec=1.0))
+
+    def guard(self, fault: Callable[[str], None]) -> None:
+        """Guard the services that are there; for nodes that rclpy builds in a way of its own.
+
+        Args:
+            fault: Called with one line for a request that raised.
+        """
+        guard_services(self, fault)
+        self.sources.require_namespace(self)
+
+    def require_given(self, name: str) -> None:
+        """Refuse a default where parameter files were given, and one has nothing for this node.
+
+        Args:
+            name: Of the parameter, before it is declared.
+
+        Raises:
+            SettingError: Whoever gave that file had something else in mind.
+        """
+        lines = self.sources.without([self])
+        if lines and name not in self._parameter_overrides:
+            raise SettingError(f"{name} must be given: {lines[0]}")
+
+    def declare_parameters(
+        self, namespace: str, parameters: list[Any], ignore_override: bool = False
+    ) -> list[Parameter]:
+        """Declare parameters, as rclpy does; what was given for them is read in their types.
+
+        Raises:
+            SettingError: What was given cannot be read so, or is out of range.
+        """
+        for name, default, *_ in parameters:
+            full = f"{namespace}.{name}" if namespace else name
+            given = self._parameter_overrides.get(full)  # rclpy has no public way to them
+            if given is None:
+                continue
+            try:
+                read = as_declared(given, _type_of(default))
+            except SettingError as error:
+                raise SettingError(f"{self.get_name()}: {error}") from None
+            self._parameter_overrides[full] = read
+            if read.type_ == Parameter.Type.NOT_SET:  # as if it had not been given
+                del self._parameter_overrides[full]
+        try:
+            return list(super().declare_parameters(namespace, parameters, ignore_override))
+        except InvalidParameterValueException as error:
+            raise SettingError(f"{self.get_name()}: {_input_error(error)}") from None
+
+    def wind_down(self) -> Future | None:
+        """Begin what takes time before the end; called once, while spinning goes on.
+
+        Returns:
+            What is done when the node may be closed; None if it may be now.
+        """
+        return None
+
+    def leave_at_once(self) -> None:
+        """Send what must not be late; called once, on all nodes before any of them is closed."""
+
+    def close(self) -> None:
+        """Send or write what must not be lost; called once, while the context is alive."""
+
+    def request_stop(self, code: int = 0) -> None:
+        """End this node's process.
+
+        Args:
+            code: Exit code of the process.
+        """
+        if self.supervisor is not None:
+            self.supervisor.request(code)
+
+    def hand_over(self, callback: Callable[..., None], *arguments: object) -> None:
+        """Have the executor's thread call something soon; from any thread.
+
+        Args:
+            callback: What it calls; whatever that raises ends the process, as in a subscription.
+            arguments: With these.
+        """
+        executor = self.executor
+        if executor is not None:  # else the node has ended
+            executor.create_task(self._call, callback, arguments)
+
+    def _call(self, callback: Callable[..., None], arguments: Sequence[object]) -> None:
+        try:
+            callback(*arguments)
+        except Exception as error:  # in a task it would crash the EventsExecutor of Jazzy
+            if self.supervisor is None:
+                raise
+            code = BAD_INPUT if isinstance(error, HpidError) else FAILED
+            self.supervisor.fail(error, code)
+
+    # What follows is called on the supervisor's thread, also while a callback does not return.
+
+    def look(self) -> float:
+        """Do what must not wait for the executor, and return when to look again, in [s]."""
+        return math.inf
+
+    def hold(self) -> None:
+        """Leave without effort until :meth:`go_on`: the process is about to be stopped."""
+
+    def wait_until_held(self, within: float) -> None:
+        """Wait until that has been heard, for at most so many seconds."""
+
+    def go_on(self) -> None:
+        """Go on after :meth:`hold`."""
+
+    def abandon(self) -> bool:
+        """Leave for ever: the executor has not heeded the request to stop.
+
+        Returns:
+            Whether the process may end without closing its nodes, if the executor stays stuck.
+        """
+        return False
+
+
+def _type_of(default: object) -> Parameter.Type:
+    """Return the type that a parameter is declared with."""
+    if isinstance(default, Parameter.Type):
+        return default
+    if isinstance(default, ParameterValue):
+        return Parameter.Type(default.type)
+    return Parameter.Type.from_parameter_value(default)
+
+
+def run(
+    make_nodes: Callable[[], Sequence[ClosingNode]],
+    args: Sequence[str] | None = None,
+    usage: Usage | None = None,
+) -> int:
+    """Run nodes until a signal or one of them ends the process.
+
+    Args:
+        make_nodes: Makes the nodes once the context is there.
+        args: Command line with ROS arguments; None for that of the process.
+        usage: What ``--help`` prints; nothing is started then.
+
+    Returns:
+        The exit code: 0 for help and after SIGINT, SIGTERM and SIGHUP, 1 when a callback raised
+        or a joint is another's, 2 when arguments or parameters cannot be used. Whatever it is,
+        every node has been closed while the graph was there. After another signal the process
+        ends by it, and this never returns.
+    """
+    command_line = list(sys.argv if args is None else args)
+    try:
+        surplus = remove_ros_args(command_line)[1:]
+        if usage is not None and is_asked_for(surplus):
+            print(usage.text())
+            return 0
+        end_with_the_launch()
+        load_profile()
+        if surplus:
+            what = " ".join(surplus)
+            return _refuse(f"unknown arguments {what}; parameters follow --ros-args -p")
+        rclpy.init(args=command_line, signal_handler_options=SignalHandlerOptions.NO)
+    except (RuntimeError, ValueError) as error:
+        return _refuse(_ros_error(error))
+    try:
+        with Supervisor() as supervisor:
+            code = _run_in_context(make_nodes, command_line, supervisor)
+    finally:
+        rclpy.try_shutdown()
+    if supervisor.ends_by is not None:
+        _end_by(supervisor.ends_by)
+    return code
+
+
+def _end_by(number: int) -> None:
+    """End by a signal, so that a parent sees it as if nobody had caught it."""
+    sys.stdout.flush()
+    sys.stderr.flush()
+    signal.signal(number, signal.SIG_DFL)
+    os.kill(os.getpid(), number)
+
+
+def _run_in_context(
+    make_nodes: Callable[[], Sequence[ClosingNode]],
+    command_line: Sequence[str],
+    supervisor: Supervisor,
+) -> int:
+    try:
+        ClosingNode.sources = ParameterSources(command_line)
+        nodes = make_nodes()
+        _require_known_parameters(nodes)
+        for line in ClosingNode.sources.without(nodes):
+            nodes[0].get_logger().warning(line)
+        warn_if_unprotected(nodes[0])  # one of them speaks for the process
+    except (HpidError, ParameterException, NameValidationException) as error:
+        return _refuse(_input_error(error), _exit_code(error))
+    executor = _make_executor()
+    for node in nodes:
+        node.supervisor = supervisor
+        executor.add_node(node)
+    # What is there now stays: no collection looks at it again while the loop runs.
+    gc.collect()
+    gc.freeze()
+    sys.setswitchinterval(_SWITCH_INTERVAL)
+    supervisor.supervise(nodes)
+    try:
+        while not supervisor.future.done():
+            executor.spin_until_future_complete(supervisor.future, _DEADLINE)
+        if supervisor.failure is not None:
+            raise supervisor.failure
+        if not supervisor.has_abandoned:
+            _wind_down(executor, nodes, supervisor)
+    except HpidError as error:  # what only the graph shows, for instance a topic's type
+        supervisor.request(_refuse(str(error), _exit_code(error)))
+    except Exception as error:  # whatever it was, the nodes are closed and their joints left
+        supervisor.request(_fail(error))
+    finally:
+        supervisor.is_heeded = True
+        # No node waits in its close for what another one still has to send.
+        is_closed = [_done(node.leave_at_once) for node in nodes]
+        supervisor.are_left = True
+        is_closed += [_done(node.close) for node in nodes]
+    return supervisor.code or int(not all(is_closed))
+
+
+def _wind_down(executor: Executor, nodes: Sequence[ClosingNode], supervisor: Supervisor) -> None:
+    """Go on spinning until all nodes may be closed, or have had long enough."""
+    deadline = time.monotonic() + _WIND_DOWN_WITHIN
+    waits = [node.wind_down() for node in nodes]
+    supervisor.is_heeded = True
+    for waited in waits:
+        if waited is not None:
+            executor.spin_until_future_complete(waited, max(0.0, deadline - time.monotonic()))
+
+
+def _done(step: Callable[[], None]) -> bool:
+    """Take one step of a node's end; whatever that raises, the other nodes end, too."""
+    try:
+        step()
+    except Exception as error:
+        _fail(error)
+        return False
+    return True
+
+
+def _fail(error: Exception) -> int:
+    """Print one line for an error that nobody expected: what, and where."""
+    place = traceback.extract_tb(error.__traceback__)[-1:]
+    where = f" ({place[0].filename}:{place[0].lineno})" if place else ""
+    print(shown(f"{type(error).__name__}: {' '.join(str(error).split())}{where}"), file=sys.stderr)
+    return FAILED
+
+
+def _make_executor() -> Executor:
+    try:
+        from rclpy.experimental import EventsExecutor
+    except ImportError:
+        get_logger("hpid_ros").warning(
+            "this rclpy has no EventsExecutor; SingleThreadedExecutor is several times slower"
+        )
+        return SingleThreadedExecutor()
+    return EventsExecutor()
+
+
+def _require_known_parameters(nodes: Sequence[Node]) -> None:
+    """Refuse parameters that were given and that no node of the process has.
+
+    rclpy ignores them silently, and a mistyped gain would be a gain of zero. What is given on
+    the command line goes to every node of a process, so it is enough that one of them has it.
+    """
+    everywhere = {name for node in nodes for name in node._parameters}
+    for node in nodes:
+        for name in node._parameter_overrides:  # rclpy has no public way to ask what was given
+            if name not in everywhere and not name.startswith("qos_overrides."):
+                known = [p for p in everywhere if not p.startswith("qos_overrides.")]
+                raise SettingError(f"{node.get_name()}: {unknown_name('parameter', name, known)}")
+
+
+def _input_error(error: Exception) -> str:
+    """Return one line for an error of parameters or names."""
+    return " ".join(str(error).split()).rstrip(" ^")
+
+
+def _ros_error(error: Exception) -> str:
+    """Return one line for an error of rcl, without the places in its source."""
+    line = " ".join(re.sub(r"\s*, at /\S+:\d+", "", str(error)).split())
+    return f"unknown ROS arguments {line}" if line.startswith("[") else line
+
+
+def _refuse(line: str, code: int = BAD_INPUT) -> int:
+    print(shown(line), file=sys.stderr)
+    return code
+
+
+def _exit_code(error: Exception) -> int:
+    """Return the code for an error that one line says all about.
+
+    That a joint is another's is no fault of the input: the same start may succeed later.
+    """
+    return FAILED if isinstance(error, ClaimError) else BAD_INPUT

@@ -1,0 +1,89 @@
+"""Qualities of service, chosen once, and what else is asked of the middleware.
+
+Publishers are reliable, so that any subscriber may ask for either; controllers and bridge
+subscribe with best effort, which costs a third less per sample and loses nothing on one
+machine. A recorder asks for reliability; the depth of the publishers is what it may fall
+behind. Every profile can be overridden by the standard ``qos_overrides`` parameters.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+
+from rclpy.qos import (
+    DurabilityPolicy,
+    HistoryPolicy,
+    QoSProfile,
+    ReliabilityPolicy,
+)
+from rclpy.qos_overriding_options import QoSOverridingOptions
+
+from hpid_ros.base.names import PROFILE_FILES
+from hpid_ros.base.resources import ResourceError, find_resource
+
+_BEHIND_AT_MOST = 4000  # messages that a reliable subscriber may fall behind
+_STATES_AT_ONCE = 5  # that a controller may fall behind before it forgets the oldest
+_COMMANDS_AT_ONCE = 256  # joints that may answer one state before the bridge has looked
+
+
+def _profile(reliability: ReliabilityPolicy, depth: int) -> QoSProfile:
+    return QoSProfile(
+        history=HistoryPolicy.KEEP_LAST,
+        depth=depth,
+        reliability=reliability,
+        durability=DurabilityPolicy.VOLATILE,
+    )
+
+
+OFFERED = _profile(ReliabilityPolicy.RELIABLE, _BEHIND_AT_MOST)
+"""States and commands, as they are published."""
+
+NEWEST_STATES = _profile(ReliabilityPolicy.BEST_EFFORT, _STATES_AT_ONCE)
+"""States, as a controller takes them: a hiccup is caught up, anything older is the past."""
+
+ALL_COMMANDS = _profile(ReliabilityPolicy.BEST_EFFORT, _COMMANDS_AT_ONCE)
+"""Commands, as the bridge takes them."""
+
+LATCHED = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST,
+    depth=1,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.TRANSIENT_LOCAL,
+)
+"""The reference: whoever comes later gets it too."""
+
+RARE = _profile(ReliabilityPolicy.RELIABLE, 10)
+"""Messages that come rarely: setpoints, diagnostics, poses."""
+
+
+def overridable() -> QoSOverridingOptions:
+    """Return the option that lets ``qos_overrides`` parameters replace a profile."""
+    return QoSOverridingOptions.with_default_policies()
+
+
+def load_profile() -> None:
+    """Let Fast DDS load ``config/fastdds_nodes.xml``, unless a file of profiles is named already.
+
+    To be called before the middleware is. Other middlewares know nothing of it. Without it all
+    works, and acknowledgements take longer: a package that lacks the file is no reason to end.
+    """
+    if any(os.environ.get(name) for name in PROFILE_FILES):
+        return
+    with contextlib.suppress(ResourceError):
+        profile = str(find_resource("config/fastdds_nodes.xml"))
+        os.environ.update(dict.fromkeys(PROFILE_FILES, profile))
+
+
+def has_shared_memory_alone() -> bool:
+    """Tell whether the nodes of this process reach no other host and no other user.
+
+    As in the closed mode of docs/security.md: Fast DDS talks through shared memory alone, and does
+    not meet those that talk through a network, even in the same domain of the same host.
+    """
+    return (
+        os.environ.get("RMW_IMPLEMENTATION", "rmw_fastrtps_cpp").startswith("rmw_fastrtps")
+        and os.environ.get("FASTDDS_BUILTIN_TRANSPORTS") == "SHM"
+        and os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET") == "SUBNET"
+        and os.environ.get("ROS_LOCALHOST_ONLY", "0") != "1"
+    )

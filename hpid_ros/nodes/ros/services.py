@@ -1,0 +1,143 @@
+"""Services that no request can bring a node down with.
+
+rclpy lets what a service's callback raises end the executor: a lifecycle transition that the
+present state does not have does so, and so does a parameter of an unknown type.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from rcl_interfaces.msg import Parameter as ParameterMessage
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from hpid_ros.base.errors import SettingError, unknown_name
+from hpid_ros.nodes.ros.given_parameters import as_declared, is_same
+
+ServiceCallback = Callable[[Any, Any], Any]
+
+
+def guard_services(node: Node, fault: Callable[[str], None]) -> None:
+    """Answer requests that raise with a refusal, and take sets of parameters as a whole.
+
+    rclpy sets each parameter of a request alone, in the order of the alphabet: on the way from one
+    valid set to another there would be sets that are refused, and of a set with one bad gain the
+    others would be in force. What comes in one request is therefore set or refused as a whole. And
+    where one parameter has no value, rclpy answers a request
+    for many with nothing at all; here it is told as not set, as the service's definition says.
+
+    What is set to the value that it has is taken, also where it is fixed: so what was dumped can
+    be loaded. Whatever is refused is refused with a reason.
+
+    Args:
+        node: The node, with all of its services.
+        fault: Called with one line for a request that raised.
+    """
+    for service in node.services:
+        name = service.srv_name.rpartition("/")[2]
+        callback = service.callback
+        if name == "set_parameters":
+            callback = _whole_sets(node, fault)
+        elif name == "set_parameters_atomically":
+            callback = _atomic_sets(node, fault)
+        elif name == "get_parameters":
+            callback = _all_values(node)
+        service.callback = _guarded(callback, name, fault)
+
+
+def _guarded(
+    callback: ServiceCallback, name: str, fault: Callable[[str], None]
+) -> ServiceCallback:
+    def call(request: Any, response: Any) -> Any:
+        try:
+            return callback(request, response)
+        except Exception as error:  # whatever a request from outside can bring about
+            fault(f"{name} refused: {type(error).__name__}: {' '.join(str(error).split())}")
+            return response  # as it was made: not successful
+
+    return call
+
+
+def _whole_sets(node: Node, fault: Callable[[str], None]) -> ServiceCallback:
+    def call(request: Any, response: Any) -> Any:
+        results = [SetParametersResult(successful=True) for _ in request.parameters]
+        changes: list[tuple[int, Parameter]] = []
+        for index, message in enumerate(request.parameters):
+            try:
+                changes += [(index, change) for change in _changes(node, [message])]
+            except (ValueError, TypeError) as error:
+                results[index] = _refused(str(error))
+        # What is fixed is refused alone, and does not spoil the rest.
+        free = [
+            change for _, change in changes if not node.describe_parameter(change.name).read_only
+        ]
+        whole = _set(node, free, fault)
+        for index, change in changes:
+            results[index] = whole if change in free else _set(node, [change], fault)
+        response.results = results
+        return response
+
+    return call
+
+
+def _atomic_sets(node: Node, fault: Callable[[str], None]) -> ServiceCallback:
+    def call(request: Any, response: Any) -> Any:
+        try:
+            response.result = _set(node, _changes(node, request.parameters), fault)
+        except (ValueError, TypeError) as error:
+            response.result = _refused(str(error))
+        return response
+
+    return call
+
+
+def _changes(node: Node, messages: Sequence[ParameterMessage]) -> list[Parameter]:
+    """Return what messages would change, in the declared types.
+
+    Raises:
+        ValueError: There is no such parameter, or it cannot have a value of this type.
+        TypeError: The value is of no type at all.
+    """
+    changes = []
+    for message in messages:
+        if message.name not in node._parameters:  # also has those without a value
+            raise SettingError(unknown_name("parameter", message.name, node._parameters))
+        kind = Parameter.Type(node.describe_parameter(message.name).type)
+        change = as_declared(Parameter.from_parameter_msg(message), kind)
+        if not is_same(node._parameters[message.name], change):
+            changes.append(change)
+    return changes
+
+
+def _all_values(node: Node) -> ServiceCallback:
+    def call(request: Any, response: Any) -> Any:
+        found = [
+            node._parameters[name] if node.has_parameter(name) else Parameter(name)
+            for name in request.names
+        ]
+        response.values = [parameter.get_parameter_value() for parameter in found]
+        return response
+
+    return call
+
+
+def _set(
+    node: Node, changes: list[Parameter], fault: Callable[[str], None]
+) -> SetParametersResult:
+    """Set parameters as a whole; whatever that meets is the reason of a refusal."""
+    if not changes:
+        return SetParametersResult(successful=True)
+    try:
+        result = node.set_parameters_atomically(changes)
+    except Exception as error:  # whatever a value from outside can bring about
+        line = f"{type(error).__name__}: {' '.join(str(error).split())}"
+        fault(f"set of parameters refused: {line}")
+        return _refused(line)
+    return result if result.successful or result.reason else _refused("")
+
+
+def _refused(reason: str) -> SetParametersResult:
+    return SetParametersResult(successful=False, reason=reason or "it was refused without a word")

@@ -1,0 +1,105 @@
+"""Lines for a parent process, and lines on ``/diagnostics``.
+
+A parent that runs nodes as children needs to know when they are ready and when they are done,
+before and after there is a graph to ask. Each event is one JSON object on one line.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import stat
+from collections.abc import Mapping
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.node import Node
+
+from hpid_ros.nodes.ros.middleware import RARE
+from hpid_ros.nodes.ros.parameters import read_only
+
+
+def _pipes() -> frozenset[int]:
+    found = set()
+    for descriptor in range(_HIGHEST):
+        try:
+            if stat.S_ISFIFO(os.fstat(descriptor).st_mode):
+                found.add(descriptor)
+        except OSError:  # not open
+            continue
+    return frozenset(found)
+
+
+_HIGHEST = 1024  # the usual limit
+_HANDED_DOWN = _pipes()  # before this process has opened any of its own
+
+
+class StatusPipe:
+    """Writes events for a parent; does nothing when there is none.
+
+    Args:
+        node: The node; it gets the parameter ``status_fd``.
+    """
+
+    def __init__(self, node: Node) -> None:
+        fd = read_only(
+            node, "status_fd", -1, "File descriptor for one JSON line per event; -1 for none"
+        )
+        # The parameters of a node that had a parent may have been dumped and given to this one.
+        self._fd = fd if fd in _HANDED_DOWN else -1
+
+    def send(self, event: str, **values: object) -> None:
+        """Write one event.
+
+        Args:
+            event: Its name.
+            values: What belongs to it; numbers, texts, lists and mappings of those.
+        """
+        if self._fd < 0:
+            return
+        line = json.dumps({"event": event, **values}) + "\n"
+        try:
+            os.write(self._fd, line.encode())
+        except OSError:  # the parent is gone; the node's own stop is not this pipe's business
+            self._fd = -1
+
+
+OK = DiagnosticStatus.OK
+WARN = DiagnosticStatus.WARN
+ERROR = DiagnosticStatus.ERROR
+
+
+class Diagnostics:
+    """Publishes a node's status.
+
+    Args:
+        node: The node.
+        hardware_id: What it is about, for instance the joint.
+    """
+
+    def __init__(self, node: Node, hardware_id: str) -> None:
+        self._node = node
+        self._hardware_id = hardware_id
+        self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", RARE)
+
+    def publish(self, level: bytes, message: str, values: Mapping[str, object]) -> None:
+        """Publish one status.
+
+        Args:
+            level: ``OK``, ``WARN`` or ``ERROR``.
+            message: One line.
+            values: Figures by name; the name carries the unit in brackets.
+        """
+        status = DiagnosticStatus(
+            level=level,
+            name=self._node.get_fully_qualified_name(),
+            message=message,
+            hardware_id=self._hardware_id,
+            values=[KeyValue(key=key, value=_text(value)) for key, value in values.items()],
+        )
+        array = DiagnosticArray(status=[status])
+        array.header.stamp = self._node.get_clock().now().to_msg()
+        self._publisher.publish(array)
+
+
+def _text(value: object) -> str:
+    return f"{value:.6g}" if isinstance(value, float) else str(value)

@@ -1,0 +1,96 @@
+"""``trajectory_msgs/msg/JointTrajectory`` to and from the pure trajectory."""
+
+from __future__ import annotations
+
+from builtin_interfaces.msg import Duration, Time
+from trajectory_msgs.msg import JointTrajectory as JointTrajectoryMessage
+from trajectory_msgs.msg import JointTrajectoryPoint
+
+from hpid_ros.trajectory import Column, JointTrajectory, TrajectoryPoint
+from hpid_ros.trajectory.joint_trajectory import column_from_arrays
+from hpid_ros.wire import MixedTrajectory, TrajectoryArrays, decode_trajectory
+
+_NANOSECONDS = 1_000_000_000
+
+
+def from_message(message: JointTrajectoryMessage) -> JointTrajectory:
+    """Check a message and return what it says.
+
+    Raises:
+        TrajectoryError: The message is malformed; the line says how.
+    """
+    stamp = message.header.stamp
+    return JointTrajectory(
+        tuple(message.joint_names),
+        tuple(
+            TrajectoryPoint(
+                point.time_from_start.sec * _NANOSECONDS + point.time_from_start.nanosec,
+                tuple(point.positions),
+                tuple(point.velocities),
+                tuple(point.accelerations),
+            )
+            for point in message.points
+        ),
+        stamp.sec * _NANOSECONDS + stamp.nanosec,
+    )
+
+
+def column_from_bytes(raw: bytes, joint: str) -> Column | None:
+    """Check a serialised message and return one joint's column.
+
+    Args:
+        raw: A serialised JointTrajectory.
+        joint: The joint.
+
+    Returns:
+        None when the message is about other joints.
+
+    Raises:
+        MessageError: The bytes are no JointTrajectory, or it has too many points.
+        TrajectoryError: The trajectory is malformed; the line says how.
+    """
+    return column_of(decode_trajectory(raw), joint)
+
+
+def column_of(decoded: TrajectoryArrays | MixedTrajectory, joint: str) -> Column | None:
+    """Check a decoded message and return one joint's column.
+
+    Args:
+        decoded: The message.
+        joint: The joint.
+
+    Returns:
+        None when the message is about other joints.
+
+    Raises:
+        TrajectoryError: The trajectory is malformed; the line says how.
+    """
+    if joint not in decoded.names:
+        return None
+    return column_from_arrays(
+        joint,
+        decoded.names,
+        decoded.stamp_ns,
+        decoded.times_ns,
+        (decoded.positions, decoded.velocities, decoded.accelerations),
+        decoded.lengths,
+        decoded.point,
+    )
+
+
+def to_message(trajectory: JointTrajectory) -> JointTrajectoryMessage:
+    """Return the message of a trajectory."""
+    seconds, nanoseconds = divmod(trajectory.stamp_ns, _NANOSECONDS)
+    message = JointTrajectoryMessage(joint_names=list(trajectory.joint_names))
+    message.header.stamp = Time(sec=seconds, nanosec=nanoseconds)
+    for point in trajectory.points:
+        seconds, nanoseconds = divmod(point.time_from_start_ns, _NANOSECONDS)
+        message.points.append(
+            JointTrajectoryPoint(
+                positions=point.positions,
+                velocities=point.velocities,
+                accelerations=point.accelerations,
+                time_from_start=Duration(sec=seconds, nanosec=nanoseconds),
+            )
+        )
+    return message

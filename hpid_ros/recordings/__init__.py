@@ -1,0 +1,1 @@
+"""Runs as arrays, below bags and analysis: series and quality."""

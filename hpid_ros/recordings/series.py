@@ -1,0 +1,283 @@
+"""One run as arrays: the contract between a bag (or a run in memory) and the analysis.
+
+Stamps are the integer nanoseconds of the states' headers, never the arrival times: a run that
+was slow on the wall clock is the same run.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hpid_ros.base.errors import HpidError
+from hpid_ros.recordings.quality import RecordingQuality
+
+NANOSECONDS_PER_SECOND = 1e9
+
+
+class SeriesError(HpidError, ValueError):
+    """Arrays that are no time series: of unequal length, not finite, or not in order."""
+
+
+@dataclass(frozen=True, eq=False)
+class JointSeries:
+    """One joint of one run. The arrays are read-only; those that were not before are copied.
+
+    Attributes:
+        joint: Name of the joint.
+        state_stamps_ns: Stamps of the states, (N,), strictly increasing, N >= 1, in [ns].
+        position: Measured position at each state, (N,), in [rad].
+        reference: Reference sampled at the same stamps, (N,), in [rad]; empty where nothing says
+            what the joint was to follow.
+        command_stamps_ns: Stamps of the states that the commands answer, (M,), strictly
+            increasing, in [ns]. M = 0 is a joint whose controller never answered.
+        effort: Effort of each command, or as it was measured, (M,), in [N m].
+
+    Raises:
+        SeriesError: If a length differs, a value is not finite, or stamps do not increase.
+    """
+
+    joint: str
+    state_stamps_ns: NDArray[np.int64]
+    position: NDArray[np.float64]
+    reference: NDArray[np.float64]
+    command_stamps_ns: NDArray[np.int64]
+    effort: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        if not self.joint:
+            raise SeriesError("a joint series needs the name of its joint, got an empty one")
+        states = self._store("state_stamps_ns", self._stamps("state_stamps_ns"))
+        commands = self._store("command_stamps_ns", self._stamps("command_stamps_ns"))
+        if not states.size:
+            raise SeriesError(f"joint {self.joint!r}: no state; at least one is needed")
+        for name, stamps in (("position", states), ("reference", states), ("effort", commands)):
+            self._store(name, self._samples(name, stamps.size))
+
+    @property
+    def has_reference(self) -> bool:
+        """Whether it is known what the joint was to follow."""
+        return self.reference.size > 0
+
+    @property
+    def has_effort(self) -> bool:
+        """Whether any effort is known."""
+        return self.effort.size > 0
+
+    @property
+    def time(self) -> NDArray[np.float64]:
+        """Time of each state since the first state, (N,), in [s]."""
+        return seconds_since(self.state_stamps_ns, int(self.state_stamps_ns[0]))
+
+    @property
+    def command_time(self) -> NDArray[np.float64]:
+        """Time of the state that each command answers since the first state, (M,), in [s]."""
+        return seconds_since(self.command_stamps_ns, int(self.state_stamps_ns[0]))
+
+    @property
+    def error(self) -> NDArray[np.float64]:
+        """Reference minus measured position, (N,), in [rad].
+
+        Raises:
+            SeriesError: Nothing says what the joint was to follow.
+        """
+        if not self.has_reference:
+            raise SeriesError(f"joint {self.joint!r}: no reference was recorded, hence no error")
+        return self.reference - self.position
+
+    def _store(self, name: str, values: NDArray[Any]) -> NDArray[Any]:
+        values.setflags(write=False)
+        object.__setattr__(self, name, values)
+        return values
+
+    def _stamps(self, name: str) -> NDArray[np.int64]:
+        raw = np.asarray(getattr(self, name))
+        where = f"joint {self.joint!r}: {name}"
+        if raw.ndim != 1 or (raw.size and raw.dtype.kind not in "iu"):
+            raise SeriesError(
+                f"{where} must be a line of integers, got {raw.dtype} of shape {raw.shape}"
+            )
+        stamps = _own(raw, np.int64)
+        late = np.flatnonzero(np.diff(stamps) <= 0)
+        if late.size:
+            k = int(late[0])
+            raise SeriesError(
+                f"{where} must increase strictly, but [{k}] = {stamps[k]} "
+                f"is followed by {stamps[k + 1]}"
+            )
+        return stamps
+
+    def _samples(self, name: str, length: int) -> NDArray[np.float64]:
+        samples = _own(getattr(self, name), np.float64)
+        where = f"joint {self.joint!r}: {name}"
+        if name == "reference" and samples.shape == (0,):
+            return samples
+        if samples.shape != (length,):
+            raise SeriesError(
+                f"{where} has shape {samples.shape}, but its stamps have ({length},)"
+            )
+        require_finite(where, samples)
+        return samples
+
+
+@dataclass(frozen=True)
+class Losses:
+    """What went missing between one joint's controller and the robot.
+
+    Attributes:
+        unanswered_states: States that no command answers.
+        repeated_commands: Commands beyond the first that carry an already answered stamp.
+    """
+
+    unanswered_states: int = 0
+    repeated_commands: int = 0
+
+    def __post_init__(self) -> None:
+        if self.unanswered_states < 0 or self.repeated_commands < 0:
+            raise SeriesError(f"losses are counts and cannot be negative, got {self}")
+
+    def __bool__(self) -> bool:
+        return self.unanswered_states > 0 or self.repeated_commands > 0
+
+
+@dataclass(frozen=True)
+class Retune:
+    """A change of a controller's parameters while it ran.
+
+    Attributes:
+        stamp_ns: Stamp of the last state before it, in [ns].
+        node: Name of the controller's node.
+        change: What was set, for instance ``"mu = -0.2"``.
+    """
+
+    stamp_ns: int
+    node: str
+    change: str
+
+
+@dataclass(frozen=True, eq=False)
+class RunSeries:
+    """All joints of one run under one controller.
+
+    Attributes:
+        label: Name of the run in tables and legends, for instance ``"hPID"``.
+        joints: The series of each joint, in the order in which they are shown.
+        losses: Losses by joint name; a joint that is not named lost nothing.
+        retunes: Changes of parameters while it ran, as far as they were recorded.
+        quality: How complete the recording is, and on which clock and reference it stands.
+
+    Raises:
+        SeriesError: If there is no label or no joint, a joint is there twice, or losses name
+            a joint that the run does not have.
+    """
+
+    label: str
+    joints: tuple[JointSeries, ...]
+    losses: Mapping[str, Losses] = field(default_factory=dict)
+    retunes: tuple[Retune, ...] = ()
+    quality: RecordingQuality = field(default_factory=RecordingQuality)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "joints", tuple(self.joints))
+        names = [series.joint for series in self.joints]
+        if not self.label or not names:
+            raise SeriesError(
+                f"a run needs a label and at least one joint, got {self.label!r}, {names}"
+            )
+        if len(set(names)) < len(names):
+            raise SeriesError(f"run {self.label!r}: a joint occurs twice in {', '.join(names)}")
+        foreign = sorted(set(self.losses) - set(names))
+        if foreign:
+            raise SeriesError(
+                f"run {self.label!r}: losses of unknown joints {', '.join(foreign)}; "
+                f"known: {', '.join(names)}"
+            )
+        losses = {name: self.losses.get(name, Losses()) for name in names}
+        object.__setattr__(self, "losses", losses)
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names of the joints, in order."""
+        return tuple(series.joint for series in self.joints)
+
+    @property
+    def start_ns(self) -> int:
+        """Stamp of the first state of any joint, in [ns]."""
+        return min(int(series.state_stamps_ns[0]) for series in self.joints)
+
+    @property
+    def duration(self) -> float:
+        """Time from the first to the last state of any joint, in [s]."""
+        last_ns = max(int(series.state_stamps_ns[-1]) for series in self.joints)
+        return (last_ns - self.start_ns) / NANOSECONDS_PER_SECOND
+
+
+def _own(values: ArrayLike, kind: type[np.generic]) -> NDArray[Any]:
+    """Return an array that nobody changes: a copy, or one that is read-only and no view."""
+    if (
+        isinstance(values, np.ndarray)
+        and values.dtype == kind
+        and values.flags.owndata
+        and not values.flags.writeable
+    ):
+        return values
+    return np.array(values, dtype=kind)
+
+
+def seconds_since(stamps_ns: NDArray[np.int64], origin_ns: int) -> NDArray[np.float64]:
+    """Return stamps as seconds since an origin; exact differences, rounded once.
+
+    Args:
+        stamps_ns: Stamps, in [ns].
+        origin_ns: The stamp that becomes zero, in [ns].
+    """
+    return np.asarray((stamps_ns - origin_ns) / NANOSECONDS_PER_SECOND, dtype=np.float64)
+
+
+def require_finite(what: str, values: ArrayLike) -> None:
+    """Raise SeriesError, naming the first offender, unless every value is finite.
+
+    Args:
+        what: The words that the message begins with.
+        values: The values to look at.
+    """
+    array = np.asarray(values, dtype=np.float64)
+    bad = np.flatnonzero(~np.isfinite(array))
+    if bad.size:
+        k = int(bad[0])
+        raise SeriesError(
+            f"{what} must be finite, but [{k}] = {array[k]} ({bad.size} of {array.size})"
+        )
+
+
+def complete_run(
+    label: str,
+    joints: Sequence[str],
+    stamps_ns: NDArray[np.int64],
+    columns: Iterable[NDArray[np.float64]],
+) -> RunSeries:
+    """Return the series of a run without losses.
+
+    Args:
+        label: Name of the run.
+        joints: Names of the K joints.
+        stamps_ns: Stamps of all states and commands, (N,), in [ns].
+        columns: Positions [rad], references [rad] and efforts [N m], each (N, K).
+
+    Raises:
+        SeriesError: As for :class:`RunSeries` and :class:`JointSeries`.
+    """
+    positions, references, efforts = columns
+    return RunSeries(
+        label,
+        tuple(
+            JointSeries(
+                joint, stamps_ns, positions[:, k], references[:, k], stamps_ns, efforts[:, k]
+            )
+            for k, joint in enumerate(joints)
+        ),
+    )

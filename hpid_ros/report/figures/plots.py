@@ -1,0 +1,289 @@
+"""The figures of runs: the paper's five, the effort's spectrum, the phase portrait, and more.
+
+matplotlib through its objects only: no pyplot, no figure that outlives its function, and the
+same bytes for the same runs.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from hpid_ros.analysis.comparison import Comparison
+from hpid_ros.analysis.indices.run import run_indices
+from hpid_ros.analysis.indices.task import EndEffectorPath
+from hpid_ros.analysis.quantities import EFFORT_L2, ERROR_L2, Data, Quantity
+from hpid_ros.analysis.results import RunIndices
+from hpid_ros.analysis.signals import (
+    Gains,
+    Signal,
+    effort_of,
+    error_of,
+    has_any,
+    norm_of_run,
+    position_of,
+    reference_of,
+)
+from hpid_ros.base.errors import unknown_name
+from hpid_ros.recordings.series import JointSeries, RunSeries, SeriesError
+from hpid_ros.report.figures.panels import joint_panels, single_panel
+from hpid_ros.report.figures.paths import path_figure
+from hpid_ros.report.figures.portraits import phase_panels, spectrum_panels
+from hpid_ros.report.figures.style import DOTS_PER_INCH, figure_style
+from hpid_ros.report.figures.trade_off import can_be_drawn, trade_off_figure
+
+# Zero has no place on a logarithmic axis.
+LEAST_NORM = 1e-6
+
+
+@figure_style()
+def norm_figure(runs: Sequence[RunSeries], gains: Gains, buckets: int) -> Figure:
+    """Return the homogeneous norm over time, one panel a joint, its axis logarithmic.
+
+    Args:
+        runs: Runs whose gains are known, the baseline first.
+        gains: What their laws did.
+        buckets: Detail of each line.
+
+    Raises:
+        SeriesError: If there is no run, or the runs' joints differ.
+    """
+
+    def norm_of(run: RunSeries, series: JointSeries) -> Signal:
+        stamps_ns, values = gains[run.label][series.joint].norm
+        return Signal(stamps_ns, np.maximum(values, LEAST_NORM))
+
+    return joint_panels(runs, "homogeneous norm", norm_of, buckets, level=None, is_log=True)
+
+
+@figure_style()
+def multiplier_figure(runs: Sequence[RunSeries], gains: Gains, buckets: int) -> Figure:
+    """Return the gain multiplier over time, one panel a joint; see :func:`norm_figure`."""
+
+    def multiplier_of(run: RunSeries, series: JointSeries) -> Signal:
+        return gains[run.label][series.joint].multiplier
+
+    # One is the linear PID.
+    return joint_panels(runs, "gain multiplier", multiplier_of, buckets, level=1.0)
+
+
+FORMATS = ("png", "pdf", "svg")
+# Detail of a line: three times the pixels of a panel in a PNG, so that a PDF can be enlarged.
+BUCKETS = 2000
+
+# Dates and versions would make two files of the same run differ.
+_METADATA: Mapping[str, dict[str, Any]] = {
+    "png": {"Software": None},
+    "pdf": {"CreationDate": None, "Producer": None, "Creator": None},
+    "svg": {"Date": None, "Creator": None},
+}
+
+
+def _position(run: RunSeries, series: JointSeries) -> Signal:
+    return position_of(series)
+
+
+def _reference(run: RunSeries, series: JointSeries) -> Signal:
+    return reference_of(series)
+
+
+def _error(run: RunSeries, series: JointSeries) -> Signal:
+    return error_of(series)
+
+
+def _effort(run: RunSeries, series: JointSeries) -> Signal:
+    return effort_of(series)
+
+
+class DrawRuns(Protocol):
+    """A function that draws runs at some detail; the first run is the baseline."""
+
+    def __call__(self, runs: Sequence[RunSeries], buckets: int = BUCKETS) -> Figure:
+        """Return the figure."""
+        ...
+
+
+@figure_style()
+def positions_figure(runs: Sequence[RunSeries], buckets: int = BUCKETS) -> Figure:
+    """Return measured positions over the first run's reference, one panel a joint, in [rad].
+
+    Args:
+        runs: The runs, the baseline first.
+        buckets: Detail of each line, see :func:`~hpid_ros.analysis.signals.envelope`.
+
+    Raises:
+        SeriesError: If there is no run, or the runs' joints differ.
+    """
+    return joint_panels(runs, "position [rad]", _position, buckets, _reference)
+
+
+@figure_style()
+def efforts_figure(runs: Sequence[RunSeries], buckets: int = BUCKETS) -> Figure:
+    """Return efforts, one panel a joint, in [N m]; see :func:`positions_figure`."""
+    return joint_panels(runs, "effort [N m]", _effort, buckets)
+
+
+@figure_style()
+def errors_figure(runs: Sequence[RunSeries], buckets: int = BUCKETS) -> Figure:
+    """Return reference minus position by joint, in [rad]; see :func:`positions_figure`."""
+    return joint_panels(runs, "error [rad]", _error, buckets)
+
+
+@figure_style()
+def effort_norm_figure(runs: Sequence[RunSeries], buckets: int = BUCKETS) -> Figure:
+    """Return the effort's norm over joints, in [N m]; see :func:`positions_figure`."""
+    return _norm_figure(runs, r"$\|u(t)\|_2$ over all joints [N m]", effort_of, EFFORT_L2, buckets)
+
+
+@figure_style()
+def error_norm_figure(runs: Sequence[RunSeries], buckets: int = BUCKETS) -> Figure:
+    """Return the error's norm over joints, in [rad]; see :func:`positions_figure`."""
+    return _norm_figure(runs, r"$\|e(t)\|_2$ over all joints [rad]", error_of, ERROR_L2, buckets)
+
+
+@figure_style()
+def spectrum_figure(runs: Sequence[RunSeries], buckets: int = BUCKETS) -> Figure:
+    """Return the spectrum of the effort by joint, in [N m / Hz^0.5]."""
+    return spectrum_panels(runs)
+
+
+@figure_style()
+def phase_figure(runs: Sequence[RunSeries], buckets: int = BUCKETS) -> Figure:
+    """Return error rate over error by joint, in [rad/s], [rad]; see :func:`positions_figure`."""
+    return phase_panels(runs, 4 * buckets)
+
+
+FIGURES: Mapping[str, DrawRuns] = {
+    "positions": positions_figure,
+    "efforts": efforts_figure,
+    "errors": errors_figure,
+    "effort_norm": effort_norm_figure,
+    "error_norm": error_norm_figure,
+    "spectrum": spectrum_figure,
+    "phase": phase_figure,
+}
+_NEEDED: Mapping[str, Data] = {
+    **dict.fromkeys(("errors", "error_norm", "phase"), Data.REFERENCE),
+    **dict.fromkeys(("efforts", "effort_norm", "spectrum"), Data.EFFORT),
+}
+"""What a figure shows nothing without."""
+
+
+def save_figures(
+    runs: Sequence[RunSeries],
+    folder: Path,
+    formats: Iterable[str] = ("png", "pdf"),
+    *,
+    comparison: Comparison | None = None,
+    repeats: Sequence[RunIndices] = (),
+    gains: Gains | None = None,
+    paths: Sequence[EndEffectorPath] = (),
+) -> list[Path]:
+    """Draw all figures into a folder, which must exist; files of the same name are replaced.
+
+    A figure that would be empty, for want of any reference or effort, is left out.
+
+    Args:
+        runs: The runs, the baseline first; none if only numbers are there.
+        folder: Where they go.
+        formats: Any of :data:`FORMATS`.
+        comparison: The numbers, for the figure of error against effort.
+        repeats: The single runs of the comparison's medians.
+        gains: What the runs' laws did to their gains; runs that are not in it are left out.
+        paths: The paths of the end effector.
+
+    Returns:
+        The files written, by figure, then format.
+
+    Raises:
+        SeriesError: If a format is unknown, there is nothing to draw, or the runs' joints differ.
+    """
+    wanted = tuple(formats)
+    for form in wanted:
+        if form not in FORMATS:
+            raise SeriesError(unknown_name("figure format", form, FORMATS))
+    if not runs and comparison is None:
+        raise SeriesError("figures need at least one run, got none")
+    written: list[Path] = []
+    drawings = _drawings(runs, comparison, repeats, gains or {})
+    if paths:
+        drawings["end_effector"] = partial(_path_figure, paths)
+    for name, draw in drawings.items():
+        figure = draw()
+        for form in wanted:
+            path = Path(folder) / f"{name}.{form}"
+            path.write_bytes(render(figure, form))
+            written.append(path)
+    return written
+
+
+@figure_style()
+def _path_figure(paths: Sequence[EndEffectorPath]) -> Figure:
+    return path_figure(paths)
+
+
+def _drawings(
+    runs: Sequence[RunSeries],
+    comparison: Comparison | None,
+    repeats: Sequence[RunIndices],
+    gains: Gains,
+) -> dict[str, Callable[[], Figure]]:
+    """Return what can be drawn, by name."""
+    drawings: dict[str, Callable[[], Figure]] = {}
+    if runs:
+        drawings = {
+            name: partial(draw, runs)
+            for name, draw in FIGURES.items()
+            if name not in _NEEDED or has_any(runs, _NEEDED[name])
+        }
+    known = [run for run in runs if run.label in gains]
+    if known:
+        drawings["norm"] = partial(norm_figure, known, gains, BUCKETS)
+        drawings["multiplier"] = partial(multiplier_figure, known, gains, BUCKETS)
+    if comparison is not None and comparison.others and can_be_drawn(comparison):
+        drawings["trade_off"] = partial(trade_off_figure, comparison, repeats)
+    return drawings
+
+
+@figure_style()
+def render(figure: Figure, form: str, transparent: bool = False) -> bytes:
+    """Return a figure as the bytes of a file; the same figure gives the same bytes.
+
+    Args:
+        figure: One of this module's figures.
+        form: One of :data:`FORMATS`.
+        transparent: Whether the paper is left out.
+    """
+    buffer = io.BytesIO()
+    figure.savefig(
+        buffer,
+        format=form,
+        dpi=DOTS_PER_INCH,
+        metadata=_METADATA[form],
+        transparent=transparent,
+    )
+    return buffer.getvalue()
+
+
+def _norm_figure(
+    runs: Sequence[RunSeries],
+    label: str,
+    signal_of: Callable[[JointSeries], Signal],
+    quantity: Quantity,
+    buckets: int,
+) -> Figure:
+    signals = [norm_of_run(run, signal_of) for run in runs]
+    values = [run_indices(run).value(quantity) for run in runs]
+    unit = quantity.unit.replace("^0.5", "$^{0.5}$")
+    notes = [
+        f"no {quantity.meaning}" if math.isnan(value) else f"{quantity.meaning} {value:.4g} {unit}"
+        for value in values
+    ]
+    return single_panel(runs, label, signals, notes, buckets)

@@ -1,0 +1,303 @@
+"""A simulated base: its odometry, its true motion, and how far its wheels slide.
+
+Odometry and slip are added up once a control period, on simulated time alone, so that the bridge
+and the run without ROS tell the same numbers.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from hpid_ros.base.errors import SettingError
+from hpid_ros.robot.differential_drive import BaseTwist, DifferentialDrive
+from hpid_ros.robot.odometry import Odometry, PlanarCovariance, PlanarPose, chord_share
+from hpid_ros.simulation.poses import Pose, Twist
+from hpid_ros.simulation.world.world import World
+
+
+class Slip(NamedTuple):
+    """Distances that the contacts have slid, there and back both counted.
+
+    Attributes:
+        left: Of the left wheel along its track, in [m].
+        right: Of the right wheel along its track, in [m].
+        lateral: Of the axle, sideways, in [m].
+    """
+
+    left: float
+    right: float
+    lateral: float
+
+
+class SlipMeter:
+    """Compares what the wheels rolled with where the axle's ends truly went.
+
+    In each period the base is taken to move on an arc. A wheel's slip is its travel less that of
+    its end of the axle along the arc; the axle's lateral slip is what the arc does not explain.
+
+    Attributes:
+        slip: Up to now.
+
+    Args:
+        drive: The base.
+        wheels: True positions of the left and the right wheel, in [rad].
+        pose: True pose of the axle's centre, its heading in (-pi, pi].
+    """
+
+    def __init__(
+        self, drive: DifferentialDrive, wheels: tuple[float, float], pose: PlanarPose
+    ) -> None:
+        self._drive, self._wheels, self._pose = drive, wheels, pose
+        self.slip = Slip(0.0, 0.0, 0.0)
+
+    def update(self, wheels: tuple[float, float], pose: PlanarPose) -> Slip:
+        """Take where wheels and base are one period later, as in the constructor."""
+        drive, before = self._drive, self._pose
+        of_left, of_right = (
+            drive.radius * (now - then) for now, then in zip(wheels, self._wheels, strict=True)
+        )
+        turn = math.remainder(pose.heading - before.heading, math.tau)
+        middle = before.heading + 0.5 * turn
+        dx, dy = pose.x - before.x, pose.y - before.y
+        c, s = math.cos(middle), math.sin(middle)
+        travel = (dx * c + dy * s) / chord_share(turn)
+        side = 0.5 * drive.separation * turn
+        left, right, lateral = self.slip
+        self.slip = Slip(
+            left + abs(of_left - (travel - side)),
+            right + abs(of_right - (travel + side)),
+            lateral + abs(dy * c - dx * s),
+        )
+        self._wheels, self._pose = wheels, pose
+        return self.slip
+
+
+REPORT_RATE = 50.0
+"""How often odometry, truth and slip are told in an experiment, in [Hz]."""
+
+_NANOSECONDS = 1_000_000_000
+
+
+class ReportTimes:
+    """Tells which states come with a report: the first, then one a period, and the last of all.
+
+    Args:
+        rate: Reports a second of simulated time, in [Hz]; 0 is none at all.
+        end_ns: Stamp of the last state in [ns]; None if there is none.
+    """
+
+    def __init__(self, rate: float, end_ns: int | None = None) -> None:
+        self._period_ns = round(_NANOSECONDS / rate) if rate > 0.0 else 0
+        self._end_ns = end_ns
+        self._last_ns: int | None = None
+
+    @property
+    def is_off(self) -> bool:
+        """Whether there is never a report."""
+        return not self._period_ns
+
+    def is_due(self, stamp_ns: int) -> bool:
+        """Tell whether a state comes with a report; ask once for each state.
+
+        Args:
+            stamp_ns: Its stamp in [ns]; one that goes back begins anew.
+        """
+        if not self._period_ns:
+            return False
+        last_ns = self._last_ns
+        is_soon = last_ns is not None and 0 <= stamp_ns - last_ns < self._period_ns
+        if is_soon and stamp_ns != self._end_ns:
+            return False
+        self._last_ns = stamp_ns
+        return True
+
+
+class BaseReport(NamedTuple):
+    """Odometry of the wheels beside the truth.
+
+    Attributes:
+        stamp_ns: Of the state, in [ns].
+        pose: Where the base is by its wheels, from where it stood at time 0.
+        covariance: Of the pose.
+        twist: By the wheels, its mean since the report before.
+        twist_variance: Of the linear [m^2/s^2] and the angular rate [rad^2/s^2].
+        slip: Of the wheels up to now.
+    """
+
+    stamp_ns: int
+    pose: PlanarPose
+    covariance: PlanarCovariance
+    twist: BaseTwist
+    twist_variance: tuple[float, float]
+    slip: Slip
+
+
+class BaseMonitor:
+    """Follows the base of a world; begins anew when time goes back.
+
+    Attributes:
+        drive: The base.
+
+    Args:
+        world: A world whose settings name a base.
+
+    Raises:
+        SettingError: They do not.
+    """
+
+    def __init__(self, world: World) -> None:
+        settings = world.settings
+        if settings.base is None:
+            raise SettingError("the world has no base: its settings name none")
+        self.drive: DifferentialDrive = settings.base
+        self._world = world
+        self._left, self._right = (settings.joints.index(joint) for joint in self.drive.joints)
+        steps = [math.tau / count for count in self._counts() if count]
+        self._quantum = self.drive.radius * max(steps, default=0.0)  # [m]
+        self._stamp_ns: int | None = None
+        self._odometry: Odometry
+        self._slip: SlipMeter
+
+    @property
+    def slip(self) -> Slip:
+        """Slip up to the last state that was noted."""
+        return Slip(0.0, 0.0, 0.0) if self._stamp_ns is None else self._slip.slip
+
+    @property
+    def distance(self) -> float:
+        """Distance that the wheels have driven so far, there and back both counted, in [m]."""
+        return 0.0 if self._stamp_ns is None else self._driven
+
+    def note(self, positions: Sequence[float]) -> None:
+        """Take the present state of the world, once for each state.
+
+        Args:
+            positions: Measured positions of the driven joints, in [rad].
+        """
+        now_ns = self._world.time_ns
+        left, right = positions[self._left], positions[self._right]
+        true = self._world.true_positions()
+        wheels = true[self._left], true[self._right]
+        pose = planar(self._world.base_pose())
+        if self._stamp_ns is None or now_ns < self._stamp_ns:
+            self._odometry = Odometry(self.drive, left, right)
+            self._slip = SlipMeter(self.drive, wheels, pose)
+            self._before = now_ns, 0.0, 0.0
+            self._driven = 0.0
+        else:
+            before = self._odometry.distance
+            self._odometry.update(left, right)
+            self._driven += abs(self._odometry.distance - before)
+            self._slip.update(wheels, pose)
+        self._stamp_ns = now_ns
+
+    def report(self) -> BaseReport:
+        """Return how the base is now; the next twist counts from here.
+
+        Raises:
+            SettingError: No state was noted.
+        """
+        if self._stamp_ns is None:
+            raise SettingError("a base can be reported when a state has been noted, not before")
+        odometry = self._odometry
+        then_ns, distance, turn = self._before
+        seconds = (self._stamp_ns - then_ns) / _NANOSECONDS
+        twist, variance = BaseTwist(0.0, 0.0), (0.0, 0.0)
+        if seconds > 0.0:
+            twist = odometry.twist_between(distance, turn, seconds)
+            variance = self._twist_variance(seconds)
+        self._before = self._stamp_ns, odometry.distance, odometry.turn
+        return BaseReport(
+            self._stamp_ns, odometry.pose, odometry.covariance, twist, variance, self._slip.slip
+        )
+
+    def _counts(self) -> tuple[int, int]:
+        counts = self._world.settings.counts
+        return counts[self._left], counts[self._right]
+
+    def _twist_variance(self, seconds: float) -> tuple[float, float]:
+        """Return what two roundings of each encoder leave of a difference of readings."""
+        of_wheel = self._quantum**2 / 6.0 / seconds**2
+        return 0.5 * of_wheel, 2.0 * of_wheel / self.drive.separation**2
+
+
+def planar(pose: Pose) -> PlanarPose:
+    """Return a pose in the plane: x, y and yaw in (-pi, pi].
+
+    Args:
+        pose: A pose in the world.
+    """
+    x, y, z, w = pose.orientation
+    heading = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+    return PlanarPose(pose.position[0], pose.position[1], heading)
+
+
+ODOM_FRAME = "odom"
+UNMEASURED = 1e6
+"""Variance of what wheels cannot tell: height, roll, pitch and their rates."""
+
+_X, _Y, _YAW = 0, 1, 5
+_ROW = 6
+
+
+class OdometryValues(NamedTuple):
+    """Pose of a base in its frame ``odom`` and twist in its own frame (REP 105).
+
+    Attributes:
+        pose: Of the base.
+        pose_covariance: Of x, y, z and the rotations about them, row by row, 36 numbers, in
+            [m^2], [m rad] and [rad^2].
+        twist: Of the base.
+        twist_covariance: Likewise, a second less.
+    """
+
+    pose: Pose
+    pose_covariance: tuple[float, ...]
+    twist: Twist
+    twist_covariance: tuple[float, ...]
+
+
+def wheel_odometry(report: BaseReport) -> OdometryValues:
+    """Return what the wheels say."""
+    x, y, heading = report.pose
+    pose = _unmeasured()
+    of_pose = report.covariance
+    pose[_place(_X, _X)] = of_pose.xx
+    pose[_place(_Y, _Y)] = of_pose.yy
+    pose[_place(_YAW, _YAW)] = of_pose.hh
+    for row, column, value in (
+        (_X, _Y, of_pose.xy),
+        (_X, _YAW, of_pose.xh),
+        (_Y, _YAW, of_pose.yh),
+    ):
+        pose[_place(row, column)] = pose[_place(column, row)] = value
+    twist = _unmeasured()
+    linear, angular = report.twist_variance
+    twist[_place(_X, _X)] = twist[_place(_Y, _Y)] = linear
+    twist[_place(_YAW, _YAW)] = angular
+    return OdometryValues(
+        Pose((x, y, 0.0), (0.0, 0.0, math.sin(0.5 * heading), math.cos(0.5 * heading))),
+        tuple(pose),
+        Twist((report.twist.linear, 0.0, 0.0), (0.0, 0.0, report.twist.angular)),
+        tuple(twist),
+    )
+
+
+def true_odometry(world: World) -> OdometryValues:
+    """Return how the root of a world's robot really is; it is certain."""
+    certain = (0.0,) * _ROW**2
+    return OdometryValues(world.base_pose(), certain, world.base_velocity(), certain)
+
+
+def _place(row: int, column: int) -> int:
+    return _ROW * row + column
+
+
+def _unmeasured() -> list[float]:
+    """Return a covariance of which nothing is measured."""
+    covariance = [0.0] * _ROW**2
+    for row in range(_ROW):
+        covariance[_place(row, row)] = UNMEASURED
+    return covariance

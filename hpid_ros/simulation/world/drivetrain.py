@@ -1,0 +1,200 @@
+"""All drives and sensors of a world, between the robot's board and Bullet."""
+
+from __future__ import annotations
+
+import math
+import random
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from hpid_ros.base.errors import SettingError
+from hpid_ros.robot.description import JointDescription
+from hpid_ros.simulation.drives import Drive
+from hpid_ros.simulation.settings import WorldSettings
+from hpid_ros.simulation.world.bullet import pybullet
+from hpid_ros.simulation.world.scene import Scene
+
+
+@dataclass(frozen=True)
+class EffortActuator:
+    """An ideal torque source with a limit.
+
+    Attributes:
+        joint: Name of the joint, for messages.
+        limit: Largest absolute effort, in [N m]; +inf for none.
+    """
+
+    joint: str
+    limit: float = math.inf
+
+    def torque(self, effort: float) -> float:
+        """Return the torque at the joint for a commanded effort, both in [N m].
+
+        Raises:
+            SettingError: The effort is not a finite number.
+        """
+        if not math.isfinite(effort):
+            raise SettingError(f"effort {effort} of joint {self.joint!r} is not finite")
+        return min(max(float(effort), -self.limit), self.limit)
+
+
+class Drivetrain:
+    """Turns the efforts of one control period into torques, physics step by physics step.
+
+    The friction of motors and gears joins the joints' own in Bullet's solver: viscous friction as
+    joint damping, Coulomb friction and the gears' loss as an implicit constraint with a largest
+    torque, which sticks truly and cannot chatter about zero speed.
+
+    Args:
+        client: PyBullet's client.
+        scene: The robot.
+        settings: Settings of the world.
+        joints: The driven joints, in the settings' order.
+
+    Raises:
+        SettingError: A drive does not fit its joint.
+    """
+
+    def __init__(
+        self,
+        client: int,
+        scene: Scene,
+        settings: WorldSettings,
+        joints: Sequence[JointDescription],
+    ) -> None:
+        self._client, self._scene = client, scene
+        self._period_ns, self._steps = settings.control_period_ns, settings.physics_steps
+        self._drives = [
+            Drive(drive, joint, settings.physics_period)
+            for drive, joint in zip(settings.drives, joints, strict=True)
+        ]
+        self._has_gear_loss = any(drive.has_gear_loss for drive in settings.drives)
+        for index, drive in zip(scene.driven, self._drives, strict=True):
+            pybullet.changeDynamics(
+                scene.body, index, jointDamping=drive.damping, physicsClientId=client
+            )
+        self._set_brakes([drive.friction for drive in self._drives])
+
+    def reset(self) -> None:
+        """Forget the past of every drive."""
+        for drive in self._drives:
+            drive.reset()
+
+    def step(
+        self, period: int, efforts: Sequence[float], advance: Callable[[Sequence[float]], None]
+    ) -> tuple[float, ...]:
+        """Drive one control period.
+
+        Args:
+            period: Its number.
+            efforts: Within the joints' limits, in [N m].
+            advance: Takes one physics step with these torques.
+
+        Returns:
+            The mean torque of each motor at its joint, in [N m].
+        """
+        for drive, effort in zip(self._drives, efforts, strict=True):
+            drive.command(effort)
+        sums = [0.0] * len(self._drives)
+        for step in range(self._steps):
+            # Rounded up, so that a cycle of the bridge that begins with a step is seen in it.
+            time_ns = period * self._period_ns - (-step * self._period_ns // self._steps)
+            velocities = self._velocities()
+            torques = [
+                drive.torque(time_ns, velocity)
+                for drive, velocity in zip(self._drives, velocities, strict=True)
+            ]
+            if self._has_gear_loss:
+                each = zip(self._drives, torques, velocities, strict=True)
+                self._set_brakes([drive.brake(torque, speed) for drive, torque, speed in each])
+            advance(torques)
+            sums = [total + torque for total, torque in zip(sums, torques, strict=True)]
+        return tuple([total / self._steps for total in sums])
+
+    def _velocities(self) -> list[float]:
+        states = pybullet.getJointStates(
+            self._scene.body, self._scene.driven, physicsClientId=self._client
+        )
+        return [state[1] for state in states]
+
+    def _set_brakes(self, frictions: Sequence[float]) -> None:
+        pybullet.setJointMotorControlArray(
+            self._scene.body,
+            self._scene.driven,
+            pybullet.VELOCITY_CONTROL,
+            targetVelocities=[0.0] * len(frictions),
+            forces=frictions,
+            physicsClientId=self._client,
+        )
+
+
+class Sensors:
+    """Encoders with noise, with the zero that a homing run found, and with differences.
+
+    What is drawn by chance comes from a stream of each joint's own, which neither the other
+    joints nor the number of readings change.
+
+    Args:
+        settings: Settings of the world.
+        start: Positions of the driven joints at time 0, in [rad].
+    """
+
+    def __init__(self, settings: WorldSettings, start: Sequence[float]) -> None:
+        self._encoders = settings.encoders
+        self._noise = settings.position_noises
+        self._chances = [stream(settings.seed, "noise", joint) for joint in settings.joints]
+        self._period = settings.control_period_ns * 1e-9
+        self._has_differences = settings.velocity == "differences"
+        self._offsets = [0.0] * len(settings.joints)
+        for index, homing in enumerate(settings.homings):
+            if homing is not None:
+                chance = stream(settings.seed, "homing", settings.joints[index])
+                self._offsets[index] = homing.error(
+                    start[index], self._period, self._encoders[index], chance
+                )
+        self.positions = self._read(start)
+        """Measured positions, in [rad]."""
+        self.velocities = (0.0,) * len(start) if self._has_differences else None
+        """Measured velocities, in [rad/s]; None where none are."""
+
+    @property
+    def offsets(self) -> tuple[float, ...]:
+        """What the readings are wrong by since homing, in [rad]."""
+        return tuple(self._offsets)
+
+    def sample(self, positions: Sequence[float]) -> None:
+        """Measure once; called once a control period.
+
+        Args:
+            positions: True positions, in [rad].
+        """
+        before, self.positions = self.positions, self._read(positions)
+        if self._has_differences:
+            self.velocities = tuple(
+                [
+                    (now - then) / self._period
+                    for now, then in zip(self.positions, before, strict=True)
+                ]
+            )
+
+    def _read(self, positions: Sequence[float]) -> tuple[float, ...]:
+        each = zip(
+            self._encoders, positions, self._noise, self._chances, self._offsets, strict=True
+        )
+        return tuple(
+            [
+                encoder.read(position + (noise * chance.gauss(0.0, 1.0) if noise else 0.0)) + off
+                for encoder, position, noise, chance, off in each
+            ]
+        )
+
+
+def stream(seed: int, purpose: str, joint: str) -> random.Random:
+    """Return a joint's own source of chance, the same in every process.
+
+    Args:
+        seed: Of the world.
+        purpose: What is drawn from it.
+        joint: Name of the joint.
+    """
+    return random.Random(f"{seed} {purpose} {joint}")

@@ -1,0 +1,338 @@
+"""A gripper that holds a brick by friction, and what is told of its task.
+
+When the fingers close, the brick nearest to the grasp frame is held if it fits: its centre within
+the tolerance, its faces turned against the fingers by no more than the tolerance, and not wider
+than the opening. Held means fixed to the hand as it lies there, by a constraint of the solver.
+Two fingers that press with N each and rub with the coefficient mu hold a force of 2 mu N
+(Coulomb); when the hand and the brick pull at each other with more than that, as a mean over
+20 ms, the brick slips out and is lost. What is shorter, a jerk when a moving hand closes, moves
+it within the fingers by less than a millimetre. Moments are held whatever they are.
+
+The hand has no joint for its fingers and does not collide with bricks: a finger that would have
+pushed a brick over is one that misses it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Sequence
+from itertools import permutations, product
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from hpid_ros.simulation.poses import Pose, link_pose
+from hpid_ros.simulation.settings import WorldSettings
+from hpid_ros.simulation.world.boxes import box_pose
+from hpid_ros.simulation.world.bullet import pybullet
+from hpid_ros.simulation.world.scene import Scene
+from hpid_ros.simulation.world.workpieces import Brick, GripperSettings, Workplace
+
+Matrix = npt.NDArray[np.float64]
+
+_ROTATIONS = [
+    rotation
+    for order in permutations(range(3))
+    for signs in product((1.0, -1.0), repeat=3)
+    if np.linalg.det(rotation := np.diag(signs)[list(order)]) > 0.0
+]  # the 24 that map a box's axes onto axes
+
+
+class Fit(NamedTuple):
+    """How a brick lies in the hand.
+
+    Attributes:
+        brick: Which brick.
+        distance: Between its centre and the grasp frame, in [m].
+        angle: Between its faces and the fingers, in [rad].
+        width: Its edge between the fingers, in [m].
+    """
+
+    brick: int
+    distance: float
+    angle: float
+    width: float
+
+
+def fit_of(index: int, size: Sequence[float], brick: Pose, hand: Pose) -> Fit:
+    """Return how a brick lies in the hand.
+
+    Args:
+        index: Which brick.
+        size: Its edges along its own axes, in [m].
+        brick: Pose of its centre.
+        hand: The grasp frame, whose fingers close along y.
+    """
+    relative = _matrix(hand.orientation).T @ _matrix(brick.orientation)
+    nearest = max(_ROTATIONS, key=lambda rotation: float(np.sum(rotation * relative)))
+    # The chord of an angle is exact for small ones, where the arc cosine of the trace is not.
+    chord = float(np.linalg.norm(nearest - relative)) / (2.0 * math.sqrt(2.0))
+    across = int(np.argmax(np.abs(nearest[1])))  # the brick's axis along the hand's y
+    distance = math.dist(hand.position, brick.position)
+    return Fit(index, distance, 2.0 * math.asin(min(chord, 1.0)), size[across])
+
+
+def misfit(fit: Fit, gripper: GripperSettings) -> str:
+    """Return why a brick cannot be held; empty when it can.
+
+    Args:
+        fit: How it lies in the hand.
+        gripper: The hand.
+    """
+    if fit.distance > gripper.tolerance:
+        return f"{fit.distance:.4g} m away, at most {gripper.tolerance:g} m"
+    if fit.angle > gripper.angle_tolerance:
+        return f"turned by {fit.angle:.4g} rad, at most {gripper.angle_tolerance:g} rad"
+    if fit.width > gripper.opening:
+        return f"{fit.width:g} m wide, at most {gripper.opening:g} m"
+    return ""
+
+
+def _matrix(quaternion: Sequence[float]) -> Matrix:
+    """Return a quaternion x, y, z, w as a rotation matrix."""
+    return np.reshape(pybullet.getMatrixFromQuaternion(quaternion), (3, 3))
+
+
+GRASPED, MISSED, RELEASED, LOST = "grasped", "missed", "released", "lost"
+
+PULL_TIME = 0.02
+"""Over which a pull is averaged, in [s]."""
+
+_UNYIELDING = 1e5  # [N], far beyond any grip: the constraint itself never gives way
+
+
+class GripEvent(NamedTuple):
+    """What came of closing or opening, or of holding.
+
+    Attributes:
+        stamp_ns: When, in simulated time, in [ns].
+        outcome: ``grasped``, ``missed``, ``released`` or ``lost``.
+        brick: Name of the brick; of a miss, of the nearest one.
+        distance: Between the brick's centre and the grasp frame, in [m].
+        angle: Between the brick's faces and the fingers, in [rad].
+        force: Between the hand and the brick when it was lost, in [N]; 0 otherwise.
+        reason: Why it was missed or lost, in words; empty otherwise.
+    """
+
+    stamp_ns: int
+    outcome: str
+    brick: str
+    distance: float
+    angle: float
+    force: float = 0.0
+    reason: str = ""
+
+
+class Gripper:
+    """The gripper of a robot among bricks.
+
+    Args:
+        client: PyBullet's client.
+        robot: The robot's body.
+        link: Bullet's index of the link with the grasp frame.
+        workplace: The bricks, the gripper's settings and its schedule.
+        bodies: Bullet's body of each brick.
+        step: Time between two physics steps, in [s].
+
+    Attributes:
+        events: What happened since time 0, in order.
+    """
+
+    def __init__(
+        self,
+        client: int,
+        robot: int,
+        link: int,
+        workplace: Workplace,
+        bodies: Sequence[int],
+        step: float,
+    ) -> None:
+        self._client, self._robot, self._link = client, robot, link
+        self._settings, self._bricks = workplace.gripper, workplace.bricks
+        # The last one first, of one time as they stand.
+        self._pending = sorted(workplace.schedule, key=lambda each: each.time_ns)[::-1]
+        self._bodies = tuple(bodies)
+        self.events: list[GripEvent] = []
+        self._held: tuple[int, int] | None = None  # which brick, and the constraint
+        steps = max(1, round(PULL_TIME / step))
+        self._forces: deque[tuple[float, ...]] = deque(maxlen=steps)
+
+    def poses(self) -> tuple[Pose, ...]:
+        """Return where the bricks are, in the settings' order."""
+        return tuple(box_pose(self._client, body) for body in self._bodies)
+
+    @property
+    def held(self) -> Brick | None:
+        """The brick in the hand."""
+        return None if self._held is None else self._bricks[self._held[0]]
+
+    def act(self, now_ns: int) -> None:
+        """Do what is due.
+
+        Args:
+            now_ns: Simulated time, in [ns].
+        """
+        while self._pending and self._pending[-1].time_ns <= now_ns:
+            self.move(self._pending.pop().is_closed, now_ns)
+
+    def move(self, is_closed: bool, now_ns: int) -> GripEvent | None:
+        """Close or open the fingers.
+
+        Args:
+            is_closed: Whether they close.
+            now_ns: Simulated time, in [ns].
+
+        Returns:
+            What came of it; None when nothing changed: open fingers opened without a brick, or
+            closed around one that they hold already.
+        """
+        event = self._close(now_ns) if is_closed else self._open(now_ns)
+        if event is not None:
+            self.events.append(event)
+        return event
+
+    def feel(self) -> None:
+        """Note the force between hand and brick, after each physics step."""
+        if self._held is not None:
+            state = pybullet.getConstraintState(self._held[1], physicsClientId=self._client)
+            self._forces.append(state[:3])
+
+    def judge(self, now_ns: int) -> None:
+        """Drop the brick if it was pulled too hard, after each control period.
+
+        Args:
+            now_ns: Simulated time, in [ns].
+        """
+        if self._held is None:
+            return
+        force, limit = self._force(), self._settings.holding_force
+        if force <= limit:
+            return
+        fit = self._fit(self._held[0])
+        self._let_go()
+        why = f"pulled with {force:.3g} N, the grip holds {limit:.3g} N"
+        self.events.append(self._event(now_ns, LOST, fit, force, why))
+
+    def _close(self, now_ns: int) -> GripEvent | None:
+        if self._held is not None or not self._bodies:
+            return None
+        fits = [self._fit(index) for index in range(len(self._bodies))]
+        nearest = min(fits, key=lambda fit: fit.distance)
+        why = misfit(nearest, self._settings)
+        if why:
+            return self._event(now_ns, MISSED, nearest, 0.0, why)
+        self._hold(nearest.brick)
+        return self._event(now_ns, GRASPED, nearest)
+
+    def _open(self, now_ns: int) -> GripEvent | None:
+        if self._held is None:
+            return None
+        fit = self._fit(self._held[0])
+        self._let_go()
+        return self._event(now_ns, RELEASED, fit)
+
+    def _event(
+        self, now_ns: int, outcome: str, fit: Fit, force: float = 0.0, why: str = ""
+    ) -> GripEvent:
+        name = self._bricks[fit.brick].name
+        return GripEvent(now_ns, outcome, name, fit.distance, fit.angle, force, why)
+
+    def _fit(self, index: int) -> Fit:
+        hand = link_pose(self._client, self._robot, self._link)
+        brick = box_pose(self._client, self._bodies[index])
+        return fit_of(index, self._bricks[index].size, brick, hand)
+
+    def _hold(self, index: int) -> None:
+        """Fix a brick to the hand as it lies there."""
+        body, client = self._bodies[index], self._client
+        # Bullet wants the frame as the link's centre of mass sees it.
+        state = pybullet.getLinkState(self._robot, self._link, physicsClientId=client)
+        inverse = pybullet.invertTransform(state[0], state[1], physicsClientId=client)
+        brick = box_pose(client, body)
+        position, orientation = pybullet.multiplyTransforms(
+            *inverse, brick.position, brick.orientation, physicsClientId=client
+        )
+        constraint = pybullet.createConstraint(
+            self._robot,
+            self._link,
+            body,
+            -1,
+            pybullet.JOINT_FIXED,
+            (0.0, 0.0, 0.0),
+            position,
+            (0.0, 0.0, 0.0),
+            orientation,
+            physicsClientId=client,
+        )
+        pybullet.changeConstraint(constraint, maxForce=_UNYIELDING, physicsClientId=client)
+        self._held = index, constraint
+
+    def _let_go(self) -> None:
+        if self._held is not None:
+            pybullet.removeConstraint(self._held[1], physicsClientId=self._client)
+        self._held = None
+        self._forces.clear()
+
+    def _force(self) -> float:
+        """Return the length of the mean force over the last while, in [N]; before, it is 0."""
+        count = self._forces.maxlen or 1
+        return math.hypot(*(sum(axis) / count for axis in zip(*self._forces, strict=True)))
+
+
+def build_gripper(client: int, scene: Scene, settings: WorldSettings) -> Gripper | None:
+    """Return the gripper of a scene just built; None where there are no bricks.
+
+    Args:
+        client: PyBullet's client.
+        scene: The scene.
+        settings: Settings of the world.
+    """
+    workplace = settings.workplace
+    if not workplace.bricks:
+        return None
+    link = scene.links[workplace.gripper.link]
+    return Gripper(client, scene.body, link, workplace, scene.bricks, settings.physics_period)
+
+
+END_EFFECTOR, BRICK_POSES, GRIP_EVENTS = "ee_pose", "brick_poses", "grip_events"
+DISTANCE, ANGLE, FORCE = "distance [m]", "angle [rad]", "force [N]"
+
+_OK, _WARN, _ERROR = range(3)  # of diagnostic_msgs/DiagnosticStatus
+_LEVELS = {MISSED: _WARN, LOST: _ERROR}
+
+
+class GripStatus(NamedTuple):
+    """An event of the gripper as a ``diagnostic_msgs/DiagnosticStatus``.
+
+    Attributes:
+        level: 0 good, 1 missed, 2 lost.
+        name: Name of the brick.
+        message: The outcome and, after a colon, the reason if there is one.
+        values: Figures as texts that give back the same numbers.
+    """
+
+    level: int
+    name: str
+    message: str
+    values: dict[str, str]
+
+
+def grip_status(event: GripEvent) -> GripStatus:
+    """Return an event as it is published."""
+    message = f"{event.outcome}: {event.reason}" if event.reason else event.outcome
+    figures = {DISTANCE: event.distance, ANGLE: event.angle, FORCE: event.force}
+    values = {name: repr(float(value)) for name, value in figures.items()}
+    return GripStatus(_LEVELS.get(event.outcome, _OK), event.brick, message, values)
+
+
+def task_topics(settings: WorldSettings) -> tuple[str, ...]:
+    """Return the topics of the task that a recorder must have.
+
+    ``ee_pose`` is among them where the robot moves about or has bricks: where its root stands
+    still, the joints tell everything.
+    """
+    has_bricks = bool(settings.workplace.bricks)
+    of_bricks = (BRICK_POSES, GRIP_EVENTS) if has_bricks else ()
+    return (END_EFFECTOR, *of_bricks) if has_bricks or settings.base is not None else ()

@@ -1,0 +1,1 @@
+"""Stability of one joint's loop: certificates, their search and their check, verdicts on gains."""

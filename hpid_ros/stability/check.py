@@ -1,0 +1,217 @@
+"""The check of a certificate, on a path of its own.
+
+Nothing of the search is used: the field comes from the law's definition and the norms
+themselves, in physical units, on points that were chosen without them: a circle in the plane of
+error and rate, carried by the dilation from the sphere's rim to its pole, and a second look with
+small steps around the worst of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from hpid_ros.base.errors import GainError
+from hpid_ros.control.gains import Gains
+from hpid_ros.stability.certificate import Certificate, CertifiedSpan, Norm
+from hpid_ros.stability.closed_loop import Array, closed_loop_field
+
+_ANGLES_EVEN = 240
+_ANGLES_NEAR_AXES = 48  # in each quadrant
+_DEPTHS = 160
+_LEAST_TANGENT = 1e-6
+_DEEPEST = 450.0  # in ln n; beyond it the coordinates underflow
+_NEGLIGIBLE = 14.0  # in ln of the slowest power of n
+_WORST, _ZOOM, _ZOOMS = 12, 13, 3
+
+
+class Margins(NamedTuple):
+    """By how much a certificate holds.
+
+    Attributes:
+        rate: Least of -x'Pf(x) on the sphere x'Px = 1, in [1/s].
+        monotonicity: Least growth rate of the P-norm along the dilation.
+        decay: Least of -x'Pf(x) / x'PGx: the canonical norm V of P falls at least as fast as
+            dV/dt = -decay V^{1+mu}, V in units in which the sphere is 1.
+    """
+
+    rate: float
+    monotonicity: float
+    decay: float
+
+
+def check_certificate(certificate: Certificate) -> Margins:
+    """Check a certificate anew and return its least margins; see ``stability``."""
+    margins = []
+    for span in certificate.spans:
+        _require_shape(span)
+        for norm in span.norms:
+            found = span_margins(certificate.gains, span, norm)
+            _require_margins(span, norm.degree, found)
+            margins.append(found)
+    return Margins(*(min(column) for column in zip(*margins, strict=True)))
+
+
+def margins_at(certificate: Certificate, norm: Norm) -> Margins:
+    """Return by how much a certificate holds at one degree inside it, whatever the inertia.
+
+    Args:
+        certificate: The certificate.
+        norm: The law's norm at the degree, of the family that was certified.
+
+    Raises:
+        GainError: The certificate does not reach to this degree, or does not hold there.
+    """
+    found = [margins for _, margins in best_spans(certificate, norm)]
+    return Margins(*(min(column) for column in zip(*found, strict=True)))
+
+
+def best_spans(certificate: Certificate, norm: Norm) -> list[tuple[CertifiedSpan, Margins]]:
+    """Return for each inertia the span that proves the fastest decay at one degree.
+
+    Args:
+        certificate: The certificate.
+        norm: The law's norm at the degree, of the family that was certified.
+
+    Raises:
+        GainError: The certificate does not reach to this degree, or does not hold there.
+    """
+    degree = norm.degree
+    if not certificate.lower <= degree <= certificate.upper:
+        raise GainError(
+            f"the certificate reaches from degree {certificate.lower:g} to "
+            f"{certificate.upper:g}, not to {degree:g}"
+        )
+    best = []
+    for inertia in certificate.inertias:
+        there = [
+            (span, span_margins(certificate.gains, span, norm))
+            for span in certificate.spans
+            if span.inertia == inertia and span.lower <= degree <= span.upper
+        ]
+        span, margins = max(there, key=lambda each: each[1].decay)
+        _require_margins(span, degree, margins)
+        best.append((span, margins))
+    return best
+
+
+def span_margins(gains: Gains, span: CertifiedSpan, norm: Norm) -> Margins:
+    """Return by how much a span's P holds at one degree; negative where it does not.
+
+    Args:
+        gains: Gains of the loop.
+        span: The span.
+        norm: The law's norm at the degree.
+    """
+    shape, degree = np.array(span.shape), norm.degree
+    exponents = np.array([1.0 - degree, 1.0, 1.0 + degree])
+    product = shape * exponents
+    growth = np.linalg.eigvals(np.linalg.solve(shape, 0.5 * (product + product.T))).real
+    monotonicity = float(growth.min())
+    if monotonicity <= 0.0:
+        return Margins(-np.inf, monotonicity, -np.inf)
+    sphere = _Sphere(shape, degree)
+
+    def rates(angles: Array, depths: Array) -> tuple[Array, Array]:
+        states = sphere.states(angles, depths)
+        field = closed_loop_field(gains, norm, states, span.inertia)
+        inward = np.einsum("...i,...i->...", states @ shape, field)
+        return inward, inward / np.einsum("...i,...i->...", states @ product, states)
+
+    pole = shape[1, 2] / shape[2, 2]  # at e = de = 0 the field is (0, x3, 0)
+    rate, decay = _largest(sphere.angles(), rates)
+    return Margins(-max(rate, pole), monotonicity, -max(decay, pole / exponents[2]))
+
+
+def _require_margins(span: CertifiedSpan, degree: float, margins: Margins) -> None:
+    if not (margins.monotonicity > 0.0 and margins.rate > 0.0 and margins.decay > 0.0):
+        raise GainError(
+            f"the certificate does not hold at degree {degree:g}, inertia {span.inertia:g} "
+            f"kg m^2: the field must enter the sphere, margin {margins.rate:.3g} 1/s, and the "
+            f"dilation leave it, {margins.monotonicity:.3g}"
+        )
+
+
+class _Sphere:
+    """The half of the sphere that lies above its rim; the other half is its mirror image.
+
+    A point has an angle, its direction in coordinates in which the rim is a circle, and a depth
+    from 0 on the rim to 1 close to the pole, along the dilation.
+    """
+
+    def __init__(self, shape: Array, degree: float) -> None:
+        self._shape, self._degree = shape, degree
+        schur = shape[:2, :2] - np.outer(shape[:2, 2], shape[2, :2]) / shape[2, 2]
+        self._schur, self._to_circle = schur, np.linalg.cholesky(schur).T
+        slowest = min(1.0 + 2.0 * degree, 1.0 - degree)
+        self._depth = min(_NEGLIGIBLE / slowest, _DEEPEST)
+
+    def angles(self) -> Array:
+        """Return angles all around in [rad], even and closely spaced at e = 0 and de = 0."""
+        even = np.linspace(-np.pi, np.pi, _ANGLES_EVEN, endpoint=False)
+        tangents = np.geomspace(_LEAST_TANGENT, 1.0 / _LEAST_TANGENT, _ANGLES_NEAR_AXES)
+        quadrant = np.arctan(tangents)
+        plane = (quadrant[None, :] + 0.5 * np.pi * np.arange(4.0)[:, None]).ravel()
+        sides = np.sqrt(np.diag(self._schur))
+        x, y = self._to_circle @ (np.stack([np.cos(plane), np.sin(plane)]) / sides[:, None])
+        return np.unique(np.concatenate([even, np.arctan2(y, x)]))
+
+    def states(self, angles: Array, depths: Array) -> Array:
+        """Return the points of the sphere at these angles [rad] and depths in [0, 1]."""
+        circle = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+        rim = circle @ np.linalg.inv(self._to_circle).T
+        s = -self._depth * depths**3
+        first = np.exp((1.0 - self._degree) * s) * rim[..., 0]
+        second = np.exp(s) * rim[..., 1]
+        plane = np.stack([first, second], axis=-1)
+        p33, coupling = self._shape[2, 2], self._shape[:2, 2]
+        square = np.einsum("...i,...i->...", plane @ self._schur, plane)
+        height = np.sqrt(np.maximum(1.0 - square, 0.0) / p33)
+        return np.stack([first, second, height - plane @ coupling / p33], axis=-1)
+
+
+def _largest(
+    angles: Array, function: Callable[[Array, Array], tuple[Array, Array]]
+) -> tuple[float, float]:
+    """Return the largest values over all angles and depths, looking closer where one is large."""
+    depths = np.linspace(0.0, 1.0, _DEPTHS)
+    gaps = np.diff(angles, append=angles[0] + 2.0 * np.pi)
+    steps = np.maximum(gaps, np.roll(gaps, 1))
+    first, second = function(angles[:, None], depths[None, :])
+
+    def zoomed(values: Array, which: int) -> float:
+        worst = np.argpartition(values, -_WORST, None)[-_WORST:]
+        rows, columns = np.unravel_index(worst, values.shape)
+        angle, depth = angles[rows], depths[columns]
+        wide, deep = steps[rows], np.full(rows.shape, depths[1])
+        largest = values.max()
+        for _ in range(_ZOOMS):
+            near = [_around(angle, wide), _around(depth, deep).clip(0.0, 1.0)]
+            found = function(near[0][:, :, None], near[1][:, None, :])[which]
+            index = np.arange(_WORST)
+            i, j = np.unravel_index(found.reshape(_WORST, -1).argmax(axis=1), found.shape[1:])
+            angle, depth = near[0][index, i], near[1][index, j]
+            largest = max(largest, found.max())
+            wide, deep = wide / 5.0, deep / 5.0
+        return float(largest)
+
+    return zoomed(first, 0), zoomed(second, 1)
+
+
+def _around(centres: Array, widths: Array) -> Array:
+    spread: Array = centres[:, None] + widths[:, None] * np.linspace(-1.0, 1.0, _ZOOM)
+    return spread
+
+
+def _require_shape(span: CertifiedSpan) -> None:
+    shape = np.array(span.shape, float)
+    if shape.shape != (3, 3) or not np.isfinite(shape).all() or not (shape == shape.T).all():
+        raise GainError(
+            f"a certificate's P must be a finite symmetric 3x3 matrix, not {span.shape}"
+        )
+    if not np.linalg.eigvalsh(shape / np.sqrt(np.outer(np.diag(shape), np.diag(shape)))).min() > 0:
+        raise GainError(f"a certificate's P must be positive definite, not {span.shape}")
+    if not span.inertia > 0.0:
+        raise GainError(f"the inertia must be positive and finite, not {span.inertia} kg m^2")

@@ -1,0 +1,247 @@
+"""Certified degrees of many loops: each kind of loop computed once, the kinds on all cores.
+
+Two loops are of one kind if they differ by their units alone: by the scale of the error, of time
+and of effort. Joints that were tuned by one rule are of one kind, and so are the controllers of
+one joint that differ in their degree.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Hashable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from typing import NamedTuple
+
+from hpid_ros.base.errors import GainError, NormError, RunError, SettingError
+from hpid_ros.control import LoopSettings
+from hpid_ros.control.gains import Gains, is_hurwitz
+from hpid_ros.control.norms import CanonicalNorm, WeightedNorm, scaled_norm
+from hpid_ros.stability.certificate import Certificate, CertifiedSpan, DegreeInterval, Matrix
+from hpid_ros.stability.closed_loop import effective_gains
+from hpid_ros.stability.verdict import (
+    certified_degree_interval,
+    certify_degree,
+    require_certifiable,
+)
+
+Loop = tuple[LoopSettings, tuple[float, float]]
+"""Settings, and the least and the largest inertia in [kg m^2]."""
+
+_DIGITS = 12  # rounding when units are changed; a certificate's margins are far larger
+
+
+class LoopKind(NamedTuple):
+    """A loop in its own units: ``norm.error_scale`` 1, i 1, and 1 the largest inertia.
+
+    Attributes:
+        p: Proportional gain.
+        d: Derivative gain.
+        least_inertia: Least inertia.
+        norm_type: ``weighted`` or ``canonical``.
+        rate_weight: Weight of the error rate in the norm.
+    """
+
+    p: float
+    d: float
+    least_inertia: float
+    norm_type: str
+    rate_weight: float
+
+
+def certified_degrees(
+    loops: Sequence[Loop], tell: Callable[[Sequence[str]], None] = lambda joints: None
+) -> list[DegreeInterval | GainError]:
+    """Certify many loops, see :func:`~hpid_ros.stability.verdict.certified_degree_interval`.
+
+    Args:
+        loops: The loops.
+        tell: Called with the joints whose degrees have become known.
+
+    Returns:
+        For each loop its interval, or why there is none.
+
+    Raises:
+        RunError: A process died.
+    """
+    found: list[DegreeInterval | GainError | None] = [None] * len(loops)
+    places: dict[LoopKind, list[int]] = {}
+    for place, (settings, inertia) in enumerate(loops):
+        try:
+            require_certifiable(settings.gains, inertia)
+        except GainError as error:
+            found[place] = error
+            tell([settings.joint])
+        else:
+            places.setdefault(kind_of(settings, inertia), []).append(place)
+    for kind, interval in _computed(list(places)):
+        for place in places[kind]:
+            found[place] = _in_physical_units(interval, *loops[place])
+        tell([loops[place][0].joint for place in places[kind]])
+    return [each for each in found if each is not None]
+
+
+def norm_family(settings: LoopSettings) -> Callable[[float], WeightedNorm | CanonicalNorm]:
+    """Return the norm as a function of the degree, everything else as configured."""
+
+    def norm(degree: float) -> WeightedNorm | CanonicalNorm:
+        return scaled_norm(
+            settings.norm_type, degree, settings.norm_error_scale, settings.norm_rate_weight
+        )
+
+    return norm
+
+
+def kind_of(settings: LoopSettings, inertia: tuple[float, float]) -> LoopKind:
+    """Return a loop's kind.
+
+    Args:
+        settings: The loop, with integral action.
+        inertia: Least and largest inertia, in [kg m^2].
+    """
+    least, largest = inertia
+    rate = _rate(settings.gains, largest)
+    numbers = (
+        settings.gains.p / (largest * rate**2),
+        settings.gains.d / (largest * rate),
+        least / largest,
+        settings.norm_rate_weight * settings.norm_error_scale * rate,
+    )
+    p, d, least_inertia, rate_weight = (float(f"{each:.{_DIGITS}g}") for each in numbers)
+    return LoopKind(p, d, least_inertia, settings.norm_type, rate_weight)
+
+
+def _rate(gains: Gains, inertia: float) -> float:
+    """Return the loop's unit of rate in [1/s]."""
+    return float((gains.i / inertia) ** (1.0 / 3.0))
+
+
+def _computed(
+    kinds: Sequence[LoopKind],
+) -> Iterator[tuple[LoopKind, DegreeInterval | None]]:
+    """Yield the interval of each kind as it becomes known, or None where there is none."""
+    jobs = min(len(kinds), len(os.sched_getaffinity(0)))
+    if jobs <= 1:
+        for kind in kinds:
+            yield kind, _interval(kind)
+        return
+    with ProcessPoolExecutor(jobs) as pool:
+        futures = {pool.submit(_interval, kind): kind for kind in kinds}
+        try:
+            for future in as_completed(futures):
+                yield futures[future], future.result()
+        except BrokenProcessPool:
+            raise RunError("a process died while degrees were certified") from None
+        finally:
+            pool.shutdown(wait=False, cancel_futures=True)
+
+
+def _interval(kind: LoopKind) -> DegreeInterval | None:
+    try:
+        return certified_degree_interval(
+            Gains(kind.p, 1.0, kind.d),
+            lambda degree: scaled_norm(kind.norm_type, degree, 1.0, kind.rate_weight),
+            (kind.least_inertia, 1.0),
+        )
+    except GainError:
+        return None
+
+
+def _in_physical_units(
+    interval: DegreeInterval | None, settings: LoopSettings, inertia: tuple[float, float]
+) -> DegreeInterval | GainError:
+    gains, (least, largest) = settings.gains, inertia
+    if interval is None:
+        return GainError(
+            f"not even degree 0 is certified: p d = {gains.p * gains.d:g} must exceed i x inertia "
+            f"= {gains.i * largest:g} by more"
+        )
+    rate, scale = _rate(gains, largest), settings.norm_error_scale
+    units = [scale, scale * rate, scale * rate**2]
+    certificate = interval.certificate
+    middle = [0.5 * (least + largest)] * (len(certificate.inertias) - 2)
+    ends = [least, largest] if len(certificate.inertias) > 1 else [largest]
+    physical = dict(zip(certificate.inertias, sorted([*ends, *middle]), strict=True))
+
+    def converted(span: CertifiedSpan) -> CertifiedSpan:
+        shape: Matrix = tuple(
+            tuple(value / (units[i] * units[j]) for j, value in enumerate(row))
+            for i, row in enumerate(span.shape)
+        )
+        norms = tuple(norm_family(settings)(norm.degree) for norm in span.norms)
+        return CertifiedSpan(physical[span.inertia], norms, shape, span.rate * rate)
+
+    return DegreeInterval(
+        interval.lower,
+        interval.upper,
+        Certificate(gains, tuple(converted(span) for span in certificate.spans)),
+    )
+
+
+_GAIN_DIGITS = 9
+"""Loops whose gains over their inertia agree to so many digits are one: the margins with which
+certificates are accepted are larger by orders of magnitude."""
+
+
+class DegreeChecker:
+    """Remembers what it found: joints tuned by one rule have one and the same loop."""
+
+    def __init__(self) -> None:
+        self._known: dict[Hashable, str] = {}
+
+    def instability(self, settings: LoopSettings) -> str:
+        """Return why a loop is unstable as a linear PID, in one line; empty if it is stable.
+
+        Args:
+            settings: The loop.
+
+        Raises:
+            SettingError: Its inertia is not known.
+        """
+        if not settings.plant_inertia > 0.0:
+            raise SettingError(
+                f"the inertia of {settings.joint!r} is not known: set its parameter inertia"
+            )
+        if is_hurwitz(settings.gains, settings.plant_inertia):
+            return ""
+        gains, inertia = settings.gains, settings.plant_inertia
+        return (
+            f"unstable as a linear PID: p d = {gains.p * gains.d:g} must exceed "
+            f"i x inertia = {gains.i * inertia:g}"
+        )
+
+    def refusal(self, settings: LoopSettings) -> str:
+        """Return why a loop is not certified, in one line; empty if it is.
+
+        The linear law is certified by Routh and Hurwitz, the homogeneous one at its degree by
+        :func:`~hpid_ros.stability.verdict.certify_degree`, at the inertia of its settings.
+
+        Args:
+            settings: The loop.
+
+        Raises:
+            SettingError: Its inertia is not known.
+        """
+        reason = self.instability(settings)
+        if reason or settings.law == "pid" or settings.mu == 0.0:
+            return reason
+        gains = effective_gains(settings.gains, settings.plant_inertia)
+        rounded = tuple(float(f"{each:.{_GAIN_DIGITS}g}") for each in (gains.p, gains.i, gains.d))
+        key = (
+            *rounded,
+            settings.mu,
+            settings.norm_type,
+            settings.norm_error_scale,
+            settings.norm_rate_weight,
+        )
+        if key not in self._known:
+            self._known[key] = _reason(settings)
+        return self._known[key]
+
+
+def _reason(settings: LoopSettings) -> str:
+    try:
+        certify_degree(settings.gains, settings.make_norm(), settings.plant_inertia)
+    except (GainError, NormError) as error:
+        return f"not certified at mu = {settings.mu:g}: {error}"
+    return ""

@@ -1,0 +1,201 @@
+"""What can be said of one joint's gains: stable or not, for which degrees, with what margins."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from typing import Any
+
+from hpid_ros.base.errors import GainError, SettingError
+from hpid_ros.control import HomogeneousPid, LoopSettings
+from hpid_ros.control.gains import is_hurwitz
+from hpid_ros.control.norms import GOOD_SAMPLING_MARGIN
+from hpid_ros.stability.bounds import (
+    gain_multiplier_range,
+    integral_ratio,
+    sampling_margin,
+    settling_time_bound,
+)
+from hpid_ros.stability.certificate import Certificate, DegreeInterval
+from hpid_ros.stability.degrees import Loop, certified_degrees, norm_family
+from hpid_ros.stability.verdict import certify_degree
+
+_LARGEST_NORM = 2.0
+"""The error at ``norm.error_scale`` while the rate adds as much: where figures are quoted."""
+
+
+@dataclass(frozen=True)
+class GainVerdict:
+    """What is known of one joint's loop.
+
+    Attributes:
+        joint: The joint.
+        law: ``pid`` or ``hpid``.
+        degree: The configured degree; 0 for the linear law.
+        inertia: Least and largest inertia, in [kg m^2].
+        is_certified: Whether the loop is certified at the configured degree and every inertia.
+        reason: Why it is not; empty when it is.
+        interval: Certified degrees, or None when there are none.
+        integral_ratio: rho = m ki / (kp kd) at the largest inertia.
+        sampling_margin: T kd lam_max / m at the least inertia.
+        multipliers: Least and largest factor of the bandwidth, up to norm 2.
+        settling_bound: Time in [s] after which an error of ``norm.error_scale`` has certainly
+            come down to a hundredth; None where there is no certificate.
+        certificate: The certificate as plain data, or None.
+    """
+
+    joint: str
+    law: str
+    degree: float
+    inertia: tuple[float, float]
+    is_certified: bool
+    reason: str
+    interval: tuple[float, float] | None
+    integral_ratio: float
+    sampling_margin: float
+    multipliers: tuple[float, float]
+    settling_bound: float | None
+    certificate: dict[str, Any] | None
+
+    @property
+    def is_sampled_fast_enough(self) -> bool:
+        """Whether sampling is not felt."""
+        return self.sampling_margin <= GOOD_SAMPLING_MARGIN
+
+    def as_mapping(self) -> dict[str, Any]:
+        """Return plain data for JSON."""
+        return dataclasses.asdict(self)
+
+
+def check_gains(
+    loops: Sequence[Loop], tell: Callable[[Sequence[str]], None] = lambda joints: None
+) -> list[GainVerdict]:
+    """Judge several loops, side by side on the machine's cores.
+
+    Args:
+        loops: Settings and the least and largest inertia [kg m^2] of each.
+        tell: Called with the joints that have been judged.
+
+    Raises:
+        GainError: An inertia is impossible.
+        RunError: A process died.
+    """
+    for settings, inertia in loops:
+        _require_inertia(settings.joint, inertia)
+    found = certified_degrees(loops, tell)
+    if len(loops) <= 1:
+        return [_verdict(*loop, each) for loop, each in zip(loops, found, strict=True)]
+    with ProcessPoolExecutor(min(len(loops), len(os.sched_getaffinity(0)))) as pool:
+        return list(pool.map(_verdict, *zip(*loops, strict=True), found))
+
+
+def judge(settings: LoopSettings, inertia: tuple[float, float]) -> GainVerdict:
+    """Judge one loop.
+
+    Args:
+        settings: Its settings.
+        inertia: Least and largest inertia, in [kg m^2].
+
+    Raises:
+        GainError: The inertia is impossible.
+    """
+    return check_gains([(settings, inertia)])[0]
+
+
+def _require_inertia(joint: str, inertia: tuple[float, float]) -> None:
+    low, high = inertia
+    if not 0.0 < low <= high < float("inf"):
+        raise GainError(
+            f"the inertia of {joint!r} must be positive and finite, its least value not "
+            f"above its largest, not {low} to {high} kg m^2"
+        )
+
+
+def _verdict(
+    settings: LoopSettings, inertia: tuple[float, float], found: DegreeInterval | GainError
+) -> GainVerdict:
+    low, high = inertia
+    gains = settings.gains
+    degree = settings.mu if settings.law == "hpid" else 0.0
+    multipliers = _multipliers(settings)
+    interval, certificate, bound, reason = None, None, None, ""
+    if isinstance(found, DegreeInterval):
+        interval, certificate = (found.lower, found.upper), found.certificate.to_mapping()
+        if found.contains(degree):
+            bound = _settling_bound(settings, degree, inertia, found.certificate)
+        elif settings.law == "hpid":
+            reason = f"mu = {degree:g} is outside the certified interval"
+    elif not is_hurwitz(gains, high):
+        reason = (
+            f"unstable as a linear PID: p d = {gains.p * gains.d:g} must exceed i x inertia = "
+            f"{gains.i * high:g}"
+        )
+    elif degree != 0.0:  # Hurwitz decides for the linear law
+        reason = str(found)
+    return GainVerdict(
+        joint=settings.joint,
+        law=settings.law,
+        degree=degree,
+        inertia=inertia,
+        is_certified=not reason,
+        reason=reason,
+        interval=interval,
+        integral_ratio=integral_ratio(gains, high),
+        sampling_margin=sampling_margin(gains, settings.control_period, multipliers[1], low),
+        multipliers=multipliers,
+        settling_bound=bound,
+        certificate=certificate,
+    )
+
+
+def _settling_bound(
+    settings: LoopSettings, degree: float, inertia: tuple[float, float], certificate: Certificate
+) -> float:
+    """Return the bound by a certificate of this degree alone, which is tighter than a span's."""
+    norm, start = norm_family(settings)(degree), (settings.norm_error_scale, 0.0, 0.0)
+    try:
+        own = certify_degree(settings.gains, norm, inertia)
+    except GainError:  # it was found from its neighbours only
+        own = certificate
+    return settling_time_bound(own, norm, start)
+
+
+def inertia_of(
+    settings: LoopSettings, known: tuple[float, float] | None = None
+) -> tuple[float, float]:
+    """Return the inertia to judge a loop with.
+
+    Args:
+        settings: The loop; its own ``inertia`` counts as well.
+        known: Least and largest inertia from a model or a person, in [kg m^2].
+
+    Raises:
+        SettingError: Nobody knows it.
+    """
+    if settings.model.is_decoupling:  # the law acts on a unit double integrator
+        return settings.plant_inertia, settings.plant_inertia
+    own = (settings.inertia, settings.inertia) if settings.inertia > 0.0 else None
+    if known is not None and own is not None:
+        return min(known[0], own[0]), max(known[1], own[1])
+    if known is not None:
+        return known
+    if own is not None:
+        return own
+    raise SettingError(
+        f"the inertia of {settings.joint!r} is unknown: give --inertia or --urdf, or set the "
+        f"parameter inertia"
+    )
+
+
+def _multipliers(settings: LoopSettings) -> tuple[float, float]:
+    law = settings.make_law()
+    if not isinstance(law, HomogeneousPid):
+        return 1.0, 1.0
+    cap = min(law.norm_cap, _LARGEST_NORM)
+    least, largest = gain_multiplier_range(
+        settings.make_norm(), floor=min(law.norm_floor, cap), cap=cap
+    )
+    return least, largest

@@ -1,0 +1,1 @@
+"""Many runs: sweeps, searches and studies, on every core and without ROS."""

@@ -1,0 +1,329 @@
+"""Runs of a batch on every core, each as an experiment's numbers."""
+
+from __future__ import annotations
+
+import multiprocessing.resource_tracker
+import signal
+import warnings
+from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from types import TracebackType
+from typing import NamedTuple
+
+import numpy as np
+
+from hpid_ros.analysis import RunIndices, run_indices
+from hpid_ros.analysis.quantities import EFFORT_L2, ERROR_L2, IAVC, ITAE, IVC, Fold, Quantity
+from hpid_ros.analysis.results import JointIndices
+from hpid_ros.base.errors import HpidError, RunError, SettingError
+from hpid_ros.base.interrupts import raise_if_interrupted
+from hpid_ros.compensation.build import compensators
+from hpid_ros.control import JointLoop, LoopSettings
+from hpid_ros.experiment.description import Experiment
+from hpid_ros.recordings.series import RunSeries, complete_run
+from hpid_ros.simulation import World, WorldSettings
+from hpid_ros.simulation.engine import record_run
+from hpid_ros.trajectory import JointTrajectory
+
+
+@dataclass(frozen=True)
+class RunTask:
+    """Everything that decides the numbers of one run.
+
+    Attributes:
+        label: Name of the run, also in the line that says why it failed.
+        world: The simulated robot.
+        loops: Settings of each driven joint, in the world's order.
+        trajectory: The reference of every joint.
+        periods: Control periods of the run; it has one state more.
+        joints: The joints that the numbers are of, totals and norms included; empty for all.
+    """
+
+    label: str
+    world: WorldSettings
+    loops: tuple[LoopSettings, ...]
+    trajectory: JointTrajectory
+    periods: int
+    joints: tuple[str, ...] = ()
+
+    @classmethod
+    def of(cls, experiment: Experiment, label: str) -> RunTask:
+        """Return the run of one of an experiment's controllers, as ``hpid compare`` makes it."""
+        return cls(
+            label,
+            experiment.world,
+            experiment.controllers[label],
+            experiment.trajectory,
+            experiment.periods,
+        )
+
+    def numbers(self, run: RunSeries) -> RunIndices:
+        """Return the numbers of the run that this task made.
+
+        Args:
+            run: The series of all joints.
+        """
+        if self.joints:
+            chosen = tuple(series for series in run.joints if series.joint in self.joints)
+            run = RunSeries(run.label, chosen)
+        return run_indices(run)
+
+
+class WorldKeeper:
+    """Keeps the world of the last run for the next one.
+
+    Building a world takes as long as a thousand physics steps, mostly settling on the ground;
+    a reset takes none and gives the same numbers to the last bit.
+    """
+
+    def __init__(self) -> None:
+        self._world: World | None = None
+
+    def __enter__(self) -> WorldKeeper:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def at_start(self, settings: WorldSettings) -> World:
+        """Return a world at time 0: the kept one where it differs by its seed at most.
+
+        Raises:
+            HpidError: The world cannot be built.
+        """
+        kept = self._world
+        if kept is not None and replace(kept.settings, seed=settings.seed) == settings:
+            kept.reset(settings.seed)
+            return kept
+        self.close()
+        self._world = World(settings)
+        return self._world
+
+    def close(self) -> None:
+        """Let go of the kept world; a second call does nothing."""
+        kept, self._world = self._world, None
+        if kept is not None:
+            kept.close()
+
+
+def simulate(task: RunTask, keeper: WorldKeeper) -> RunSeries:
+    """Run a task.
+
+    Args:
+        task: What to run.
+        keeper: Gives the world, and keeps it if nothing goes wrong.
+
+    Returns:
+        What the run left behind: the series of all joints.
+
+    Raises:
+        HpidError: The world cannot be built, or the run left the finite numbers.
+    """
+    loops = [JointLoop(each) for each in task.loops]
+    for loop in loops:
+        loop.follow(task.trajectory.column(loop.settings.joint))
+    try:
+        models = compensators(task.loops, str(task.world.robot_description))
+        world = keeper.at_start(task.world)
+        stamps_ns, *columns = record_run(world, loops, task.periods, models)
+        return complete_run(task.label, task.world.joints, stamps_ns, columns)
+    except BaseException:
+        keeper.close()
+        raise
+
+
+def simulated_indices(task: RunTask, keeper: WorldKeeper) -> RunIndices:
+    """Run a task and return its numbers.
+
+    They equal those that ``hpid compare`` computes from its bags, to the last bit.
+
+    Args:
+        task: What to run.
+        keeper: As for :func:`simulate`.
+
+    Raises:
+        HpidError: As for :func:`simulate`.
+    """
+    return task.numbers(simulate(task, keeper))
+
+
+PAPER_QUANTITIES = (IVC, IAVC, ITAE, EFFORT_L2, ERROR_L2)
+"""The indices of the paper's Table I."""
+
+LAST = 1.0
+"""How much of the end of a run is looked at, in [s]; all of a shorter one."""
+
+LAST_ERROR = Quantity(
+    "last_error", "last |e|", "rad", "largest error of the last second", Fold.WORST, 1
+)
+
+
+@dataclass(frozen=True)
+class JudgedTask(RunTask):
+    """A run whose numbers have :data:`LAST_ERROR` beside the indices."""
+
+    def numbers(self, run: RunSeries) -> RunIndices:
+        """Return the indices and the largest error of the last second.
+
+        Args:
+            run: The series of all joints.
+        """
+        indices = super().numbers(run)
+        errors = {series.joint: series for series in run.joints if series.joint in indices.joints}
+        last = {}
+        for joint, series in errors.items():
+            is_last = series.time >= series.time[-1] - LAST
+            last[joint] = float(np.abs(series.error[is_last]).max())
+        return replace(
+            indices,
+            joints={joint: _with(each, last[joint]) for joint, each in indices.joints.items()},
+            totals=_with(indices.totals, max(last.values())),
+            quantities=(*indices.quantities, LAST_ERROR),
+        )
+
+
+def _with(indices: JointIndices, last: float) -> JointIndices:
+    further: Mapping[str, float] = {**indices.further, LAST_ERROR.key: last}
+    return replace(indices, further=further)
+
+
+_keeper = WorldKeeper()
+"""Of a worker process, which runs one task after the other."""
+
+
+class Outcome(NamedTuple):
+    """What became of one task.
+
+    Attributes:
+        place: Its task's place among the tasks.
+        indices: Its numbers; None if the run failed.
+        failure: Why it failed, in one line; empty if it did not.
+    """
+
+    place: int
+    indices: RunIndices | None
+    failure: str = ""
+
+
+Outcomes = Generator[Outcome, None, None]
+
+
+def default_jobs() -> int:
+    """Return how many processors this process may use."""
+    from joblib import cpu_count  # type: ignore[import-untyped]
+
+    return int(cpu_count())
+
+
+def run_batch(tasks: Sequence[RunTask], jobs: int | None = None) -> Outcomes:
+    """Run tasks and give their outcomes as they finish.
+
+    The numbers of a task depend on nothing but the task: neither on how many processes there
+    are nor on the order. A run that fails is an outcome with its reason, and the others go on;
+    a process that dies ends the batch. Whatever ends the iteration, an interrupt included, ends
+    all processes at once; close the generator when leaving it early.
+
+    Args:
+        tasks: What to run.
+        jobs: Processes that run them, at least 1, which is this process alone; no more are
+            started than there are tasks. If None, one for each processor.
+
+    Returns:
+        Generator of one outcome for each task, in the order in which they finish.
+
+    Raises:
+        SettingError: ``jobs`` is below 1.
+        RunError: While iterating: a process died.
+    """
+    jobs = default_jobs() if jobs is None else jobs
+    if jobs < 1:
+        raise SettingError(f"jobs must be at least 1, not {jobs}")
+    jobs = min(jobs, len(tasks))
+    return _one_by_one(tasks) if jobs <= 1 else _side_by_side(tasks, jobs)
+
+
+def _one_by_one(tasks: Sequence[RunTask]) -> Outcomes:
+    with WorldKeeper() as keeper:
+        for place, task in enumerate(tasks):
+            raise_if_interrupted()
+            yield _outcome(place, task, keeper)
+
+
+def _side_by_side(tasks: Sequence[RunTask], jobs: int) -> Outcomes:
+    from joblib import Parallel, delayed, parallel_config
+    from joblib.externals.loky.backend import resource_tracker  # type: ignore[import-untyped]
+    from joblib.externals.loky.process_executor import (  # type: ignore[import-untyped]
+        BrokenProcessPool,
+    )
+
+    under_way: dict[int, None] = {}
+
+    def dispatched() -> Iterable[object]:
+        for place, task in enumerate(tasks):
+            under_way[place] = None
+            yield delayed(_work)(place, task)
+
+    # Each worker computes in one thread: more would fight for the same processors. Tasks are
+    # handed out one at a time, so that the names of those that a dead worker had are known.
+    with parallel_config("loky", n_jobs=jobs, inner_max_num_threads=1):
+        parallel = Parallel(
+            return_as="generator_unordered", pre_dispatch=jobs, batch_size=1, max_nbytes=None
+        )
+    outcomes: Outcomes | None = None
+    try:
+        # The first worker would start these, which clears the mask that it is to inherit.
+        multiprocessing.resource_tracker.ensure_running()
+        resource_tracker.ensure_running()
+        with _uninterruptible_children():
+            outcomes = parallel(dispatched())
+        for outcome in outcomes:
+            del under_way[outcome.place]
+            yield outcome
+    except BrokenProcessPool:
+        names = "; ".join(tasks[place].label for place in tuple(under_way))
+        raise RunError(f"a process died during one of these runs: {names}") from None
+    finally:
+        _close(outcomes)
+
+
+def _work(place: int, task: RunTask) -> Outcome:
+    """Run a task in a worker process."""
+    return _outcome(place, task, _keeper)
+
+
+def _outcome(place: int, task: RunTask, keeper: WorldKeeper) -> Outcome:
+    try:
+        return Outcome(place, simulated_indices(task, keeper))
+    except HpidError as error:
+        return Outcome(place, None, str(error))
+    except Exception as error:  # one bad run of a thousand is named; the others are wanted
+        line = " ".join(f"{type(error).__name__}: {error}".split())
+        return Outcome(place, None, line)
+
+
+@contextmanager
+def _uninterruptible_children() -> Iterator[None]:
+    """Let processes start that an interrupt from the terminal does not reach.
+
+    The terminal sends it to all; the parent alone answers it, and ends the others. Children
+    inherit the mask. An interrupt that comes meanwhile is held until the end.
+    """
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT,))
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _close(outcomes: Outcomes | None) -> None:
+    """End the workers if anything is left to do."""
+    if outcomes is not None:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # joblib's advice to consume what was asked for
+            outcomes.close()

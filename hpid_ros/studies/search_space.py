@@ -1,0 +1,362 @@
+"""The space and the cost of a search.
+
+Both laws have three numbers for all joints: the PID scales of its gains, the homogeneous PID its
+degree and its norm, with the gains untouched.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+from hpid_ros.analysis import RunIndices
+from hpid_ros.analysis.comparison import ratio
+from hpid_ros.analysis.quantities import Quantity
+from hpid_ros.base.errors import HpidError, SettingError, unknown_name
+from hpid_ros.control import Gains, LoopSettings
+from hpid_ros.experiment.description import Experiment
+from hpid_ros.studies.batch import PAPER_QUANTITIES
+
+
+class SearchCost(Protocol):
+    """What a search makes small."""
+
+    def of(self, ratios: Mapping[str, float]) -> float:
+        """Return the cost of ratios to the baseline, of each index by key."""
+
+    def as_mapping(self) -> Mapping[str, object]:
+        """Return what it is, for a file."""
+
+
+@dataclass(frozen=True)
+class Cost:
+    r"""A weighted geometric mean of ratios to the baseline.
+
+    .. math:: J = \exp\Big(\sum_q w_q \ln r_q \Big/ \sum_q w_q\Big)
+
+    with :math:`r_q` the geometric mean over the seeds of an index over the baseline's with the
+    same seed. The baseline costs 1, and no index counts more for having a larger unit.
+
+    Attributes:
+        weights: Of each index by key; those that are left out do not count.
+
+    Raises:
+        SettingError: An index is unknown, a weight is negative or not finite, or all are zero.
+    """
+
+    weights: Mapping[str, float]
+
+    def __post_init__(self) -> None:
+        _require_known(self.weights)
+        for key, weight in self.weights.items():
+            if not (math.isfinite(weight) and weight >= 0.0):
+                raise SettingError(
+                    f"the weight of {key} must be finite and not negative, not {weight}"
+                )
+        if not math.fsum(self.weights.values()) > 0.0:
+            raise SettingError("at least one index must have a positive weight")
+
+    @classmethod
+    def even(cls) -> Cost:
+        """Return the cost in which all indices of the paper count the same."""
+        return cls({quantity.key: 1.0 for quantity in PAPER_QUANTITIES})
+
+    def as_mapping(self) -> dict[str, object]:
+        """Return what it is, for a file."""
+        return {"weights": dict(self.weights)}
+
+    def of(self, ratios: Mapping[str, float]) -> float:
+        """Return the cost.
+
+        Args:
+            ratios: Of each index by key.
+        """
+        counted = {key: weight for key, weight in self.weights.items() if weight > 0.0}
+        if any(not math.isfinite(ratios[key]) for key in counted):
+            return math.inf
+        if any(ratios[key] == 0.0 for key in counted):
+            return 0.0
+        logarithm = math.fsum(weight * math.log(ratios[key]) for key, weight in counted.items())
+        return math.exp(logarithm / math.fsum(counted.values()))
+
+
+@dataclass(frozen=True)
+class WorstExcess:
+    r"""How far the worst index is from what is wanted of it.
+
+    .. math:: J = \max_q r_q / l_q
+
+    with the ratios :math:`r_q` of :class:`Cost`. At 1 or less all limits are kept together.
+
+    Attributes:
+        limits: The largest ratio wanted of each index by key; those left out do not count.
+
+    Raises:
+        SettingError: An index is unknown, a limit is not positive and finite, or there is none.
+    """
+
+    limits: Mapping[str, float]
+
+    def __post_init__(self) -> None:
+        _require_known(self.limits)
+        for key, limit in self.limits.items():
+            if not (math.isfinite(limit) and limit > 0.0):
+                raise SettingError(f"the limit of {key} must be finite and positive, not {limit}")
+        if not self.limits:
+            raise SettingError("at least one index must have a limit")
+
+    def of(self, ratios: Mapping[str, float]) -> float:
+        """Return the cost; infinite where an index is not finite.
+
+        Args:
+            ratios: Of each index by key.
+        """
+        excesses = [ratios[key] / limit for key, limit in self.limits.items()]
+        return max(excesses) if all(map(math.isfinite, excesses)) else math.inf
+
+    def as_mapping(self) -> dict[str, object]:
+        """Return what it is, for a file."""
+        return {"limits": dict(self.limits)}
+
+
+def _require_known(names: Mapping[str, float]) -> None:
+    known = [quantity.key for quantity in PAPER_QUANTITIES]
+    for key in names:
+        if key not in known:
+            raise SettingError(unknown_name("index", key, known))
+
+
+def mean_ratios(
+    runs: Sequence[RunIndices],
+    baseline: Sequence[RunIndices],
+    quantities: Sequence[Quantity] = PAPER_QUANTITIES,
+) -> dict[str, float]:
+    """Return for each index the geometric mean over the seeds of its ratio to the baseline.
+
+    Args:
+        runs: One for each seed.
+        baseline: One for each seed, in the same order.
+        quantities: Which indices.
+    """
+    found = {}
+    for quantity in quantities:
+        each = [
+            ratio(own.value(quantity), other.value(quantity))
+            for own, other in zip(runs, baseline, strict=True)
+        ]
+        is_plain = all(math.isfinite(value) and value > 0.0 for value in each)
+        mean = math.fsum(map(math.log, each)) / len(each) if is_plain else math.nan
+        found[quantity.key] = math.exp(mean) if is_plain else max(each)
+    return found
+
+
+LAWS = ("pid", "hpid")
+_DIGITS = 6
+
+
+@dataclass(frozen=True)
+class FreeParameter:
+    """One direction of a search.
+
+    Attributes:
+        name: What a person calls it.
+        low: Least value.
+        high: Largest value.
+        start: Where the search begins: at the baseline.
+        meaning: In a few words.
+        is_logarithmic: Whether the search sees its logarithm.
+    """
+
+    name: str
+    low: float
+    high: float
+    start: float
+    meaning: str
+    is_logarithmic: bool = True
+
+    def __post_init__(self) -> None:
+        least = 0.0 if self.is_logarithmic else -math.inf
+        if not least < self.low < self.high < math.inf:
+            raise SettingError(
+                f"the bounds of {self.name} must be finite, the first below the second"
+                f"{' and positive' if self.is_logarithmic else ''}, not {self.low}:{self.high}"
+            )
+
+    def value(self, share: float) -> float:
+        """Return the value at a share of the way from the least to the largest.
+
+        Rounded to six digits, so that what is printed is what was run.
+
+        Args:
+            share: In [0, 1].
+        """
+        low, high = (self._seen(end) for end in (self.low, self.high))
+        seen = low + min(max(share, 0.0), 1.0) * (high - low)
+        return float(f"{math.exp(seen) if self.is_logarithmic else seen:.{_DIGITS}g}")
+
+    def share(self, value: float) -> float:
+        """Return the inverse of :meth:`value`, within [0, 1]."""
+        low, high, seen = (self._seen(each) for each in (self.low, self.high, value))
+        return min(max((seen - low) / (high - low), 0.0), 1.0)
+
+    def _seen(self, value: float) -> float:
+        return math.log(value) if self.is_logarithmic else value
+
+
+PID_PARAMETERS = (
+    FreeParameter("bandwidth", 0.2, 5.0, 1.0, "p, i and d times its square, cube and itself"),
+    FreeParameter("damping", 0.3, 3.0, 1.0, "factor of d"),
+    FreeParameter("integral", 0.05, 5.0, 1.0, "factor of i"),
+)
+HPID_PARAMETERS = (
+    FreeParameter("mu", -0.45, 0.45, 0.0, "degree", is_logarithmic=False),
+    FreeParameter("error_scale", 0.05, 20.0, 1.0, "factor of norm.error_scale"),
+    FreeParameter("rate_weight", 1e-3, 10.0, 0.1, "norm.rate_weight [s/rad]"),
+)
+
+
+def source_label(experiment: Experiment, law: str) -> str:
+    """Return the label of the controller whose other settings a search keeps.
+
+    Args:
+        experiment: The experiment; its first controller is the baseline.
+        law: ``pid``: the baseline; ``hpid``: the first homogeneous controller, if there is one.
+    """
+    baseline, *others = experiment.controllers
+    for label in others if law == "hpid" else ():
+        if any(loop.law == "hpid" for loop in experiment.controllers[label]):
+            return label
+    return baseline
+
+
+@dataclass(frozen=True)
+class SearchSpace:
+    """All that a search may choose from.
+
+    Attributes:
+        law: ``pid`` or ``hpid``.
+        parameters: The directions.
+        start: The controller that is changed, joint by joint, at the start of the search.
+        joints: The joints that are changed.
+    """
+
+    law: str
+    parameters: tuple[FreeParameter, ...]
+    start: tuple[LoopSettings, ...]
+    joints: tuple[str, ...]
+
+    @classmethod
+    def of(
+        cls,
+        experiment: Experiment,
+        law: str,
+        bounds: Mapping[str, tuple[float, float]] | None = None,
+    ) -> SearchSpace:
+        """Return the space around an experiment's baseline, over all its joints.
+
+        A homogeneous search has the baseline's gains; everything else is that of
+        :func:`source_label`.
+
+        Args:
+            experiment: The experiment; its first controller is the baseline.
+            law: ``pid`` or ``hpid``.
+            bounds: Other bounds than usual, by parameter.
+
+        Raises:
+            SettingError: There is no such law or parameter, or bounds are impossible.
+        """
+        if law not in LAWS:
+            raise SettingError(unknown_name("law", law, LAWS))
+        baseline = next(iter(experiment.controllers.values()))
+        source = experiment.controllers[source_label(experiment, law)]
+        start = tuple(
+            replace(each, law=law, mu=0.0, gains=known.gains)
+            for each, known in zip(source, baseline, strict=True)
+        )
+        weight = start[0].norm_rate_weight
+        usual = PID_PARAMETERS
+        if law == "hpid":
+            usual = (*HPID_PARAMETERS[:2], replace(HPID_PARAMETERS[2], start=weight))
+        parameters = _bounded(usual, bounds or {})
+        return cls(law, parameters, start, experiment.world.joints)
+
+    def controller(self, values: Sequence[float]) -> tuple[LoopSettings, ...]:
+        """Return the controller at a point.
+
+        Args:
+            values: One for each parameter.
+
+        Raises:
+            HpidError: A loop refuses its settings, for instance an unstable PID.
+        """
+        change = _scaled_gains if self.law == "pid" else _homogeneous
+        loops = []
+        for each in self.start:
+            try:
+                loops.append(change(each, *values) if each.joint in self.joints else each)
+            except HpidError as error:
+                raise type(error)(f"{each.joint}: {error}") from None
+        return tuple(loops)
+
+    def narrowed(self, joint: str, start: Sequence[LoopSettings]) -> SearchSpace:
+        """Return the space of the same directions of one joint, from another start.
+
+        Args:
+            joint: The joint.
+            start: The controller to begin with.
+        """
+        (own,) = [each for each in start if each.joint == joint]
+        at = {
+            "bandwidth": 1.0,
+            "damping": 1.0,
+            "integral": 1.0,
+            "mu": own.mu,
+            "error_scale": 1.0,
+            "rate_weight": own.norm_rate_weight,
+        }
+        parameters = tuple(replace(each, start=at[each.name]) for each in self.parameters)
+        return replace(self, parameters=parameters, start=tuple(start), joints=(joint,))
+
+
+def _bounded(
+    parameters: tuple[FreeParameter, ...], bounds: Mapping[str, tuple[float, float]]
+) -> tuple[FreeParameter, ...]:
+    names = [each.name for each in parameters]
+    for name in bounds:
+        if name not in names:
+            raise SettingError(unknown_name("free parameter", name, names))
+    return tuple(
+        replace(each, low=bounds[each.name][0], high=bounds[each.name][1])
+        if each.name in bounds
+        else each
+        for each in parameters
+    )
+
+
+def _scaled_gains(
+    settings: LoopSettings, bandwidth: float, damping: float, integral: float
+) -> LoopSettings:
+    gains = settings.gains
+    scaled = Gains(
+        p=_rounded(gains.p * bandwidth**2),
+        i=_rounded(gains.i * bandwidth**3 * integral),
+        d=_rounded(gains.d * bandwidth * damping),
+    )
+    return replace(settings, gains=scaled)
+
+
+def _homogeneous(
+    settings: LoopSettings, degree: float, error_scale: float, rate_weight: float
+) -> LoopSettings:
+    return replace(
+        settings,
+        mu=degree,
+        norm_error_scale=_rounded(settings.norm_error_scale * error_scale),
+        norm_rate_weight=rate_weight,
+    )
+
+
+def _rounded(value: float) -> float:
+    return float(f"{value:.{_DIGITS}g}")

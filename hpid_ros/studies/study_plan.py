@@ -1,0 +1,252 @@
+"""The plan of a study, and the journal that lets it go on."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import NamedTuple
+
+from hpid_ros.analysis import RunIndices
+from hpid_ros.analysis.quantities import CHATTER, ERROR_MAX, OVERSHOOT, Quantity
+from hpid_ros.base.errors import RunError, SettingError, unknown_name
+from hpid_ros.base.resources import share_folder
+from hpid_ros.experiment.description import Experiment, load_experiment
+from hpid_ros.experiment.result.folder import versions
+from hpid_ros.studies.batch import LAST_ERROR, PAPER_QUANTITIES, JudgedTask
+
+SLOW = ("bricks",)
+"""Experiments that are in a study only when they are named."""
+
+
+class RunKey(NamedTuple):
+    """Names one run of a study.
+
+    Attributes:
+        experiment: Name of the experiment.
+        controller: Label of the controller.
+        seed: The run's seed.
+    """
+
+    experiment: str
+    controller: str
+    seed: int
+
+
+@dataclass(frozen=True)
+class StudyEntry:
+    """One experiment of a study.
+
+    Attributes:
+        experiment: The experiment.
+        joints: The joints that are judged, in the world's order.
+    """
+
+    experiment: Experiment
+    joints: tuple[str, ...]
+
+    @property
+    def name(self) -> str:
+        """Name of the experiment."""
+        return self.experiment.name
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of all that decides the numbers: experiment, robot, joints and versions."""
+        all_else = json.dumps([self.joints, versions()])
+        return hashlib.sha256(f"{self.experiment.digest} {all_else}".encode()).hexdigest()
+
+    @property
+    def baseline(self) -> str:
+        """Label of the first controller."""
+        return next(iter(self.experiment.controllers))
+
+    @property
+    def others(self) -> tuple[str, ...]:
+        """Labels of the other controllers."""
+        return tuple(self.experiment.controllers)[1:]
+
+
+@dataclass(frozen=True)
+class StudyPlan:
+    """Everything that decides a study's numbers.
+
+    Attributes:
+        entries: The experiments, of unlike names.
+        count: Seeds of each controller: the experiment's own and those that follow it.
+    """
+
+    entries: tuple[StudyEntry, ...]
+    count: int
+
+    def seeds(self, entry: StudyEntry) -> tuple[int, ...]:
+        """Return the seeds of an experiment's runs."""
+        return tuple(entry.experiment.seed + k for k in range(self.count))
+
+    def tasks(self) -> dict[RunKey, JudgedTask]:
+        """Return all runs; those on one robot are side by side."""
+        return {
+            RunKey(entry.name, label, seed): JudgedTask(
+                f"{entry.name} {label} seed={seed}",
+                replace(entry.experiment.world, seed=seed),
+                loops,
+                entry.experiment.trajectory,
+                entry.experiment.periods,
+                entry.joints,
+            )
+            for entry in self.entries
+            for label, loops in entry.experiment.controllers.items()
+            for seed in self.seeds(entry)
+        }
+
+
+def default_files() -> list[Path]:
+    """Return the experiments of this package but the slow ones, the paper's first."""
+    folder = share_folder() / "config" / "experiments"
+    files = [path for path in sorted(folder.glob("*.yaml")) if path.stem not in SLOW]
+    return sorted(files, key=lambda path: path.stem != "paper")
+
+
+def plan_study(
+    files: Sequence[str | Path], *, joints: Sequence[str] = (), seeds: int = 20
+) -> StudyPlan:
+    """Read experiments and check them as a whole before anything runs.
+
+    Args:
+        files: Experiment files.
+        joints: Joints to judge, in the experiments that have them; none for those that each
+            experiment names.
+        seeds: Runs of each controller.
+
+    Raises:
+        ExperimentError: A file is no experiment.
+        SettingError: Two experiments have one name, one has nothing to compare or none of the
+            joints, or there is no seed.
+    """
+    if seeds < 1:
+        raise SettingError(f"seeds must be at least 1, not {seeds}")
+    entries: dict[str, StudyEntry] = {}
+    for file in files:
+        entry = _entry(load_experiment(file), joints)
+        if entry.name in entries:
+            other = entries[entry.name].experiment.path
+            raise SettingError(f"two experiments are called {entry.name!r}: {other} and {file}")
+        entries[entry.name] = entry
+    if not entries:
+        raise SettingError("a study needs at least one experiment")
+    return StudyPlan(tuple(entries.values()), seeds)
+
+
+def _entry(experiment: Experiment, joints: Sequence[str]) -> StudyEntry:
+    if len(experiment.controllers) < 2:
+        raise SettingError(f"{experiment.path}: there is nothing to compare with the baseline")
+    if not joints:
+        return StudyEntry(experiment, experiment.judged)
+    named = tuple(joint for joint in experiment.world.joints if joint in joints)
+    if not named:
+        names = unknown_name("joint", joints[0], experiment.world.joints)
+        raise SettingError(f"{experiment.path}: {names}")
+    return StudyEntry(experiment, named)
+
+
+QUANTITIES: tuple[Quantity, ...] = (
+    *PAPER_QUANTITIES,
+    OVERSHOOT,
+    ERROR_MAX,
+    CHATTER,
+    LAST_ERROR,
+)
+"""What a study keeps of a run."""
+
+TOTAL = ""
+"""Stands for all judged joints where a joint's name would be."""
+
+
+@dataclass(frozen=True)
+class RunRecord:
+    """What is kept of one run.
+
+    Attributes:
+        key: Which run.
+        digest: SHA-256 of all that decides its numbers but the seed.
+        numbers: Of each joint, and of all under :data:`TOTAL`, by the quantity's key; what is
+            not defined is left out. Empty if the run failed.
+        failure: Why it failed, in one line; empty if it did not.
+    """
+
+    key: RunKey
+    digest: str
+    numbers: Mapping[str, Mapping[str, float]]
+    failure: str = ""
+
+    @classmethod
+    def of(
+        cls,
+        key: RunKey,
+        digest: str,
+        indices: RunIndices | None,
+        failure: str,
+    ) -> RunRecord:
+        """Return the record of a run that has ended."""
+        numbers = {} if indices is None else _numbers(indices)
+        return cls(key, digest, numbers, failure)
+
+    def line(self) -> str:
+        """Return the record as one line of JSON."""
+        return json.dumps(
+            {
+                **self.key._asdict(),
+                "sha256": self.digest,
+                "numbers": self.numbers,
+                "failure": self.failure,
+            }
+        )
+
+    @classmethod
+    def parse(cls, line: str) -> RunRecord:
+        """Return the record that :meth:`line` wrote.
+
+        Raises:
+            ValueError: It is none.
+        """
+        try:
+            saved = json.loads(line)
+            key = RunKey(saved["experiment"], saved["controller"], int(saved["seed"]))
+            return cls(key, saved["sha256"], saved["numbers"], saved["failure"])
+        except (KeyError, TypeError) as error:
+            raise ValueError(f"no record of a run: {error}") from None
+
+
+def read_journal(path: Path) -> list[RunRecord]:
+    """Return the records of a journal; a last line that was cut off is left out.
+
+    Args:
+        path: The file; one that is not there has no records.
+
+    Raises:
+        RunError: Another line is damaged.
+    """
+    if not path.is_file():
+        return []
+    lines = path.read_text(encoding="utf-8").splitlines()
+    records = []
+    for number, line in enumerate(lines, 1):
+        try:
+            records.append(RunRecord.parse(line))
+        except ValueError:
+            if number == len(lines):
+                break
+            raise RunError(f"{path}: line {number} is damaged") from None
+    return records
+
+
+def _numbers(indices: RunIndices) -> dict[str, dict[str, float]]:
+    """Return the numbers to keep; nan, what is not defined, is left out."""
+    found = {}
+    for joint in (*indices.joints, None):
+        values = {q.key: indices.value(q, joint) for q in QUANTITIES}
+        known = {key: value for key, value in values.items() if value == value}
+        found[TOTAL if joint is None else joint] = known
+    return found

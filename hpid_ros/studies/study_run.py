@@ -1,0 +1,154 @@
+"""Runs a study, keeps every run as it ends, and leaves its folder."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterable
+from contextlib import closing
+from pathlib import Path
+
+from hpid_ros.base.errors import ResultExistsError
+from hpid_ros.base.foreign_text import csv_text
+from hpid_ros.experiment.result.folder import ResultFolder
+from hpid_ros.studies.batch import Outcome, run_batch
+from hpid_ros.studies.study_plan import (
+    QUANTITIES,
+    TOTAL,
+    RunKey,
+    RunRecord,
+    StudyPlan,
+    read_journal,
+)
+from hpid_ros.studies.study_result import StudyResult
+from hpid_ros.studies.study_tables import study_markdown, study_text
+
+JOURNAL = "runs.jsonl"
+
+
+def study_folder(
+    path: Path, *, force: bool = False, resume: bool = False, inputs: Iterable[Path] = ()
+) -> ResultFolder:
+    """Return the folder of a study, made anew or carried on.
+
+    Args:
+        path: Where.
+        force: Replace a result that is there.
+        resume: Carry on the study that is there.
+        inputs: Files that are read; their folders are no place for a result.
+
+    Raises:
+        ResultExistsError: The path exists and is not to be replaced, or is no study to carry on.
+    """
+    if resume and path.exists():
+        if not (path / JOURNAL).is_file():
+            raise ResultExistsError(f"{path} is not a study that could be carried on")
+        return ResultFolder.reopen(path)
+    return ResultFolder.create(path, force=force, inputs=inputs)
+
+
+def run_study(
+    plan: StudyPlan,
+    folder: ResultFolder,
+    jobs: int | None,
+    advanced: Callable[[Outcome], None],
+) -> StudyResult:
+    """Run every controller of every experiment with every seed that the folder does not have.
+
+    What was run is kept as it ends, and saved as a whole at the end, also when interrupted; the
+    files are the same for any number of jobs.
+
+    Args:
+        plan: What to run.
+        folder: Where to save it; runs that are there and still hold are not made again.
+        jobs: As for :func:`~hpid_ros.studies.batch.run_batch`.
+        advanced: Is told of every run that has ended.
+
+    Raises:
+        SettingError: As for :func:`~hpid_ros.studies.batch.run_batch`.
+        RunError: A process died, or the journal is damaged.
+    """
+    digests = {entry.name: entry.digest for entry in plan.entries}
+    records = kept_records(plan, folder)
+    tasks = {key: task for key, task in plan.tasks().items() if key not in records}
+    keys = tuple(tasks)
+    result = StudyResult(plan, records)
+    for entry in plan.entries:
+        folder.write(f"experiments/{entry.name}.yaml", entry.experiment.text)
+    _write(folder, plan, records)
+    try:
+        with (
+            folder.file(JOURNAL).open("a", encoding="utf-8") as lines,
+            closing(run_batch(tuple(tasks.values()), jobs)) as batch,
+        ):
+            for outcome in batch:
+                key = keys[outcome.place]
+                digest = digests[key.experiment]
+                record = RunRecord.of(key, digest, outcome.indices, outcome.failure)
+                records[key] = record
+                lines.write(record.line() + "\n")
+                lines.flush()
+                advanced(outcome)
+    finally:
+        _write(folder, plan, records)
+        save(result, folder)
+    return result
+
+
+def kept_records(plan: StudyPlan, folder: ResultFolder) -> dict[RunKey, RunRecord]:
+    """Return the runs in a folder that are still those of the plan and did not fail.
+
+    Args:
+        plan: The plan.
+        folder: The folder.
+
+    Raises:
+        RunError: The journal is damaged.
+    """
+    digests = {entry.name: entry.digest for entry in plan.entries}
+    wanted = set(plan.tasks())
+    return {
+        record.key: record
+        for record in read_journal(folder.path / JOURNAL)
+        if record.key in wanted
+        and record.digest == digests[record.key.experiment]
+        and not record.failure
+    }
+
+
+def save(result: StudyResult, folder: ResultFolder) -> None:
+    """Write the numbers of all runs, the summary and the tables.
+
+    Args:
+        result: The result.
+        folder: Its folder.
+    """
+    folder.write("runs.csv", runs_csv(result))
+    folder.write("study.json", json.dumps(result.as_mapping(), indent=2) + "\n")
+    folder.write("tables.txt", study_text(result))
+    folder.write("tables.md", study_markdown(result))
+
+
+def runs_csv(result: StudyResult) -> str:
+    """Return every number of every run: of all judged joints, then joint by joint.
+
+    Args:
+        result: The study.
+    """
+    keys = [quantity.key for quantity in QUANTITIES]
+    rows: list[list[object]] = [["experiment", "controller", "seed", "joint", *keys, "failure"]]
+    for key in result.plan.tasks():
+        record = result.records.get(key)
+        if record is None:
+            continue
+        for joint in record.numbers or [TOTAL]:
+            numbers = record.numbers.get(joint, {})
+            name = "all" if joint == TOTAL else joint
+            values = [numbers.get(each, "") for each in keys]
+            rows.append([*key, name, *values, record.failure])
+    return csv_text(rows)
+
+
+def _write(folder: ResultFolder, plan: StudyPlan, records: dict[RunKey, RunRecord]) -> None:
+    """Write the journal in the plan's order, whatever order the runs ended in."""
+    lines = [records[key].line() + "\n" for key in plan.tasks() if key in records]
+    folder.write(JOURNAL, "".join(lines))

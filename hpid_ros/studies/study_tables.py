@@ -1,0 +1,250 @@
+"""The tables of a study, for a terminal and as Markdown."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from rich.box import SIMPLE
+from rich.console import Console, ConsoleOptions, RenderResult
+from rich.text import Text
+
+from hpid_ros.analysis.quantities import ITAE, OVERSHOOT, Quantity
+from hpid_ros.base.console import plain_console
+from hpid_ros.report.tables.numbers import format_ratio, format_values
+from hpid_ros.report.tables.wide_table import UNLIMITED_WIDTH, Column, WideTable
+from hpid_ros.studies.batch import LAST_ERROR, PAPER_QUANTITIES
+from hpid_ros.studies.claims import CLAIMS, Verdict, verdict
+from hpid_ros.studies.study_plan import StudyEntry
+from hpid_ros.studies.study_result import SETTLED, StudyResult
+from hpid_ros.studies.sweep_result import Quartiles
+
+NOTHING = "-"
+_TEXTS = ("joint", "controller", "verdict", "certified")  # columns that may fold
+_SHOWN = (*PAPER_QUANTITIES, OVERSHOOT)
+
+
+class Grid(NamedTuple):
+    """One table.
+
+    Attributes:
+        key: Its name in files.
+        title: What it shows.
+        headings: Of the columns; the first column is text.
+        rows: The cells.
+        note: What must be known to read it.
+    """
+
+    key: str
+    title: str
+    headings: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    note: str = ""
+
+    def markdown(self) -> str:
+        """Return the table as Markdown, without its title."""
+        lines = [_row(self.headings), _row(["---", *["---:"] * (len(self.headings) - 1)])]
+        lines += [_row(cells) for cells in self.rows]
+        return "\n".join(lines) + "\n" + (f"\n{self.note}\n" if self.note else "")
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        columns = [
+            Column(heading, cells, is_text=not place or heading in _TEXTS)
+            for place, (heading, cells) in enumerate(
+                zip(self.headings, zip(*self.rows, strict=True), strict=True)
+            )
+        ]
+        names = 1 + (self.headings[1:2] in (("joint",), ("controller",)))
+        yield WideTable(columns[:names], columns[names:], title=self.title, box=SIMPLE)
+        if self.note:
+            yield Text(self.note, style="dim")
+        yield ""
+
+
+def grids(result: StudyResult) -> list[Grid]:
+    """Return all tables of a study: claims, loops, then of each experiment totals and joints.
+
+    Args:
+        result: The study.
+    """
+    entries = result.plan.entries
+    found = [_claims(result, label) for label in result.claimed_labels()]
+    found.append(_loops(result))
+    for entry in entries:
+        found += [_totals(result, entry), _joints(result, entry)]
+    return found
+
+
+def study_text(result: StudyResult) -> str:
+    """Return all tables as plain text.
+
+    Args:
+        result: The study.
+    """
+    console = plain_console(UNLIMITED_WIDTH)
+    with console.capture() as capture:
+        for grid in grids(result):
+            console.print(grid)
+    lines = (line.rstrip() for line in capture.get().splitlines())
+    return "\n".join(lines).strip("\n") + "\n"
+
+
+def study_markdown(result: StudyResult) -> str:
+    """Return all tables as Markdown, each between comments that name it.
+
+    Args:
+        result: The study.
+    """
+    parts = []
+    for grid in grids(result):
+        body = f"### {grid.title}\n\n{grid.markdown()}"
+        parts.append(f"<!-- begin {grid.key} -->\n{body}<!-- end {grid.key} -->\n")
+    return "\n".join(parts)
+
+
+def _claims(result: StudyResult, label: str) -> Grid:
+    evidence = result.all_evidence(label)
+    rows = []
+    for claim in CLAIMS:
+        kind, held = verdict(claim, evidence)
+        says = f"{kind.value}: {', '.join(held)}" if kind is Verdict.HOLDS_WHEN else kind.value
+        figures = [claim.figure(each) or NOTHING for each in evidence.values()]
+        rows.append((claim.text, says, *figures))
+    return Grid(
+        f"claims {label}",
+        f"The paper's claims, {label} over the PID of the same gains",
+        ("claim", "verdict", *evidence),
+        tuple(rows),
+        f"Medians over {_seeds(result)} of the ratio to the baseline with the same seed.",
+    )
+
+
+def _loops(result: StudyResult) -> Grid:
+    rows = []
+    for entry in result.plan.entries:
+        for label in (entry.baseline, *entry.others):
+            last = result.worst_last_error(entry, label)
+            refusals = result.refusals(entry, label)
+            worst = NOTHING if last is None else f"{last:.4f}"
+            settled = NOTHING if last is None else _yes(last < SETTLED)
+            rows.append((entry.name, label, worst, settled, _certified(refusals)))
+    return Grid(
+        "loops",
+        "Settled and certified",
+        ("experiment", "controller", "last |e| [rad]", f"below {SETTLED:g}", "certified"),
+        tuple(rows),
+        "Largest error of the last second over joints and seeds. Certified: the linear law by "
+        "Routh and Hurwitz, the homogeneous law at its degree, at the nominal inertia.",
+    )
+
+
+def _totals(result: StudyResult, entry: StudyEntry) -> Grid:
+    """Return every index of the baseline, then value and ratio of each other controller."""
+    headings = ["index", entry.baseline]
+    for label in entry.others:
+        headings += [label, "ratio"]
+    rows = []
+    for quantity in _SHOWN:
+        own = [
+            result.quartiles(entry, label, quantity) for label in (entry.baseline, *entry.others)
+        ]
+        if any(own):
+            baseline, *values = _values(own)
+            cells = [f"{quantity.symbol} [{quantity.unit}]", baseline]
+            for label, value in zip(entry.others, values, strict=True):
+                cells += [value, _ratio(result.ratios(entry, label, quantity))]
+            rows.append(tuple(cells))
+    wins = [_wins(result, entry, label) for label in entry.others]
+    rows.append(("ITAE lower in", NOTHING, *(cell for each in wins for cell in (each, NOTHING))))
+    notes = [result.note(entry, label) for label in (entry.baseline, *entry.others)]
+    if any(notes):
+        rows.append(("note", notes[0], *(cell for each in notes[1:] for cell in (each, ""))))
+    return Grid(
+        f"totals {entry.name}",
+        f"{entry.name}: totals over {_enumerated(entry)}",
+        tuple(headings),
+        tuple(rows),
+        f"Medians with quartiles over {_seeds(result)}; ratio to {entry.baseline} with the same "
+        "seed.",
+    )
+
+
+def _joints(result: StudyResult, entry: StudyEntry) -> Grid:
+    """Return every index's ratio joint by joint."""
+    quantities: tuple[Quantity, ...] = PAPER_QUANTITIES
+    rows = [
+        (
+            label,
+            joint,
+            *(_median(result.ratios(entry, label, q, joint)) for q in quantities),
+            _last(result, entry, label, joint),
+        )
+        for label in entry.others
+        for joint in entry.joints
+    ]
+    return Grid(
+        f"joints {entry.name}",
+        f"{entry.name}: ratios to {entry.baseline}, joint by joint",
+        ("controller", "joint", *(q.symbol for q in quantities), "last |e| [rad]"),
+        tuple(rows),
+    )
+
+
+def _last(result: StudyResult, entry: StudyEntry, label: str, joint: str) -> str:
+    values = result.numbers(entry, label, LAST_ERROR, joint).values()
+    return f"{max(values):.4f}" if values else NOTHING
+
+
+def _values(quartiles: Sequence[Quartiles | None]) -> list[str]:
+    """Return medians with quartiles, the points of a column in line."""
+    numbers = iter(format_values([x for each in quartiles if each for x in each]))
+    texts = [None if each is None else [next(numbers) for _ in each] for each in quartiles]
+    return [NOTHING if each is None else _spread(*each) for each in texts]
+
+
+def _ratio(quartiles: Quartiles | None) -> str:
+    if quartiles is None:
+        return NOTHING
+    return _spread(*map(format_ratio, quartiles))
+
+
+def _median(quartiles: Quartiles | None) -> str:
+    return NOTHING if quartiles is None else format_ratio(quartiles.median)
+
+
+def _spread(low: str, middle: str, high: str) -> str:
+    """Return a median with its quartiles, where they can be told from it."""
+    return middle if low == high else f"{middle} ({low}..{high})"
+
+
+def _wins(result: StudyResult, entry: StudyEntry, label: str) -> str:
+    if label == entry.baseline or result.ratios(entry, label, ITAE) is None:
+        return NOTHING
+    return f"{result.evidence(entry, label).joints_better} of {len(entry.joints)}"
+
+
+def _certified(refusals: dict[str, str]) -> str:
+    if not refusals:
+        return "yes"
+    joint, reason = next(iter(refusals.items()))
+    more = f" and {len(refusals) - 1} more" if len(refusals) > 1 else ""
+    return f"no: {joint}{more}: {reason}"
+
+
+def _enumerated(entry: StudyEntry) -> str:
+    if entry.joints == entry.experiment.world.joints:
+        return f"all {len(entry.joints)} joints"
+    return ", ".join(entry.joints)
+
+
+def _seeds(result: StudyResult) -> str:
+    count = result.plan.count
+    return f"{count} seed{'s' * (count > 1)}"
+
+
+def _yes(answer: bool) -> str:
+    return "yes" if answer else "no"
+
+
+def _row(cells: Sequence[str]) -> str:
+    return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"

@@ -1,0 +1,187 @@
+"""The numbers of a sweep: every run, and for each row the medians over the seeds."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from hpid_ros.analysis.comparison import ratio
+from hpid_ros.analysis.quantities import EFFORT_L2, ERROR_L2, IAVC, ITAE, IVC, Quantity
+from hpid_ros.base.foreign_text import csv_text
+from hpid_ros.experiment.result.folder import versions
+from hpid_ros.studies.batch import Outcome
+from hpid_ros.studies.sweep import Row, Sweep
+
+QUANTITIES = (IVC, IAVC, ITAE, EFFORT_L2, ERROR_L2)
+"""What a sweep shows of a run."""
+
+
+class Quartiles(NamedTuple):
+    """Where the runs of several seeds lie.
+
+    Attributes:
+        first: A quarter of them is below.
+        median: Half of them is below.
+        third: Three quarters are below.
+    """
+
+    first: float
+    median: float
+    third: float
+
+    @classmethod
+    def of(cls, values: Sequence[float]) -> Quartiles | None:
+        """Return those of some numbers, linear between neighbours; None of none."""
+        if not values:
+            return None
+        if not all(math.isfinite(value) for value in values):
+            return cls(math.inf, math.inf, math.inf)  # a ratio to a baseline of zero
+        return cls(*(float(each) for each in np.quantile(values, (0.25, 0.5, 0.75))))
+
+
+@dataclass(frozen=True)
+class SweepResult:
+    """What a sweep gave.
+
+    Attributes:
+        sweep: What was run.
+        outcomes: Of each run, by place of the row and seed; an interrupted sweep lacks some.
+    """
+
+    sweep: Sweep
+    outcomes: Mapping[tuple[int, int], Outcome]
+
+    def numbers(self, place: int, quantity: Quantity) -> dict[int, float]:
+        """Return one number of a row's runs by seed; failed runs have none."""
+        found = ((seed, self.outcomes.get((place, seed))) for seed in self.sweep.seeds)
+        return {
+            seed: outcome.indices.value(quantity)
+            for seed, outcome in found
+            if outcome is not None and outcome.indices is not None
+        }
+
+    def quartiles(self, place: int, quantity: Quantity) -> Quartiles | None:
+        """Return one number of a row over its seeds; None if no run gave it."""
+        return Quartiles.of(list(self.numbers(place, quantity).values()))
+
+    def ratios(self, place: int, quantity: Quantity) -> Quartiles | None:
+        """Return a row's ratio to its baseline over the seeds; None for a baseline.
+
+        Each run is divided by the baseline's run with the same seed, before the median.
+        """
+        baseline = self.sweep.rows[place].baseline
+        if baseline is None:
+            return None
+        against = self.numbers(baseline, quantity)
+        own = self.numbers(place, quantity)
+        return Quartiles.of([ratio(own[seed], against[seed]) for seed in own if seed in against])
+
+    def note(self, place: int) -> str:
+        """Return in one line what did not run of a row; empty if everything did."""
+        row = self.sweep.rows[place]
+        if row.refusal:
+            return f"refused: {row.refusal}"
+        seeds = self.sweep.seeds
+        found = [o for seed in seeds if (o := self.outcomes.get((place, seed))) is not None]
+        reasons = [outcome.failure for outcome in found if outcome.failure]
+        notes = []
+        if reasons:
+            notes.append(f"{len(reasons)} of {len(seeds)} runs failed: {reasons[0]}")
+        if len(found) < len(seeds):
+            notes.append(f"{len(seeds) - len(found)} of {len(seeds)} runs were not made")
+        return "; ".join(notes)
+
+    @property
+    def failures(self) -> int:
+        """Number of runs that failed."""
+        return sum(bool(outcome.failure) for outcome in self.outcomes.values())
+
+    def runs_csv(self) -> str:
+        """Return every run, one a row: row's place, controller, parameters, seed, numbers."""
+        names = [axis.name for axis in self.sweep.axes]
+        keys = [q.key for q in QUANTITIES]
+        rows: list[list[object]] = [["row", "controller", *names, "seed", *keys, "failure"]]
+        for place, row in enumerate(self.sweep.rows):
+            lead: list[object] = [place, row.label, *(row.values.get(name, "") for name in names)]
+            if row.refusal:
+                rows.append([*lead, "", *[""] * len(QUANTITIES), f"refused: {row.refusal}"])
+            for seed in () if row.refusal else self.sweep.seeds:
+                outcome = self.outcomes.get((place, seed))
+                if outcome is not None:
+                    rows.append([*lead, seed, *_numbers(outcome), outcome.failure])
+        return csv_text(rows)
+
+    def summary_csv(self) -> str:
+        """Return every row with medians, quartiles and ratios, at full precision."""
+        names = [axis.name for axis in self.sweep.axes]
+        parts = ("median", "first_quartile", "third_quartile", "ratio")
+        numbers = [f"{q.key}_{part}" for q in QUANTITIES for part in parts]
+        rows: list[list[object]] = [["controller", *names, *numbers, "note"]]
+        for place, row in enumerate(self.sweep.rows):
+            cells: list[object] = [row.label, *(row.values.get(name, "") for name in names)]
+            for quantity in QUANTITIES:
+                own, ratios = self.quartiles(place, quantity), self.ratios(place, quantity)
+                cells += ["", "", ""] if own is None else [own.median, own.first, own.third]
+                cells.append("" if ratios is None else ratios.median)
+            rows.append([*cells, self.note(place)])
+        return csv_text(rows)
+
+    def as_mapping(self) -> dict[str, object]:
+        """Return everything that the experiment and the grid determine, ready for JSON."""
+        sweep, experiment = self.sweep, self.sweep.experiment
+        return {
+            "experiment": experiment.name,
+            "sha256": experiment.digest,
+            "duration": experiment.duration,
+            "control_period": experiment.world.control_period_ns * 1e-9,
+            "versions": versions(),
+            "baseline": sweep.baseline,
+            "controller": sweep.controller,
+            "joints": list(sweep.joints or experiment.world.joints),
+            "seeds": list(sweep.seeds),
+            "vary": {axis.name: list(axis.values) for axis in sweep.axes},
+            "runs": {"planned": len(sweep.tasks()), "made": len(self.outcomes)},
+            "units": {quantity.key: quantity.unit for quantity in QUANTITIES},
+            "rows": [self._row(place, row) for place, row in enumerate(sweep.rows)],
+            "parameters": {
+                label: {each.joint: dict(each.to_parameters()) for each in settings}
+                for label, settings in experiment.controllers.items()
+                if label in (sweep.baseline, sweep.controller)
+            },
+        }
+
+    def _row(self, place: int, row: Row) -> dict[str, object]:
+        return {
+            "controller": row.label,
+            "values": dict(row.values),
+            "baseline": row.baseline,
+            "note": self.note(place),
+            "indices": {q.key: plain_quartiles(self.quartiles(place, q)) for q in QUANTITIES},
+            "ratios": {q.key: plain_quartiles(self.ratios(place, q)) for q in QUANTITIES},
+        }
+
+    def json(self) -> str:
+        """Return :meth:`as_mapping` as JSON text."""
+        return json.dumps(self.as_mapping(), indent=2) + "\n"
+
+
+def _numbers(outcome: Outcome) -> list[object]:
+    if outcome.indices is None:
+        return [""] * len(QUANTITIES)
+    return [outcome.indices.value(quantity) for quantity in QUANTITIES]
+
+
+def plain_quartiles(quartiles: Quartiles | None) -> dict[str, float | None] | None:
+    """Return quartiles for JSON, which knows no infinity.
+
+    Args:
+        quartiles: The quartiles, or None.
+    """
+    if quartiles is None:
+        return None
+    return {k: v if math.isfinite(v) else None for k, v in quartiles._asdict().items()}

@@ -1,0 +1,142 @@
+"""Running a sweep, and its table."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from contextlib import closing
+
+from rich.box import SIMPLE
+from rich.console import Console, ConsoleOptions, RenderResult
+from rich.text import Text
+
+from hpid_ros.analysis.comparison import verdict
+from hpid_ros.analysis.quantities import Quantity
+from hpid_ros.base.console import plain_console
+from hpid_ros.experiment.result.folder import EXPERIMENT, ResultFolder
+from hpid_ros.report.tables.numbers import format_ratio, format_values
+from hpid_ros.report.tables.table import ASCII_MARKS, MARKS, STYLES
+from hpid_ros.report.tables.wide_table import UNLIMITED_WIDTH, Column, WideTable
+from hpid_ros.studies.batch import Outcome, run_batch
+from hpid_ros.studies.sweep import Row, Sweep, shown
+from hpid_ros.studies.sweep_result import QUANTITIES, Quartiles, SweepResult
+
+_NOTHING = "-"
+
+
+class SweepTable:
+    """Rows are points; columns are parameters, then median, quartiles and ratio of each index.
+
+    Indices stand side by side as far as the width allows.
+
+    Attributes:
+        result: What it shows.
+    """
+
+    def __init__(self, result: SweepResult) -> None:
+        self.result = result
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        sweep, is_ascii = self.result.sweep, options.ascii_only
+        names = [Column("controller", [_label(row) for row in sweep.rows], is_text=True)]
+        for axis in sweep.axes:
+            values = [row.values.get(axis.name) for row in sweep.rows]
+            texts = [Text(_NOTHING if each is None else shown(each)) for each in values]
+            names.append(Column(axis.name, texts))
+        columns = [
+            Column(*each) for quantity in QUANTITIES for each in self._columns(quantity, is_ascii)
+        ]
+        notes = [Text(self.result.note(place)) for place in range(len(sweep.rows))]
+        if any(notes):
+            columns.append(Column("note", notes, is_text=True))
+        yield WideTable(names, columns, box=SIMPLE)
+        yield self._legend()
+
+    def _columns(self, quantity: Quantity, is_ascii: bool) -> list[tuple[str, list[Text]]]:
+        places = range(len(self.result.sweep.rows))
+        own = [self.result.quartiles(place, quantity) for place in places]
+        ratios = [self.result.ratios(place, quantity) for place in places]
+        numbers = iter(format_values([x for each in own if each for x in each]))
+        texts = [None if each is None else [next(numbers) for _ in each] for each in own]
+        dash = "-" if is_ascii else "–"
+        return [
+            (f"{quantity.symbol} [{quantity.unit}]", _cells(t[1] if t else None for t in texts)),
+            ("quartiles", _cells(f"{t[0]}{dash}{t[2]}" if t else None for t in texts)),
+            ("ratio", [_ratio(each, is_ascii) for each in ratios]),
+        ]
+
+    def _legend(self) -> Text:
+        sweep = self.result.sweep
+        count = len(sweep.seeds)
+        joints = ", ".join(sweep.joints) or f"all {len(sweep.experiment.world.joints)} joints"
+        return Text(
+            f"Medians and quartiles over {count} seed{'s' * (count > 1)}, totals over {joints}.\n"
+            f"Ratio: run / {sweep.baseline} with the same seed on the same robot; median.",
+            style="dim",
+        )
+
+
+def sweep_text(result: SweepResult) -> str:
+    """Return the table as plain text, one line a row however long it is."""
+    console = plain_console(UNLIMITED_WIDTH)
+    with console.capture() as capture:
+        console.print(SweepTable(result))
+    lines = (line.rstrip() for line in capture.get().splitlines())
+    return "\n".join(lines).strip("\n") + "\n"
+
+
+def _label(row: Row) -> Text:
+    return Text(row.label if row.baseline is not None else f"{row.label} (baseline)")
+
+
+def _cells(texts: Iterable[str | None]) -> list[Text]:
+    return [Text(_NOTHING if each is None else each) for each in texts]
+
+
+def _ratio(ratios: Quartiles | None, is_ascii: bool) -> Text:
+    if ratios is None:
+        return Text(_NOTHING)
+    kind = verdict(ratios.median)
+    marks = ASCII_MARKS if is_ascii else MARKS
+    return Text(f"{format_ratio(ratios.median)}{marks[kind]}", style=STYLES[kind])
+
+
+def run_sweep(
+    sweep: Sweep, folder: ResultFolder, jobs: int | None, advanced: Callable[[Outcome], None]
+) -> SweepResult:
+    """Run every row with every seed, and save what was run, also when interrupted.
+
+    Args:
+        sweep: What to run.
+        folder: Where to save it.
+        jobs: As for :func:`~hpid_ros.studies.batch.run_batch`.
+        advanced: Is told of every run that has ended.
+
+    Raises:
+        SettingError: As for :func:`~hpid_ros.studies.batch.run_batch`.
+        RunError: A process died.
+    """
+    folder.write(EXPERIMENT, sweep.experiment.text)
+    tasks = sweep.tasks()
+    keys = tuple(tasks)
+    outcomes: dict[tuple[int, int], Outcome] = {}
+    result = SweepResult(sweep, outcomes)
+    try:
+        with closing(run_batch(tuple(tasks.values()), jobs)) as batch:
+            for outcome in batch:
+                outcomes[keys[outcome.place]] = outcome
+                advanced(outcome)
+    finally:
+        save(result, folder)
+    return result
+
+
+def save(result: SweepResult, folder: ResultFolder) -> None:
+    """Write every run, the summary and the table.
+
+    Args:
+        result: The result.
+        folder: Its folder.
+    """
+    folder.write("sweep.csv", result.runs_csv())
+    folder.write("sweep.json", result.json())
+    folder.write("table.txt", sweep_text(result))

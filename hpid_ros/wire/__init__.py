@@ -1,0 +1,31 @@
+"""CDR codec: the two hot messages, states and commands (both JointState), and references."""
+
+from hpid_ros.wire.joint_state import (
+    JointStateFields,
+    JointStateLayout,
+    JointStateTemplate,
+    decode_joint_state,
+)
+from hpid_ros.wire.joint_trajectory import (
+    MixedTrajectory,
+    TrajectoryArrays,
+    decode_float64,
+    decode_trajectory,
+)
+from hpid_ros.wire.readers import EffortReader, JointReader, JointSample, RobotReader, RobotSample
+
+__all__ = [
+    "EffortReader",
+    "JointReader",
+    "JointSample",
+    "JointStateFields",
+    "JointStateLayout",
+    "JointStateTemplate",
+    "MixedTrajectory",
+    "RobotReader",
+    "RobotSample",
+    "TrajectoryArrays",
+    "decode_float64",
+    "decode_joint_state",
+    "decode_trajectory",
+]

@@ -1,0 +1,235 @@
+"""``sensor_msgs/msg/JointState`` between bytes and numbers, without a message object.
+
+The wire format is plain CDR (XCDR version 1): a four-byte encapsulation header, then
+``header.stamp`` (int32 s, uint32 ns), ``header.frame_id``, ``name``, ``position``, ``velocity``
+and ``effort``; every value is aligned to its own size, counted from the end of the
+encapsulation header. Stamps are integer nanoseconds and numbers stay IEEE doubles, so nothing
+is rounded on the way.
+
+Source: OMG DDS-RTPS 2.5 section 10 (encapsulation), OMG DDS-XTypes 1.3 section 7.4.1 (CDR), and
+the definition of ``sensor_msgs/msg/JointState``.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from hpid_ros.base.errors import MessageError
+from hpid_ros.wire.cdr import ENCAPSULATION, NANOSECONDS, Cursor, require_nanoseconds
+
+_LITTLE_ENDIAN = b"\x00\x01\x00\x00"
+_COUNT = struct.Struct("<I")
+_DOUBLE = 8
+
+STAMP_OFFSET = ENCAPSULATION
+NAMES_OFFSET = STAMP_OFFSET + 8
+
+
+class JointStateFields(NamedTuple):
+    """All fields of a JointState.
+
+    Attributes:
+        stamp_ns: ``header.stamp`` in [ns].
+        frame_id: ``header.frame_id``.
+        names: Joint names.
+        position: In [rad] or [m]; empty when the message has none.
+        velocity: In [rad/s] or [m/s]; empty when the message has none.
+        effort: In [N m] or [N]; empty when the message has none.
+    """
+
+    stamp_ns: int
+    frame_id: str
+    names: tuple[str, ...]
+    position: tuple[float, ...]
+    velocity: tuple[float, ...]
+    effort: tuple[float, ...]
+
+
+def decode_joint_state(raw: bytes) -> JointStateFields:
+    """Decode any serialised JointState, whatever its layout or byte order.
+
+    Args:
+        raw: The serialised message with its encapsulation header.
+
+    Returns:
+        All fields; arrays may differ in length from the names, as the wire allows.
+
+    Raises:
+        MessageError: The bytes are not a whole JointState with a possible stamp.
+    """
+    cursor = Cursor(raw, "JointState")
+    seconds = cursor.scalar("i")
+    nanoseconds = cursor.scalar("I")
+    require_nanoseconds(nanoseconds)
+    frame_id = cursor.string()
+    names = cursor.strings()
+    return JointStateFields(
+        seconds * NANOSECONDS + nanoseconds,
+        frame_id,
+        names,
+        cursor.doubles(),
+        cursor.doubles(),
+        cursor.doubles(),
+    )
+
+
+@dataclass(frozen=True)
+class JointStateLayout:
+    """Where the numbers of a little-endian JointState lie.
+
+    Two messages with the same frame, names and array lengths have the same layout; only the
+    stamp and the doubles differ. Offsets are in bytes from the start of the raw message; an
+    array that is empty has offset 0.
+
+    Attributes:
+        names: Joint names.
+        size: Length of the whole message in bytes.
+        position: Offset of the first position.
+        velocity: Offset of the first velocity.
+        effort: Offset of the first effort.
+        lengths: Numbers of positions, velocities and efforts.
+        fixed: ``(offset, bytes)`` of everything that is neither stamp nor double.
+    """
+
+    names: tuple[str, ...]
+    size: int
+    position: int
+    velocity: int
+    effort: int
+    lengths: tuple[int, int, int]
+    fixed: tuple[tuple[int, bytes], ...]
+
+    @classmethod
+    def of(cls, raw: bytes) -> JointStateLayout:
+        """Learn the layout of one message.
+
+        Args:
+            raw: A serialised JointState.
+
+        Raises:
+            MessageError: The bytes are not a whole little-endian JointState.
+        """
+        fields = decode_joint_state(raw)
+        if raw[1] != _LITTLE_ENDIAN[1]:
+            raise MessageError("only little-endian JointStates have a fixed layout here")
+        lengths = (len(fields.position), len(fields.velocity), len(fields.effort))
+        layout = cls.for_fields(fields.names, fields.frame_id, lengths)
+        if not layout.matches(raw):
+            raise MessageError("a JointState with unusual padding has no fixed layout here")
+        return layout
+
+    @classmethod
+    def for_fields(
+        cls, names: Sequence[str], frame_id: str, lengths: tuple[int, int, int]
+    ) -> JointStateLayout:
+        """Lay out a message that has these names, this frame and arrays of these lengths."""
+        prefix = bytearray()
+        _append_string(prefix, frame_id)
+        _pad(prefix, 4)
+        prefix += _COUNT.pack(len(names))
+        for name in names:
+            _append_string(prefix, name)
+        _pad(prefix, 4)
+        fixed: list[tuple[int, bytes]] = []
+        offsets: list[int] = []
+        at, segment = NAMES_OFFSET, bytes(prefix)
+        for length in lengths:
+            segment += _COUNT.pack(length)
+            if length == 0:
+                offsets.append(0)
+                continue
+            end = at + len(segment)
+            segment += b"\x00" * (-(end - ENCAPSULATION) % _DOUBLE)
+            fixed.append((at, segment))
+            offsets.append(at + len(segment))
+            at, segment = at + len(segment) + length * _DOUBLE, b""
+        if segment:
+            fixed.append((at, segment))
+        position, velocity, effort = offsets
+        size = at + len(segment)
+        return cls(tuple(names), size, position, velocity, effort, lengths, tuple(fixed))
+
+    def matches(self, raw: bytes) -> bool:
+        """Tell whether a message has this layout, byte for byte."""
+        return (
+            len(raw) == self.size
+            and raw.startswith(_LITTLE_ENDIAN)
+            and all(raw.startswith(segment, offset) for offset, segment in self.fixed)
+        )
+
+
+class JointStateTemplate:
+    """A JointState that is serialised but for its stamp and numbers.
+
+    The bytes equal those that ``rclpy.serialization.serialize_message`` gives for the same
+    fields.
+
+    Args:
+        names: Joint names.
+        frame_id: ``header.frame_id``.
+        position: Whether messages carry one position for each name.
+        velocity: Whether messages carry one velocity for each name.
+        effort: Whether messages carry one effort for each name.
+    """
+
+    def __init__(
+        self,
+        names: Sequence[str],
+        frame_id: str = "",
+        *,
+        position: bool = False,
+        velocity: bool = False,
+        effort: bool = False,
+    ) -> None:
+        count = len(names)
+        lengths = (count * position, count * velocity, count * effort)
+        self.layout = JointStateLayout.for_fields(names, frame_id, lengths)
+        self._buffer = bytearray(self.layout.size)
+        self._buffer[:ENCAPSULATION] = _LITTLE_ENDIAN
+        for offset, segment in self.layout.fixed:
+            self._buffer[offset : offset + len(segment)] = segment
+        self._stamp = struct.Struct("<iI")
+        self._doubles = struct.Struct(f"<{count}d")
+
+    def encode(
+        self,
+        stamp_ns: int,
+        *,
+        position: Sequence[float] = (),
+        velocity: Sequence[float] = (),
+        effort: Sequence[float] = (),
+    ) -> bytes:
+        """Return the serialised message.
+
+        Args:
+            stamp_ns: ``header.stamp`` in [ns].
+            position: One position for each name when the template has them, else empty.
+            velocity: Likewise the velocities.
+            effort: Likewise the efforts.
+
+        Raises:
+            struct.error: An array does not have one number for each name.
+        """
+        layout, buffer = self.layout, self._buffer
+        self._stamp.pack_into(buffer, STAMP_OFFSET, *divmod(stamp_ns, NANOSECONDS))
+        if layout.position:
+            self._doubles.pack_into(buffer, layout.position, *position)
+        if layout.velocity:
+            self._doubles.pack_into(buffer, layout.velocity, *velocity)
+        if layout.effort:
+            self._doubles.pack_into(buffer, layout.effort, *effort)
+        return bytes(buffer)
+
+
+def _append_string(buffer: bytearray, text: str) -> None:
+    """Append a CDR string to bytes that start at an aligned offset."""
+    encoded = text.encode() + b"\x00"
+    _pad(buffer, 4)
+    buffer += _COUNT.pack(len(encoded)) + encoded
+
+
+def _pad(buffer: bytearray, size: int) -> None:
+    buffer += b"\x00" * (-len(buffer) % size)
