@@ -15,7 +15,7 @@ from hpid_ros.analysis.pareto import pareto_front
 from hpid_ros.analysis.results import JointIndices, RunIndices
 from hpid_ros.cli import main
 from hpid_ros.commands import BAD_INPUT, DONE, FAILED, INTERRUPTED
-from hpid_ros.control.stability import is_hurwitz
+from hpid_ros.control.gains import is_hurwitz
 from hpid_ros.errors import GainError, SettingError
 from hpid_ros.experiment import batch
 from hpid_ros.experiment import search as search_module
