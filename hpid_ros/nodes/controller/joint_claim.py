@@ -27,7 +27,7 @@ from hpid_ros.nodes.ros.steady_timer import steady_timer
 SCOPES = ("joint", "none")
 
 _BEAT = 0.25  # [s]; six of them are a lease
-_SETTLES_WITHIN = 0.25  # [s]; a holder on a network that is found at all has answered by then
+_SETTLES_WITHIN = 0.5  # [s]; a holder on a network that is found at all has answered by then
 _CLOCK = getattr(time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC)  # goes on while a host sleeps
 _STARTED_NS = time.time_ns()  # one for all joints of a process: all of them win, or none
 
