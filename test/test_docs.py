@@ -26,7 +26,7 @@ def test_every_parameter_is_documented_as_it_is(spec):
 
 def test_every_other_parameter_of_a_node_is_documented():
     declared = set()
-    for path in (ROOT / "hpid_ros" / "nodes").glob("*.py"):
+    for path in (ROOT / "hpid_ros" / "nodes").rglob("*.py"):
         pattern = r'(?:read_only|read_number|positive)\(\s*(?:(?:self|node),\s*)?"(\w+)"'
         declared |= set(re.findall(pattern, path.read_text()))
     assert {"command_interface", "bag", "mode", "command_timeout", "seed"} <= declared
