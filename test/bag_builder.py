@@ -87,8 +87,9 @@ def convert(source: Path, target: Path, storage: StoragePlugin, mode: Compressio
             writer.write(connections[name], log_time_ns, raw)
 
 
-def small_log() -> list[tuple[str, int, bytes]]:
+def small_log(scale: float = 1.0, count: int = 60) -> list[tuple[str, int, bytes]]:
     log = [trajectory(0, ramp("a", t0=0.0, t1=1.0))]
-    for k in range(1, 60):
-        log += [state(k * 20 * MS, a=k * 0.1, b=0.0), command(k * 20 * MS, a=k * 0.01)]
+    for k in range(1, count):
+        position, effort = scale * k * 0.1, scale * k * 0.01
+        log += [state(k * 20 * MS, a=position, b=0.0), command(k * 20 * MS, a=effort)]
     return log

@@ -461,14 +461,13 @@ def test_states_without_stamps_need_the_receive_time(tmp_path):
     assert run.joints[0].command_stamps_ns.tolist() == [4 * MS]
 
 
-def test_messages_that_are_not_of_their_type_are_left_out_and_reported(tmp_path, caplog):
+def test_messages_that_are_not_of_their_type_are_left_out_and_reported(tmp_path):
     types = {"/joint_states": JOINT_STATE, "/joint_commands": JOINT_STATE}
     log = [*states(), ("/joint_states", 9 * S, b"\x00\x01\x00\x00junk"), *commands()]
     run = read_run(write(tmp_path / "bag", types, in_order(log)), "run")
     assert len(run.joints[0].position) == 5
     (line,) = run.quality.unreadable
     assert line.startswith("1 messages on /joint_states are left out: a JointState of 8 bytes")
-    assert line in caplog.text
 
 
 numbers = st.floats(-1e6, 1e6)

@@ -27,7 +27,7 @@ ALLOWED = {
     "bags": {"documents", "recordings", "trajectory", "wire"},
     "analysis": {"recordings"},
     "report": {"analysis", "recordings"},
-    "metrics": {"analysis", "bags", "recordings"},
+    "metrics": {"analysis", "bags", "control", "recordings", "robot", "stability"},
     "tuning": {
         *("analysis", "compensation", "control", "documents", "recordings", "robot"),
         *("simulation", "stability", "trajectory"),

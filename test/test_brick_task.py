@@ -31,9 +31,9 @@ from hpid_ros.experiment.graph.parameter_files import bridge_document, write_par
 from hpid_ros.experiment.graph.run import run_on_graph
 from hpid_ros.experiment.in_process import run_without_ros
 from hpid_ros.experiment.progress import RunReport, Silence
-from hpid_ros.experiment.result.end_effector import EndEffector, TaskFrame, moving_joints
 from hpid_ros.experiment.result.folder import ResultFolder
 from hpid_ros.experiment.result.result import compute, save
+from hpid_ros.metrics.end_effector import EndEffector, TaskFrame, moving_joints
 from hpid_ros.nodes.bridge.world_parameters import world_settings
 from hpid_ros.recordings.series import JointSeries, RunSeries
 from hpid_ros.robot import RobotDescription

@@ -13,6 +13,7 @@ from hpid_ros.analysis.indices.effort import chatter
 from hpid_ros.analysis.indices.run import run_indices
 from hpid_ros.analysis.quantities import ITAE, IVC
 from hpid_ros.control import Gains, LoopSettings
+from hpid_ros.metrics.gain_signals import gain_signals
 from hpid_ros.recordings.series import JointSeries, Retune, RunSeries, SeriesError
 from hpid_ros.report.figures.panels import log_ticks
 from hpid_ros.report.figures.plots import (
@@ -29,7 +30,6 @@ from hpid_ros.report.figures.plots import (
 from hpid_ros.report.figures.portraits import phase_curve
 from hpid_ros.report.figures.style import RUN_STYLES
 from hpid_ros.report.figures.trade_off import trade_off_figure
-from hpid_ros.tuning.gain_signals import gain_signals
 
 
 def swing(label="PID", frequency=1.5, joints=2, count=4001, seed=0):

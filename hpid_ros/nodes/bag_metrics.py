@@ -10,13 +10,13 @@ from pathlib import Path
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.parameter import Parameter
 
-from hpid_ros.analysis import Comparison, RunIndices, run_indices
-from hpid_ros.analysis.doubts import quality_lines
+from hpid_ros.analysis import Comparison, RunIndices
 from hpid_ros.analysis.quantities import ANGLE_UNITS, Quantity, find_quantities
 from hpid_ros.analysis.units import with_angles_in
-from hpid_ros.bags import BagSelection, parse_command_topics, read_run
+from hpid_ros.bags import BagSelection, parse_command_topics
 from hpid_ros.base.errors import HpidError, SettingError, unknown_name
-from hpid_ros.metrics.comparison import compare_bags
+from hpid_ros.metrics import Measured, Measuring, measure, measure_all
+from hpid_ros.metrics.sources import Source
 from hpid_ros.nodes.ros import executor
 from hpid_ros.nodes.ros.middleware import LATCHED
 from hpid_ros.nodes.ros.parameters import read_only
@@ -88,8 +88,8 @@ class BagMetrics(executor.ClosingNode):
                 "the parameter bags must name at least one bag, or watch a folder; both are empty"
             )
         labels = read_only(self, "labels", strings, "One for each bag; folder names if left out")
-        self._joints = read_only(self, "joints", strings, "Only these joints; all if left out")
-        self._selection = self._read_selection()
+        joints = read_only(self, "joints", strings, "Only these joints; all if left out")
+        self._how = Measuring(self._read_selection(joints), keeps_series=False)
         self._read_format()
         stays = read_only(
             self, "keep_running", False, "Stay, with the result latched on ~/indices"
@@ -98,17 +98,24 @@ class BagMetrics(executor.ClosingNode):
         self._baseline: RunIndices | None = None
         self._publisher = self.create_publisher(DiagnosticArray, "~/indices", LATCHED)
         if bags:
-            paths = [Path(bag) for bag in bags]
-            comparison = compare_bags(paths, labels or (), self._joints, selection=self._selection)
-            self._baseline = comparison.baseline
-            self._report(comparison.runs)
+            if labels and len(labels) != len(bags):
+                raise SettingError(
+                    f"there must be one label for each of {len(bags)} bags, not {len(labels)}"
+                )
+            names = labels or [None] * len(bags)
+            measured = measure_all(
+                [Source(Path(bag), name) for bag, name in zip(bags, names, strict=True)],
+                self._how,
+            )
+            self._baseline = measured[0].run
+            self._report(measured)
         if self._bags is not None:
             steady_timer(self, _LOOK_PERIOD, self._look)
             self.get_logger().info(f"watching {watch}")
         elif not stays:
             steady_timer(self, 0.0, self.request_stop)
 
-    def _read_selection(self) -> BagSelection:
+    def _read_selection(self, joints: Sequence[str] | None) -> BagSelection:
         reference = str(
             read_only(self, "reference", "auto", "Topic of the reference, its kind, or hold")
         )
@@ -117,6 +124,7 @@ class BagMetrics(executor.ClosingNode):
             self, "command_topics", Parameter.Type.STRING_ARRAY, "JOINT=TOPIC[INDEX] of efforts"
         )
         return BagSelection(
+            joints=joints,
             commands=commands or None,
             command_topics=parse_command_topics(topics or ()),
             reference=reference,
@@ -144,14 +152,7 @@ class BagMetrics(executor.ClosingNode):
         assert self._bags is not None
         for bag in self._bags.new():
             try:
-                series = read_run(
-                    bag, self._label(bag), joints=self._joints, selection=self._selection
-                )
-                for line in quality_lines(series):
-                    self.get_logger().warning(line)
-                run = run_indices(series)
-                before = [] if self._baseline is None else [self._baseline]
-                self._report([*before, run])
+                self._report([measure(bag, self._label(bag), self._how)], self._baseline)
             except HpidError as error:
                 self.get_logger().error(str(error))
 
@@ -159,7 +160,12 @@ class BagMetrics(executor.ClosingNode):
         taken = None if self._baseline is None else self._baseline.label
         return bag.name if bag.name != taken else f"{bag.parent.name}/{bag.name}"
 
-    def _report(self, runs: Sequence[RunIndices]) -> None:
+    def _report(self, measured: Sequence[Measured], baseline: RunIndices | None = None) -> None:
+        for line in (line for each in measured for line in each.defects):
+            self.get_logger().warning(line)
+        runs = [run for each in measured for run in each.runs]
+        if baseline is not None:
+            runs.insert(0, baseline)
         turned = tuple(with_angles_in(run, self._units) for run in runs)
         comparison = Comparison(turned)
         if not self._paper:

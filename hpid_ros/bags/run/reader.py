@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -17,15 +16,12 @@ from hpid_ros.bags.run.recording import Recording
 from hpid_ros.bags.run.topics import TopicChoice, choose_topics
 from hpid_ros.bags.selection import BagSelection
 from hpid_ros.base.errors import BagError, unknown_name
-from hpid_ros.base.foreign_text import shown
 from hpid_ros.recordings.quality import DataQuality, RecordingQuality, StampQuality
 from hpid_ros.recordings.series import RunSeries, SeriesError
 
 __all__ = ["BagReader", "RawMessage", "TopicSummary", "read_run"]
 
 _SHOWN_JOINTS = 3
-
-_log = logging.getLogger(__name__)
 
 
 def read_run(
@@ -43,8 +39,7 @@ def read_run(
     or no effort (command) for a joint do not concern it, and numbers that are not finite are left
     out. Where nothing carries efforts but the states, these measured ones are taken; a joint for
     which there are none, or no reference, has none (see :class:`JointSeries`). What could not be
-    read, and what is missing, is in the result's ``quality``; parts that could not be read are
-    logged as warnings too.
+    read, and what is missing, is in the result's ``quality``.
 
     Args:
         path: A bag folder, with ``metadata.yaml`` or without, or one ``.mcap`` or ``.db3`` file.
@@ -84,8 +79,6 @@ def read_run(
         missed=missed_messages(own),
         stood_still=time_stood_still(own),
     )
-    for line in quality.lines:
-        _log.warning("%s", shown(f"{where}: {line}"))
     return replace(run, quality=quality)
 
 

@@ -4,20 +4,25 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from hpid_ros.analysis import Comparison, run_indices
+from hpid_ros.analysis import Comparison
 from hpid_ros.analysis.doubts import unfollowed_lines, unfollowed_mapping
 from hpid_ros.analysis.indices.base import BaseFigures
 from hpid_ros.analysis.signals import GainSignals
-from hpid_ros.bags import read_run
+from hpid_ros.bags.selection import BagSelection
+from hpid_ros.base.foreign_text import shown
 from hpid_ros.experiment.description import Experiment
 from hpid_ros.experiment.progress import RunReport
 from hpid_ros.experiment.result.folder import ResultFolder, versions
 from hpid_ros.experiment.result.robot import TaskResult, base_results, task_result
+from hpid_ros.metrics import Measuring, measure
 from hpid_ros.recordings.series import RunSeries
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -103,9 +108,13 @@ def compute(experiment: Experiment, bags: Mapping[str, Path]) -> Result:
     Raises:
         HpidError: A bag cannot be read or lacks something.
     """
-    joints = experiment.world.joints
-    runs = tuple(read_run(bag, label, joints=joints) for label, bag in bags.items())
-    comparison = Comparison(tuple(run_indices(run) for run in runs))
+    how = Measuring(BagSelection(joints=experiment.world.joints))
+    measured = [measure(bag, label, how) for label, bag in bags.items()]
+    runs = tuple(each.series for each in measured if each.series is not None)
+    for run in runs:
+        for line in run.quality.lines if run.quality is not None else ():
+            _log.warning("%s", shown(f"run {run.label!r}: {line}"))
+    comparison = Comparison(tuple(each.run for each in measured))
     base = base_results(experiment, bags, runs)
     return Result(experiment, runs, comparison, base, task_result(experiment, bags, runs))
 
@@ -181,7 +190,7 @@ def save(result: Result, folder: ResultFolder, reports: Sequence[RunReport], how
 
 def _gain_signals(result: Result) -> dict[str, dict[str, GainSignals]]:
     """Return norm and gain multiplier over time, by run and joint."""
-    from hpid_ros.tuning.gain_signals import gain_signals
+    from hpid_ros.metrics.gain_signals import gain_signals
 
     found = {}
     for run in result.runs:

@@ -27,7 +27,7 @@ from hpid_ros.bags.messages import (
 )
 from hpid_ros.experiment.description import Experiment
 from hpid_ros.experiment.in_process import ODOM, SLIP, TRUTH
-from hpid_ros.experiment.result.end_effector import EndEffector, TaskFrame, moving_joints
+from hpid_ros.metrics.end_effector import EndEffector, TaskFrame, moving_joints
 from hpid_ros.planning import BrickGoal
 from hpid_ros.recordings.series import RunSeries
 from hpid_ros.robot.description import RobotDescription

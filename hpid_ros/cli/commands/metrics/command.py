@@ -3,20 +3,27 @@
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from hpid_ros.cli.commands import DONE
-from hpid_ros.cli.commands.metrics.options import EXAMPLES, add_options
-from hpid_ros.cli.commands.metrics.robot import end_effector_lines, with_end_effectors
+from hpid_ros.cli.commands.metrics.options import (
+    EXAMPLES,
+    add_options,
+    baseline_label,
+    measuring,
+    sources_of,
+)
 
 if TYPE_CHECKING:
-    from hpid_ros.analysis import Comparison, RunIndices
-    from hpid_ros.cli.commands.metrics.inputs import Measured
-    from hpid_ros.cli.commands.metrics.outputs import Outcome
+    from hpid_ros.analysis import Comparison
+    from hpid_ros.analysis.indices.task import EndEffectorFigures
+    from hpid_ros.metrics import Summary
 
 
 def add(commands: Any) -> None:
@@ -37,171 +44,52 @@ def run(options: argparse.Namespace) -> int:
     """Read, compute, compare, and leave what was asked for."""
     from hpid_ros.analysis.quantities import ANGLE_UNITS, find_quantities
     from hpid_ros.base.errors import SettingError, unknown_name
-    from hpid_ros.cli.commands.metrics.inputs import inputs_of, measure
-    from hpid_ros.cli.commands.metrics.outputs import refuse_existing, write_outputs
+    from hpid_ros.cli.commands.metrics.outputs import (
+        parameters_from_file,
+        refuse_existing,
+        write_outputs,
+    )
+    from hpid_ros.metrics import measure_all, summary
 
     if options.units not in ANGLE_UNITS:
         raise SettingError(unknown_name("unit of angles", options.units, ANGLE_UNITS))
-    find_quantities(options.indices.split(","))
+    indices = options.indices.split(",")
+    find_quantities(indices)
     refuse_existing(options)
-    inputs = inputs_of(options)
-    keeps_series = options.figures is not None or options.report is not None
+    sources, how = sources_of(options), measuring(options)
     with _progress() as tell:
-        measured = measure(options, inputs, keeps_series, tell)
-        outcome = _outcome(options, measured)
-        _require_a_number(outcome.comparison)
-        for line in outcome.warnings:
+        found = summary(
+            measure_all(sources, how, tell=tell),
+            baseline=baseline_label(options),
+            indices=indices,
+            units=options.units,
+            is_overall=options.overall,
+            names_commands=options.commands is not None,
+        )
+        labels = [run.label for run in found.comparison.runs]
+        if options.parameters is not None:
+            found = replace(found, parameters=parameters_from_file(options.parameters, labels))
+        for line in found.warnings:
             print(f"hpid: warning: {line}", file=sys.stderr)
-        if keeps_series and len(outcome.series) < len(outcome.comparison.runs):
+        if how.keeps_series and len(found.series) < len(labels):
             print(
                 "hpid: warning: saved numbers have no recording: only runs from bags are drawn",
                 file=sys.stderr,
             )
         tell("writing", 1.0)
-        written = write_outputs(options, outcome)
-    _print(options, outcome)
+        written = write_outputs(options, found)
+    _print(options, found)
     for path in written:
         print(f"written: {path}", file=sys.stderr)
     return DONE
 
 
-def _outcome(options: argparse.Namespace, measured: Sequence[Measured]) -> Outcome:
-    from hpid_ros.analysis.comparability import mismatches
-    from hpid_ros.analysis.folding import fold_repeats
-    from hpid_ros.analysis.units import with_angles_in
-    from hpid_ros.cli.commands.metrics.outputs import Outcome, parameters_from_file
-
-    single = [run for each in measured for run in each.runs]
-    single = _baseline_first(options, single)
-    warnings = (
-        *(line for each in measured for line in each.defects),
-        *_advice(single, options.commands is None),
-        *mismatches(single),
-    )
-    single = [with_angles_in(run, options.units) for run in single]
-    comparison = _selected(options, fold_repeats(single))
-    labels = [run.label for run in comparison.runs]
-    first_of = {each.runs[0].label: each for each in reversed(measured) if each.series}
-    parameters = {
-        label: first_of[label].parameters
-        for label in labels
-        if label in first_of and first_of[label].parameters
-    }
-    if options.parameters is not None:
-        parameters = dict(parameters_from_file(options.parameters, labels))
-    return Outcome(
-        comparison=comparison,
-        repeats=tuple(run for run in single if comparison.run(run.label).spread),
-        series=tuple(
-            series
-            for label in labels
-            if label in first_of and (series := first_of[label].series) is not None
-        ),
-        parameters=parameters,
-        warnings=warnings,
-        sources=tuple(each.path for each in measured),
-        end_effectors={
-            label: figures
-            for label in labels
-            if (figures := _first(measured, label, "end_effector")) is not None
-        },
-        paths=tuple(
-            path
-            for label in labels
-            if (path := _first(measured, label, "end_effector_path")) is not None
-        ),
-    )
-
-
-_OPTIONS = {
-    "effort": "--commands TOPIC, --commands effort or --command-topic JOINT=TOPIC[INDEX]",
-    "reference": "--reference TOPIC, FILE or hold",
-}
-
-
-def _advice(runs: Sequence[RunIndices], is_measured_a_choice: bool = True) -> list[str]:
-    """Return one line for each set of runs that lack something, with the options that give it.
-
-    Args:
-        runs: The runs.
-        is_measured_a_choice: Whether measured efforts were taken for want of commands.
-    """
-    from hpid_ros.analysis.quantities import Data
-
-    labels: dict[str, list[str]] = {}
-    for run in runs:
-        parts = []
-        if Data.EFFORT in run.assumed and is_measured_a_choice:
-            parts.append(
-                f"efforts are {run.assumed[Data.EFFORT]}, as nothing else carries any "
-                "(--commands TOPIC or --command-topic JOINT=TOPIC[INDEX] names commands)"
-            )
-        for data, options in _OPTIONS.items():
-            reasons: dict[str, list[str]] = {}
-            for joint, lacking in run.lacking.items():
-                for each, reason in lacking.items():
-                    if each.value == data:
-                        reasons.setdefault(reason, []).append(joint)
-            for reason, joints in reasons.items():
-                where = "" if len(joints) == len(run.joints) else f" for {', '.join(joints)}"
-                parts.append(f"{reason}{where}: {options}")
-        if parts:
-            labels.setdefault("; ".join(parts), []).append(repr(run.label))
-    return [
-        f"run{'s' if len(names) > 1 else ''} {', '.join(dict.fromkeys(names))}: {text}"
-        for text, names in labels.items()
-    ]
-
-
-def _require_a_number(comparison: Comparison) -> None:
-    """Raise SettingError if no run has what any of the numbers asked for needs."""
-    from hpid_ros.base.errors import SettingError
-
-    for run in comparison.runs:
-        for quantity in (*comparison.indices, *comparison.norms):
-            if any(quantity.needs not in run.lacking.get(joint, {}) for joint in run.joints):
-                return
-    lines = "; ".join(_advice(comparison.runs))
-    raise SettingError(f"none of the indices asked for can be computed: {lines}")
-
-
-def _first(measured: Sequence[Measured], label: str, what: str) -> Any:
-    """Return something of the first recording of a label; None without any."""
-    return next((getattr(each, what) for each in measured if each.runs[0].label == label), None)
-
-
-def _baseline_first(options: argparse.Namespace, runs: Sequence[RunIndices]) -> list[RunIndices]:
-    from pathlib import Path
-
-    from hpid_ros.base.errors import SettingError, unknown_name
-
-    if options.baseline is None or Path(options.baseline).exists():
-        return list(runs)
-    labels = [run.label for run in runs]
-    if options.baseline not in labels:
-        raise SettingError(unknown_name("baseline", options.baseline, set(labels)))
-    return sorted(runs, key=lambda run: run.label != options.baseline)
-
-
-def _selected(options: argparse.Namespace, runs: Sequence[RunIndices]) -> Comparison:
-    """Return the runs with the indices that were asked for."""
-    from hpid_ros.analysis import Comparison
-    from hpid_ros.analysis.quantities import INDICES, NORMS, find_quantities
-
-    chosen = find_quantities(options.indices.split(","))
-    if options.overall:
-        return Comparison(tuple(runs), indices=(), norms=chosen)
-    if chosen == (*INDICES, *NORMS):
-        return Comparison(tuple(runs))
-    return Comparison(tuple(runs), indices=chosen, norms=())
-
-
-def _print(options: argparse.Namespace, outcome: Outcome) -> None:
+def _print(options: argparse.Namespace, found: Summary) -> None:
     from hpid_ros.base.errors import SettingError
     from hpid_ros.report.tables.export import FORMATS
 
     try:
-        _print_to_output(options, outcome, FORMATS)
+        _print_to_output(options, found, FORMATS)
     except BrokenPipeError:  # whoever reads has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     except OSError as error:
@@ -211,19 +99,44 @@ def _print(options: argparse.Namespace, outcome: Outcome) -> None:
 
 def _print_to_output(
     options: argparse.Namespace,
-    outcome: Outcome,
+    found: Summary,
     formats: Mapping[str, Callable[[Comparison], str]],
 ) -> None:
     if options.format == "table" and sys.stdout.isatty():
         from hpid_ros.cli.terminal import output_console
         from hpid_ros.report.tables.table import ComparisonTable
 
-        output_console().print(ComparisonTable(outcome.comparison))
-        print(*end_effector_lines(outcome.end_effectors), sep="", end="", flush=True)
+        output_console().print(ComparisonTable(found.comparison))
+        print(*_end_effector_lines(found.end_effectors), sep="", end="", flush=True)
     else:
-        text = formats[options.format](outcome.comparison)
-        text = with_end_effectors(text, options.format, outcome.end_effectors)
+        text = formats[options.format](found.comparison)
+        text = _with_end_effectors(text, options.format, found.end_effectors)
         print(text, end="", flush=True)
+
+
+def _with_end_effectors(text: str, form: str, figures: Mapping[str, EndEffectorFigures]) -> str:
+    """Return a printed comparison together with the end effectors of its runs.
+
+    As lines below a table, as ``end_effector`` in JSON; CSV and LaTeX are tables of joints and
+    stay as they are.
+
+    Args:
+        text: The comparison as printed.
+        form: ``table``, ``csv``, ``json`` or ``latex``.
+        figures: By label of the run.
+    """
+    if not figures:
+        return text
+    if form == "json":
+        document = json.loads(text)
+        document["end_effector"] = {label: each.as_mapping() for label, each in figures.items()}
+        return json.dumps(document, indent=2) + "\n"
+    return text + "".join(_end_effector_lines(figures)) if form == "table" else text
+
+
+def _end_effector_lines(figures: Mapping[str, EndEffectorFigures]) -> list[str]:
+    """Return one line a run, with its end."""
+    return [f"{each.line(label)}\n" for label, each in figures.items()]
 
 
 @contextmanager

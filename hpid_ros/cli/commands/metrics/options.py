@@ -1,17 +1,18 @@
-"""The options of ``hpid metrics``, and the choices that they make."""
+"""The options of ``hpid metrics``, and what they choose."""
 
 from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hpid_ros.cli.commands.metrics.robot import add_robot_options
-
 if TYPE_CHECKING:
-    from hpid_ros.analysis.indices.run import IndexSettings
-    from hpid_ros.bags.selection import BagSelection, Reference
+    from hpid_ros.bags.selection import Reference
+    from hpid_ros.metrics import Measuring
+    from hpid_ros.metrics.end_effector import TaskFrame
+    from hpid_ros.metrics.sources import Source
 
 EXAMPLES = """\
 examples:
@@ -32,7 +33,7 @@ def add_options(parser: Any) -> None:
     _add_inputs(parser)
     _add_selection(parser.add_argument_group("what is read from the bags"))
     _add_numbers(parser.add_argument_group("numbers"))
-    add_robot_options(parser.add_argument_group("end effector"))
+    _add_robot(parser.add_argument_group("end effector"))
     _add_outputs(parser.add_argument_group("output"))
 
 
@@ -149,15 +150,85 @@ def _add_outputs(group: Any) -> None:
     group.add_argument("--force", action="store_true", help="replace files that exist")
 
 
-def bag_selection(options: argparse.Namespace) -> BagSelection:
-    """Return what is to be read from the bags.
+def _add_robot(group: Any) -> None:
+    group.add_argument(
+        "--robot",
+        metavar="URDF",
+        help="also tell how far its end effector was from the reference, by forward kinematics; "
+        "an experiment file (.yaml) names wheels and initial positions, too",
+    )
+    group.add_argument(
+        "--end-effector", metavar="LINK", help="link whose pose counts, with --robot (the last)"
+    )
+    group.add_argument(
+        "--wheels",
+        nargs=2,
+        metavar=("LEFT", "RIGHT"),
+        help="joints of the wheels of a base, with --robot: its odometry is added",
+    )
+
+
+def sources_of(options: argparse.Namespace) -> list[Source]:
+    """Return what is to be read, the baseline first if it was named by a path.
 
     Raises:
-        SettingError: The options are no selection.
+        SettingError: Nothing is named, or labels do not fit.
+        BagError: A result folder has no bags.
+    """
+    from hpid_ros.base.errors import SettingError
+    from hpid_ros.base.names import require_label
+    from hpid_ros.metrics.sources import Source, expanded
+
+    if options.labels and len(options.labels) != len(options.bags):
+        raise SettingError(
+            f"there must be one label for each of {len(options.bags)} bags, "
+            f"not {len(options.labels)}"
+        )
+    for label in options.labels or ():
+        require_label(label, "--labels", SettingError)
+    labels = options.labels or [None] * len(options.bags)
+    named = [Source(path, label) for path, label in zip(options.bags, labels, strict=True)]
+    for label, *paths in options.group:
+        if not paths:
+            raise SettingError(f"--group {label} names no bag: it takes a label, then bags")
+        require_label(label, "--group", SettingError)
+        named += [Source(Path(path), label) for path in paths]
+    sources = [each for one in named for each in expanded(one)]
+    if options.baseline is not None and Path(options.baseline).exists():
+        sources = _with_baseline_first(sources, Path(options.baseline))
+    if not sources:
+        raise SettingError("name at least one bag, result folder or file of saved indices")
+    return sources
+
+
+def _with_baseline_first(sources: Sequence[Source], baseline: Path) -> list[Source]:
+    from hpid_ros.metrics.sources import Source, expanded
+
+    def is_baseline(each: Source) -> bool:
+        return each.path.resolve() == baseline.resolve()
+
+    first = [each for each in sources if is_baseline(each)] or expanded(Source(baseline))
+    return [*first, *(each for each in sources if not is_baseline(each))]
+
+
+def baseline_label(options: argparse.Namespace) -> str | None:
+    """Return the label of the baseline; None if it was named by its path, or not at all."""
+    if options.baseline is None or Path(options.baseline).exists():
+        return None
+    return str(options.baseline)
+
+
+def measuring(options: argparse.Namespace) -> Measuring:
+    """Return how the bags are to be read, and what is to be computed of them.
+
+    Raises:
+        HpidError: The options are no selection, an effort limit is no number, or the robot
+            cannot be used.
     """
     from hpid_ros.bags.selection import BagSelection, parse_command_topics
+    from hpid_ros.metrics import Measuring
 
-    return BagSelection(
+    selection = BagSelection(
         joints=options.joints,
         namespace=options.namespace,
         states=options.states,
@@ -168,6 +239,13 @@ def bag_selection(options: argparse.Namespace) -> BagSelection:
         start=options.start,
         end=options.end,
     )
+    how = Measuring(
+        selection,
+        effort_limits=_effort_limits(options.effort_limit),
+        robot=_task_frame(options),
+        keeps_series=options.figures is not None or options.report is not None,
+    )
+    return how if options.cutoff is None else replace(how, cutoff=options.cutoff)
 
 
 def _reference(text: str) -> Reference:
@@ -183,23 +261,48 @@ def _reference(text: str) -> Reference:
     return load_reference(text)
 
 
-def index_settings(options: argparse.Namespace, joints: Sequence[str]) -> IndexSettings:
-    """Return the settings of the indices for a run with these joints.
-
-    Raises:
-        SettingError: An effort limit is no number.
-        SeriesError: A value is not positive, or names a joint that is not there.
-    """
-    from hpid_ros.analysis.indices.run import DEFAULT_CUTOFF, IndexSettings
+def _effort_limits(texts: Sequence[str]) -> dict[str, float]:
     from hpid_ros.base.errors import SettingError
+    from hpid_ros.metrics.measure import ALL_JOINTS
 
     limits: dict[str, float] = {}
-    for text in options.effort_limit:
-        name, separator, number = text.rpartition("=")
+    for text in texts:
+        name, _, number = text.rpartition("=")
         try:
-            value = float(number)
+            limits[name or ALL_JOINTS] = float(number)
         except ValueError:
             raise SettingError(f"--effort-limit must be NM or JOINT=NM, got {text!r}") from None
-        limits |= {name: value} if separator else dict.fromkeys(joints, value)
-    cutoff = DEFAULT_CUTOFF if options.cutoff is None else options.cutoff
-    return IndexSettings(cutoff=cutoff, effort_limits=limits)
+    return limits
+
+
+def _task_frame(options: argparse.Namespace) -> TaskFrame | None:
+    """Return the robot that the options name; None without one.
+
+    Raises:
+        SettingError: There are options of a robot, but no robot.
+        HpidError: The robot cannot be used.
+    """
+    if options.robot is None:
+        if options.end_effector is not None or options.wheels is not None:
+            from hpid_ros.base.errors import SettingError
+
+            raise SettingError("--end-effector and --wheels need --robot URDF")
+        return None
+    from hpid_ros.base.resources import find_resource
+    from hpid_ros.experiment.description import load_experiment
+    from hpid_ros.metrics.end_effector import TaskFrame
+    from hpid_ros.robot.description import RobotDescription
+    from hpid_ros.robot.differential_drive import DifferentialDrive
+
+    file = find_resource(options.robot)
+    if file.suffix in (".yaml", ".yml"):
+        experiment = load_experiment(file)
+        world = experiment.world
+        description = RobotDescription.load(world.robot_description)
+        base, others, link = world.base, world.initial_positions, experiment.end_effector
+    else:
+        description = RobotDescription.load(file)
+        base, others, link = None, {}, description.last_link
+    if options.wheels is not None:
+        base = DifferentialDrive.of(description, *options.wheels)
+    return TaskFrame(description, description.link(options.end_effector or link), base, others)

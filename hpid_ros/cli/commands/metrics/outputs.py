@@ -7,47 +7,18 @@ import json
 import shlex
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hpid_ros import __version__
-from hpid_ros.analysis import Comparison, RunIndices
-from hpid_ros.analysis.indices.task import EndEffectorFigures, EndEffectorPath
 from hpid_ros.base.errors import SettingError, unknown_name
 from hpid_ros.base.output_files import refuse_output, write_file
-from hpid_ros.recordings.series import RunSeries
 
 if TYPE_CHECKING:
     from hpid_ros.analysis.signals import Gains
     from hpid_ros.control import LoopSettings
-
-Parameters = Mapping[str, Mapping[str, Mapping[str, object]]]
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """Everything that outputs are made of.
-
-    Attributes:
-        comparison: The numbers.
-        repeats: The single runs of its medians.
-        series: The first recording of each label, as far as there are recordings.
-        parameters: What the controllers were set to, by label, joint and parameter.
-        warnings: What keeps the runs from being compared fairly.
-        sources: Where the numbers come from.
-        end_effectors: Deviations of the end effector, by label of the first recording of each.
-        paths: Its paths.
-    """
-
-    comparison: Comparison
-    repeats: tuple[RunIndices, ...]
-    series: tuple[RunSeries, ...]
-    parameters: Parameters
-    warnings: tuple[str, ...]
-    sources: tuple[Path, ...]
-    end_effectors: Mapping[str, EndEffectorFigures] = field(default_factory=dict)
-    paths: tuple[EndEffectorPath, ...] = ()
+    from hpid_ros.metrics import Summary
+    from hpid_ros.metrics.compare import Parameters
 
 
 def refuse_existing(options: argparse.Namespace) -> None:
@@ -82,7 +53,7 @@ def figure_formats(options: argparse.Namespace) -> list[str]:
     return [form.strip().lower() for form in options.formats.split(",") if form.strip()]
 
 
-def write_outputs(options: argparse.Namespace, outcome: Outcome) -> list[Path]:
+def write_outputs(options: argparse.Namespace, found: Summary) -> list[Path]:
     """Write what was asked for.
 
     Returns:
@@ -94,14 +65,14 @@ def write_outputs(options: argparse.Namespace, outcome: Outcome) -> list[Path]:
     written: list[Path] = []
     try:
         if options.save is not None:
-            write_file(options.save, _saved_text(outcome))
+            write_file(options.save, _saved_text(found))
             written.append(options.save)
-        gains = {} if options.figures is None and options.report is None else _gains(outcome)
+        gains = {} if options.figures is None and options.report is None else _gains(found)
         if options.figures is not None:
-            _save_figures(options, outcome, gains)
+            _save_figures(options, found, gains)
             written.append(options.figures)
         if options.report is not None:
-            write_file(options.report, _report_text(outcome, gains))
+            write_file(options.report, _report_text(found, gains))
             written.append(options.report)
     except OSError as error:
         reason = (error.strerror or str(error)).lower()
@@ -109,7 +80,7 @@ def write_outputs(options: argparse.Namespace, outcome: Outcome) -> list[Path]:
     return written
 
 
-def _save_figures(options: argparse.Namespace, outcome: Outcome, gains: Gains) -> None:
+def _save_figures(options: argparse.Namespace, found: Summary, gains: Gains) -> None:
     from hpid_ros.experiment.result.folder import ResultFolder
     from hpid_ros.report.figures.plots import save_figures
 
@@ -117,57 +88,57 @@ def _save_figures(options: argparse.Namespace, outcome: Outcome, gains: Gains) -
         options.figures, force=options.force, inputs=_inputs(options), option="--figures"
     ) as folder:
         for path in save_figures(
-            outcome.series,
+            found.series,
             folder.path,
             figure_formats(options),
-            comparison=outcome.comparison,
-            repeats=outcome.repeats,
+            comparison=found.comparison,
+            repeats=found.repeats,
             gains=gains,
-            paths=outcome.paths,
+            paths=found.paths,
         ):
             folder.add(path.name)
 
 
-def _saved_text(outcome: Outcome) -> str:
+def _saved_text(found: Summary) -> str:
     document = {
         "hpid_ros": __version__,
-        "sources": [str(path) for path in outcome.sources],
-        "indices": outcome.comparison.as_mapping(),
+        "sources": [str(path) for path in found.sources],
+        "indices": found.comparison.as_mapping(),
     }
     return json.dumps(document, indent=2) + "\n"
 
 
-def _report_text(outcome: Outcome, gains: Gains) -> str:
+def _report_text(found: Summary, gains: Gains) -> str:
     from hpid_ros.experiment.result.folder import versions
     from hpid_ros.report.html.page import render_report
 
     provenance: dict[str, object] = {
         "command": shlex.join(["hpid", *sys.argv[1:]]),
-        "sources": [str(path) for path in outcome.sources],
+        "sources": [str(path) for path in found.sources],
         "versions": versions(),
     }
     return render_report(
-        outcome.comparison,
-        outcome.series,
+        found.comparison,
+        found.series,
         provenance,
-        outcome.parameters,
-        warnings=outcome.warnings,
-        repeats=outcome.repeats,
+        found.parameters,
+        warnings=found.warnings,
+        repeats=found.repeats,
         gains=gains,
-        paths=outcome.paths,
+        paths=found.paths,
     )
 
 
-def _gains(outcome: Outcome) -> Gains:
+def _gains(found: Summary) -> Gains:
     """Return what the laws did to their gains, of each run whose parameters are known."""
-    from hpid_ros.tuning.gain_signals import gain_signals
+    from hpid_ros.metrics.gain_signals import gain_signals
 
-    found = {}
-    for run in outcome.series:
-        signals = gain_signals(run, _settings(outcome.parameters.get(run.label, {})))
+    gains = {}
+    for run in found.series:
+        signals = gain_signals(run, _settings(found.parameters.get(run.label, {})))
         if signals is not None:
-            found[run.label] = signals
-    return found
+            gains[run.label] = signals
+    return gains
 
 
 def _settings(parameters: Mapping[str, Mapping[str, object]]) -> dict[str, LoopSettings]:
