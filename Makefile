@@ -1,6 +1,8 @@
 # Two commands do everything on a fresh machine:
 #   make compare   set up .venv and run the paper's comparison
 #   make test      set up .venv with the test extras and run the suite
+# For every save:
+#   make quick     the unit tests alone
 # And for whoever must trust it on an arm:
 #   make faults    break things on purpose and count what came of it
 # Options for hpid compare: make compare ARGS="FILE --output FOLDER --in-process"
@@ -9,7 +11,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: compare test faults bench lint clean
+.PHONY: compare test quick faults bench lint clean
 
 $(BIN)/python:
 	$(PYTHON) -m venv $(VENV)
@@ -31,8 +33,14 @@ $(VENV)/.bench-installed: $(VENV)/.installed
 compare: $(VENV)/.installed
 	$(BIN)/hpid compare $(ARGS)
 
+# Each file on one of so many processes; graphs have domains of their own.
+JOBS ?= 2
+
 test: $(VENV)/.test-installed
-	$(BIN)/python -m pytest $(ARGS)
+	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile $(ARGS)
+
+quick: $(VENV)/.test-installed
+	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile -m unit -q $(ARGS)
 
 # The tests that break things on purpose, and a table of what they did and what came of it.
 # Longer: python -m benchmarks.faults --minutes 10, python -m benchmarks.soak --minutes 60

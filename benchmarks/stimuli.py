@@ -43,6 +43,9 @@ _INERTIA, _LOAD = 1.0, -8.0  # [kg m^2, N m]
 _GAINS = {"gains.p": 100.0, "gains.i": 150.0, "gains.d": 20.0}
 _SPEED, _LENGTH = 0.5, 20.0  # [rad/s, s] of the trajectory
 _RUN_IN, _AFTER, _WITHIN = 1.5, 1.0, 30.0  # [s]
+_LONGEST = 0.1  # [s]; longer there is no command of the loop: that is what is measured
+PACE = 400.0
+"""How fast the effort may move with a reference that glides back onto its motion, in [N m/s]."""
 _FAILED, _BAD_INPUT, _INTERRUPTED = 1, 2, 130
 
 
@@ -62,12 +65,15 @@ class Felt:
         before: The effort before in [N m].
         step: The largest change from one command to the next after it, down to zero not counted,
             in [N m].
+        sudden: Likewise, of each change no more than exceeds :data:`PACE` for the time between
+            the two commands: on a busy machine the reference moves on meanwhile.
         to_zero: Time until the effort was zero in [s]; NaN if it never was.
         note: What else was seen.
     """
 
     before: float
     step: float
+    sudden: float
     to_zero: float = math.nan
     note: str = ""
 
@@ -178,13 +184,21 @@ class Driver:
 
     def felt(self, since: float, note: str = "") -> Felt:
         """Return what the commands tell since an instant on the steady clock."""
-        efforts = [each.effort for each in self.commands if each.at < since][-1:]
-        before = efforts[0] if efforts else math.nan
+        last = [each for each in self.commands if each.at < since][-1:]
         after = [each for each in self.commands if each.at >= since]
         zero = next((each.at - since for each in after if each.effort == 0.0), math.nan)
-        efforts += [each.effort for each in after]
-        steps = [abs(b - a) for a, b in pairwise(efforts) if b != 0.0]
-        return Felt(before, max(steps, default=0.0), zero, note)
+        steps = [
+            (abs(b.effort - a.effort), min(b.at - a.at, _LONGEST))
+            for a, b in pairwise([*last, *after])
+            if b.effort != 0.0
+        ]
+        return Felt(
+            last[0].effort if last else math.nan,
+            max((step for step, _ in steps), default=0.0),
+            max((step - PACE * dt for step, dt in steps), default=0.0),
+            zero,
+            note,
+        )
 
 
 def freeze(driver: Driver) -> Felt:

@@ -2,10 +2,11 @@
 
 import os
 from collections import Counter
+from pathlib import Path
 
 import pytest
 import yaml
-from harness import Harness
+from harness.graph import Harness
 from hypothesis import settings
 
 from hpid_ros.base.resources import share_folder
@@ -15,6 +16,7 @@ settings.register_profile("suite", deadline=None)  # a busy machine is not a fai
 settings.load_profile("suite")
 
 FAULTS = pytest.StashKey()
+TESTS = Path(__file__).parent
 TRACKING = share_folder() / "config" / "experiments" / "tracking.yaml"
 
 
@@ -86,6 +88,8 @@ def pytest_addoption(parser):
 
 
 def pytest_collection_modifyitems(config, items):
+    for item in items:
+        item.add_marker(item.path.relative_to(TESTS).parts[0])
     if config.getoption("--faults"):
         others = [item for item in items if "faults" not in item.fixturenames]
         items[:] = [item for item in items if "faults" in item.fixturenames]

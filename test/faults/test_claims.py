@@ -1,0 +1,526 @@
+"""Two controllers of one joint: one is active, the other is refused and says who holds it."""
+
+import itertools
+import os
+import random
+import select
+import signal
+import socket
+import time
+from contextlib import ExitStack
+from dataclasses import replace
+
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from harness.graph import ros_arguments
+from harness.health import Told, change, state
+from harness.two_hosts import HostsError, network_environment, plug, pull, two_hosts
+from hypothesis import given
+from hypothesis import strategies as st
+from sensor_msgs.msg import JointState
+
+from hpid_ros.base.names import claim_topic
+from hpid_ros.experiment.graph.isolation import closed_environment, own_domain
+from hpid_ros.experiment.graph.processes import NodeGroup
+from hpid_ros.nodes.controller.claims import LEASE, Claim, ClaimState, HeardClaims, HostLock
+from hpid_ros.nodes.controller.joint_claim import to_message
+from hpid_ros.nodes.ros.middleware import LATCHED, OFFERED
+from hpid_ros.simulation.lockstep import FollowedSender
+from hpid_ros.wire import JointStateTemplate, decode_joint_state
+
+MS = 1_000_000
+GAINS = {"law": "pid", "gains__p": 10.0, "certify": False, "state_watchdog": False}
+
+# --- the order among claims ---------------------------------------------------------------
+
+OWNERS = [("here", "a", 1, "/c"), ("there", "b", 1, "/c"), ("there", "b", 2, "/c")]
+claims = st.builds(
+    lambda owner, since, state: Claim(
+        "elbow", "/joint_commands", owner[3], owner[1], owner[2], since, owner[0], state
+    ),
+    st.sampled_from(OWNERS),
+    st.integers(0, 2),
+    st.sampled_from([ClaimState.WISHED, ClaimState.HELD]),
+)
+
+
+@given(claims, claims)
+def test_of_two_claims_exactly_one_yields(one, other):
+    if one.owner != other.owner:
+        assert one.yields_to(other) is not other.yields_to(one)
+
+
+@given(claims, claims)
+def test_a_wish_never_displaces_a_holder(one, other):
+    if one.state is ClaimState.HELD and other.state is ClaimState.WISHED:
+        assert not one.yields_to(other)
+
+
+class Side:
+    """One host's controller as joint_claim drives it: it wishes, settles, and yields for good."""
+
+    def __init__(self, claim):
+        self.claim, self.told = claim, [claim]
+
+    def settle(self):
+        if self.claim is not None and self.claim.state is ClaimState.WISHED:
+            self.claim = self.claim.become(ClaimState.HELD)
+            self.told.append(self.claim)
+
+    def hear(self, claim):
+        if self.claim is not None and claim is not None and self.claim.yields_to(claim):
+            self.claim = None
+
+
+@given(st.data())
+def test_whatever_comes_when_exactly_one_of_two_is_left(data):
+    """Messages are late by any amount and sides settle at any time; in the end one has it."""
+    since = data.draw(st.tuples(st.integers(0, 2), st.integers(0, 2)))
+    sides = [
+        Side(Claim("elbow", "/t", owner[3], owner[1], owner[2], start, owner[0]))
+        for owner, start in zip(OWNERS, since, strict=False)
+    ]
+    heard = [0, 0]
+    steps = data.draw(st.lists(st.tuples(st.integers(0, 1), st.booleans()), max_size=12))
+    for index, settles in steps:
+        me, other = sides[index], sides[1 - index]
+        if settles:
+            me.settle()
+        elif heard[index] < len(other.told):
+            me.hear(other.told[heard[index]])
+            heard[index] += 1
+        assert any(side.claim for side in sides)
+    for _ in range(2):  # then the network works: everything is told again, in order
+        for index, me in enumerate(sides):
+            for claim in sides[1 - index].told[heard[index] :]:
+                me.hear(claim)
+            heard[index] = len(sides[1 - index].told)
+            if sides[1 - index].claim is not None:
+                me.hear(sides[1 - index].claim)
+            me.settle()
+    assert [side.claim is not None for side in sides].count(True) == 1
+
+
+def test_a_claim_stands_for_its_lease_or_until_it_is_released():
+    claim = Claim("elbow", "/t", "/c", "b", 1, 0, "there", ClaimState.HELD)
+    heard = HeardClaims()
+    heard.hear(claim, 10.0)
+    assert heard.standing(10.0 + LEASE) == claim
+    assert heard.standing(10.1 + LEASE) is None
+    heard.hear(claim, 20.0)
+    heard.hear(claim.become(ClaimState.RELEASED), 20.1)
+    assert heard.standing(20.1) is None
+
+
+# --- one host: the kernel decides ---------------------------------------------------------
+
+
+def test_a_lock_has_one_holder_and_names_it():
+    key = f"test {os.getpid()} {random.random()}"
+    first, second = HostLock(key, "/one"), HostLock(key, "/" + "deep/" * 30 + "two")
+    assert (first.take(), first.take()) == ("", "")
+    assert second.take() == f"/one (process {os.getpid()} of this host)"
+    first.release()
+    assert second.take() == ""
+    assert first.take().endswith("deep/two " + f"(process {os.getpid()} of this host)")
+    second.release()
+    other = HostLock(key + " other", "/three")
+    assert other.take() == ""
+    other.release()
+
+
+def test_nobody_can_send_anything_to_a_lock():
+    key = f"test {os.getpid()} {random.random()}"
+    lock = HostLock(key, "/one")
+    lock.take()
+    other = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    with other, pytest.raises(ConnectionRefusedError):
+        other.connect("\0" + lock._name)
+    lock.release()
+
+
+# --- live controllers ---------------------------------------------------------------------
+
+
+def log_of(process):
+    return process.log.read_text(errors="replace")
+
+
+def ended(harness, process, within=20.0):
+    harness.wait(lambda: process.process.poll() is not None, within, f"{process.name} to end")
+    return process.process.returncode
+
+
+def start(harness, name, **parameters):
+    values = {"joint": "elbow", **GAINS, **parameters}
+    return harness.processes.start(name, "joint_controller", ros_arguments(**values))
+
+
+def test_a_second_controller_of_a_joint_is_refused_and_names_the_first(harness, faults):
+    first = harness.start_controller("first", **GAINS)
+    harness.ask(0, 0.5)
+    second = start(harness, "second", gains__p=99.0)
+    assert ended(harness, second) == 1
+    faults.count("second controllers refused")
+    said = log_of(second).strip().splitlines()
+    assert said == [
+        f"/second: joint elbow is commanded by /first (process {first.pid} of this host); one "
+        f"controller at a time may be active, unless each has the parameter claim: none"
+    ]
+    assert harness.ask(MS, 0.4) == pytest.approx(1.0)
+    assert [each.effort for each in harness.commands] == [(0.0,), (pytest.approx(1.0),)]
+
+    # Frozen it holds the joint all the same: it may go on at any time.
+    os.kill(first.pid, signal.SIGSTOP)
+    frozen = start(harness, "while_frozen")
+    assert ended(harness, frozen) == 1
+    assert f"/first (process {first.pid} of this host)" in log_of(frozen)
+    # Killed it does not, from the same instant on.
+    os.kill(first.pid, signal.SIGKILL)
+    first.process.wait()
+    third = start(harness, "third")
+    harness.wait(lambda: "listening" in events(third), what="the third to be active")
+    faults.count("joints taken over from a killed controller")
+    assert harness.ask_newcomer(2 * MS, 0.3) == pytest.approx(0.0)
+
+
+def events(process):
+    """Return the names of all events of a process so far."""
+    seen = process.__dict__.setdefault("seen", [])
+    seen += [event["event"] for event in process.read_events()]
+    return seen
+
+
+def test_of_controllers_that_start_at_the_same_moment_one_is_active(harness, faults):
+    for turn in range(3):
+        group = [start(harness, f"twin_{turn}_{k}") for k in range(2)]
+        winner = only_winner(harness, group)
+        for loser in group:
+            if loser is not winner:
+                assert loser.process.returncode == 1
+                assert f"/{winner.name} (process {winner.pid} of this host)" in log_of(loser)
+        faults.count("simultaneous starts with one active in the end")
+        harness.processes.stop([winner.name])
+
+
+def only_winner(harness, group):
+    """Wait until all of a group but one have ended, and that one is active; return it."""
+
+    def decided():
+        left = [process for process in group if process.process.poll() is None]
+        return len(left) == 1 and "listening" in events(left[0])
+
+    harness.wait(decided, what="one to be active")
+    (winner,) = (process for process in group if process.process.poll() is None)
+    return winner
+
+
+def test_a_joint_that_was_left_may_be_taken_and_others_are_not_disturbed(harness):
+    """Another namespace, another joint, another topic and ``claim: none`` are no second."""
+    first = harness.start_controller("elbow_controller", **GAINS)
+    told = Told(harness)
+    harness.wait(lambda: told.says(claim="held"), what="the claim in the diagnostics")
+    others = [
+        harness.processes.start(
+            name,
+            "joint_controller",
+            [*ros_arguments(certify=False, **parameters), *remaps],
+        )
+        for name, parameters, remaps in (
+            ("namespaced", {"joint": "elbow"}, ["-r", "__ns:=/left"]),
+            ("remapped", {"joint": "elbow"}, ["-r", "joint_commands:=elsewhere"]),
+            ("wrist", {"joint": "wrist"}, []),
+            ("unclaimed", {"joint": "elbow", "claim": "none"}, []),
+        )
+    ]
+    standby = start(harness, "standby", autostart=False)
+    assert change(harness, "configure", "standby")
+    assert not change(harness, "activate", "standby")
+    assert state(harness, "standby") == "inactive"  # it may be tried again
+    assert f"/elbow_controller (process {first.pid} of this host)" in log_of(standby)
+    assert change(harness, "deactivate")
+    assert change(harness, "activate", "standby")
+    harness.wait(lambda: "listening" in events(standby), what="the standby")
+    assert state(harness) == "inactive"
+    assert not change(harness, "activate")
+    harness.wait(
+        lambda: "commanded by /standby" in told.newest().get("message", ""),
+        what="the diagnostics to name the holder",
+    )
+    assert [p.process.poll() for p in others] == [None] * len(others), [log_of(p) for p in others]
+
+
+# --- another host, played by the test on the real topic ------------------------------------
+
+
+class OtherHost:
+    """Tells claims as a controller on another host does."""
+
+    def __init__(self, harness, topic="/joint_commands"):
+        self._publisher = harness.node.create_publisher(
+            DiagnosticStatus, claim_topic(topic, "elbow"), LATCHED
+        )
+        self.heard, self._seen = [], -1
+        harness.node.create_subscription(
+            DiagnosticStatus, claim_topic(topic, "elbow"), self.heard.append, LATCHED
+        )
+        self.claim = Claim("elbow", topic, "/far", "farhost", 7, 1, "far", ClaimState.HELD)
+
+    def tell(self, claim=None):
+        self._publisher.publish(to_message(claim or self.claim))
+
+    def is_quiet(self):
+        """Tell whether nothing new has come since the last call."""
+        before, self._seen = self._seen, len(self.heard)
+        return before == self._seen
+
+    def states(self):
+        return [each.message for each in self.heard if each.name != "/far"]
+
+
+def test_a_joint_that_another_host_holds_is_refused_for_as_long_as_it_says_so(harness, faults):
+    far = OtherHost(harness)
+    far.tell()
+    standby = start(harness, "standby", autostart=False)
+    change(harness, "configure", "standby")
+
+    def refused():
+        far.tell()
+        if change(harness, "activate", "standby"):
+            change(harness, "deactivate", "standby")
+            return False
+        return True
+
+    harness.wait(refused, what="the far claim to be heard")
+    assert "/far (process 7 on host farhost)" in log_of(standby)
+    far.tell()
+    silent = time.monotonic()
+    harness.wait(lambda: change(harness, "activate", "standby"), what="the lease to run out")
+    lasted = time.monotonic() - silent
+    assert LEASE - 0.2 < lasted < LEASE + 0.5
+    faults.count("ms from another host's last word to active here", 1e3 * lasted)
+    assert change(harness, "deactivate", "standby")
+    far.tell()
+    assert refused()
+    far.tell(far.claim.become(ClaimState.RELEASED))
+    harness.wait(
+        lambda: change(harness, "activate", "standby"), within=LEASE - 0.5, what="the release"
+    )
+
+
+def test_a_holder_yields_to_an_older_one_and_not_to_a_younger_or_a_wish(harness, faults):
+    """As after a network was in two halves: with one zero, at once, even if its stop is slow."""
+    controller = harness.start_controller(stop="damping", stop_duration=4.0, **GAINS)
+    harness.ask(0, 0.5)
+    assert harness.ask(MS, 0.4) == pytest.approx(1.0)
+    far = OtherHost(harness)
+    harness.wait(lambda: far.states(), what="the claim to be heard")
+    wish = replace(far.claim, state=ClaimState.WISHED)
+    younger = replace(far.claim, since_ns=time.time_ns() + 10**15)
+    count = len(far.states())
+    for claim in (wish, younger):
+        far.tell(claim)
+    garbled = DiagnosticStatus(name="/nonsense", message="held")
+    far._publisher.publish(garbled)
+    harness.wait(lambda: len(far.states()) > count + 2, what="three beats")
+    assert state(harness) == "active"
+    assert harness.ask(2 * MS, 0.3) == pytest.approx(2.0)
+    count = len(harness.commands)
+    far.tell()
+    told = time.monotonic()
+    harness.wait(lambda: len(harness.commands) > count, what="its last command")
+    faults.count("ms from an older claim heard to zero effort", 1e3 * (time.monotonic() - told))
+    harness.wait(lambda: "released" in far.states(), what="the controller to yield")
+    faults.count("holders that yielded to another host")
+    assert [each.effort for each in harness.commands[count:]] == [(0.0,)]
+    assert state(harness) == "inactive"
+    assert controller.process.poll() is None
+    assert "/far (process 7 on host farhost)" in log_of(controller)
+    template = JointStateTemplate(["elbow"], position=True, velocity=True)
+    harness.states.publish(template.encode(3 * MS, position=[0.0], velocity=[0.0]))
+    far.heard.clear()
+    assert state(harness) == "inactive"
+    assert len(harness.commands) == count + 1
+
+
+def test_who_was_frozen_for_a_lease_comes_back_as_a_newcomer(harness, faults):
+    """The joint may be another's by then, and that one goes on undisturbed."""
+    controller = harness.start_controller(**GAINS)
+    far = OtherHost(harness)
+    harness.wait(lambda: far.states(), what="the claim to be heard")
+    os.kill(controller.pid, signal.SIGSTOP)
+    time.sleep(LEASE + 0.3)  # not a wait for something: this is how long it is frozen
+    younger = replace(far.claim, since_ns=time.time_ns())
+    harness.wait(far.is_quiet, what="what it told before")
+    count = len(far.states())
+    far.tell(younger)
+    os.kill(controller.pid, signal.SIGCONT)
+    thawed = time.monotonic()
+    beats = itertools.count()
+
+    def has_yielded():
+        if next(beats) % 10 == 0:  # some 4 Hz, as a controller does
+            far.tell(younger)
+        return "released" in far.states()
+
+    harness.wait(has_yielded, within=5.0, what="it to yield")
+    faults.count("ms from a thaw to having yielded", 1e3 * (time.monotonic() - thawed))
+    assert "held" not in far.states()[count:]
+    assert state(harness) == "inactive"
+
+
+# --- the robot's side ---------------------------------------------------------------------
+
+
+def test_the_first_sender_is_followed_until_it_is_silent():
+    followed = FollowedSender(0.2)
+    assert followed.takes("a", 1.0, 0.0)
+    assert not followed.takes("b", 1.0, 0.19)
+    assert followed.takes("a", 1.0, 0.2)
+    assert not followed.takes("b", 1.0, 0.4)
+    assert followed.takes("b", 1.0, 0.41)
+    assert not followed.takes("a", 1.0, 0.5)
+    assert followed.takes("b", 0.0, 0.51)  # leaves, or rests
+    assert not followed.takes("a", 1.0, 0.55)
+    assert followed.takes("a", 1.0, 0.57)
+    assert (followed.sender, followed.others, followed.changes) == ("a", 4, 2)
+    followed.wait(10.0)  # time stood still: nobody was silent
+    assert not followed.takes("b", 1.0, 10.1)
+
+
+def test_a_robot_follows_one_of_two_that_claim_nothing_and_names_both(harness, faults):
+    """Even where both have one name, as when a launch file is started twice."""
+    reports, efforts = [], []
+    harness.node.create_subscription(DiagnosticArray, "/diagnostics", reports.append, 10)
+    harness.node.create_subscription(
+        JointState,
+        "joint_states",
+        lambda raw: efforts.append(decode_joint_state(raw).effort[0]),
+        OFFERED,
+        raw=True,
+    )
+    bridge = {
+        "mode": "realtime",
+        "joints": "[arm_joint_6]",
+        "control_rate": 100.0,
+        "fixed_base": True,
+        "command_timeout": 5.0,  # a busy machine is no reason to change
+        "wait_for_subscribers": 2,
+    }
+    harness.processes.start("pybullet_bridge", "pybullet_bridge", ros_arguments(**bridge))
+    limits = {"u_clamp_max": 1.0, "u_clamp_min": 0.5}
+    start(harness, "twin", joint="arm_joint_6", claim="none", **limits)
+    harness.wait(lambda: len(efforts) > 20, what="the first at work")
+    second = harness.processes.start(
+        "second",
+        "joint_controller",
+        [
+            *ros_arguments(joint="arm_joint_6", claim="none", u_clamp_max=-0.5, **GAINS),
+            *("-r", "__node:=twin"),
+        ],
+        is_renamed=False,
+    )
+
+    def told():
+        return [
+            status
+            for report in reports
+            for status in report.status
+            if status.name == "/pybullet_bridge" and "commanded twice" in status.message
+        ]
+
+    harness.wait(told, what="the bridge to tell")
+    assert second.process.poll() is None
+    assert told()[-1].level == DiagnosticStatus.ERROR
+    assert told()[-1].message == (
+        "commanded twice: arm_joint_6 by /twin and /twin, following /twin"
+    )
+    values = {each.key: each.value for each in told()[-1].values}
+    assert int(values["commands of second senders, not obeyed"]) > 0
+    assert values["changes of sender"] == "0"
+    assert min(efforts[20:]) >= 0.0  # what is obeyed is the first one's; the second has -0.5
+    faults.count("second senders not obeyed")
+
+
+# --- two hosts, with a network between them ------------------------------------------------
+
+
+@pytest.fixture
+def hosts(tmp_path):
+    """Return two groups of processes, each on a host of its own."""
+    try:
+        with own_domain() as domain, two_hosts() as prefixes, ExitStack() as stack:
+            environment = network_environment(closed_environment(domain))
+            groups = []
+            for number, prefix in enumerate(prefixes):
+                logs = tmp_path / str(number)
+                logs.mkdir()
+                group = NodeGroup(environment, logs, prefix=prefix)
+                groups.append(stack.enter_context(group))
+            yield groups, prefixes
+    except HostsError as error:
+        pytest.skip(str(error))
+
+
+def start_on(group, name, **parameters):
+    values = {"joint": "elbow", "wait_for_command_subscribers": 0, **GAINS, **parameters}
+    return group.start(name, "joint_controller", ros_arguments(**values))
+
+
+def until(condition, within=20.0, what="the condition"):
+    deadline = time.monotonic() + within
+    while not condition():
+        assert time.monotonic() < deadline, f"waited {within} s in vain for {what}"
+        select.select([], [], [], 0.01)
+
+
+def test_two_hosts_agree_on_one_controller(hosts, faults):
+    """At the same moment, one after the other, after kill -9, and when a network heals."""
+    (here, there), prefixes = hosts
+    for turn in range(2):
+        group = [start_on(here, f"here_{turn}"), start_on(there, f"there_{turn}")]
+        until(
+            lambda group=group: (
+                [p.process.poll() for p in group].count(None) == 1
+                and any("listening" in events(p) for p in group if p.process.poll() is None)
+            ),
+            what="one to be active and the other to end",
+        )
+        winner, loser = sorted(group, key=lambda each: each.process.poll() is not None)
+        assert loser.process.returncode == 1
+        assert f"commanded by /{winner.name} (process {winner.pid} on host " in log_of(loser)
+        faults.count("simultaneous starts on two hosts with one active in the end")
+        if turn == 0:
+            (here if winner.name.startswith("here") else there).stop([winner.name])
+    at_winner, at_other = (here, there) if winner in here.nodes.values() else (there, here)
+
+    late = start_on(at_other, "late")
+    # A busy machine may take longer to find the other host than a controller listens for.
+    until(lambda: "commanded by " in log_of(late), what="the late one to be refused")
+    assert f"commanded by /{winner.name} " in log_of(late)
+    if "listening" in events(late):
+        at_other.stop(["late"])
+    else:
+        until(lambda: late.process.poll() == 1, what="the late one to end")
+
+    killed = time.monotonic()
+    os.kill(winner.pid, signal.SIGKILL)
+    again = start_on(at_winner, "again")
+    until(lambda: "listening" in events(again), what="a restart on the same host")
+    faults.count("ms from kill -9 to active again, same host", 1e3 * (time.monotonic() - killed))
+
+    pull(prefixes)
+    second = start_on(at_other, "second")
+    until(lambda: "listening" in events(second), what="the other half to go on alone")
+    plug(prefixes)
+    healed = time.monotonic()
+    until(
+        lambda: any("deactivated: " in log_of(each) for each in (again, second)),
+        within=40.0,
+        what="the halves to agree",
+    )
+    faults.count("ms from a network healed to one controller", 1e3 * (time.monotonic() - healed))
+    assert "commanded by /again (process " in log_of(second)  # the older one goes on
+    assert "commanded by" not in log_of(again)
+    assert second.process.poll() is None  # it was active, its process goes on
+    faults.count("networks healed with two active controllers")

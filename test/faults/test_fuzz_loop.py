@@ -1,0 +1,300 @@
+"""Anything at all into the pure loop: no error, no effort beyond the limits, and back to work."""
+
+import contextlib
+import math
+
+import numpy as np
+import pytest
+from harness.fuzzing import NUMBERS, StateFuzzer
+from hypothesis import settings as effort_of
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
+
+from hpid_ros.base.errors import HpidError, MessageError
+from hpid_ros.control import Gains, JointLoop, LoopSettings
+from hpid_ros.control.loop_state import LoopState
+from hpid_ros.control.reference import Setpoint
+from hpid_ros.trajectory import Column, Knot
+from hpid_ros.wire import JointReader
+
+MS = 1_000_000
+ROUNDS, MESSAGES = 10, 5000
+
+
+def settings(**changes):
+    values = {
+        **{"joint": "elbow", "gains": Gains(120.0, 200.0, 22.0), "law": "hpid", "mu": -0.2},
+        **{"u_clamp_max": 40.0, "u_clamp_min": -30.0, "position_max": 2.0, "position_min": -2.0},
+        "velocity_max": 8.0,
+    }
+    return LoopSettings(**{**values, **changes})
+
+
+def goes_to(loop, target, stamp_ns):
+    """Tell whether the loop still brings a joint of 1 kg m^2 to a setpoint."""
+    loop.follow(Setpoint(target))
+    position, velocity = 0.2, 0.0
+    for k in range(6000):
+        effort = loop.step(stamp_ns + k * MS, position, velocity)
+        velocity += 1e-3 * effort
+        position += 1e-3 * velocity
+    return loop.state is LoopState.FOLLOWING and abs(position - target) < 2e-3
+
+
+@pytest.mark.parametrize("source", ["measured", "filtered", "homogeneous_differentiator"])
+def test_a_hundred_thousand_messages_and_the_joint_still_goes_where_it_should(source, faults):
+    loop = JointLoop(settings(velocity_source=source))
+    reader = JointReader("elbow")
+    fuzzer = StateFuzzer("elbow", seed=1)
+    seen = refused = 0
+    for _ in range(ROUNDS if source == "measured" else ROUNDS // 2):
+        for raw in fuzzer.messages(MESSAGES):
+            seen += 1
+            try:
+                sample = reader.read(raw)
+            except MessageError:
+                refused += 1
+                continue
+            if sample is not None:
+                assert -30.0 <= loop.step(*sample) <= 40.0
+                assert math.isfinite(loop.integral)
+        # By whatever stamps the loop has been sent to the end of time: the clock goes back.
+        assert goes_to(loop, 0.7, fuzzer.stamp_ns)
+    assert 0.1 * seen < refused < 0.9 * seen
+    faults.count("messages fuzzed: pure loop", seen)
+
+
+class AnyOrder(RuleBasedStateMachine):
+    """Everything that can happen to a loop, in any order."""
+
+    def __init__(self):
+        super().__init__()
+        self.loop = JointLoop(settings())
+        self.stamp_ns = 0
+
+    @rule(periods=st.integers(1, 3), position=st.floats(-3.0, 3.0), velocity=st.floats(-9.0, 9.0))
+    def state(self, periods, position, velocity):
+        self.stamp_ns += periods * MS
+        before, reference = self.loop.effort, self.loop.reference
+        effort = self.loop.step(self.stamp_ns, position, velocity)
+        assert math.isfinite(before + effort + sum(reference))
+
+    @rule(number=st.sampled_from(NUMBERS), of_velocity=st.booleans())
+    def number(self, number, of_velocity):
+        self.stamp_ns += MS
+        self.loop.step(self.stamp_ns, *((0.1, number) if of_velocity else (number, None)))
+
+    @rule(stamp_ns=st.integers(-(2**31) * 10**9, 2**31 * 10**9))
+    def stamp(self, stamp_ns):
+        self.loop.step(stamp_ns, 0.1)
+
+    @rule()
+    def repeat(self):
+        if self.loop.stamp_ns is not None:
+            before = self.loop.effort
+            assert self.loop.step(self.loop.stamp_ns, math.nan) == before
+
+    @rule(gap=st.floats(0.0, 1.0))
+    def silence(self, gap):
+        assert self.loop.lapse() == 0.0
+        self.stamp_ns += int(gap * 1e9)
+
+    @rule(position=st.floats(-4.0, 4.0), stamp=st.integers(0, 4), first=st.integers(0, 9))
+    def follow(self, position, stamp, first):
+        knots = (Knot(first * 10**8, position, 0.0), Knot(10**9, -position, 0.0))
+        self.loop.follow(Column("elbow", knots, stamp * 10**9))
+
+    @rule(position=st.floats())
+    def setpoint(self, position):
+        with contextlib.suppress(HpidError):
+            self.loop.follow(Setpoint(position))
+
+    @rule(
+        mu=st.floats(-0.6, 0.6),
+        p=st.floats(-10.0, 200.0),
+        rate=st.sampled_from([0.0, 100.0]),
+        stop=st.sampled_from([2.0, 0.5, 1e6]),
+    )
+    def retune(self, mu, p, rate, stop):
+        before = self.loop.settings
+        try:
+            changed = settings(
+                mu=mu, gains=Gains(p, 10.0, 5.0), effort_rate_max=rate, position_max=stop
+            )
+        except HpidError:
+            assert self.loop.settings is before
+        else:
+            self.loop.retune(changed)
+
+    @rule()
+    def release(self):
+        self.loop.release()
+
+    @invariant()
+    def is_within_limits(self):
+        assert -30.0 <= self.loop.effort <= 40.0
+        assert math.isfinite(self.loop.integral)
+        assert np.all(np.isfinite(self.loop.reference))
+        assert math.isfinite(self.loop.velocity)
+
+    def teardown(self):
+        """Whatever has been, it goes on."""
+        self.loop.retune(settings())
+        start_ns = (self.loop.stamp_ns or 0) - 10**9
+        if start_ns > -(2**31) * 10**9:
+            assert goes_to(self.loop, 0.7, start_ns)
+
+
+AnyOrder.TestCase.settings = effort_of(max_examples=60, stateful_step_count=40, deadline=None)
+TestAnyOrder = AnyOrder.TestCase
+
+
+LAW = {
+    "joint": "elbow",
+    "gains.p": 100.0,
+    "gains.i": 50.0,
+    "gains.d": 5.0,
+    "encoder_wrap": math.tau,
+}
+LAW["velocity_max"] = 20.0
+FASTEST, HARDEST = 1.0, 10.0  # [rad/s, rad/s^2], of the joint and of what it follows
+FALLBACK = 0.5
+BESIDE_THE_LAW = {
+    "velocity_source": st.sampled_from(["measured", "filtered", "homogeneous_differentiator"]),
+    "velocity_filter_time_constant": st.floats(0.001, 0.02),
+    "acceleration_bound": st.floats(20.0, 200.0),
+    "state_timeout": st.floats(0.02, 0.3),
+    "takeover_time": st.floats(0.3, 1.0),
+    "position_step_max": st.floats(0.0, 0.5),
+    "velocity_max": st.floats(5.0, 50.0),
+    "tracking_time_constant": st.floats(0.0, 1.0),
+}
+
+
+class NothingKicks(RuleBasedStateMachine):
+    """A joint that moves smoothly is driven smoothly, whatever its driver and its user do.
+
+    Between two samples the effort moves by what error and rate do; by more only to and from
+    ``fallback_effort``, and at a takeover by the derivative term. An estimate of the velocity
+    that begins anew comes in with its filter, which is what the 3 N m at first are for.
+    """
+
+    def __init__(self):
+        super().__init__()
+        self.values = {**LAW, "law": "pid", "fallback_effort": FALLBACK}
+        self.loop = JointLoop(LoopSettings.from_parameters(self.values))
+        self.stamp_ns = 10**9
+        self.position = self.velocity = 0.0
+        self.in_force = 0.0  # what the joint has
+        self.taken_over_ns = self.stamp_ns
+
+    def _move(self, seconds, acceleration=0.0):
+        self.velocity = min(max(self.velocity + acceleration * seconds, -FASTEST), FASTEST)
+        self.position += self.velocity * seconds
+        self.stamp_ns += round(seconds * 1e9)
+
+    def _wrapped(self):
+        return (self.position + math.pi) % math.tau - math.pi
+
+    def _sample(self, is_back=False, has_jumped=False):
+        takeovers, samples = self.loop.counts.takeovers, self.loop.counts.samples
+        before = self.loop.reference
+        rate_before = abs(before[1] - self.loop.velocity)
+        effort = self.loop.step(self.stamp_ns, self._wrapped(), self.velocity)
+        assert self.loop.counts.samples == samples + 1
+        rate = abs(self.loop.reference[1] - self.loop.velocity)
+        if has_jumped:  # in control until now: the derivative term was there before
+            rate += rate_before
+        if self.loop.counts.takeovers > takeovers:
+            assert abs(effort - self.in_force) <= 5.0 * rate + 1e-6
+            self.taken_over_ns = self.stamp_ns
+        elif not is_back:
+            is_new = self.stamp_ns - self.taken_over_ns < 200 * MS
+            moved = [abs(a - b) for a, b in zip(self.loop.reference, before, strict=True)]
+            allowed = (3.0 if is_new else 0.5) + 100.0 * moved[0] + 5.0 * moved[1]
+            assert abs(effort - self.in_force) <= allowed
+        self.in_force = effort
+
+    @rule(samples=st.integers(1, 60), acceleration=st.floats(-HARDEST, HARDEST))
+    def samples(self, samples, acceleration):
+        for _ in range(samples):
+            self._move(1e-3, acceleration)
+            self._sample()
+
+    @rule(
+        seconds=st.floats(0.0, 1.0),
+        noticed=st.sampled_from(("never", "at its end", "in time")),
+        counts=st.booleans(),
+    )
+    def freeze(self, seconds, noticed, counts):
+        stamp_ns = self.stamp_ns
+        self._move(seconds)
+        if noticed == "in time":
+            self.in_force = self.loop.lapse()
+            assert self.in_force == FALLBACK
+        elif noticed == "at its end":
+            self.loop.wake()
+        if noticed != "never" and counts:  # stamps that count samples do not tell
+            self.stamp_ns = stamp_ns
+        self.stamp_ns += MS
+        # Within the timeout the loop goes on, and its reference has moved meanwhile.
+        self._sample(is_back=seconds < self.values.get("state_timeout", 0.1))
+
+    @rule(times=st.integers(1, 400))
+    def unusable(self, times):
+        for _ in range(times):
+            self._move(1e-3)
+            self.in_force = self.loop.step(self.stamp_ns, math.nan)
+            assert self.in_force == FALLBACK
+        self._move(1e-3)
+        self._sample(is_back=True)
+
+    @rule()
+    def repeat(self):
+        if self.loop.stamp_ns is not None:
+            assert self.loop.step(self.loop.stamp_ns, 3.0, 0.0) == self.in_force
+
+    @rule()
+    def repeat_in_a_silence(self):
+        if self.loop.stamp_ns is not None:
+            self.in_force = self.loop.lapse()
+            assert self.loop.step(self.loop.stamp_ns, 3.0, 0.0) == FALLBACK
+
+    @rule(jump=st.floats(1.0, 2.0) | st.floats(-2.0, -1.0))
+    def glitch(self, jump):
+        self._move(1e-3)
+        if self.loop.stamp_ns is None or self.loop.is_on_fallback:
+            return
+        effort = self.loop.step(self.stamp_ns, self._wrapped() + jump, self.velocity)
+        assert effort == self.in_force
+        self._move(1e-3)
+        self._sample()
+
+    @rule(jump=st.floats(1.0, 2.0) | st.floats(-2.0, -1.0))
+    def elsewhere(self, jump):
+        """The encoder was set to another zero, say."""
+        self.position += jump
+        self._move(1e-3)
+        if self.loop.stamp_ns is None or self.loop.is_on_fallback:
+            self._sample()
+            return
+        assert self.loop.step(self.stamp_ns, self._wrapped(), self.velocity) == self.in_force
+        self._move(1e-3)
+        self._sample(has_jumped=True)
+
+    @rule(distance=st.floats(-1.0, 1.0))
+    def follow_smoothly(self, distance):
+        """From where the reference stands, with no more than one rad/s."""
+        start_ns = self.stamp_ns + 500 * MS
+        here = self.loop.reference[0]
+        knots = (Knot(0, here, 0.0, 0.0), Knot(4 * 10**9, here + distance, 0.0, 0.0))
+        self.loop.follow(Column("elbow", knots, start_ns))
+
+    @rule(data=st.data(), name=st.sampled_from(sorted(BESIDE_THE_LAW)))
+    def retune(self, data, name):
+        self.values[name] = data.draw(BESIDE_THE_LAW[name])
+        self.loop.retune(LoopSettings.from_parameters(self.values))
+
+
+NothingKicks.TestCase.settings = effort_of(max_examples=60, stateful_step_count=30, deadline=None)
+TestNothingKicks = NothingKicks.TestCase

@@ -1,0 +1,219 @@
+"""Ten thousand messages and ten thousand sets of parameters at a controller that runs."""
+
+import math
+
+import numpy as np
+import pytest
+from harness.fuzzing import StateFuzzer
+from harness.graph import ros_arguments
+from harness.health import NAME, Told, call
+from harness.loops import pure_loop
+from rcl_interfaces.msg import Parameter, ParameterValue
+from rcl_interfaces.srv import (
+    GetParameters,
+    ListParameters,
+    SetParameters,
+    SetParametersAtomically,
+)
+from rclpy.qos import qos_profile_parameters
+
+from hpid_ros.base.errors import HpidError
+from hpid_ros.control import LOOP_PARAMETERS, LoopSettings
+from hpid_ros.wire import JointStateTemplate
+
+MS = 1_000_000
+MESSAGES, SETS = 10_000, 10_000
+AT_ONCE = 8  # sets under way; the test hears ten answers to states at once
+LIMITS = {"u_clamp_max": 20.0, "u_clamp_min": -15.0, "position_max": 2.0, "velocity_max": 9.0}
+# All of them shall arrive: as a recorder's, not as a controller's subscription.
+RELIABLE = {
+    "qos_overrides./joint_states.subscription.reliability": "reliable",
+    "qos_overrides./joint_states.subscription.depth": 4000,
+}
+
+
+def test_ten_thousand_messages_and_the_node_is_as_it_was(harness, faults):
+    gains = {"gains__p": 10.0, "gains__i": 4.0, "gains__d": 2.0}
+    process = harness.start_controller(law="hpid", mu=-0.2, **LIMITS, **gains, **RELIABLE).process
+    told = Told(harness)
+    fuzzer = StateFuzzer("elbow", seed=2)
+    # Without those of no byte at all: after one, Fast DDS gives a reliable reader nothing more.
+    messages = [raw for raw in fuzzer.messages(MESSAGES + 1000) if raw][:MESSAGES]
+    assert len(messages) == MESSAGES
+    for k, raw in enumerate(messages, start=1):
+        harness.states.publish(raw)
+        if k % 2000 == 0:  # no further ahead than the queues are long
+            harness.wait(lambda k=k: seen(told) >= k, what=f"{k} messages to be taken")
+    harness.wait(lambda: seen(told) == MESSAGES, what="all messages to be counted")
+    figures = told.newest()
+    kinds = ("rejected samples", "gaps", "clock resets", "repeats", "states of other joints")
+    assert all(int(figures[kind]) > 50 for kind in kinds)
+    assert figures["last fault"] != "none"
+    assert figures["last irregular state"] != "none"
+    efforts = np.array([command.effort[0] for command in harness.commands])
+    assert len(efforts) > 0.1 * MESSAGES  # a busy machine drops more
+    assert np.all((efforts >= -15.0) & (efforts <= 20.0))
+    assert process.poll() is None
+    # Back to normal by itself: a clock that goes back starts the loop anew, exactly.
+    harness.commands.clear()
+    twin = pure_loop(law="hpid", mu=-0.2, **LIMITS, **gains)
+    for k in range(20):
+        numbers = (-(2**31) * 10**9 + k * MS, 0.01 * k, 0.1)
+        assert harness.ask(*numbers) == twin.step(*numbers)
+    faults.count("messages fuzzed: live node", MESSAGES)
+
+
+def seen(told):
+    """Return how many states the controller has told of."""
+    kinds = ("samples", "repeats", "rejected samples", "states of other joints")
+    return sum(int(told.newest().get(kind, 0)) for kind in kinds)
+
+
+def message(name, value):
+    if isinstance(value, str):
+        return Parameter(name=name, value=ParameterValue(type=4, string_value=value))
+    return Parameter(name=name, value=ParameterValue(type=3, double_value=value))
+
+
+def random_sets(count, seed):
+    """Yield sets that change the effort at rest, about a third of which are no valid ones."""
+    draw = np.random.default_rng(seed)
+    for _ in range(count):
+        changes = {"gains.p": float(draw.uniform(0.0, 30.0))}
+        if draw.random() < 0.5:
+            changes |= {
+                "law": str(draw.choice(["pid", "hpid"])),
+                "mu": float(draw.uniform(-0.4, 0.4)),
+            }
+        if draw.random() < 0.3:
+            changes |= {"u_clamp_max": float(draw.uniform(-3.0, 30.0)), "u_clamp_min": -3.0}
+        kind = draw.random()
+        if kind < 0.1:
+            changes["mu"] = 0.5
+        elif kind < 0.2:
+            changes["gains.d"] = math.nan
+        elif kind < 0.3:
+            changes["norm.type"] = "nonsense"
+        elif kind < 0.35:
+            changes["u_clamp_min"] = 1e5
+        yield changes
+
+
+class Retuned:
+    """A controller at full rate whose effort at rest tells which parameters are in force."""
+
+    ERROR = 0.7
+
+    def __init__(self, harness):
+        self.present = {"joint": "elbow", "law": "pid", "gains.p": 10.0}
+        options = ros_arguments(
+            certify=False,
+            state_watchdog=False,
+            gains__p=10.0,
+            joint="elbow",
+            law="pid",
+            **RELIABLE,
+        )
+        harness.processes.start(NAME, "joint_controller", options)
+        self._harness = harness
+        self._template = JointStateTemplate(["elbow"], position=True, velocity=True)
+        self._stamp_ns = 0
+        harness.wait(lambda: harness.states.get_subscription_count() > 0, what="the controller")
+        harness.ask(0, self.ERROR)  # it holds here
+        self.publish()
+
+    def publish(self):
+        """Publish the next state: away from where it holds, at rest."""
+        self._stamp_ns += MS
+        self._harness.states.publish(
+            self._template.encode(self._stamp_ns, position=[0.0], velocity=[0.0])
+        )
+
+    def effort(self):
+        """Return the effort of the parameters that are in force."""
+        settings = LoopSettings.from_parameters(self.present)
+        law = settings.make_law().update(self.ERROR, 0.0, MS * 1e-9)
+        return min(max(law, settings.u_clamp_min), settings.u_clamp_max)
+
+    def take(self, changes):
+        """Return whether a set is valid; then it is in force."""
+        try:
+            LoopSettings.from_parameters({**self.present, **changes})
+        except HpidError:
+            return False
+        self.present.update(changes)
+        return True
+
+
+def test_ten_thousand_sets_under_load_are_in_force_whole_in_their_order_or_not_at_all(
+    harness, faults
+):
+    controller = Retuned(harness)
+    client = harness.node.create_client(
+        SetParametersAtomically,
+        f"{NAME}/set_parameters_atomically",
+        qos_profile=qos_profile_parameters,  # of the default's ten answers at once some are lost
+    )
+    harness.wait(client.service_is_ready, what="the controller to take parameters")
+    expected, efforts, asked = [], [controller.effort()], []
+    sets = list(random_sets(SETS, seed=3))
+    for first in range(0, SETS, AT_ONCE):
+        for changes in sets[first : first + AT_ONCE]:
+            parameters = [message(*each) for each in changes.items()]
+            request = SetParametersAtomically.Request(parameters=parameters)
+            asked.append(client.call_async(request))
+            expected.append(controller.take(changes))
+            efforts += [controller.effort()] if expected[-1] else []
+            controller.publish()
+        harness.wait(asked[-1].done, what="the answers to the sets")
+    harness.wait(lambda: all(each.done() for each in asked), what="the answers to the sets")
+    assert [each.result().result.successful for each in asked] == expected
+    assert all("\n" not in each.result().result.reason for each in asked)
+    assert harness.ask(10**12, 0.0) == efforts[-1]
+    # Every answer is that of one valid set as a whole, and they come in their order.
+    newest = 0
+    answers = [command.effort[0] for command in harness.commands[1:]]
+    for effort in answers:
+        newest = efforts.index(effort, newest)
+    assert efforts[newest] == efforts[-1]
+    assert len(answers) > 0.99 * SETS
+    assert 0.5 * SETS < sum(expected) < 0.9 * SETS
+    faults.count("parameter sets: live node, valid", sum(expected))
+    faults.count("parameter sets: live node, refused", SETS - sum(expected))
+    faults.count("parameter sets: live node, samples between them", len(answers))
+
+
+@pytest.mark.parametrize(
+    "drift",
+    [
+        {"gains.p": 1.0, "gains.i": 0.1, "gains.d": 1.0},
+        {"u_clamp_max": -2.0, "u_clamp_min": -5.0, "law": "pid"},
+        {"position_max": -1.0, "position_min": -2.0},
+    ],
+)
+def test_what_is_dumped_and_loaded_again_behaves_the_same(harness, drift):
+    """As ``ros2 param dump`` and ``load`` do it: all values, in the order of the alphabet."""
+    values = {"gains__p": 60.0, "gains__i": 90.0, "gains__d": 12.0, "inertia": 1.0, "mu": -0.2}
+    values |= {"u_clamp_max": 9.0, "u_clamp_min": 3.0, "position_max": 4.0, "position_min": 2.0}
+    harness.start_controller(certify=False, **values)
+    names = sorted(
+        call(harness, ListParameters, "list_parameters", ListParameters.Request()).result.names
+    )
+    assert set(LOOP_PARAMETERS) < set(names)
+    dump = call(
+        harness, GetParameters, "get_parameters", GetParameters.Request(names=names)
+    ).values
+    kept = list(zip(names, dump, strict=True))
+    changed = SetParametersAtomically.Request(
+        parameters=[message(*each) for each in drift.items()]
+    )
+    assert call(
+        harness, SetParametersAtomically, "set_parameters_atomically", changed
+    ).result.successful
+    loaded = SetParameters.Request(parameters=[Parameter(name=n, value=v) for n, v in kept])
+    results = call(harness, SetParameters, "set_parameters", loaded).results
+    assert all(result.successful for result in results), [r.reason for r in results]
+    twin = pure_loop(**values)
+    for k in range(20):
+        numbers = (k * MS, 3.0 + 0.02 * k, 0.1)
+        assert harness.ask(*numbers) == twin.step(*numbers)

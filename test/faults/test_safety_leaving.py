@@ -1,0 +1,163 @@
+"""How a controller leaves its joint, whatever happens meanwhile: the last command is zero."""
+
+import itertools
+import signal
+import subprocess
+import sys
+
+import pytest
+from harness.health import NAME, TRANSITIONS, change, state
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
+
+from hpid_ros.wire import JointStateTemplate
+
+MS = 1_000_000
+GAINS = {"law": "pid", "gains__p": 10.0, "gains__i": 4.0, "gains__d": 2.0}
+DAMPING = {"stop": "damping", "stop_duration": 0.6, "state_watchdog": False}
+
+
+class Stream:
+    """States of a joint that moves at 1 rad/s away from where it is wanted, one each call."""
+
+    def __init__(self, harness):
+        self._harness = harness
+        self._stamps = itertools.count(2)
+        self._template = JointStateTemplate(["elbow"], position=True, velocity=True)
+        self.stamp_ns = 0
+
+    def __call__(self):
+        self.stamp_ns = next(self._stamps) * 10 * MS
+        raw = self._template.encode(self.stamp_ns, position=[-0.5], velocity=[1.0])
+        self._harness.states.publish(raw)
+
+
+def in_motion(harness, **options):
+    process = harness.start_controller(**options, **GAINS).process
+    harness.ask(0, 0.0)
+    assert harness.ask(MS, -0.5) > 0.0
+    return process, Stream(harness)
+
+
+def efforts_since(harness, count):
+    return [each.effort[0] for each in harness.commands[count:]]
+
+
+def is_left(harness):
+    return harness.commands[-1].effort == (0.0,)
+
+
+def streamed(harness, stream, condition, what):
+    """Go on telling states until a condition holds."""
+
+    def told():
+        stream()
+        return condition()
+
+    harness.wait(told, within=5.0, what=what)
+
+
+@pytest.mark.parametrize("labels", [["shutdown"], ["deactivate"], ["deactivate", "cleanup"]])
+def test_a_damping_stop_ends_with_zero_whichever_transition_it_was(harness, labels):
+    process, stream = in_motion(harness, **DAMPING)
+    before = len(harness.commands)
+    for label in labels:
+        assert change(harness, label)
+    streamed(harness, stream, lambda: is_left(harness), "a last command of zero")
+    *damping, _ = efforts_since(harness, before)
+    assert len(damping) >= 5
+    assert all(-2.0 <= effort < 0.0 for effort in damping)
+    assert damping == sorted(damping)  # it fades
+    assert process.poll() is None
+
+
+@pytest.mark.parametrize("labels", [["activate"], ["cleanup", "configure"]])
+def test_a_ramp_that_is_cut_short_ends_with_zero(harness, labels):
+    in_motion(harness, stop="damping", stop_duration=4.0, state_watchdog=False)
+    for label in ("deactivate", *labels):
+        assert change(harness, label)
+    harness.wait(lambda: is_left(harness), within=2.0, what="a command of zero")
+
+
+def test_a_damping_stop_without_states_does_not_go_on_with_the_last_effort(harness):
+    process, stream = in_motion(harness, stop="damping", stop_duration=4.0, state_timeout=0.2)
+    process.send_signal(signal.SIGTERM)
+    streamed(harness, stream, lambda: harness.commands[-1].effort[0] < 0.0, "the damping")
+    harness.wait(lambda: is_left(harness), within=2.0, what="a command of zero")
+    harness.wait(lambda: process.poll() is not None, within=2.0, what="the end")
+    assert process.returncode == 0
+
+
+def test_no_command_follows_the_last_zero_though_states_go_on(harness):
+    _, stream = in_motion(harness, stop="zero")
+    client = harness.node.create_client(ChangeState, f"{NAME}/change_state")
+    harness.wait(client.service_is_ready, what="the service")
+    for _ in range(10):
+        before = len(harness.commands)
+        streamed(harness, stream, lambda n=before: len(harness.commands) > n + 20, "commands")
+        for label in ("deactivate", "activate"):
+            number = TRANSITIONS[label]
+            request = ChangeState.Request(transition=Transition(id=number))
+            begun = len(harness.commands)
+            future = client.call_async(request)
+            for _ in range(10):
+                stream()  # a burst: some are on their way when the joint is left
+            streamed(harness, stream, future.done, label)
+            assert future.result().success
+            if label == "deactivate":
+                harness.wait(lambda: is_left(harness), what="a command of zero")
+                efforts = efforts_since(harness, begun)
+                assert efforts.index(0.0) == len(efforts) - 1
+
+
+def test_what_the_joint_did_while_the_controller_was_inactive_is_no_error(harness):
+    _, stream = in_motion(harness, stop="zero")
+    request = ChangeState.Request(transition=Transition(id=TRANSITIONS["deactivate"]))
+    client = harness.node.create_client(ChangeState, f"{NAME}/change_state")
+    harness.wait(client.service_is_ready, what="the service")
+    future = client.call_async(request)
+    streamed(harness, stream, future.done, "the deactivation")
+    assert state(harness) == "inactive"
+    assert change(harness, "activate")
+    harness.wait(lambda: harness.states.get_subscription_count() > 0, what="it to listen")
+    assert harness.ask(stream.stamp_ns + 50 * MS, 0.4) == 0.0  # moved by hand, and held there
+
+
+TWO_NODES = """
+import sys
+from hpid_ros.nodes.ros import executor
+
+class Told(executor.ClosingNode):
+    def __init__(self, name):
+        super().__init__(name)
+        self.create_timer(0.01, self.request_stop)
+
+    def leave_at_once(self):
+        print("left", self.get_name(), flush=True)
+        if self.get_name() == "first":
+            raise RuntimeError("the others leave their joints all the same")
+
+    def close(self):
+        print("closed", self.get_name(), flush=True)
+
+sys.exit(executor.run(lambda: [Told("first"), Told("second")]))
+"""
+
+
+@pytest.mark.usefixtures("harness")  # for its domain
+def test_all_joints_of_a_process_are_left_before_any_node_waits():
+    """A subscriber that acknowledges nothing to one of them must not delay the others."""
+    ended = subprocess.run(
+        [sys.executable, "-c", TWO_NODES],
+        capture_output=True,
+        text=True,
+        timeout=30.0,
+        check=False,
+    )
+    assert ended.stdout.split("\n")[:4] == [
+        "left first",
+        "left second",
+        "closed first",
+        "closed second",
+    ]
+    assert ended.returncode == 1

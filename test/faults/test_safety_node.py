@@ -1,0 +1,349 @@
+"""A controller in a process of its own: how it begins, is left without states, and ends."""
+
+import re
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
+from harness.graph import ros_arguments
+from harness.health import NAME, Told, call, change, state
+from rcl_interfaces.msg import Parameter, ParameterValue
+from rcl_interfaces.srv import SetParameters, SetParametersAtomically
+from std_msgs.msg import Float64
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+from hpid_ros.nodes.ros.middleware import RARE
+from hpid_ros.wire import JointStateTemplate
+
+MS = 1_000_000
+GAINS = {"gains__p": 10.0, "gains__i": 4.0, "gains__d": 2.0}
+
+
+def publish(harness, stamp_ns, position):
+    template = JointStateTemplate(["elbow"], position=True)
+    harness.states.publish(template.encode(stamp_ns, position=[position]))
+
+
+def listens(harness):
+    return harness.states.get_subscription_count() > 0
+
+
+def test_activation_holds_the_joint_where_it_is_whatever_was_before(harness):
+    harness.start_controller(law="pid", **GAINS)
+    assert state(harness) == "active"
+    harness.ask(0, 0.0)
+    for k in range(1, 30):
+        effort = harness.ask(k * MS, -1.0)
+    assert effort > 10.0  # the integral is in it
+    assert change(harness, "deactivate")
+    harness.wait(lambda: harness.commands[-1].effort == (0.0,), what="a last command of zero")
+    assert state(harness) == "inactive"
+    answered = len(harness.commands)
+    setpoint = harness.node.create_publisher(Float64, f"{NAME}/setpoint", RARE)
+    told = Told(harness)
+
+    def refuses():  # again and again: what is sent before both ends are matched is lost
+        setpoint.publish(Float64(data=3.0))
+        return int(told.newest().get("refused references", 0)) > 0
+
+    harness.wait(refuses, what="the refusal to be told")  # nor will it move the joint later
+    assert told.says(lifecycle="inactive")
+    publish(harness, 40 * MS, -1.0)
+    assert change(harness, "activate")
+    harness.wait(lambda: listens(harness), what="it to listen again")
+    assert len(harness.commands) == answered  # it was silent
+    assert harness.ask(50 * MS, -0.7) == 0.0
+    assert harness.ask(51 * MS, -0.6) == pytest.approx(10.0 * -0.1)
+
+
+def test_every_transition_can_be_asked_for_and_a_wrong_one_is_refused(harness, faults):
+    process = harness.start_controller(law="pid", autostart=True, **GAINS).process
+    told = Told(harness)
+    for label in ("activate", "configure", "cleanup", "nonsense"):
+        assert not change(harness, label)
+    assert state(harness) == "active"
+    harness.ask(0, 0.0)
+    for label, becomes in (
+        ("deactivate", "inactive"),
+        ("cleanup", "unconfigured"),
+        ("configure", "inactive"),
+        ("activate", "active"),
+    ):
+        assert change(harness, label)
+        assert state(harness) == becomes
+    harness.wait(lambda: listens(harness), what="it to listen again")
+    harness.ask(10 * MS, 0.3)
+    assert harness.ask(11 * MS, 0.2) > 0.0
+    assert change(harness, "shutdown")
+    harness.wait(lambda: harness.commands[-1].effort == (0.0,), what="a last command of zero")
+    assert state(harness) == "finalized"
+    harness.wait(lambda: told.says(refused_requests="4"), what="the refusals to be told")
+    assert process.poll() is None
+    faults.count("lifecycle transitions refused", 4)
+
+
+def test_without_autostart_somebody_else_activates(harness):
+    harness.processes.start(
+        NAME, "joint_controller", ros_arguments(joint="elbow", autostart=False, **GAINS)
+    )
+    assert state(harness) == "unconfigured"
+    assert change(harness, "configure")
+    assert not listens(harness)
+    assert change(harness, "activate")
+    harness.wait(lambda: listens(harness), what="it to listen")
+    assert harness.ask(0, 0.5) == 0.0
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_damping_stop_brakes_and_then_lets_go(harness, number):
+    options = {"stop": "damping", "stop_duration": 0.6, "state_watchdog": False}
+    process = harness.start_controller(law="pid", **options, **GAINS).process
+    harness.ask(0, 0.0)
+    assert harness.ask(MS, -0.5) > 0.0
+    process.send_signal(number)
+    template = JointStateTemplate(["elbow"], position=True, velocity=True)
+    stamps = iter(range(2, 100_000))
+
+    def ends():
+        stamp_ns = next(stamps) * 10 * MS
+        harness.states.publish(template.encode(stamp_ns, position=[0.0], velocity=[1.0]))
+        return process.poll() is not None
+
+    harness.wait(ends, within=5.0, what="the controller to end")
+    harness.wait(lambda: harness.commands[-1].effort == (0.0,), what="a last command of zero")
+    efforts = [each.effort[0] for each in harness.commands[2:]]
+    damping = [effort for effort in efforts if -2.0 < effort < 0.0]
+    assert len(damping) >= 5
+    assert sorted(damping) == damping  # it fades
+    assert process.returncode == 0
+
+
+SETPOINT = Float64(data=1.0)
+TRAJECTORY = JointTrajectory(joint_names=["elbow"], points=[JointTrajectoryPoint(positions=[1.0])])
+BROKEN = """
+import sys
+from hpid_ros.base import errors
+from hpid_ros.nodes.ros import executor
+from hpid_ros.nodes.joint_controller import JointController
+
+class Broken(JointController):
+    def _follow(self, motion):
+        raise {error}
+
+sys.exit(executor.run(lambda: [Broken()]))
+"""
+
+
+@pytest.mark.parametrize(
+    ("reference", "error", "code", "line"),
+    [
+        (SETPOINT, "ZeroDivisionError('by nothing')", 1, "ZeroDivisionError: by nothing"),
+        (TRAJECTORY, "ZeroDivisionError('by nothing')", 1, "by nothing (<string>:8)"),
+        (SETPOINT, "MemoryError()", 1, "MemoryError"),
+        (
+            SETPOINT,
+            "__import__('hpid_ros.base.errors').base.errors.SettingError('no good')",
+            2,
+            "no good",
+        ),
+    ],
+)
+def test_an_exception_in_a_callback_leaves_the_joint_without_effort(
+    harness, faults, reference, error, code, line
+):
+    command = [sys.executable, "-c", BROKEN.format(error=error), "--ros-args"]
+    arguments = ros_arguments(joint="elbow", law="pid", **GAINS)
+    with subprocess.Popen([*command, *arguments], stderr=subprocess.PIPE, text=True) as process:
+        try:
+            harness.wait(lambda: listens(harness), what="the node")
+            harness.ask(0, 0.0)
+            assert harness.ask(MS, -0.5) != 0.0
+            is_setpoint = isinstance(reference, Float64)
+            topic = "joint_controller/setpoint" if is_setpoint else "joint_trajectory"
+            publisher = harness.node.create_publisher(type(reference), topic, RARE)
+
+            def ends():
+                publisher.publish(reference)
+                return process.poll() is not None
+
+            harness.wait(ends, within=10.0, what="it to end")
+            harness.wait(lambda: harness.commands[-1].effort == (0.0,), what="a zero effort")
+            assert process.returncode == code
+            said = process.stderr.read().strip().splitlines()  # rclpy tells the place before
+            assert line in said[-1]
+        finally:
+            process.kill()
+    faults.count("exceptions in callbacks")
+
+
+def test_a_controller_that_has_heard_no_state_warns(harness):
+    """It may be deaf: to its operator it must not look well."""
+    harness.start_controller(law="pid", state_timeout=1.0, state_watchdog=False, **GAINS)
+    told = Told(harness)
+    harness.wait(lambda: told.says(message="waiting for the first state"), what="a report")
+    assert told.newest()["level"] == DiagnosticStatus.WARN
+    harness.ask(0, 0.0)
+    harness.wait(lambda: told.says(samples="1"), what="the next report")
+    assert told.newest()["level"] == DiagnosticStatus.OK
+
+
+def test_silence_gets_the_fallback_effort_is_told_and_ends_in_a_takeover(harness, faults):
+    options = {"state_timeout": 0.2, "fallback_effort": 1.5}
+    harness.start_controller(law="pid", **options, **GAINS)
+    told = Told(harness)
+    harness.wait(told.newest, what="a first report")
+    harness.ask(0, 0.0)
+    assert harness.ask(MS, -0.5) > 3.0
+    harness.wait(
+        lambda: harness.commands[-1].stamp_ns == MS + 1, within=5.0, what="the fallback effort"
+    )
+    assert harness.commands[-1].effort == (1.5,)
+    harness.wait(
+        lambda: int(told.newest()["silences"]) > 0, within=0.9, what="the silence to be told"
+    )
+    assert told.newest()["level"] == DiagnosticStatus.ERROR
+    assert re.fullmatch(
+        r"no new state for [0-9.]+ s: the effort is 1.5 N m", told.newest()["last fault"]
+    )
+    assert told.newest()["message"] == "no new state within state_timeout"
+    assert harness.ask(900 * MS, -0.9) == 1.5  # from where it is, with what is in force
+    assert harness.ask(901 * MS, -0.9) == pytest.approx(1.5)
+    harness.wait(lambda: told.says(takeovers="1"), what="the takeover to be told")
+    faults.count("silences of the states")
+
+
+@pytest.mark.parametrize("stamp_ns", [MS, 0])
+def test_a_driver_that_repeats_its_last_state_is_silent(harness, faults, stamp_ns):
+    options = {"state_timeout": 0.2, "fallback_effort": 1.5, "state_clock": "wall"}
+    harness.start_controller(law="pid", **options, **GAINS)
+    told = Told(harness)
+    harness.ask(0, 0.0)
+    if stamp_ns:
+        assert harness.ask(stamp_ns, -0.5) > 3.0
+
+    def silent():
+        publish(harness, stamp_ns, -0.5)
+        return told.says(message="no new state within state_timeout")
+
+    harness.wait(silent, within=5.0, what="the silence to be told")
+    assert told.newest()["level"] == DiagnosticStatus.ERROR
+
+    def is_fallback_alone():
+        publish(harness, stamp_ns, -0.5)
+        return {each.effort[0] for each in harness.commands[-20:]} == {1.5}
+
+    harness.wait(is_fallback_alone, what="the fallback effort and no other")
+    faults.count("silences of the states")
+
+
+def test_the_watchdog_needs_no_ros_time(harness):
+    """Simulated time that stands still, or a system clock set back, must not stop it."""
+    options = {"use_sim_time": True, "state_timeout": 0.2, "fallback_effort": 1.5}
+    harness.start_controller(law="pid", **options, **GAINS)
+    harness.ask(0, 0.0)
+    assert harness.ask(MS, -0.5) > 3.0
+    harness.wait(lambda: harness.commands[-1].effort == (1.5,), within=5.0, what="the fallback")
+
+
+def test_a_set_with_one_bad_value_changes_nothing(harness):
+    harness.start_controller(law="pid", **GAINS)
+    for atomically in (False, True):
+        is_set, reason = harness.set_parameters(
+            NAME, atomically=atomically, gains__p=60.0, gains__d=-1.0
+        )
+        assert not is_set
+        assert "gains.d" in reason
+    harness.ask(0, 0.0)
+    assert harness.ask(MS, -0.5) == pytest.approx(5.0)
+
+
+def test_a_paused_clock_goes_on_as_if_nothing_had_been(harness):
+    harness.start_controller(law="pid", state_timeout=0.05, **GAINS)
+    harness.ask(0, 0.0)
+    before = [harness.ask(k * MS, -0.5) for k in range(1, 5)]
+    harness.wait(lambda: harness.commands[-1].stamp_ns == 4 * MS + 1, what="the fallback effort")
+    assert harness.ask(5 * MS, -0.5) == pytest.approx(before[-1] + 4.0 * 0.5 * 1e-3)
+
+
+def test_on_the_wall_clock_silence_is_a_takeover_whatever_the_stamps_say(harness, faults):
+    """Stamps that count samples go on as if nothing had been; the joint has hung free."""
+    options = {"state_timeout": 0.05, "state_clock": "wall"}
+    harness.start_controller(law="pid", **options, **GAINS)
+    told = Told(harness)
+    harness.ask(0, 0.0)
+    harness.ask(MS, -0.5)
+    harness.wait(lambda: harness.commands[-1].stamp_ns == MS + 1, what="the fallback effort")
+    assert harness.ask(2 * MS, -0.9) == 0.0
+    harness.wait(lambda: int(told.newest().get("takeovers", 0)) > 0, what="it to be told")
+    faults.count("silences of the states")
+
+
+@pytest.mark.parametrize("is_watched", [True, False])
+def test_a_controller_that_was_stopped_starts_from_where_the_joint_is(harness, faults, is_watched):
+    """SIGSTOP and SIGCONT with a driver that goes on: nobody looked, the stamps tell."""
+    options = {"state_clock": "wall", "state_watchdog": is_watched}
+    process = harness.start_controller(law="pid", **options, **GAINS).process
+    harness.ask(0, 0.0)
+    before = harness.ask(MS, -0.5)
+    process.send_signal(signal.SIGSTOP)
+    try:
+        deadline = time.monotonic() + 0.3
+        harness.wait(lambda: time.monotonic() > deadline, what="the freeze")
+    finally:
+        process.send_signal(signal.SIGCONT)
+    effort = harness.ask(1500 * MS, -3.0)
+    assert effort in (pytest.approx(before), 0.0)  # of the loop, or of the watchdog: no jump
+    assert abs(harness.ask(1501 * MS, -3.0) - effort) < 0.1
+    faults.count("controllers frozen")
+
+
+def test_the_watchdog_can_be_switched_off(harness):
+    harness.start_controller(law="pid", state_timeout=0.02, state_watchdog=False, **GAINS)
+    told = Told(harness)
+    harness.ask(0, 0.0)
+    harness.wait(lambda: told.says(samples="1"), what="a report")
+    assert told.says(silences="0")
+
+
+def test_no_request_ends_the_node(harness, faults):
+    process = harness.start_controller(law="pid", **GAINS).process
+    odd = [Parameter(name="gains.p", value=ParameterValue(type=kind)) for kind in (99, 0, 6, 1)]
+    odd.append(Parameter(name="", value=ParameterValue(type=3, double_value=1.0)))
+    odd.append(Parameter(name="no.such", value=ParameterValue(type=3, double_value=1.0)))
+    for each in odd:
+        request = SetParameters.Request(parameters=[each])
+        results = call(harness, SetParameters, "set_parameters", request).results
+        assert [(result.successful, bool(result.reason)) for result in results] == [(False, True)]
+        request = SetParametersAtomically.Request(parameters=[each])
+        answer = call(harness, SetParametersAtomically, "set_parameters_atomically", request)
+        assert not answer.result.successful
+        assert answer.result.reason
+    harness.ask(0, 0.0)
+    assert harness.ask(MS, -0.5) == pytest.approx(5.0)
+    assert process.poll() is None
+    faults.count("impossible parameter requests", 2 * len(odd))
+
+
+@pytest.mark.parametrize(
+    ("topic", "kind"), [(f"{NAME}/setpoint", Float64), ("joint_trajectory", JointTrajectory)]
+)
+def test_bytes_that_are_no_reference_are_refused_and_told(harness, faults, topic, kind):
+    process = harness.start_controller(law="pid", **GAINS).process
+    told = Told(harness)
+    publisher = harness.node.create_publisher(kind, topic, RARE)
+    head = b"\x00\x01\x00\x00"
+    garbage = [b"", b"\x00", b"\xff" * 12, head, head + b"\xee" * 5, head + b"\xff" * 8]
+
+    def refuses():
+        for raw in garbage:
+            publisher.publish(raw)
+        return int(told.newest().get("refused references", 0)) >= len(garbage)
+
+    harness.wait(refuses, what="refusals")
+    harness.ask(0, 0.0)
+    assert harness.ask(MS, -0.5) == pytest.approx(5.0)
+    assert process.poll() is None
+    faults.count("references of random bytes", int(told.newest()["refused references"]))

@@ -1,0 +1,155 @@
+"""Every signal that can be caught: zero effort first, and then what the signal asks for."""
+
+import resource
+import signal
+from pathlib import Path
+
+import pytest
+from harness.graph import ros_arguments
+
+from hpid_ros.wire import JointStateTemplate
+
+MS = 1_000_000
+GAINS = {"law": "pid", "gains__p": 10.0, "gains__i": 4.0, "gains__d": 2.0}
+GAINS["state_watchdog"] = False  # the test is slow at times
+
+ENDS = {
+    signal.SIGINT: 0,
+    signal.SIGTERM: 0,
+    signal.SIGHUP: 0,
+    signal.SIGQUIT: -signal.SIGQUIT,
+    signal.SIGUSR1: -signal.SIGUSR1,
+    signal.SIGALRM: -signal.SIGALRM,
+    signal.SIGXCPU: -signal.SIGXCPU,
+    signal.SIGRTMIN: -signal.SIGRTMIN,
+}
+STOPS = (signal.SIGTSTP, signal.SIGTTIN, signal.SIGTTOU)
+STAYS = (signal.SIGPIPE, signal.SIGXFSZ, signal.SIGCHLD, signal.SIGURG, signal.SIGWINCH)
+
+
+@pytest.fixture
+def as_from_a_terminal():
+    """Let children heed SIGHUP and SIGQUIT though this process may not, and leave no core file."""
+    before = {n: signal.signal(n, signal.SIG_DFL) for n in (signal.SIGHUP, signal.SIGQUIT)}
+    limits = resource.getrlimit(resource.RLIMIT_CORE)
+    resource.setrlimit(resource.RLIMIT_CORE, (0, limits[1]))
+    yield
+    resource.setrlimit(resource.RLIMIT_CORE, limits)
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
+class Arm:
+    """Joints that are away from where they are held, so that each gets an effort."""
+
+    def __init__(self, harness, joints):
+        self._harness, self._joints = harness, joints
+        self._template = JointStateTemplate(joints, position=True, velocity=True)
+        self._stamp_ns = 0
+        self._heard = -1
+        self._position = -0.5
+        self._tell(0.0)
+        harness.wait(lambda: all(self.efforts(j) for j in joints), what="the first answers")
+
+    def _go_on(self):
+        """Tell the next state when nobody answers the last one any more."""
+        heard, self._heard = self._heard, len(self._harness.commands)
+        if heard == self._heard:
+            self._stamp_ns += MS
+            self._position -= 0.01  # wherever a joint is held, it is soon away from there
+            self._tell(self._position)
+
+    def _tell(self, position):
+        n = len(self._joints)
+        raw = self._template.encode(self._stamp_ns, position=[position] * n, velocity=[0.0] * n)
+        self._harness.states.publish(raw)
+
+    def efforts(self, joint):
+        """Return all efforts that a joint has got."""
+        return [each.effort[0] for each in self._harness.commands if each.names == (joint,)]
+
+    def move(self, joints):
+        """Tell states until these joints have an effort that holds them."""
+
+        def driven():
+            self._go_on()
+            return all(self.efforts(joint)[-1] > 1.0 for joint in joints)
+
+        self._harness.wait(driven, what=f"efforts of {', '.join(joints)}")
+
+    def are_left(self, joints):
+        """Go on telling states, and tell whether the last commands of joints are zero."""
+        self._go_on()
+        return all(self.efforts(joint)[-1] == 0.0 for joint in joints)
+
+
+def is_stopped(process):
+    status = Path(f"/proc/{process.pid}/stat").read_text()
+    return status.rpartition(")")[2].split()[0] == "T"
+
+
+@pytest.mark.usefixtures("as_from_a_terminal")
+def test_each_signal_that_can_be_caught_gives_zero_first(harness, faults):
+    joints = {f"joint_{number:d}": number for number in ENDS}
+    joints["stopped"] = joints["undisturbed"] = 0
+    nodes = {joint: harness.start_controller(joint, joint, **GAINS) for joint in joints}
+    count = harness.states.get_subscription_count
+    harness.wait(lambda: count() == len(joints), within=60.0, what="all to listen")
+    arm = Arm(harness, list(joints))
+
+    arm.move(list(joints))
+    for number in STAYS:
+        nodes["undisturbed"].process.send_signal(number)
+    for number in STOPS:
+        process = nodes["stopped"].process
+        arm.move(["stopped"])
+        process.send_signal(number)
+        harness.wait(lambda: is_stopped(process), what=f"{number!r} to stop it")  # noqa: B023
+        harness.wait(lambda: arm.are_left(["stopped"]), what=f"a zero at {number!r}")
+        stood = len(arm.efforts("stopped"))
+        arm.move(["undisturbed"])  # states go on
+        assert len(arm.efforts("stopped")) == stood
+        process.send_signal(signal.SIGCONT)
+        arm.move(["stopped"])
+
+    ending = [joint for joint, number in joints.items() if number]
+    arm.move(ending)
+    for joint in ending:
+        nodes[joint].process.send_signal(joints[joint])
+    for joint in ending:
+        process = nodes[joint].process
+        harness.wait(
+            lambda: arm.are_left([joint]) and process.poll() is not None,  # noqa: B023
+            what=f"the end of {joint}",
+        )
+        assert process.returncode == ENDS[joints[joint]], joint
+        assert "not acknowledged" not in nodes[joint].log.read_text()
+    answered = {joint: len(arm.efforts(joint)) for joint in ending}
+    arm.move(["stopped", "undisturbed"])
+    assert {joint: len(arm.efforts(joint)) for joint in ending} == answered
+    assert nodes["undisturbed"].process.poll() is None
+    assert 0.0 not in arm.efforts("undisturbed")[2:]
+    faults.count("signals: zero first", len(ENDS) + len(STOPS))
+
+
+@pytest.mark.usefixtures("as_from_a_terminal")
+def test_all_joints_of_a_process_are_left_when_it_is_stopped_and_when_it_quits(harness):
+    joints = ["elbow", "wrist"]
+    node = harness.processes.start(
+        "arm",
+        "joint_controllers",
+        ["-p", "joints:=[elbow, wrist]", *ros_arguments(**GAINS)],
+        is_renamed=False,
+    )
+    harness.wait(lambda: harness.states.get_subscription_count() == 2, what="both to listen")
+    arm = Arm(harness, joints)
+    arm.move(joints)
+    node.process.send_signal(signal.SIGTSTP)
+    harness.wait(lambda: is_stopped(node.process), what="the process to stop")
+    harness.wait(lambda: arm.are_left(joints), what="two zeros")
+    node.process.send_signal(signal.SIGCONT)
+    arm.move(joints)
+    node.process.send_signal(signal.SIGQUIT)
+    harness.wait(lambda: node.process.poll() is not None, what="the end")
+    harness.wait(lambda: arm.are_left(joints), what="two zeros")
+    assert node.process.returncode == -signal.SIGQUIT

@@ -1,0 +1,25 @@
+"""What one joint feels when something goes wrong, with a robot's wall clock: the bounds hold."""
+
+import pytest
+
+from benchmarks.stimuli import STIMULI, a_joint
+
+DAMPING = 20.0 * 0.5  # of the joint at the trajectory's speed, in [N m]
+BOUNDS = {
+    "freeze of 1.5 s": 1.1 * DAMPING,
+    "silence, then repeats": 0.0,
+    "second controller": 1.5,
+    "encoder wraps": 1.5,
+    "encoder set to another zero": 1.1 * DAMPING,
+    "one wrong position": 1.5,
+    "velocity filter retuned": 3.0,
+}
+"""The largest sudden step of the effort in [N m]."""
+
+
+@pytest.mark.parametrize("name", BOUNDS)
+def test_the_effort_moves_by_no_more_than_its_bound(name, faults):
+    with a_joint() as joint:
+        felt = STIMULI[name](joint)
+    assert felt.sudden <= BOUNDS[name], felt
+    faults.count("stimuli of one joint in motion, each within its bound")

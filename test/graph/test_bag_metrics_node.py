@@ -1,0 +1,111 @@
+"""The bag_metrics node: numbers on a latched topic, and bags that are finished while it runs."""
+
+import shutil
+
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray
+from harness.graph import ros_arguments
+
+from hpid_ros.analysis.indices.run import run_indices
+from hpid_ros.bags import BagSelection, BagWriter, read_run
+from hpid_ros.base.errors import SettingError
+from hpid_ros.nodes.bag_metrics import FinishedBags
+from hpid_ros.nodes.ros.middleware import LATCHED
+from hpid_ros.wire import JointStateTemplate
+
+JOINT_STATE = "sensor_msgs/msg/JointState"
+
+
+def record(path, gain=1.0):
+    """Write a bag of one joint that swings about its start."""
+    state = JointStateTemplate(["elbow"], position=True)
+    command = JointStateTemplate(["elbow"], effort=True)
+    with BagWriter(path) as bag:
+        states = bag.add_topic("/joint_states", JOINT_STATE)
+        commands = bag.add_topic("/joint_commands", JOINT_STATE)
+        for k, position in enumerate(np.sin(np.arange(500) / 50.0)):
+            stamp_ns = 1_000_000 * k
+            bag.write(states, 1 + stamp_ns, state.encode(stamp_ns, position=[position]))
+            effort = [-gain * position]
+            bag.write(commands, 2 + stamp_ns, command.encode(stamp_ns, effort=effort))
+    return path
+
+
+@pytest.fixture
+def heard(harness):
+    """Return the messages of ~/indices as they come."""
+    messages = []
+    harness.node.create_subscription(
+        DiagnosticArray, "/bag_metrics/indices", messages.append, LATCHED
+    )
+    return messages
+
+
+def start(harness, **parameters):
+    harness.processes.start("bag_metrics", "bag_metrics", ros_arguments(**parameters))
+
+
+def values(message):
+    return {status.name: {v.key: v.value for v in status.values} for status in message.status}
+
+
+def test_the_numbers_of_its_bags_are_latched_with_their_units(harness, heard, tmp_path):
+    bag = record(tmp_path / "first")
+    start(
+        harness,
+        bags=f"[{bag}]",
+        keep_running=True,
+        indices="ivc,rmse",
+        units="deg",
+        reference="hold",
+    )
+    harness.wait(lambda: heard, what="the indices")
+    run = run_indices(read_run(bag, "first", selection=BagSelection(reference="hold")))
+    found = values(heard[0])
+    assert set(found) == {"first: elbow", "first: all joints"}
+    assert float(found["first: elbow"]["IVC [N m]"]) == run.totals.ivc
+    rmse = np.degrees(run.totals.further["rmse"])
+    assert float(found["first: all joints"]["RMSE [deg]"]) == pytest.approx(rmse)
+
+
+def test_each_bag_that_is_finished_in_a_watched_folder_is_reported(harness, heard, tmp_path):
+    baseline = record(tmp_path / "baseline")
+    folder = tmp_path / "recordings"
+    record(folder / "old")
+    start(harness, bags=f"[{baseline}]", watch=folder)
+    harness.wait(lambda: heard, what="the baseline")
+    cut_off = record(folder / "cut_off")
+    (cut_off / "metadata.yaml").unlink()
+    shutil.copytree(record(tmp_path / "elsewhere", gain=2.0), folder / "deep" / "new")
+    harness.wait(lambda: len(heard) > 1, what="the new bag")
+    found = values(heard[1])
+    assert {name.split(":")[0] for name in found} == {"baseline", "new"}
+    assert found["new: elbow"]["ITAE [rad s^2]"] == "undefined: no reference was recorded"
+    ivc = [float(found[f"{run}: elbow"]["IVC [N m]"]) for run in ("baseline", "new")]
+    assert ivc[1] == pytest.approx(2.0 * ivc[0])
+    (folder / "broken").mkdir()
+    (folder / "broken" / "metadata.yaml").write_text("no bag")
+    record(folder / "last", gain=3.0)
+    harness.wait(lambda: len(heard) > 2, what="the bag after a broken one")
+    assert any(name.startswith("last:") for name in values(heard[2]))
+
+
+def test_a_bag_is_told_once_when_its_metadata_no_longer_grows(tmp_path):
+    bags = FinishedBags(tmp_path)
+    metadata = tmp_path / "run" / "metadata.yaml"
+    metadata.parent.mkdir()
+    metadata.write_text("")
+    assert [bags.new(), bags.new()] == [[], []]
+    metadata.write_text("half")
+    assert bags.new() == []
+    metadata.write_text("all of it")
+    assert bags.new() == []
+    assert bags.new() == [metadata.parent]
+    assert bags.new() == []
+    assert FinishedBags(tmp_path).new() == []
+
+
+def test_a_watched_folder_must_be_there(tmp_path):
+    with pytest.raises(SettingError, match="watch must name a folder"):
+        FinishedBags(tmp_path / "none")

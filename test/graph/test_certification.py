@@ -1,0 +1,145 @@
+"""The certificate beside a running controller."""
+
+import os
+import signal
+import subprocess
+import threading
+from pathlib import Path
+
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray
+from harness.graph import ros_arguments
+
+from hpid_ros.control import LoopSettings
+from hpid_ros.nodes.ros.middleware import RARE
+from hpid_ros.stability.certifier import Certifier
+
+NEAR_THE_LIMIT = {
+    "gains__p": 5.0,
+    "gains__i": 9.0,
+    "gains__d": 2.0,
+    "norm__rate_weight": 3.0,
+    "inertia": 1.0,
+}
+
+
+def settings(**changes):
+    values = {"joint": "j", **NEAR_THE_LIMIT, **changes}
+    return LoopSettings.from_parameters({k.replace("__", "."): v for k, v in values.items()})
+
+
+@pytest.fixture
+def certifier():
+    certifier = Certifier()
+    yield certifier
+    certifier.close()
+
+
+def test_finding_comes_later_and_then_serves_every_degree(certifier):
+    assert certifier.finding(settings(mu=0.05)) == (None, "being computed")
+    assert certifier.wait(settings(mu=0.05)).is_certified
+    assert certifier.finding(settings(mu=0.4)).is_certified is False
+    assert certifier.finding(settings(mu=-0.04)).is_certified is True
+    assert certifier.finding(settings(mu=0.05, gains__p=5.5)).is_certified is None
+
+
+def test_the_newest_wish_counts(certifier):
+    certifier.want(settings(mu=0.05))
+    certifier.want(settings(mu=0.05, gains__p=50.0))
+    certifier.want(settings(mu=0.05, gains__p=60.0))
+    assert certifier.wait(settings(mu=0.05, gains__p=60.0)).is_certified
+    assert certifier.finding(settings(mu=0.05, gains__p=50.0)).is_certified is None
+
+
+def test_what_is_being_computed_ends_with_the_certifier():
+    certifier, before = Certifier(), children()
+    certifier.want(settings(mu=0.05))
+    assert len(children() - before) == 1
+    certifier.close()
+    assert children() == before
+    assert certifier.poll() is False
+
+
+def children():
+    return set(Path(f"/proc/self/task/{threading.get_native_id()}/children").read_text().split())
+
+
+def test_nothing_is_claimed_without_an_inertia(certifier):
+    found = certifier.wait(settings(mu=0.05, inertia=0.0))
+    assert found == (None, "unknown: the inertia is not given")
+
+
+def latest_status(harness, node):
+    """Return a function that gives the node's newest diagnostic status."""
+    seen = {}
+
+    def on_message(message):
+        seen.update({status.name: status for status in message.status})
+
+    harness.node.create_subscription(DiagnosticArray, "/diagnostics", on_message, RARE)
+    return lambda: seen.get(f"/{node}")
+
+
+@pytest.mark.parametrize("failure", ["no child", "no answer"])
+def test_a_computation_that_fails_is_a_finding_and_no_error(monkeypatch, certifier, failure):
+    """The loop beside which it runs must not end for it."""
+
+    def refused(*arguments, **options):
+        raise BlockingIOError(11, "Resource temporarily unavailable")
+
+    before = children()
+    if failure == "no child":
+        monkeypatch.setattr(subprocess, "Popen", refused)
+        certifier.want(settings(mu=0.05))
+    else:
+        certifier.want(settings(mu=0.05))
+        (child,) = children() - before
+        os.kill(int(child), signal.SIGKILL)
+        while not certifier.poll():
+            pass
+    found = certifier.finding(settings(mu=0.05))
+    assert found.is_certified is False
+    assert "computation" in found.text
+
+
+def test_an_uncertified_degree_is_a_warning(harness):
+    status = latest_status(harness, "elbow_controller")
+    harness.start_controller(mu=0.4, state_watchdog=False, **NEAR_THE_LIMIT)
+    harness.ask(0, 0.0)
+    harness.wait(
+        lambda: status() and "mu = 0.4 is not certified stable" in status().message,
+        what="the warning",
+    )
+    assert status().level == b"\x01"
+    assert harness.set_parameters("elbow_controller", mu=0.05) == (True, "")
+    harness.wait(
+        lambda: status().level == b"\x00" and "holding" in status().message,
+        what="the warning to go",
+    )
+
+
+def test_what_is_required_is_refused_until_it_is_certified(harness):
+    harness.start_controller(mu=0.05, require_certificate=True, **NEAR_THE_LIMIT)
+    harness.ask(0, 0.0)
+    is_set, reason = harness.set_parameters("elbow_controller", mu=0.4)
+    assert not is_set
+    assert "mu = 0.4 is not certified stable; certified degrees: -0.0" in reason
+    assert harness.set_parameters("elbow_controller", mu=-0.04) == (True, "")
+    is_set, reason = harness.set_parameters("elbow_controller", gains__p=50.0)
+    assert (is_set, "being computed" in reason) == (False, True)
+    harness.wait(
+        lambda: harness.set_parameters("elbow_controller", gains__p=50.0)[0],
+        what="the certificate of the new gains",
+    )
+    assert harness.set_parameters("elbow_controller", mu=0.15) == (True, "")
+
+
+def test_a_start_without_a_required_certificate_is_refused(harness):
+    node = harness.processes.start(
+        "elbow_controller",
+        "joint_controller",
+        ros_arguments(joint="elbow", mu=0.4, require_certificate=True, **NEAR_THE_LIMIT),
+    )
+    harness.wait(lambda: node.process.poll() is not None, what="the refusal")
+    assert node.process.returncode == 2
+    assert "mu = 0.4 is not certified stable" in node.last_words()

@@ -1,0 +1,277 @@
+"""One controller in a process of its own; the test plays the robot."""
+
+import math
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray
+from harness.graph import ros_arguments
+from harness.loops import pure_loop
+from rcl_interfaces.srv import DescribeParameters
+from std_msgs.msg import Float64
+from trajectory_msgs.msg import JointTrajectory
+
+from hpid_ros.control import LOOP_PARAMETERS
+from hpid_ros.experiment.graph.isolation import network_sockets
+from hpid_ros.nodes.ros.middleware import LATCHED, RARE
+from hpid_ros.nodes.ros.trajectories import to_message
+from hpid_ros.robot.description import RobotDescription
+from hpid_ros.trajectory import minimum_jerk
+
+MS = 1_000_000
+GAINS = {"gains__p": 10.0, "gains__i": 4.0, "gains__d": 2.0}
+
+
+def states(count, start=0):
+    return [(k * MS, 0.3 * math.sin(0.01 * k), 3.0 * math.cos(0.01 * k)) for k in range(count)][
+        start:
+    ]
+
+
+def test_node_answers_exactly_as_the_pure_loop(harness):
+    harness.start_controller(law="hpid", mu=-0.2, **GAINS)
+    twin = pure_loop(law="hpid", mu=-0.2, **GAINS)
+    for state in states(50):
+        assert harness.ask(*state) == twin.step(*state)
+
+
+def test_a_set_is_in_force_as_a_whole_from_the_next_sample_on(harness):
+    harness.start_controller(law="pid", **GAINS)
+    twin = pure_loop(law="pid", **GAINS)
+    for state in states(20):
+        assert harness.ask(*state) == twin.step(*state)
+    changes = {"law": "hpid", "mu": 0.3, "gains__p": 30.0, "gains__d": 3.0}
+    assert harness.set_parameters("elbow_controller", **changes) == (True, "")
+    twin.retune(pure_loop(**{**GAINS, **changes}).settings)
+    for state in states(40, start=20):
+        assert harness.ask(*state) == twin.step(*state)
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"gains__p": 20.0, "mu": 0.5}, "(-0.5, 0.5), not 0.5"),
+        ({"gains__p": 20.0, "gains__d": math.nan}, "gains.d"),
+        ({"gains__p": 20.0, "gains__i": 1000.0}, "p d = 40 must exceed i x inertia = 500"),
+        ({"gains__p": 20.0, "law": "PID"}, "law must be one of hpid, pid, not 'PID'"),
+        ({"gains__p": 20.0, "joint": "wrist"}, "read-only"),
+        ({"u_clamp_min": 1.0, "u_clamp_max": -1.0}, "u_clamp_min = 1.0 must not exceed"),
+    ],
+)
+def test_a_refused_set_says_why_and_leaves_no_trace(harness, changes, reason):
+    harness.start_controller(law="pid", inertia=0.5, **GAINS)
+    twin = pure_loop(law="pid", **GAINS)
+    for state in states(5):
+        assert harness.ask(*state) == twin.step(*state)
+    is_successful, why = harness.set_parameters("elbow_controller", **changes)
+    assert not is_successful
+    assert reason in why
+    assert "\n" not in why
+    for state in states(10, start=5):
+        assert harness.ask(*state) == twin.step(*state)
+
+
+def test_the_robots_effort_limit_holds_whatever_the_clamps_say(harness):
+    joint = "arm_joint_6"  # 4 N m in the URDF
+    harness.start_controller(
+        joint=joint,
+        law="pid",
+        robot_description="urdf/mobile_manipulator.urdf",
+        compensation="none",
+        position_step_max=1e6,
+        **GAINS,
+    )
+    harness.ask(0, 0.0, joint=joint)
+    assert harness.ask(MS, -5.0, joint=joint) == 4.0
+    assert harness.set_parameters("elbow_controller", u_clamp_max=2.5)[0]
+    assert harness.ask(2 * MS, -5.0, joint=joint) == 2.5
+    assert harness.set_parameters("elbow_controller", u_clamp_max=99.0)[0]
+    assert harness.ask(3 * MS, -5.0, joint=joint) == 4.0
+
+
+@pytest.mark.parametrize(
+    ("position", "velocity", "limit"),
+    [(2.88, 1.0, "position_max"), (-2.88, -1.0, "position_min"), (0.0, 4.5, "velocity_max")],
+)
+def test_the_robots_stops_and_velocity_limit_hold(harness, position, velocity, limit):
+    """Those of the description, as if they were parameters."""
+    joint = "arm_joint_6"
+    settings = {"joint": joint, "law": "pid", "gains__p": 0.1, "gains__d": 0.1}
+    settings |= {"soft_stop__k_position": 10.0, "soft_stop__k_velocity": 3.0}
+    urdf = "urdf/mobile_manipulator.urdf"
+    harness.start_controller(robot_description=urdf, **settings)
+    robot = RobotDescription.load(urdf).joints[joint]
+    limits = {"position_max": robot.upper, "position_min": robot.lower}
+    limits |= {"velocity_max": robot.velocity, "u_clamp_max": robot.effort}
+    within = pure_loop(**settings, **limits, u_clamp_min=-robot.effort)
+    del limits[limit]
+    beyond = pure_loop(**settings, **limits, u_clamp_min=-robot.effort)
+    for k in range(3):
+        sample = (k * MS, position + k * 1e-3 * velocity, velocity)
+        effort = harness.ask(*sample, joint=joint)
+        assert effort == within.step(*sample)
+        assert abs(effort) > abs(beyond.step(*sample)) + 0.5  # it brakes
+
+
+def test_trajectory_and_setpoint_reach_the_loop(harness):
+    trajectory = minimum_jerk([0.0, 1.0], {"wrist": [0.0, 9.0], "elbow": [0.5, 1.5]})
+    publisher = harness.node.create_publisher(JointTrajectory, "joint_trajectory", LATCHED)
+    publisher.publish(to_message(trajectory))
+    harness.start_controller(law="pid", wait_for_reference=True, **GAINS)
+    twin = pure_loop(law="pid", **GAINS)
+    twin.follow(trajectory.column("elbow"))
+    for state in states(10):
+        assert harness.ask(*state) == twin.step(*state)
+    setpoint = harness.node.create_publisher(Float64, "elbow_controller/setpoint", RARE)
+    harness.wait(lambda: setpoint.get_subscription_count() > 0, what="the setpoint's subscriber")
+    setpoint.publish(Float64(data=0.25))
+    stamps = iter(range(10 * MS, 10_000 * MS, MS))
+
+    def holds():  # at the setpoint, at rest, the proportional term is gone
+        return abs(harness.ask(next(stamps), 0.25)) < 0.2
+
+    harness.wait(holds, what="the loop to hold the setpoint")
+
+
+def test_no_network_socket_is_opened_in_the_closed_mode(harness):
+    process = harness.start_controller(law="pid", **GAINS)
+    harness.ask(0, 0.0)
+    assert network_sockets(process.pid) == set()
+
+
+def test_parameters_are_described_with_their_ranges(harness):
+    harness.start_controller(law="pid", **GAINS)
+    client = harness.node.create_client(DescribeParameters, "elbow_controller/describe_parameters")
+    harness.wait(client.service_is_ready, what="the parameter services")
+    future = client.call_async(DescribeParameters.Request(names=list(LOOP_PARAMETERS)))
+    harness.wait(future.done, what="the descriptions")
+    for described in future.result().descriptors:
+        spec = LOOP_PARAMETERS[described.name]
+        assert described.description == spec.description
+        if isinstance(spec.default, float):
+            (bounds,) = described.floating_point_range
+            assert (bounds.from_value, bounds.to_value) == (spec.minimum, spec.maximum)
+
+
+MODELLED = {
+    "joint": "arm_joint_3",
+    "compensation": "decoupling",
+    "gains.p": 300.0,
+    "gains.d": 30.0,
+    "robot_description": "urdf/mobile_manipulator.urdf",
+}
+
+
+@pytest.mark.parametrize(
+    ("executable", "parameters", "line"),
+    [
+        ("joint_controller", {}, "the parameter joint must name the joint"),
+        ("joint_controller", {"joint": "a", "gain.p": 1.0}, "did you mean 'gains.p'"),
+        ("joint_controller", {"joint": "a", "mu": 0.5}, "(-0.5, 0.5), not 0.5"),
+        ("joint_controller", {"joint": "a", "gains.p": ".nan"}, "gains.p"),
+        ("joint_controller", {"joint": "a", "gains.p": "much"}, "gains.p must be a double"),
+        ("joint_controller", {"joint": "a", "command_interface": "can"}, "command_interface"),
+        ("joint_controller", {"joint": "a", "compensation": "magic"}, "none, gravity, decoupling"),
+        ("joint_controller", {"joint": "a", "compensation": "gravity"}, "description is empty"),
+        ("joint_controller", {**MODELLED, "model.locked_joints": "arm_joint_3"}, "lacks it"),
+        ("joint_controller", {**MODELLED, "model.left_wheel": "wheel_left_joint"}, "right_wheel"),
+        (
+            "joint_controller",
+            {**MODELLED, "model.payload": 1.0, "model.payload_link": "hook"},
+            "hook",
+        ),
+        (
+            "joint_controller",
+            {"joint": "arm_joint_9", "robot_description": "urdf/mobile_manipulator.urdf"},
+            "did you mean 'arm_joint_",
+        ),
+        ("joint_controllers", {}, "the parameter joints must name each joint once"),
+        ("pybullet_bridge", {"mode": "fast"}, "mode must be one of lockstep, realtime"),
+        ("pybullet_bridge", {"joints": "[arm_joint_9]"}, "did you mean 'arm_joint_"),
+        ("pybullet_bridge", {"robot_description": "none.urdf"}, "there is no file none.urdf"),
+        ("trajectory_publisher", {}, "the parameter reference_file must name"),
+        ("trajectory_publisher", {"reference_file": "none.yaml"}, "cannot read none.yaml"),
+        ("bag_recorder", {}, "the parameters bag and topics must name"),
+        ("bag_recorder", {"bag": "."}, "exists already"),
+        ("bag_metrics", {}, "the parameter bags must name"),
+        ("bag_metrics", {"bags": "[none]"}, "none"),
+    ],
+)
+def test_a_node_that_cannot_start_says_one_line_and_ends_with_two(
+    harness, tmp_path, executable, parameters, line
+):
+    command = [sys.executable, "-m", f"hpid_ros.nodes.{executable}", "--ros-args"]
+    ended = subprocess.run(
+        [*command, *ros_arguments(**parameters)],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        cwd=tmp_path,
+        check=False,
+    )
+    assert ended.returncode == 2
+    assert line in ended.stderr
+    assert "Traceback" not in ended.stderr
+    assert len(ended.stderr.strip().splitlines()) == 1
+
+
+def test_health_tells_period_compute_time_and_missed_samples(harness):
+    reports = []
+    harness.node.create_subscription(DiagnosticArray, "/diagnostics", reports.append, 10)
+    harness.start_controller(law="pid", **GAINS)
+    for k in (0, 1, 2, 5):
+        harness.ask(k * MS, 0.0)
+
+    def figures():
+        values = [each.values for report in reports for each in report.status]
+        found = [{pair.key: pair.value for pair in each} for each in values]
+        return [each for each in found if each.get("samples") == "4"]
+
+    harness.wait(figures, what="a report of all samples")
+    told = figures()[0]
+    assert told["missed samples"] == "2"
+    assert told["scheduling"] == "ordinary"
+    assert float(told["compute time, median [us]"]) > 0.0
+    median, p99 = (float(told[f"period, {x} [us]"]) for x in ("median", "99th percentile"))
+    assert 0.0 < median <= p99
+    assert float(told["jitter [us]"]) == pytest.approx(p99 - median, rel=1e-3)
+
+
+def test_priority_and_affinity_reach_every_thread_or_are_told_as_refused(harness):
+    cpu = min(os.sched_getaffinity(0))
+    process = harness.processes.start(
+        "elbow_controller",
+        "joint_controller",
+        [
+            *ros_arguments(joint="elbow", law="pid", realtime_priority=5, **GAINS),
+            *("-p", f"cpu_affinity:=[{cpu}]"),
+        ],
+    )
+    harness.wait(lambda: harness.states.get_subscription_count() > 0, what="the controller")
+    threads = [int(path.name) for path in Path(f"/proc/{process.pid}/task").iterdir()]
+    # Python's own thread for signals is made last, and never runs while there is none.
+    policies = [os.sched_getscheduler(thread) & ~os.SCHED_RESET_ON_FORK for thread in threads]
+    if "refused by the system" in process.log.read_text():
+        assert os.SCHED_FIFO not in policies
+    else:
+        assert policies.count(os.SCHED_FIFO) >= len(threads) - 1
+    assert all(os.sched_getaffinity(thread) == {cpu} for thread in threads)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["-p", "cpu_affinity:=[4096]"], "not [4096]"),
+        (["-p", "realtime_priority:=100"], "[0, 99], not 100"),
+    ],
+)
+def test_impossible_scheduling_is_one_line(harness, arguments, said):
+    process = harness.processes.start(
+        "elbow_controller", "joint_controller", ros_arguments(joint="elbow", **GAINS) + arguments
+    )
+    harness.wait(lambda: process.process.poll() is not None, what="the controller to refuse")
+    assert process.process.returncode == 2
+    assert said in process.last_words()

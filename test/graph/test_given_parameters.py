@@ -1,0 +1,417 @@
+"""Parameters as files, dumps and people give them: taken for what they say, or refused by name."""
+
+import importlib
+import json
+import os
+import re
+import subprocess
+import sys
+from fnmatch import fnmatch
+from functools import partial
+
+import pytest
+import yaml
+from harness.bags import small_log, write_bag
+from harness.graph import ros_arguments
+from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters
+from rclpy.parameter import Parameter, parameter_value_to_python
+from rclpy.parameter_client import AsyncParameterClient
+
+from hpid_ros.base.errors import SettingError
+from hpid_ros.base.names import is_for, node_sections
+from hpid_ros.base.resources import share_folder
+from hpid_ros.nodes.ros.given_parameters import as_declared
+from hpid_ros.nodes.ros.process import LAUNCH
+from hpid_ros.tuning.controller_files import settings_from_parameters
+
+T = Parameter.Type
+MS = 1_000_000
+EXECUTABLES = (
+    *("joint_controller", "joint_controllers", "single_process", "pybullet_bridge"),
+    *("trajectory_publisher", "bag_recorder", "bag_metrics"),
+)
+JOINTS = [f"joint_{number}" for number in range(8)]
+OF_EVERY_NODE = {"use_sim_time", "start_type_description_service"}
+
+
+@pytest.mark.parametrize(
+    ("kind", "value", "declared", "read"),
+    [
+        (T.INTEGER, 60, T.DOUBLE, 60.0),
+        (T.STRING, "5e-05", T.DOUBLE, 5e-5),  # what ros2 param load makes of 5.0e-05
+        (T.INTEGER_ARRAY, [0, 1], T.DOUBLE_ARRAY, [0.0, 1.0]),
+        (T.STRING, "[0.0, 1e-05]", T.DOUBLE_ARRAY, [0.0, 1e-5]),
+        (T.STRING, "null", T.INTEGER_ARRAY, None),  # ros2 param dump, of what was left out
+        (T.STRING, "None", T.STRING_ARRAY, None),  # and ros2 param load, of that
+        (T.BOOL_ARRAY, [], T.STRING_ARRAY, []),
+        (T.STRING, "null", T.STRING, "null"),  # a text is a text
+        (T.DOUBLE, 2.0, T.DOUBLE, 2.0),
+    ],
+)
+def test_what_can_mean_only_one_thing_is_taken_for_that(kind, value, declared, read):
+    taken = as_declared(Parameter("x", kind, value), declared)
+    assert taken.value == read
+    assert taken.type_ == (T.NOT_SET if read is None else declared)
+
+
+@pytest.mark.parametrize(
+    ("kind", "value", "declared", "said"),
+    [
+        (T.STRING, "abc", T.DOUBLE, "x must be a double, not a text ('abc')"),
+        (T.BOOL, True, T.DOUBLE, "x must be a double, not true or false (True)"),
+        (T.DOUBLE, 2.5, T.INTEGER, "x must be an integer, not a double (2.5)"),
+        (T.INTEGER, 1, T.STRING, "x must be a text, written '1', not an integer (1)"),
+        (T.STRING, "[a, 1]", T.DOUBLE_ARRAY, "x must be an array of doubles, not a text"),
+    ],
+)
+def test_everything_else_is_refused_by_name(kind, value, declared, said):
+    with pytest.raises(SettingError, match=re.escape(said)):
+        as_declared(Parameter("x", kind, value), declared)
+
+
+@pytest.mark.parametrize(
+    ("document", "node", "is_its"),
+    [
+        ({"/**/elbow": {}}, "/elbow", True),
+        ({"/**/elbow": {}}, "/a/b/elbow", True),
+        ({"/**": {"elbow": {}}}, "/a/elbow", True),
+        ({"/*/elbow": {}}, "/a/elbow", True),
+        ({"/*/elbow": {}}, "/elbow", False),
+        ({"elbow": {}}, "/elbow", True),
+        ({"elbow": {}}, "/a/elbow", False),
+        ({"a": {"elbow": {}}}, "/a/elbow", True),
+        ({"/**": {}}, "/a/elbow", True),
+        ({"/**/elbow": {}}, "/left_elbow", False),
+    ],
+)
+def test_sections_are_matched_by_the_rules_of_rcl(document, node, is_its):
+    def filled(values):
+        inner = {key: filled(below) for key, below in values.items()}
+        return inner or {"ros__parameters": {"p": 1}}
+
+    (section,) = node_sections(filled(document))
+    assert is_for(section, node) is is_its
+
+
+def test_controllers_are_found_in_files_for_any_namespace():
+    parameters = {"ros__parameters": {"joint": "elbow", "gains": {"p": 2.0, "d": 1.0}}}
+    for document in (
+        {"/**/elbow_controller": parameters},
+        {"/**": {"elbow_controller": parameters}},
+        {"elbow_controller": parameters},
+    ):
+        found = settings_from_parameters(document, "file")
+        assert {name: each.gains.p for name, each in found.items()} == {"elbow_controller": 2.0}
+
+
+@pytest.mark.parametrize("name", EXECUTABLES)
+def test_help_is_a_few_lines_and_starts_nothing(name, capsys, monkeypatch):
+    module = importlib.import_module(f"hpid_ros.nodes.{name}")
+    monkeypatch.setattr("rclpy.init", None)
+    for option in ("--help", "-h"):
+        assert module.main([name, option]) == 0
+        lines = capsys.readouterr().out.splitlines()
+        assert lines[0].startswith(f"usage: {name} --ros-args")
+        assert len(lines) < 30
+
+
+class Graph:
+    """All executables at once, the composed and the single one in namespaces of their own."""
+
+    def __init__(self, harness, folder):
+        self._harness, self._folder = harness, folder
+        robot = {"initial_positions": [0.1] + 7 * [0.0]}
+        self.arguments = {
+            "joint_controller": ros_arguments(joint="elbow", gains__p=60, norm__floor=5e-5),
+            "joint_controllers": ["-p", f"joints:=[{', '.join(JOINTS)}]", "-r", "__ns:=/many"],
+            "single_process": [
+                *("-p", "joints:=[arm_joint_1]", "-p", f"bag:={folder / 'single'}"),
+                *("-p", "record:=true", "-r", "__ns:=/one"),
+            ],
+            "pybullet_bridge": [
+                *ros_arguments(mode="realtime", payload_mass=1, seed=3),
+                *("-p", f"initial_positions:={robot['initial_positions']}"),
+            ],
+            "trajectory_publisher": ros_arguments(
+                reference_file=share_folder() / "config" / "experiments" / "tracking.yaml"
+            ),
+            "bag_recorder": ros_arguments(bag=folder / "recorded"),
+            "bag_metrics": ["-p", f"bags:=[{folder / 'bag'}]", "-p", "keep_running:=true"],
+        }
+        self.nodes = {
+            "joint_controller": ["/joint_controller"],
+            "joint_controllers": ["/many/joint_controllers", f"/many/{JOINTS[7]}_controller"],
+            "single_process": [
+                *("/one/single_process", "/one/pybullet_bridge", "/one/joint_controllers"),
+                *("/one/arm_joint_1_controller", "/one/bag_recorder"),
+            ],
+            **{f"{name}": [f"/{name}"] for name in EXECUTABLES[3:]},
+        }
+
+    def start(self, suffix, arguments):
+        return {
+            name: self._harness.processes.start(
+                f"{name}_{suffix}", name, arguments[name], is_renamed=False
+            )
+            for name in EXECUTABLES
+        }
+
+    def dump(self, node):
+        """Return a node's parameters as ``ros2 param dump`` writes them."""
+        names = sorted(self._call(node, ListParameters, "list_parameters").result.names)
+        values = self._call(node, GetParameters, "get_parameters", names=names).values
+        assert len(values) == len(names)
+        return dict(zip(names, map(parameter_value_to_python, values), strict=True))
+
+    def load(self, node, file):
+        """Do what ``ros2 param load`` does, and return what was refused."""
+        client = AsyncParameterClient(self._harness.node, node)
+        future = client.load_parameter_file(str(file), use_wildcard=True)
+        self._harness.wait(future.done, within=60.0, what=f"{node} to load its dump")
+        return [result.reason for result in future.result().results if not result.successful]
+
+    def are_fixed(self, node, names):
+        found = self._call(node, DescribeParameters, "describe_parameters", names=names)
+        return {each.name: each.read_only for each in found.descriptors}
+
+    def set(self, node, **values):
+        return self._harness.set_parameters(node, atomically=False, **values)
+
+    def _call(self, node, kind, name, **request):
+        client = self._harness.node.create_client(kind, f"{node}/{name}")
+        self._harness.wait(client.service_is_ready, within=60.0, what=node)
+        future = client.call_async(kind.Request(**request))
+        self._harness.wait(future.done, within=60.0, what=f"{name} of {node}")
+        return future.result()
+
+
+def nested(values):
+    tree = {}
+    for name, value in values.items():
+        inner, *path = tree, *name.split(".")
+        for part in path[:-1]:
+            inner = inner.setdefault(part, {})
+        inner[path[-1]] = value
+    return tree
+
+
+@pytest.mark.timeout(300)
+def test_every_executable_starts_from_its_dump_and_takes_it_back(harness, tmp_path):
+    write_bag(tmp_path / "bag", small_log())
+    graph = Graph(harness, tmp_path)
+    processes = graph.start("first", graph.arguments)
+    dumps, files = {}, {}
+    for executable, nodes in graph.nodes.items():
+        usage = importlib.import_module(f"hpid_ros.nodes.{executable}").USAGE
+        files[executable] = tmp_path / f"{executable}.yaml"
+        document = {}
+        for number, node in enumerate(nodes):
+            dumps[node] = graph.dump(node)
+            own = {node: {"ros__parameters": nested(dumps[node])}}
+            file = tmp_path / f"{executable}_{number}.yaml"
+            file.write_text(yaml.dump(own, default_flow_style=False))
+            assert graph.load(node, file) == [], node
+            document |= own
+        files[executable].write_text(yaml.dump(document, default_flow_style=False))
+        told = {name for name in dumps[nodes[0]] if not name.startswith("qos_overrides.")}
+        for name in told - OF_EVERY_NODE:
+            assert any(fnmatch(name, pattern) for pattern in usage.parameters), name
+    assert dumps["/joint_controller"]["cpu_affinity"] is None
+    assert dumps["/joint_controller"]["gains.p"] == 60.0
+
+    # A real change of what is fixed is refused by its name, an integer is a double.
+    for node, values in dumps.items():
+        fixed = graph.are_fixed(node, ["status_fd" if "status_fd" in values else "use_sim_time"])
+        for name, is_fixed in fixed.items():
+            if is_fixed:
+                is_set, reason = graph.set(node, **{name: 77})
+                assert not is_set
+                assert name in reason
+    assert graph.set("/joint_controller", gains__p=61) == (True, "")
+    assert graph.dump("/joint_controller")["gains.p"] == 61.0
+
+    for process in processes.values():
+        process.process.terminate()
+    for name, process in processes.items():
+        assert process.process.wait(60) == 0, name
+    log = (tmp_path / "joint_controllers_first.log").read_text()
+    assert "number of timers" not in log
+
+    for folder in ("recorded", "single"):  # nothing is recorded over
+        (tmp_path / folder).rename(tmp_path / f"{folder}_before")
+    spaces = {name: graph.arguments[name][-2:] for name in ("joint_controllers", "single_process")}
+    again = graph.start(
+        "again",
+        {n: ["--params-file", str(files[n]), *spaces.get(n, [])] for n in EXECUTABLES},
+    )
+    for node, before in dumps.items():
+        after = graph.dump(node)
+        # This parent's own pipe, and what was set above.
+        changed = {"status_fd", "gains.p"}
+        assert after | dict.fromkeys(changed) == before | dict.fromkeys(changed), node
+    for name, process in again.items():
+        process.process.terminate()
+        assert process.process.wait(60) == 0, name
+
+
+@pytest.mark.parametrize(
+    ("executable", "document", "said"),
+    [
+        ("pybullet_bridge", {"pybullet_bridge": {"seed": 1}}, "/**/pybullet_bridge in it stands"),
+        ("pybullet_bridge", {"/**/sim": {"seed": 1}}, "robot_description must be given"),
+        ("joint_controller", {"/joint_controller": {"joint": "a"}}, "has parameters for"),
+        ("joint_controller", {"/**": {"joint": "a", "gains": {"p": "x"}}}, "gains.p must be a"),
+    ],
+)
+def test_a_file_that_is_for_another_node_is_one_line_and_exit_code_two(
+    harness, tmp_path, executable, document, said
+):
+    file = tmp_path / "parameters.yaml"
+    sections = {name: {"ros__parameters": values} for name, values in document.items()}
+    file.write_text(yaml.safe_dump(sections))
+    ended = subprocess.run(
+        [
+            *(sys.executable, "-m", f"hpid_ros.nodes.{executable}", "--ros-args"),
+            *("--params-file", str(file), "-r", "__ns:=/a"),
+        ],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert ended.returncode == 2
+    assert said in ended.stderr.strip().splitlines()[-1]
+    assert executable in ended.stderr
+    assert "Traceback" not in ended.stderr
+
+
+def test_a_controller_says_once_what_it_holds(harness, tmp_path):
+    harness.start_controller(law="hpid", mu=-0.1, gains__p=10, u_clamp_max=5, u_clamp_min=-5)
+    harness.ask(0, 0.25)
+    log = tmp_path / "elbow_controller.log"
+    harness.wait(lambda: "active" in log.read_text(), what="the line")
+    harness.ask(MS, 0.25)
+    (line,) = [line for line in log.read_text().splitlines() if "active" in line]
+    assert "active: joint elbow, hpid with mu = -0.1, within [-5, 5] N m; holding its" in line
+    assert line.endswith("position: 0.25 rad")
+
+
+class Robot:
+    """One of two robots: a bridge, its controllers and its reference in a namespace."""
+
+    def __init__(self, harness, name, experiment, folder):
+        from hpid_ros.experiment.graph.parameter_files import (
+            bridge_document,
+            controllers_document,
+            write_parameters,
+        )
+
+        folder.mkdir()
+        write_parameters(folder / "bridge.yaml", bridge_document(experiment))
+        settings = experiment.controllers["PID"]
+        robot = str(experiment.world.robot_description)
+        write_parameters(folder / "controllers.yaml", controllers_document(settings, robot))
+        space = ["-r", f"__ns:=/{name}"]
+        start = partial(harness.processes.start, is_renamed=False)
+        start(
+            f"{name}_reference",
+            "trajectory_publisher",
+            [*ros_arguments(reference_file=experiment.path), *space],
+        )
+        start(
+            f"{name}_controllers",
+            "joint_controllers",
+            [
+                *("--params-file", str(folder / "controllers.yaml"), *space),
+                *ros_arguments(certify=False, wait_for_reference=True, state_watchdog=False),
+            ],
+        )
+        joints = len(experiment.world.joints)
+        self._bridge = start(
+            f"{name}_bridge",
+            "pybullet_bridge",
+            [
+                *("--params-file", str(folder / "bridge.yaml"), *space),
+                *ros_arguments(frame_prefix=f"{name}/", wait_for_subscribers=joints + 1),
+                *ros_arguments(wait_for_publishers=joints, exit_when_done=False),
+            ],
+        )
+        self.end = None
+
+    def has_finished(self):
+        for event in self._bridge.read_events():
+            if event["event"] == "finished":
+                self.end = event
+        return self.end is not None
+
+
+@pytest.mark.timeout(200)
+def test_two_robots_side_by_side_are_two_robots(harness, experiment_file, tmp_path):
+    from nav_msgs.msg import Odometry
+
+    from hpid_ros.experiment.description import load_experiment
+
+    panda = yaml.safe_load((share_folder() / "config/experiments/panda.yaml").read_text())
+    panda |= {"duration": 0.1, "control": {"rate": 1000, "answer_timeout": 120.0}}
+    other = tmp_path / "panda.yaml"
+    other.write_text(yaml.safe_dump(panda))
+    experiments = {
+        "left": load_experiment(experiment_file(duration=0.1)),
+        "right": load_experiment(other),
+    }
+    frames = {}
+    for name in experiments:
+        harness.node.create_subscription(
+            Odometry,
+            f"/{name}/odom",
+            lambda message, name=name: frames.setdefault(name, message.child_frame_id),
+            10,
+        )
+    robots = {
+        name: Robot(harness, name, experiment, tmp_path / name)
+        for name, experiment in experiments.items()
+    }
+    harness.wait(
+        lambda: len(frames) == 2 and all(robot.has_finished() for robot in robots.values()),
+        within=150.0,
+        what="both robots",
+    )
+    for name, experiment in experiments.items():
+        counts = robots[name].end["counts"]
+        assert list(counts) == list(experiment.world.joints), json.dumps(counts)
+        assert all(each["unanswered"] == 0 for each in counts.values())
+        assert robots[name].end["foreign"] == 0
+        assert frames[name].startswith(f"{name}/")
+
+
+def test_nodes_do_not_outlive_the_launch_that_started_them(harness, tmp_path):
+    """As ``ros2 launch`` ends on SIGTERM: without a word to what it started."""
+    node = [sys.executable, "-m", "hpid_ros.nodes.joint_controller", "--ros-args"]
+    node += ros_arguments(joint="elbow", gains__p=10.0)
+    launch = (
+        "import os, subprocess, time\n"
+        f"os.environ[{LAUNCH!r}] = str(os.getpid())\n"
+        f"subprocess.Popen({node!r}, stdin=subprocess.DEVNULL).wait()\n"
+    )
+    reader, writer = os.pipe()  # its end is that of all who have it
+    process = subprocess.Popen([sys.executable, "-c", launch], stdout=writer, stderr=writer)
+    os.close(writer)
+    os.set_blocking(reader, False)
+
+    def has_ended():
+        try:
+            return os.read(reader, 65536) == b""
+        except BlockingIOError:
+            return False
+
+    try:
+        harness.wait(lambda: harness.states.get_subscription_count() == 1, what="the node")
+        assert harness.ask(0, 0.0) == 0.0
+        assert harness.ask(MS, -0.1) == pytest.approx(1.0)
+        process.kill()
+        harness.wait(has_ended, what="the node to end")
+        harness.wait(lambda: harness.commands[-1].effort == (0.0,), what="the last command")
+    finally:
+        process.kill()
+        process.wait()
+        os.close(reader)

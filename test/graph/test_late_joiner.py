@@ -1,0 +1,87 @@
+"""A controller that comes late carries on with the motion, and nobody else notices."""
+
+import pytest
+from harness.graph import ros_arguments
+from hypothesis import given
+from hypothesis import strategies as st
+from trajectory_msgs.msg import JointTrajectory as JointTrajectoryMessage
+
+from hpid_ros.base.errors import TrajectoryError
+from hpid_ros.nodes.ros.middleware import LATCHED
+from hpid_ros.nodes.ros.trajectories import from_message, to_message
+from hpid_ros.trajectory import JointTrajectory, TrajectoryPoint, minimum_jerk
+from hpid_ros.wire import JointStateTemplate
+
+MS = 1_000_000
+
+
+@st.composite
+def motions(draw):
+    """A trajectory of stamp 0, when it started, and when its copy is taken over."""
+    gaps = draw(st.lists(st.integers(1, 3000 * MS), min_size=1, max_size=5))
+    time_ns = draw(st.sampled_from([0, 0, 5 * MS]))
+    fields = draw(st.integers(0, 2))
+    numbers = st.floats(-3.0, 3.0)
+    points = []
+    for gap in [0, *gaps]:
+        time_ns += gap
+        position, velocity, acceleration = (draw(numbers),), (draw(numbers),), (draw(numbers),)
+        points.append(
+            TrajectoryPoint(
+                time_ns, position, velocity if fields else (), acceleration * (fields == 2)
+            )
+        )
+    start_ns = draw(st.sampled_from([0, 1, MS, 1_700_000_000 * 10**9 + 123]))
+    taken_ns = start_ns + points[0].time_from_start_ns + draw(st.integers(0, 5000 * MS))
+    return JointTrajectory(("elbow",), tuple(points)), start_ns, taken_ns
+
+
+@given(motions(), st.lists(st.integers(0, 10_000 * MS), max_size=20), st.floats(-3.0, 3.0))
+def test_taking_the_started_copy_over_changes_no_bit_of_the_reference(motion, later, elsewhere):
+    trajectory, start_ns, taken_ns = motion
+    reference = trajectory.column("elbow").start(start_ns, 0.25)
+    copy = from_message(to_message(trajectory.started(start_ns))).column("elbow")
+    again = copy.start(taken_ns, elsewhere)
+    for stamp_ns in (taken_ns, *(taken_ns + each for each in later)):
+        assert again.sample(stamp_ns) == reference.sample(stamp_ns)
+
+
+def test_points_before_the_stamp_are_for_motions_that_have_a_stamp():
+    points = (TrajectoryPoint(-1, (0.0,)), TrajectoryPoint(MS, (1.0,)))
+    assert JointTrajectory(("elbow",), points, stamp_ns=1).points == points
+    with pytest.raises(TrajectoryError, match="from 0 ns on; point 0 has -1 ns"):
+        JointTrajectory(("elbow",), points)
+    with pytest.raises(TrajectoryError, match="from -1 ns on; point 0 has -2 ns"):
+        JointTrajectory(("elbow",), (TrajectoryPoint(-2, (0.0,)),), stamp_ns=1)
+
+
+@pytest.mark.parametrize("start_ns", [0, 7_000 * MS])
+def test_the_publisher_latches_the_start_once_the_motion_has_begun(harness, tmp_path, start_ns):
+    file = tmp_path / "motion.yaml"
+    file.write_text(
+        "reference: {kind: minimum_jerk, times: [0.0, 2.0], positions: {elbow: [0.0, 1.0]}}"
+    )
+    received = []
+    harness.node.create_subscription(
+        JointTrajectoryMessage, "joint_trajectory", received.append, LATCHED
+    )
+    harness.processes.start(
+        "reference", "trajectory_publisher", ros_arguments(reference_file=file)
+    )
+    harness.wait(lambda: received, what="the trajectory")
+    motion = minimum_jerk([0.0, 2.0], {"elbow": [0.0, 1.0]})
+    assert from_message(received[0]) == motion
+    harness.wait(lambda: harness.states.get_subscription_count() == 1, what="the publisher")
+    template = JointStateTemplate(["elbow"], position=True)
+    for stamp_ns in (start_ns, start_ns + MS, start_ns + 2 * MS):
+        harness.states.publish(template.encode(stamp_ns, position=[0.0]))
+    harness.wait(lambda: len(received) > 1, what="the started trajectory")
+    assert from_message(received[1]) == motion.started(start_ns)
+    harness.wait(lambda: harness.states.get_subscription_count() == 0, what="it to leave")
+    late = []
+    harness.node.create_subscription(
+        JointTrajectoryMessage, "joint_trajectory", late.append, LATCHED
+    )
+    harness.wait(lambda: late, what="the latched trajectory")
+    assert from_message(late[0]) == motion.started(start_ns)
+    assert len(received) == 2

@@ -1,0 +1,157 @@
+"""What users do to running nodes: late commands, volatile publishers, bad command lines."""
+
+import subprocess
+import sys
+
+import pytest
+from harness.graph import ros_arguments
+from sensor_msgs.msg import JointState
+from trajectory_msgs.msg import JointTrajectory
+
+from hpid_ros.nodes.bridge.commanders import HeldCommands
+from hpid_ros.nodes.controller.references import TrajectorySubscriptions
+from hpid_ros.nodes.ros.middleware import ALL_COMMANDS, LATCHED, OFFERED, RARE
+from hpid_ros.nodes.ros.trajectories import to_message
+from hpid_ros.trajectory import minimum_jerk
+from hpid_ros.wire import JointStateTemplate, decode_joint_state
+
+MS = 1_000_000
+
+
+def test_a_late_command_is_taken_and_stands_until_the_next():
+    held = HeldCommands(["a", "b"], 100 * MS)
+    held.begin(5 * MS)
+    held.answer(2 * MS, ["a"], [1.5])
+    held.begin(6 * MS)
+    assert held.finish() == [1.5, 0.0]
+    held.answer(3 * MS, ["a"], [-2.0])
+    assert held.finish() == [-2.0, 0.0]
+    assert held.counts["a"].stale == 2
+    assert held.silent == ("b",)
+
+
+def test_a_command_that_is_too_old_leaves_its_joint_without_effort():
+    held = HeldCommands(["a"], 100 * MS)
+    held.begin(0)
+    held.answer(0, ["a"], [1.5])
+    held.begin(100 * MS)
+    assert held.finish() == [1.5]
+    held.begin(101 * MS)
+    assert held.finish() == [0.0]
+    assert held.counts["a"].unanswered == 1
+
+
+def test_a_clock_that_goes_back_ends_all_commands():
+    held = HeldCommands(["a"], 100 * MS)
+    held.begin(50 * MS)
+    held.answer(50 * MS, ["a"], [1.5])
+    held.begin(0)
+    assert held.finish() == [0.0]
+
+
+def test_a_command_that_is_not_finite_is_zero_and_foreign_joints_are_counted():
+    held = HeldCommands(["a"], 100 * MS)
+    held.begin(0)
+    held.answer(0, ["a", "c"], [float("nan"), 1.0])
+    assert held.finish() == [0.0]
+    assert (held.counts["a"].invalid, held.foreign) == (1, 1)
+
+
+def test_a_paced_robot_acts_on_answers_to_earlier_states(harness):
+    efforts = []
+    harness.node.create_subscription(
+        JointState,
+        "joint_states",
+        lambda raw: efforts.append(decode_joint_state(raw).effort[0]),
+        ALL_COMMANDS,
+        raw=True,
+    )
+    commands = harness.node.create_publisher(JointState, "joint_commands", OFFERED)
+    parameters = {"mode": "realtime", "joints": "[arm_joint_6]", "control_rate": 100.0}
+    arguments = ros_arguments(fixed_base=True, wait_for_subscribers=1, **parameters)
+    harness.processes.start("bridge", "pybullet_bridge", arguments)
+    harness.wait(lambda: len(efforts) > 10, what="states of the bridge")
+    command = JointStateTemplate(["arm_joint_6"], effort=True).encode(0, effort=[0.125])
+
+    def acts():
+        commands.publish(command)
+        return efforts[-1] == 0.125
+
+    harness.wait(acts, what="the commanded effort")
+    harness.wait(lambda: efforts[-1] == 0.0, what="the command to be too old")
+
+
+@pytest.mark.parametrize("profile", [RARE, LATCHED], ids=["volatile", "latched"])
+def test_trajectories_come_from_volatile_and_latched_publishers(harness, profile):
+    harness.start_controller(law="pid", gains__p=10.0)
+    publisher = harness.node.create_publisher(JointTrajectory, "joint_trajectory", profile)
+    readers = 1 if profile is RARE else 2
+    harness.wait(lambda: publisher.get_subscription_count() >= readers, what="the subscriptions")
+    harness.ask(0, 0.5)
+    stamps = iter(range(MS, 10_000 * MS, MS))
+    for goal in (1.5, 1.5, 0.5):  # the same one a second time is meant, too
+        publisher.publish(to_message(minimum_jerk([0.0, 0.002], {"elbow": [0.5, goal]})))
+        at_goal = 10.0 * (goal - 0.5)
+        harness.wait(
+            lambda wanted=at_goal: abs(harness.ask(next(stamps), 0.5) - wanted) < 1e-6,
+            what=f"the loop to follow to {goal}",
+        )
+
+
+def test_what_a_latched_publisher_sends_to_both_subscriptions_is_taken_once():
+    callbacks, taken = [], []
+
+    class Node:
+        def create_subscription(self, kind, topic, callback, *rest, **options):
+            callbacks.append(callback)
+
+    TrajectorySubscriptions(Node(), taken.append)
+    latched, volatile = callbacks
+    first, second = (JointTrajectory(joint_names=[name]) for name in ("elbow", "wrist"))
+    for receive, message in (
+        *((latched, first), (volatile, first)),  # both copies, in either order
+        *((volatile, second), (latched, second)),
+        *((latched, second), (volatile, second)),  # published once more
+        (volatile, second),  # by somebody who does not latch
+    ):
+        receive(message)
+    assert taken == [first, second, second, second]
+
+
+@pytest.mark.parametrize(
+    ("executable", "arguments", "line"),
+    [
+        ("joint_controller", ["--params-file", "none.yaml"], "none.yaml"),
+        ("joint_controller", ["--bogus"], "--bogus"),
+        ("joint_controller", ["-p", "joint"], "parameter override"),
+        ("joint_controller", ["-p", "joint:=a", "-p", "introspection_rate:=.nan"], "not nan"),
+        ("joint_controllers", ["-p", "joints:=[a b]"], "'a b_controller'"),
+        ("joint_controllers", ["-p", "joints:=[a]", "-p", "gain.p:=1.0"], "'gains.p'"),
+        ("pybullet_bridge", ["-p", "duration:=.nan"], "duration must lie in"),
+        ("pybullet_bridge", ["-p", "wrench_duration:=.nan"], "wrench_duration must lie in"),
+        ("bag_recorder", ["-p", "bag:=new", "-p", "topics:=[a b]"], "'a b'"),
+        ("bag_recorder", ["-p", "bag:=new", "-p", "topics:=[a, a]"], "each topic once"),
+    ],
+)
+def test_a_bad_command_line_is_one_line_and_exit_code_two(
+    harness, tmp_path, executable, arguments, line
+):
+    command = [sys.executable, "-m", f"hpid_ros.nodes.{executable}", "--ros-args", *arguments]
+    ended = subprocess.run(
+        command, capture_output=True, text=True, timeout=60, cwd=tmp_path, check=False
+    )
+    assert ended.returncode == 2
+    assert line in ended.stderr
+    assert "Traceback" not in ended.stderr
+    assert not (tmp_path / "new").exists()
+
+
+def test_a_parameter_of_the_command_line_reaches_every_composed_controller(harness):
+    harness.processes.start(
+        "joint_controllers",
+        "joint_controllers",
+        [*ros_arguments(law="pid", gains__p=10.0), "-p", "joints:=[elbow, wrist]"],
+    )
+    harness.wait(lambda: harness.states.get_subscription_count() == 2, what="both controllers")
+    harness.ask(0, 0.5)
+    assert harness.ask(MS, 0.25) == 2.5

@@ -1,0 +1,239 @@
+"""The recorder: it says what it missed and that it failed, and acknowledges nothing else."""
+
+import json
+import shutil
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+import yaml
+from harness.graph import ros_arguments
+
+from hpid_ros.analysis.doubts import quality_lines
+from hpid_ros.bags import BagReader, BagWriter, read_run
+from hpid_ros.bags.metadata import (
+    MISSED,
+    STOOD_STILL,
+    missed_entries,
+    missed_messages,
+    time_stood_still,
+)
+from hpid_ros.bags.repair import repair_bag
+from hpid_ros.bags.selection import BagSelection
+from hpid_ros.base.errors import BagError
+from hpid_ros.base.names import PROFILE_FILES
+from hpid_ros.cli.main import main
+from hpid_ros.report.html.facts import data_quality
+from hpid_ros.wire import JointStateTemplate
+
+MS = 1_000_000
+JOINT_STATE = "sensor_msgs/msg/JointState"
+STATE = JointStateTemplate(["elbow"], position=True, effort=True)
+
+
+def state(k):
+    return STATE.encode(k * MS, position=[0.0], effort=[0.0])
+
+
+@pytest.mark.parametrize(
+    "meddle",
+    [
+        lambda bag: shutil.rmtree(bag),
+        lambda bag: bag.rename(bag.with_name("elsewhere")),
+        lambda bag: (bag / "bag.mcap").unlink(),
+        lambda bag: (bag / "bag.mcap").rename(bag / "other.mcap"),
+        lambda bag: (bag.rename(bag.with_name("old")), bag.mkdir(), (bag / "bag.mcap").touch()),
+    ],
+    ids=["folder deleted", "folder moved", "file deleted", "file moved", "replaced"],
+)
+def test_a_bag_that_is_gone_is_not_flushed_but_refused(tmp_path, meddle):
+    writer = BagWriter(tmp_path / "bag")
+    topic = writer.add_topic("/joint_states", JOINT_STATE)
+    writer.write(topic, 0, state(0))
+    writer.flush()
+    meddle(tmp_path / "bag")
+    writer.write(topic, MS, state(1))
+    with pytest.raises(BagError, match="is gone: it was deleted, moved or replaced"):
+        writer.flush()
+    with pytest.raises(BagError, match="is gone"):
+        writer.write(topic, 2 * MS, state(2))
+    writer.close()
+    # Whatever is there now is not this bag: nothing is written beside it.
+    assert not (tmp_path / "bag" / "metadata.yaml").exists()
+
+
+def test_a_bag_that_is_gone_at_its_end_is_an_error_of_closing(tmp_path):
+    writer = BagWriter(tmp_path / "bag")
+    writer.write(writer.add_topic("/joint_states", JOINT_STATE), 0, state(0))
+    shutil.rmtree(tmp_path / "bag")
+    with pytest.raises(BagError, match="is gone"):
+        writer.close()
+
+
+def bag_that_missed(path, count):
+    with BagWriter(path) as bag:
+        topic = bag.add_topic("/joint_states", JOINT_STATE)
+        for k in range(100):
+            bag.write(topic, k * MS, state(k))
+        for name, text in missed_entries({"/joint_states": count}, 0.5 * count).items():
+            bag.describe(name, text)
+
+
+def test_what_a_recorder_missed_is_told_with_the_numbers(tmp_path, capsys):
+    bag_that_missed(tmp_path / "bag", 7)
+    selection = BagSelection(commands="/joint_states")
+    run = read_run(tmp_path / "bag", "run", selection=selection)
+    line = "the recorder missed 7 messages on /joint_states"
+    assert run.quality.missed == {"/joint_states": 7}
+    assert not run.quality.is_complete
+    assert run.quality.stood_still == 3.5
+    assert f"run 'run': {line}" in list(quality_lines(run))
+    assert "the recorder stood still for 3.5 s" in "".join(quality_lines(run))
+    assert f"<p>{line}</p>" in "".join(data_quality([run]))
+    assert main(["metrics", str(tmp_path / "bag"), "--commands", "/joint_states"]) == 0
+    assert line in capsys.readouterr().err
+    repair_bag(tmp_path / "bag", tmp_path / "repaired")
+    assert read_run(tmp_path / "repaired", "run", selection=selection).quality.missed
+    bag_that_missed(tmp_path / "whole", 0)
+    assert read_run(tmp_path / "whole", "run", selection=selection).quality.is_complete
+
+
+@pytest.mark.parametrize(
+    "text", ["", "no json", "[1]", "nan", "-1", '{"/a": "7", "/b": -1, "/c": true}']
+)
+def test_an_entry_that_is_no_count_is_passed_over(text):
+    assert missed_messages({MISSED: text}) == {}
+    assert time_stood_still({STOOD_STILL: text}) == 0.0
+
+
+def record(harness, bag):
+    """Start a recorder of the states and wait until it listens."""
+    recorder = harness.processes.start(
+        "recorder", "bag_recorder", ros_arguments(bag=bag, topics="[joint_states]")
+    )
+    harness.wait(lambda: harness.states.get_subscription_count() == 1, what="the recorder")
+    return recorder
+
+
+class Events:
+    """The events of a recorder so far."""
+
+    def __init__(self, recorder):
+        self._recorder, self.all = recorder, []
+
+    def last(self, name):
+        self.all += self._recorder.read_events()
+        return next((e for e in reversed(self.all) if e["event"] == name), {})
+
+    def recorded(self):
+        return self.last("recorded").get("counts", {}).get("/joint_states", 0)
+
+
+FLOOD = """
+import sys, rclpy
+from sensor_msgs.msg import JointState
+from hpid_ros.wire import JointStateTemplate
+from hpid_ros.base.names import PROFILE_FILES
+from hpid_ros.nodes.ros.middleware import OFFERED
+rclpy.init()
+publisher = rclpy.create_node("flood").create_publisher(JointState, "joint_states", OFFERED)
+state = JointStateTemplate(["elbow"], position=True, effort=True)
+raw = state.encode(1, position=[0.0], effort=[0.0])
+for line in sys.stdin:
+    for _ in range(int(line)):
+        publisher.publish(raw)
+    print("published", flush=True)
+"""
+
+
+@pytest.fixture
+def flood(harness):
+    """Return a function that publishes so many states, from a process with DDS's own lease."""
+    environment = {k: v for k, v in harness.environment.items() if k not in PROFILE_FILES}
+    process = subprocess.Popen(
+        [sys.executable, "-c", FLOOD],
+        env=environment,
+        text=True,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+    )
+
+    def publish(count):
+        process.stdin.write(f"{count}\n")
+        process.stdin.flush()
+        assert process.stdout.readline() == "published\n"
+
+    try:
+        yield publish
+    finally:
+        process.kill()
+        process.communicate()
+
+
+def test_a_recorder_that_was_frozen_tells_what_it_missed(harness, tmp_path, faults, flood):
+    """Everything that was sent is recorded or told, to the message, wherever one looks."""
+    recorder = record(harness, tmp_path / "bag")
+    events = Events(recorder)
+    publishers = harness.node.get_publishers_info_by_topic
+    harness.wait(lambda: len(publishers("/joint_states")) == 2, what="the flood")
+    sent = 0
+    while not events.recorded():  # it may not have found the flood yet
+        flood(1)
+        sent += 1
+        harness.executor.spin_once(timeout_sec=0.05)
+    first = sent - events.recorded()  # sent before the two had found each other
+    frozen_at = time.monotonic()
+    recorder.process.send_signal(signal.SIGSTOP)
+    flood(30_000)
+    harness.wait(lambda: time.monotonic() > frozen_at + 2.2, what="the end of the freeze")
+    recorder.process.send_signal(signal.SIGCONT)
+
+    def missed():
+        return events.last("recorded").get("missed", {}).get("/joint_states", 0)
+
+    def accounted_for():
+        return events.recorded() + missed() >= sent - first + 30_000
+
+    harness.wait(accounted_for, 60.0, "all to be accounted for")
+    assert missed() > 10_000
+    recorder.process.terminate()
+    assert recorder.process.wait(timeout=20) == 0
+    closed = events.last("closed")
+    assert closed["counts"] == {"/joint_states": events.recorded()}
+    assert closed["missed"] == {"/joint_states": missed()}
+    assert sent - first <= events.recorded() + missed() - 30_000 <= sent
+    assert events.last("stood_still")["duration"] > 2.0
+    metadata = yaml.safe_load((tmp_path / "bag" / "metadata.yaml").read_text())
+    custom = metadata["rosbag2_bagfile_information"]["custom_data"]
+    assert json.loads(custom[MISSED]) == {"/joint_states": missed()}
+    assert float(custom[STOOD_STILL]) > 2.0
+    with BagReader(tmp_path / "bag") as bag:
+        assert len(list(bag.messages())) == events.recorded()
+    assert recorder.last_words().endswith(f"missed {missed()} on /joint_states")
+    faults.count("recorder frozen: messages that it missed and told", missed())
+    faults.count("recorder frozen: messages neither recorded nor told", 0)
+
+
+@pytest.mark.parametrize("is_asked_to_end", [False, True])
+def test_a_recorder_whose_folder_is_gone_stops_acknowledging_and_fails(
+    harness, tmp_path, faults, is_asked_to_end
+):
+    recorder = record(harness, tmp_path / "bag")
+    events = Events(recorder)
+    harness.states.publish(state(0))
+    harness.wait(lambda: events.recorded() == 1, what="the first message")
+    shutil.rmtree(tmp_path / "bag")
+    if is_asked_to_end:
+        recorder.process.terminate()
+    else:
+        harness.states.publish(state(1))
+    harness.wait(lambda: recorder.process.poll() is not None, what="the recorder to end")
+    assert recorder.process.returncode == 1
+    failed = events.last("failed")
+    assert "is gone: it was deleted, moved or replaced" in failed["reason"]
+    assert events.all[-1] == failed
+    assert events.recorded() == 1
+    assert "is gone" in recorder.last_words()
+    faults.count("recorder's folder deleted: told, and ended with 1")

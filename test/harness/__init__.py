@@ -1,0 +1,1 @@
+"""What tests share: a graph to talk to, bags to read, faults to inject."""

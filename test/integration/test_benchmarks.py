@@ -1,0 +1,214 @@
+"""The benchmarks measure what they say: their statistics, their file, their graphs."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from harness.places import ROOT
+
+pytest.importorskip("simple_pid", reason="the extra bench is not installed")
+
+from benchmarks import __main__ as command
+from benchmarks import results
+from benchmarks.engine import group as engine_group
+from benchmarks.figures import Bound, Figure, Group, Outcome, Source, middle
+from benchmarks.floor_graph import run_floor
+from benchmarks.measuring import figures_of, time_per_item
+from benchmarks.pendulums import LABEL, pendulum_experiment
+from hpid_ros.base.errors import RunError
+
+DEMANDED = {
+    *("loop.processes", "loop.composed", "loop.single_process", "law.hpid", "law.pid"),
+    *("joint_loop.step", "in_process.rate", "bridge.step", "recorder.rate", "latency.processes"),
+    *("loop.recorded", "loop.naive", "loop.jitter", "idle.cpu"),
+}
+RATIO = Bound("ratio", least=2.0)
+
+
+def figure(name="a.b", bounds=(RATIO,)):
+    return Figure(name, "us", Source("ours", "time"), Source("peer", "time"), "a peer", bounds)
+
+
+def outcome(ours, peer, **options):
+    return Outcome.of(figure(**options), [{"time": x} for x in ours], [{"time": x} for x in peer])
+
+
+def counting(values):
+    """Return a measurement that gives one value after the other."""
+    rest = iter(values)
+    return lambda: {"time": next(rest)}
+
+
+def test_median_and_spread():
+    found = middle([4.0, 1.0, 2.0])
+    assert found == (2.0, 1.0, 4.0)
+    assert found.spread == 0.75
+    with pytest.raises(ValueError, match="no values"):
+        middle([])
+
+
+def test_ratio_is_that_of_each_round_so_a_slow_phase_of_the_machine_cancels():
+    found = outcome([2.0, 20.0, 200.0], [1.0, 10.0, 100.0])
+    assert found.ratio == (2.0, 2.0, 2.0)
+    # Of the medians it would be 0.5: ours 4, the peer's 8.
+    assert outcome([4.0, 1.0, 9.0], [1.0, 8.0, 9.0]).ratio.median == 1.0
+
+
+@pytest.mark.parametrize(
+    ("bound", "is_met"),
+    [
+        (Bound("ratio", least=2.0), True),
+        (Bound("ratio", least=2.01), False),
+        (Bound("ratio", most=2.0), True),
+        (Bound("ours", most=3.9), False),
+    ],
+)
+def test_a_target_is_met_by_the_medians(bound, is_met):
+    assert outcome([4.0, 4.0, 4.0], [2.0, 2.0, 2.0], bounds=(bound,)).is_met is is_met
+    assert outcome([4.0], [2.0], bounds=()).is_met is None
+
+
+def test_both_sides_alternate_and_none_is_always_first():
+    order = []
+    contenders = {
+        name: lambda name=name: order.append(name) or {"time": 1.0} for name in ("ours", "peer")
+    }
+    (found,) = figures_of(Group(contenders, (figure(),)), {"a.b"}, 4, lambda line: None)
+    assert found.rounds == 4
+    assert order == ["ours", "peer", "peer", "ours"] * 2
+
+
+def test_a_failing_contender_costs_its_own_figures_alone_in_one_line():
+    attempts = []
+
+    def fail():
+        attempts.append(None)
+        raise RunError("nobody\nanswered")
+
+    contenders = {"ours": counting([1.0, 1.0]), "peer": counting([2.0, 2.0]), "broken": fail}
+    lost = Figure("a.c", "us", Source("broken", "time"), Source("peer", "time"), "a peer")
+    group = Group(contenders, (figure(), lost))
+    found, line = figures_of(group, {"a.b", "a.c"}, 2, lambda line: None)
+    assert found.ratio.median == 0.5
+    assert line == "a.c: not measured: broken: RunError: nobody\\nanswered"
+    assert len(attempts) == 1
+
+
+def test_contenders_that_no_wanted_figure_needs_are_not_measured():
+    measured = []
+    contenders = {
+        name: lambda name=name: measured.append(name) or {"time": 1.0}
+        for name in ("ours", "peer", "other")
+    }
+    other = Figure("a.c", "us", Source("other", "time"), Source("peer", "time"), "a peer")
+    figures_of(Group(contenders, (figure(), other)), {"a.b"}, 1, lambda line: None)
+    assert set(measured) == {"ours", "peer"}
+
+
+def test_time_per_item_is_a_time():
+    found = time_per_item(lambda: sum(range(100_000)), 10)
+    begin = time.perf_counter()
+    sum(range(100_000))
+    assert 0.01 < 10 * found / (time.perf_counter() - begin) < 100.0
+
+
+def test_every_demanded_figure_exists_once():
+    names = [each.name for group in command.all_groups(quick=True) for each in group.figures]
+    assert set(names) >= DEMANDED
+    assert len(set(names)) == len(names)
+
+
+def test_the_file_has_every_field_and_keeps_what_was_not_measured_again(tmp_path):
+    file = tmp_path / "deep" / "machine.json"
+    results.write(file, [outcome([4.0, 5.0, 6.0], [2.0, 2.0, 2.0], name="one")])
+    results.write(file, [outcome([1.0], [1.0], name="two")])
+    document = json.loads(file.read_text())
+    assert set(document["figures"]) == {"one", "two"}
+    entry = document["figures"]["one"]
+    assert (entry["ours"], entry["reference"], entry["ratio"]) == (5.0, 2.0, 2.5)
+    assert entry["unit"] == "us"
+    assert entry["spread"] == {"ours": [4.0, 6.0], "reference": [2.0, 2.0], "ratio": [2.0, 3.0]}
+    assert entry["met"] is True
+    assert document["machine"]["cores"] >= 1
+    assert {"python", "hpid_ros", "numpy", "pybullet"} <= set(document["versions"])
+    assert os.uname().nodename not in file.read_text()
+
+
+def test_figures_of_other_versions_do_not_stay():
+    before = results.document([outcome([1.0], [1.0], name="old")])
+    before["versions"]["numpy"] = "0.1"
+    assert set(results.document([outcome([1.0], [1.0], name="new")], before)["figures"]) == {"new"}
+
+
+def test_the_command_measures_what_is_named(tmp_path, capsys):
+    arguments = ["law.pid", "--quick", "--rounds", "2", "--output", str(tmp_path)]
+    assert command.main(arguments) == 0
+    (file,) = tmp_path.iterdir()
+    assert set(json.loads(file.read_text())["figures"]) == {"law.pid"}
+    assert "law.pid" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("arguments", [["lawn.pid"], ["law.pid", "--rounds", "0"]])
+def test_unusable_arguments_are_one_line_and_code_2(arguments, capsys):
+    assert command.main(arguments) == 2
+    line = capsys.readouterr().err
+    assert line.count("\n") == 1
+    assert arguments[0] in line or "--rounds" in line
+
+
+def test_bare_pybullet_makes_the_same_motion_as_the_engine():
+    """The contender raises if its motion differs in one bit."""
+    (found,) = figures_of(engine_group(quick=True), {"bridge.step.steps1"}, 1, lambda line: None)
+    assert isinstance(found, Outcome), found
+
+
+def test_the_echo_graph_completes_its_cycles_and_leaves_nothing():
+    joints = [f"joint_{k}" for k in range(8)]
+    found = run_floor(joints, "single", 300)
+    assert found["cycles"] == 300
+    assert found["rate"] > 10.0
+    assert not _children()
+
+
+def test_an_interrupt_ends_every_process():
+    benchmark = subprocess.Popen(
+        [sys.executable, "-m", "benchmarks", "idle", "--quick", "--output", os.devnull],
+        cwd=ROOT,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    try:
+        deadline = time.monotonic() + 60.0
+        while len(children := _children(benchmark.pid)) < 8 and time.monotonic() < deadline:
+            time.sleep(0.02)
+        assert len(children) >= 8
+        benchmark.send_signal(signal.SIGINT)
+        assert benchmark.wait(20.0) == 130
+        assert not [pid for pid in children if _is_running(pid)]
+    finally:
+        benchmark.kill()
+        benchmark.wait()
+
+
+def test_a_robot_of_pendulums_has_as_many_joints_as_asked_for(tmp_path):
+    experiment = pendulum_experiment(tmp_path, 5, 1.0)
+    assert len(experiment.controllers[LABEL]) == len(experiment.world.joints) == 5
+    assert experiment.periods == 1000
+
+
+def _children(parent=None):
+    """Return the processes that have this parent."""
+    found = Path(f"/proc/{parent or os.getpid()}/task").glob("*/children")
+    return [int(pid) for file in found for pid in file.read_text().split()]
+
+
+def _is_running(pid):
+    try:
+        return "State:\tZ" not in Path(f"/proc/{pid}/status").read_text()
+    except (FileNotFoundError, ProcessLookupError):
+        return False

@@ -1,0 +1,222 @@
+"""Small files that would fill memory, run for ever or crash: each ends in one line."""
+
+from __future__ import annotations
+
+import os
+import resource
+import socket
+import struct
+import subprocess
+import sys
+from pathlib import Path
+
+import lz4.frame
+import pytest
+from harness.bags import convert, small_log, write_bag
+from harness.mcap_files import write_mcap
+from mcap.writer import CompressionType
+from rosbags.rosbag2 import CompressionMode, StoragePlugin
+
+from hpid_ros.bags import read_run
+from hpid_ros.bags.columns.compression import LIMIT_VARIABLE, zstd
+from hpid_ros.base.errors import ExperimentError
+from hpid_ros.cli.main import main
+from hpid_ros.documents.yaml_files import MOST_LEVELS, load_yaml
+
+MIB = 1 << 20
+MAGIC = b"\x89MCAP0\r\n"
+
+
+def record(opcode: int, content: bytes) -> bytes:
+    return struct.pack("<BQ", opcode, len(content)) + content
+
+
+def chunk(compression: bytes, packed: bytes, size: int) -> bytes:
+    head = struct.pack("<QQQII", 0, 1, size, 0, len(compression))
+    return record(6, head + compression + struct.pack("<Q", len(packed)) + packed)
+
+
+def mcap_of(path: Path, *records: bytes) -> Path:
+    end = record(15, bytes(4)) + record(2, bytes(20))
+    path.write_bytes(MAGIC + record(1, bytes(8)) + b"".join(records) + end + MAGIC)
+    return path
+
+
+def packed_zeros(compression: str, mebibytes: int) -> bytes:
+    compress = zstd.compress if compression == "zstd" else lz4.frame.compress
+    return compress(bytes(MIB)) * mebibytes  # one frame after the other
+
+
+def one_line(capsys, *arguments: object) -> str:
+    """Return the line with which a command refuses its input."""
+    capsys.readouterr()
+    assert main([str(each) for each in arguments]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("hpid: ")
+    return line
+
+
+@pytest.mark.parametrize("compression", ["zstd", "lz4"])
+@pytest.mark.parametrize("declared", [1000, 1024 * MIB, 2**63])
+def test_a_chunk_unpacks_to_what_it_declares_within_the_limit(
+    tmp_path, capsys, monkeypatch, compression, declared
+):
+    monkeypatch.setenv(LIMIT_VARIABLE, str(MIB))
+    packed = packed_zeros(compression, 1024)
+    bomb = chunk(compression.encode(), packed, declared)
+    path = mcap_of(tmp_path / "bag.mcap", bomb)
+    reason = (
+        "left out: 1000 bytes and more instead of 1000"
+        if declared == 1000
+        else f"{len(packed)} bytes would unpack to more than {MIB + 100 * len(packed)}; "
+        f"{LIMIT_VARIABLE} (now {MIB} bytes) allows more"
+    )
+    for verb in ("metrics", "repair"):
+        assert reason in one_line(capsys, verb, path)
+
+
+def test_many_chunks_share_one_allowance(tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv(LIMIT_VARIABLE, str(4 * MIB))
+    bomb = chunk(b"zstd", packed_zeros("zstd", 3), 3 * MIB)
+    path = mcap_of(tmp_path / "bag.mcap", *[bomb] * 1000)
+    line = one_line(capsys, "metrics", path)
+    assert line.count("would unpack to more than") < 60
+    assert "further lines like these" in line
+
+
+def test_a_file_unpacks_within_the_limit(tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv(LIMIT_VARIABLE, str(MIB))
+    path = tmp_path / "bag.mcap.zstd"
+    path.write_bytes(packed_zeros("zstd", 1024))
+    for verb in ("metrics", "repair"):
+        line = one_line(capsys, verb, path)
+        assert "would unpack to more than" in line
+    write_mcap(tmp_path / "good.mcap", small_log(), compression=CompressionType.NONE)
+    good = tmp_path / "good.mcap.zstd"
+    good.write_bytes(zstd.compress((tmp_path / "good.mcap").read_bytes()))
+    assert main(["metrics", str(good)]) == 0
+    monkeypatch.setenv(LIMIT_VARIABLE, "a lot")
+    assert f"{LIMIT_VARIABLE} must be a number of bytes, not 'a lot'" in one_line(
+        capsys, "metrics", good
+    )
+
+
+def test_a_message_unpacks_within_the_limit(tmp_path, monkeypatch):
+    bomb = packed_zeros("zstd", 64)
+    write_bag(tmp_path / "ours", small_log())
+    convert(tmp_path / "ours", tmp_path / "bag", StoragePlugin.MCAP, CompressionMode.MESSAGE)
+    (file,) = (tmp_path / "bag").glob("*.mcap")
+    log = [(name, stamp_ns, zstd.compress(raw)) for name, stamp_ns, raw in small_log()]
+    write_mcap(file, [*log, ("joint_states", log[-1][1], bomb)])
+    monkeypatch.setenv(LIMIT_VARIABLE, str(MIB))
+    run = read_run(tmp_path / "bag", "run")
+    assert len(run.joints[0].position) == 59
+    line = next(line for line in run.quality.unreadable if "decompressed" in line)
+    assert f"{len(bomb)} bytes would unpack to more than" in line
+
+
+def limited_memory() -> None:
+    resource.setrlimit(resource.RLIMIT_AS, (3072 * MIB, 3072 * MIB))
+
+
+@pytest.mark.parametrize("name", ["chunk.mcap", "file.mcap.zstd"])
+def test_the_default_limit_bounds_the_memory_of_a_process(tmp_path, name):
+    packed = zstd.compress(bytes(64 * MIB)) * 128  # 8 GiB
+    path = mcap_of(tmp_path / name, chunk(b"zstd", packed, 1000))
+    if name.endswith("zstd"):
+        path.write_bytes(packed)
+    run = subprocess.run(
+        [sys.executable, "-m", "hpid_ros.cli.main", "metrics", str(path)],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+        preexec_fn=limited_memory,
+        env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
+    )
+    assert run.returncode == 2
+    assert len(run.stderr.splitlines()) == 1
+
+
+def test_what_is_no_file_is_no_bag(tmp_path, capsys, monkeypatch):
+    os.mkfifo(tmp_path / "fifo.mcap")
+    os.mkfifo(tmp_path / "fifo.db3")
+    (tmp_path / "null.mcap").symlink_to("/dev/zero")
+    with socket.socket(socket.AF_UNIX) as listener:
+        monkeypatch.chdir(tmp_path)  # names of sockets are short
+        listener.bind("socket.db3")
+    for name, kind in (
+        ("fifo.mcap", "FIFO"),
+        ("fifo.db3", "FIFO"),
+        ("null.mcap", "device"),
+        ("socket.db3", "socket"),
+    ):
+        for verb in ("metrics", "repair"):
+            line = one_line(capsys, verb, tmp_path / name)
+            assert f"{name}: it is a {kind}, not a file" in line
+    bag = tmp_path / "bag"
+    bag.mkdir()
+    (bag / "inner.mcap").mkdir()
+    os.mkfifo(bag / "metadata.yaml")
+    assert "inner.mcap: it is a folder, not a file" in one_line(capsys, "metrics", bag)
+
+
+LAUGHS = "a0: &a0 [ha]\n" + "".join(
+    f"a{k}: &a{k} [{', '.join([f'*a{k - 1}'] * 9)}]\n" for k in range(1, 30)
+)
+TEXTS = {
+    "brackets": ("[" * 100_000, f"more than {MOST_LEVELS} levels"),
+    "braces": ("{a: " * 100_000, f"more than {MOST_LEVELS} levels"),
+    "dashes": ("- " * 100_000, f"more than {MOST_LEVELS} levels"),
+    "keys": ("? " * 100_000, f"more than {MOST_LEVELS} levels"),
+    "laughs": (LAUGHS, "values, aliases expanded"),
+    "merges": (LAUGHS.replace("[", "{<<: [").replace("]", "]}").replace("[ha]", "{}"), "values"),
+    "itself": ("a: &a {b: *a}\n", "alias 'a' is part of itself or unknown"),
+    "itself_again": ("a: &a [1]\nb: &a [*a]\n", "alias 'a' is part of itself or unknown"),
+    "digits": (f"a: {'1' * 5000}\n", "a value is not what its tag says"),
+    "month": ("a: 2001-13-01\n", "a value is not what its tag says"),
+    "tags": ("a: !!bool perhaps\n", "a value is not what its tag says"),
+    "objects": ("a: !!python/object/apply:os.getcwd []\n", "could not determine a constructor"),
+    "long": ("a: " + "b" * (17 * MIB), "it has more than 16777216 bytes"),
+}
+
+
+def told_of_the_file(capsys):
+    """Return the lines about the bag; its joint does not follow, which is told, too."""
+    lines = capsys.readouterr().err.splitlines()
+    return [line for line in lines if "do not follow their reference" not in line]
+
+
+@pytest.mark.parametrize("kind", TEXTS)
+def test_a_yaml_file_is_a_document_or_one_line(tmp_path, capsys, kind):
+    text, reason = TEXTS[kind]
+    path = tmp_path / "file.yaml"
+    path.write_text(text)
+    with pytest.raises(ExperimentError, match="cannot read") as refusal:
+        load_yaml(path, ExperimentError)
+    assert reason in str(refusal.value)
+    for verb in ("compare", "check-gains"):
+        assert reason in one_line(capsys, verb, path)
+    bag = write_bag(tmp_path / "bag", small_log())
+    (bag / "metadata.yaml").write_text(text)
+    assert main(["metrics", str(bag)]) == 0
+    (line,) = told_of_the_file(capsys)
+    assert "metadata.yaml is damaged; the files were read without it" in line
+    assert reason in line
+
+
+def test_a_device_in_place_of_a_file_is_one_line(capsys):
+    assert "it has more than 16777216 bytes" in one_line(capsys, "compare", "/dev/zero")
+
+
+def test_aliases_that_people_write_are_read(tmp_path):
+    path = tmp_path / "file.yaml"
+    path.write_text("a: &a {p: 1}\nb: {<<: *a, d: 2}\nc: [*a, *a]\n")
+    expected = {"a": {"p": 1}, "b": {"p": 1, "d": 2}, "c": [{"p": 1}, {"p": 1}]}
+    assert load_yaml(path, ExperimentError) == expected
+
+
+def test_saved_numbers_of_a_hundred_thousand_brackets_are_one_line(tmp_path, capsys):
+    path = tmp_path / "saved.json"
+    path.write_text("[" * 100_000)
+    assert f"{path} is no JSON" in one_line(capsys, "metrics", path)

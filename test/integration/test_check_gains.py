@@ -1,0 +1,149 @@
+"""hpid check-gains: from options, from files, from the running graph."""
+
+import json
+
+import pytest
+import yaml
+from harness.graph import ros_arguments
+
+from hpid_ros.base.resources import share_folder
+from hpid_ros.cli.commands import BAD_INPUT, DONE, FAILED
+from hpid_ros.cli.main import main
+from hpid_ros.stability.certificate import Certificate
+from hpid_ros.stability.verdict import verify_certificate
+from hpid_ros.tuning.controller_files import settings_from_parameters
+
+WELL_TUNED = ["--p", "100", "--i", "100", "--d", "20", "--rate-weight", "0.1", "--inertia", "1"]
+NEAR_THE_LIMIT = ["--p", "5", "--i", "9", "--d", "2", "--rate-weight", "3", "--inertia", "1"]
+
+
+def checked(arguments, capsys):
+    code = main(["check-gains", *arguments, "--json"])
+    return code, json.loads(capsys.readouterr().out)
+
+
+def test_a_well_tuned_pid_is_certified_for_nearly_every_degree(capsys):
+    code, verdicts = checked([*WELL_TUNED, "--mu", "-0.3"], capsys)
+    lower, upper = verdicts["joint"]["interval"]
+    assert code == DONE
+    assert lower <= -0.49
+    assert upper >= 0.49
+    assert verdicts["joint"]["settling_bound"] > 0.0
+
+
+@pytest.mark.parametrize(("degree", "code"), [("0.05", DONE), ("0.4", FAILED), ("-0.2", FAILED)])
+def test_exit_code_says_whether_the_configured_degree_is_certified(capsys, degree, code):
+    found, verdicts = checked([*NEAR_THE_LIMIT, "--mu", degree], capsys)
+    assert found == code
+    assert verdicts["joint"]["is_certified"] == (code == DONE)
+
+
+def test_the_saved_certificate_can_be_verified_again(capsys):
+    _, verdicts = checked(WELL_TUNED, capsys)
+    certificate = Certificate.from_mapping(verdicts["joint"]["certificate"])
+    assert verify_certificate(certificate).rate > 0.0
+
+
+def test_an_unstable_pid_is_shown_with_its_numbers(capsys):
+    code = main(["check-gains", "--p", "1", "--i", "9", "--d", "1", "--inertia", "1"])
+    assert code == FAILED
+    assert "p d = 1 must exceed i x inertia = 9" in capsys.readouterr().out
+
+
+def test_the_shipped_experiment_is_certified(capsys):
+    file = share_folder() / "config" / "experiments" / "paper.yaml"
+    code, verdicts = checked([str(file)], capsys)
+    assert code == DONE
+    assert len(verdicts) == 16
+
+
+def test_inertias_of_a_robot_cover_poses_and_payload(tmp_path, capsys):
+    parameters = {"joint": "arm_joint_1", "law": "hpid", "mu": 0.1}
+    parameters["gains"] = {"p": 39.6, "i": 132.0, "d": 3.96}
+    file = tmp_path / "controllers.yaml"
+    file.write_text(yaml.safe_dump({"a_controller": {"ros__parameters": parameters}}))
+    urdf = ["--urdf", "urdf/mobile_manipulator.urdf", "--poses", "20"]
+    _, empty = checked([str(file), *urdf], capsys)
+    _, loaded = checked([str(file), *urdf, "--payload", "2"], capsys)
+    assert empty["a"]["inertia"][0] > 0.1  # the rotor alone
+    assert loaded["a"]["inertia"][1] > 1.5 * empty["a"]["inertia"][1]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ([], "needs one source"),
+        (["none.yaml"], "cannot read none.yaml"),
+        (["--p", "1"], "lack --i, --d"),
+        ([*WELL_TUNED, "--mu", "0.5"], "(-0.5, 0.5), not 0.5"),
+        ([*WELL_TUNED[:-1], "0"], "must be positive and finite"),
+        ([*WELL_TUNED[:-1], "2", "1"], "must be positive and finite"),
+        (WELL_TUNED[:-2], "is unknown: give --inertia"),
+        ([*WELL_TUNED, "--norm", "round"], "norm.type must be one of"),
+        ([*WELL_TUNED[:-2], "--urdf", "none.urdf"], "there is no file none.urdf"),
+        ([*WELL_TUNED[:-2], "--urdf", "urdf/mobile_manipulator.urdf"], "unknown joint 'joint'"),
+    ],
+)
+def test_bad_input_is_one_line_and_exit_code_two(capsys, arguments, words):
+    assert main(["check-gains", *arguments]) == BAD_INPUT
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert words in line
+
+
+def test_a_parameter_file_may_name_everything_for_all_nodes():
+    document = {
+        "/**": {"ros__parameters": {"gains": {"p": 2.0, "d": 3.0}, "use_sim_time": False}},
+        "other": {"ros__parameters": {"rate": 5}},
+        "elbow_controller": {"ros__parameters": {"joint": "elbow", "mu": 0.1}},
+    }
+    (settings,) = settings_from_parameters(document, "file").values()
+    assert (settings.joint, settings.gains.p, settings.mu) == ("elbow", 2.0, 0.1)
+
+
+def test_running_controllers_are_found_and_checked(harness, capsys):
+    for joint, mu in (("elbow", 0.05), ("wrist", 0.4)):
+        harness.processes.start(
+            f"{joint}_controller",
+            "joint_controller",
+            ros_arguments(
+                joint=joint,
+                mu=mu,
+                gains__p=5.0,
+                gains__i=9.0,
+                gains__d=2.0,
+                norm__rate_weight=3.0,
+                inertia=1.0,
+            ),
+        )
+    harness.wait(
+        lambda: harness.states.get_subscription_count() == 2, what="both controllers to listen"
+    )
+    code, verdicts = checked(["--live"], capsys)
+    assert code == FAILED
+    assert {name: each["is_certified"] for name, each in verdicts.items()} == {
+        "elbow": True,
+        "wrist": False,
+    }
+
+
+def test_an_empty_graph_is_said(harness, capsys):
+    assert main(["check-gains", "--live"]) == BAD_INPUT
+    assert "the running graph has no joint controller" in capsys.readouterr().err
+
+
+def test_certificates_of_a_result_are_verified_from_the_file(experiment_file, tmp_path, capsys):
+    folder = tmp_path / "result"
+    experiment = str(experiment_file(duration=0.05))
+    assert main(["compare", experiment, "--in-process", "-o", str(folder)]) == DONE
+    capsys.readouterr()
+    file = folder / "certificates.json"
+    assert main(["check-gains", str(file)]) == DONE
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == 8
+    assert all(line.startswith("hPID ") and ": holds, mu -0.4" in line for line in lines)
+    document = json.loads(file.read_text())
+    spans = document["certificates"]["hPID arm_joint_1"]["spans"]
+    spans[0]["shape"][0][0] *= 0.5
+    file.write_text(json.dumps(document))
+    assert main(["check-gains", str(file)]) == FAILED
+    assert "hPID arm_joint_1: does NOT hold" in capsys.readouterr().out

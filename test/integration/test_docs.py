@@ -1,0 +1,60 @@
+"""The documentation says what the code says."""
+
+import re
+
+import pytest
+from harness.places import ROOT
+
+from hpid_ros.control import LOOP_PARAMETERS
+
+INTERFACES = (ROOT / "docs" / "interfaces.md").read_text()
+
+
+@pytest.mark.parametrize("spec", LOOP_PARAMETERS.values(), ids=lambda spec: spec.name)
+def test_every_parameter_is_documented_as_it_is(spec):
+    (row,) = [line for line in INTERFACES.splitlines() if line.startswith(f"| `{spec.name}` |")]
+    _, _, default, allowed, meaning, _ = (cell.strip() for cell in row.split("|"))
+    assert meaning == spec.description
+    if isinstance(spec.default, float):
+        assert float(default) == spec.default
+        assert [float(each) for each in allowed.split(" to ")] == [spec.minimum, spec.maximum]
+    elif spec.choices:
+        assert default == spec.default
+        assert re.findall(r"`(\w+)`", allowed) == list(spec.choices)
+
+
+def test_every_other_parameter_of_a_node_is_documented():
+    declared = set()
+    for path in (ROOT / "hpid_ros" / "nodes").rglob("*.py"):
+        pattern = r'(?:read_only|read_number|positive)\(\s*(?:(?:self|node),\s*)?"(\w+)"'
+        declared |= set(re.findall(pattern, path.read_text()))
+    assert {"command_interface", "bag", "mode", "command_timeout", "seed"} <= declared
+    assert not {name for name in declared if f"`{name}`" not in INTERFACES}
+
+
+@pytest.mark.parametrize("page", [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))])
+def test_links_lead_somewhere(page):
+    for target in re.findall(r"\]\(([^)#:]+)\)", page.read_text()):
+        assert (page.parent / target).exists(), f"{page.name}: {target}"
+
+
+@pytest.mark.parametrize("example", sorted((ROOT / "examples").glob("*.py")), ids=lambda e: e.stem)
+def test_every_example_runs_alone(example, tmp_path):
+    import subprocess
+    import sys
+
+    ended = subprocess.run(
+        [sys.executable, example], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert ended.returncode == 0, ended.stderr
+    assert ended.stdout.strip()
+
+
+def test_the_double_integrator_claims_no_settling_that_did_not_happen(capsys):
+    import runpy
+
+    example = runpy.run_path(str(ROOT / "examples" / "double_integrator.py"))
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == "PID            settles in 1.164 s"
+    assert lines[-1] == "hPID, mu +0.2 does not settle within 5 s"
+    assert example["settling_time"](example["Pid"](example["GAINS"]), start=1e-4) == 0.0

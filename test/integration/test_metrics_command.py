@@ -1,0 +1,380 @@
+"""``hpid metrics`` as a user meets it: inputs, choices, outputs, one line for what is wrong."""
+
+import csv
+import io
+import json
+import shutil
+
+import numpy as np
+import pytest
+from harness.bags import (
+    JOINT_STATE,
+    MS,
+    TYPES,
+    S,
+    command,
+    ramp,
+    state,
+    trajectory,
+    write_bag,
+)
+
+from hpid_ros.bags import BagWriter
+from hpid_ros.cli.commands import BAD_INPUT, DONE
+from hpid_ros.cli.main import main
+from hpid_ros.experiment.result.folder import MARKER
+from hpid_ros.wire.joint_state import JointStateTemplate
+
+
+@pytest.fixture(scope="module")
+def result(tmp_path_factory):
+    """Return the folder of a short comparison."""
+    import yaml
+
+    from hpid_ros.base.resources import share_folder
+
+    folder = tmp_path_factory.mktemp("metrics")
+    document = yaml.safe_load(
+        (share_folder() / "config" / "experiments" / "tracking.yaml").read_text()
+    )
+    document |= {"name": "short", "duration": 0.3, "simulation": {"physics_steps": 1}}
+    file = folder / "short.yaml"
+    file.write_text(yaml.safe_dump(document, sort_keys=False))
+    assert main(["compare", str(file), "--in-process", "-o", str(folder / "result")]) == DONE
+    return folder / "result"
+
+
+@pytest.fixture
+def run(capsys):
+    """Return a function that runs the command and gives its streams."""
+
+    def metrics(*arguments):
+        capsys.readouterr()
+        code = main(["metrics", *map(str, arguments)])
+        return code, *capsys.readouterr()
+
+    return metrics
+
+
+def floats(*values):
+    layout = TYPES.types["std_msgs/msg/MultiArrayLayout"]([], 0)
+    kind = "std_msgs/msg/Float64MultiArray"
+    return bytes(TYPES.serialize_cdr(TYPES.types[kind](layout, np.array(values)), kind))
+
+
+def saved_indices(result):
+    return json.loads((result / "result.json").read_text())["indices"]
+
+
+# Inputs ----------------------------------------------------------------------------------------
+
+
+def test_bags_a_result_folder_and_saved_numbers_give_the_same_numbers(run, result, tmp_path):
+    bags = [result / "bags" / "PID", result / "bags" / "hPID"]
+    saved = tmp_path / "saved.json"
+    assert run(*bags, "--save", saved)[0] == DONE
+    for arguments in (bags, [result], [result / "result.json"], [saved]):
+        code, printed, errors = run(*arguments, "--json")
+        assert code == DONE
+        assert json.loads(printed) == saved_indices(result)
+        assert errors == ""
+
+
+def test_labels_name_the_bags_and_equal_labels_are_repeats(run, result):
+    bags = [result / "bags" / "PID", result / "bags" / "hPID"]
+    _, printed, _ = run(*bags, "--labels", "one", "two", "--json")
+    assert list(json.loads(printed)["runs"]) == ["one", "two"]
+    _, printed, _ = run(*bags, "--labels", "one", "one", "--json")
+    (folded,) = json.loads(printed)["runs"].values()
+    assert folded["repeats"] == 2
+    by_group = run("--group", "one", *bags, "--json")[1]
+    assert json.loads(by_group)["runs"]["one"] == folded
+
+
+def test_a_label_in_the_bags_metadata_is_taken(run, result, tmp_path):
+    import yaml
+
+    bag = tmp_path / "0001"
+    shutil.copytree(result / "bags" / "PID", bag)
+    metadata = yaml.safe_load((bag / "metadata.yaml").read_text())
+    metadata["rosbag2_bagfile_information"]["custom_data"] = {"label": "my arm"}
+    (bag / "metadata.yaml").write_text(yaml.safe_dump(metadata))
+    _, printed, _ = run(bag, result / "bags" / "hPID", "--json")
+    assert list(json.loads(printed)["runs"]) == ["my arm", "hPID"]
+
+
+def test_the_baseline_is_chosen_by_path_or_label_and_may_be_another_bag(run, result):
+    pid, hpid = result / "bags" / "PID", result / "bags" / "hPID"
+    for arguments in ([pid, hpid, "--baseline", hpid], [result, "--baseline", "hPID"]):
+        document = json.loads(run(*arguments, "--json")[1])
+        assert document["baseline"] == "hPID"
+        assert list(document["ratios"]) == ["PID"]
+    document = json.loads(run(hpid, "--baseline", pid, "--json")[1])
+    assert document == saved_indices(result)
+
+
+def test_a_mismatch_is_a_warning_and_the_numbers_come_all_the_same(run, result, tmp_path):
+    document = json.loads((result / "result.json").read_text())
+    document["indices"]["runs"]["hPID"]["conditions"]["duration"] = 0.5
+    other = tmp_path / "other.json"
+    other.write_text(json.dumps(document))
+    code, printed, errors = run(other)
+    assert code == DONE
+    assert "IVC" in printed
+    lines = errors.splitlines()
+    assert "hpid: warning: runs 'PID' and 'hPID': durations differ: 0.3 s and 0.5 s" in lines
+
+
+# What a bag lacks ------------------------------------------------------------------------------
+
+
+def states_bag(path, effort=True, count=400):
+    template = JointStateTemplate(["elbow", "wrist"], position=True, effort=effort)
+    log = []
+    for k in range(count):
+        position = [np.sin(0.01 * k), np.cos(0.01 * k)]
+        content = {"effort": [2.0 * np.cos(0.01 * k), 0.5]} if effort else {}
+        raw = template.encode(k * 5 * MS + MS, position=position, **content)
+        log.append(("joint_states", k * 5 * MS + MS, raw))
+    return log
+
+
+def loop_bag(path, duration, lead=0.0, gain=5.0):
+    """Write a joint that follows a ramp, told to it some time after the recorder started."""
+    begin_ns = round(lead * S)
+    log = [trajectory(begin_ns, ramp("elbow", t0=0.0, t2=1.0))]
+    for k in range(1, round(duration / 0.005)):
+        stamp = k * 5 * MS
+        t = max(0.0, (stamp - begin_ns) / S)
+        position = 0.5 * t * (1.0 - np.exp(-gain * t)) if t < 2.0 else 1.0
+        log.append(state(stamp, elbow=position))
+        log.append(command(stamp, elbow=gain * np.exp(-gain * t)))
+    return write_bag(path, sorted(log, key=lambda message: message[1]))
+
+
+def test_a_bag_of_states_alone_gives_its_effort_indices_and_one_line_for_the_rest(run, tmp_path):
+    bag = write_bag(tmp_path / "states", states_bag(tmp_path))
+    code, printed, errors = run(bag)
+    assert code == DONE
+    assert "states: effort: measured, of /joint_states." in printed
+    assert "No ITAE, ||e||: no reference was recorded." in printed
+    (line,) = errors.splitlines()
+    for option in ("--commands", "--command-topic JOINT=TOPIC[INDEX]", "--reference"):
+        assert option in line
+    document = json.loads(run(bag, "--json")[1])["runs"]["states"]
+    assert document["joints"]["wrist"]["iavc"] == pytest.approx(0.5 * 399 * 0.005)
+    assert document["assumed"] == {"effort": "measured, of /joint_states"}
+    saved = tmp_path / "saved.json"
+    assert run(bag, "--save", saved)[0] == DONE
+    assert run(saved, "--csv")[1] == run(bag, "--csv")[1]
+
+
+def test_a_bag_that_gives_no_index_is_one_line_that_names_all_options(run, tmp_path):
+    bag = write_bag(tmp_path / "states", states_bag(tmp_path, effort=False))
+    code, printed, errors = run(bag)
+    assert (code, printed, errors.count("\n")) == (BAD_INPUT, "", 1)
+    for words in ("no effort was recorded: --commands", "no reference was recorded: --reference"):
+        assert words in errors
+    assert run(bag, "--indices", "itae", "--reference", "hold")[0] == DONE
+
+
+def test_a_reference_is_held_or_given_only_if_asked_for_and_then_it_is_said(run, tmp_path):
+    bag = write_bag(tmp_path / "states", states_bag(tmp_path))
+    said = "reference: the first position, held as asked for"
+    page = tmp_path / "report.html"
+    code, printed, _ = run(bag, "--reference", "hold", "--report", page)
+    assert code == DONE
+    assert f"states: {said}." in printed
+    assert said in page.read_text(encoding="utf-8").split("<h2>")[0]
+    held = json.loads(run(bag, "--reference", "hold", "--json")[1])["runs"]["states"]
+    assert held["assumed"]["reference"] == "the first position, held as asked for"
+    file = tmp_path / "motion.yaml"
+    file.write_text(
+        "reference: {kind: step, times: [0.0], positions: {elbow: [1.0], wrist: [0.0]}}\n"
+    )
+    given = json.loads(run(bag, "--reference", file, "--json")[1])["runs"]["states"]
+    t = np.arange(400) * 0.005
+    area = np.trapezoid if hasattr(np, "trapezoid") else np.trapz
+    expected = area(t * np.abs(1.0 - np.sin(0.01 * np.arange(400))), t)
+    assert given["joints"]["elbow"]["itae"] == pytest.approx(expected, rel=1e-9)
+    assert "reference" not in given["assumed"]
+    for bad in (tmp_path / "none.yaml", "nowhere"):
+        code, printed, errors = run(bag, "--reference", bad)
+        assert (code, printed, errors.count("\n")) == (BAD_INPUT, "", 1)
+
+
+def test_recordings_of_unlike_length_are_cut_to_what_both_have_and_it_is_said(run, tmp_path):
+    long = loop_bag(tmp_path / "PID", 17.7, lead=1.0)
+    short = loop_bag(tmp_path / "hPID", 4.0, gain=8.0)
+    code, printed, errors = run(long, short)
+    assert code == DONE
+    assert "differ" not in errors
+    assert "PID: cut to 3.99 s of 17.69 s, from 0.995 s on, where its reference begins." in printed
+    assert "hPID against PID: " in printed
+    document = json.loads(run(long, short, "--json")[1])
+    whole = json.loads(run(short, "--json")[1])["runs"]["hPID"]
+    assert document["runs"]["hPID"]["totals"] == whole["totals"]
+    assert document["runs"]["PID"]["conditions"]["duration"] == pytest.approx(3.99, abs=0.006)
+    code, printed, errors = run(long, short, "--start", "0")
+    assert "hPID against PID: not comparable: durations differ: 17.69 s and 3.99 s" in printed
+    assert "▼" not in printed.split("Ratio:")[0]
+
+
+def test_commands_that_may_be_positions_are_efforts_only_if_that_is_said(run, tmp_path):
+    path = tmp_path / "bag"
+    with BagWriter(path) as bag:
+        states = bag.add_topic("/joint_states", JOINT_STATE)
+        commands = bag.add_topic("/elbow_controller/commands", "std_msgs/msg/Float64MultiArray")
+        for _, log_time_ns, raw in states_bag(path, effort=False):
+            bag.write(states, log_time_ns, raw)
+            bag.write(commands, log_time_ns + 1, floats(1.0, 3.0))
+    code, printed, errors = run(path)
+    assert (code, printed, errors.count("\n")) == (BAD_INPUT, "", 1)
+    assert "/elbow_controller/commands may carry them" in errors
+    document = json.loads(run(path, "--commands", "effort", "--json")[1])["runs"]["bag"]
+    assert document["joints"]["elbow"]["iavc"] == pytest.approx(399 * 0.005)
+    mapped = json.loads(
+        run(path, "--command-topic", "wrist=/elbow_controller/commands[1]", "--json")[1]
+    )["runs"]["bag"]
+    assert mapped["joints"]["wrist"]["iavc"] == pytest.approx(3.0 * 399 * 0.005)
+
+
+# Choices ---------------------------------------------------------------------------------------
+
+
+def test_indices_and_units_are_chosen_and_units_always_printed(run, result):
+    _, printed, _ = run(result, "--indices", "rmse,max|e|", "--units", "deg", "--csv")
+    rows = list(csv.DictReader(io.StringIO(printed)))
+    assert {(row["quantity"], row["unit"]) for row in rows} == {
+        ("rmse", "deg"),
+        ("error_max", "deg"),
+    }
+    _, table, _ = run(result, "--indices", "ivc,ise", "--units", "deg", "--overall")
+    assert "IVC [N m]" in table
+    assert "ISE [deg^2 s]" in table
+    assert "arm_joint_1" not in table
+
+
+def test_the_format_has_two_spellings(run, result):
+    for name in ("csv", "json", "latex"):
+        assert run(result, f"--{name}")[1] == run(result, "--format", name)[1] != ""
+
+
+def test_a_limit_and_a_cutoff_reach_the_indices(run, result):
+    _, printed, _ = run(result, "--effort-limit", "1e-9", "--cutoff", "50", "--json")
+    runs = json.loads(printed)["runs"]
+    assert runs["PID"]["totals"]["saturation"] > 90.0
+    assert runs["PID"]["conditions"]["cutoff"] == 50.0
+
+
+# Outputs ---------------------------------------------------------------------------------------
+
+
+def test_figures_and_report_are_drawn_with_the_gains_of_the_result(run, result, tmp_path):
+    folder, page = tmp_path / "figures", tmp_path / "deep" / "report.html"
+    code, _, errors = run(result, "--figures", folder, "--formats", "svg", "--report", page)
+    assert code == DONE
+    names = {path.name for path in folder.iterdir()}
+    assert {"positions.svg", "spectrum.svg", "multiplier.svg", "trade_off.svg"} <= names
+    assert f"written: {folder}" in errors
+    text = page.read_text(encoding="utf-8")
+    assert '"name":"multiplier"' in text
+    assert "norm.error_scale" in text
+
+
+def test_saved_numbers_alone_draw_the_trade_off_and_say_what_is_missing(run, result, tmp_path):
+    folder = tmp_path / "figures"
+    code, _, errors = run(
+        result / "result.json",
+        "--figures",
+        folder,
+        "--formats",
+        "png",
+        "--report",
+        tmp_path / "r.html",
+    )
+    assert code == DONE
+    assert {path.name for path in folder.iterdir()} == {"trade_off.png", MARKER}
+    assert "only runs from bags are drawn" in errors
+
+
+def test_nothing_is_replaced_unless_forced(run, result, tmp_path):
+    target = tmp_path / "mine.json"
+    target.write_text("mine")
+    code, printed, errors = run(result, "--save", target)
+    assert (code, printed, target.read_text()) == (BAD_INPUT, "", "mine")
+    named = f"hpid: {target} exists; name another with --save or replace it with --force\n"
+    assert errors == named
+    assert run(result, "--save", target, "--force")[0] == DONE
+    assert json.loads(target.read_text())["indices"] == saved_indices(result)
+
+
+def test_figures_replace_figures_of_ours_and_nothing_else(run, result, tmp_path):
+    folder = tmp_path / "figures"
+    numbers = result / "result.json"
+    command = (numbers, "--figures", folder, "--formats", "png")
+    assert run(*command)[0] == DONE
+    (folder / "photo.png").write_text("mine")
+    assert run(*command)[0] == BAD_INPUT
+    assert run(*command, "--force")[0] == DONE
+    assert (folder / "photo.png").read_text() == "mine"
+    other = tmp_path / "photos"
+    other.mkdir()
+    (other / "trade_off.png").write_text("mine")
+    code, _, errors = run(numbers, "--figures", other, "--formats", "png", "--force")
+    assert (code, (other / "trade_off.png").read_text()) == (BAD_INPUT, "mine")
+    assert "has no hpid_result.json" in errors
+
+
+@pytest.mark.parametrize("option", ["--save", "--report"])
+@pytest.mark.parametrize("inside", [".", "result.json", "bags/PID/metadata.yaml"])
+def test_what_is_read_is_never_replaced(run, result, option, inside):
+    target = result / inside
+    source = target if target.suffix == ".json" else result / "bags" / "PID"
+    before = target.is_file() and target.read_bytes()
+    code, printed, errors = run(source, option, target, "--force")
+    assert (code, printed, len(errors.splitlines())) == (BAD_INPUT, "", 1)
+    assert (target.is_file() and target.read_bytes()) == before
+
+
+# What is wrong ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ([], "name at least one bag"),
+        (["none.mcap"], "none.mcap"),
+        (["none.json"], "cannot read none.json: no such file or directory"),
+        (["--group", "alone"], "--group alone names no bag"),
+        (["x", "--labels", "a", "b"], "one label for each of 1 bags, not 2"),
+        (["SAVED", "--labels", "a"], "holds 2 runs, PID, hPID: it cannot have the one label 'a'"),
+        (["RESULT", "--baseline", "hPDI"], "unknown baseline 'hPDI'; did you mean 'hPID'"),
+        (["RESULT", "--indices", "ivvc"], "unknown index 'ivvc'; did you mean 'ivc'"),
+        (["RESULT", "--units", "grad"], "unknown unit of angles 'grad'; did you mean 'rad'"),
+        (["RESULT", "--formats", "jpg"], "unknown figure format 'jpg'"),
+        (["RESULT", "--cutoff", "-1"], "the cut-off must be positive and finite, not -1.0"),
+        (["RESULT", "--effort-limit", "strong"], "must be NM or JOINT=NM, got 'strong'"),
+        (["RESULT", "--effort-limit", "arm_joint_9=1"], "unknown joint 'arm_joint_9'"),
+        (["RESULT", "--joints", "arm_joint_9"], "unknown joint 'arm_joint_9'"),
+        (["RESULT", "--save", "/proc/x.json"], "cannot write /proc/x.json"),
+        (["RESULT", "--parameters", "none.yaml"], "none.yaml"),
+        (["RESULT", "--clock", "sundial"], "unknown clock 'sundial'"),
+    ],
+)
+def test_bad_input_is_one_line_and_nothing_is_printed(run, result, arguments, words):
+    places = {"RESULT": result, "SAVED": result / "result.json"}
+    code, printed, errors = run(*(places.get(each, each) for each in arguments))
+    assert (code, printed) == (BAD_INPUT, "")
+    assert errors.count("\n") == 1
+    assert errors.startswith("hpid: ")
+    assert words in errors
+
+
+@pytest.mark.parametrize("content", ["", "{", "[1, 2]", '{"runs": 3}', '{"runs": {"a": {}}}'])
+def test_a_file_without_numbers_is_one_line(run, tmp_path, content):
+    file = tmp_path / "saved.json"
+    file.write_text(content)
+    code, printed, errors = run(file)
+    assert (code, printed, errors.count("\n")) == (BAD_INPUT, "", 1)
+    assert str(file) in errors

@@ -1,0 +1,418 @@
+"""Studies: the numbers of the comparison, every seed another run, and claims as they were made."""
+
+import csv
+import importlib.util
+import json
+import re
+from dataclasses import replace
+
+import pytest
+import yaml
+from harness.places import ROOT
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hpid_ros.analysis.quantities import INDICES
+from hpid_ros.base.errors import RunError
+from hpid_ros.base.resources import share_folder
+from hpid_ros.cli.commands import BAD_INPUT, DONE, FAILED
+from hpid_ros.cli.main import main
+from hpid_ros.experiment.description import load_experiment
+from hpid_ros.experiment.in_process import run_without_ros
+from hpid_ros.experiment.progress import Silence
+from hpid_ros.experiment.result.result import compute
+from hpid_ros.studies import batch
+from hpid_ros.studies.batch import LAST_ERROR, JudgedTask, WorldKeeper, simulate, simulated_indices
+from hpid_ros.studies.claims import CLAIMS, NUMERIC_CLAIMS, Evidence, Verdict, verdict
+from hpid_ros.studies.study_plan import default_files, plan_study, read_journal
+
+ARM = ["arm_joint_1", "arm_joint_2", "arm_joint_3"]
+EXPERIMENTS = share_folder() / "config" / "experiments"
+
+
+@pytest.fixture
+def files(experiment_file):
+    """Return two experiments of a twentieth of a second."""
+    judge = {"joints": ARM}
+    return [
+        experiment_file("a.yaml", duration=0.05, name="calm", judge=judge),
+        experiment_file("b.yaml", duration=0.05, name="noisy", sensors__noise=1e-3, judge={}),
+    ]
+
+
+def study(files, folder, *options, seeds=2, jobs=1):
+    arguments = [*map(str, files), "--seeds", str(seeds), "--jobs", str(jobs), "-o", str(folder)]
+    return main(["study", *arguments, *map(str, options)])
+
+
+def saved(folder):
+    return json.loads((folder / "study.json").read_text())
+
+
+def test_the_numbers_are_those_of_the_comparison(files, tmp_path):
+    experiment = load_experiment(files[1])
+    bags = {label: tmp_path / label for label in experiment.controllers}
+    for label, bag in bags.items():
+        run_without_ros(experiment, label, bag, Silence())
+    compared = compute(experiment, bags).comparison
+    assert study(files[1:], tmp_path / "s", seeds=1) == DONE
+    rows = list(csv.DictReader((tmp_path / "s" / "runs.csv").open()))
+    for run in compared.runs:
+        for joint in (None, *run.joints):
+            (row,) = [
+                each
+                for each in rows
+                if each["controller"] == run.label and each["joint"] == (joint or "all")
+            ]
+            for quantity in INDICES:
+                assert float(row[quantity.key]) == run.value(quantity, joint)
+    both = {run.label: run for run in compared.runs}
+    ratios = saved(tmp_path / "s")["experiments"]["noisy"]["controllers"]["hPID"]["ratios"]
+    for quantity in INDICES:
+        wanted = both["hPID"].value(quantity) / both["PID"].value(quantity)
+        assert ratios[quantity.key]["median"] == wanted
+
+
+def test_only_judged_joints_count(files, tmp_path):
+    assert study(files, tmp_path / "s", seeds=1) == DONE
+    rows = list(csv.DictReader((tmp_path / "s" / "runs.csv").open()))
+    own = [row for row in rows if row["experiment"] == "calm" and row["controller"] == "PID"]
+    assert [row["joint"] for row in own] == [*ARM, "all"]
+    total = sum(float(row["ivc"]) for row in own[:-1])
+    assert float(own[-1]["ivc"]) == pytest.approx(total, rel=1e-12)
+    assert study(files, tmp_path / "one", "--joint", "arm_joint_2", seeds=1) == DONE
+    assert {each["joints"][0] for each in saved(tmp_path / "one")["experiments"].values()} == {
+        "arm_joint_2"
+    }
+
+
+def test_the_last_second_is_the_last_second(files):
+    experiment = load_experiment(files[0])
+    task = replace(JudgedTask.of(experiment, "PID"), periods=1500, joints=("arm_joint_1",))
+    with WorldKeeper() as keeper:
+        found = simulated_indices(task, keeper)
+        run = simulate(task, keeper)
+    (series,) = [each for each in run.joints if each.joint == "arm_joint_1"]
+    last = max(abs(error) for error in series.error[-1001:].tolist())
+    assert found.value(LAST_ERROR) == found.value(LAST_ERROR, "arm_joint_1") == last
+    assert last < max(abs(error) for error in series.error.tolist())
+
+
+@pytest.mark.parametrize("path", sorted(EXPERIMENTS.glob("*.yaml")), ids=lambda path: path.stem)
+def test_every_experiment_runs_and_no_two_seeds_are_alike(path):
+    (entry,) = plan_study([path], seeds=3).entries
+    baseline = short_task(entry)
+    with WorldKeeper() as keeper:
+        found = [
+            simulated_indices(replace(baseline, world=replace(baseline.world, seed=k)), keeper)
+            for k in range(3)
+        ]
+    for quantity in INDICES:
+        assert len({each.value(quantity) for each in found}) == 3, quantity.key
+
+
+def short_task(entry):
+    """Return a fifth of a second of an experiment's baseline."""
+    task = JudgedTask.of(entry.experiment, entry.baseline)
+    return replace(task, periods=200, joints=entry.joints)
+
+
+def test_the_default_study_is_all_experiments_but_the_bricks_the_paper_first():
+    names = [path.stem for path in default_files()]
+    assert names[0] == "paper"
+    assert "bricks" not in names
+    assert {"step", "smooth", "sine", "payload", "wrench", "noise", "motors"} <= set(names)
+
+
+VARIANTS = ["step", "smooth", "sine", "payload", "wrench", "noise", "motors"]
+
+
+@pytest.mark.parametrize("name", VARIANTS)
+def test_every_variant_is_another_experiment_but_for_one_thing(name):
+    path = EXPERIMENTS / f"{name}.yaml"
+    written = yaml.safe_load(path.read_text())
+    assert written["name"] == name
+    variant, base = load_experiment(path), load_experiment(EXPERIMENTS / written["extends"])
+    changed = {"reference", "disturbances", "sensors", "actuators"} & set(written)
+    assert len(changed) == 1
+    assert variant.judged == base.judged
+    assert variant.duration == base.duration
+    for before, after in zip(
+        *(next(iter(each.controllers.values())) for each in (base, variant)), strict=True
+    ):
+        assert after.gains == before.gains
+
+
+def test_what_is_saved_depends_on_the_plan_alone(files, tmp_path, capsys):
+    assert study(files, tmp_path / "one", jobs=1) == DONE
+    out, err = capsys.readouterr()
+    assert out == (tmp_path / "one" / "tables.txt").read_text()
+    assert err == f"result: {tmp_path / 'one'}\n"
+    totals = csv.DictReader((tmp_path / "one" / "runs.csv").open())
+    assert len({row["ivc"] for row in totals if row["joint"] == "all"}) == 8  # every seed counts
+    assert study(files, tmp_path / "many", "--table", "docs", jobs=3) == DONE
+    assert capsys.readouterr().out == (tmp_path / "one" / "tables.md").read_text()
+    names = {"runs.csv", "runs.jsonl", "study.json", "tables.md", "tables.txt", "experiments"}
+    names.add("hpid_result.json")
+    assert {each.name for each in (tmp_path / "one").iterdir()} == names
+    for name in sorted(names - {"experiments"}):
+        one, many = (tmp_path / folder / name for folder in ("one", "many"))
+        assert one.read_bytes() == many.read_bytes(), name
+    for entry in files:
+        experiment = load_experiment(entry)
+        copy = load_experiment(tmp_path / "one" / "experiments" / f"{experiment.name}.yaml")
+        assert copy.digest == experiment.digest
+
+
+@pytest.fixture
+def ran(monkeypatch):
+    """Return the labels of the runs that are made from now on, in this process."""
+    labels = []
+
+    def watched(task, keeper):
+        labels.append(task.label)
+        return simulated_indices(task, keeper)
+
+    monkeypatch.setattr(batch, "simulated_indices", watched)
+    return labels
+
+
+def test_a_study_is_carried_on_where_it_was_left(files, tmp_path, ran):
+    folder = tmp_path / "s"
+    assert study(files, folder) == DONE
+    whole = {each.name: each.read_bytes() for each in folder.iterdir() if each.is_file()}
+    assert len(ran) == 8
+    journal = folder / "runs.jsonl"
+    lines = journal.read_text().splitlines(keepends=True)
+    journal.write_text("".join(lines[:3] + lines[5:]) + lines[3][:100])  # cut off while writing
+    ran.clear()
+    assert study(files, folder, "--resume") == DONE
+    assert len(ran) == 2
+    assert {each.name: each.read_bytes() for each in folder.iterdir() if each.is_file()} == whole
+    ran.clear()
+    assert study(files, folder, "--resume", seeds=3) == DONE
+    assert len(ran) == 4
+
+
+def test_only_what_still_holds_is_kept(files, tmp_path, ran):
+    folder = tmp_path / "s"
+    assert study(files, folder) == DONE
+    ran.clear()
+    document = yaml.safe_load(files[0].read_text())
+    document["compare"]["hPID"]["mu"] = 0.1
+    files[0].write_text(yaml.safe_dump(document))
+    assert study(files, folder, "--resume") == DONE
+    assert {label.split()[0] for label in ran} == {"calm"}
+    ran.clear()
+    assert study(files, folder, "--resume", "--joint", "arm_joint_2") == DONE
+    assert len(ran) == 8
+
+
+def test_a_damaged_journal_is_not_carried_on(files, tmp_path):
+    folder = tmp_path / "s"
+    assert study(files[:1], folder) == DONE
+    lines = (folder / "runs.jsonl").read_text().splitlines(keepends=True)
+    (folder / "runs.jsonl").write_text("".join(["{}\n", *lines]))
+    with pytest.raises(RunError, match="line 1 is damaged"):
+        read_journal(folder / "runs.jsonl")
+
+
+def test_a_failed_run_is_named_and_made_again_when_carried_on(
+    files, tmp_path, capsys, monkeypatch
+):
+    def fragile(task, keeper):
+        if task.label == "calm hPID seed=2":
+            raise ZeroDivisionError("by zero")
+        return simulated_indices(task, keeper)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(batch, "simulated_indices", fragile)
+        assert study(files[:1], tmp_path / "s") == FAILED
+    assert "1 of 2 runs failed: ZeroDivisionError: by zero" in capsys.readouterr().out
+    assert saved(tmp_path / "s")["runs"] == {"planned": 4, "made": 4, "failed": 1}
+    assert study(files[:1], tmp_path / "s", "--resume") == DONE
+    assert saved(tmp_path / "s")["runs"]["failed"] == 0
+
+
+def test_an_interrupt_leaves_what_was_run(files, tmp_path, capsys, monkeypatch):
+    def interrupted(task, keeper):
+        if task.label == "calm hPID seed=2":
+            raise KeyboardInterrupt
+        return simulated_indices(task, keeper)
+
+    monkeypatch.setattr(batch, "simulated_indices", interrupted)
+    assert study(files, tmp_path / "s") == 130
+    assert f"what was run: {tmp_path / 's'}" in capsys.readouterr().err
+    assert saved(tmp_path / "s")["runs"]["made"] == 3
+    assert "were not made" in (tmp_path / "s" / "tables.txt").read_text()
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--seeds", "0"], "seeds must be at least 1"),
+        (["--jobs", "0"], "--jobs must be at least 1"),
+        (["--joint", "arm_joint_9"], "unknown joint 'arm_joint_9'"),
+        (["--resume"], "--resume needs the study's folder"),
+        (["nowhere.yaml"], "cannot read nowhere.yaml"),
+    ],
+)
+def test_bad_input_is_one_line(files, tmp_path, monkeypatch, capsys, options, words):
+    monkeypatch.chdir(tmp_path)
+    assert main(["study", str(files[0]), *options]) == BAD_INPUT
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert words in err
+    assert len(err.splitlines()) == 1
+    assert not (tmp_path / "results").exists()
+
+
+def test_nothing_is_overwritten_and_names_are_unlike(files, tmp_path, capsys):
+    assert study([files[0], files[0]], tmp_path / "s") == BAD_INPUT
+    assert "two experiments are called 'calm'" in capsys.readouterr().err
+    (tmp_path / "s").mkdir()
+    (tmp_path / "s" / "mine.txt").write_text("mine")
+    assert study(files[:1], tmp_path / "s") == BAD_INPUT
+    assert study(files[:1], tmp_path / "s", "--force") == BAD_INPUT
+    assert study(files[:1], tmp_path / "s", "--resume") == BAD_INPUT
+    assert (tmp_path / "s" / "mine.txt").exists()
+    # A journal that somebody else wrote, or an earlier version: not ours to write over.
+    (tmp_path / "s" / "runs.jsonl").write_text("mine")
+    capsys.readouterr()
+    assert study(files[:1], tmp_path / "s", "--resume") == BAD_INPUT
+    assert "has no hpid_result.json" in capsys.readouterr().err
+    assert (tmp_path / "s" / "runs.jsonl").read_text() == "mine"
+
+
+def evidence(ivc=0.5, iavc=0.7, effort=0.7, itae=0.9, error=1.0, better=6, of=6, **more):
+    ratios = {"ivc": ivc, "iavc": iavc, "effort_l2": effort, "itae": itae, "error_l2": error}
+    joints = {f"j{k}": 0.9 if k < better else 1.1 for k in range(of)}
+    return Evidence({**ratios, **more}, joints)
+
+
+def claim(key):
+    return next(each for each in CLAIMS if each.key == key)
+
+
+@pytest.mark.parametrize(
+    ("key", "changes"),
+    [
+        ("ivc", {"ivc": 0.576}),
+        ("iavc", {"iavc": 0.791}),
+        ("effort_l2", {"effort": 0.778}),
+        ("itae", {"itae": 0.948}),
+        ("error_l2", {"error": 1.051}),
+        ("joints", {"better": 3}),
+    ],
+)
+def test_each_number_of_the_paper_is_a_claim_of_its_own(key, changes):
+    limits = evidence(0.575, 0.79, 0.777, 0.947, 1.05, 4)
+    assert all(each.holds(limits) for each in NUMERIC_CLAIMS)
+    assert claim("together").holds(limits)
+    missed = evidence(**changes)
+    assert [each.key for each in NUMERIC_CLAIMS if not each.holds(missed)] == [key]
+    assert not claim("together").holds(missed)
+    assert claim("together").figure(missed) == "5 of 6"
+
+
+def test_words_are_held_to_what_they_are_taken_to_mean():
+    assert not claim("smoother").holds(evidence(ivc=1.0))
+    assert not claim("less_effort").holds(evidence(effort=1.01))
+    assert claim("accuracy").holds(evidence(itae=1.04))
+    assert not claim("accuracy").holds(evidence(itae=1.06))
+    assert claim("overshoot").holds(evidence()) is None
+    assert claim("overshoot").holds(evidence(overshoot=0.9))
+    assert not claim("overshoot").holds(evidence(overshoot=1.1))
+
+
+@given(st.integers(1, 60))
+def test_enough_joints_are_as_many_as_four_of_six(joints):
+    wanted = evidence(of=joints).joints_wanted
+    assert 6 * wanted >= 4 * joints > 6 * (wanted - 1)
+
+
+def test_a_verdict_names_where_a_claim_holds():
+    good, bad = evidence(), evidence(ivc=0.9)
+    each = claim("ivc")
+    assert verdict(each, {"a": good, "b": good}) == (Verdict.HOLDS, ("a", "b"))
+    assert verdict(each, {"a": good, "b": bad}) == (Verdict.HOLDS_WHEN, ("a",))
+    assert verdict(each, {"b": bad}) == (Verdict.DOES_NOT_HOLD, ())
+    assert verdict(claim("overshoot"), {"a": good}) == (Verdict.UNKNOWN, ())
+    with_steps = {"a": good, "b": evidence(overshoot=0.5)}
+    assert verdict(claim("overshoot"), with_steps) == (Verdict.HOLDS, ("b",))
+
+
+def test_claims_are_of_the_homogeneous_law_with_the_same_gains(experiment_file, tmp_path):
+    compare = {
+        "PID": {"law": "pid"},
+        "hPID": {"mu": -0.1},
+        "other gains": {"mu": -0.1, "joints": {"arm_joint_1": {"gains": {"p": 50.0}}}},
+        "linear": {"law": "pid", "velocity_filter_time_constant": 0.01},
+    }
+    path = experiment_file(duration=0.05, compare=compare, judge={"joints": ARM})
+    assert study([path], tmp_path / "s", seeds=1) == DONE
+    found = saved(tmp_path / "s")
+    assert list(found["claims"]) == ["hPID"]
+    assert list(found["experiments"]["short"]["controllers"]) == list(compare)
+
+
+def test_loops_that_are_not_certified_are_named(experiment_file, tmp_path, monkeypatch):
+    path = experiment_file(
+        duration=0.05,
+        judge={"joints": ARM[:2]},
+        controllers__joints__arm_joint_1__inertia=0.0,
+    )
+    assert study([path], tmp_path / "s", seeds=1) == DONE
+    controllers = saved(tmp_path / "s")["experiments"]["short"]["controllers"]
+    for each in controllers.values():
+        assert not each["is_certified"]
+        assert each["refusals"] == {"arm_joint_1": "its inertia is not known"}
+
+
+def test_tables_for_the_docs_are_tables(files, tmp_path):
+    assert study(files, tmp_path / "s", seeds=1) == DONE
+    text = (tmp_path / "s" / "tables.md").read_text()
+    blocks = re.findall(r"<!-- begin (.*?) -->\n(.*?)<!-- end \1 -->\n", text, re.S)
+    keys = [name for name, _ in blocks]
+    assert keys == [
+        *("claims hPID", "loops", "totals calm", "joints calm", "totals noisy", "joints noisy")
+    ]
+    for _, body in blocks:
+        rows = [line for line in body.splitlines() if line.startswith("|")]
+        assert len(rows) > 2
+        assert len({len(re.findall(r"(?<!\\)\|", row)) for row in rows}) == 1
+
+
+@pytest.fixture
+def draw_results():
+    """Return docs/draw_results.py as a module."""
+    path = ROOT / "docs" / "draw_results.py"
+    spec = importlib.util.spec_from_file_location("draw_results", path)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_a_page_is_written_only_between_its_marks(files, tmp_path, draw_results, monkeypatch):
+    assert study(files, tmp_path / "s", seeds=1) == DONE
+    options = ["--law", "pid", "--evaluations", "10", "--seeds", "1", "-j", "1"]
+    assert main(["tune", str(files[0]), *options, "-o", str(tmp_path / "t")]) == DONE
+    page = tmp_path / "docs" / "results.md"
+    page.parent.mkdir()
+    words = "# Mine\n\nwords\n\n{}\nmore\n\n<!-- begin other -->\nstays\n<!-- end other -->\n"
+    page.write_text(words.format("<!-- begin loops -->\nold\n<!-- end loops -->\n"))
+    arguments = ["draw_results.py", str(tmp_path / "s"), "--search", str(tmp_path / "t")]
+    monkeypatch.setattr("sys.argv", [*arguments, "--page", str(page)])
+    assert draw_results.main() == 0
+    tables = (tmp_path / "s" / "tables.md").read_text()
+    (loops,) = re.findall(r"<!-- begin loops -->\n.*?<!-- end loops -->\n", tables, re.S)
+    assert page.read_text() == words.format(loops)
+    figures = {each.name for each in (page.parent / "figures").iterdir()}
+    assert figures == {"results_ratios.png", "results_trade_off_calm.png"}
+    page.unlink()
+    assert draw_results.main() == 0
+    made = page.read_text()
+    assert "<!-- begin searches -->" in made
+    assert "| calm | best PID |" in made
+    for name in re.findall(r"\]\((.*?)\)", made):
+        assert (page.parent / name).is_file()

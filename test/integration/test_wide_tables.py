@@ -1,0 +1,183 @@
+"""Every table, in terminals of any width and in a pipe: each number is there in full."""
+
+import io
+import json
+import os
+import pty
+import re
+import subprocess
+import sys
+
+import pytest
+from rich.console import Console
+from rich.text import Text
+
+from hpid_ros.analysis import Comparison
+from hpid_ros.cli.commands.check_gains import GainTable
+from hpid_ros.cli.terminal import output_console
+from hpid_ros.control import Gains, LoopSettings
+from hpid_ros.report.tables.table import ComparisonTable
+from hpid_ros.report.tables.wide_table import UNLIMITED_WIDTH, Column, WideTable
+from hpid_ros.stability.gain_check import GainVerdict
+
+WIDTHS = (40, 60, 80)
+NUMBER = re.compile(r"(?<![\w.])[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?(?![\w.])")
+
+
+def printed(renderable, width):
+    """Return the text, and check that no line is wider than the terminal."""
+    console = Console(file=io.StringIO(), width=width, color_system=None)
+    console.print(renderable)
+    text = console.file.getvalue()
+    assert max(len(line.rstrip()) for line in text.splitlines()) <= width
+    assert "…" not in text.replace(" … ", "")
+    return text
+
+
+def numbers(text):
+    return set(NUMBER.findall(text))
+
+
+def gain_table():
+    def verdict(joint, k):
+        return GainVerdict(
+            joint, "hpid", -0.123 - k / 1000, (0.10523 + k, 0.576269 + k), k % 2 == 0,
+            "" if k % 2 == 0 else f"mu = -0.{k}23 is outside the certified interval",
+            (-0.495 + k / 100, 0.48125), 0.485 + k / 1000, 3.044, (0.931, 1.42), 6.61 + k,
+            None,
+        )  # fmt: skip
+
+    names = ["arm_joint_1", "a_joint_with_a_name_as_long_as_somebody_liked", "x"]
+    return GainTable({name: verdict(name, k) for k, name in enumerate(names)})
+
+
+def robot_table():
+    from hpid_ros.cli.commands.robot import _table
+
+    fact = {
+        "lower": -2.96706, "upper": 2.96706, "effort": 176.4, "velocity": 1.4835,
+        "damping": 0.5123, "friction": 0.3579, "reflected_inertia": 3.3818, "inertia": 4.7312,
+        "gravity": -123.456, "least_inertia": 3.4123, "largest_inertia": 12.9871,
+    }  # fmt: skip
+    return _table("a robot", {"iiwa_joint_1": fact, "iiwa_joint_2": {**fact, "effort": None}})
+
+
+def comparison_table():
+    from harness.runs import run
+
+    rows = [(2390.12, 142.345, 4.38512), (618.987, 68.0123, 3.70421), (0.00123, 1e9, 55.5)]
+    runs = [
+        run(label, [tuple(x * (1 + k / 7) for x in row) for row in rows])
+        for k, label in enumerate(["PID", "hPID", "a label that is long", "another"])
+    ]
+    return ComparisonTable(Comparison(tuple(runs)))
+
+
+def study_grid():
+    from hpid_ros.studies.study_tables import Grid
+
+    headings = ("index", "PID", "hPID", "ratio", "searched", "ratio")
+    row = (
+        "IVC [N m]",
+        "34.758 (33.1..35.9)",
+        "34.209 (33.0..34.9)",
+        "0.984 (0.97..0.99)",
+        "9",
+        "8",
+    )
+    return Grid("key", "totals", headings, (row, ("note", *["-"] * 5)), "Medians over 20 seeds.")
+
+
+def timing_table():
+    from hpid_ros.cli.terminal import _table
+
+    headings = ["period", "p99", "compute", "p99", "latency", "p99", "missed", "silent"]
+    row = ["1000.4", "1523.1", "55.5", "1234", "77.7", "2345", "12", "34567"]
+    return _table("joint, in us", headings, [("(bridge)", [*row[:2], *[""] * 6]), ("arm_1", row)])
+
+
+def parameters_table():
+    """Return a table whose rows are named by numbers, as a sweep's."""
+    names = [Column("controller", ["PID", "hPID (baseline)"], is_text=True)]
+    names += [Column(f"arm_joint_{k}.gains.p", [f"{k}.25", f"{k}7.125"]) for k in range(4)]
+    columns = [Column(f"IVC {k}", [f"{k}0.123", f"{k}4.567"]) for k in range(5)]
+    notes = Column("note", ["3 of 5 runs failed: a reason of many words", ""], is_text=True)
+    return WideTable(names, [*columns, notes])
+
+
+TABLES = (
+    gain_table, robot_table, comparison_table, study_grid, timing_table, parameters_table
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+@pytest.mark.parametrize("table", TABLES)
+def test_every_number_is_there_in_full_at_any_width(table, width):
+    wide = printed(table(), UNLIMITED_WIDTH)
+    assert numbers(wide)
+    if table is comparison_table:  # roomy layouts show a digit more
+        wide = printed(table(), 40)
+    assert numbers(wide) <= numbers(printed(table(), width))
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+def test_each_block_has_the_names_of_its_rows(width):
+    columns = [Column(f"column {k}", [f"{k}.25", f"{k}.75"]) for k in range(12)]
+    text = printed(WideTable([Column("joint", ["elbow", "wrist"], is_text=True)], columns), width)
+    count = len(re.findall(r"^joint", text, re.M))
+    assert count > 1
+    assert len(re.findall(r"^elbow", text, re.M)) == count
+    assert (
+        not numbers(text)
+        - {f"{k}.{end}" for k in range(12) for end in (25, 75)}
+        - set(map(str, range(12)))
+    )
+
+
+def test_cells_may_have_a_style_and_no_markup():
+    text = printed(WideTable([Column("[b]", ["[red]x"])], [Column("n", [Text("1.5")])]), 40)
+    assert "[red]x" in text
+    assert "[b]" in text
+
+
+def test_a_pipe_does_not_limit_the_width():
+    assert output_console().width == UNLIMITED_WIDTH  # pytest captures it
+
+
+def in_terminal(command, columns):
+    """Return what a command prints in a terminal of so many columns."""
+    parent, child = pty.openpty()
+    environment = {**os.environ, "COLUMNS": str(columns), "NO_COLOR": "1", "TERM": "dumb"}
+    with subprocess.Popen(command, stdout=child, stderr=child, env=environment) as process:
+        os.close(child)
+        parts = []
+        try:
+            while part := os.read(parent, 65536):
+                parts.append(part)
+        except OSError:  # the other end is closed
+            pass
+        os.close(parent)
+        assert process.wait() == 0
+    return b"".join(parts).decode().replace("\r\n", "\n")
+
+
+def test_hpid_robot_shows_the_same_numbers_in_a_narrow_terminal_and_in_a_pipe():
+    command = [sys.executable, "-m", "hpid_ros.cli.main", "robot", "urdf/mobile_manipulator.urdf"]
+    command += ["--poses", "3"]
+    piped = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    (facts,) = [json.loads(subprocess.check_output([*command, "--json"]))["joints"]]
+    lines = {line.split()[0]: line for line in piped.splitlines() if line.split()}
+    for joint, fact in facts.items():
+        wanted = (fact["lower"], fact["upper"], fact["inertia"], fact["largest_inertia"])
+        assert {f"{each:.3g}" for each in wanted if each is not None} <= numbers(lines[joint])
+    shown = in_terminal(command, 50)
+    table = "\n".join(line for line in lines.values() if line.split()[0] in facts)
+    assert numbers(table) <= numbers(shown)
+
+
+def test_a_gain_table_names_a_sampling_rate_that_breaks_the_loop():
+    loop = LoopSettings("elbow", Gains(100.0, 100.0, 20.0), control_period=0.06)
+    from hpid_ros.stability.gain_check import judge
+
+    text = printed(GainTable({"elbow": judge(loop, (1.0, 1.0))}), 80)
+    assert "T kd lam / m = 1.20: the sampled loop breaks at 0.85" in " ".join(text.split())

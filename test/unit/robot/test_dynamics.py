@@ -1,0 +1,118 @@
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from harness.places import URDF
+
+from hpid_ros.base.errors import RobotDescriptionError, SettingError
+from hpid_ros.robot import RobotDescription
+from hpid_ros.robot.dynamics import Dynamics
+
+MASS, LENGTH, ROTOR_INERTIA, GEAR_RATIO = 0.7, 0.4, 3e-6, 80.0
+
+
+def pendulum() -> RobotDescription:
+    """Return two point-like masses on rods, about y, hanging up along z; the first is geared."""
+
+    def link(name: str, mass: float, height: float) -> str:
+        return f"""<link name="{name}"><inertial><origin xyz="0 0 {height}"/>
+            <mass value="{mass}"/>
+            <inertia ixx="1e-9" iyy="1e-9" izz="1e-9" ixy="0" ixz="0" iyz="0"/>
+            </inertial></link>"""
+
+    def joint(name: str, parent: str, child: str, height: float) -> str:
+        return f"""<joint name="{name}" type="continuous"><parent link="{parent}"/>
+            <child link="{child}"/><origin xyz="0 0 {height}"/><axis xyz="0 1 0"/></joint>"""
+
+    return RobotDescription.load(
+        '<robot name="p" xmlns:drake="http://drake.mit.edu">'
+        + link("base", 1.0, 0.0)
+        + link("one", MASS, LENGTH)
+        + link("two", MASS, LENGTH)
+        + joint("a", "base", "one", 0.0)
+        + joint("b", "one", "two", LENGTH)
+        + f"""<transmission name="t"><joint name="a"/><actuator name="m">
+            <drake:rotor_inertia value="{ROTOR_INERTIA}"/>
+            <drake:gear_ratio value="{GEAR_RATIO}"/></actuator></transmission></robot>"""
+    )
+
+
+@pytest.mark.parametrize("bend", [0.0, 0.6, 2.0])
+def test_effective_inertia_is_that_of_the_double_pendulum(bend: float):
+    unit = MASS * LENGTH**2
+    reflected = ROTOR_INERTIA * GEAR_RATIO**2
+    m11 = unit * (3.0 + 2.0 * math.cos(bend)) + reflected
+    m12, m22 = unit * (1.0 + math.cos(bend)), unit
+    found = Dynamics(pendulum()).joint_inertias(["a", "b"], {"a": 0.3, "b": bend})
+    assert found["a"] == pytest.approx(m11 - m12**2 / m22, rel=1e-6)
+    assert found["b"] == pytest.approx(m22 - m12**2 / m11, rel=1e-6)
+
+
+def test_gravity_torque_is_that_of_the_double_pendulum():
+    torques = Dynamics(pendulum()).gravity_torques(["b", "a"], {"a": 0.5, "b": 0.4})
+    weight = MASS * 9.81 * LENGTH
+    assert list(torques) == ["b", "a"]
+    assert torques["b"] == pytest.approx(-weight * math.sin(0.9))
+    assert torques["a"] == pytest.approx(-weight * (2.0 * math.sin(0.5) + math.sin(0.9)))
+
+
+def test_a_free_base_yields_and_lightens_what_a_motor_feels():
+    description = RobotDescription.load(URDF)
+    fixed = Dynamics(description).joint_inertias(description.joints, {"arm_joint_3": 1.0})
+    free = Dynamics(description, fixed_base=False).joint_inertias(
+        description.joints, {"arm_joint_3": 1.0}
+    )
+    assert all(free[name] <= fixed[name] for name in fixed)
+    assert free["arm_joint_2"] < 0.9 * fixed["arm_joint_2"]
+
+
+def test_the_mass_matrix_is_symmetric_positive_definite_and_ordered_as_asked():
+    dynamics = Dynamics(RobotDescription.load(URDF))
+    names = list(dynamics.description.joints)
+    pose = {"arm_joint_2": -0.5, "arm_joint_3": 1.8, "arm_joint_5": 1.2}
+    mass = dynamics.mass_matrix(names, pose)
+    assert np.array_equal(mass, mass.T)
+    assert np.linalg.eigvalsh(mass).min() > 0.0
+    assert np.array_equal(dynamics.mass_matrix(names[::-1], pose), mass[::-1, ::-1])
+
+
+def test_the_rotor_is_in_every_effective_inertia():
+    description = RobotDescription.load(URDF)
+    for name, inertia in Dynamics(description).joint_inertias(description.joints, {}).items():
+        assert inertia > description.joints[name].reflected_inertia
+
+
+def test_the_range_holds_the_nominal_pose_and_is_the_same_for_the_same_seed():
+    dynamics = Dynamics(RobotDescription.load(URDF))
+    names = ["arm_joint_2", "wheel_left_joint"]
+    nominal = {"arm_joint_3": 1.8}
+    first = dynamics.inertia_range(names, samples=40, seed=3, nominal=nominal)
+    assert first == dynamics.inertia_range(names, samples=40, seed=3, nominal=nominal)
+    assert first != dynamics.inertia_range(names, samples=40, seed=4, nominal=nominal)
+    shoulder = first["arm_joint_2"]
+    assert shoulder.minimum < shoulder.nominal < shoulder.maximum
+    assert shoulder.nominal == dynamics.joint_inertias(names, nominal)["arm_joint_2"]
+    wheel = first["wheel_left_joint"]
+    assert wheel.minimum == pytest.approx(wheel.maximum)
+
+
+def test_bad_requests_are_named():
+    dynamics = Dynamics(RobotDescription.load(URDF))
+    with pytest.raises(RobotDescriptionError, match="did you mean 'arm_joint_3'"):
+        dynamics.joint_inertias(["arm_jont_3"], {})
+    with pytest.raises(RobotDescriptionError, match="unknown joint 'elbow'"):
+        dynamics.joint_inertias(["arm_joint_3"], {"elbow": 1.0})
+    with pytest.raises(SettingError, match="not finite"):
+        dynamics.joint_inertias(["arm_joint_3"], {"arm_joint_3": math.nan})
+    with pytest.raises(SettingError, match="samples 0"):
+        dynamics.inertia_range(["arm_joint_3"], samples=0, seed=0)
+
+
+def test_a_robot_that_pinocchio_cannot_build_is_one_clear_line():
+    unlimited = """<robot name="r"><link name="a"/><link name="b"/>
+        <joint name="j" type="revolute"><parent link="a"/><child link="b"/></joint></robot>"""
+    with pytest.raises(RobotDescriptionError, match="Pinocchio") as caught:
+        Dynamics(RobotDescription.load(unlimited))
+    assert "\n" not in str(caught.value)

@@ -1,0 +1,104 @@
+"""What is scheduled happens on simulated time, every time."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pytest
+from harness.places import URDF
+
+from hpid_ros.base.errors import RobotDescriptionError, SettingError
+from hpid_ros.simulation import World, WorldSettings
+from hpid_ros.simulation.world.disturbances import Disturbances, PayloadChange, WrenchPulse
+
+ARM = tuple(f"arm_joint_{number}" for number in range(1, 7))
+MILLISECOND = 1_000_000  # [ns]
+PUSH = ("tool0", (5.0, 0.0, 8.0), (0.0, 0.3, 0.0))
+HOME = {"arm_joint_2": -0.5, "arm_joint_3": 1.8, "arm_joint_5": 1.2}
+SETTINGS = WorldSettings(URDF, ARM, fixed_base=True, initial_positions=HOME)
+SCHEDULE = Disturbances(
+    (PayloadChange(60 * MILLISECOND, 0.4), PayloadChange(20 * MILLISECOND, 1.5)),
+    (WrenchPulse(*PUSH, 30 * MILLISECOND, 15 * MILLISECOND),),
+)
+CALLS = {
+    20: lambda world: world.set_payload(1.5),
+    30: lambda world: world.apply_wrench(*PUSH, 15 * MILLISECOND),
+    60: lambda world: world.set_payload(0.4),
+}
+
+
+def track(world: World, calls: dict[int, object] | None = None) -> list[tuple[float, ...]]:
+    """Return the positions of 100 periods; calls are made before the period that they name."""
+    positions = []
+    for period in range(100):
+        if calls and period in calls:
+            calls[period](world)  # type: ignore[operator]
+        world.step([0.0] * 6)
+        positions.append(world.true_positions())
+    return positions
+
+
+def test_a_schedule_does_what_a_person_at_the_same_time_would_do():
+    with World(replace(SETTINGS, disturbances=SCHEDULE)) as scheduled, World(SETTINGS) as world:
+        by_schedule = track(scheduled)
+        assert by_schedule == track(world, CALLS)
+        world.reset()
+        undisturbed = track(world)
+    assert by_schedule[:20] == undisturbed[:20]
+    assert by_schedule[20] != undisturbed[20]
+    assert math.dist(by_schedule[-1], undisturbed[-1]) > 1e-2
+
+
+def test_a_reset_starts_the_schedule_again():
+    with World(replace(SETTINGS, disturbances=SCHEDULE)) as world:
+        once = track(world)
+        world.reset()
+        assert track(world) == once
+        world.reset()
+        for _ in range(25):
+            world.step([1.0] * 6)
+        world.reset()
+        assert track(world) == once
+
+
+def test_what_is_scheduled_for_the_start_happens_in_the_first_period():
+    at_once = Disturbances((PayloadChange(0, 2.0),))
+    with World(replace(SETTINGS, disturbances=at_once)) as scheduled, World(SETTINGS) as world:
+        world.set_payload(2.0)
+        assert track(scheduled) == track(world)
+
+
+def test_what_falls_between_two_periods_happens_with_the_later():
+    early = Disturbances((PayloadChange(19 * MILLISECOND + 1, 1.0),))
+    late = Disturbances((PayloadChange(20 * MILLISECOND, 1.0),))
+    with (
+        World(replace(SETTINGS, disturbances=early)) as first,
+        World(replace(SETTINGS, disturbances=late)) as second,
+    ):
+        assert track(first) == track(second)
+
+
+def test_events_come_in_the_order_of_time():
+    moments = [20, 30, 60]
+    events = SCHEDULE.in_order()
+    assert [getattr(e, "time_ns", None) or e.start_ns for e in events] == [
+        moment * MILLISECOND for moment in moments
+    ]
+
+
+def test_impossible_schedules_are_refused():
+    with pytest.raises(SettingError, match=r"mass -1\.0"):
+        PayloadChange(0, -1.0)
+    with pytest.raises(SettingError, match=r"time -1 s must be from 0"):
+        PayloadChange(-(10**9), 1.0)
+    with pytest.raises(SettingError, match="force"):
+        WrenchPulse("tool0", (math.nan, 0.0, 0.0), (0.0, 0.0, 0.0), 0, 1)
+    with pytest.raises(SettingError, match="duration 0 ns"):
+        WrenchPulse("tool0", (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0, 0)
+    push = WrenchPulse("tool", *PUSH[1:], 0, 1)
+    with pytest.raises(RobotDescriptionError, match="did you mean 'tool0'"):
+        World(replace(SETTINGS, disturbances=Disturbances((), (push,))))
+    change = Disturbances((PayloadChange(0, 1.0),))
+    with pytest.raises(RobotDescriptionError, match="unknown link 'hook'"):
+        World(replace(SETTINGS, disturbances=change, payload_link="hook"))

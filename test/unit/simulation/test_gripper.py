@@ -1,0 +1,260 @@
+"""Bricks in the simulation: what is taken, what is missed, what is lost, and that it repeats."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import replace
+
+import numpy as np
+import pybullet
+import pytest
+from harness.places import URDF
+
+from hpid_ros.base.errors import RobotDescriptionError, SettingError
+from hpid_ros.robot import RobotDescription
+from hpid_ros.robot.dynamics import Dynamics
+from hpid_ros.robot.kinematics import Kinematics, LinkPose
+from hpid_ros.simulation import World, WorldSettings
+from hpid_ros.simulation.world.workpieces import (
+    Brick,
+    GripCommand,
+    GripperSettings,
+    Support,
+    Workplace,
+)
+
+ROBOT = RobotDescription.load(URDF)
+ARM = Kinematics(ROBOT, "payload")
+DOWN = np.diag([-1.0, 1.0, -1.0])
+HAND = (0.42, 0.0, 0.35)
+AT_BRICK = ARM.solve(LinkPose(np.array(HAND), DOWN), [0.0, -0.5, 1.8, 0.0, 1.2, 0.0])
+TABLE = Support("table", (0.2, 0.3, 0.31), (0.45, 0.0, 0.155))
+BRICK = Brick("brick", (0.06, 0.06, 0.08), HAND, friction=0.6, mass=0.5)
+HOLDING = 30.0  # [N]
+GRIPPER = GripperSettings(grip_force=50.0, friction=HOLDING / 100.0)
+PLACE = Workplace((BRICK,), (TABLE,), GRIPPER)
+SETTINGS = WorldSettings(
+    URDF,
+    ARM.joints,
+    fixed_base=True,
+    physics_steps=2,
+    initial_positions=dict(zip(ARM.joints, AT_BRICK.tolist(), strict=True)),
+    workplace=PLACE,
+)
+STIFF = np.array([400.0, 1200.0, 600.0, 75.0, 75.0, 20.0])
+DAMPED = np.array([8.0, 25.0, 12.0, 1.5, 1.5, 0.4])
+WEIGHTS = Dynamics(ROBOT)
+
+
+def efforts(world: World, raised: float) -> list[float]:
+    """Return efforts that hold the arm, with its shoulder raised by an angle in [rad]."""
+    wanted = AT_BRICK - [0.0, raised, 0.0, 0.0, 0.0, 0.0]
+    here, speed = np.array(world.true_positions()), np.array(world.true_velocities())
+    weights = WEIGHTS.gravity_torques(ARM.joints, dict(zip(ARM.joints, here, strict=True)))
+    held = np.array([weights[joint] for joint in ARM.joints])
+    return (STIFF * (wanted - here) - DAMPED * speed + held).tolist()
+
+
+def lift(world: World, periods: int = 400, raised: float = 0.25) -> list[tuple[float, ...]]:
+    """Raise the arm and return where joints and bricks were in every period."""
+    track = []
+    for period in range(periods):
+        world.step(efforts(world, raised * min(1.0, period / 300.0)))
+        bricks = [value for pose in world.gripper.poses() for value in (*pose[0], *pose[1])]
+        track.append((*world.true_positions(), *bricks))
+    return track
+
+
+def outcomes(world: World) -> list[tuple[str, str]]:
+    return [(event.outcome, event.brick) for event in world.gripper.events]
+
+
+def workplace(brick: Brick = BRICK, **gripper: float) -> WorldSettings:
+    changed = replace(PLACE, bricks=(brick,), gripper=replace(GRIPPER, **gripper))
+    return replace(SETTINGS, workplace=changed)
+
+
+def test_a_brick_between_the_fingers_is_taken_and_goes_where_the_hand_goes():
+    with World(SETTINGS) as world:
+        event = world.gripper.move(True, world.time_ns)
+        assert event.outcome == "grasped"
+        assert event.distance < 1e-4
+        assert world.gripper.held == BRICK
+        lift(world)
+        (brick,), hand = world.gripper.poses(), world.link_pose("payload")
+        assert brick.position[2] > HAND[2] + 0.05
+        assert math.dist(brick.position, hand.position) < 2e-4
+        assert world.gripper.move(True, world.time_ns) is None
+        assert world.gripper.move(False, world.time_ns).outcome == "released"
+        assert world.gripper.move(False, world.time_ns) is None
+        lift(world, 200, raised=0.25)
+        (fallen,) = world.gripper.poses()
+        assert fallen.position[2] < brick.position[2] - 0.03
+
+
+def test_what_is_not_taken_stays():
+    with World(SETTINGS) as world:
+        lift(world)
+        (brick,) = world.gripper.poses()
+        assert brick.position == pytest.approx(HAND, abs=1e-3)
+        assert outcomes(world) == []
+
+
+@pytest.mark.parametrize(
+    ("brick", "reason"),
+    [
+        (replace(BRICK, position=(0.42, 0.02, 0.35)), r"0\.02 m away, at most 0\.015 m"),
+        (replace(BRICK, yaw=0.3), r"turned by 0\.3 rad, at most 0\.15 rad"),
+        (replace(BRICK, yaw=math.pi / 2 - 0.2), r"turned by 0\.2 rad"),
+        (replace(BRICK, size=(0.06, 0.1, 0.08)), r"0\.1 m wide, at most 0\.078 m"),
+        (replace(BRICK, size=(0.1, 0.06, 0.08), yaw=math.pi / 2), r"0\.1 m wide"),
+    ],
+)
+def test_a_brick_that_does_not_fit_is_missed_with_the_reason(brick, reason):
+    with World(workplace(brick)) as world:
+        event = world.gripper.move(True, 0)
+        assert event.outcome == "missed"
+        assert re.match(reason, event.reason)
+        assert world.gripper.held is None
+        lift(world)
+        (left,) = world.gripper.poses()
+        assert left.position == pytest.approx(brick.position, abs=2e-3)
+
+
+@pytest.mark.parametrize("yaw", [0.1, math.pi / 2, math.pi - 0.1, -math.pi / 2 + 0.1])
+def test_a_box_may_be_taken_in_any_quarter_turn(yaw):
+    with World(workplace(replace(BRICK, yaw=yaw))) as world:
+        assert world.gripper.move(True, 0).outcome == "grasped"
+
+
+def test_of_several_bricks_the_nearest_is_taken():
+    far = replace(BRICK, name="far", position=(0.42, 0.09, 0.35))
+    place = replace(PLACE, bricks=(far, BRICK))
+    with World(replace(SETTINGS, workplace=place)) as world:
+        assert world.gripper.move(True, 0).brick == "brick"
+
+
+@pytest.mark.parametrize("pull", [(0.0, 0.0, -1.0), (0.0, 1.0, 0.0)])
+def test_a_brick_is_lost_when_it_is_pulled_with_more_than_friction_holds(pull):
+    """A slowly growing force on the held brick, beside its weight."""
+    with World(replace(SETTINGS, physics_steps=1)) as world:
+        world.gripper.move(True, 0)
+        lift(world)
+        (body,), client = world._scene.bricks, world._client
+        force, weight = 0.0, np.array([0.0, 0.0, -BRICK.mass * 9.81])
+        while world.gripper.held is not None:
+            force += 0.02
+            assert force < 2.0 * HOLDING, "it holds more than it should"
+            (brick,) = world.gripper.poses()
+            pybullet.applyExternalForce(
+                body,
+                -1,
+                [force * axis for axis in pull],
+                brick.position,
+                pybullet.WORLD_FRAME,
+                physicsClientId=client,
+            )
+            world.step(efforts(world, 0.25))
+        event = world.gripper.events[-1]
+        assert (event.outcome, event.brick) == ("lost", "brick")
+        assert np.linalg.norm(weight + force * np.array(pull)) == pytest.approx(HOLDING, rel=0.02)
+        assert event.force == pytest.approx(HOLDING, rel=0.02)
+        assert "the grip holds 30 N" in event.reason
+
+
+@pytest.mark.parametrize(("holding", "is_held"), [(60.0, True), (0.95 * 2.0 * 9.81, False)])
+def test_two_kilograms_need_a_grip_for_two_kilograms(holding, is_held):
+    settings = workplace(replace(BRICK, mass=2.0), grip_force=holding, friction=0.5)
+    with World(settings) as world:
+        world.gripper.move(True, 0)
+        lift(world)
+        assert outcomes(world)[1:] == ([] if is_held else [("lost", "brick")])
+        (brick,) = world.gripper.poses()
+        assert (brick.position[2] > HAND[2] + 0.02) == is_held
+
+
+def test_a_held_brick_weighs_on_the_arm():
+    """The shoulder sags as its stiffness and the brick's moment say."""
+    with World(SETTINGS) as world, World(workplace(replace(BRICK, mass=1.5))) as loaded:
+        for each in (world, loaded):
+            each.gripper.move(True, 0)
+            lift(each, 1500)
+        sag = loaded.true_positions()[1] - world.true_positions()[1]
+        moment = (1.5 - 0.5) * 9.81 * loaded.link_pose("payload").position[0]
+        friction = ROBOT.joints["arm_joint_2"].friction
+        assert sag == pytest.approx(moment / STIFF[1], abs=2.0 * friction / STIFF[1])
+
+
+SCHEDULE = (GripCommand(350_000_000, False), GripCommand(20_000_000, True))
+
+
+def test_a_schedule_does_what_a_person_at_the_same_time_would_do():
+    with World(replace(SETTINGS, workplace=replace(PLACE, schedule=SCHEDULE))) as scheduled:
+        by_schedule = lift(scheduled)
+        told = outcomes(scheduled)
+    with World(SETTINGS) as world:
+        by_hand = []
+        for period in range(400):
+            if period in (20, 350):
+                world.gripper.move(period == 20, world.time_ns)
+            world.step(efforts(world, 0.25 * min(1.0, period / 300.0)))
+            (brick,) = world.gripper.poses()
+            by_hand.append((*world.true_positions(), *brick[0], *brick[1]))
+        assert outcomes(world) == told == [("grasped", "brick"), ("released", "brick")]
+    assert by_schedule == by_hand
+
+
+def test_a_reset_repeats_everything_to_the_last_bit():
+    settings = replace(SETTINGS, workplace=replace(PLACE, schedule=SCHEDULE))
+    with World(settings) as world:
+        once = lift(world)
+        events = list(world.gripper.events)
+        world.reset()
+        assert world.gripper.events == []
+        assert lift(world) == once
+        world.reset()
+        lift(world, 100)  # and with a brick in the hand
+        assert world.gripper.held is not None
+        world.reset()
+        assert lift(world) == once
+        assert world.gripper.events == events
+    with World(settings) as fresh:
+        assert lift(fresh) == once
+
+
+def test_a_world_without_bricks_has_no_gripper():
+    with World(replace(SETTINGS, workplace=Workplace())) as world:
+        assert world.gripper is None
+        world.step([0.0] * 6)
+
+
+@pytest.mark.parametrize("position", [(0.42, 0.0, 0.45), (0.42, 0.0, 0.32), (2.0, 0.0, 0.5)])
+def test_a_brick_that_would_fall_or_be_pushed_out_is_refused(position):
+    with pytest.raises(SettingError, match="brick 'brick' does not stay at"):
+        World(workplace(replace(BRICK, position=position)))
+
+
+def test_a_hand_that_the_robot_lacks_is_refused():
+    place = replace(PLACE, gripper=replace(GRIPPER, link="hand"))
+    with pytest.raises(RobotDescriptionError, match="unknown link 'hand'"):
+        World(replace(SETTINGS, workplace=place))
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        lambda: replace(BRICK, mass=0.0),
+        lambda: replace(BRICK, size=(0.0, 1.0, 1.0)),
+        lambda: replace(BRICK, yaw=math.nan),
+        lambda: replace(BRICK, friction=-1.0),
+        lambda: replace(BRICK, name=""),
+        lambda: replace(GRIPPER, opening=0.0),
+        lambda: replace(GRIPPER, angle_tolerance=1.0),
+        lambda: replace(PLACE, bricks=(BRICK, BRICK)),
+        lambda: GripCommand(-1, True),
+    ],
+)
+def test_impossible_settings_are_refused(wrong):
+    with pytest.raises(SettingError):
+        wrong()
