@@ -10,7 +10,9 @@ class Chart {
     this.own = null;
     const log = (values, is) => (is ? values.map((v) => Math.log10(Math.max(v, 1e-12))) : values);
     this.lines = panel.lines.map((line) => ({
-      run: line.run, x: log(floats(line.x), figure.xLog), y: log(floats(line.y), figure.yLog),
+      run: line.run,
+      x: log(floats(line.x), figure.xLog),
+      y: log(floats(line.y), figure.yLog),
     }));
     this.title = document.createElement("div");
     this.title.className = "title";
@@ -19,14 +21,19 @@ class Chart {
     this.canvas = document.createElement("canvas");
     this.canvas.tabIndex = 0;
     this.canvas.setAttribute("role", "img");
-    this.canvas.setAttribute("aria-label", `${figure.caption} ${panel.title}. ` +
-      "Arrow keys read values, + and - zoom, 0 shows the whole.");
+    this.canvas.setAttribute(
+      "aria-label",
+      `${figure.caption} ${panel.title}. ` +
+        "Arrow keys read values, + and - zoom, 0 shows the whole.",
+    );
     const box = document.createElement("div");
     box.className = "panel";
     box.append(this.title, this.canvas, this.readout);
     place.append(box);
     this.whole = this.lines.reduce(
-      (seed, line) => extent(line.x, 0, line.x.length, seed), NOTHING);
+      (seed, line) => extent(line.x, 0, line.x.length, seed),
+      NOTHING,
+    );
     if (!(this.whole[0] < this.whole[1])) {
       const at = Number.isFinite(this.whole[0]) ? this.whole[0] : 0;
       this.whole = [at - 0.5, at + 0.5];
@@ -38,16 +45,24 @@ class Chart {
     this.listen();
     charts.push(this);
   }
-  get shown() { return this.lines.filter((line) => !hidden.has(line.run)); }
+  get shown() {
+    return this.lines.filter((line) => !hidden.has(line.run));
+  }
   get range() {
     if (this.figure.free) return this.own ?? this.whole;
     return ranges[this.figure.group] ?? this.whole;
   }
   set range(range) {
-    if (this.figure.free) this.own = range; else ranges[this.figure.group] = range;
+    if (this.figure.free) this.own = range;
+    else ranges[this.figure.group] = range;
     drawAll();
   }
-  reset() { this.own = null; this.height = null; delete ranges[this.figure.group]; drawAll(); }
+  reset() {
+    this.own = null;
+    this.height = null;
+    delete ranges[this.figure.group];
+    drawAll();
+  }
   zoomBy(factor) {
     const [low, high] = this.range;
     const cursor = this.figure.free ? null : this.figure.cursor;
@@ -59,15 +74,17 @@ class Chart {
   }
   pan(share) {
     const [low, high] = this.range;
-    const move = Math.max(this.whole[0] - low,
-      Math.min(this.whole[1] - high, share * (high - low)));
+    const move = Math.max(
+      this.whole[0] - low,
+      Math.min(this.whole[1] - high, share * (high - low)),
+    );
     this.range = [low + move, high + move];
   }
   yRange() {
     if (this.figure.free && this.height) return this.height;
     const [from, to] = this.range;
     let seed = this.panel.level == null ? NOTHING : [this.panel.level, this.panel.level];
-    for (const {x, y} of this.shown) {
+    for (const { x, y } of this.shown) {
       const free = this.figure.free;
       const first = free ? 0 : Math.max(0, firstAtLeast(x, from) - 1);
       const stop = free ? x.length : Math.min(x.length, firstAtLeast(x, to) + 1);
@@ -78,7 +95,8 @@ class Chart {
     return [seed[0] - air, seed[1] + air];
   }
   draw() {
-    const width = this.canvas.clientWidth, height = this.canvas.clientHeight;
+    const width = this.canvas.clientWidth,
+      height = this.canvas.clientHeight;
     if (!width) return;
     const ratio = devicePixelRatio || 1;
     this.canvas.width = width * ratio;
@@ -87,8 +105,10 @@ class Chart {
     pen.scale(ratio, ratio);
     const style = getComputedStyle(root);
     const color = (name) => style.getPropertyValue(name).trim();
-    const [x0, x1] = this.range, [y0, y1] = this.yRange();
-    const wide = width - LEFT - RIGHT, high = height - TOP - BOTTOM;
+    const [x0, x1] = this.range,
+      [y0, y1] = this.yRange();
+    const wide = width - LEFT - RIGHT,
+      high = height - TOP - BOTTOM;
     this.toX = (x) => LEFT + (wide * (x - x0)) / (x1 - x0);
     this.toY = (y) => TOP + high * (1 - (y - y0) / (y1 - y0));
     this.fromX = (px) => x0 + ((px - LEFT) * (x1 - x0)) / wide;
@@ -100,7 +120,15 @@ class Chart {
     pen.clip();
     for (const mark of this.panel.marks ?? []) {
       pen.strokeStyle = color(mark.run < 0 ? "--soft" : `--run-${data.runs[mark.run].style}`);
-      this.stroke(pen, [[mark.x, y0], [mark.x, y1]], [2, 3], 1);
+      this.stroke(
+        pen,
+        [
+          [mark.x, y0],
+          [mark.x, y1],
+        ],
+        [2, 3],
+        1,
+      );
     }
     const order = [...this.shown].sort((a, b) => (a.run < 0 ? -1 : b.run < 0 ? 1 : 0));
     for (const line of order) this.line(pen, color, line, x0, x1);
@@ -124,7 +152,8 @@ class Chart {
     pen.strokeStyle = color("--grid");
     pen.textAlign = "center";
     pen.textBaseline = "top";
-    const right = width - RIGHT, floor = height - BOTTOM;
+    const right = width - RIGHT,
+      floor = height - BOTTOM;
     for (const at of this.figure.xLog ? minorLogTicks(...xs) : []) {
       this.tick(pen, color, this.toX(at), floor, 0, 3);
     }
@@ -133,9 +162,18 @@ class Chart {
     }
     let free = 0;
     for (const [at, text] of xTicks) {
-      const x = this.toX(at), half = pen.measureText(text).width / 2;
+      const x = this.toX(at),
+        half = pen.measureText(text).width / 2;
       if (x < LEFT - 1 || x > right + 1) continue;
-      this.stroke(pen, [[at, ys[0]], [at, ys[1]]], [], 1);
+      this.stroke(
+        pen,
+        [
+          [at, ys[0]],
+          [at, ys[1]],
+        ],
+        [],
+        1,
+      );
       this.tick(pen, color, x, floor, 0, 5);
       if (x - half < free || x + half > width) continue;
       pen.fillText(text, x, height - BOTTOM + 6);
@@ -145,16 +183,41 @@ class Chart {
     pen.textBaseline = "middle";
     let ceiling = height;
     for (const [at, text] of yTicks) {
-      this.stroke(pen, [[xs[0], at], [xs[1], at]], [], 1);
+      this.stroke(
+        pen,
+        [
+          [xs[0], at],
+          [xs[1], at],
+        ],
+        [],
+        1,
+      );
       this.tick(pen, color, LEFT, this.toY(at), -5, 0);
       if (this.toY(at) > ceiling - 14) continue;
       pen.fillText(text, LEFT - 6, this.toY(at));
       ceiling = this.toY(at);
     }
     pen.strokeStyle = color("--soft");
-    this.stroke(pen, [[xs[0], ys[1]], [xs[0], ys[0]], [xs[1], ys[0]]], [], 1);
+    this.stroke(
+      pen,
+      [
+        [xs[0], ys[1]],
+        [xs[0], ys[0]],
+        [xs[1], ys[0]],
+      ],
+      [],
+      1,
+    );
     if (this.panel.level != null) {
-      this.stroke(pen, [[xs[0], this.panel.level], [xs[1], this.panel.level]], [], 0.6);
+      this.stroke(
+        pen,
+        [
+          [xs[0], this.panel.level],
+          [xs[1], this.panel.level],
+        ],
+        [],
+        0.6,
+      );
     }
   }
   tick(pen, color, x, y, wide, high) {
@@ -176,12 +239,18 @@ class Chart {
     pen.stroke();
     pen.setLineDash([]);
   }
-  line(pen, color, {run, x, y}, from, to) {
+  line(pen, color, { run, x, y }, from, to) {
     const style = run < 0 ? null : data.runs[run];
     pen.strokeStyle = pen.fillStyle = color(style ? `--run-${style.style}` : "--reference");
     pen.lineJoin = "round";
     if (this.figure.points) {
-      if (x.length > 1) this.stroke(pen, [...x].map((each, k) => [each, y[k]]), [], 1.5);
+      if (x.length > 1)
+        this.stroke(
+          pen,
+          [...x].map((each, k) => [each, y[k]]),
+          [],
+          1.5,
+        );
       else this.marker(pen, style.style, this.toX(x[0]), this.toY(y[0]));
       return;
     }
@@ -191,7 +260,7 @@ class Chart {
     pen.setLineDash(style ? style.dashes : []);
     pen.lineWidth = style ? 1.5 : 5;
     pen.beginPath();
-    let isDown = false;  // a line is torn where there is no number
+    let isDown = false; // a line is torn where there is no number
     for (let k = first; k < stop; k += 1) {
       const isThere = !Number.isNaN(y[k]);
       if (isThere && isDown) pen.lineTo(this.toX(x[k]), this.toY(y[k]));
@@ -213,35 +282,61 @@ class Chart {
   }
   cursorLine(pen, color, y0, y1) {
     const cursor = this.figure.free ? this.at : this.figure.cursor;
-    if (cursor == null) { this.readout.textContent = ""; return; }
+    if (cursor == null) {
+      this.readout.textContent = "";
+      return;
+    }
     pen.strokeStyle = color("--ink");
     const shown = (value, isLog) => readable(isLog ? 10 ** value : value);
-    const {xLog, yLog, xName, free} = this.figure;
+    const { xLog, yLog, xName, free } = this.figure;
     const label = (line) => (line.run < 0 ? "reference" : data.runs[line.run].label);
     if (free) {
       const near = this.nearest(cursor);
       if (!near) return;
       const [x, y] = [near.line.x[near.k], near.line.y[near.k]];
-      this.stroke(pen, [[x, y0], [x, y1]], [2, 2], 1);
+      this.stroke(
+        pen,
+        [
+          [x, y0],
+          [x, y1],
+        ],
+        [2, 2],
+        1,
+      );
       this.readout.textContent = `${label(near.line)}: ${shown(x, xLog)}, ${shown(y, yLog)}`;
       return;
     }
-    this.stroke(pen, [[cursor, y0], [cursor, y1]], [2, 2], 1);
-    const values = this.shown.filter((line) => line.x.length).map((line) => {
-      const k = firstAtLeast(line.x, cursor);
-      const j = Math.max(0, k - 1), i = Math.min(k, line.x.length - 1);
-      const part = line.x[i] > line.x[j] ? (cursor - line.x[j]) / (line.x[i] - line.x[j]) : 0;
-      const value = line.y[j] + Math.max(0, Math.min(1, part)) * (line.y[i] - line.y[j]);
-      return `${label(line)} ${shown(value, yLog)}`;
-    });
+    this.stroke(
+      pen,
+      [
+        [cursor, y0],
+        [cursor, y1],
+      ],
+      [2, 2],
+      1,
+    );
+    const values = this.shown
+      .filter((line) => line.x.length)
+      .map((line) => {
+        const k = firstAtLeast(line.x, cursor);
+        const j = Math.max(0, k - 1),
+          i = Math.min(k, line.x.length - 1);
+        const part = line.x[i] > line.x[j] ? (cursor - line.x[j]) / (line.x[i] - line.x[j]) : 0;
+        const value = line.y[j] + Math.max(0, Math.min(1, part)) * (line.y[i] - line.y[j]);
+        return `${label(line)} ${shown(value, yLog)}`;
+      });
     this.readout.textContent = `${xName} ${shown(cursor, xLog)}: ${values.join(", ")}`;
   }
   nearest([px, py]) {
-    let best = null, least = Infinity;
+    let best = null,
+      least = Infinity;
     for (const line of this.shown) {
       for (let k = 0; k < line.x.length; k += 1) {
         const distance = (this.toX(line.x[k]) - px) ** 2 + (this.toY(line.y[k]) - py) ** 2;
-        if (distance < least) { least = distance; best = {line, k}; }
+        if (distance < least) {
+          least = distance;
+          best = { line, k };
+        }
       }
     }
     return best;
@@ -259,8 +354,9 @@ class Chart {
     });
     on("pointermove", (event) => {
       const at = this.place(event);
-      if (this.from && Math.abs(at[0] - this.from[0]) > 4) this.drag = {from: this.from, to: at};
-      if (this.figure.free) this.at = at; else this.figure.cursor = this.fromX(at[0]);
+      if (this.from && Math.abs(at[0] - this.from[0]) > 4) this.drag = { from: this.from, to: at };
+      if (this.figure.free) this.at = at;
+      else this.figure.cursor = this.fromX(at[0]);
       drawAll();
     });
     on("pointerleave", () => {
@@ -269,7 +365,10 @@ class Chart {
       this.figure.cursor = null;
       drawAll();
     });
-    on("pointercancel", () => { this.from = this.drag = null; drawAll(); });
+    on("pointercancel", () => {
+      this.from = this.drag = null;
+      drawAll();
+    });
     on("pointerup", () => {
       const drag = this.drag;
       this.from = this.drag = null;
@@ -279,7 +378,7 @@ class Chart {
     on("dblclick", () => this.reset());
     on("keydown", (event) => this.key(event));
   }
-  zoomTo({from, to}) {
+  zoomTo({ from, to }) {
     const sorted = (a, b) => (a < b ? [a, b] : [b, a]);
     const [low, high] = sorted(this.fromX(from[0]), this.fromX(to[0]));
     if (this.figure.free && Math.abs(from[1] - to[1]) > 4) {
@@ -288,7 +387,7 @@ class Chart {
     this.range = [Math.max(low, this.whole[0]), Math.min(high, this.whole[1])];
   }
   key(event) {
-    const step = {ArrowLeft: -1, ArrowRight: 1}[event.key];
+    const step = { ArrowLeft: -1, ArrowRight: 1 }[event.key];
     if (event.ctrlKey || event.metaKey || event.altKey) return;
     if (step && event.shiftKey) this.pan(0.1 * step);
     else if (step) this.moveCursor(step);

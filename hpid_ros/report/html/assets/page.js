@@ -9,9 +9,18 @@ const make = (tag, attributes, ...children) => {
 
 // Tabs -------------------------------------------------------------------------------------------
 const sections = [...document.querySelectorAll("section[data-tab]")];
-const tabs = sections.map((section) => make("button", {
-  type: "button", role: "tab", id: `tab-${section.id}`, "aria-controls": section.id,
-}, section.dataset.tab));
+const tabs = sections.map((section) =>
+  make(
+    "button",
+    {
+      type: "button",
+      role: "tab",
+      id: `tab-${section.id}`,
+      "aria-controls": section.id,
+    },
+    section.dataset.tab,
+  ),
+);
 const select = (k, focus) => {
   sections.forEach((section, j) => {
     section.hidden = j !== k;
@@ -21,7 +30,7 @@ const select = (k, focus) => {
   if (focus) tabs[k].focus();
   drawAll();
 };
-const list = make("div", {role: "tablist", "aria-label": "Parts of the report"}, ...tabs);
+const list = make("div", { role: "tablist", "aria-label": "Parts of the report" }, ...tabs);
 sections[0].before(list);
 tabs.forEach((tab, k) => {
   const section = sections[k];
@@ -29,8 +38,8 @@ tabs.forEach((tab, k) => {
   section.setAttribute("aria-labelledby", tab.id);
   tab.addEventListener("click", () => select(k));
   tab.addEventListener("keydown", (event) => {
-    const step = {ArrowRight: 1, ArrowLeft: -1}[event.key];
-    const ends = {Home: 0, End: tabs.length - 1}[event.key];
+    const step = { ArrowRight: 1, ArrowLeft: -1 }[event.key];
+    const ends = { Home: 0, End: tabs.length - 1 }[event.key];
     if (step === undefined && ends === undefined) return;
     event.preventDefault();
     select(ends ?? (k + step + tabs.length) % tabs.length, true);
@@ -48,12 +57,12 @@ const mark = (box) => {
 const seen = new ResizeObserver((entries) => entries.forEach((entry) => mark(entry.target)));
 boxes.forEach((box) => {
   seen.observe(box);
-  box.addEventListener("scroll", () => mark(box), {passive: true});
+  box.addEventListener("scroll", () => mark(box), { passive: true });
 });
 
 // Theme ------------------------------------------------------------------------------------------
 const themes = ["auto", "light", "dark"];
-const themeButton = make("button", {type: "button", class: "theme"}, "theme: auto");
+const themeButton = make("button", { type: "button", class: "theme" }, "theme: auto");
 themeButton.addEventListener("click", () => {
   const next = themes[(themes.indexOf(root.dataset.theme ?? "auto") + 1) % 3];
   root.dataset.theme = next;
@@ -65,19 +74,24 @@ matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => draw
 
 // Figures ----------------------------------------------------------------------------------------
 const swatch = (run) => {
-  const line = make("span", {class: "swatch", "aria-hidden": "true"});
+  const line = make("span", { class: "swatch", "aria-hidden": "true" });
   line.style.borderTopColor = `var(--run-${run.style})`;
   line.style.borderTopStyle = run.dashes.length ? "dashed" : "solid";
   return line;
 };
 const legendButtons = (k) => {
   const run = data.runs[k];
-  const button = make("button", {type: "button", "aria-pressed": "true", class: "run"},
-    swatch(run), run.label);
+  const button = make(
+    "button",
+    { type: "button", "aria-pressed": "true", class: "run" },
+    swatch(run),
+    run.label,
+  );
   button.addEventListener("click", () => {
     hidden.has(k) ? hidden.delete(k) : hidden.add(k);
-    document.querySelectorAll(`[data-run="${k}"]`).forEach(
-      (each) => each.setAttribute("aria-pressed", !hidden.has(k)));
+    document
+      .querySelectorAll(`[data-run="${k}"]`)
+      .forEach((each) => each.setAttribute("aria-pressed", !hidden.has(k)));
     drawAll();
   });
   button.dataset.run = k;
@@ -86,18 +100,25 @@ const legendButtons = (k) => {
 for (const figure of data.figures) {
   const place = document.getElementById(figure.name);
   const runs = [...new Set(figure.panels.flatMap((panel) => panel.lines.map((line) => line.run)))];
-  const bar = make("div", {class: "controls"}, ...runs.filter((k) => k >= 0).map(legendButtons));
-  if (runs.includes(-1)) bar.append(make("span", {class: "soft"}, "thick grey: reference"));
-  const buttons = [["+", "zoom in", 0.5], ["\u2212", "zoom out", 2], ["reset", "whole", 0]];
-  const group = make("span", {class: "zoom"});
+  const bar = make("div", { class: "controls" }, ...runs.filter((k) => k >= 0).map(legendButtons));
+  if (runs.includes(-1)) bar.append(make("span", { class: "soft" }, "thick grey: reference"));
+  const buttons = [
+    ["+", "zoom in", 0.5],
+    ["\u2212", "zoom out", 2],
+    ["reset", "whole", 0],
+  ];
+  const group = make("span", { class: "zoom" });
   for (const [text, name, factor] of buttons) {
-    const button = make("button", {type: "button", title: name, "aria-label": name}, text);
-    button.addEventListener("click", () => figure.charts.slice(0, figure.free ? 99 : 1).forEach(
-      (chart) => (factor ? chart.zoomBy(factor) : chart.reset())));
+    const button = make("button", { type: "button", title: name, "aria-label": name }, text);
+    button.addEventListener("click", () =>
+      figure.charts
+        .slice(0, figure.free ? 99 : 1)
+        .forEach((chart) => (factor ? chart.zoomBy(factor) : chart.reset())),
+    );
     group.append(button);
   }
   bar.append(group);
-  const panels = make("div", {class: "panels"});
+  const panels = make("div", { class: "panels" });
   figure.charts = figure.panels.map((panel) => new Chart(figure, panel, panels));
   panels.classList.toggle("single", figure.panels.length < 2);
   place.append(bar, panels);

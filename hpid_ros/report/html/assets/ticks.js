@@ -13,7 +13,10 @@ let isWaiting = false;
 const drawAll = () => {
   if (isWaiting) return;
   isWaiting = true;
-  requestAnimationFrame(() => { isWaiting = false; charts.forEach((chart) => chart.draw()); });
+  requestAnimationFrame(() => {
+    isWaiting = false;
+    charts.forEach((chart) => chart.draw());
+  });
 };
 const readable = (value) => String(Number(value.toPrecision(5))).replace("-", "\u2212");
 const linearTicks = (low, high, count) => {
@@ -52,7 +55,8 @@ const firstAtLeast = (xs, x) => {
   let high = xs.length;
   while (low < high) {
     const middle = (low + high) >> 1;
-    if (xs[middle] < x) low = middle + 1; else high = middle;
+    if (xs[middle] < x) low = middle + 1;
+    else high = middle;
   }
   return low;
 };
@@ -65,4 +69,7 @@ const extent = (values, from, to, seed) => {
   return [low, high];
 };
 const NOTHING = [Infinity, -Infinity];
-const LEFT = 58, RIGHT = 10, TOP = 8, BOTTOM = 24;
+const LEFT = 58,
+  RIGHT = 10,
+  TOP = 8,
+  BOTTOM = 24;
