@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from rosbags.typesys import Stores, get_typestore
 
+from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.trajectory import JointTrajectory
 
 if TYPE_CHECKING:
@@ -15,8 +16,6 @@ if TYPE_CHECKING:
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 JOINT_TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
-
-_NS_PER_S = 1_000_000_000
 
 
 @functools.cache
@@ -44,11 +43,11 @@ def encode_joint_trajectory(trajectory: JointTrajectory) -> bytes:
             velocities=np.array(point.velocities),
             accelerations=np.array(point.accelerations),
             effort=np.array([]),
-            time_from_start=duration(*divmod(point.time_from_start_ns, _NS_PER_S)),
+            time_from_start=duration(*divmod(point.time_from_start_ns, NANOSECONDS)),
         )
         for point in trajectory.points
     ]
-    stamp = time(*divmod(trajectory.stamp_ns, _NS_PER_S))
+    stamp = time(*divmod(trajectory.stamp_ns, NANOSECONDS))
     message = message_type(
         header=header(stamp=stamp, frame_id=""),
         joint_names=list(trajectory.joint_names),

@@ -16,8 +16,7 @@ from hpid_ros.bags.columns.storage import Storage
 from hpid_ros.bags.message_types import jazzy_types
 from hpid_ros.bags.run.topics import find_topic
 from hpid_ros.base.errors import BagError
-
-_NS_PER_S = 1_000_000_000
+from hpid_ros.base.units import NANOSECONDS
 
 Vector = tuple[float, float, float]
 PoseValues = tuple[Vector, tuple[float, float, float, float]]
@@ -48,7 +47,7 @@ def encoded(kind: str, **values: Any) -> bytes:
 
 def header_of(stamp: Stamp) -> Any:
     """Return a ``std_msgs/msg/Header``."""
-    seconds, rest = divmod(stamp.stamp_ns, _NS_PER_S)
+    seconds, rest = divmod(stamp.stamp_ns, NANOSECONDS)
     time = new("builtin_interfaces/msg/Time", sec=seconds, nanosec=rest)
     return new("std_msgs/msg/Header", stamp=time, frame_id=stamp.frame)
 
@@ -74,7 +73,7 @@ def vector_of(vector: Vector) -> Any:
 def stamp_ns_of(message: Any) -> int:
     """Return the stamp of a message with a header, in [ns]."""
     stamp = message.header.stamp
-    return int(stamp.sec) * _NS_PER_S + int(stamp.nanosec)
+    return int(stamp.sec) * NANOSECONDS + int(stamp.nanosec)
 
 
 def messages_on(bag: Path, topic: str, kind: str) -> list[Any]:

@@ -73,6 +73,29 @@ class Compensator:
         """
         return self._of(self.states.hold(stamp_ns, reason))
 
+    def answer(
+        self,
+        loop: JointLoop,
+        stamp_ns: int,
+        position: float,
+        velocity: float | None,
+        term: ModelTerm | None,
+    ) -> float:
+        """Return the effort that answers a state, in [N m]: ``fallback_effort`` without a term.
+
+        The one rule for a controller's node and for the engine without ROS.
+
+        Args:
+            loop: The joint's loop.
+            stamp_ns: Stamp of the state in [ns].
+            position: Measured, in [rad].
+            velocity: Measured, in [rad/s]; None when the robot reports none.
+            term: What :meth:`term` or :meth:`hold` gave for this state.
+        """
+        if term is None:
+            return loop.reject(stamp_ns, f"no model term: {self.states.last_fault}")
+        return loop.step(stamp_ns, position, velocity, term)
+
     def reset(self) -> None:
         """Forget the past: the next state is the first one."""
         self.states.reset()
@@ -149,11 +172,7 @@ class CompensatedLoops:
                 answers.append(loop.step(stamp_ns, positions[row], velocity))
                 continue
             term = model.term(stamp_ns, *seen[model.states.joints])
-            if term is None:
-                fault = f"no model term: {model.states.last_fault}"
-                answers.append(loop.reject(stamp_ns, fault))
-            else:
-                answers.append(loop.step(stamp_ns, positions[row], velocity, term))
+            answers.append(model.answer(loop, stamp_ns, positions[row], velocity, term))
         return answers
 
 

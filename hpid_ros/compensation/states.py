@@ -6,7 +6,8 @@ import math
 from collections.abc import Collection, Sequence
 from typing import NamedTuple
 
-from hpid_ros.control.reference import LARGEST_POSITION, SECONDS_PER_NANOSECOND
+from hpid_ros.base.units import SECONDS_PER_NANOSECOND
+from hpid_ros.control.reference import LARGEST_POSITION
 from hpid_ros.control.settings.loop import LoopSettings
 from hpid_ros.control.velocity import Unwrapper
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from hpid_ros.base.units import SECONDS_PER_NANOSECOND
 from hpid_ros.control.limits import MotionLimits
-from hpid_ros.control.reference import LARGEST_POSITION, SECONDS_PER_NANOSECOND
+from hpid_ros.control.reference import LARGEST_POSITION
 from hpid_ros.control.velocity import VelocitySource
 
 

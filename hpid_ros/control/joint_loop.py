@@ -7,11 +7,12 @@ from copy import copy, deepcopy
 from typing import NamedTuple
 
 from hpid_ros.base.errors import SettingError
+from hpid_ros.base.units import SECONDS_PER_NANOSECOND
 from hpid_ros.control.damping_stop import DampingStop
 from hpid_ros.control.limited_law import LimitedLaw, ModelTerm
 from hpid_ros.control.loop_state import LoopClock, LoopCounts, LoopState
 from hpid_ros.control.pid import Terms
-from hpid_ros.control.reference import LARGEST_POSITION, SECONDS_PER_NANOSECOND, Following, Motion
+from hpid_ros.control.reference import LARGEST_POSITION, Following, Motion
 from hpid_ros.control.settings.loop import LoopSettings
 from hpid_ros.control.velocity import VelocitySource
 

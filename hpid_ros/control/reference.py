@@ -7,12 +7,11 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from hpid_ros.base.errors import SettingError
+from hpid_ros.base.units import SECONDS_PER_NANOSECOND
 from hpid_ros.control.limits import MotionLimits
 
 LARGEST_POSITION = 1e9
 """Positions, velocities and references beyond this [rad, rad/s] are no joint's."""
-
-SECONDS_PER_NANOSECOND = 1e-9
 
 
 class Reference(Protocol):

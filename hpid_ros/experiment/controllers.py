@@ -8,6 +8,7 @@ from dataclasses import replace
 
 from hpid_ros.base.errors import ExperimentError, HpidError, unknown_name
 from hpid_ros.base.names import require_label
+from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.compensation.build import robot_xml, with_inertia
 from hpid_ros.control import LOOP_PARAMETERS, LoopSettings
 from hpid_ros.control.settings.model import MODEL_PARAMETERS, ModelSettings
@@ -67,7 +68,6 @@ def _rolling(model: ModelSettings, world: WorldSettings) -> ModelSettings:
     )
 
 
-_NANOSECONDS = 1_000_000_000
 _JOINTS = "joints"
 
 Parameters = dict[str, object]
@@ -170,7 +170,7 @@ def _settings(
     """Return one joint's settings; later layers win, and the robot gives the defaults."""
     values: Parameters = {
         "joint": joint.name,
-        "control_period": world.control_period_ns / _NANOSECONDS,
+        "control_period": world.control_period_ns / NANOSECONDS,
         "encoder_resolution": math.tau / counts if counts else 0.0,
     }
     if joint.effort < LOOP_PARAMETERS["u_clamp_max"].maximum:

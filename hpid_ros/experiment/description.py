@@ -10,6 +10,7 @@ from pathlib import Path
 from hpid_ros.base.errors import ExperimentError, HpidError, unknown_name
 from hpid_ros.base.names import require_label
 from hpid_ros.base.resources import find_resource
+from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.control import LoopSettings
 from hpid_ros.documents.sections import Section
 from hpid_ros.documents.yaml_files import Document, load_document
@@ -28,8 +29,6 @@ from hpid_ros.robot.configuration import amended_by
 from hpid_ros.robot.description import RobotDescription
 from hpid_ros.simulation.settings import VELOCITIES, WorldSettings
 from hpid_ros.trajectory import JointTrajectory
-
-_NANOSECONDS = 1_000_000_000
 
 
 @dataclass(frozen=True)
@@ -68,7 +67,7 @@ class Experiment:
     @property
     def periods(self) -> int:
         """Control periods of the run; it has one state more."""
-        return round(self.duration * _NANOSECONDS / self.world.control_period_ns)
+        return round(self.duration * NANOSECONDS / self.world.control_period_ns)
 
     @property
     def end_effector(self) -> str:
@@ -134,7 +133,7 @@ def load_reference(path: str | Path) -> JointTrajectory:
 def _experiment(document: Document, root: Section) -> Experiment:
     control = root.section("control", {})
     rate = control.number("rate", 1000.0, least=0.1, most=1e5)
-    period_ns = round(_NANOSECONDS / rate)
+    period_ns = round(NANOSECONDS / rate)
     answer_timeout = control.number("answer_timeout", 2.0, above=0.0, most=3600.0)
     control.finish()
     seed = root.whole("seed", 0, least=0)
@@ -154,7 +153,7 @@ def _experiment(document: Document, root: Section) -> Experiment:
     known = RobotDescription.load(world.robot_description)
     for link in world.links:
         known.link(link)
-    if round(duration * _NANOSECONDS) % period_ns:
+    if round(duration * NANOSECONDS) % period_ns:
         raise ExperimentError(f"duration {duration} s is not a whole number of control periods")
     return Experiment(
         name=require_label(root.text("name"), root.place("name"), ExperimentError),

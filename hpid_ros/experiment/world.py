@@ -7,6 +7,7 @@ from dataclasses import MISSING, fields
 from typing import Any, TypeVar
 
 from hpid_ros.base.errors import ExperimentError, RobotDescriptionError, SettingError, unknown_name
+from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.documents.sections import Section
 from hpid_ros.planning import BrickPlan
 from hpid_ros.robot.description import RobotDescription
@@ -52,8 +53,6 @@ def base_from(robot: Section, description: RobotDescription) -> DifferentialDriv
 
 
 Model = TypeVar("Model", Motor, Pwm, Homing)
-
-_NANOSECONDS = 1_000_000_000
 
 
 class Layers:
@@ -203,7 +202,7 @@ def _wrench(entry: Section, duration: float) -> WrenchPulse:
         force=_vector(entry, "force"),
         torque=_vector(entry, "torque"),
         start_ns=_moment(entry, "from", duration),
-        duration_ns=max(1, round(entry.number("duration", above=0.0, most=1e5) * _NANOSECONDS)),
+        duration_ns=max(1, round(entry.number("duration", above=0.0, most=1e5) * NANOSECONDS)),
     )
     entry.finish()
     return pulse
@@ -216,7 +215,7 @@ def _moment(entry: Section, key: str, duration: float) -> int:
         raise ExperimentError(
             f"{entry.place(key)} {moment:g} s is not before the end, {duration:g} s"
         )
-    return round(moment * _NANOSECONDS)
+    return round(moment * NANOSECONDS)
 
 
 def _vector(entry: Section, key: str) -> tuple[float, float, float]:
@@ -341,7 +340,7 @@ def _grips(section: Section) -> list[GripCommand]:
     grips = []
     for index, values in enumerate(entries):
         entry = Section(values, f"{place}[{index}]", ExperimentError)
-        time_ns = round(entry.number("time", least=0.0, most=1e5) * _NANOSECONDS)
+        time_ns = round(entry.number("time", least=0.0, most=1e5) * NANOSECONDS)
         is_closed = entry.flag("closed")
         entry.finish()
         grips.append(GripCommand(time_ns, is_closed))

@@ -11,6 +11,7 @@ import numpy as np
 
 from hpid_ros.bags.columns.storage import Storage
 from hpid_ros.bags.message_types import JOINT_STATE, jazzy_types
+from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.control import LOOP_PARAMETERS
 from hpid_ros.recordings.series import Retune
 
@@ -81,7 +82,7 @@ def _stamps_before(places: Sequence[int], bag: Storage, states: str) -> list[int
 def _header_stamp_ns(raw: bytes) -> int:
     """Return the stamp of a message that begins with a header: its first eight bytes."""
     seconds, nanoseconds = struct.unpack_from("<iI" if raw[1] & 1 else ">iI", raw, 4)
-    return int(seconds) * 1_000_000_000 + int(nanoseconds)
+    return int(seconds) * NANOSECONDS + int(nanoseconds)
 
 
 def _retunes(raw: bytes, stamp_ns: int) -> Iterator[Retune]:

@@ -10,6 +10,7 @@ from typing import Any
 from sensor_msgs.msg import JointState
 
 from hpid_ros.base.errors import MessageError
+from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.nodes.bridge.commanders import Commanders, HeldCommands
 from hpid_ros.nodes.bridge.pace import BridgeTiming, read_pace
 from hpid_ros.nodes.bridge.reports import BridgeReports
@@ -30,7 +31,6 @@ _READINESS_PERIOD = 0.01  # [s]
 _LOOKS = 8  # at who is missing, in one answer_timeout
 _LAST_LOOK = 1.0 - 2.0 / _LOOKS  # of answer_timeout: the next look may be late, the limit holds
 _PROGRESS_PERIOD_NS = 100_000_000
-_NANOSECONDS = 1_000_000_000
 
 
 class PybulletBridge(executor.ClosingNode):
@@ -101,7 +101,7 @@ class PybulletBridge(executor.ClosingNode):
         commanders = self.count_publishers("joint_commands")
         if listeners < self._pace.subscribers or commanders < self._pace.publishers:
             now_ns = time.perf_counter_ns()
-            if now_ns - self._progressed_ns > _NANOSECONDS:
+            if now_ns - self._progressed_ns > NANOSECONDS:
                 self._progressed_ns = now_ns
                 self._status.send("waiting", listeners=listeners, commanders=commanders)
                 self.get_logger().info(
@@ -117,7 +117,7 @@ class PybulletBridge(executor.ClosingNode):
             steady_timer(self, self._pace.answer_timeout / _LOOKS, self._watch)
             self._publish_state()
         else:
-            period = self._world.settings.control_period_ns / _NANOSECONDS
+            period = self._world.settings.control_period_ns / NANOSECONDS
             self._publish_state()
             steady_timer(self, period / self._pace.real_time_factor, self._resume)
 
@@ -172,7 +172,7 @@ class PybulletBridge(executor.ClosingNode):
 
     def _watch(self) -> None:
         """Ask again when an answer is late, and go on without it when it is too late."""
-        waited = (time.perf_counter_ns() - self._timing.published_ns) / _NANOSECONDS
+        waited = (time.perf_counter_ns() - self._timing.published_ns) / NANOSECONDS
         timeout = self._pace.answer_timeout
         if self._barrier.is_abandoned:  # somebody may come back, and needs a state to answer
             self._states.publish(self._last_state)
@@ -221,7 +221,7 @@ class PybulletBridge(executor.ClosingNode):
             message = "waiting for controllers"
         conflict = self._commanders.conflict()
         values: dict[str, Any] = {
-            "simulated time [s]": self._world.time_ns / _NANOSECONDS,
+            "simulated time [s]": self._world.time_ns / NANOSECONDS,
             "misread commands": self._misread,
             "commands for other joints": self._barrier.foreign,
             **self._commanders.values(),

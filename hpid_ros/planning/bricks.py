@@ -21,6 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hpid_ros.base.errors import TrajectoryError
+from hpid_ros.base.units import SECONDS_PER_NANOSECOND
 from hpid_ros.planning.motion import ArmMotion, BaseMotion, PlanePose
 from hpid_ros.planning.plan import (
     BrickGoal,
@@ -35,7 +36,7 @@ from hpid_ros.robot.description import RobotDescription
 from hpid_ros.robot.kinematics import Kinematics, LinkPose, ReachError
 from hpid_ros.trajectory import JointTrajectory
 from hpid_ros.trajectory.combining import combined
-from hpid_ros.trajectory.spline import SECONDS_PER_NANOSECOND, segment
+from hpid_ros.trajectory.spline import segment
 
 _LOOKS = np.linspace(0.0, 1.0, 21)  # in each segment
 _SLACK = 1e-9  # of a limit, for rounding

@@ -10,6 +10,7 @@ import numpy.typing as npt
 from scipy.interpolate import make_interp_spline
 
 from hpid_ros.base.errors import TrajectoryError
+from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.robot.differential_drive import DifferentialDrive
 from hpid_ros.robot.kinematics import Kinematics, LinkPose
 from hpid_ros.trajectory import JointTrajectory, TrajectoryPoint
@@ -20,7 +21,6 @@ Vector = npt.NDArray[np.float64]
 PEAK = 1.875  # largest speed of a minimum-jerk motion over its mean speed
 _SHORTEST_REACH = 0.2  # [s]
 _TICK_NS = 1_000_000  # every piece ends at a whole millisecond
-_NANOSECONDS = 1_000_000_000
 _PIECE = 0.05  # [s] of a straight line between two solutions of the inverse kinematics
 _LARGEST_JUMP = 0.3  # [rad] between two neighbouring solutions on a line
 _DIGITS = 10  # of a knot: what is beyond is rounding of the solver, and differs by machine
@@ -104,7 +104,7 @@ class ArmMotion:
         if length == 0.0:
             return
         duration_ns = _whole(max(_SHORTEST_REACH, PEAK * length / speed))
-        count = max(4, math.ceil(duration_ns / _NANOSECONDS / _PIECE))
+        count = max(4, math.ceil(duration_ns / NANOSECONDS / _PIECE))
         shares = np.linspace(0.0, 1.0, count + 1)
         times_ns = [round(share * duration_ns) for share in shares]
         solutions = [self.positions]
@@ -138,7 +138,7 @@ class ArmMotion:
         """
         still = np.zeros_like(solutions[0])
         ends = [(1, still), (2, still)]
-        times = np.array(times_ns) / _NANOSECONDS
+        times = np.array(times_ns) / NANOSECONDS
         spline = make_interp_spline(times, np.array(solutions), k=5, bc_type=(ends, ends))
         values = [spline(times, nu=order).round(_DIGITS) for order in range(3)]
         for index in range(1, len(times_ns) - 1):
@@ -154,7 +154,7 @@ class ArmMotion:
 
 def _whole(seconds: float) -> int:
     """Return a time in [ns], rounded up to a whole tick."""
-    return math.ceil(round(seconds * _NANOSECONDS) / _TICK_NS) * _TICK_NS
+    return math.ceil(round(seconds * NANOSECONDS) / _TICK_NS) * _TICK_NS
 
 
 _SHORTEST_DRIVE = 0.4  # [s]
@@ -226,9 +226,9 @@ class BaseMotion:
             TrajectoryError: A piece asks for more than the limit.
         """
         if len(self._poses) == 1:
-            self._add(self.pose, self.time_ns + _NANOSECONDS)
+            self._add(self.pose, self.time_ns + NANOSECONDS)
         return base_path(
-            [time_ns / _NANOSECONDS for time_ns in self._times_ns],
+            [time_ns / NANOSECONDS for time_ns in self._times_ns],
             self._poses,
             base.left,
             base.right,

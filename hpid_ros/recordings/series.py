@@ -14,9 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hpid_ros.base.errors import HpidError
+from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.recordings.quality import RecordingQuality
-
-NANOSECONDS_PER_SECOND = 1e9
 
 
 class SeriesError(HpidError, ValueError):
@@ -213,7 +212,7 @@ class RunSeries:
     def duration(self) -> float:
         """Time from the first to the last state of any joint, in [s]."""
         last_ns = max(int(series.state_stamps_ns[-1]) for series in self.joints)
-        return (last_ns - self.start_ns) / NANOSECONDS_PER_SECOND
+        return (last_ns - self.start_ns) / NANOSECONDS
 
 
 def _own(values: ArrayLike, kind: type[np.generic]) -> NDArray[Any]:
@@ -235,7 +234,7 @@ def seconds_since(stamps_ns: NDArray[np.int64], origin_ns: int) -> NDArray[np.fl
         stamps_ns: Stamps, in [ns].
         origin_ns: The stamp that becomes zero, in [ns].
     """
-    return np.asarray((stamps_ns - origin_ns) / NANOSECONDS_PER_SECOND, dtype=np.float64)
+    return np.asarray((stamps_ns - origin_ns) / NANOSECONDS, dtype=np.float64)
 
 
 def require_finite(what: str, values: ArrayLike) -> None:

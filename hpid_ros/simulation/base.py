@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from hpid_ros.base.errors import SettingError
+from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.robot.differential_drive import BaseTwist, DifferentialDrive
 from hpid_ros.robot.odometry import Odometry, PlanarCovariance, PlanarPose, chord_share
 from hpid_ros.simulation.poses import Pose, Twist
@@ -77,8 +78,6 @@ class SlipMeter:
 REPORT_RATE = 50.0
 """How often odometry, truth and slip are told in an experiment, in [Hz]."""
 
-_NANOSECONDS = 1_000_000_000
-
 
 class ReportTimes:
     """Tells which states come with a report: the first, then one a period, and the last of all.
@@ -89,7 +88,7 @@ class ReportTimes:
     """
 
     def __init__(self, rate: float, end_ns: int | None = None) -> None:
-        self._period_ns = round(_NANOSECONDS / rate) if rate > 0.0 else 0
+        self._period_ns = round(NANOSECONDS / rate) if rate > 0.0 else 0
         self._end_ns = end_ns
         self._last_ns: int | None = None
 
@@ -203,7 +202,7 @@ class BaseMonitor:
             raise SettingError("a base can be reported when a state has been noted, not before")
         odometry = self._odometry
         then_ns, distance, turn = self._before
-        seconds = (self._stamp_ns - then_ns) / _NANOSECONDS
+        seconds = (self._stamp_ns - then_ns) / NANOSECONDS
         twist, variance = BaseTwist(0.0, 0.0), (0.0, 0.0)
         if seconds > 0.0:
             twist = odometry.twist_between(distance, turn, seconds)

@@ -17,10 +17,10 @@ from collections import deque
 from dataclasses import dataclass
 
 from hpid_ros.base.errors import SettingError
+from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.robot.description import JointDescription
 
 LARGEST_BITS = 32
-_NANOSECONDS = 1_000_000_000
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class Pwm:
             )
         if not 0.0 <= self.dead_band < 1.0:
             raise SettingError(f"pwm.dead_band {self.dead_band!r} must be in [0, 1)")
-        if not (math.isfinite(self.rate) and 0.0 <= self.rate <= _NANOSECONDS):
+        if not (math.isfinite(self.rate) and 0.0 <= self.rate <= NANOSECONDS):
             raise SettingError(f"pwm.rate {self.rate!r} must be a number from 0 to 1e9 [Hz]")
 
     @property
@@ -76,7 +76,7 @@ class Pwm:
         Args:
             time_ns: Simulated time, in [ns].
         """
-        return math.floor(time_ns * self.rate / _NANOSECONDS) if self.rate else time_ns
+        return math.floor(time_ns * self.rate / NANOSECONDS) if self.rate else time_ns
 
 
 DRIVES = ("current", "voltage")

@@ -20,7 +20,8 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from hpid_ros.trajectory.spline import SECONDS_PER_NANOSECOND, Knot, segment
+from hpid_ros.base.units import SECONDS_PER_NANOSECOND
+from hpid_ros.trajectory.spline import Knot, segment
 
 Numbers = NDArray[np.float64]
 

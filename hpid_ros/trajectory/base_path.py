@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpid_ros.base.errors import TrajectoryError
+from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.trajectory.base_legs import Drive, Leg, PathPose, TimeLaw, Turn, leg_knots
 from hpid_ros.trajectory.joint_trajectory import JointTrajectory, TrajectoryPoint
 from hpid_ros.trajectory.spline import Knot
@@ -17,7 +18,6 @@ from hpid_ros.trajectory.spline import Knot
 FORWARD, BACKWARD = "forward", "backward"
 DIRECTIONS = (FORWARD, BACKWARD)
 
-_NANOSECONDS = 1_000_000_000
 _SAME_PLACE = 1e-9  # [m]
 _SHORTEST_NS = 1_000_000  # of a leg
 _LOOKS = np.linspace(0.0, 1.0, 513)  # at a leg's limits
@@ -70,7 +70,7 @@ class BasePath:
     @property
     def times(self) -> tuple[float, ...]:
         """Times of the poses in [s]."""
-        return tuple(time / _NANOSECONDS for time in self._times_ns)
+        return tuple(time / NANOSECONDS for time in self._times_ns)
 
     def sample(self, times: Sequence[float] | Numbers) -> Numbers:
         """Return x [m], y [m] and the heading [rad], which does not wrap, at some times.
@@ -145,7 +145,7 @@ class BasePath:
 
     def _make_legs(self, passes: bool) -> tuple[Leg, ...]:
         pairs = list(pairwise(self.poses))
-        durations = np.diff(self._times_ns) / _NANOSECONDS
+        durations = np.diff(self._times_ns) / NANOSECONDS
         chords = [math.hypot(b.x - a.x, b.y - a.y) for a, b in pairs]
         means = [chord / time for chord, time in zip(chords, durations, strict=True)]
         speeds = [0.0] * len(self.poses)
@@ -228,7 +228,7 @@ def _checked_times(times: Sequence[float], count: int) -> tuple[int, ...]:
         )
     if not all(math.isfinite(time) for time in times):
         raise TrajectoryError(f"times of a path must be finite, not {list(times)} s")
-    in_ns = tuple(round(time * _NANOSECONDS) for time in times)
+    in_ns = tuple(round(time * NANOSECONDS) for time in times)
     if in_ns[0] < 0 or any(b - a < _SHORTEST_NS for a, b in pairwise(in_ns)):
         raise TrajectoryError(
             f"times of a path must increase from 0 or later by at least 1 ms, not {list(times)} s"

@@ -8,8 +8,9 @@ from itertools import pairwise
 from typing import NamedTuple
 
 from hpid_ros.base.errors import TrajectoryError
+from hpid_ros.base.units import SECONDS_PER_NANOSECOND
 from hpid_ros.trajectory.joint_trajectory import JointTrajectory, TrajectoryPoint
-from hpid_ros.trajectory.spline import SECONDS_PER_NANOSECOND, Column, segment
+from hpid_ros.trajectory.spline import Column, segment
 
 
 class _Values(NamedTuple):

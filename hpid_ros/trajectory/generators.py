@@ -10,9 +10,8 @@ import math
 from collections.abc import Mapping, Sequence
 
 from hpid_ros.base.errors import TrajectoryError
+from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.trajectory.joint_trajectory import JointTrajectory, TrajectoryPoint
-
-_NANOSECONDS = 1_000_000_000
 
 
 def minimum_jerk(
@@ -99,8 +98,8 @@ def sine(
     count = max(2, math.ceil(duration * fastest / (2.0 * math.pi) * knots_per_period))
     points = []
     for k in range(count + 1):
-        time_ns = round(duration * k / count * _NANOSECONDS)
-        phases = [(o, a, w, w * time_ns / _NANOSECONDS + p) for o, a, w, p in signals]
+        time_ns = round(duration * k / count * NANOSECONDS)
+        phases = [(o, a, w, w * time_ns / NANOSECONDS + p) for o, a, w, p in signals]
         points.append(
             TrajectoryPoint(
                 time_ns,
@@ -124,4 +123,4 @@ def _check_lengths(times: Sequence[float], positions: Mapping[str, Sequence[floa
 def _ns(time: float) -> int:
     if not math.isfinite(time):
         raise TrajectoryError(f"a time must be finite, not {time} s")
-    return round(time * _NANOSECONDS)
+    return round(time * NANOSECONDS)

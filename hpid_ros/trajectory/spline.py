@@ -18,7 +18,8 @@ from dataclasses import dataclass
 from operator import itemgetter
 from typing import NamedTuple
 
-SECONDS_PER_NANOSECOND = 1e-9
+from hpid_ros.base.units import SECONDS_PER_NANOSECOND
+
 _FOREVER = 2**63 - 1
 
 _Coefficients = tuple[float, float, float, float, float, float]

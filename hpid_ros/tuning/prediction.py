@@ -10,6 +10,7 @@ from concurrent.futures.process import BrokenProcessPool
 
 from hpid_ros.analysis import Comparison, RunIndices, run_indices
 from hpid_ros.base.errors import RunError
+from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.compensation.build import compensators
 from hpid_ros.control import JointLoop, LoopSettings
 from hpid_ros.control.reference import Motion
@@ -18,7 +19,6 @@ from hpid_ros.simulation import World, WorldSettings
 from hpid_ros.simulation.engine import record_run
 from hpid_ros.trajectory import Column, Knot
 
-_NANOSECONDS = 1_000_000_000
 _STEP_DURATION = 3.0  # [s]
 _PHYSICS_STEPS = 2  # in a period: half the time, and no ratio moved by more than 0.01
 
@@ -53,7 +53,7 @@ def predict(
     series = {each.joint: each for each in recorded if each.joint in joints}
     start = dict(initial_positions or {})
     start |= {name: float(each.position[0]) for name, each in series.items()}
-    period_ns = round(first[0].control_period * _NANOSECONDS)
+    period_ns = round(first[0].control_period * NANOSECONDS)
     world = WorldSettings(
         robot_description=robot,
         joints=joints,
@@ -68,7 +68,7 @@ def predict(
         for each in first
     }
     duration = max((float(each.time[-1]) for each in series.values()), default=_STEP_DURATION)
-    periods = math.floor(duration * _NANOSECONDS / period_ns)
+    periods = math.floor(duration * NANOSECONDS / period_ns)
     indices = {}
     with ProcessPoolExecutor(min(len(loops), len(os.sched_getaffinity(0)))) as pool:
         futures = {

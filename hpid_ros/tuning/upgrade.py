@@ -11,6 +11,7 @@ import numpy as np
 from hpid_ros.analysis.comparison import Comparison
 from hpid_ros.analysis.quantities import ITAE, IVC, Quantity
 from hpid_ros.base.errors import GainError, HpidError, NormError, SettingError
+from hpid_ros.base.units import SECONDS_PER_NANOSECOND
 from hpid_ros.control import HomogeneousPid, LoopSettings
 from hpid_ros.control.norms import GOOD_SAMPLING_MARGIN
 from hpid_ros.control.settings.table import LARGEST_EFFORT
@@ -23,7 +24,6 @@ from hpid_ros.stability.bounds import (
 from hpid_ros.stability.certificate import DegreeInterval
 from hpid_ros.stability.degrees import certified_degrees
 
-_NANOSECONDS = 1e-9
 _LEAST_STATES = 10
 _SAME_STEP = 1e-9  # [rad]; closer positions are the same count, told apart by rounding
 
@@ -66,7 +66,7 @@ def loop_statistics(series: JointSeries, filter_time_constant: float) -> LoopSta
     largest = float(np.max(np.abs(error)))
     if largest == 0.0:
         raise SettingError(f"the error of {series.joint!r} is zero throughout the bag")
-    period = float(np.median(np.diff(series.state_stamps_ns))) * _NANOSECONDS
+    period = float(np.median(np.diff(series.state_stamps_ns))) * SECONDS_PER_NANOSECOND
     return LoopStatistics(
         largest_error=largest,
         largest_rate=_largest_rate(series, filter_time_constant),

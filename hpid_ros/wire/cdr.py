@@ -11,9 +11,9 @@ from __future__ import annotations
 import struct
 
 from hpid_ros.base.errors import MessageError
+from hpid_ros.base.units import NANOSECONDS
 
 ENCAPSULATION = 4
-NANOSECONDS = 1_000_000_000
 _BYTE_ORDERS = {0: ">", 1: "<"}
 _DOUBLE = 8
 

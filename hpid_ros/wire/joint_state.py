@@ -18,7 +18,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from hpid_ros.base.errors import MessageError
-from hpid_ros.wire.cdr import ENCAPSULATION, NANOSECONDS, Cursor, require_nanoseconds
+from hpid_ros.base.units import NANOSECONDS
+from hpid_ros.wire.cdr import ENCAPSULATION, Cursor, require_nanoseconds
 
 _LITTLE_ENDIAN = b"\x00\x01\x00\x00"
 _COUNT = struct.Struct("<I")

@@ -18,7 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpid_ros.base.errors import MessageError
-from hpid_ros.wire.cdr import ENCAPSULATION, NANOSECONDS, Cursor, require_nanoseconds
+from hpid_ros.base.units import NANOSECONDS
+from hpid_ros.wire.cdr import ENCAPSULATION, Cursor, require_nanoseconds
 
 MOST_POINTS = 50_000
 """Points of one layout that a message may have."""

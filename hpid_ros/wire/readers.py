@@ -8,7 +8,8 @@ from operator import itemgetter
 from typing import NamedTuple
 
 from hpid_ros.base.errors import MessageError
-from hpid_ros.wire.cdr import NANOSECONDS, require_nanoseconds
+from hpid_ros.base.units import NANOSECONDS
+from hpid_ros.wire.cdr import require_nanoseconds
 from hpid_ros.wire.joint_state import (
     NAMES_OFFSET,
     STAMP_OFFSET,

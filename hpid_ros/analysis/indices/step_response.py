@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpid_ros.analysis.indices.integrals import exact_sum
-from hpid_ros.recordings.series import NANOSECONDS_PER_SECOND, JointSeries
+from hpid_ros.base.units import NANOSECONDS
+from hpid_ros.recordings.series import JointSeries
 
 SHORTEST_HOLD = 0.1
 """A reference that moves again within this time has not stepped, in [s]."""
@@ -105,7 +106,7 @@ def _holds(
     edges = np.flatnonzero(is_same[1:] != is_same[:-1])
     pairs = {int(first): int(last) + 1 for first, last in edges.reshape(-1, 2)}
     # A value of one sample holds as well, where the next sample is late.
-    least_ns = round(SHORTEST_HOLD * NANOSECONDS_PER_SECOND)
+    least_ns = round(SHORTEST_HOLD * NANOSECONDS)
     for index in np.flatnonzero(np.diff(stamps_ns) >= least_ns):
         if not is_same[index] and not is_same[index + 1]:
             pairs[int(index)] = int(index) + 1

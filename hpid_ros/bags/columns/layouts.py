@@ -20,6 +20,7 @@ import numpy as np
 
 from hpid_ros.bags.columns.batches import WORD, Integers, Numbers, Words
 from hpid_ros.base.errors import MessageError
+from hpid_ros.base.units import NANOSECONDS
 
 ENCAPSULATION = 4
 _DOUBLE = 8
@@ -135,8 +136,6 @@ FLOAT64 = "std_msgs/msg/Float64"
 FLOAT64_MULTI_ARRAY = "std_msgs/msg/Float64MultiArray"
 CONTROLLER_STATE = "control_msgs/msg/JointTrajectoryControllerState"
 
-_NS_PER_S = 1_000_000_000
-
 
 @dataclass(frozen=True, eq=False)
 class Layout:
@@ -187,7 +186,7 @@ class Layout:
         # A header is the first field, so that its stamp is one whole word of the row.
         words = np.ascontiguousarray(rows[:, (self.stamp + ENCAPSULATION) // WORD][which])
         stamps = words.view(f"{self.order}i4")[::2].astype(np.int64)
-        stamps *= _NS_PER_S
+        stamps *= NANOSECONDS
         stamps += words.view(f"{self.order}u4")[1::2]
         return stamps
 

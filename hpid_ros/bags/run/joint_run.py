@@ -22,11 +22,11 @@ from hpid_ros.bags.run.references import (
 )
 from hpid_ros.bags.run.stamps import Ordered, carried, finite, ordered, stamp_quality
 from hpid_ros.bags.selection import BagSelection
+from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.recordings.quality import HOLD, MEASURED, NO_EFFORT, NONE, DataQuality, StampQuality
 from hpid_ros.recordings.series import JointSeries, Losses, SeriesError
 from hpid_ros.trajectory import JointTrajectory
 
-_NS_PER_S = 1_000_000_000
 _FOREVER_NS = 2**63 - 1
 _EMPTY = Ordered(np.empty(0, dtype=np.int64), np.empty(0))
 
@@ -47,8 +47,8 @@ class Window(NamedTuple):
     @classmethod
     def of(cls, origin_ns: int, start: float | None, end: float | None) -> Window:
         """Return the window between two times since the first state, in [s]; None is no bound."""
-        first_ns = -_FOREVER_NS if start is None else origin_ns + round(start * _NS_PER_S)
-        last_ns = _FOREVER_NS if end is None else origin_ns + round(end * _NS_PER_S)
+        first_ns = -_FOREVER_NS if start is None else origin_ns + round(start * NANOSECONDS)
+        last_ns = _FOREVER_NS if end is None else origin_ns + round(end * NANOSECONDS)
         return cls(origin_ns, first_ns, last_ns)
 
 
@@ -313,7 +313,7 @@ class JointRun:
 
 
 def _seconds(difference_ns: int) -> float:
-    return difference_ns / _NS_PER_S
+    return difference_ns / NANOSECONDS
 
 
 def _quality(samples: Ordered, window: Window) -> StampQuality:

@@ -8,6 +8,7 @@ import numpy as np
 
 from hpid_ros.bags.columns.batches import Integers, Numbers
 from hpid_ros.bags.columns.samples import JointSamples
+from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.recordings.quality import StampQuality
 
 
@@ -95,7 +96,6 @@ def carried(
     return result
 
 
-_NS_PER_S = 1e9
 _LATE = 1.5
 """Periods between two stamps from which on a sample is taken to be missing."""
 
@@ -120,7 +120,7 @@ def stamp_quality(
     counts = {"repeated": repeated, "out_of_order": out_of_order, "not_finite": not_finite}
     if not len(stamps_ns):
         return StampQuality(**counts)
-    begin, end = ((int(stamps_ns[k]) - origin_ns) / _NS_PER_S for k in (0, -1))
+    begin, end = ((int(stamps_ns[k]) - origin_ns) / NANOSECONDS for k in (0, -1))
     if len(stamps_ns) < 2:
         return StampQuality(count=1, begin=begin, end=end, **counts)
     steps = np.diff(stamps_ns)
@@ -132,13 +132,13 @@ def stamp_quality(
     room = round(int(stamps_ns[-1] - stamps_ns[0]) / period) + 1 - len(stamps_ns)
     return StampQuality(
         count=len(stamps_ns),
-        period=period / _NS_PER_S,
+        period=period / NANOSECONDS,
         begin=begin,
         end=end,
         gaps=len(late),
         lost=max(min(missing, room), 0),
-        gap_time=float(np.sum(steps[late])) / _NS_PER_S,
-        longest_gap=float(steps[longest]) / _NS_PER_S if len(late) else 0.0,
-        longest_gap_at=((int(stamps_ns[longest]) - origin_ns) / _NS_PER_S if len(late) else 0.0),
+        gap_time=float(np.sum(steps[late])) / NANOSECONDS,
+        longest_gap=float(steps[longest]) / NANOSECONDS if len(late) else 0.0,
+        longest_gap_at=((int(stamps_ns[longest]) - origin_ns) / NANOSECONDS if len(late) else 0.0),
         **counts,
     )

@@ -6,12 +6,12 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.cli.commands import DONE
 
 if TYPE_CHECKING:
     from hpid_ros.bags.repair import Repair
 
-_NS_PER_S = 1e9
 
 _EXAMPLES = """\
 examples:
@@ -61,7 +61,7 @@ def _told(repair: Repair) -> list[str]:
     """Return what a person wants to know of a repair, a line each."""
     lines = [f"saved: {count} messages on {name}" for name, count in sorted(repair.saved.items())]
     if repair.span_ns is not None:
-        first, last = (time_ns / _NS_PER_S for time_ns in repair.span_ns)
+        first, last = (time_ns / NANOSECONDS for time_ns in repair.span_ns)
         lines.append(f"saved: {last - first:.3f} s, from {first:.3f} s to {last:.3f} s")
     lines += [f"lost: {line}" for line in repair.unreadable] or ["lost: nothing"]
     return [*lines, f"written: {repair.target}"]

@@ -15,6 +15,7 @@ from typing import Any
 import yaml
 
 from hpid_ros.base.names import ANYWHERE, controller_name
+from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.control import LoopSettings
 from hpid_ros.experiment.description import Experiment
 from hpid_ros.robot.differential_drive import DifferentialDrive
@@ -24,8 +25,6 @@ from hpid_ros.simulation.sensors import Homing
 from hpid_ros.simulation.settings import WorldSettings
 from hpid_ros.simulation.world.disturbances import Disturbances
 from hpid_ros.simulation.world.workpieces import Support, Workplace
-
-_NANOSECONDS = 1_000_000_000
 
 
 def scene_document(workplace: Workplace) -> dict[str, Any]:
@@ -43,7 +42,7 @@ def scene_document(workplace: Workplace) -> dict[str, Any]:
         document["gripper"] = asdict(workplace.gripper)
     if workplace.schedule:
         document["gripper_schedule"] = {
-            "times": [command.time_ns / _NANOSECONDS for command in workplace.schedule],
+            "times": [command.time_ns / NANOSECONDS for command in workplace.schedule],
             "closed": [command.is_closed for command in workplace.schedule],
         }
     return document
@@ -87,7 +86,7 @@ def bridge_document(experiment: Experiment) -> dict[str, Any]:
             "ros__parameters": {
                 "robot_description": str(world.robot_description),
                 "joints": list(world.joints),
-                "control_rate": _NANOSECONDS / world.control_period_ns,
+                "control_rate": NANOSECONDS / world.control_period_ns,
                 "physics_steps": world.physics_steps,
                 "initial_positions": [
                     float(world.initial_positions.get(joint, 0.0)) for joint in world.joints
@@ -141,7 +140,7 @@ def _payload(disturbances: Disturbances) -> dict[str, Any]:
     if not changes:
         return {}
     return {
-        "times": [change.time_ns / _NANOSECONDS for change in changes],
+        "times": [change.time_ns / NANOSECONDS for change in changes],
         "masses": [change.mass for change in changes],
     }
 
@@ -154,8 +153,8 @@ def _wrenches(disturbances: Disturbances) -> dict[str, Any]:
         "links": [pulse.link for pulse in pulses],
         "forces": [component for pulse in pulses for component in pulse.force],
         "torques": [component for pulse in pulses for component in pulse.torque],
-        "starts": [pulse.start_ns / _NANOSECONDS for pulse in pulses],
-        "durations": [pulse.duration_ns / _NANOSECONDS for pulse in pulses],
+        "starts": [pulse.start_ns / NANOSECONDS for pulse in pulses],
+        "durations": [pulse.duration_ns / NANOSECONDS for pulse in pulses],
     }
 
 

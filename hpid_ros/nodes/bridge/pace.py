@@ -11,9 +11,8 @@ from rclpy.node import Node
 
 from hpid_ros.base.durations import Durations
 from hpid_ros.base.errors import SettingError
+from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.nodes.ros.parameters import read_number, read_only
-
-_NANOSECONDS = 1_000_000_000
 
 
 class BridgeTiming:
@@ -51,7 +50,7 @@ class BridgeTiming:
     @property
     def elapsed(self) -> float:
         """Time since the first state was published, in [s]."""
-        return (time.perf_counter_ns() - self._first_ns) / _NANOSECONDS
+        return (time.perf_counter_ns() - self._first_ns) / NANOSECONDS
 
     def recent(self, simulated_ns: int) -> dict[str, float]:
         """Return the figures since the last call, with their units, for ``/diagnostics``.
@@ -119,7 +118,7 @@ class Pace:
         """Silence of a joint's publisher after which another one may command it, in [s]."""
         if self.is_lockstep:
             return min(self.answer_timeout, _RESTART_TAKES)
-        return self.command_timeout_ns / _NANOSECONDS / self.real_time_factor
+        return self.command_timeout_ns / NANOSECONDS / self.real_time_factor
 
 
 def read_pace(node: Node, joints: int) -> Pace:
@@ -148,7 +147,7 @@ def read_pace(node: Node, joints: int) -> Pace:
     )
     return Pace(
         is_lockstep=mode == "lockstep",
-        end_ns=round(duration * _NANOSECONDS) if duration > 0.0 else None,
+        end_ns=round(duration * NANOSECONDS) if duration > 0.0 else None,
         exits=read_only(node, "exit_when_done", True, "End the process after the last state"),
         real_time_factor=positive(
             "real_time_factor", 1.0, "Simulated time per wall time in realtime"
@@ -156,7 +155,7 @@ def read_pace(node: Node, joints: int) -> Pace:
         answer_timeout=positive(
             "answer_timeout", 2.0, "Wall time that lockstep waits for one answer [s]"
         ),
-        command_timeout_ns=round(timeout * _NANOSECONDS),
+        command_timeout_ns=round(timeout * NANOSECONDS),
         subscribers=read_only(
             node, "wait_for_subscribers", everyone, "Subscribers that states must have first"
         ),

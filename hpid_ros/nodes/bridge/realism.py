@@ -9,6 +9,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from hpid_ros.base.errors import SettingError
+from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.nodes.ros.parameters import read_only
 from hpid_ros.simulation.columns import column_types, from_columns
 from hpid_ros.simulation.drives import DriveSettings, Motor, Pwm
@@ -17,7 +18,6 @@ from hpid_ros.simulation.world.disturbances import Disturbances, PayloadChange, 
 
 Model = TypeVar("Model", Motor, Pwm, Homing)
 
-_NANOSECONDS = 1_000_000_000
 _LONGEST = 1e5  # [s], of a schedule
 _ARRAYS = {
     "float": Parameter.Type.DOUBLE_ARRAY,
@@ -199,4 +199,4 @@ def _ns(seconds: float) -> int:
     """
     if not 0.0 <= seconds <= _LONGEST:
         raise SettingError(f"time {seconds} s of a schedule must lie in [0, {_LONGEST:g}] s")
-    return round(seconds * _NANOSECONDS)
+    return round(seconds * NANOSECONDS)

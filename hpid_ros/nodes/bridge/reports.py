@@ -14,6 +14,7 @@ from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool
 
 from hpid_ros.base.errors import SettingError
+from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.nodes.ros.middleware import OFFERED, RARE
 from hpid_ros.nodes.ros.parameters import read_number, read_only
 from hpid_ros.robot.description import RobotDescription
@@ -176,9 +177,6 @@ def _vector(values: tuple[float, float, float]) -> Vector3:
     return Vector3(x=x, y=y, z=z)
 
 
-_NANOSECONDS = 1_000_000_000
-
-
 class BridgeTask:
     """Publishes ``ee_pose`` and, among bricks, ``brick_poses`` and ``grip_events``.
 
@@ -264,7 +262,7 @@ class BridgeTask:
             values=[KeyValue(key=key, value=value) for key, value in values.items()],
         )
         array = DiagnosticArray(status=[status])
-        seconds, rest = divmod(event.stamp_ns, _NANOSECONDS)
+        seconds, rest = divmod(event.stamp_ns, NANOSECONDS)
         array.header.stamp = Time(sec=seconds, nanosec=rest)
         self._events.publish(array)
         self._counts[self._events.topic_name] += 1
@@ -289,7 +287,7 @@ class BridgeTask:
 
 def _words(event: GripEvent) -> str:
     reason = f": {event.reason}" if event.reason else ""
-    return f"{event.brick} {event.outcome} at {event.stamp_ns / _NANOSECONDS:.3f} s{reason}"
+    return f"{event.brick} {event.outcome} at {event.stamp_ns / NANOSECONDS:.3f} s{reason}"
 
 
 class BridgeReports:
@@ -351,7 +349,7 @@ class BridgeReports:
         self._base.note(positions)
         if not self._times.is_due(stamp_ns):
             return
-        stamp = Time(sec=stamp_ns // _NANOSECONDS, nanosec=stamp_ns % _NANOSECONDS)
+        stamp = Time(sec=stamp_ns // NANOSECONDS, nanosec=stamp_ns % NANOSECONDS)
         self._clock.publish(Clock(clock=stamp))
         self._base.publish(stamp)
         self._task.publish(stamp)

@@ -9,11 +9,10 @@ from rclpy.node import Node
 from std_srvs.srv import SetBool, Trigger
 
 from hpid_ros.base.errors import HpidError
+from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.nodes.ros.middleware import RARE
 from hpid_ros.nodes.ros.parameters import read_number
 from hpid_ros.simulation.world.world import World
-
-_NANOSECONDS = 1_000_000_000
 
 
 class BridgeServices:
@@ -52,7 +51,7 @@ class BridgeServices:
             "How long one message on ~/wrench pushes [s]",
             (1e-6, 3600.0),
         )
-        self._wrench_ns = round(duration * _NANOSECONDS)
+        self._wrench_ns = round(duration * NANOSECONDS)
         node.create_service(SetBool, "~/pause", self._on_pause)
         node.create_service(Trigger, "~/step", self._on_step)
         node.create_service(Trigger, "~/reset", self._on_reset)
@@ -109,4 +108,4 @@ class BridgeServices:
             self._node.get_logger().warning(f"wrench refused: {error}")
 
     def _told(self, what: str) -> str:
-        return f"{what} at {self._world.time_ns / _NANOSECONDS:.3f} s"
+        return f"{what} at {self._world.time_ns / NANOSECONDS:.3f} s"

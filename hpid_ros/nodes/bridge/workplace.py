@@ -8,6 +8,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from hpid_ros.base.errors import SettingError
+from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.nodes.ros.parameters import read_only
 from hpid_ros.simulation.world.disturbances import vector
 from hpid_ros.simulation.world.workpieces import (
@@ -18,7 +19,6 @@ from hpid_ros.simulation.world.workpieces import (
     Workplace,
 )
 
-_NANOSECONDS = 1_000_000_000
 _LONGEST = 1e5  # [s]
 _DOUBLES, _TEXTS = Parameter.Type.DOUBLE_ARRAY, Parameter.Type.STRING_ARRAY
 _OF_BOX = {
@@ -120,6 +120,6 @@ def _schedule(node: Node) -> list[GripCommand]:
                 f"time {time} s of gripper_schedule must lie in [0, {_LONGEST:g}] s"
             )
     return [
-        GripCommand(round(time * _NANOSECONDS), is_closed)
+        GripCommand(round(time * NANOSECONDS), is_closed)
         for time, is_closed in zip(times, closed, strict=True)
     ]

@@ -10,6 +10,7 @@ from rclpy.parameter import Parameter
 
 from hpid_ros.base.errors import SettingError
 from hpid_ros.base.resources import find_resource
+from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.nodes.bridge import realism as realism_parameters
 from hpid_ros.nodes.bridge.realism import along
 from hpid_ros.nodes.bridge.reports import base_parameters
@@ -17,8 +18,6 @@ from hpid_ros.nodes.bridge.workplace import workplace
 from hpid_ros.nodes.ros.parameters import read_only
 from hpid_ros.robot.description import RobotDescription
 from hpid_ros.simulation.settings import WorldSettings
-
-_NANOSECONDS = 1_000_000_000
 
 
 def world_settings(node: Node) -> WorldSettings:
@@ -73,7 +72,7 @@ def world_settings(node: Node) -> WorldSettings:
     return WorldSettings(
         robot_description=source,
         joints=joints,
-        control_period_ns=round(_NANOSECONDS / rate),
+        control_period_ns=round(NANOSECONDS / rate),
         physics_steps=int(
             read_only(node, "physics_steps", 4, "Physics steps in one control period")
         ),

@@ -16,10 +16,10 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64, Float64MultiArray
 
 from hpid_ros.base.errors import SettingError
+from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.nodes.ros.middleware import OFFERED, overridable
 from hpid_ros.wire import JointStateTemplate
 
-_NANOSECONDS = 1_000_000_000
 _LOCK_WITHIN = 0.2  # [s]; whoever holds it longer is stuck in the middleware, as we would be
 
 
@@ -128,7 +128,7 @@ def unanswering(stamp_ns: int) -> int:
     A bridge in lock-step passes it over, so that a simulation that was paused goes on as if
     nothing had been; a robot, or a bridge in realtime, acts on it.
     """
-    return stamp_ns + 1 if (stamp_ns + 1) % _NANOSECONDS else stamp_ns - 1
+    return stamp_ns + 1 if (stamp_ns + 1) % NANOSECONDS else stamp_ns - 1
 
 
 class Commands:

@@ -5,12 +5,11 @@ from __future__ import annotations
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 
+from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.control import JointLoop
 from hpid_ros.nodes.ros.middleware import RARE
 from hpid_ros.nodes.ros.parameters import read_number
 from hpid_ros.wire import JointStateTemplate
-
-_NANOSECONDS = 1_000_000_000
 
 
 class Introspection:
@@ -33,7 +32,7 @@ class Introspection:
             "Rate of ~/reference and ~/terms [Hz]; 0 is off, negative is every sample",
             (-1e6, 1e6),
         )
-        self._period_ns = round(_NANOSECONDS / rate) if rate > 0.0 else 0
+        self._period_ns = round(NANOSECONDS / rate) if rate > 0.0 else 0
         self._is_on = rate != 0.0
         self._has_model = has_model
         self._last_ns: int | None = None

@@ -79,10 +79,7 @@ class ModelCompensation:
             sample: The joint's own part of the state.
             raw: The serialised state.
         """
-        term = self._term(sample.stamp_ns, raw)
-        if term is None:
-            return loop.reject(sample.stamp_ns, f"no model term: {self.fault}")
-        return loop.step(*sample, term)
+        return self._compensator.answer(loop, *sample, self._term(sample.stamp_ns, raw))
 
     def _term(self, stamp_ns: int, raw: bytes) -> ModelTerm | None:
         """Return the model's term of a state; None when it has none that may be used."""

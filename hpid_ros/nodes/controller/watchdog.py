@@ -8,13 +8,13 @@ from collections.abc import Callable
 
 from rclpy.timer import Timer
 
+from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.nodes.ros.executor import ClosingNode
 from hpid_ros.nodes.ros.parameters import read_only
 from hpid_ros.nodes.ros.steady_timer import steady_timer
 
 _LOOKS = 4.0  # in one timeout
 _SHORTEST_PERIOD = 1e-3  # [s] between two looks
-_NANOSECONDS = 1_000_000_000
 
 
 class StateWatchdog:
@@ -102,7 +102,7 @@ class StateWatchdog:
         before_ns, self._stamp_ns, self._last_ns = self._last_ns, stamp_ns, now_ns
         if self._timer is None or before_ns is None or before_ns == self._noticed_ns:
             return False
-        silence = (now_ns - before_ns) / _NANOSECONDS
+        silence = (now_ns - before_ns) / NANOSECONDS
         if before_ns == self._given_ns:
             self._note(silence, True)
             return False
@@ -125,7 +125,7 @@ class StateWatchdog:
     def _silence(self) -> float:
         """Return the time since the last new state in [s]; 0 before the first."""
         last_ns = self._last_ns
-        return 0.0 if last_ns is None else (time.perf_counter_ns() - last_ns) / _NANOSECONDS
+        return 0.0 if last_ns is None else (time.perf_counter_ns() - last_ns) / NANOSECONDS
 
     def _look(self) -> None:
         last_ns, silence = self._last_ns, self._silence()

@@ -6,11 +6,10 @@ from builtin_interfaces.msg import Duration, Time
 from trajectory_msgs.msg import JointTrajectory as JointTrajectoryMessage
 from trajectory_msgs.msg import JointTrajectoryPoint
 
+from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.trajectory import Column, JointTrajectory, TrajectoryPoint
 from hpid_ros.trajectory.joint_trajectory import column_from_arrays
 from hpid_ros.wire import MixedTrajectory, TrajectoryArrays, decode_trajectory
-
-_NANOSECONDS = 1_000_000_000
 
 
 def from_message(message: JointTrajectoryMessage) -> JointTrajectory:
@@ -24,14 +23,14 @@ def from_message(message: JointTrajectoryMessage) -> JointTrajectory:
         tuple(message.joint_names),
         tuple(
             TrajectoryPoint(
-                point.time_from_start.sec * _NANOSECONDS + point.time_from_start.nanosec,
+                point.time_from_start.sec * NANOSECONDS + point.time_from_start.nanosec,
                 tuple(point.positions),
                 tuple(point.velocities),
                 tuple(point.accelerations),
             )
             for point in message.points
         ),
-        stamp.sec * _NANOSECONDS + stamp.nanosec,
+        stamp.sec * NANOSECONDS + stamp.nanosec,
     )
 
 
@@ -80,11 +79,11 @@ def column_of(decoded: TrajectoryArrays | MixedTrajectory, joint: str) -> Column
 
 def to_message(trajectory: JointTrajectory) -> JointTrajectoryMessage:
     """Return the message of a trajectory."""
-    seconds, nanoseconds = divmod(trajectory.stamp_ns, _NANOSECONDS)
+    seconds, nanoseconds = divmod(trajectory.stamp_ns, NANOSECONDS)
     message = JointTrajectoryMessage(joint_names=list(trajectory.joint_names))
     message.header.stamp = Time(sec=seconds, nanosec=nanoseconds)
     for point in trajectory.points:
-        seconds, nanoseconds = divmod(point.time_from_start_ns, _NANOSECONDS)
+        seconds, nanoseconds = divmod(point.time_from_start_ns, NANOSECONDS)
         message.points.append(
             JointTrajectoryPoint(
                 positions=point.positions,
