@@ -26,7 +26,7 @@ from hpid_ros.experiment.graph import processes as node_process
 from hpid_ros.experiment.graph import run as graph_run
 from hpid_ros.experiment.graph.nodes import GraphNodes
 from hpid_ros.experiment.graph.options import GraphOptions
-from hpid_ros.experiment.progress import Silence
+from hpid_ros.experiment.progress import NoProgress
 
 _WITHOUT_EVENTS = Path(__file__).parent / "without_events_executor"
 _PRIORITY = 50
@@ -98,7 +98,9 @@ def rate(variant: str, seconds: float) -> float:
     """
     experiment = replace(tracking(physics_steps=1), duration=seconds)
     with TemporaryDirectory(prefix="hpid_bench_") as folder, VARIANTS[variant]() as options:
-        report = graph_run.run_on_graph(experiment, "hPID", None, Path(folder), Silence(), options)
+        report = graph_run.run_on_graph(
+            experiment, "hPID", None, Path(folder), NoProgress(), options
+        )
     return report.rate
 
 

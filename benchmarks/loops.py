@@ -12,7 +12,7 @@ from benchmarks.ours_graph import run_checked, run_ours, timing_of
 from benchmarks.tracking import tracking
 from hpid_ros.experiment.description import Experiment
 from hpid_ros.experiment.graph.options import GraphOptions
-from hpid_ros.experiment.progress import Silence
+from hpid_ros.experiment.progress import NoProgress
 
 LABEL = "hPID"
 
@@ -96,7 +96,7 @@ def _jitter(seconds: float) -> Group:
     def measure() -> Mapping[str, float]:
         stolen = _stolen_time()
         options = GraphOptions(is_recorded=False, is_realtime=True)
-        timing = timing_of(run_checked(tracking(1, seconds), LABEL, options, Silence()))
+        timing = timing_of(run_checked(tracking(1, seconds), LABEL, options, NoProgress()))
         worst = max(timing.joints.values(), key=lambda joint: joint.period.p99)
         return {
             "p99": worst.period.p99,

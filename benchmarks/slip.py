@@ -22,7 +22,7 @@ from hpid_ros.base.resources import find_resource, share_folder
 from hpid_ros.documents.yaml_files import load_yaml
 from hpid_ros.experiment.description import load_experiment
 from hpid_ros.experiment.in_process import run_without_ros
-from hpid_ros.experiment.progress import Silence
+from hpid_ros.experiment.progress import NoProgress
 from hpid_ros.experiment.result.result import compute
 
 _LABEL = "PID"
@@ -110,7 +110,7 @@ def driven(drive: Drive, folder: Path) -> BaseFigures:
     path = folder / "drive.yaml"
     path.write_text(yaml.safe_dump(_document(drive, folder)), encoding="utf-8")
     experiment = load_experiment(path)
-    run_without_ros(experiment, _LABEL, folder / "bag", Silence())
+    run_without_ros(experiment, _LABEL, folder / "bag", NoProgress())
     return compute(experiment, {_LABEL: folder / "bag"}).base[_LABEL]
 
 

@@ -56,7 +56,7 @@ _CHECKSUM_OFFSET = 9 + 3 * 8
 """After opcode, length, first and last log time and size of a chunk record (MCAP, version 0)."""
 
 
-class SoonOnDiskMcapWriter(McapWriter):
+class FlushingMcapWriter(McapWriter):
     """MCAP storage that closes a chunk after half a second of log time and flushes each.
 
     Every chunk has a checksum.
@@ -134,18 +134,18 @@ class SoonOnDiskMcapWriter(McapWriter):
         self.bio.seek(start)
 
 
-class SoonOnDiskWriter(Writer):
-    """The rosbag2 writer of rosbags with :class:`SoonOnDiskMcapWriter` as its only storage."""
+class FlushingWriter(Writer):
+    """The rosbag2 writer of rosbags with :class:`FlushingMcapWriter` as its only storage."""
 
-    STORAGE_PLUGINS = {StoragePlugin.MCAP: SoonOnDiskMcapWriter}  # noqa: RUF012 (as in the base)
+    STORAGE_PLUGINS = {StoragePlugin.MCAP: FlushingMcapWriter}  # noqa: RUF012 (as in the base)
 
     def __init__(self, path: Path) -> None:
         super().__init__(path, version=9, storage_plugin=StoragePlugin.MCAP)
 
     @property
-    def mcap(self) -> SoonOnDiskMcapWriter | None:
+    def mcap(self) -> FlushingMcapWriter | None:
         """The open storage, or None before opening and after closing."""
-        return self.storage if isinstance(self.storage, SoonOnDiskMcapWriter) else None
+        return self.storage if isinstance(self.storage, FlushingMcapWriter) else None
 
     def count_what_is_stored(self) -> None:
         """Take counts and times from the storage, after it had to drop messages."""
@@ -213,7 +213,7 @@ class BagWriter:
         self._is_gone = False
         self._is_closed = False
         try:
-            self._writer = SoonOnDiskWriter(self.path)
+            self._writer = FlushingWriter(self.path)
             for name, text in (metadata or {}).items():
                 self.describe(name, text)
             self._writer.open()

@@ -14,7 +14,7 @@ _BINS_PER_DECADE = 200  # neighbours differ by 1.2 %
 _BINS = (_DECADES[1] - _DECADES[0]) * _BINS_PER_DECADE
 
 
-class Spread(NamedTuple):
+class DurationSpread(NamedTuple):
     """How a set of durations is distributed.
 
     Attributes:
@@ -30,7 +30,7 @@ class Spread(NamedTuple):
     maximum: float
 
 
-NOTHING = Spread(0, 0.0, 0.0, 0.0)
+NOTHING = DurationSpread(0, 0.0, 0.0, 0.0)
 """Of no durations at all."""
 
 
@@ -47,7 +47,7 @@ class Durations:
         self._maximum = 0
         self.note = self._fresh.append
 
-    def recent(self) -> Spread:
+    def recent(self) -> DurationSpread:
         """Return the spread of what was noted since the last call, and add it to the whole."""
         values = np.array(self._fresh, dtype=np.int64)
         # Emptied in place: the hot path holds its append.
@@ -57,9 +57,9 @@ class Durations:
         self._maximum = max(self._maximum, int(values.max()))
         np.add.at(self._histogram, _bins(values), 1)
         median, p99 = np.percentile(values, (50.0, 99.0)) / _MICROSECOND
-        return Spread(values.size, float(median), float(p99), values.max() / _MICROSECOND)
+        return DurationSpread(values.size, float(median), float(p99), values.max() / _MICROSECOND)
 
-    def whole(self) -> Spread:
+    def whole(self) -> DurationSpread:
         """Return the spread of everything ever noted, median and p99 to within one percent."""
         self.recent()
         cumulated = np.cumsum(self._histogram)
@@ -69,7 +69,9 @@ class Durations:
         ranks = np.searchsorted(cumulated, [0.5 * count, 0.99 * count])
         median, p99 = 10.0 ** (_DECADES[0] + (ranks + 0.5) / _BINS_PER_DECADE) / _MICROSECOND
         largest = self._maximum / _MICROSECOND
-        return Spread(count, min(float(median), largest), min(float(p99), largest), largest)
+        return DurationSpread(
+            count, min(float(median), largest), min(float(p99), largest), largest
+        )
 
 
 def _bins(values: NDArray[np.int64]) -> NDArray[np.int64]:

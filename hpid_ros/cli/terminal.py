@@ -12,7 +12,7 @@ from rich.progress import BarColumn, Progress, TaskID, TaskProgressColumn, TextC
 
 from hpid_ros.base.console import TextConsole
 from hpid_ros.experiment.progress import RunReport
-from hpid_ros.report.tables.wide_table import UNLIMITED_WIDTH, Column, WideTable
+from hpid_ros.report.tables.wide_table import UNLIMITED_WIDTH, TableColumn, WideTable
 
 
 def output_console() -> TextConsole:
@@ -176,8 +176,8 @@ def _table(
     """Return a table of numbers whose rows have names."""
     cells = zip(*(numbers for _, numbers in rows), strict=True)
     return WideTable(
-        [Column(name, [row for row, _ in rows], is_text=True)],
-        [Column(heading, each) for heading, each in zip(headings, cells, strict=True)],
+        [TableColumn(name, [row for row, _ in rows], is_text=True)],
+        [TableColumn(heading, each) for heading, each in zip(headings, cells, strict=True)],
         header_style="dim",
         padding=2,
     )

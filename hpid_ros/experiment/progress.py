@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
-from hpid_ros.base.durations import NOTHING, Spread
+from hpid_ros.base.durations import NOTHING, DurationSpread
 
 
 @dataclass(frozen=True)
@@ -25,9 +25,9 @@ class JointTiming:
     samples: int
     missed: int
     unanswered: int
-    period: Spread
-    compute: Spread
-    latency: Spread
+    period: DurationSpread
+    compute: DurationSpread
+    latency: DurationSpread
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class RunTiming:
         joints: By joint; one whose controller was killed has told nothing and is not there.
     """
 
-    cycle: Spread
+    cycle: DurationSpread
     joints: Mapping[str, JointTiming]
 
     def as_mapping(self) -> dict[str, object]:
@@ -49,7 +49,7 @@ class RunTiming:
             "cycle": self.cycle._asdict(),
             "joints": {
                 joint: {
-                    name: value._asdict() if isinstance(value, Spread) else value
+                    name: value._asdict() if isinstance(value, DurationSpread) else value
                     for name, value in vars(timing).items()
                 }
                 for joint, timing in self.joints.items()
@@ -72,14 +72,14 @@ def run_timing(
             samples=event["samples"],
             missed=event["missed"],
             unanswered=finished["counts"][joint]["unanswered"],
-            period=Spread(**event["period"]),
-            compute=Spread(**event["compute"]),
-            latency=Spread(**bridge["latency"].get(joint, NOTHING._asdict())),
+            period=DurationSpread(**event["period"]),
+            compute=DurationSpread(**event["compute"]),
+            latency=DurationSpread(**bridge["latency"].get(joint, NOTHING._asdict())),
         )
         for joint, event in controllers.items()
         if joint in finished["counts"]
     }
-    return RunTiming(Spread(**bridge["cycle"]), joints)
+    return RunTiming(DurationSpread(**bridge["cycle"]), joints)
 
 
 class Progress(Protocol):
@@ -102,7 +102,7 @@ class Progress(Protocol):
         """
 
 
-class Silence:
+class NoProgress:
     """Progress that nobody looks at."""
 
     def phase(self, label: str, what: str) -> None:

@@ -116,7 +116,7 @@ class JointController(ManagedNode):
     def dispose(self) -> None:
         """Undo :meth:`prepare`; a damping ramp goes on to its end."""
         if not self._stopping.is_damping:
-            self._let_go()
+            self._stop_listening()
         if self._references is not None:
             self._references.close()
         self._references = None
@@ -130,7 +130,7 @@ class JointController(ManagedNode):
         """
         self._stopping.end()
         self._claim.take()
-        self._let_go()
+        self._stop_listening()
         self._stop = None
         self._readiness = steady_timer(self, _READINESS_PERIOD, self._start_when_ready)
 
@@ -142,7 +142,7 @@ class JointController(ManagedNode):
         self._stop = self._stopping.begin()
 
     def _left(self) -> None:
-        self._let_go()
+        self._stop_listening()
         self._claim.release()
 
     def _lose(self, error: ClaimError, was_held: bool) -> None:
@@ -155,9 +155,9 @@ class JointController(ManagedNode):
         self._stopping.end()
         self._report()
 
-    def _let_go(self) -> None:
+    def _stop_listening(self) -> None:
         """Be without states, and without a motion but one that is waited for."""
-        self._watchdog.rest()
+        self._watchdog.stop()
         if self._readiness is not None:
             self.destroy_timer(self._readiness)
         if self._states is not None:
@@ -216,7 +216,7 @@ class JointController(ManagedNode):
         if sample is None:
             self._health.foreign += 1
             return
-        if self._watchdog.hear(sample.stamp_ns, began_ns):
+        if self._watchdog.observe(sample.stamp_ns, began_ns):
             self._loop.wake()
         if self._was_held:
             self._was_held = False

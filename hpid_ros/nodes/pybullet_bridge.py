@@ -179,7 +179,7 @@ class PybulletBridge(executor.ClosingNode):
         if not self._barrier.missing or self._is_done:
             return
         if waited > _LAST_LOOK * timeout:
-            given_up = self._barrier.give_up()
+            given_up = self._barrier.time_out()
             self.get_logger().warning(f"no answer within {timeout} s: {', '.join(given_up)}")
             self._status.send("silent", joints=given_up, stamp_ns=self._world.time_ns)
             if not self._barrier.is_abandoned:

@@ -26,7 +26,7 @@ _LARGEST_JUMP = 0.3  # [rad] between two neighbouring solutions on a line
 _DIGITS = 10  # of a knot: what is beyond is rounding of the solver, and differs by machine
 
 
-class Row(NamedTuple):
+class MotionRow(NamedTuple):
     """All joints at one instant.
 
     Attributes:
@@ -142,14 +142,14 @@ class ArmMotion:
         spline = make_interp_spline(times, np.array(solutions), k=5, bc_type=(ends, ends))
         values = [spline(times, nu=order).round(_DIGITS) for order in range(3)]
         for index in range(1, len(times_ns) - 1):
-            row = Row(self.time_ns + times_ns[index], *(each[index] for each in values))
+            row = MotionRow(self.time_ns + times_ns[index], *(each[index] for each in values))
             self._rows.append(row._replace(positions=solutions[index]))
         self.time_ns += times_ns[-1]
         self._rows.append(self._at_rest(solutions[-1]))
 
-    def _at_rest(self, positions: Vector) -> Row:
+    def _at_rest(self, positions: Vector) -> MotionRow:
         still = np.zeros_like(positions)
-        return Row(self.time_ns, positions, still, still)
+        return MotionRow(self.time_ns, positions, still, still)
 
 
 def _whole(seconds: float) -> int:

@@ -105,11 +105,11 @@ class Barrier:
         self._given = [None] * len(self.joints)
         self._stamp_ns = stamp_ns
         if self._silent:
-            self._welcome()
+            self._readmit()
         self._missing = set(self._everyone - self._silent)
         self._efforts = [0.0] * len(self.joints)
 
-    def _welcome(self) -> None:
+    def _readmit(self) -> None:
         """Wait again for those that have answered states that did not wait for them."""
         for name in self.silent:
             if self._late[name] >= self._needed[name]:
@@ -133,12 +133,12 @@ class Barrier:
             if counts is None:
                 self.foreign += 1
             elif stamp_ns != self._stamp_ns:
-                self._pass_over(name, counts, stamp_ns, effort)
+                self._note_late(name, counts, stamp_ns, effort)
             else:
                 self._accept(name, counts, effort)
         return was_waiting and not self._missing and not self.is_abandoned
 
-    def _pass_over(self, name: str, counts: AnswerCounts, stamp_ns: int, effort: float) -> None:
+    def _note_late(self, name: str, counts: AnswerCounts, stamp_ns: int, effort: float) -> None:
         """Count an answer to another state than the present one."""
         counts.stale += 1
         self._late[name] += 1
@@ -162,7 +162,7 @@ class Barrier:
         self._given[index] = effort
         self._efforts[index] = counts.checked(effort, self._limits[index])
 
-    def give_up(self) -> tuple[str, ...]:
+    def time_out(self) -> tuple[str, ...]:
         """Stop waiting for those that have not answered.
 
         Returns:

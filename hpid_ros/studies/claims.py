@@ -45,7 +45,7 @@ class Evidence:
         return math.ceil(JOINTS_SHARE * len(self.joint_itae) - 1e-9)
 
 
-class Verdict(Enum):
+class ClaimVerdict(Enum):
     """What several experiments say of a claim."""
 
     HOLDS = "holds"
@@ -55,7 +55,7 @@ class Verdict(Enum):
 
 
 @dataclass(frozen=True)
-class Claim:
+class PaperClaim:
     """One claim.
 
     Attributes:
@@ -99,9 +99,9 @@ def _below_one(quantities: Sequence[Quantity]) -> Callable[[Evidence], bool | No
     return holds
 
 
-def _ratio_claim(key: str, quantity: Quantity, limit: float) -> Claim:
+def _ratio_claim(key: str, quantity: Quantity, limit: float) -> PaperClaim:
     text = f"{quantity.symbol}, {quantity.meaning}: at most {limit:g} of the PID's"
-    return Claim(key, text, _at_most({quantity: limit}), _figures([quantity]))
+    return PaperClaim(key, text, _at_most({quantity: limit}), _figures([quantity]))
 
 
 def _enough_joints(evidence: Evidence) -> bool | None:
@@ -118,7 +118,7 @@ NUMERIC_CLAIMS = (
     _ratio_claim("effort_l2", EFFORT_L2, 0.777),
     _ratio_claim("itae", ITAE, 0.947),
     _ratio_claim("error_l2", ERROR_L2, 1.05),
-    Claim("joints", "ITAE lower in at least 4 of 6 joints", _enough_joints, _joints_figure),
+    PaperClaim("joints", "ITAE lower in at least 4 of 6 joints", _enough_joints, _joints_figure),
 )
 
 
@@ -136,21 +136,21 @@ _ACCURACY = {ITAE: 1.05, ERROR_L2: 1.05}
 
 CLAIMS = (
     *NUMERIC_CLAIMS,
-    Claim("together", "all of these together", _all_hold, _count),
-    Claim("smoother", "smoother: a lower IVC", _below_one([IVC]), _figures([IVC])),
-    Claim(
+    PaperClaim("together", "all of these together", _all_hold, _count),
+    PaperClaim("smoother", "smoother: a lower IVC", _below_one([IVC]), _figures([IVC])),
+    PaperClaim(
         "less_effort",
         "less effort: a lower IAVC and ||u||",
         _below_one([IAVC, EFFORT_L2]),
         _figures([IAVC, EFFORT_L2]),
     ),
-    Claim(
+    PaperClaim(
         "accuracy",
         "the same accuracy: ITAE and ||e|| up to 1.05",
         _at_most(_ACCURACY),
         _figures(list(_ACCURACY)),
     ),
-    Claim(
+    PaperClaim(
         "overshoot",
         "less overshoot: the largest of a step",
         _below_one([OVERSHOOT]),
@@ -159,7 +159,9 @@ CLAIMS = (
 )
 
 
-def verdict(claim: Claim, evidence: Mapping[str, Evidence]) -> tuple[Verdict, tuple[str, ...]]:
+def verdict(
+    claim: PaperClaim, evidence: Mapping[str, Evidence]
+) -> tuple[ClaimVerdict, tuple[str, ...]]:
     """Return what experiments say of a claim, and in which of them it holds.
 
     Args:
@@ -170,7 +172,7 @@ def verdict(claim: Claim, evidence: Mapping[str, Evidence]) -> tuple[Verdict, tu
     known = {name: answer for name, answer in answers.items() if answer is not None}
     held = tuple(name for name, answer in known.items() if answer)
     if not known:
-        return Verdict.UNKNOWN, held
+        return ClaimVerdict.UNKNOWN, held
     if len(held) == len(known):
-        return Verdict.HOLDS, held
-    return (Verdict.HOLDS_WHEN if held else Verdict.DOES_NOT_HOLD), held
+        return ClaimVerdict.HOLDS, held
+    return (ClaimVerdict.HOLDS_WHEN if held else ClaimVerdict.DOES_NOT_HOLD), held

@@ -12,9 +12,9 @@ from rich.text import Text
 from hpid_ros.analysis.quantities import ITAE, OVERSHOOT, Quantity
 from hpid_ros.base.console import plain_console
 from hpid_ros.report.tables.numbers import format_ratio, format_values
-from hpid_ros.report.tables.wide_table import UNLIMITED_WIDTH, Column, WideTable
+from hpid_ros.report.tables.wide_table import UNLIMITED_WIDTH, TableColumn, WideTable
 from hpid_ros.studies.batch import LAST_ERROR, PAPER_QUANTITIES
-from hpid_ros.studies.claims import CLAIMS, Verdict, verdict
+from hpid_ros.studies.claims import CLAIMS, ClaimVerdict, verdict
 from hpid_ros.studies.study_plan import StudyEntry
 from hpid_ros.studies.study_result import SETTLED, StudyResult
 from hpid_ros.studies.sweep_result import Quartiles
@@ -49,7 +49,7 @@ class Grid(NamedTuple):
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         columns = [
-            Column(heading, cells, is_text=not place or heading in _TEXTS)
+            TableColumn(heading, cells, is_text=not place or heading in _TEXTS)
             for place, (heading, cells) in enumerate(
                 zip(self.headings, zip(*self.rows, strict=True), strict=True)
             )
@@ -107,7 +107,9 @@ def _claims(result: StudyResult, label: str) -> Grid:
     rows = []
     for claim in CLAIMS:
         kind, held = verdict(claim, evidence)
-        says = f"{kind.value}: {', '.join(held)}" if kind is Verdict.HOLDS_WHEN else kind.value
+        says = (
+            f"{kind.value}: {', '.join(held)}" if kind is ClaimVerdict.HOLDS_WHEN else kind.value
+        )
         figures = [claim.figure(each) or NOTHING for each in evidence.values()]
         rows.append((claim.text, says, *figures))
     return Grid(

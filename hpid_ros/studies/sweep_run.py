@@ -15,7 +15,7 @@ from hpid_ros.base.console import plain_console
 from hpid_ros.experiment.result.folder import EXPERIMENT, ResultFolder
 from hpid_ros.report.tables.numbers import format_ratio, format_values
 from hpid_ros.report.tables.table import ASCII_MARKS, MARKS, STYLES
-from hpid_ros.report.tables.wide_table import UNLIMITED_WIDTH, Column, WideTable
+from hpid_ros.report.tables.wide_table import UNLIMITED_WIDTH, TableColumn, WideTable
 from hpid_ros.studies.batch import Outcome, run_batch
 from hpid_ros.studies.sweep import Row, Sweep, shown
 from hpid_ros.studies.sweep_result import QUANTITIES, Quartiles, SweepResult
@@ -37,17 +37,19 @@ class SweepTable:
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         sweep, is_ascii = self.result.sweep, options.ascii_only
-        names = [Column("controller", [_label(row) for row in sweep.rows], is_text=True)]
+        names = [TableColumn("controller", [_label(row) for row in sweep.rows], is_text=True)]
         for axis in sweep.axes:
             values = [row.values.get(axis.name) for row in sweep.rows]
             texts = [Text(_NOTHING if each is None else shown(each)) for each in values]
-            names.append(Column(axis.name, texts))
+            names.append(TableColumn(axis.name, texts))
         columns = [
-            Column(*each) for quantity in QUANTITIES for each in self._columns(quantity, is_ascii)
+            TableColumn(*each)
+            for quantity in QUANTITIES
+            for each in self._columns(quantity, is_ascii)
         ]
         notes = [Text(self.result.note(place)) for place in range(len(sweep.rows))]
         if any(notes):
-            columns.append(Column("note", notes, is_text=True))
+            columns.append(TableColumn("note", notes, is_text=True))
         yield WideTable(names, columns, box=SIMPLE)
         yield self._legend()
 

@@ -131,7 +131,7 @@ class Turn:
         return np.zeros_like(shares)
 
 
-class Drive:
+class DrivenLeg:
     """A drive along a Bezier curve whose end tangents are the headings.
 
     With ``order`` 3 it is a quintic without second derivatives at its ends; with 4 a septic,

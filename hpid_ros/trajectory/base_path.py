@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from hpid_ros.base.errors import TrajectoryError
 from hpid_ros.base.units import NANOSECONDS
-from hpid_ros.trajectory.base_legs import Drive, Leg, PathPose, TimeLaw, Turn, leg_knots
+from hpid_ros.trajectory.base_legs import DrivenLeg, Leg, PathPose, TimeLaw, Turn, leg_knots
 from hpid_ros.trajectory.joint_trajectory import JointTrajectory, TrajectoryPoint
 from hpid_ros.trajectory.spline import Knot
 
@@ -161,7 +161,7 @@ class BasePath:
                 continue
             law = TimeLaw(duration, speeds[k] / means[k], speeds[k + 1] / means[k])
             is_passed = bool(speeds[k] or speeds[k + 1])
-            legs.append(Drive(a, b, law, self._signs[k], 4 if is_passed else 3))
+            legs.append(DrivenLeg(a, b, law, self._signs[k], 4 if is_passed else 3))
         return tuple(legs)
 
     def _check_curvature(self, limit: float) -> None:

@@ -24,7 +24,7 @@ _POINTS = 4001
 Array = NDArray[np.float64]
 
 
-class Margins(NamedTuple):
+class RobustnessMargins(NamedTuple):
     """How far a loop is from instability.
 
     Attributes:
@@ -82,7 +82,7 @@ class _Loop:
 
 def loop_margins(
     gains: Gains, inertia: float, *, delay: float = 0.0, filter_time: float = 0.0
-) -> Margins:
+) -> RobustnessMargins:
     """Return the margins of the linear loop.
 
     Source of the definitions: K. J. Astrom and R. M. Murray, "Feedback Systems", section 9.3,
@@ -109,7 +109,7 @@ def loop_margins(
             f"it tolerates {max(tolerable, 0.0):.3g} s"
         )
     factors = [math.exp(-float(loop.gain(w))) for w in _roots(loop.phase, loop.frequencies)]
-    return Margins(
+    return RobustnessMargins(
         gain=min((each for each in factors if each > 1.0), default=math.inf),
         gain_reduction=max((each for each in factors if each <= 1.0), default=0.0),
         phase=min(float(loop.phase(w)) for w in crossovers),
@@ -159,7 +159,7 @@ class DesignedGains:
     joint: str
     inertia: float
     gains: Gains
-    margins: Margins | None
+    margins: RobustnessMargins | None
     interval: tuple[float, float] | None
     reason: str
 

@@ -26,7 +26,7 @@ from hpid_ros.base.errors import BagError, ExperimentError, SettingError
 from hpid_ros.experiment.description import load_experiment
 from hpid_ros.experiment.graph.parameter_files import bridge_document
 from hpid_ros.experiment.in_process import run_without_ros
-from hpid_ros.experiment.progress import Silence
+from hpid_ros.experiment.progress import NoProgress
 from hpid_ros.experiment.result.result import compute
 from hpid_ros.nodes.ros.middleware import OFFERED
 from hpid_ros.robot.differential_drive import DifferentialDrive
@@ -88,7 +88,7 @@ def drive(experiment_file, tmp_path):
             **changes,
         )
         experiment = load_experiment(file)
-        run_without_ros(experiment, "PID", tmp_path / "bag", Silence())
+        run_without_ros(experiment, "PID", tmp_path / "bag", NoProgress())
         return compute(experiment, {"PID": tmp_path / "bag"})
 
     return run
@@ -142,7 +142,7 @@ def test_result_and_bag_hold_the_base(experiment_file, tmp_path):
     experiment = load_experiment(experiment_file(duration=0.31))
     bags = {label: tmp_path / label for label in experiment.controllers}
     for label, bag in bags.items():
-        run_without_ros(experiment, label, bag, Silence())
+        run_without_ros(experiment, label, bag, NoProgress())
     result = compute(experiment, bags)
     base = json.loads(json.dumps(result.as_mapping()))["base"]
     assert list(base) == ["PID", "hPID"]
@@ -166,7 +166,7 @@ def test_result_and_bag_hold_the_base(experiment_file, tmp_path):
 def test_odometry_is_what_the_encoders_said(experiment_file, tmp_path):
     file = experiment_file(duration=2.6, sensors__encoder_counts=512)
     experiment = load_experiment(file)
-    run_without_ros(experiment, "PID", tmp_path / "bag", Silence())
+    run_without_ros(experiment, "PID", tmp_path / "bag", NoProgress())
     run = read_run(tmp_path / "bag", "PID", joints=WHEELS)
     left, right = run.joints
     odom = read_planar(tmp_path / "bag", "odom")
@@ -188,7 +188,7 @@ def test_a_robot_without_a_base_has_no_such_section(experiment_file, tmp_path):
     experiment = load_experiment(path)
     assert experiment.world.base is None
     assert "base" not in bridge_document(experiment)["/**/pybullet_bridge"]["ros__parameters"]
-    run_without_ros(experiment, "PID", tmp_path / "bag", Silence())
+    run_without_ros(experiment, "PID", tmp_path / "bag", NoProgress())
     assert "base" not in compute(experiment, {"PID": tmp_path / "bag"}).as_mapping()
 
 

@@ -79,7 +79,7 @@ def silent_then_late(times):
     commands = Barrier(["a", "b"])
     commands.begin(0)
     commands.answer(0, ["b"], [1.0])
-    commands.give_up()
+    commands.time_out()
     for k in range(1, times + 1):
         commands.begin(k)
         commands.answer(k, ["b"], [1.0])
@@ -105,7 +105,7 @@ def test_one_that_is_always_too_late_is_believed_ever_more_rarely():
         commands.answer(k, ["b"], [1.0])
         if commands.missing:
             waited += 1
-            commands.give_up()
+            commands.time_out()
         commands.answer(k - 1, ["a"], [1.0])
     assert 5 < waited < 12
 

@@ -11,7 +11,7 @@ from hpid_ros.compensation.build import compensators
 from hpid_ros.control import JointLoop, LoopSettings
 from hpid_ros.experiment.compare import compare
 from hpid_ros.experiment.description import load_experiment
-from hpid_ros.experiment.progress import Silence
+from hpid_ros.experiment.progress import NoProgress
 from hpid_ros.nodes.ros.middleware import RARE
 from hpid_ros.robot.description import RobotDescription
 from hpid_ros.wire import JointStateTemplate
@@ -40,7 +40,7 @@ def test_graph_and_in_process_engine_agree_to_the_last_bit_with_a_model(experime
         )
     )
     results = [
-        compare(experiment, tmp_path / name, Silence(), in_process=name == "in-process")
+        compare(experiment, tmp_path / name, NoProgress(), in_process=name == "in-process")
         for name in ("graph", "in-process")
     ]
     first, second = [(each.folder.path / "result.json").read_bytes() for each in results]

@@ -24,11 +24,11 @@ from hpid_ros.experiment.graph.isolation import (
     require_no_sockets,
 )
 from hpid_ros.experiment.graph.run import run_on_graph
-from hpid_ros.experiment.progress import Silence
+from hpid_ros.experiment.progress import NoProgress
 
 
 def run_compare(experiment, folder, **options):
-    return compare(experiment, folder, Silence(), **options)
+    return compare(experiment, folder, NoProgress(), **options)
 
 
 def test_graph_and_in_process_engine_agree_to_the_last_bit(experiment_file, tmp_path):
@@ -68,7 +68,7 @@ def test_another_reader_finds_every_state_and_its_eight_commands(experiment_file
     experiment = load_experiment(experiment_file())
     folder = tmp_path / "nodes"
     folder.mkdir()
-    report = run_on_graph(experiment, "hPID", tmp_path / "bag", folder, Silence())
+    report = run_on_graph(experiment, "hPID", tmp_path / "bag", folder, NoProgress())
     assert report.warnings == []
     (mcap,) = (tmp_path / "bag").glob("*.mcap")
     states, commands = [], {}
@@ -85,7 +85,7 @@ def test_another_reader_finds_every_state_and_its_eight_commands(experiment_file
     assert all(sorted(names) == joints for names in commands.values())
 
 
-class KillerOf(Silence):
+class KillerOf(NoProgress):
     """Kills a node of the running graph when the simulation has come far enough."""
 
     def __init__(self, node, when):

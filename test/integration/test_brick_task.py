@@ -30,7 +30,7 @@ from hpid_ros.experiment.description import load_experiment
 from hpid_ros.experiment.graph.parameter_files import bridge_document, write_parameters
 from hpid_ros.experiment.graph.run import run_on_graph
 from hpid_ros.experiment.in_process import run_without_ros
-from hpid_ros.experiment.progress import RunReport, Silence
+from hpid_ros.experiment.progress import NoProgress, RunReport
 from hpid_ros.experiment.result.folder import ResultFolder
 from hpid_ros.experiment.result.result import compute, save
 from hpid_ros.metrics.end_effector import EndEffector, TaskFrame, moving_joints
@@ -106,7 +106,7 @@ def carried(path, folder):
     """Run an experiment's first controller in this process; return the result and its bag."""
     experiment = load_experiment(path)
     (label, *_), bag = experiment.controllers, folder / "bag"
-    run_without_ros(experiment, label, bag, Silence())
+    run_without_ros(experiment, label, bag, NoProgress())
     return compute(experiment, {label: bag}), bag
 
 
@@ -140,7 +140,7 @@ def test_the_graph_does_the_same_task_to_the_last_bit(small_result, tmp_path):
     experiment = load_experiment(path)
     nodes, on_graph = tmp_path / "nodes", tmp_path / "bag"
     nodes.mkdir()
-    report = run_on_graph(experiment, "hPID", on_graph, nodes, Silence())
+    report = run_on_graph(experiment, "hPID", on_graph, nodes, NoProgress())
     assert report.warnings == []
     told = json.dumps(compute(experiment, {"hPID": on_graph}).as_mapping())
     assert told == json.dumps(result.as_mapping())

@@ -420,11 +420,11 @@ def test_a_short_run_is_finite_and_the_same_after_a_reset(name: str, tmp_path: P
 
 def test_the_graph_gives_what_one_process_gives(tmp_path: Path):
     from hpid_ros.experiment.compare import compare
-    from hpid_ros.experiment.progress import Silence
+    from hpid_ros.experiment.progress import NoProgress
 
     experiment = load_experiment(short("panda", tmp_path, duration=0.1))
     results = [
-        compare(experiment, tmp_path / f"result{number}", Silence(), in_process=bool(number))
+        compare(experiment, tmp_path / f"result{number}", NoProgress(), in_process=bool(number))
         for number in range(2)
     ]
     graph, one_process = ((each.folder.path / "result.json").read_bytes() for each in results)

@@ -19,11 +19,11 @@ from hpid_ros.cli.commands import BAD_INPUT, DONE, FAILED
 from hpid_ros.cli.main import main
 from hpid_ros.experiment.description import load_experiment
 from hpid_ros.experiment.in_process import run_without_ros
-from hpid_ros.experiment.progress import Silence
+from hpid_ros.experiment.progress import NoProgress
 from hpid_ros.experiment.result.result import compute
 from hpid_ros.studies import batch
 from hpid_ros.studies.batch import LAST_ERROR, JudgedTask, WorldKeeper, simulate, simulated_indices
-from hpid_ros.studies.claims import CLAIMS, NUMERIC_CLAIMS, Evidence, Verdict, verdict
+from hpid_ros.studies.claims import CLAIMS, NUMERIC_CLAIMS, ClaimVerdict, Evidence, verdict
 from hpid_ros.studies.study_plan import default_files, plan_study, read_journal
 
 ARM = ["arm_joint_1", "arm_joint_2", "arm_joint_3"]
@@ -53,7 +53,7 @@ def test_the_numbers_are_those_of_the_comparison(files, tmp_path):
     experiment = load_experiment(files[1])
     bags = {label: tmp_path / label for label in experiment.controllers}
     for label, bag in bags.items():
-        run_without_ros(experiment, label, bag, Silence())
+        run_without_ros(experiment, label, bag, NoProgress())
     compared = compute(experiment, bags).comparison
     assert study(files[1:], tmp_path / "s", seeds=1) == DONE
     rows = list(csv.DictReader((tmp_path / "s" / "runs.csv").open()))
@@ -334,12 +334,12 @@ def test_enough_joints_are_as_many_as_four_of_six(joints):
 def test_a_verdict_names_where_a_claim_holds():
     good, bad = evidence(), evidence(ivc=0.9)
     each = claim("ivc")
-    assert verdict(each, {"a": good, "b": good}) == (Verdict.HOLDS, ("a", "b"))
-    assert verdict(each, {"a": good, "b": bad}) == (Verdict.HOLDS_WHEN, ("a",))
-    assert verdict(each, {"b": bad}) == (Verdict.DOES_NOT_HOLD, ())
-    assert verdict(claim("overshoot"), {"a": good}) == (Verdict.UNKNOWN, ())
+    assert verdict(each, {"a": good, "b": good}) == (ClaimVerdict.HOLDS, ("a", "b"))
+    assert verdict(each, {"a": good, "b": bad}) == (ClaimVerdict.HOLDS_WHEN, ("a",))
+    assert verdict(each, {"b": bad}) == (ClaimVerdict.DOES_NOT_HOLD, ())
+    assert verdict(claim("overshoot"), {"a": good}) == (ClaimVerdict.UNKNOWN, ())
     with_steps = {"a": good, "b": evidence(overshoot=0.5)}
-    assert verdict(claim("overshoot"), with_steps) == (Verdict.HOLDS, ("b",))
+    assert verdict(claim("overshoot"), with_steps) == (ClaimVerdict.HOLDS, ("b",))
 
 
 def test_claims_are_of_the_homogeneous_law_with_the_same_gains(experiment_file, tmp_path):

@@ -23,7 +23,7 @@ from hpid_ros.cli.main import main
 from hpid_ros.control import JointLoop
 from hpid_ros.experiment.description import load_experiment
 from hpid_ros.experiment.in_process import run_without_ros
-from hpid_ros.experiment.progress import Silence
+from hpid_ros.experiment.progress import NoProgress
 from hpid_ros.experiment.result.result import compute
 from hpid_ros.simulation import World
 from hpid_ros.simulation.engine import run_in_process
@@ -65,7 +65,7 @@ def test_numbers_are_those_of_the_comparison_to_the_last_bit(experiment_file, tm
     experiment = load_experiment(experiment_file(duration=0.3))
     bags = {label: tmp_path / label for label in experiment.controllers}
     for label, bag in bags.items():
-        run_without_ros(experiment, label, bag, Silence())
+        run_without_ros(experiment, label, bag, NoProgress())
     for compared in compute(experiment, bags).comparison.runs:
         with WorldKeeper() as keeper:
             found = simulated_indices(RunTask.of(experiment, compared.label), keeper)

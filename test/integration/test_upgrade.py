@@ -298,13 +298,13 @@ def result(tmp_path_factory):
     from hpid_ros.base.resources import share_folder
     from hpid_ros.experiment.compare import compare
     from hpid_ros.experiment.description import load_experiment
-    from hpid_ros.experiment.progress import Silence
+    from hpid_ros.experiment.progress import NoProgress
 
     folder = tmp_path_factory.mktemp("upgrade")
     document = yaml.safe_load((share_folder() / "config/experiments/tracking.yaml").read_text())
     document |= {"duration": 1.0, "simulation": {"physics_steps": 1}}
     (folder / "short.yaml").write_text(yaml.safe_dump(document, sort_keys=False))
-    compare(load_experiment(folder / "short.yaml"), folder / "result", Silence())
+    compare(load_experiment(folder / "short.yaml"), folder / "result", NoProgress())
     return folder / "result"
 
 

@@ -17,7 +17,7 @@ from hpid_ros.cli.commands.check_gains import GainTable
 from hpid_ros.cli.terminal import output_console
 from hpid_ros.control import Gains, LoopSettings
 from hpid_ros.report.tables.table import ComparisonTable
-from hpid_ros.report.tables.wide_table import UNLIMITED_WIDTH, Column, WideTable
+from hpid_ros.report.tables.wide_table import UNLIMITED_WIDTH, TableColumn, WideTable
 from hpid_ros.stability.gain_check import GainVerdict
 
 WIDTHS = (40, 60, 80)
@@ -98,10 +98,10 @@ def timing_table():
 
 def parameters_table():
     """Return a table whose rows are named by numbers, as a sweep's."""
-    names = [Column("controller", ["PID", "hPID (baseline)"], is_text=True)]
-    names += [Column(f"arm_joint_{k}.gains.p", [f"{k}.25", f"{k}7.125"]) for k in range(4)]
-    columns = [Column(f"IVC {k}", [f"{k}0.123", f"{k}4.567"]) for k in range(5)]
-    notes = Column("note", ["3 of 5 runs failed: a reason of many words", ""], is_text=True)
+    names = [TableColumn("controller", ["PID", "hPID (baseline)"], is_text=True)]
+    names += [TableColumn(f"arm_joint_{k}.gains.p", [f"{k}.25", f"{k}7.125"]) for k in range(4)]
+    columns = [TableColumn(f"IVC {k}", [f"{k}0.123", f"{k}4.567"]) for k in range(5)]
+    notes = TableColumn("note", ["3 of 5 runs failed: a reason of many words", ""], is_text=True)
     return WideTable(names, [*columns, notes])
 
 
@@ -122,8 +122,10 @@ def test_every_number_is_there_in_full_at_any_width(table, width):
 
 @pytest.mark.parametrize("width", WIDTHS)
 def test_each_block_has_the_names_of_its_rows(width):
-    columns = [Column(f"column {k}", [f"{k}.25", f"{k}.75"]) for k in range(12)]
-    text = printed(WideTable([Column("joint", ["elbow", "wrist"], is_text=True)], columns), width)
+    columns = [TableColumn(f"column {k}", [f"{k}.25", f"{k}.75"]) for k in range(12)]
+    text = printed(
+        WideTable([TableColumn("joint", ["elbow", "wrist"], is_text=True)], columns), width
+    )
     count = len(re.findall(r"^joint", text, re.M))
     assert count > 1
     assert len(re.findall(r"^elbow", text, re.M)) == count
@@ -135,7 +137,9 @@ def test_each_block_has_the_names_of_its_rows(width):
 
 
 def test_cells_may_have_a_style_and_no_markup():
-    text = printed(WideTable([Column("[b]", ["[red]x"])], [Column("n", [Text("1.5")])]), 40)
+    text = printed(
+        WideTable([TableColumn("[b]", ["[red]x"])], [TableColumn("n", [Text("1.5")])]), 40
+    )
     assert "[red]x" in text
     assert "[b]" in text
 

@@ -16,7 +16,7 @@ _GROWTH = 1.2
 """Small, because numpy fills what it adds with zeros; large arrays are moved, not copied."""
 
 
-class Column:
+class GrowingColumn:
     """Numbers of one type, appended many at once.
 
     Args:
@@ -49,7 +49,7 @@ class NumberColumn:
     """Doubles, appended many at once."""
 
     def __init__(self) -> None:
-        self._column = Column(np.float64)
+        self._column = GrowingColumn(np.float64)
 
     def append(self, numbers: Numbers) -> None:
         """Append numbers, (n,)."""
@@ -69,10 +69,10 @@ class DeltaColumn:
     """
 
     def __init__(self, kind: type[np.unsignedinteger]) -> None:
-        self._steps = Column(kind)
+        self._steps = GrowingColumn(kind)
         self._limit = int(np.iinfo(kind).max)
-        self._large_places = Column(np.int64)
-        self._large_steps = Column(np.int64)
+        self._large_places = GrowingColumn(np.int64)
+        self._large_steps = GrowingColumn(np.int64)
         self._last: Integers = np.zeros(1, dtype=np.int64)
 
     def __len__(self) -> int:
@@ -106,7 +106,7 @@ _ALL_BITS = np.uint64(0xFFFF_FFFF_FFFF_FFFF)
 _MOST_LAYOUTS = 64
 """Layouts that are remembered; a text that changes with every message makes one for each."""
 
-Claims = NDArray[np.bool_]
+Mask = NDArray[np.bool_]
 
 
 class LayoutFamily:
@@ -142,7 +142,7 @@ class LayoutFamily:
         self._shared = [word for word in self._words if is_shared[word]]
         self._differing = [word for word in self._words if not is_shared[word]]
 
-    def split(self, rows: Words) -> Iterator[tuple[Layout, Claims]]:
+    def split(self, rows: Words) -> Iterator[tuple[Layout, Mask]]:
         """Yield each layout that some rows have, and which these are.
 
         Args:
@@ -154,9 +154,7 @@ class LayoutFamily:
             if claims.any():
                 yield layout, claims
 
-    def _equal(
-        self, rows: Words, words: list[int], layout: Layout, before: Claims | None
-    ) -> Claims:
+    def _equal(self, rows: Words, words: list[int], layout: Layout, before: Mask | None) -> Mask:
         is_equal = np.ones(len(rows), dtype=np.bool_) if before is None else before.copy()
         for word in words:
             column, mask = rows[:, word], self._mask[word]
@@ -179,7 +177,7 @@ class JointSamples(NamedTuple):
     places: Integers | None
     values: Numbers
 
-    def picked(self, which: Integers | Claims) -> JointSamples:
+    def picked(self, which: Integers | Mask) -> JointSamples:
         """Return some of the samples."""
         stamps, log_times, places = (
             None if part is None else part[which] for part in (self[0], self[1], self[2])

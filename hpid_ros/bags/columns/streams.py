@@ -11,10 +11,10 @@ import numpy as np
 from hpid_ros.bags.columns.batches import WORD, Integers, TopicBatch, Words, gather_words
 from hpid_ros.bags.columns.layouts import ENCAPSULATION, LAYOUTS, Layout
 from hpid_ros.bags.columns.samples import (
-    Claims,
     DeltaColumn,
     JointSamples,
     LayoutFamily,
+    Mask,
     NumberColumn,
     merged,
 )
@@ -244,5 +244,5 @@ def _equal_rows(rows: Words) -> list[Integers]:
     return sorted(groups, key=lambda group: int(group[0]))
 
 
-def _picked(batch: TopicBatch, which: Claims) -> Iterator[Integers]:
+def _picked(batch: TopicBatch, which: Mask) -> Iterator[Integers]:
     return (part[which] for part in (batch[2], batch[3], batch[4], batch[5]))

@@ -10,7 +10,7 @@ import numpy as np
 
 from hpid_ros.bags.columns.batches import Integers, Numbers
 from hpid_ros.bags.columns.samples import JointSamples
-from hpid_ros.bags.run.recording import Recording
+from hpid_ros.bags.run.recording import RecordedRun
 from hpid_ros.bags.run.references import (
     LoggedStates,
     ReferenceEvent,
@@ -76,7 +76,7 @@ class JointRun:
         SeriesError: No state carries a usable position.
     """
 
-    def __init__(self, recording: Recording, joint: str, selection: BagSelection) -> None:
+    def __init__(self, recording: RecordedRun, joint: str, selection: BagSelection) -> None:
         self._recording, self._joint, self._selection = recording, joint, selection
         self._clock = clock = selection.clock
         taken = recording.states.take(joint)

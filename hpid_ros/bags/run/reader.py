@@ -12,7 +12,7 @@ from hpid_ros.bags.columns.storage import Progress, Storage
 from hpid_ros.bags.columns.streams import OrderNeededError
 from hpid_ros.bags.metadata import missed_messages, time_stood_still
 from hpid_ros.bags.run.joint_run import JointRun, Window
-from hpid_ros.bags.run.recording import Recording
+from hpid_ros.bags.run.recording import RecordedRun
 from hpid_ros.bags.run.topics import TopicChoice, choose_topics
 from hpid_ros.bags.selection import BagSelection
 from hpid_ros.base.errors import BagError, unknown_name
@@ -84,7 +84,7 @@ def read_run(
 
 def _recording(
     storage: Storage, where: str, selection: BagSelection, progress: Progress
-) -> Recording:
+) -> RecordedRun:
     """Read the messages that are asked for."""
     topics = storage.topics()
     types = {name: info.type for name, info in topics.items()}
@@ -115,12 +115,12 @@ def _collected(
     choice: TopicChoice,
     types: Mapping[str, str],
     progress: Progress,
-) -> Recording:
+) -> RecordedRun:
     """Read the messages of some topics."""
     joints = None if selection.joints is None else frozenset(selection.joints)
     has_order = selection.clock == "receive"
     while True:
-        recording = Recording(choice, types, joints, has_order)
+        recording = RecordedRun(choice, types, joints, has_order)
         try:
             for batch in storage.batches(choice.all, progress):
                 recording.add(batch)
@@ -131,7 +131,7 @@ def _collected(
             raise BagError(f"{where}: {error}") from error
 
 
-def _require_messages(where: str, recording: Recording, topics: Mapping[str, TopicInfo]) -> None:
+def _require_messages(where: str, recording: RecordedRun, topics: Mapping[str, TopicInfo]) -> None:
     """Raise BagError if there are no states, or no commands though they were asked for."""
     counts = {topic: stream.message_count for topic, stream in recording.streams()}
     counts |= dict.fromkeys(recording.choice.references.trajectory, 0)
@@ -147,7 +147,7 @@ def _require_messages(where: str, recording: Recording, topics: Mapping[str, Top
         raise BagError(f"{where}: no message on {missing[0]}; messages: {listed}")
 
 
-def _undecodable(where: str, recording: Recording) -> list[str]:
+def _undecodable(where: str, recording: RecordedRun) -> list[str]:
     """Return a line for each topic with messages that are not of its type."""
     lines = []
     for topic, stream in recording.streams():
@@ -159,7 +159,7 @@ def _undecodable(where: str, recording: Recording) -> list[str]:
     return lines
 
 
-def _joints(where: str, recording: Recording, selection: BagSelection) -> Sequence[str]:
+def _joints(where: str, recording: RecordedRun, selection: BagSelection) -> Sequence[str]:
     """Return the joints to read, all of which the states name."""
     known = recording.known_joints()
     joints = selection.joints or recording.concerned_joints()
@@ -180,7 +180,7 @@ def _joints(where: str, recording: Recording, selection: BagSelection) -> Sequen
 
 
 def _run(
-    label: str, recording: Recording, joints: Sequence[str], selection: BagSelection
+    label: str, recording: RecordedRun, joints: Sequence[str], selection: BagSelection
 ) -> RunSeries:
     """Return the series of all joints within the window."""
     runs = {joint: JointRun(recording, joint, selection) for joint in joints}

@@ -49,7 +49,7 @@ def _decoded(raw: bytes) -> tuple[Mapping[str, int], Callable[[str, int], Column
     return places, lambda joint, at: checked_column(joint, at, stamp_ns, times_ns, derivatives)
 
 
-class Recording:
+class RecordedRun:
     """The messages of a run as columns and trajectories.
 
     Args:

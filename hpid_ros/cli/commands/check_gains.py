@@ -17,7 +17,7 @@ from hpid_ros.base.errors import RunError, SettingError
 from hpid_ros.cli.commands import DONE, FAILED
 from hpid_ros.cli.commands.options import add_robot_options, inertias_from
 from hpid_ros.control.norms import GOOD_SAMPLING_MARGIN
-from hpid_ros.report.tables.wide_table import Column, WideTable
+from hpid_ros.report.tables.wide_table import TableColumn, WideTable
 from hpid_ros.stability.bounds import LARGEST_SAMPLING_MARGIN, LARGEST_SAMPLING_MARGIN_LATE
 from hpid_ros.stability.gain_check import GainVerdict
 
@@ -44,11 +44,13 @@ class GainTable:
         rows = [_cells(verdict) for verdict in self._verdicts.values()]
         yield WideTable(
             [
-                Column("loop", list(self._verdicts), is_text=True),
-                Column("ok", [_verdict(verdict) for verdict in self._verdicts.values()], True),
+                TableColumn("loop", list(self._verdicts), is_text=True),
+                TableColumn(
+                    "ok", [_verdict(verdict) for verdict in self._verdicts.values()], True
+                ),
             ],
             [
-                Column(heading, cells)
+                TableColumn(heading, cells)
                 for heading, cells in zip(_HEADINGS, zip(*rows, strict=True), strict=True)
             ],
         )

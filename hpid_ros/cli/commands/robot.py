@@ -130,7 +130,7 @@ def _finite(value: float) -> float | None:
 def _table(name: str, facts: dict[str, dict[str, Any]]) -> WideTable:
     from rich import box
 
-    from hpid_ros.report.tables.wide_table import Column, WideTable
+    from hpid_ros.report.tables.wide_table import TableColumn, WideTable
 
     rows = [
         (
@@ -145,8 +145,8 @@ def _table(name: str, facts: dict[str, dict[str, Any]]) -> WideTable:
     ]
     cells = zip(*rows, strict=True) if rows else [()] * len(_COLUMNS)
     return WideTable(
-        [Column("joint", list(facts), is_text=True)],
-        [Column(heading, list(each)) for heading, each in zip(_COLUMNS, cells, strict=True)],
+        [TableColumn("joint", list(facts), is_text=True)],
+        [TableColumn(heading, list(each)) for heading, each in zip(_COLUMNS, cells, strict=True)],
         title=name,
         box=box.SIMPLE_HEAD,
     )

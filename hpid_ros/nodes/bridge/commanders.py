@@ -98,7 +98,7 @@ class HeldCommands:
             return False
         return stamp_ns < before_ns or (stamp_ns == before_ns and effort != before)
 
-    def give_up(self) -> tuple[str, ...]:
+    def time_out(self) -> tuple[str, ...]:
         """Return the joints that are no longer waited for: none ever was."""
         return ()
 

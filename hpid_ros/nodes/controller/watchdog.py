@@ -86,7 +86,7 @@ class StateWatchdog:
         if self._given_ns is not None and self._given_ns == self._last_ns != self._noticed_ns:
             self._look()
 
-    def hear(self, stamp_ns: int, now_ns: int) -> bool:
+    def observe(self, stamp_ns: int, now_ns: int) -> bool:
         """Take note of a state; one that repeats the last stamp is not new.
 
         Args:
@@ -108,7 +108,7 @@ class StateWatchdog:
             return False
         return silence > self._timeout
 
-    def rest(self) -> None:
+    def stop(self) -> None:
         """Look no more, and forget what came."""
         self._stamp_ns = self._last_ns = self._noticed_ns = self._given_ns = None
         self._destroy_timer()

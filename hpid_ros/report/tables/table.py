@@ -27,7 +27,7 @@ from hpid_ros.report.tables.numbers import (
     format_ratio,
     format_values,
 )
-from hpid_ros.report.tables.wide_table import UNLIMITED_WIDTH, Column, WideTable, pieces
+from hpid_ros.report.tables.wide_table import UNLIMITED_WIDTH, TableColumn, WideTable, pieces
 
 MARKS = {Verdict.BETTER: "▼", Verdict.WORSE: "▲", Verdict.EQUAL: "=", Verdict.UNKNOWN: " "}
 ASCII_MARKS = {**MARKS, Verdict.BETTER: "v", Verdict.WORSE: "^"}
@@ -124,7 +124,7 @@ class _Blocks:
         """Return one index alone: the joints' names, then its runs and ratios."""
         columns = [self.names([quantity]), *self._columns(quantity, SIGNIFICANT_DIGITS)]
         names, *numbers = (
-            Column(each.heading, each.cells, each.justify == "left") for each in columns
+            TableColumn(each.heading, each.cells, each.justify == "left") for each in columns
         )
         if len(pieces([names], numbers, width, 1)) > 1:
             return WideTable([names], numbers, title=self._title(quantity), box=SIMPLE)
@@ -134,7 +134,7 @@ class _Blocks:
         """Return what is shown over all joints alone, one row each."""
         are_l2 = all("L2" in quantity.meaning for quantity in self._comparison.norms)
         norms = self._comparison.norms
-        names = Column(
+        names = TableColumn(
             "L2, all joints" if are_l2 else "all joints",
             [self._title(quantity) for quantity in norms],
             is_text=True,
@@ -144,7 +144,7 @@ class _Blocks:
             headings += [heading_of(run), *_quartiles_heading(run), *(["ratio"] if k else [])]
         rows = [self._norm_row(quantity) for quantity in norms]
         cells = zip(*rows, strict=True)
-        columns = [Column(each, cell) for each, cell in zip(headings, cells, strict=True)]
+        columns = [TableColumn(each, cell) for each, cell in zip(headings, cells, strict=True)]
         return WideTable([names], columns, box=SIMPLE, header_style="table.header")
 
     def legend(self) -> list[Text]:

@@ -21,7 +21,7 @@ _LEAST_NAME = 8  # columns that a name of a row keeps, where there are as many
 _LEAST_TEXT = 20
 
 
-class Column(NamedTuple):
+class TableColumn(NamedTuple):
     """One column of a table.
 
     Attributes:
@@ -59,8 +59,8 @@ class WideTable:
 
     def __init__(
         self,
-        names: Sequence[Column],
-        columns: Sequence[Column],
+        names: Sequence[TableColumn],
+        columns: Sequence[TableColumn],
         *,
         title: str = "",
         box: Box | None = None,
@@ -80,14 +80,14 @@ class WideTable:
         widest = max((each.least_width for each in columns), default=0)
         if least + gap * len(names) + widest > width:  # the rows have numbers instead
             rows = len(names[0].cells)
-            names = (Column("#", [str(k + 1) for k in range(rows)]),)
+            names = (TableColumn("#", [str(k + 1) for k in range(rows)]),)
             columns = (*self._names, *self._columns)
         for place, block in enumerate(pieces(names, columns, width, gap)):
             if place:
                 yield ""
             yield self._block([*names, *block], _limits(names, block, width, gap))
 
-    def _block(self, columns: Sequence[Column], limits: Sequence[int]) -> Table:
+    def _block(self, columns: Sequence[TableColumn], limits: Sequence[int]) -> Table:
         table = Table(
             box=self._box,
             show_edge=False,
@@ -109,8 +109,8 @@ class WideTable:
 
 
 def pieces(
-    names: Sequence[Column], columns: Sequence[Column], width: int, gap: int
-) -> list[list[Column]]:
+    names: Sequence[TableColumn], columns: Sequence[TableColumn], width: int, gap: int
+) -> list[list[TableColumn]]:
     """Return the columns, broken where those of a block and the names fill the width.
 
     Args:
@@ -120,7 +120,7 @@ def pieces(
         gap: Between two columns.
     """
     taken = sum(each.width + gap for each in names)
-    found: list[list[Column]] = [[]]
+    found: list[list[TableColumn]] = [[]]
     used = taken
     for column in columns:
         if found[-1] and used + column.least_width > width:
@@ -131,7 +131,9 @@ def pieces(
     return found
 
 
-def _limits(names: Sequence[Column], block: Sequence[Column], width: int, gap: int) -> list[int]:
+def _limits(
+    names: Sequence[TableColumn], block: Sequence[TableColumn], width: int, gap: int
+) -> list[int]:
     """Return the columns' widths: texts give way first, then the names that are texts."""
     columns = [*names, *block]
     widths = [each.width for each in columns]

@@ -168,7 +168,7 @@ class Gripper:
         """The brick in the hand."""
         return None if self._held is None else self._bricks[self._held[0]]
 
-    def act(self, now_ns: int) -> None:
+    def actuate(self, now_ns: int) -> None:
         """Do what is due.
 
         Args:
@@ -193,13 +193,13 @@ class Gripper:
             self.events.append(event)
         return event
 
-    def feel(self) -> None:
+    def sample_contacts(self) -> None:
         """Note the force between hand and brick, after each physics step."""
         if self._held is not None:
             state = pybullet.getConstraintState(self._held[1], physicsClientId=self._client)
             self._forces.append(state[:3])
 
-    def judge(self, now_ns: int) -> None:
+    def update(self, now_ns: int) -> None:
         """Drop the brick if it was pulled too hard, after each control period.
 
         Args:
@@ -211,7 +211,7 @@ class Gripper:
         if force <= limit:
             return
         fit = self._fit(self._held[0])
-        self._let_go()
+        self._release()
         why = f"pulled with {force:.3g} N, the grip holds {limit:.3g} N"
         self.events.append(self._event(now_ns, LOST, fit, force, why))
 
@@ -230,7 +230,7 @@ class Gripper:
         if self._held is None:
             return None
         fit = self._fit(self._held[0])
-        self._let_go()
+        self._release()
         return self._event(now_ns, RELEASED, fit)
 
     def _event(
@@ -269,7 +269,7 @@ class Gripper:
         pybullet.changeConstraint(constraint, maxForce=_UNYIELDING, physicsClientId=client)
         self._held = index, constraint
 
-    def _let_go(self) -> None:
+    def _release(self) -> None:
         if self._held is not None:
             pybullet.removeConstraint(self._held[1], physicsClientId=self._client)
         self._held = None

@@ -37,8 +37,8 @@ class Pulse:
     torque: Vector
     steps_left: int
 
-    def act(self, client: int, body: int) -> None:
-        """Act on the next physics step of a robot."""
+    def apply(self, client: int, body: int) -> None:
+        """Apply the pulse to the next physics step of a robot."""
         self.steps_left -= 1
         origin = link_pose(client, body, self.link).position
         centre = centre_of_mass(client, body, self.link)
@@ -72,14 +72,14 @@ class Pushes:
     def __init__(self) -> None:
         self.pulses: list[Pulse] = []
 
-    def act(self, client: int, body: int) -> None:
-        """Let all act on the next physics step of a robot, and drop those that are over."""
+    def apply(self, client: int, body: int) -> None:
+        """Apply all to the next physics step of a robot, and drop those that are over."""
         for pulse in self.pulses:
-            pulse.act(client, body)
+            pulse.apply(client, body)
         self.pulses = [pulse for pulse in self.pulses if pulse.steps_left]
 
 
-class Happenings:
+class DisturbanceSchedule:
     """The schedule of a scene, and what is asked for besides.
 
     Args:
@@ -102,8 +102,8 @@ class Happenings:
         self._pushes.pulses.clear()
         self._pending = self._settings.disturbances.in_order()[::-1]
 
-    def happen(self, now_ns: int) -> None:
-        """Let happen what is due.
+    def advance(self, now_ns: int) -> None:
+        """Begin the disturbances that are due.
 
         Args:
             now_ns: Simulated time in [ns].
@@ -115,10 +115,10 @@ class Happenings:
             else:
                 self.push(event.link, event.force, event.torque, event.duration_ns)
 
-    def act(self) -> None:
-        """Let all pushes act on the next physics step."""
+    def apply(self) -> None:
+        """Apply all pushes to the next physics step."""
         if self._pushes.pulses:
-            self._pushes.act(self._client, self._scene.body)
+            self._pushes.apply(self._client, self._scene.body)
 
     def push(
         self, link: str, force: Sequence[float], torque: Sequence[float], duration_ns: int

@@ -13,7 +13,7 @@ from hpid_ros.simulation.world.bullet import Connection, pybullet
 from hpid_ros.simulation.world.drivetrain import Drivetrain, EffortActuator, Sensors
 from hpid_ros.simulation.world.gripper import build_gripper
 from hpid_ros.simulation.world.model import bullet_urdf
-from hpid_ros.simulation.world.pushes import Happenings
+from hpid_ros.simulation.world.pushes import DisturbanceSchedule
 from hpid_ros.simulation.world.scene import build_scene
 
 
@@ -130,9 +130,9 @@ class World(Connection):
             actuator.torque(effort)
             for actuator, effort in zip(self._actuators, efforts, strict=True)
         ]
-        self._happenings.happen(self.time_ns)
+        self._schedule.advance(self.time_ns)
         if self.gripper is not None:
-            self.gripper.act(self.time_ns)
+            self.gripper.actuate(self.time_ns)
         if self._drivetrain is None:
             for _ in range(self.settings.physics_steps):
                 self._advance(torques)
@@ -142,7 +142,7 @@ class World(Connection):
         self._periods += 1
         self._states = None
         if self.gripper is not None:
-            self.gripper.judge(self.time_ns)
+            self.gripper.update(self.time_ns)
         if self._sensors is not None:
             self._sensors.sample(self.true_positions())
 
@@ -179,7 +179,7 @@ class World(Connection):
         """
         if duration_ns <= 0:
             raise SettingError(f"duration {duration_ns} ns of a wrench must be positive")
-        self._happenings.push(link, force, torque, duration_ns)
+        self._schedule.push(link, force, torque, duration_ns)
 
     def set_payload(self, mass: float) -> None:
         """Change the payload, a solid cube at the payload link; until the next reset.
@@ -191,7 +191,7 @@ class World(Connection):
             RobotDescriptionError: The robot has no payload link.
             SettingError: The mass is negative or not finite.
         """
-        self._happenings.load(mass)
+        self._schedule.load(mass)
 
     def _build(self) -> None:
         """Build the scene in an empty simulation, and keep its state for every reset."""
@@ -207,7 +207,7 @@ class World(Connection):
             if self.settings.has_ideal_drives
             else Drivetrain(self._client, self._scene, self.settings, self._joints)
         )
-        self._happenings = Happenings(self._client, self._scene, self.description, settings)
+        self._schedule = DisturbanceSchedule(self._client, self._scene, self.description, settings)
         self.gripper = build_gripper(self._client, self._scene, self.settings)
         self._at_start: int = pybullet.saveState(physicsClientId=self._client)
         self._begin()
@@ -217,7 +217,7 @@ class World(Connection):
         self._periods = 0
         self._applied = (0.0,) * len(self._actuators)
         self._states = None
-        self._happenings.begin()
+        self._schedule.begin()
         if self._drivetrain is not None:
             self._drivetrain.reset()
         is_bare = self.settings.has_bare_encoders
@@ -240,7 +240,7 @@ class World(Connection):
 
     def _advance(self, torques: Sequence[float]) -> None:
         """Take one physics step with these torques at the driven joints, in [N m]."""
-        self._happenings.act()
+        self._schedule.apply()
         # Bullet forgets applied torques after every step.
         pybullet.setJointMotorControlArray(
             self._scene.body,
@@ -251,4 +251,4 @@ class World(Connection):
         )
         pybullet.stepSimulation(physicsClientId=self._client)
         if self.gripper is not None:
-            self.gripper.feel()
+            self.gripper.sample_contacts()

@@ -1,4 +1,4 @@
-"""Silence, takeover and retuning of the pure loop: nothing moves a joint by a jump."""
+"""NoProgress, takeover and retuning of the pure loop: nothing moves a joint by a jump."""
 
 import math
 

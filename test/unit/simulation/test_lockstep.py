@@ -44,7 +44,7 @@ def test_a_silent_joint_gets_no_effort_is_not_waited_for_and_comes_back():
     barrier = Barrier(["a", "b"])
     barrier.begin(1)
     barrier.answer(1, ["b"], [2.0])
-    assert barrier.give_up() == ("a",)
+    assert barrier.time_out() == ("a",)
     assert barrier.finish() == [0.0, 2.0]
     barrier.begin(2)
     assert barrier.answer(2, ["b"], [2.0])  # complete without the silent one

@@ -38,7 +38,7 @@ _FOOTER_FIELDS = 20
 _CRC_SIZE = 4
 
 
-class Summary(NamedTuple):
+class McapSummary(NamedTuple):
     """What the end of a file says about it.
 
     Attributes:
@@ -55,7 +55,7 @@ class Summary(NamedTuple):
     is_complete: bool
 
 
-def read_summary(stream: BinaryIO, size: int) -> Summary:
+def read_summary(stream: BinaryIO, size: int) -> McapSummary:
     """Read the summary of a file.
 
     Args:
@@ -84,7 +84,7 @@ def read_summary(stream: BinaryIO, size: int) -> Summary:
     return _parsed(records)
 
 
-def _parsed(records: bytes) -> Summary:
+def _parsed(records: bytes) -> McapSummary:
     catalogue = Catalogue()
     counts: dict[int, int] | None = None
     chunk_channels: dict[int, frozenset[int]] = {}
@@ -109,7 +109,7 @@ def _parsed(records: bytes) -> Summary:
         and named | set(counts) <= set(catalogue.channels)
         and not catalogue.lacks_schemas
     )
-    return Summary(catalogue, counts, chunk_channels, is_complete)
+    return McapSummary(catalogue, counts, chunk_channels, is_complete)
 
 
 def _counts(content: bytes) -> dict[int, int]:
