@@ -1,4 +1,4 @@
-"""NoProgress, takeover and retuning of the pure loop: nothing moves a joint by a jump."""
+"""Silence, takeover and retuning of the pure loop: nothing moves a joint by a jump."""
 
 import math
 
