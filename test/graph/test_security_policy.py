@@ -32,7 +32,7 @@ def test_the_file_is_what_the_script_writes(tmp_path):
         if profile.get("node").endswith("_controller")
     ]
     written = subprocess.run(
-        [sys.executable, str(ROOT / "docs" / "make_policy.py"), *joints],
+        [sys.executable, str(ROOT / "tools" / "make_policy.py"), *joints],
         capture_output=True,
         text=True,
         check=True,

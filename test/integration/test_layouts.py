@@ -14,7 +14,7 @@ from hpid_ros.experiment.description import load_experiment
 
 CONFIG = share_folder() / "config"
 JOINTS = load_experiment(CONFIG / "experiments" / "paper.yaml").world.joints
-SCRIPT = ROOT / "docs" / "make_layouts.py"
+SCRIPT = ROOT / "tools" / "make_layouts.py"
 TOPICS = {
     "/joint_states",
     "/joint_commands",

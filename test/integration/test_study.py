@@ -385,8 +385,8 @@ def test_tables_for_the_docs_are_tables(files, tmp_path):
 
 @pytest.fixture
 def draw_results():
-    """Return docs/draw_results.py as a module."""
-    path = ROOT / "docs" / "draw_results.py"
+    """Return tools/draw_results.py as a module."""
+    path = ROOT / "tools" / "draw_results.py"
     spec = importlib.util.spec_from_file_location("draw_results", path)
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)

@@ -1,6 +1,6 @@
 """Draws the figures of results.md into docs/figures and puts its tables in place.
 
-python docs/draw_results.py STUDY [--search FOLDER]... [--page docs/results.md]
+python tools/draw_results.py STUDY [--search FOLDER]... [--page docs/results.md]
 
 STUDY is the folder of ``hpid study``, each FOLDER one of ``hpid tune``. Every table stands in the
 page between ``<!-- begin NAME -->`` and ``<!-- end NAME -->``; only what is between is written,

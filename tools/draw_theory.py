@@ -1,6 +1,6 @@
 """Draws the figures of theory.md into docs/figures and prints the numbers that it quotes.
 
-python docs/draw_theory.py
+python tools/draw_theory.py
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from hpid_ros.report.figures.style import RUN_STYLES, figure_style  # noqa: E402
 from hpid_ros.stability.closed_loop import closed_loop_field  # noqa: E402
 from hpid_ros.stability.verdict import certified_degree_interval  # noqa: E402
 
-FIGURES = Path(__file__).parent / "figures"
+FIGURES = ROOT / "docs" / "figures"
 STIFFNESS, DAMPING = 5.0, 2.0  # kp [1/s^2] and kd [1/s] of the family, on a unit inertia
 RATIOS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.85, 0.9, 0.95)
 LIMIT = 0.495

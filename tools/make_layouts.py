@@ -1,7 +1,7 @@
 """Write the layouts for PlotJuggler and Foxglove in config/: every joint of the paper's robot.
 
-Run from the checkout: ``python docs/make_layouts.py``. For another robot, name its experiment
-file: ``python docs/make_layouts.py my_experiment.yaml FOLDER``.
+Run from the checkout: ``python tools/make_layouts.py``. For another robot, name its experiment
+file: ``python tools/make_layouts.py my_experiment.yaml FOLDER``.
 """
 
 from __future__ import annotations

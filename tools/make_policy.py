@@ -1,4 +1,4 @@
-"""Writes the SROS 2 policy of the node set: ``python docs/make_policy.py [JOINT ...] > FILE``.
+"""Writes the SROS 2 policy of the node set: ``python tools/make_policy.py [JOINT ...] > FILE``.
 
 Without joints it writes ``config/sros2/policy.xml``, for the simulated robot. docs/security.md
 says how to use it. Format: ROS 2 Access Control Policies, version 0.2.0 (design.ros2.org).
@@ -112,7 +112,7 @@ def document(joints: Iterable[str]) -> str:
     Args:
         joints: The driven joints.
     """
-    head = '<?xml version="1.0" encoding="UTF-8"?>\n<!-- Written by docs/make_policy.py. -->\n'
+    head = '<?xml version="1.0" encoding="UTF-8"?>\n<!-- Written by tools/make_policy.py. -->\n'
     return head + ElementTree.tostring(policy(joints), encoding="unicode") + "\n"
 
 
