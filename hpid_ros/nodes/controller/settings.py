@@ -115,6 +115,7 @@ class ControllerSettings:
         declare_model(node)
         self.robot = robot_source(node)
         self._limits = robot_limits(node, self.robot)
+        self._last: tuple[Mapping[str, Value], LoopSettings] | None = None
 
     def with_changes(self, changes: Sequence[Parameter] = ()) -> LoopSettings:
         """Return the settings that would be in force after a change.
@@ -142,8 +143,12 @@ class ControllerSettings:
         return verdict(values, lambda each: require(self._checked(each)))
 
     def _checked(self, values: Mapping[str, Value]) -> LoopSettings:
-        settings = LoopSettings.from_parameters({**values, **model_values(self._node)})
-        return with_inertia(self._limits.within(settings), self.robot)
+        """Return settings of these values; a set is checked first and put in force afterwards."""
+        whole = {**values, **model_values(self._node)}
+        if self._last is None or self._last[0] != whole:
+            settings = LoopSettings.from_parameters(whole)
+            self._last = whole, with_inertia(self._limits.within(settings), self.robot)
+        return self._last[1]
 
 
 def concern_the_loop(changes: Sequence[Parameter]) -> bool:
