@@ -25,11 +25,7 @@ from launch_ros.substitutions import FindPackageShare
 
 from hpid_ros.base.names import controller_name
 from hpid_ros.experiment.description import load_experiment
-from hpid_ros.experiment.graph.parameter_files import (
-    bridge_document,
-    controllers_document,
-    write_parameters,
-)
+from hpid_ros.experiment.graph.nodes import bridge_document, controllers_document, write_parameters
 from hpid_ros.experiment.in_process import recorded_topics
 from hpid_ros.nodes.ros.process import LAUNCH
 

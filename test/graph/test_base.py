@@ -24,7 +24,7 @@ from hpid_ros.bags import read_run
 from hpid_ros.bags.messages import read_planar, read_vectors
 from hpid_ros.base.errors import BagError, ExperimentError, SettingError
 from hpid_ros.experiment.description import load_experiment
-from hpid_ros.experiment.graph.parameter_files import bridge_document
+from hpid_ros.experiment.graph.nodes import bridge_document
 from hpid_ros.experiment.in_process import run_without_ros
 from hpid_ros.experiment.progress import NoProgress
 from hpid_ros.experiment.result.result import compute

@@ -11,7 +11,7 @@ from harness.places import ROOT
 
 from hpid_ros.base.errors import ExperimentError, SettingError
 from hpid_ros.experiment.description import load_experiment
-from hpid_ros.experiment.graph.parameter_files import bridge_document, write_parameters
+from hpid_ros.experiment.graph.nodes import bridge_document, write_parameters
 from hpid_ros.nodes.bridge.realism import MEANINGS
 from hpid_ros.nodes.bridge.world_parameters import world_settings
 from hpid_ros.simulation.drives import Motor, Pwm

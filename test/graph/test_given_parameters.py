@@ -300,7 +300,7 @@ class Robot:
     """One of two robots: a bridge, its controllers and its reference in a namespace."""
 
     def __init__(self, harness, name, experiment, folder):
-        from hpid_ros.experiment.graph.parameter_files import (
+        from hpid_ros.experiment.graph.nodes import (
             bridge_document,
             controllers_document,
             write_parameters,

@@ -27,7 +27,7 @@ from hpid_ros.base.errors import BagError, ExperimentError, SettingError
 from hpid_ros.base.resources import share_folder
 from hpid_ros.cli.main import main
 from hpid_ros.experiment.description import load_experiment
-from hpid_ros.experiment.graph.parameter_files import bridge_document, write_parameters
+from hpid_ros.experiment.graph.nodes import bridge_document, write_parameters
 from hpid_ros.experiment.graph.run import run_on_graph
 from hpid_ros.experiment.in_process import run_without_ros
 from hpid_ros.experiment.progress import NoProgress, RunReport

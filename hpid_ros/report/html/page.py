@@ -8,6 +8,7 @@ escaped.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from importlib.resources import files
 
 from hpid_ros.analysis.comparison import Comparison, answer
 from hpid_ros.analysis.indices.task import EndEffectorPath
@@ -16,8 +17,8 @@ from hpid_ros.analysis.signals import Gains
 from hpid_ros.base.foreign_text import html_text
 from hpid_ros.recordings.series import RunSeries, SeriesError
 from hpid_ros.report.figures.paths import path_data
+from hpid_ros.report.figures.style import GRID, INK, REFERENCE, RUN_STYLES
 from hpid_ros.report.html.data import Figure, figures_data, page_data
-from hpid_ros.report.html.embedded import script, style_sheet
 from hpid_ros.report.html.facts import (
     Parameters,
     data_quality,
@@ -30,6 +31,62 @@ from hpid_ros.report.html.facts import (
     provenance_table,
     retunes,
 )
+
+# The same hues as on paper, light enough for a dark page: line and tint of each run.
+DARK_RUNS = (
+    ("#6cb4ff", "#6cb4ff"),
+    ("#ff9a52", "#7a4a2c"),
+    ("#63d29b", "#2c5c47"),
+    ("#c99bea", "#594070"),
+    ("#ff8fa3", "#713d49"),
+    ("#5fd4e6", "#2c5c66"),
+    ("#d8bd5a", "#5d522a"),
+    ("#aab6c4", "#4a525c"),
+)
+
+_LIGHT_VARIABLES = "".join(
+    f"--run-{k}:{style.color};--tint-{k}:{style.tint};" for k, style in enumerate(RUN_STYLES)
+)
+_DARK_VARIABLES = "".join(
+    f"--run-{k}:{color};--tint-{k}:{tint};" for k, (color, tint) in enumerate(DARK_RUNS)
+)
+
+_DARK = f"""
+    --page: #14171c; --ink: #e6e9ee; --soft: #a2abb8; --line: #39404b; --panel: #1d2229;
+    --grid: #2c323b; --reference: #5c6675; --better: #6fd198; --worse: #ff8f86;
+    --selection: #6cb4ff44;
+    {_DARK_VARIABLES}
+"""
+
+_PALETTE = f"""
+:root {{
+  color-scheme: light dark;
+  --page: #ffffff; --ink: {INK}; --soft: #5b6472; --line: #d5d9e0; --panel: #f4f6f9;
+  --grid: {GRID}; --reference: {REFERENCE}; --better: #14713d; --worse: #b3261e;
+  --selection: #0b4a8f33;
+  {_LIGHT_VARIABLES}
+}}
+@media screen and (prefers-color-scheme: dark) {{ :root:not([data-theme=light]) {{{_DARK}}} }}
+@media screen {{ :root[data-theme=dark] {{{_DARK}}} }}
+:root[data-theme=dark] {{ color-scheme: dark; }}
+:root[data-theme=light] {{ color-scheme: light; }}
+"""
+
+
+def style_sheet() -> str:
+    """Return the page's style sheet."""
+    return _PALETTE + _asset("style.css")
+
+
+def script() -> str:
+    """Return the page's program: no library, no network, nothing left in the global scope."""
+    parts = "".join(_asset(name) for name in ("ticks.js", "chart.js", "page.js"))
+    return f'"use strict";\n(() => {{\n{parts}}})();\n'
+
+
+def _asset(name: str) -> str:
+    return (files(__package__) / "assets" / name).read_text(encoding="utf-8")
+
 
 _UNKNOWN = "<p>The parameters of the controllers are not known.</p>"
 _NO_RECORDING = "<p>The numbers were saved without their recordings.</p>"

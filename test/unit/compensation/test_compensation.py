@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 
 from hpid_ros.base.errors import RobotDescriptionError, SettingError
 from hpid_ros.base.resources import share_folder
+from hpid_ros.compensation.build import DecouplingShare, GravityShare, RobotDynamics
 from hpid_ros.compensation.coupling import coupling, relaxation
 from hpid_ros.compensation.joint_space import JointSpace
 from hpid_ros.compensation.loops import Compensator
-from hpid_ros.compensation.model import DecouplingShare, GravityShare, RobotDynamics
 from hpid_ros.compensation.states import RobotState, RobotStates
 from hpid_ros.control import LoopSettings
 from hpid_ros.robot.description import RobotDescription

@@ -7,10 +7,9 @@ import pytest
 
 from hpid_ros.base.errors import SettingError
 from hpid_ros.base.resources import share_folder
-from hpid_ros.compensation.build import compensators
+from hpid_ros.compensation.build import DecouplingShare, RobotDynamics, compensators
 from hpid_ros.compensation.joint_space import JointSpace
 from hpid_ros.compensation.loops import Compensator
-from hpid_ros.compensation.model import DecouplingShare, RobotDynamics
 from hpid_ros.compensation.states import RobotStates
 from hpid_ros.control import JointLoop, LoopSettings
 from hpid_ros.control.reference import Setpoint

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hpid_ros.report.html.data import line_data
-from hpid_ros.report.html.embedded import script, style_sheet
+from hpid_ros.report.html.page import script, style_sheet
 
 NODE = shutil.which("node")
 pytestmark = pytest.mark.skipif(NODE is None, reason="no node: apt install nodejs")
