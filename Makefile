@@ -33,14 +33,15 @@ $(VENV)/.bench-installed: $(VENV)/.installed
 compare: $(VENV)/.installed
 	$(BIN)/hpid compare $(ARGS)
 
-# Each file on one of so many processes; graphs have domains of their own.
+# Each file on one of so many processes, the long ones first; graphs have domains of their own.
 JOBS ?= 2
+SPREAD := -n $(JOBS) --dist loadfile --no-loadscope-reorder
 
 test: $(VENV)/.test-installed
-	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile $(ARGS)
+	$(BIN)/python -m pytest $(SPREAD) $(ARGS)
 
 quick: $(VENV)/.test-installed
-	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile -m unit -q $(ARGS)
+	$(BIN)/python -m pytest $(SPREAD) -m "unit and not slow" -q $(ARGS)
 
 # The tests that break things on purpose, and a table of what they did and what came of it.
 # Longer: python -m benchmarks.faults --minutes 10, python -m benchmarks.soak --minutes 60

@@ -36,7 +36,7 @@ EXTRAS = {
     "test": [
         "pytest>=8,<9",  # launch_testing of ROS stops any run of pytest 9
         "pytest-timeout>=2.3,<3",
-        "pytest-xdist>=3.5,<4",  # both cores
+        "pytest-xdist>=3.7,<4",  # both cores
         "hypothesis>=6.100,<7",
         "mcap>=1.2,<2",  # a reader of bags that is not the one that wrote them
         "mcap-ros2-support>=0.5.5,<1",

@@ -17,7 +17,7 @@ from hpid_ros.wire import JointStateTemplate
 
 MS = 1_000_000
 TIMEOUT = 0.1  # [s], the state_timeout here
-SLACK = 0.5  # [s] for a machine that has other work, too
+SLACK = 1.5  # [s] for a machine that has other work, too
 PARAMETERS = {
     **{"law": "pid", "gains__p": 10.0, "gains__i": 4.0, "gains__d": 2.0},
     **{"joint": "elbow", "state_timeout": TIMEOUT, "fallback_effort": 1.5},

@@ -6,11 +6,11 @@ from benchmarks.stimuli import STIMULI, a_joint
 
 DAMPING = 20.0 * 0.5  # of the joint at the trajectory's speed, in [N m]
 BOUNDS = {
-    "freeze of 1.5 s": 1.1 * DAMPING,
+    "freeze of 1.5 s": 1.3 * DAMPING,
     "silence, then repeats": 0.0,
     "second controller": 1.5,
     "encoder wraps": 1.5,
-    "encoder set to another zero": 1.1 * DAMPING,
+    "encoder set to another zero": 1.3 * DAMPING,
     "one wrong position": 1.5,
     "velocity filter retuned": 3.0,
 }

@@ -169,10 +169,11 @@ def test_bare_pybullet_makes_the_same_motion_as_the_engine():
 
 def test_the_echo_graph_completes_its_cycles_and_leaves_nothing():
     joints = [f"joint_{k}" for k in range(8)]
+    before = set(_children())  # of other tests in this process
     found = run_floor(joints, "single", 300)
     assert found["cycles"] == 300
     assert found["rate"] > 10.0
-    assert not _children()
+    assert set(_children()) <= before
 
 
 def test_an_interrupt_ends_every_process():

@@ -24,6 +24,8 @@ from hpid_ros.bags.columns.storage import Storage
 from hpid_ros.base.errors import BagError
 from hpid_ros.recordings.series import RunSeries
 
+pytestmark = pytest.mark.slow
+
 FIELDS = ("state_stamps_ns", "position", "reference", "command_stamps_ns", "effort")
 COUNT = 400
 

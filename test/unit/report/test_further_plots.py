@@ -31,6 +31,8 @@ from hpid_ros.report.figures.portraits import phase_curve
 from hpid_ros.report.figures.style import RUN_STYLES
 from hpid_ros.report.figures.trade_off import trade_off_figure
 
+pytestmark = pytest.mark.slow
+
 
 def swing(label="PID", frequency=1.5, joints=2, count=4001, seed=0):
     """A joint that swings about its reference with a fast part in its effort."""

@@ -26,6 +26,8 @@ from hpid_ros.report.figures.plots import (
 )
 from hpid_ros.report.figures.style import PAPER, RUN_STYLES
 
+pytestmark = pytest.mark.slow
+
 START_NS = 1_700_000_000_000_000_000
 
 

@@ -13,6 +13,8 @@ from hpid_ros.analysis.indices.run import run_indices
 from hpid_ros.recordings.series import JointSeries, Retune, RunSeries
 from hpid_ros.report.html.page import render_report
 
+pytestmark = pytest.mark.slow
+
 playwright = pytest.importorskip("playwright.sync_api", reason="pip install playwright")
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")

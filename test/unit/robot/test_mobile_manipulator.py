@@ -16,6 +16,8 @@ from hpid_ros.robot import RobotDescription
 from hpid_ros.robot.dynamics import Dynamics
 from hpid_ros.simulation import World, WorldSettings
 
+pytestmark = pytest.mark.slow
+
 WHEELS = ("wheel_left_joint", "wheel_right_joint")
 ARM = tuple(f"arm_joint_{number}" for number in range(1, 7))
 JOINTS = WHEELS + ARM

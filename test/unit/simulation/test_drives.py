@@ -16,6 +16,8 @@ from hpid_ros.robot.dynamics import Dynamics
 from hpid_ros.simulation import World, WorldSettings
 from hpid_ros.simulation.drives import Drive, DriveSettings, Motor, Pwm
 
+pytestmark = pytest.mark.slow
+
 WHEEL = "wheel_left_joint"
 PERIOD = 1e-3  # [s]
 MOTOR = Motor(torque_constant=0.05, resistance=1.0, supply_voltage=24.0)

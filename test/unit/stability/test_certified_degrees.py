@@ -8,6 +8,8 @@ from hpid_ros.stability import degrees as module
 from hpid_ros.stability.degrees import certified_degrees, kind_of, norm_family
 from hpid_ros.stability.verdict import certified_degree_interval, verify_certificate
 
+pytestmark = pytest.mark.slow
+
 NEAR_THE_LIMIT = Gains(5.0, 9.0, 2.0)
 
 

@@ -16,6 +16,8 @@ from hpid_ros.stability.check import margins_at
 from hpid_ros.stability.closed_loop import closed_loop_field, dilated, state_norm
 from hpid_ros.stability.verdict import certify_degree
 
+pytestmark = pytest.mark.slow
+
 GAINS = Gains(p=3.0, i=1.0, d=3.0)
 DIRECTIONS = ((1.0, 0.0, 0.0), (0.3, -1.0, 0.5), (0.0, 0.0, 1.0))
 

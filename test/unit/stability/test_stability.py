@@ -24,6 +24,8 @@ from hpid_ros.stability.verdict import (
     verify_certificate,
 )
 
+pytestmark = pytest.mark.slow
+
 POSITIVE = st.floats(0.05, 50.0)
 
 
