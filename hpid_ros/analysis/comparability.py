@@ -1,4 +1,4 @@
-"""Whether runs can be compared: what differs, and the time that all of them have."""
+"""Comparability of runs: differences in their conditions, and the time that all of them have."""
 
 from __future__ import annotations
 

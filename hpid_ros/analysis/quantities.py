@@ -1,4 +1,4 @@
-"""What the indices are called, their units, and how a total comes from the joints' numbers.
+"""Quantities: names and units of the indices, and their totals over the joints.
 
 Every one of them is a cost: lower is better. Definitions: docs/indices.md.
 """

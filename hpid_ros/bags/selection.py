@@ -1,4 +1,4 @@
-"""What is read from a bag: topics, joints, references, clock and window, as options name them."""
+"""The selection of what is read from a bag: topics, joints, references, clock and window."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What goes to a terminal: text, in which nothing that came from outside controls it."""
+"""Output to a terminal: text, in which nothing that came from outside controls it."""
 
 from __future__ import annotations
 

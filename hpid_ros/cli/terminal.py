@@ -1,4 +1,4 @@
-"""What a person sees in the terminal while an experiment runs, and at its end."""
+"""The terminal while an experiment runs, and at its end."""
 
 from __future__ import annotations
 

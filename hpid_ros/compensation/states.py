@@ -1,4 +1,4 @@
-"""What a model is told of the whole robot: states of all joints, completed and checked."""
+"""States of the whole robot for a model: of all joints, completed and checked."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What happens to the integral while the effort is limited.
+"""Anti-windup: the integral while the effort is limited.
 
 The strategies and their definitions are those of ``control_toolbox``, so that a configuration
 of ros2_control keeps its meaning.

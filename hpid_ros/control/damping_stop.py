@@ -1,4 +1,4 @@
-"""How a joint is let go of gently: its motion is damped, and the damping fades."""
+"""The damping stop: a joint is let go of gently, its motion damped, and the damping fades."""
 
 from __future__ import annotations
 

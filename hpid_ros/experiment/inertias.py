@@ -1,4 +1,4 @@
-"""What the motors of an experiment's robot have to accelerate where it starts."""
+"""Inertias that the motors of an experiment's robot accelerate where it starts."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a recorded loop's homogeneous law did to its gains, from its settings and its errors."""
+"""Norm and multiplier of a recorded loop over time, from its settings and its errors."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How complete a recording is: what its stamps say about samples that are not there."""
+"""Completeness of a recording: what its stamps say about samples that are not there."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a URDF says about a robot, and the rigid-body dynamics that follow from it.
+"""Robots: the record of a URDF, and the rigid-body dynamics that follow from it.
 
 :mod:`~hpid_ros.robot.description` needs the standard library only;
 :mod:`~hpid_ros.robot.dynamics` is the only importer of Pinocchio and is imported by name.

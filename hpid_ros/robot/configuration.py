@@ -1,4 +1,4 @@
-"""What a configuration file knows better of a robot than the robot's URDF."""
+"""Corrections of a robot's URDF in a configuration file."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where a link is for given joint positions, and joint positions that put it somewhere.
+"""Forward and inverse kinematics: poses of a link, and joint positions for a pose.
 
 Forward kinematics and Jacobian are Pinocchio's. The inverse is a least-squares problem with
 bounds: the pose error, a twist ``log6`` of SE(3), is made zero within the joints' limits by the

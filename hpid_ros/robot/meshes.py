@@ -1,4 +1,4 @@
-"""Where the meshes of a URDF are."""
+"""Places of the meshes of a URDF."""
 
 from __future__ import annotations
 

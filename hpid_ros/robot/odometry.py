@@ -1,4 +1,4 @@
-r"""Where a differential-drive base is, from how far its wheels have turned.
+r"""Odometry of a differential-drive base, from the turns of its wheels.
 
 Between two readings both wheels are taken to turn at constant rates, so that the base moves on a
 circular arc of length s that turns by theta; its chord is exact for every theta, also for 0,

@@ -1,4 +1,4 @@
-"""What a URDF does not say, or hardly can mean, of the robot that it describes."""
+"""A review of a URDF: what it does not say, or hardly can mean, of the robot that it describes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where a link is in the world, and how it moves."""
+"""Poses and twists of links in the world."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What can be said of one joint's gains: stable or not, for which degrees, with what margins."""
+"""Verdicts on one joint's gains: stable or not, for which degrees, with what margins."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-r"""How fast an ellipsoid is entered: the inequality behind a certificate, on an adapted grid.
+r"""Rates of entry into an ellipsoid: the inequality behind a certificate, on an adapted grid.
 
 The closed loop of the homogeneous PID on a unit double integrator, with the state
 :math:`x = (e, \dot e, p - I)`, is homogeneous. So it is asymptotically stable if on one sphere

@@ -1,4 +1,4 @@
-"""What an upgrade would change, simulated in this process on the robot's model."""
+"""Prediction of an upgrade, simulated in this process on the robot's model."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How a base drove: against its reference, against its own odometry, and how much it slid."""
+"""Driving of a base: against its reference, against its own odometry, and its slip."""
 
 from __future__ import annotations
 

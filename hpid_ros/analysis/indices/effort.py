@@ -1,4 +1,4 @@
-"""What an effort costs beside its size: time at its limits, chatter, mechanical work."""
+"""Costs of an effort beside its size: time at its limits, chatter, mechanical work."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where a reference steps, and how a joint answers.
+"""Steps of a reference, and the response of a joint.
 
 Definitions of rise, settling and overshoot as MATLAB's ``stepinfo`` and python-control's
 ``step_info`` have them: 10 % to 90 %, 2 %, percent of the height.

@@ -1,4 +1,4 @@
-"""How well a task was done: the end effector against its reference, and what became of bricks."""
+"""Quality of a task: the end effector against its reference, and the fate of bricks."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What bags are compressed with: zstd for files, messages and chunks, lz4 for chunks.
+"""Compression of bags: zstd for files, messages and chunks, lz4 for chunks.
 
 A few kilobytes can unpack to any number of gigabytes. So everything is unpacked up to a stated
 size only: what a chunk declares, and never more than the :class:`Allowance` of its file.

@@ -1,4 +1,4 @@
-"""Which model of the robot a loop's effort takes into account; fixed when the loop begins."""
+"""Settings of a loop's model of the robot, fixed when the loop begins."""
 
 from __future__ import annotations
 

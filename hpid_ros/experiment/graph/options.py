@@ -1,4 +1,4 @@
-"""How a run on the graph is spread over processes, paced and recorded."""
+"""Options of a run on the graph: processes, pace and recording."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How an effort leaves a controller: the message that the hardware side understands."""
+"""Commands of a controller: its efforts as the message that the hardware side understands."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a person may look into while a loop runs: ``~/reference`` and ``~/terms``."""
+"""Introspection of a running loop: ``~/reference`` and ``~/terms``."""
 
 from __future__ import annotations
 

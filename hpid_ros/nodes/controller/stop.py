@@ -1,4 +1,4 @@
-"""How a controller leaves its joint."""
+"""The end of a controller at its joint: at once, or with a damping stop."""
 
 from __future__ import annotations
 

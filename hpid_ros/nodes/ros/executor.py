@@ -1,4 +1,4 @@
-"""How a process of nodes starts, spins and stops.
+"""The life of a process of nodes: start, spinning, end.
 
 ``EventsExecutor`` is several times faster than the wait-set executors. Two of its traits need
 care: ``spin()`` without a deadline starves callbacks, so it is always given one; and with

@@ -1,4 +1,4 @@
-"""What happens to a process while its executor may be stuck in a callback: signals, and looks.
+"""The supervisor of a process whose executor may be stuck in a callback: signals, and looks.
 
 A thread of its own reads the signals from a wake-up pipe, which the interpreter writes at once,
 whatever the executor does, and lets nodes look at what must not wait for the executor. It needs

@@ -1,4 +1,4 @@
-"""What an executable prints when it is asked for help."""
+"""The help of an executable."""
 
 from __future__ import annotations
 

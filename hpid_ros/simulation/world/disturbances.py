@@ -1,4 +1,4 @@
-"""What happens to the robot while it runs, on simulated time."""
+"""Disturbances of the robot while it runs, on simulated time."""
 
 from __future__ import annotations
 

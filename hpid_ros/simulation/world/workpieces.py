@@ -1,4 +1,4 @@
-"""What stands about the robot: bricks to carry, supports to put them on, and its gripper."""
+"""Workpieces: bricks to carry, supports to put them on, and the gripper."""
 
 from __future__ import annotations
 
