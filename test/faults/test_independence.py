@@ -16,6 +16,7 @@ from benchmarks.soak import main as soak_command
 SOAK_MINUTES = float(os.environ.get("HPID_SOAK_MINUTES", "2"))
 
 
+@pytest.mark.timeout(1200)
 def test_the_others_go_on_and_a_restarted_controller_takes_over(tmp_path, faults):
     experiment = sines(tmp_path, 20.0)
     episode = run_episode(experiment, undisturbed(experiment), tmp_path / "run", seed=3)
