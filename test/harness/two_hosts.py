@@ -1,5 +1,6 @@
 """Two hosts on one machine: network namespaces, joined by a cable that is a pair of devices."""
 
+import os
 import subprocess
 from contextlib import contextmanager
 from pathlib import Path
@@ -78,6 +79,8 @@ def _inside(pid):
 
 
 def _run(*command):
-    run = subprocess.run(command, capture_output=True, text=True, check=False)
+    path = f"{os.environ['PATH']}:/usr/sbin:/sbin"  # where tc is, whatever a user's path says
+    environment = {**os.environ, "PATH": path}
+    run = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
     if run.returncode != 0:
         raise HostsError(f"{' '.join(command)}: {run.stderr.strip()}")
