@@ -37,8 +37,14 @@ compare: $(VENV)/.installed
 JOBS ?= 2
 SPREAD := -n $(JOBS) --dist loadfile --no-loadscope-reorder
 
+# What keeps time on a graph has the machine to itself.
 test: $(VENV)/.test-installed
-	$(BIN)/python -m pytest $(SPREAD) $(ARGS)
+ifeq ($(strip $(ARGS)),)
+	$(BIN)/python -m pytest $(SPREAD) -m "unit or integration"
+	$(BIN)/python -m pytest -m "graph or faults"
+else
+	$(BIN)/python -m pytest $(ARGS)
+endif
 
 quick: $(VENV)/.test-installed
 	$(BIN)/python -m pytest $(SPREAD) -m "unit and not slow" -q $(ARGS)
