@@ -34,6 +34,7 @@ from hpid_ros.nodes.ros.usage import Usage
 _LOOK_PERIOD = 0.02  # [s]
 _REPORT_PERIOD = 0.05  # [s]
 _DIAGNOSTICS_PERIOD = 1.0  # [s]
+_LATCHED_WITHIN = 2.0  # [s] for a latched message; its topic may have none
 _STANDSTILL = 2.0  # [s] between two reports: well below the lease after which nobody counts
 _DEFAULT_TOPICS = ["joint_trajectory", "joint_commands", "joint_states"]
 _MESSAGE_TYPE = re.compile(r"([A-Za-z]\w*)/msg/([A-Za-z]\w*)", re.ASCII)
@@ -44,6 +45,8 @@ class BagRecorder(executor.ClosingNode):
 
     Topics are subscribed in the order of the list, each after the one before: with the states
     last, whoever waits for a subscriber of the states has a recorder for all that answers them.
+    The last waits for the latched messages of the others, 2 s at most: a reference that began
+    before the first state stands before it in the bag.
 
     Raises:
         SettingError: No bag or no topic was named, or a topic twice.
@@ -68,7 +71,8 @@ class BagRecorder(executor.ClosingNode):
         self._writer = BagWriter(path)
         self._failure = ""
         self._missed: dict[str, int] = {}
-        self._looked = time.monotonic()
+        self._latched: list[str] = []
+        self._looked = self._subscribed = time.monotonic()
         self._stood_still = 0.0  # [s]
         self._reported: tuple[dict[str, int], dict[str, int]] = ({}, {})
         self._diagnostics = Diagnostics(self, path)
@@ -80,7 +84,7 @@ class BagRecorder(executor.ClosingNode):
         while self._waiting and not self._failure:
             topic = self._waiting[0]
             publishers = self.get_publishers_info_by_topic(topic)
-            if not publishers:
+            if not publishers or (len(self._waiting) == 1 and self._waits_for_latched()):
                 return
             try:
                 self._record(topic, publishers)
@@ -88,9 +92,16 @@ class BagRecorder(executor.ClosingNode):
                 self._status.send("failed", reason=str(error))
                 raise
             del self._waiting[0]
-            self._looked = time.monotonic()  # importing a type takes long on a busy machine
+            # Importing a type takes long on a busy machine.
+            self._looked = self._subscribed = time.monotonic()
         self._look.cancel()
         self._status.send("recording")
+
+    def _waits_for_latched(self) -> bool:
+        """Tell whether the message of a latched topic may still be on its way."""
+        counts = self._writer.counts
+        is_awaited = not all(counts[topic] for topic in self._latched)
+        return is_awaited and time.monotonic() < self._subscribed + _LATCHED_WITHIN
 
     def _record(self, topic: str, publishers: Sequence[TopicEndpointInfo]) -> None:
         type_name = publishers[0].topic_type
@@ -106,6 +117,8 @@ class BagRecorder(executor.ClosingNode):
             ),
         )
         self._missed[topic] = 0
+        if qos.durability == DurabilityPolicy.TRANSIENT_LOCAL:
+            self._latched.append(topic)
         self.create_subscription(
             _message_class(type_name),
             topic,

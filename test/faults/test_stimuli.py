@@ -6,7 +6,7 @@ from benchmarks.stimuli import STIMULI, a_joint
 
 DAMPING = 20.0 * 0.5  # of the joint at the trajectory's speed, in [N m]
 BOUNDS = {
-    "freeze of 1.5 s": 1.3 * DAMPING,
+    "freeze of 1.5 s": 1.6 * DAMPING,
     "silence, then repeats": 0.0,
     "second controller": 1.5,
     "encoder wraps": 1.5,
@@ -14,15 +14,12 @@ BOUNDS = {
     "one wrong position": 1.5,
     "velocity filter retuned": 3.0,
 }
-"""The largest sudden step of the effort in [N m]."""
+"""The largest sudden step of the effort in [N m]; a thaw into a fallback nobody gave makes 18."""
 
 
 @pytest.mark.parametrize("name", BOUNDS)
 def test_the_effort_moves_by_no_more_than_its_bound(name, faults):
-    for _ in range(3):  # a driver that a busy machine holds up is another stimulus
-        with a_joint() as joint:
-            felt = STIMULI[name](joint)
-        if felt.sudden <= BOUNDS[name]:
-            break
+    with a_joint() as joint:
+        felt = STIMULI[name](joint)
     assert felt.sudden <= BOUNDS[name], felt
     faults.count("stimuli of one joint in motion, each within its bound")

@@ -10,6 +10,7 @@ import time
 import pytest
 import yaml
 from harness.graph import ros_arguments
+from trajectory_msgs.msg import JointTrajectory
 
 from hpid_ros.analysis.doubts import quality_lines
 from hpid_ros.bags import BagReader, BagWriter, read_run
@@ -25,6 +26,7 @@ from hpid_ros.bags.selection import BagSelection
 from hpid_ros.base.errors import BagError
 from hpid_ros.base.names import PROFILE_FILES
 from hpid_ros.cli.main import main
+from hpid_ros.nodes.ros.middleware import LATCHED
 from hpid_ros.report.html.facts import data_quality
 from hpid_ros.wire import JointStateTemplate
 
@@ -115,6 +117,35 @@ def record(harness, bag):
     )
     harness.wait(lambda: harness.states.get_subscription_count() == 1, what="the recorder")
     return recorder
+
+
+def test_states_are_asked_for_when_the_latched_reference_is_in_the_bag(harness, tmp_path):
+    publisher = harness.node.create_publisher(JointTrajectory, "joint_trajectory", LATCHED)
+    topics = "[joint_trajectory, joint_states]"
+    arguments = ros_arguments(bag=tmp_path / "bag", topics=topics)
+    recorder = harness.processes.start("recorder", "bag_recorder", arguments)
+    harness.wait(lambda: publisher.get_subscription_count() == 1, what="the recorder")
+    begin = time.monotonic()
+    harness.wait(lambda: time.monotonic() > begin + 0.5, what="a moment")
+    assert harness.states.get_subscription_count() == 0
+    publisher.publish(JointTrajectory(joint_names=["elbow"]))
+    harness.wait(lambda: harness.states.get_subscription_count() == 1, what="the states")
+    harness.states.publish(state(0))
+    events = Events(recorder)
+    harness.wait(lambda: events.recorded() == 1, what="the state")
+    recorder.process.terminate()
+    assert recorder.process.wait(timeout=20) == 0
+    with BagReader(tmp_path / "bag") as bag:
+        topics = [message.topic for message in bag.messages()]
+    assert topics == ["/joint_trajectory", "/joint_states"]
+
+
+def test_a_latched_topic_without_a_message_is_not_waited_for_long(harness, tmp_path):
+    harness.node.create_publisher(JointTrajectory, "joint_trajectory", LATCHED)
+    topics = "[joint_trajectory, joint_states]"
+    arguments = ros_arguments(bag=tmp_path / "bag", topics=topics)
+    harness.processes.start("recorder", "bag_recorder", arguments)
+    harness.wait(lambda: harness.states.get_subscription_count() == 1, what="the states")
 
 
 class Events:

@@ -31,12 +31,10 @@ def format_values(values: Iterable[float], digits: int = SIGNIFICANT_DIGITS) -> 
         return [_scientific(value) for value in column]
     whole = max(1, math.floor(math.log10(largest)) + 1) if largest else 1
     decimals = max(0, digits - whole)
-    smallest = 0.5 * 10.0**-decimals
+    texts = [f"{value:.{decimals}f}" for value in column]
     return [
-        _scientific(value)
-        if value and not smallest <= abs(value) < math.inf
-        else f"{value:.{decimals}f}"
-        for value in column
+        text if math.isfinite(value) and (not value or float(text)) else _scientific(value)
+        for value, text in zip(column, texts, strict=True)
     ]
 
 

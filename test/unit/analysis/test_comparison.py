@@ -9,7 +9,7 @@ import warnings
 import numpy as np
 import pytest
 from harness.runs import run
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from rich.console import Console
 
@@ -348,6 +348,7 @@ def test_labels_are_text_and_never_markup():
 
 
 @given(st.lists(st.floats(0.0, 1e12), min_size=1, max_size=8))
+@example([10000.0, 0.5])  # half of the last decimal is rounded to an even number
 def test_formatted_values_line_up_and_never_hide_a_number(values):
     texts = format_values(values)
     plain = {len(text.partition(".")[2]) for text in texts if "e" not in text}
