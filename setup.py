@@ -44,6 +44,7 @@ EXTRAS = {
         "colcon-ros>=0.5,<0.6",
         "setuptools>=71,<80",  # colcon --symlink-install needs setup.py develop
         "simple-pid>=2.0,<3",  # the benchmarks are tested too
+        "jsonschema>=4.10,<5",  # the schema of experiment files
         "playwright>=1.40,<2",  # the report in a browser, where there is one
         "ruff>=0.6,<1",
         "mypy>=1.11,<3",

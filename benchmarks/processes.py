@@ -15,7 +15,7 @@ from types import TracebackType
 from typing import Any
 
 from hpid_ros.base.errors import RunError
-from hpid_ros.base.interrupts import raise_if_interrupted
+from hpid_ros.base.interrupts import raise_if_interrupted, uninterrupted
 from hpid_ros.experiment.graph.processes import beginning, end_all
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -59,7 +59,7 @@ class Scripts:
             module: Module below ``benchmarks.nodes``.
             arguments: Its arguments.
         """
-        with (self._logs / f"{name}.log").open("wb") as log:
+        with uninterrupted(), (self._logs / f"{name}.log").open("wb") as log:
             self.processes[name] = subprocess.Popen(
                 [*self._prefix, sys.executable, "-m", f"benchmarks.nodes.{module}", *arguments],
                 cwd=ROOT,

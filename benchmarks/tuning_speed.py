@@ -59,8 +59,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _commands(folder: Path) -> dict[str, list[str]]:
     """Return the commands' arguments by name; what they read is written to the folder."""
     pid, hpid = folder / "pid.yaml", folder / "hpid.yaml"
-    _write_parameters(EXPERIMENTS / "paper.yaml", 0, pid)
-    _write_parameters(EXPERIMENTS / "tracking.yaml", 1, hpid)
+    _write_document(EXPERIMENTS / "paper.yaml", 0, pid)
+    _write_document(EXPERIMENTS / "tracking.yaml", 1, hpid)
     paper, tracking = (str(EXPERIMENTS / f"{name}.yaml") for name in ("paper", "tracking"))
     rule = ["--rule", "pole-placement", "--closed-loop-time", "0.1"]
     proposal = ["--goal", "smooth", "--force", "-o", str(folder / "new.yaml")]
@@ -71,7 +71,7 @@ def _commands(folder: Path) -> dict[str, list[str]]:
     }
 
 
-def _write_parameters(experiment: Path, place: int, file: Path) -> None:
+def _write_document(experiment: Path, place: int, file: Path) -> None:
     """Write the arm's loops of an experiment's controller, inertias unknown."""
     loops = list(load_experiment(experiment).controllers.values())[place]
     nodes = {}

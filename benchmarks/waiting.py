@@ -14,7 +14,7 @@ from hpid_ros.base.errors import RunError
 from hpid_ros.base.interrupts import raise_if_interrupted
 from hpid_ros.base.names import controller_name
 from hpid_ros.experiment.graph.isolation import closed_environment, own_domain
-from hpid_ros.experiment.graph.nodes import controllers_document, write_parameters
+from hpid_ros.experiment.graph.nodes import controllers_document, write_document
 from hpid_ros.experiment.graph.processes import NodeGroup, NodeProcess
 
 LABEL = "hPID"
@@ -59,7 +59,7 @@ def _controllers(windows: int) -> Mapping[str, float]:
         NodeGroup(closed_environment(domain), Path(name)) as nodes,
     ):
         file = Path(name) / "controllers.yaml"
-        write_parameters(file, controllers_document(settings))
+        write_document(file, controllers_document(settings))
         arguments = ["--params-file", str(file), "-p", "certify:=false"]
         arguments += ["-p", "wait_for_command_subscribers:=0"]
         for each in settings:

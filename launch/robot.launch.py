@@ -25,7 +25,7 @@ from launch_ros.substitutions import FindPackageShare
 
 from hpid_ros.base.names import controller_name
 from hpid_ros.experiment.description import load_experiment
-from hpid_ros.experiment.graph.nodes import bridge_document, controllers_document, write_parameters
+from hpid_ros.experiment.graph.nodes import write_run_files
 from hpid_ros.experiment.in_process import recorded_topics
 from hpid_ros.nodes.ros.process import LAUNCH
 
@@ -69,10 +69,8 @@ def nodes(context):
         )
     namespace = value["namespace"].strip("/")
     folder = Path(tempfile.mkdtemp(prefix="hpid_ros_"))
-    controllers, bridge = str(folder / "controllers.yaml"), str(folder / "bridge.yaml")
-    robot = str(experiment.world.robot_description)
-    write_parameters(Path(controllers), controllers_document(experiment.controllers[label], robot))
-    write_parameters(Path(bridge), bridge_document(experiment))
+    settings = experiment.controllers[label]
+    controllers, bridge = map(str, write_run_files(folder, experiment, settings))
     started = [
         Node(
             package="hpid_ros",

@@ -8,9 +8,12 @@ here as well.
 from __future__ import annotations
 
 import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
 from types import FrameType
 
 _is_requested = False
+_postponed = 0
 
 
 def heed_interrupts() -> None:
@@ -31,8 +34,28 @@ def raise_if_interrupted() -> None:
         raise KeyboardInterrupt
 
 
+@contextmanager
+def uninterrupted() -> Iterator[None]:
+    """Postpone an interrupt to the end of a block, as where a new process is written down.
+
+    Raises:
+        KeyboardInterrupt: At the end of the block: there was one.
+    """
+    global _postponed
+    was_requested = _is_requested
+    _postponed += 1
+    try:
+        yield
+    finally:
+        _postponed -= 1
+    if _is_requested and not was_requested and not _postponed:
+        raise KeyboardInterrupt
+
+
 def _interrupt(number: int, frame: FrameType | None) -> None:
     global _is_requested
     is_first, _is_requested = not _is_requested, True
-    if is_first:  # a second one must not disturb the cleaning up after the first
+    if (
+        is_first and not _postponed
+    ):  # a second one must not disturb the cleaning up after the first
         raise KeyboardInterrupt

@@ -20,6 +20,7 @@ from hpid_ros.cli.commands import (
     repair,
     robot,
     run,
+    schema,
     study,
     sweep,
     tune,
@@ -63,7 +64,7 @@ def _parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     for each in (
         *(compare, run, sweep, study, metrics, repair),
-        *(gains, check_gains, tune, upgrade, robot),
+        *(gains, check_gains, tune, upgrade, robot, schema),
     ):
         each.add(commands)
     return parser

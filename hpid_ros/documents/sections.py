@@ -4,11 +4,54 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 from hpid_ros.base.errors import HpidError, unknown_name
 
 _MISSING: Any = object()
+
+
+class Bounds(NamedTuple):
+    """The range of a number; each bound is off where it is infinite.
+
+    Attributes:
+        above: It must be greater than this.
+        least: It must not be less than this.
+        most: It must not be greater than this.
+        below: It must be less than this.
+    """
+
+    above: float = -math.inf
+    least: float = -math.inf
+    most: float = math.inf
+    below: float = math.inf
+
+    def hold(self, value: float) -> bool:
+        """Tell whether a number is within them, and finite."""
+        try:
+            is_finite = math.isfinite(value)
+        except OverflowError:  # of a whole number beyond every double
+            return False
+        is_low = self.above < value and self.least <= value
+        return is_finite and is_low and value <= self.most and value < self.below
+
+    def __str__(self) -> str:
+        words = [
+            f"{word} {bound:g}"
+            for word, bound in zip(("above", "at least", "at most", "below"), self, strict=True)
+            if math.isfinite(bound)
+        ]
+        return " and ".join(words) or "finite"
+
+    def schema(self) -> dict[str, float]:
+        """Return them as JSON Schema."""
+        words = ("exclusiveMinimum", "minimum", "maximum", "exclusiveMaximum")
+        pairs = zip(words, self, strict=True)
+        return {word: bound for word, bound in pairs if math.isfinite(bound)}
+
+
+ANY = Bounds()
+"""Every finite number."""
 
 
 class Section:
@@ -24,10 +67,10 @@ class Section:
     """
 
     def __init__(self, values: object, where: str, error: type[HpidError]) -> None:
-        self._error = error
+        self.error = error
         self.where = where
         if not isinstance(values, Mapping) or not all(isinstance(key, str) for key in values):
-            raise error(f"{where or 'the document'} must be a mapping, not {_shown(values)}")
+            raise error(f"{where or 'the document'} must be a mapping, not {shown(values)}")
         self._values = dict(values)
         self._taken: set[str] = set()
 
@@ -48,7 +91,7 @@ class Section:
         if key in self._values:
             return self._values[key]
         if default is _MISSING:
-            raise self._error(f"{self.place(key)} is missing")
+            raise self.error(f"{self.place(key)} is missing")
         return default
 
     def number(
@@ -59,6 +102,7 @@ class Section:
         above: float = -math.inf,
         least: float = -math.inf,
         most: float = math.inf,
+        bounds: Bounds | None = None,
     ) -> float:
         """Return a finite number.
 
@@ -68,35 +112,41 @@ class Section:
             above: It must be greater than this.
             least: It must not be less than this.
             most: It must not be greater than this.
+            bounds: In place of these three.
 
         Raises:
             HpidError: Missing, no number, not finite, out of range.
         """
         value = self.take(key, default)
         if isinstance(value, bool) or not isinstance(value, int | float):
-            raise self._error(f"{self.place(key)} must be a number, not {_shown(value)}")
-        if not (math.isfinite(value) and above < value and least <= value <= most):
-            low = f"above {above:g}" if above > -math.inf else f"at least {least:g}"
-            bounds = [low] if max(above, least) > -math.inf else []
-            bounds += [f"at most {most:g}"] if most < math.inf else []
-            raise self._error(
-                f"{self.place(key)} must be {' and '.join(bounds) or 'finite'}, not {value}"
-            )
+            raise self.error(f"{self.place(key)} must be a number, not {shown(value)}")
+        bounds = bounds or Bounds(above, least, most)
+        if not bounds.hold(value):
+            raise self.error(f"{self.place(key)} must be {bounds}, not {value}")
         return float(value)
 
-    def whole(self, key: str, default: Any = _MISSING, *, least: int, most: int = 2**62) -> int:
+    def whole(
+        self,
+        key: str,
+        default: Any = _MISSING,
+        *,
+        least: float = -math.inf,
+        most: float = 2**62,
+        bounds: Bounds | None = None,
+    ) -> int:
         """Return a whole number in a range.
 
         Raises:
             HpidError: Missing, not whole, out of range.
         """
         value = self.take(key, default)
-        if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= most:
-            raise self._error(
-                f"{self.place(key)} must be a whole number of at least {least}, "
-                f"not {_shown(value)}"
+        bounds = bounds or Bounds(least=least, most=most)
+        whole = isinstance(value, int) and not isinstance(value, bool)
+        if not (whole and bounds.hold(value)):
+            raise self.error(
+                f"{self.place(key)} must be a whole number{_inserted(bounds)}, not {shown(value)}"
             )
-        return value
+        return int(value)
 
     def text(self, key: str, default: Any = _MISSING) -> str:
         """Return a text that is not empty.
@@ -106,7 +156,7 @@ class Section:
         """
         value = self.take(key, default)
         if not isinstance(value, str) or not value:
-            raise self._error(f"{self.place(key)} must be a text, not {_shown(value)}")
+            raise self.error(f"{self.place(key)} must be a text, not {shown(value)}")
         return value
 
     def flag(self, key: str, default: Any = _MISSING) -> bool:
@@ -117,7 +167,7 @@ class Section:
         """
         value = self.take(key, default)
         if not isinstance(value, bool):
-            raise self._error(f"{self.place(key)} must be true or false, not {_shown(value)}")
+            raise self.error(f"{self.place(key)} must be true or false, not {shown(value)}")
         return value
 
     def section(self, key: str, default: Any = _MISSING) -> Section:
@@ -126,7 +176,12 @@ class Section:
         Raises:
             HpidError: Missing or no mapping.
         """
-        return Section(self.take(key, default), self.place(key), self._error)
+        return Section(self.take(key, default), self.place(key), self.error)
+
+    @property
+    def values(self) -> dict[str, Any]:
+        """All entries as they stand; none is taken."""
+        return dict(self._values)
 
     def items(self) -> dict[str, Any]:
         """Return all entries as they stand; all are taken."""
@@ -141,11 +196,18 @@ class Section:
         """
         for key in self._values:
             if key not in self._taken:
-                raise self._error(
+                raise self.error(
                     unknown_name("key", self.place(key), map(self.place, self._taken))
                 )
 
 
-def _shown(value: object) -> str:
+def _inserted(bounds: Bounds) -> str:
+    """Return bounds as part of a sentence; nothing where there are none."""
+    text = str(bounds if bounds.most < 2**62 else bounds._replace(most=math.inf))
+    return "" if text == "finite" else f", {text}"
+
+
+def shown(value: object) -> str:
+    """Return a value for a message, cut where it is long."""
     text = repr(value)
     return text if len(text) <= 60 else f"{text[:57]}..."

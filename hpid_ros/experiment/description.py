@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
-from hpid_ros.base.errors import ExperimentError, HpidError, unknown_name
+from hpid_ros.base.errors import ExperimentError, HpidError
 from hpid_ros.base.names import require_label
 from hpid_ros.base.resources import find_resource
 from hpid_ros.base.units import NANOSECONDS
@@ -15,19 +15,10 @@ from hpid_ros.control import LoopSettings
 from hpid_ros.documents.sections import Section
 from hpid_ros.documents.yaml_files import Document, load_document
 from hpid_ros.experiment.controllers import controllers_from, judged_from, models_of
-from hpid_ros.experiment.world import (
-    Layers,
-    base_from,
-    disturbances_from,
-    drives_from,
-    homing_from,
-    noise_from,
-    workplace_from,
-)
 from hpid_ros.planning import BrickPlan, planned_reference
-from hpid_ros.robot.configuration import amended_by
 from hpid_ros.robot.description import RobotDescription
-from hpid_ros.simulation.settings import VELOCITIES, WorldSettings
+from hpid_ros.simulation.settings import WorldSettings
+from hpid_ros.simulation.world_file import read_world
 from hpid_ros.trajectory import JointTrajectory
 
 
@@ -131,29 +122,12 @@ def load_reference(path: str | Path) -> JointTrajectory:
 
 
 def _experiment(document: Document, root: Section) -> Experiment:
-    control = root.section("control", {})
-    rate = control.number("rate", 1000.0, least=0.1, most=1e5)
-    period_ns = round(NANOSECONDS / rate)
-    answer_timeout = control.number("answer_timeout", 2.0, above=0.0, most=3600.0)
-    control.finish()
-    seed = root.whole("seed", 0, least=0)
-    root.take("reference")
-    trajectory, plan = planned_reference(
-        document.values,
-        "reference",
-        lambda name: RobotDescription.load(find_resource(name, document.folders)),
-    )
+    world, control, reference = read_world(root, document.folders)
+    if reference is None:
+        raise ExperimentError("reference is missing")
     duration = root.number("duration", above=0.0, most=1e5)
-    world = _world(document.folders, root, trajectory.joint_names, period_ns, seed)
-    world = replace(
-        world,
-        disturbances=disturbances_from(root, duration),
-        workplace=workplace_from(root, plan, duration),
-    )
-    known = RobotDescription.load(world.robot_description)
-    for link in world.links:
-        known.link(link)
-    if round(duration * NANOSECONDS) % period_ns:
+    _require_before_end(world, reference.plan, duration)
+    if round(duration * NANOSECONDS) % world.control_period_ns:
         raise ExperimentError(f"duration {duration} s is not a whole number of control periods")
     return Experiment(
         name=require_label(root.text("name"), root.place("name"), ExperimentError),
@@ -161,66 +135,31 @@ def _experiment(document: Document, root: Section) -> Experiment:
         path=document.files[0],
         files=document.files,
         duration=duration,
-        seed=seed,
-        answer_timeout=answer_timeout,
+        seed=world.seed,
+        answer_timeout=control.answer_timeout,
         world=world,
-        trajectory=trajectory,
-        plan=plan,
+        trajectory=reference.trajectory,
+        plan=reference.plan,
         controllers=controllers_from(root, world),
         judged=judged_from(root, world.joints),
     )
 
 
-def _world(
-    folders: tuple[Path, ...],
-    root: Section,
-    joints: tuple[str, ...],
-    period_ns: int,
-    seed: int,
-) -> WorldSettings:
-    robot = root.section("robot")
-    file = find_resource(robot.text("description"), folders)
-    plain = RobotDescription.load(file)
-    known = amended_by(robot, plain)
-    known.select(joints)
-    positions = robot.section("initial_positions", {})
-    sensors = root.section("sensors", {})
-    layers = Layers(sensors, joints)
-    physics = root.section("simulation", {})
-    world = WorldSettings(
-        robot_description=str(file) if known is plain else known.xml,
-        joints=joints,
-        control_period_ns=period_ns,
-        physics_steps=physics.whole("physics_steps", 4, least=1, most=1000),
-        initial_positions={joint: positions.number(joint) for joint in positions.items()},
-        encoder_counts=_counts(sensors, joints),
-        seed=seed,
-        fixed_base=robot.flag("fixed_base", False),
-        payload_mass=robot.number("payload", 0.0, least=0.0),
-        drives=drives_from(root, joints),
-        position_noise=noise_from(sensors, joints),
-        homing=homing_from(layers, joints),
-        velocity=_velocity(sensors),
-        base=base_from(robot, known),
-    )
-    world.start(known)
-    for section in (robot, positions, layers, physics):
-        section.finish()
-    return world
-
-
-def _counts(sensors: Section, joints: tuple[str, ...]) -> int | tuple[int, ...]:
-    """Return the encoders' counts: one number for all, or one for each joint by name."""
-    if not isinstance(sensors.take("encoder_counts", 0), Mapping):
-        return sensors.whole("encoder_counts", 0, least=0)
-    counts = sensors.section("encoder_counts")
-    along = tuple(counts.whole(joint, least=0) for joint in joints)
-    counts.finish()
-    return along
-
-
-def _velocity(sensors: Section) -> str:
-    source = sensors.text("velocity", "none")
-    if source not in VELOCITIES:
-        raise ExperimentError(f"{sensors.where}: {unknown_name('velocity', source, VELOCITIES)}")
-    return source
+def _require_before_end(world: WorldSettings, plan: BrickPlan | None, duration: float) -> None:
+    """Refuse what would happen after the end."""
+    moments = [
+        *((f"payload[{k}].time", each.time) for k, each in enumerate(world.disturbances.payload)),
+        *(
+            (f"wrenches[{k}].from", each.start)
+            for k, each in enumerate(world.disturbances.wrenches)
+        ),
+    ]
+    for place, moment in moments:
+        if moment >= duration:
+            raise ExperimentError(
+                f"disturbances.{place} {moment:g} s is not before the end, {duration:g} s"
+            )
+    if plan is not None and plan.duration > duration:
+        raise ExperimentError(
+            f"duration {duration:g} s ends before the brick task, which takes {plan.duration:g} s"
+        )

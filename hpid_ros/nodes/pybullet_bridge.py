@@ -46,7 +46,7 @@ class PybulletBridge(executor.ClosingNode):
 
     def __init__(self) -> None:
         super().__init__("pybullet_bridge")
-        self.require_given("robot_description")
+        self.require_given("world_file", "robot_description")
         settings = world_settings(self)
         self._pace = pace = read_pace(self, len(settings.joints))
         self._status = StatusPipe(self)
@@ -242,15 +242,13 @@ class PybulletBridge(executor.ClosingNode):
 USAGE = Usage(
     "pybullet_bridge",
     "Simulates a robot in PyBullet behind the topics of a real one.",
-    "-p robot_description:=URDF",
+    "-p world_file:=FILE",
     [
-        *("robot_description", "joints", "mode", "real_time_factor", "control_rate"),
-        *("physics_steps", "initial_positions", "encoder_counts", "seed", "fixed_base"),
-        *("payload_mass", "gui", "duration", "exit_when_done", "answer_timeout"),
+        *("world_file", "robot_description", "joints", "mode", "real_time_factor"),
+        *("control_rate", "physics_steps", "initial_positions", "encoder_counts", "seed"),
+        *("fixed_base", "payload_mass", "gui", "duration", "exit_when_done", "answer_timeout"),
         *("command_timeout", "wait_for_subscribers", "wait_for_publishers", "report_rate"),
-        *("ee_link", "frame_prefix", "wrench_duration", "base.*", "motor.*", "pwm.*", "homing.*"),
-        *("effort_delay", "position_noise", "velocity", "payload_schedule.*"),
-        *("wrench_schedule.*", "bricks.*", "supports.*", "gripper.*", "gripper_schedule.*"),
+        *("ee_link", "frame_prefix", "wrench_duration"),
         *("realtime_priority", "cpu_affinity", "status_fd"),
     ],
     ["joint_commands", "~/wrench"],

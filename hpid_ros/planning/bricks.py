@@ -143,7 +143,7 @@ class _Planner:
 
     def _choose_quarter(self, goal: BrickGoal) -> int:
         """Return the quarter turn of the hand against the brick that costs the least motion."""
-        opening = self._options.opening
+        opening = self._robot.opening
         fitting = [k for k in range(_QUARTERS) if goal.size[(k + 1) % 2] <= opening]
         if not fitting:
             raise TrajectoryError(

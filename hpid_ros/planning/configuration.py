@@ -2,22 +2,92 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
-from dataclasses import fields
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from hpid_ros.base.errors import HpidError, TrajectoryError, unknown_name
+from hpid_ros.documents.records import Record, json_schema, quantity, take_record
 from hpid_ros.documents.sections import Section
 from hpid_ros.planning.plan import BrickGoal, BrickPlan, Placement, PlanOptions, TaskRobot
-from hpid_ros.robot.configuration import amended_by
+from hpid_ros.robot.configuration import RobotSection
 from hpid_ros.robot.description import RobotDescription
-from hpid_ros.robot.differential_drive import DifferentialDrive
 from hpid_ros.trajectory import JointTrajectory
 from hpid_ros.trajectory import reference_from as trajectory_from
+from hpid_ros.trajectory.configuration import of_kind, reference_schema
 
 BRICKS = "bricks"
 HAND = "payload"
 """Link that holds a brick where ``scene.gripper`` names none."""
+
+
+Triple = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Target(Record):
+    """Where a brick is put."""
+
+    position: Triple = quantity("Its centre x, y, z in the frame odom", "m")
+    yaw: float = quantity("Its turn about z", "rad", default=0.0)
+    approach: float | None = quantity(
+        "Heading of the base before it; straight from where it is if left out", "rad", default=None
+    )
+
+
+@dataclass(frozen=True)
+class Belief(Record):
+    """Where a brick is believed to be; what is left out is as in the scene."""
+
+    position: Triple | None = quantity("Its centre x, y, z in the frame odom", "m", default=None)
+    yaw: float | None = quantity("Its turn about z", "rad", default=None)
+    approach: float | None = quantity("Heading of the base before it", "rad", default=None)
+
+    def over(self, known: Placement) -> Placement:
+        """Return the placement that is meant, with what the scene says of it."""
+        return Placement(
+            known.position if self.position is None else self.position,
+            known.yaw if self.yaw is None else self.yaw,
+            self.approach,
+        )
+
+
+@dataclass(frozen=True)
+class KnownBox(Record):
+    """What a plan asks of a brick of the scene."""
+
+    size: Triple = quantity("Edges along its own x, y, z", "m", above=0.0)
+    position: Triple = quantity("Its centre in the frame odom", "m")
+    yaw: float = quantity("Its turn about z", "rad", default=0.0)
+
+
+@dataclass(frozen=True)
+class CarriedBrick(Record):
+    """One brick of a task."""
+
+    brick: str = quantity("Its name in the scene")
+    place: Target = quantity("Where it is put")
+    pick: Belief | None = quantity(
+        "Where it is taken, if it is believed elsewhere than the scene has it", default=None
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class BrickTask(PlanOptions):
+    """Bricks are carried one after the other."""
+
+    bricks: tuple[CarriedBrick, ...] = quantity(
+        "The bricks, in the order in which they are carried"
+    )
+    arm: tuple[str, ...] = quantity(
+        "Joints of the arm; all between the root and the hand if left out", default=()
+    )
+    folded: Mapping[str, float] = quantity(
+        "The arm's positions while the base drives; the initial ones if left out",
+        "rad",
+        factory=dict,
+    )
 
 
 class PlannedReference(NamedTuple):
@@ -38,12 +108,12 @@ class KnownScene(NamedTuple):
     Attributes:
         bricks: Size and place of each brick, by name.
         hand: Link that holds a brick.
-        opening: Widest brick that it can take, in [m]; None where nothing says so.
+        opening: Widest brick that it can take, in [m].
     """
 
     bricks: Mapping[str, tuple[tuple[float, float, float], Placement]]
     hand: str = HAND
-    opening: float | None = None
+    opening: float = math.inf
 
 
 def planned_reference(
@@ -65,8 +135,9 @@ def planned_reference(
     if not (isinstance(section, Mapping) and section.get("kind") == BRICKS):
         return PlannedReference(trajectory_from(section, where))
     root = Section(document, "", TrajectoryError)
-    robot = _task_robot(root.section("robot"), load_robot)
-    return reference_from(section, where, robot, _known_scene(root.section("scene", {})))
+    scene = _known_scene(root.section("scene", {}))
+    robot = _task_robot(root.section("robot"), load_robot, scene.opening)
+    return reference_from(section, where, robot, scene)
 
 
 def reference_from(
@@ -74,12 +145,7 @@ def reference_from(
 ) -> PlannedReference:
     """Return the reference that a section describes.
 
-    ``kind: bricks`` has ``bricks``, a list of ``brick`` (a name of the scene), ``place`` and, if
-    the brick is believed elsewhere than the scene has it, ``pick``, each with ``position`` (its
-    centre x, y, z [m]), ``yaw`` [rad] and ``approach`` (heading of the base [rad]); ``folded``,
-    the arm's positions [rad] while the base drives (the initial ones); ``arm``, its joints (all
-    between the root and the hand); and any of
-    :class:`~hpid_ros.planning.plan.PlanOptions`. Every other kind is that of
+    ``kind: bricks`` is a :class:`BrickTask`; every other kind is that of
     :func:`hpid_ros.trajectory.reference_from`.
 
     Args:
@@ -98,84 +164,52 @@ def reference_from(
     from hpid_ros.planning.bricks import plan_bricks
     from hpid_ros.robot.kinematics import Kinematics
 
-    names = section.take("arm", None)
-    if names is not None and not isinstance(names, list):
-        raise TrajectoryError(f"{section.place('arm')} must be a list of joints, not {names!r}")
-    others = robot.initial_positions
-    arm = Kinematics(robot.description, scene.hand, names, others)
-    folded = dict(others)
-    if "folded" in section:
-        own = section.section("folded")
-        folded = {joint: own.number(joint) for joint in own.items()}
-        for joint in folded:
-            if joint not in arm.joints:
-                raise TrajectoryError(f"{own.where}: {unknown_name('joint', joint, arm.joints)}")
-    goals = [
-        _goal(entry, scene) for entry in _entries(section.take("bricks"), section.place("bricks"))
-    ]
-    options = _options(section, scene)
+    task = take_record(BrickTask, section)
     section.finish()
+    if not task.bricks:
+        raise TrajectoryError(f"{section.place('bricks')} must name at least one brick")
+    others = robot.initial_positions
+    arm = Kinematics(robot.description, scene.hand, task.arm or None, others)
+    for joint in task.folded:
+        if joint not in arm.joints:
+            place = section.place("folded")
+            raise TrajectoryError(f"{place}: {unknown_name('joint', joint, arm.joints)}")
+    folded = task.folded or others
+    goals = [
+        _goal(goal, f"{section.place('bricks')}[{index}]", scene)
+        for index, goal in enumerate(task.bricks)
+    ]
     try:
         rest = [folded.get(joint, 0.0) for joint in arm.joints]
-        plan = plan_bricks(robot, arm, goals, rest, options)
+        plan = plan_bricks(robot, arm, goals, rest, task)
     except HpidError as error:
         raise TrajectoryError(f"{section.where}: {error}") from None
     return PlannedReference(plan.trajectory, plan)
 
 
-def _goal(entry: Section, scene: KnownScene) -> BrickGoal:
-    name = entry.text("brick")
-    if name not in scene.bricks:
-        raise TrajectoryError(
-            f"{entry.place('brick')}: {unknown_name('brick', name, scene.bricks)}"
-        )
-    size, pick = scene.bricks[name]
-    if "pick" in entry:
-        pick = _placement(entry.section("pick"), pick)
-    place = _placement(entry.section("place"), None)
-    entry.finish()
-    return BrickGoal(name, size, pick, place)
+def task_schema() -> dict[str, Any]:
+    """Return the JSON Schema of a ``reference`` of any kind."""
+    return reference_schema(of_kind(BRICKS, json_schema(BrickTask)))
 
 
-def _placement(section: Section, default: Placement | None) -> Placement:
-    """Return a placement; what is left out is as in the default."""
-    if default is None or "position" in section:
-        position = _triple(section, "position")
-    else:
-        position = default.position
-    yaw = section.number("yaw", 0.0 if default is None else default.yaw)
-    approach = section.number("approach") if "approach" in section else None
+def _goal(goal: CarriedBrick, where: str, scene: KnownScene) -> BrickGoal:
+    if goal.brick not in scene.bricks:
+        raise TrajectoryError(f"{where}.brick: {unknown_name('brick', goal.brick, scene.bricks)}")
+    size, known = scene.bricks[goal.brick]
+    pick = known if goal.pick is None else goal.pick.over(known)
+    place = goal.place
+    return BrickGoal(goal.brick, size, pick, Placement(place.position, place.yaw, place.approach))
+
+
+def _task_robot(
+    section: Section, load_robot: Callable[[str], RobotDescription], opening: float
+) -> TaskRobot:
+    """Return the robot that a section describes, with a hand of some opening, in [m]."""
+    robot = take_record(RobotSection, section)
     section.finish()
-    return Placement(position, yaw, approach)
-
-
-def _options(section: Section, scene: KnownScene) -> PlanOptions:
-    names = [each.name for each in fields(PlanOptions) if each.name != "opening"]
-    values = {name: section.number(name) for name in names if name in section}
-    if scene.opening is not None:
-        values["opening"] = scene.opening
-    try:
-        return PlanOptions(**values)
-    except TrajectoryError as error:
-        raise TrajectoryError(f"{section.where}: {error}") from None
-
-
-def _task_robot(section: Section, load_robot: Callable[[str], RobotDescription]) -> TaskRobot:
-    """Return the robot; what else its section says is read, and checked, by others."""
-    description = amended_by(section, load_robot(section.text("description")))
-    positions = section.section("initial_positions", {})
-    initial = {joint: positions.number(joint) for joint in positions.items()}
-    if "base" not in section:
-        return TaskRobot(description, None, initial)
-    base = section.section("base")
-    lengths = [
-        base.number(key, above=0.0) if key in base else None
-        for key in ("wheel_radius", "wheel_separation")
-    ]
-    left, right = base.text("left_wheel"), base.text("right_wheel")
-    return TaskRobot(
-        description, DifferentialDrive.of(description, left, right, *lengths), initial
-    )
+    description = robot.load(load_robot)
+    drive = None if robot.base is None else robot.base.drive(description)
+    return TaskRobot(description, drive, robot.initial_positions, opening)
 
 
 def _known_scene(section: Section) -> KnownScene:
@@ -184,25 +218,11 @@ def _known_scene(section: Section) -> KnownScene:
     known = {}
     for name in bricks.items():
         brick = bricks.section(name)
-        place = Placement(_triple(brick, "position"), brick.number("yaw", 0.0))
-        known[name] = (_triple(brick, "size"), place)
-    opening = gripper.number("opening", above=0.0) if "opening" in gripper else None
+        known[name] = _known_brick(brick)
+    opening = gripper.number("opening", above=0.0) if "opening" in gripper else math.inf
     return KnownScene(known, gripper.text("link", HAND), opening)
 
 
-def _triple(section: Section, key: str) -> tuple[float, float, float]:
-    values = section.take(key)
-    is_list = isinstance(values, list) and len(values) == 3
-    if not is_list or not all(
-        isinstance(value, int | float) and not isinstance(value, bool) for value in values
-    ):
-        raise TrajectoryError(f"{section.place(key)} must be three numbers [m], not {values!r}")
-    return float(values[0]), float(values[1]), float(values[2])
-
-
-def _entries(values: Any, place: str) -> list[Section]:
-    if not isinstance(values, list) or not values:
-        raise TrajectoryError(f"{place} must be a list of bricks, not {values!r}")
-    return [
-        Section(value, f"{place}[{index}]", TrajectoryError) for index, value in enumerate(values)
-    ]
+def _known_brick(section: Section) -> tuple[Triple, Placement]:
+    box = take_record(KnownBox, section)
+    return box.size, Placement(box.position, box.yaw)

@@ -16,8 +16,9 @@ from xml.etree import ElementTree
 import numpy as np
 import numpy.typing as npt
 
-from hpid_ros.base.errors import RobotDescriptionError
+from hpid_ros.base.errors import RobotDescriptionError, SettingError
 from hpid_ros.base.resources import package_uri
+from hpid_ros.documents.records import Record, quantity
 from hpid_ros.robot.description import DRAKE_NAMESPACE, JointDescription, RobotDescription
 from hpid_ros.robot.meshes import find_mesh
 
@@ -96,38 +97,26 @@ triangle inequality."""
 
 
 @dataclass(frozen=True)
-class JointAmendment:
-    """What is known better of one joint; None leaves what the URDF says.
+class JointAmendment(Record):
+    """What is known better of one joint; what is left out stays as the URDF has it."""
 
-    Attributes:
-        rotor_inertia: Of the motor's rotor about its own axis, in [kg m^2].
-        gear_ratio: Turns of the rotor for one turn of the joint.
-        damping: Viscous friction, in [N m s/rad].
-        friction: Coulomb friction, in [N m].
-        effort: Largest absolute effort, in [N m].
-        velocity: Largest absolute velocity, in [rad/s].
-
-    Raises:
-        RobotDescriptionError: A value is not possible.
-    """
-
-    rotor_inertia: float | None = None
-    gear_ratio: float | None = None
-    damping: float | None = None
-    friction: float | None = None
-    effort: float | None = None
-    velocity: float | None = None
+    rotor_inertia: float | None = quantity(
+        "Of the motor's rotor about its own axis", "kg m^2", default=None, least=0.0
+    )
+    gear_ratio: float | None = quantity(
+        "Turns of the rotor for one turn of the joint, not 0", default=None
+    )
+    damping: float | None = quantity("Viscous friction", "N m s/rad", default=None, least=0.0)
+    friction: float | None = quantity("Coulomb friction", "N m", default=None, least=0.0)
+    effort: float | None = quantity("Largest absolute effort", "N m", default=None, above=0.0)
+    velocity: float | None = quantity(
+        "Largest absolute velocity", "rad/s", default=None, above=0.0
+    )
 
     def __post_init__(self) -> None:
-        for name, value in self.given().items():
-            if not math.isfinite(value):
-                raise RobotDescriptionError(f"{name} {value} must be a finite number")
-            if name == "gear_ratio":
-                if value == 0.0:
-                    raise RobotDescriptionError("gear_ratio must not be 0")
-            elif value < 0.0 or (value == 0.0 and name in ("effort", "velocity")):
-                least = "above 0" if name in ("effort", "velocity") else ">= 0"
-                raise RobotDescriptionError(f"{name} {value} must be {least}")
+        super().__post_init__()
+        if self.gear_ratio == 0.0:
+            raise SettingError("gear_ratio must not be 0")
 
     def given(self) -> dict[str, float]:
         """Return what is known, by name."""

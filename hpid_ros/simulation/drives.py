@@ -18,40 +18,30 @@ from dataclasses import dataclass
 
 from hpid_ros.base.errors import SettingError
 from hpid_ros.base.units import NANOSECONDS
+from hpid_ros.documents.records import Record, quantity
 from hpid_ros.robot.description import JointDescription
 
 LARGEST_BITS = 32
 
 
 @dataclass(frozen=True)
-class Pwm:
+class Pwm(Record):
     """A duty register of a number of bits beside a direction pin, taken over at a rate.
 
     The ripple of one PWM period is not simulated: the mean voltage acts.
-
-    Attributes:
-        bits: Resolution of the duty's magnitude: 2^bits - 1 steps from 0 to 1.
-        dead_band: Duties smaller than this give nothing, in [0, 1).
-        rate: How often the register is taken over, in [Hz]; 0 is with every physics step.
-
-    Raises:
-        SettingError: A value is out of its range.
     """
 
-    bits: int
-    dead_band: float = 0.0
-    rate: float = 0.0
-
-    def __post_init__(self) -> None:
-        whole = isinstance(self.bits, int) and not isinstance(self.bits, bool)
-        if not (whole and 1 <= self.bits <= LARGEST_BITS):
-            raise SettingError(
-                f"pwm.bits {self.bits!r} must be a whole number from 1 to {LARGEST_BITS}"
-            )
-        if not 0.0 <= self.dead_band < 1.0:
-            raise SettingError(f"pwm.dead_band {self.dead_band!r} must be in [0, 1)")
-        if not (math.isfinite(self.rate) and 0.0 <= self.rate <= NANOSECONDS):
-            raise SettingError(f"pwm.rate {self.rate!r} must be a number from 0 to 1e9 [Hz]")
+    bits: int = quantity(
+        "Resolution of the duty's magnitude: 2^bits - 1 steps", least=1, most=LARGEST_BITS
+    )
+    dead_band: float = quantity("Duties below it give nothing", default=0.0, least=0.0, below=1.0)
+    rate: float = quantity(
+        "How often the register is taken over; 0 is with every physics step",
+        "Hz",
+        default=0.0,
+        least=0.0,
+        most=NANOSECONDS,
+    )
 
     @property
     def resolution(self) -> float:
@@ -83,7 +73,7 @@ DRIVES = ("current", "voltage")
 
 
 @dataclass(frozen=True)
-class Motor:
+class Motor(Record):
     r"""What a torque and a voltage are to each other, at the rotor.
 
     .. math:: i = (V - k\,\omega) / R, \qquad \tau = k\,i
@@ -93,42 +83,20 @@ class Motor:
     0.1 ms, is shorter than a physics step. The rotor's inertia is not here: it is in the physics,
     from the URDF (:mod:`hpid_ros.simulation.world.model`), and so is the gear's ratio.
 
-    Attributes:
-        torque_constant: k, also the back EMF's, in [N m/A] or [V s/rad].
-        resistance: R of the armature with its bridge, in [ohm].
-        supply_voltage: Largest voltage either way, in [V].
-        viscous_friction: Of rotor and bearings, at the rotor, in [N m s/rad].
-        coulomb_friction: Of brushes and bearings, at the rotor, in [N m].
-        gear_efficiency: Of the gear driving its load, in (0, 1]; the same when driven by it.
-        drive: ``current``, an inner loop that makes up for the back EMF as far as the supply
-            reaches; or ``voltage``, a bare bridge: the voltage that would give the torque at
-            standstill, so that the back EMF brakes.
-
-    Raises:
-        SettingError: A value is out of its range.
+    With the drive ``current`` an inner loop makes up for the back EMF as far as the supply
+    reaches. ``voltage`` is a bare bridge: it gives the voltage that would give the torque at
+    standstill, so that the back EMF brakes.
     """
 
-    torque_constant: float
-    resistance: float
-    supply_voltage: float
-    viscous_friction: float = 0.0
-    coulomb_friction: float = 0.0
-    gear_efficiency: float = 1.0
-    drive: str = "current"
-
-    def __post_init__(self) -> None:
-        for name in ("torque_constant", "resistance", "supply_voltage"):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value > 0.0):
-                raise SettingError(f"motor.{name} {value!r} must be a finite number > 0")
-        for name in ("viscous_friction", "coulomb_friction"):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value >= 0.0):
-                raise SettingError(f"motor.{name} {value!r} must be a finite number >= 0")
-        if not 0.0 < self.gear_efficiency <= 1.0:
-            raise SettingError(f"motor.gear_efficiency {self.gear_efficiency!r} must be in (0, 1]")
-        if self.drive not in DRIVES:
-            raise SettingError(f"motor.drive {self.drive!r} must be one of {', '.join(DRIVES)}")
+    torque_constant: float = quantity("k, also the back EMF's", "N m/A", above=0.0)
+    resistance: float = quantity("R of the armature with its bridge", "ohm", above=0.0)
+    supply_voltage: float = quantity("Largest voltage either way", "V", above=0.0)
+    viscous_friction: float = quantity("At the rotor", "N m s/rad", default=0.0, least=0.0)
+    coulomb_friction: float = quantity("At the rotor", "N m", default=0.0, least=0.0)
+    gear_efficiency: float = quantity("Of the gear, either way", default=1.0, above=0.0, most=1.0)
+    drive: str = quantity(
+        "Whether a current loop makes up for the back EMF", default="current", choices=DRIVES
+    )
 
     @property
     def stall_torque(self) -> float:
@@ -189,28 +157,16 @@ LONGEST_DELAY = 1000  # control periods
 
 
 @dataclass(frozen=True)
-class DriveSettings:
-    """What a joint's drive consists of.
+class DriveSettings(Record):
+    """What a joint's drive consists of."""
 
-    Attributes:
-        motor: Its motor; None is an ideal source of torque.
-        pwm: Its bridge; None gives any voltage, or without a motor any torque.
-        delay: Control periods by which efforts act late.
-
-    Raises:
-        SettingError: The delay is out of its range.
-    """
-
-    motor: Motor | None = None
-    pwm: Pwm | None = None
-    delay: int = 0
-
-    def __post_init__(self) -> None:
-        whole = isinstance(self.delay, int) and not isinstance(self.delay, bool)
-        if not (whole and 0 <= self.delay <= LONGEST_DELAY):
-            raise SettingError(
-                f"delay {self.delay!r} must be a whole number from 0 to {LONGEST_DELAY}"
-            )
+    motor: Motor | None = quantity("Its motor; off is an ideal source of torque", default=None)
+    pwm: Pwm | None = quantity(
+        "Its bridge; off gives any voltage, or without a motor any torque", default=None
+    )
+    delay: int = quantity(
+        "By which efforts act late", "control periods", default=0, least=0, most=LONGEST_DELAY
+    )
 
     @property
     def is_ideal(self) -> bool:

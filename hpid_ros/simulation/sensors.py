@@ -12,6 +12,7 @@ import random
 from dataclasses import dataclass
 
 from hpid_ros.base.errors import SettingError
+from hpid_ros.documents.records import Record, quantity
 
 
 @dataclass(frozen=True)
@@ -64,27 +65,13 @@ FARTHEST = 1e3  # [rad]
 
 
 @dataclass(frozen=True)
-class HallSwitch:
-    """A switch that is on beyond a position, with a hysteresis.
+class HallSwitch(Record):
+    """A switch that is on beyond a position, with a hysteresis."""
 
-    Attributes:
-        position: Middle of its two switching points, at most 1000 either way, in [rad].
-        hysteresis: Distance between them, in [rad].
-
-    Raises:
-        SettingError: A value is not finite, or the hysteresis negative.
-    """
-
-    position: float
-    hysteresis: float = 0.0
-
-    def __post_init__(self) -> None:
-        if not abs(self.position) <= FARTHEST:
-            raise SettingError(
-                f"homing.position {self.position!r} must be in [-{FARTHEST:g}, {FARTHEST:g}] rad"
-            )
-        if not (math.isfinite(self.hysteresis) and self.hysteresis >= 0.0):
-            raise SettingError(f"homing.hysteresis {self.hysteresis!r} must be finite and >= 0")
+    position: float = quantity(
+        "Middle of its two switching points", "rad", least=-FARTHEST, most=FARTHEST
+    )
+    hysteresis: float = quantity("Distance between them", "rad", default=0.0, least=0.0)
 
     def read(self, position: float, was_on: bool) -> bool:
         """Return whether the switch is on.
@@ -98,7 +85,7 @@ class HallSwitch:
 
 
 @dataclass(frozen=True)
-class Homing:
+class Homing(Record):
     """A homing run, done before time 0.
 
     The joint is led from its initial position towards the switch, and past it, by a drive that
@@ -106,26 +93,13 @@ class Homing:
     travel that chance decides. The error that remains is the way from the switch's place to
     where it was seen, at most half the hysteresis and one period's way, and the encoder's
     rounding.
-
-    Attributes:
-        speed: Of the run, in [rad/s].
-        position: Where the switch is, in [rad].
-        hysteresis: Of the switch, in [rad].
-
-    Raises:
-        SettingError: A value is out of its range.
     """
 
-    speed: float
-    position: float = 0.0
-    hysteresis: float = 0.0
-
-    def __post_init__(self) -> None:
-        if not (math.isfinite(self.speed) and self.speed >= LEAST_SPEED):
-            raise SettingError(
-                f"homing.speed {self.speed!r} must be a finite number >= {LEAST_SPEED:g} [rad/s]"
-            )
-        _ = self.switch
+    speed: float = quantity("Of the run", "rad/s", least=LEAST_SPEED)
+    position: float = quantity(
+        "Where the Hall switch is", "rad", default=0.0, least=-FARTHEST, most=FARTHEST
+    )
+    hysteresis: float = quantity("Of the Hall switch", "rad", default=0.0, least=0.0)
 
     @property
     def switch(self) -> HallSwitch:
@@ -164,3 +138,21 @@ class Homing:
         while switch.read(seen, was_on) == was_on:
             seen += step
         return switch.position - encoder.read(seen)
+
+
+VELOCITIES = ("none", "differences")
+
+
+@dataclass(frozen=True)
+class Sensor(Record):
+    """What measures one joint's position."""
+
+    encoder_counts: int = quantity(
+        "Counts per revolution of the joint; 0 measures exactly", default=0, least=0
+    )
+    noise: float = quantity(
+        "Standard deviation of a position before it is measured", "rad", default=0.0, least=0.0
+    )
+    homing: Homing | None = quantity(
+        "The homing run; off where the position at the start is known", default=None
+    )

@@ -12,11 +12,9 @@ from hpid_ros.base.errors import SettingError, unknown_name
 from hpid_ros.robot.description import RobotDescription
 from hpid_ros.robot.differential_drive import DifferentialDrive
 from hpid_ros.simulation.drives import DriveSettings
-from hpid_ros.simulation.sensors import Encoder, Homing
+from hpid_ros.simulation.sensors import VELOCITIES, Encoder, Homing
 from hpid_ros.simulation.world.disturbances import Disturbances, require_mass
 from hpid_ros.simulation.world.workpieces import Workplace
-
-VELOCITIES = ("none", "differences")
 
 
 @dataclass(frozen=True)

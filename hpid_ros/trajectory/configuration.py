@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import asdict, dataclass
 from typing import Any
 
-from hpid_ros.base.errors import TrajectoryError, unknown_name
+from hpid_ros.base.errors import HpidError, TrajectoryError, unknown_name
+from hpid_ros.documents.records import Record, json_schema, quantity, take_record
 from hpid_ros.documents.sections import Section
 from hpid_ros.trajectory.base_path import FORWARD, base_path
 from hpid_ros.trajectory.combining import combined
@@ -13,81 +15,96 @@ from hpid_ros.trajectory.generators import minimum_jerk, sine, step
 from hpid_ros.trajectory.joint_trajectory import JointTrajectory
 
 
-def base_path_from(section: Section) -> JointTrajectory:
-    """Return the wheels' trajectories that a section of ``kind: base_path`` describes.
+@dataclass(frozen=True)
+class Waypoints(Record):
+    """Positions of each joint at common times."""
 
-    ``base`` names the wheels as ``robot.base`` of an experiment does (``left_wheel``,
-    ``right_wheel``, ``wheel_radius`` [m], ``wheel_separation`` [m]); ``times`` [s] and ``poses``
-    (x [m], y [m], heading [rad]) are the path. Optional: ``directions`` (``forward`` or
-    ``backward``, one for all legs or a list), ``passes``, ``velocity_limit`` of a wheel [rad/s]
-    and ``curvature_limit`` [1/m].
+    times: tuple[float, ...] = quantity("When the joints are there", "s")
+    positions: Mapping[str, tuple[float, ...]] = quantity(
+        "For each joint one position for each time", "rad"
+    )
 
-    Args:
-        section: The section, whose ``kind`` is taken.
 
-    Raises:
-        TrajectoryError: A key is missing or unknown, or the numbers make no path.
-    """
-    base = section.section("base")
-    left, right = base.text("left_wheel"), base.text("right_wheel")
-    radius = base.number("wheel_radius", above=0.0)
-    separation = base.number("wheel_separation", above=0.0)
-    base.finish()
-    times = number_list(section.take("times"), section.place("times"))
-    place = section.place("poses")
-    rows = section.take("poses")
-    if not isinstance(rows, list):
-        raise TrajectoryError(f"{place} must be a list of poses, not {rows!r}")
-    poses = [number_list(row, f"{place}[{index}]") for index, row in enumerate(rows)]
-    directions = section.take("directions", FORWARD)
-    if isinstance(directions, str):
-        directions = [directions] * (len(poses) - 1)
-    if not isinstance(directions, list):
-        raise TrajectoryError(f"{section.place('directions')} must be a list of texts or a text")
-    options: dict[str, Any] = {
-        name: section.number(name, above=0.0)
-        for name in ("velocity_limit", "curvature_limit")
-        if name in section
-    }
-    options["passes"] = section.flag("passes", False)
-    section.finish()
-    try:
+@dataclass(frozen=True)
+class Oscillation(Record):
+    """A sine of one joint."""
+
+    amplitude: float = quantity("Of the sine", "rad")
+    period: float = quantity("Of the sine", "s", above=0.0)
+    offset: float = quantity("About which it swings", "rad", default=0.0)
+    phase: float = quantity("At time 0", "rad", default=0.0)
+
+
+@dataclass(frozen=True)
+class Oscillations(Record):
+    """A sine for each joint."""
+
+    duration: float = quantity("Of the reference", "s", above=0.0)
+    joints: Mapping[str, Oscillation] = quantity("The sine of each joint")
+
+
+@dataclass(frozen=True)
+class PathWheels(Record):
+    """The wheels of a base, with all their lengths."""
+
+    left_wheel: str = quantity("Joint of the left wheel")
+    right_wheel: str = quantity("Joint of the right wheel")
+    wheel_radius: float = quantity("Of both wheels", "m", above=0.0)
+    wheel_separation: float = quantity("Between their contacts", "m", above=0.0)
+
+
+@dataclass(frozen=True)
+class PathSection(Record):
+    """A path of a differential drive, as trajectories of its wheels."""
+
+    base: PathWheels = quantity("The wheels of the base")
+    times: tuple[float, ...] = quantity("When the base is at each pose", "s")
+    poses: tuple[tuple[float, ...], ...] = quantity("x [m], y [m] and heading [rad] of each")
+    directions: str | tuple[str, ...] = quantity(
+        "forward or backward, for all legs or one for each", default=FORWARD
+    )
+    passes: bool = quantity("Whether the base drives through the poses between", default=False)
+    velocity_limit: float | None = quantity("Of a wheel", "rad/s", default=None, above=0.0)
+    curvature_limit: float | None = quantity("Of the path", "1/m", default=None, above=0.0)
+
+    def trajectory(self) -> JointTrajectory:
+        """Return what the wheels follow.
+
+        Raises:
+            TrajectoryError: The numbers make no path.
+        """
+        legs = self.directions
+        limits = {
+            name: value
+            for name in ("velocity_limit", "curvature_limit")
+            if (value := getattr(self, name)) is not None
+        }
         return base_path(
-            times, poses, left, right, radius, separation, directions=directions, **options
+            self.times,
+            self.poses,
+            *asdict(self.base).values(),
+            directions=[legs] * (len(self.poses) - 1) if isinstance(legs, str) else legs,
+            passes=self.passes,
+            **limits,
         )
-    except TrajectoryError as error:
-        raise TrajectoryError(f"{section.where}: {error}") from None
 
 
-def number_list(values: Any, where: str) -> list[float]:
-    """Return a list of numbers as a configuration gives it.
-
-    Args:
-        values: What came.
-        where: Its place in the document, for the messages.
-
-    Raises:
-        TrajectoryError: It is no list, empty, or holds something else.
-    """
-    if not isinstance(values, list) or not values:
-        raise TrajectoryError(f"{where} must be a list of numbers, not {values!r}")
-    for value in values:
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            raise TrajectoryError(f"{where} must be a list of numbers, it holds {value!r}")
-    return [float(value) for value in values]
-
-
-KINDS = ("minimum_jerk", "step", "sine", "base_path", "combined")
+_KINDS: dict[str, type[Record]] = {
+    "minimum_jerk": Waypoints,
+    "step": Waypoints,
+    "sine": Oscillations,
+    "base_path": PathSection,
+}
+_COMBINED = "combined"
+KINDS = (*_KINDS, _COMBINED)
 
 
 def reference_from(values: object, where: str = "reference") -> JointTrajectory:
     """Return the trajectory that a ``reference`` section describes.
 
-    ``kind: minimum_jerk`` and ``kind: step`` have ``times`` [s] and ``positions`` (for each
-    joint one per time, [rad]); ``kind: sine`` has ``duration`` [s] and ``joints`` (for each
-    ``amplitude``, ``period`` and, if wanted, ``offset`` and ``phase``). ``kind: base_path`` is
-    for the wheels of a base, see :func:`~hpid_ros.trajectory.configuration.base_path_from`;
-    ``kind: combined`` has ``parts``, a list of such sections for different joints.
+    ``kind: minimum_jerk`` and ``kind: step`` are :class:`Waypoints`, ``kind: sine`` is
+    :class:`Oscillations`, ``kind: base_path`` is :class:`PathSection`; ``kind: combined`` has
+    ``parts``, a list of such sections for different joints.
 
     Args:
         values: The section.
@@ -100,25 +117,52 @@ def reference_from(values: object, where: str = "reference") -> JointTrajectory:
     kind = section.text("kind")
     if kind not in KINDS:
         raise TrajectoryError(f"{section.place('kind')}: {unknown_name('kind', kind, KINDS)}")
-    if kind == "base_path":
-        return base_path_from(section)
-    if kind == "combined":
+    if kind == _COMBINED:
         return _combined(section)
-    if kind == "sine":
-        duration = section.number("duration", above=0.0)
-        signals = {
-            joint: _signal(section.section("joints").section(joint))
-            for joint in section.section("joints").items()
-        }
-        section.finish()
-        return sine(duration, signals)
-    times = number_list(section.take("times"), section.place("times"))
-    positions = {
-        joint: number_list(row, f"{section.place('positions')}.{joint}")
-        for joint, row in section.section("positions").items().items()
-    }
+    record = take_record(_KINDS[kind], section)
     section.finish()
-    return (minimum_jerk if kind == "minimum_jerk" else step)(times, positions)
+    try:
+        return _trajectory(kind, record)
+    except HpidError as error:
+        raise TrajectoryError(f"{where}: {error}") from None
+
+
+def reference_schema(*others: dict[str, Any]) -> dict[str, Any]:
+    """Return the JSON Schema of a ``reference`` section.
+
+    Args:
+        others: Schemas of kinds that are read elsewhere.
+    """
+    kinds = [of_kind(name, json_schema(record)) for name, record in _KINDS.items()]
+    parts = {"type": "array", "minItems": 1, "items": {"oneOf": kinds}}
+    whole = {
+        "type": "object",
+        "description": "References of different joints.",
+        "properties": {"parts": parts},
+        "required": ["parts"],
+        "additionalProperties": False,
+    }
+    return {"oneOf": [*kinds, of_kind(_COMBINED, whole), *others]}
+
+
+def of_kind(name: str, schema: dict[str, Any]) -> dict[str, Any]:
+    """Return the schema of a section with its ``kind``."""
+    properties = {"kind": {"const": name}, **schema["properties"]}
+    return {
+        **schema,
+        "properties": properties,
+        "required": ["kind", *schema.get("required", ())],
+    }
+
+
+def _trajectory(kind: str, record: Record) -> JointTrajectory:
+    if isinstance(record, PathSection):
+        return record.trajectory()
+    if isinstance(record, Oscillations):
+        signals = {joint: asdict(each) for joint, each in record.joints.items()}
+        return sine(record.duration, signals)
+    assert isinstance(record, Waypoints)
+    return (step if kind == "step" else minimum_jerk)(record.times, record.positions)
 
 
 def _combined(section: Section) -> JointTrajectory:
@@ -127,21 +171,10 @@ def _combined(section: Section) -> JointTrajectory:
     if not isinstance(parts, list) or not parts:
         raise TrajectoryError(f"{section.place('parts')} must be a list of references")
     place = section.place("parts")
-    if any(isinstance(part, Mapping) and part.get("kind") == "combined" for part in parts):
+    if any(isinstance(part, Mapping) and part.get("kind") == _COMBINED for part in parts):
         raise TrajectoryError(f"{place} must not hold a combined reference again")
     each = [reference_from(part, f"{place}[{index}]") for index, part in enumerate(parts)]
     try:
         return combined(each)
     except TrajectoryError as error:
         raise TrajectoryError(f"{section.where}: {error}") from None
-
-
-def _signal(section: Section) -> Mapping[str, float]:
-    signal = {
-        "amplitude": section.number("amplitude"),
-        "period": section.number("period", above=0.0),
-        "offset": section.number("offset", 0.0),
-        "phase": section.number("phase", 0.0),
-    }
-    section.finish()
-    return signal

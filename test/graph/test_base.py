@@ -24,7 +24,7 @@ from hpid_ros.bags import read_run
 from hpid_ros.bags.messages import read_planar, read_vectors
 from hpid_ros.base.errors import BagError, ExperimentError, SettingError
 from hpid_ros.experiment.description import load_experiment
-from hpid_ros.experiment.graph.nodes import bridge_document
+from hpid_ros.experiment.graph.nodes import write_document
 from hpid_ros.experiment.in_process import run_without_ros
 from hpid_ros.experiment.progress import NoProgress
 from hpid_ros.experiment.result.result import compute
@@ -33,6 +33,7 @@ from hpid_ros.robot.differential_drive import DifferentialDrive
 from hpid_ros.robot.odometry import PlanarPose, integrated
 from hpid_ros.simulation import World, WorldSettings
 from hpid_ros.simulation.base import BaseMonitor, ReportTimes, SlipMeter, planar
+from hpid_ros.simulation.world_file import world_mapping
 from hpid_ros.wire import JointStateTemplate
 
 WHEELS = ("wheel_left_joint", "wheel_right_joint")
@@ -187,7 +188,7 @@ def test_a_robot_without_a_base_has_no_such_section(experiment_file, tmp_path):
     path.write_text(yaml.safe_dump(document))
     experiment = load_experiment(path)
     assert experiment.world.base is None
-    assert "base" not in bridge_document(experiment)["/**/pybullet_bridge"]["ros__parameters"]
+    assert "base" not in world_mapping(experiment.world)["robot"]
     run_without_ros(experiment, "PID", tmp_path / "bag", NoProgress())
     assert "base" not in compute(experiment, {"PID": tmp_path / "bag"}).as_mapping()
 
@@ -195,7 +196,7 @@ def test_a_robot_without_a_base_has_no_such_section(experiment_file, tmp_path):
 def test_the_robot_has_a_base_and_its_urdf_tells_the_lengths(experiment_file):
     experiment = load_experiment(experiment_file())
     assert experiment.world.base == DRIVE
-    assert bridge_document(experiment)["/**/pybullet_bridge"]["ros__parameters"]["base"] == BASE
+    assert world_mapping(experiment.world)["robot"]["base"] == BASE
 
 
 @pytest.mark.parametrize(
@@ -391,10 +392,16 @@ def started(harness, **parameters):
     return listener
 
 
-def test_a_live_bridge_tells_odometry_truth_and_slip(harness):
-    listener = started(
-        harness, base__left_wheel=WHEELS[0], base__right_wheel=WHEELS[1], encoder_counts=[4096] * 8
-    )
+def world_file(folder, **base):
+    """Return the file of a world whose robot has such a base."""
+    robot = {"description": "urdf/mobile_manipulator.urdf", "base": base}
+    write_document(folder / "world.yaml", {"robot": robot})
+    return folder / "world.yaml"
+
+
+def test_a_live_bridge_tells_odometry_truth_and_slip(harness, tmp_path):
+    file = world_file(tmp_path, left_wheel=WHEELS[0], right_wheel=WHEELS[1])
+    listener = started(harness, world_file=file, encoder_counts=[4096] * 8)
     commands = harness.node.create_publisher(JointState, "joint_commands", OFFERED)
     push = JointStateTemplate(WHEELS, effort=True).encode(0, effort=[0.8, 0.8])
 
@@ -440,24 +447,14 @@ def test_a_live_bridge_without_a_base_tells_the_truth(harness):
 
 
 @pytest.mark.parametrize(
-    ("parameters", "line"),
+    ("base", "line"),
     [
-        ({"base__left_wheel": WHEELS[0]}, "must both name a joint, or neither"),
-        (
-            {"base__left_wheel": WHEELS[1], "base__right_wheel": WHEELS[0]},
-            "must lie left and right",
-        ),
-        (
-            {
-                "base__left_wheel": WHEELS[0],
-                "base__right_wheel": WHEELS[1],
-                "base__wheel_radius": -0.1,
-            },
-            "wheel_radius must lie in",
-        ),
+        ({"left_wheel": WHEELS[0]}, "robot.base.right_wheel is missing"),
+        ({"left_wheel": WHEELS[1], "right_wheel": WHEELS[0]}, "must lie left and right"),
     ],
 )
-def test_a_bridge_refuses_a_bad_base_in_one_line(harness, parameters, line):
-    node = harness.processes.start("bridge", "pybullet_bridge", ros_arguments(**parameters))
+def test_a_bridge_refuses_a_bad_base_in_one_line(harness, tmp_path, base, line):
+    arguments = ros_arguments(world_file=world_file(tmp_path, **base))
+    node = harness.processes.start("bridge", "pybullet_bridge", arguments)
     assert node.process.wait(timeout=60) == 2
     assert line in node.last_words()

@@ -7,18 +7,18 @@ from pathlib import Path
 import pytest
 import rclpy
 import yaml
-from harness.places import ROOT
 
-from hpid_ros.base.errors import ExperimentError, SettingError
+from hpid_ros.base.errors import ExperimentError, HpidError
 from hpid_ros.experiment.description import load_experiment
-from hpid_ros.experiment.graph.nodes import bridge_document, write_parameters
-from hpid_ros.nodes.bridge.realism import MEANINGS
+from hpid_ros.experiment.graph.nodes import write_document, write_run_files
 from hpid_ros.nodes.bridge.world_parameters import world_settings
 from hpid_ros.simulation.drives import Motor, Pwm
 from hpid_ros.simulation.sensors import Homing
 from hpid_ros.simulation.world.disturbances import Disturbances, PayloadChange, WrenchPulse
+from hpid_ros.simulation.world_file import world_mapping
 from hpid_ros.studies.batch import RunTask, WorldKeeper, simulate
 
+ROBOT = {"robot": {"description": "urdf/mobile_manipulator.urdf"}}
 MOTOR = {"torque_constant": 0.03, "resistance": 1.0, "supply_voltage": 24.0}
 EVERYTHING = {
     "actuators": {
@@ -78,19 +78,21 @@ def test_what_is_said_of_all_joints_holds_but_for_what_is_said_of_one(everything
     assert world.velocity == "differences"
 
 
-def test_the_schedule_is_in_nanoseconds(everything):
+def test_the_schedule_is_in_whole_nanoseconds(everything):
     assert everything.world.disturbances == Disturbances(
-        (PayloadChange(100_000_000, 1.5), PayloadChange(123_456_789, 0.0)),
+        (PayloadChange(0.1, 1.5), PayloadChange(0.1234567891, 0.0)),
         (
-            WrenchPulse("tool0", (1.0, 2.5, 3.0), (0.0, 0.0, 0.0), 70_000_000, 12_300_000),
-            WrenchPulse("base_link", (0.0, 0.0, 0.0), (0.0, 0.0, 0.1), 0, 1_000_000),
+            WrenchPulse("tool0", 0.07, 0.0123, force=(1.0, 2.5, 3.0)),
+            WrenchPulse("base_link", 0.0, 0.001, torque=(0.0, 0.0, 0.1)),
         ),
     )
+    events = everything.world.disturbances.in_order()
+    assert [each.start_ns for each in events] == [0, 70_000_000, 100_000_000, 123_456_789]
+    assert everything.world.disturbances.wrenches[0].duration_ns == 12_300_000
 
 
-def bridge_settings(document: dict, file: Path, domain: int):
+def bridge_settings(file: Path, domain: int):
     """Return what a bridge makes of a parameter file."""
-    write_parameters(file, document)
     context = rclpy.Context()
     arguments = ["--ros-args", "--params-file", str(file)]
     rclpy.init(args=arguments, context=context, domain_id=domain)
@@ -104,49 +106,81 @@ def bridge_settings(document: dict, file: Path, domain: int):
         rclpy.shutdown(context=context)
 
 
+def bridge_parameters(**values: object) -> dict[str, object]:
+    return {"pybullet_bridge": {"ros__parameters": values}}
+
+
 @pytest.mark.parametrize("changes", [{}, EVERYTHING], ids=["ideal", "everything"])
 def test_the_bridge_builds_the_very_world_of_the_experiment(
     experiment_file, tmp_path, harness, changes
 ):
+    """From the files of a run, and from the experiment's own."""
     experiment = load_experiment(experiment_file(**changes))
-    domain = harness.context.get_domain_id()
-    there = bridge_settings(bridge_document(experiment), tmp_path / "bridge.yaml", domain)
-    here = experiment.world
-    assert here.has_ideal_drives == there.has_ideal_drives == (not changes)
-    for name in ("homing", "velocity", "position_noises", "disturbances", "counts", "seed"):
-        assert getattr(there, name) == getattr(here, name), name
-    if changes:
-        assert there.drives == here.drives
+    assert experiment.world.has_ideal_drives == (not changes)
+    write_run_files(tmp_path, experiment, experiment.controllers["hPID"])
+    write_document(tmp_path / "own.yaml", bridge_parameters(world_file=str(experiment.path)))
+    for file in ("bridge.yaml", "own.yaml"):
+        there = bridge_settings(tmp_path / file, harness.context.get_domain_id())
+        assert there == experiment.world, file
 
 
-def test_arrays_that_do_not_fit_are_refused_in_one_line(everything, tmp_path, harness):
-    domain = harness.context.get_domain_id()
-
-    def refusal(prefix: str, name: str, value: object) -> str:
-        document = bridge_document(everything)
-        document["/**/pybullet_bridge"]["ros__parameters"][prefix][name] = value
-        with pytest.raises(SettingError) as caught:
-            bridge_settings(document, tmp_path / "bridge.yaml", domain)
-        return str(caught.value)
-
-    assert "motor.resistance must have one entry for each of 8" in refusal(
-        "motor", "resistance", [1.0]
+def test_parameters_are_laid_over_the_file(experiment_file, tmp_path, harness):
+    given = bridge_parameters(
+        world_file=str(experiment_file(**EVERYTHING)),
+        seed=7,
+        physics_steps=2,
+        control_rate=500.0,
+        payload_mass=0.5,
+        encoder_counts=[100 + index for index in range(8)],
+        initial_positions=[0.0] * 7 + [0.25],
     )
-    assert refusal("pwm", "bits", [99] * 8).startswith("joint 'wheel_left_joint': pwm.bits 99")
-    assert "payload_schedule.masses must have 2 entries" in refusal(
-        "payload_schedule", "masses", [1.0]
-    )
-    assert "wrench_schedule.forces must have 6 entries" in refusal(
-        "wrench_schedule", "forces", [1.0]
-    )
+    write_document(tmp_path / "bridge.yaml", given)
+    world = bridge_settings(tmp_path / "bridge.yaml", harness.context.get_domain_id())
+    assert (world.seed, world.physics_steps, world.payload_mass) == (7, 2, 0.5)
+    assert world.control_period_ns == 2_000_000
+    assert world.counts == tuple(range(100, 108))
+    assert world.initial_positions["arm_joint_6"] == 0.25
+    assert world.drives[-1].motor is not None
 
 
-def test_a_document_of_an_ideal_robot_has_nothing_new(experiment_file):
-    parameters = bridge_document(load_experiment(experiment_file()))["/**/pybullet_bridge"]
-    assert not set(parameters["ros__parameters"]) & {
-        *("motor", "pwm", "homing", "effort_delay", "position_noise", "velocity"),
-        *("payload_schedule", "wrench_schedule"),
-    }
+@pytest.mark.parametrize(
+    ("file", "parameters", "message"),
+    [
+        (
+            ROBOT | {"sensors": {"nois": 1.0}},
+            {},
+            "world.yaml: unknown key 'sensors.nois'; did you mean",
+        ),
+        ({}, {}, "world.yaml: robot is missing"),
+        (ROBOT | {"robots": {}}, {}, "world.yaml: unknown key 'robots'; did you mean 'robot'"),
+        (ROBOT, {"encoder_counts": [1]}, "encoder_counts must have one entry for each of 8"),
+        (
+            ROBOT,
+            {"physics_steps": 0},
+            "simulation.physics_steps must be a whole number, at least 1",
+        ),
+        (ROBOT, {"joints": ["elbow"]}, "unknown joint 'elbow'"),
+        ([1], {}, "world.yaml: the document must be a mapping, not [1]"),
+        (None, {}, "there is no file"),
+    ],
+)
+def test_a_world_that_cannot_be_is_refused_in_one_line(
+    tmp_path, harness, file, parameters, message
+):
+    world = tmp_path / "world.yaml"
+    if file is not None:
+        world.write_text(yaml.safe_dump(file))
+    given = bridge_parameters(world_file=str(world), **parameters)
+    write_document(tmp_path / "bridge.yaml", given)
+    with pytest.raises(HpidError) as caught:
+        bridge_settings(tmp_path / "bridge.yaml", harness.context.get_domain_id())
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_the_file_of_an_ideal_world_says_nothing_of_motors(experiment_file):
+    world = load_experiment(experiment_file()).world
+    assert set(world_mapping(world)) <= {"robot", "control", "simulation", "seed", "sensors"}
 
 
 def test_a_kept_world_repeats_a_run_with_everything_on_to_the_last_bit(everything):
@@ -170,7 +204,7 @@ def test_a_kept_world_repeats_a_run_with_everything_on_to_the_last_bit(everythin
         ({"actuators": {"motor": {"resistance": 1.0}}}, "motor.torque_constant is missing"),
         (
             {"actuators": {"motor": MOTOR | {"resistance": 0}}},
-            r"actuators\.motor: motor\.resistance 0\.0",
+            r"actuators\.motor\.resistance must be above 0, not 0",
         ),
         ({"actuators": {"motor": MOTOR | {"gear": 2}}}, r"unknown key 'actuators\.motor\.gear'"),
         ({"actuators": {"joints": {"elbow": {}}}}, "unknown joint 'elbow'"),
@@ -198,7 +232,7 @@ def test_a_kept_world_repeats_a_run_with_everything_on_to_the_last_bit(everythin
                     "wrenches": [{"link": "tool0", "force": [1], "from": 0.0, "duration": 0.1}]
                 }
             },
-            r"wrenches\[0\]\.force \[1\] must be three finite numbers",
+            r"wrenches\[0\]\.force must be three numbers \[N\], not \[1\]",
         ),
     ],
 )
@@ -216,9 +250,3 @@ def test_the_sections_survive_yaml_as_a_person_writes_them(experiment_file):
     pwms = dict(zip(world.joints, (drive.pwm for drive in world.drives), strict=True))
     assert pwms["arm_joint_1"] is None
     assert pwms["arm_joint_2"] == Pwm(8)
-
-
-def test_every_parameter_of_the_bridge_is_documented_as_it_is():
-    page = (ROOT / "docs" / "models.md").read_text()
-    for name, meaning in MEANINGS.items():
-        assert f"| `{name}` | {meaning} |" in page

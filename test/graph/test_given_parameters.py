@@ -258,7 +258,11 @@ def test_every_executable_starts_from_its_dump_and_takes_it_back(harness, tmp_pa
     ("executable", "document", "said"),
     [
         ("pybullet_bridge", {"pybullet_bridge": {"seed": 1}}, "/**/pybullet_bridge in it stands"),
-        ("pybullet_bridge", {"/**/sim": {"seed": 1}}, "robot_description must be given"),
+        (
+            "pybullet_bridge",
+            {"/**/sim": {"seed": 1}},
+            "or robot_description must be given",
+        ),
         ("joint_controller", {"/joint_controller": {"joint": "a"}}, "has parameters for"),
         ("joint_controller", {"/**": {"joint": "a", "gains": {"p": "x"}}}, "gains.p must be a"),
     ],
@@ -300,17 +304,10 @@ class Robot:
     """One of two robots: a bridge, its controllers and its reference in a namespace."""
 
     def __init__(self, harness, name, experiment, folder):
-        from hpid_ros.experiment.graph.nodes import (
-            bridge_document,
-            controllers_document,
-            write_parameters,
-        )
+        from hpid_ros.experiment.graph.nodes import write_run_files
 
         folder.mkdir()
-        write_parameters(folder / "bridge.yaml", bridge_document(experiment))
-        settings = experiment.controllers["PID"]
-        robot = str(experiment.world.robot_description)
-        write_parameters(folder / "controllers.yaml", controllers_document(settings, robot))
+        write_run_files(folder, experiment, experiment.controllers["PID"])
         space = ["-r", f"__ns:=/{name}"]
         start = partial(harness.processes.start, is_renamed=False)
         start(

@@ -8,7 +8,7 @@ from harness.graph import ros_arguments
 from std_srvs.srv import SetBool, Trigger
 
 from hpid_ros.base.resources import share_folder
-from hpid_ros.experiment.graph.nodes import write_parameters
+from hpid_ros.experiment.graph.nodes import write_document
 from hpid_ros.nodes.ros.middleware import RARE
 from hpid_ros.robot import RobotDescription
 from hpid_ros.robot.kinematics import Kinematics
@@ -20,23 +20,18 @@ FOLDED = [0.0, -0.6, 1.9, 0.0, math.pi - 1.3, 0.0]
 
 
 def scene(mass):
-    """Return parameters that put a brick between the fingers, on a shelf."""
+    """Return a world with a brick between the fingers, on a shelf."""
     x, y, z = ARM.pose(FOLDED).position.tolist()
     return {
-        "robot_description": "urdf/mobile_manipulator.urdf",
-        "joints": list(ARM.joints),
-        "initial_positions": FOLDED,
-        "fixed_base": True,
-        "bricks": {
-            "names": ["brick"],
-            "sizes": [0.06, 0.06, 0.06],
-            "positions": [x, y, z],
-            "masses": [mass],
+        "robot": {
+            "description": "urdf/mobile_manipulator.urdf",
+            "driven": list(ARM.joints),
+            "initial_positions": dict(zip(ARM.joints, FOLDED, strict=True)),
+            "fixed_base": True,
         },
-        "supports": {
-            "names": ["shelf"],
-            "sizes": [0.1, 0.1, 0.02],
-            "positions": [x, y, z - 0.04],
+        "scene": {
+            "bricks": {"brick": {"size": [0.06] * 3, "position": [x, y, z], "mass": mass}},
+            "supports": {"shelf": {"size": [0.1, 0.1, 0.02], "position": [x, y, z - 0.04]}},
         },
     }
 
@@ -48,11 +43,13 @@ def test_a_person_grips_lets_go_and_begins_anew(harness, tmp_path):
         DiagnosticArray, "grip_events", lambda each: events.extend(each.status), RARE
     )
     node.create_subscription(PoseArray, "brick_poses", poses.append, RARE)
-    write_parameters(
-        tmp_path / "bridge.yaml", {"pybullet_bridge": {"ros__parameters": scene(0.5)}}
+    write_document(tmp_path / "world.yaml", scene(0.5))
+    arguments = ros_arguments(
+        world_file=tmp_path / "world.yaml",
+        mode="realtime",
+        control_rate=100.0,
+        wait_for_subscribers=0,
     )
-    arguments = ["--params-file", str(tmp_path / "bridge.yaml")]
-    arguments += ros_arguments(mode="realtime", control_rate=100.0, wait_for_subscribers=0)
     harness.processes.start("pybullet_bridge", "pybullet_bridge", arguments)
     grip = node.create_client(SetBool, "pybullet_bridge/grip")
     hold = node.create_client(SetBool, "pybullet_bridge/pause")

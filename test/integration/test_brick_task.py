@@ -5,11 +5,9 @@ from __future__ import annotations
 import json
 import math
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
-import rclpy
 import yaml
 
 from hpid_ros.bags.messages import (
@@ -23,22 +21,24 @@ from hpid_ros.bags.messages import (
     read_statuses,
 )
 from hpid_ros.bags.writer import BagWriter
-from hpid_ros.base.errors import BagError, ExperimentError, SettingError
+from hpid_ros.base.errors import BagError, ExperimentError
 from hpid_ros.base.resources import share_folder
 from hpid_ros.cli.main import main
+from hpid_ros.documents.sections import Section
+from hpid_ros.documents.yaml_files import load_yaml
 from hpid_ros.experiment.description import load_experiment
-from hpid_ros.experiment.graph.nodes import bridge_document, write_parameters
+from hpid_ros.experiment.graph.nodes import write_document
 from hpid_ros.experiment.graph.run import run_on_graph
 from hpid_ros.experiment.in_process import run_without_ros
 from hpid_ros.experiment.progress import NoProgress, RunReport
 from hpid_ros.experiment.result.folder import ResultFolder
 from hpid_ros.experiment.result.result import compute, save
 from hpid_ros.metrics.end_effector import EndEffector, TaskFrame, moving_joints
-from hpid_ros.nodes.bridge.world_parameters import world_settings
 from hpid_ros.recordings.series import JointSeries, RunSeries
 from hpid_ros.robot import RobotDescription
 from hpid_ros.robot.differential_drive import DifferentialDrive
 from hpid_ros.robot.kinematics import Kinematics
+from hpid_ros.simulation.world_file import read_world, world_mapping
 
 EXPERIMENTS = share_folder() / "config" / "experiments"
 ROBOT = RobotDescription.load(share_folder() / "urdf" / "mobile_manipulator.urdf")
@@ -223,7 +223,7 @@ def test_a_robot_without_bricks_has_an_end_effector_all_the_same(experiment_file
     assert truth["largest_position"] == pytest.approx(tracking["largest_position"], abs=5e-3)
 
 
-def test_the_bridge_gets_the_same_scene_by_its_parameters(written, tmp_path):
+def test_the_bridge_gets_the_same_scene(written, tmp_path):
     yaws = {"yaw": 0.3, "friction": 0.7}
     path = written(
         scene__bricks__second={"size": [0.05, 0.05, 0.05], "position": [0.5, 0, 0.225], "mass": 1}
@@ -231,41 +231,10 @@ def test_the_bridge_gets_the_same_scene_by_its_parameters(written, tmp_path):
         scene__gripper={"tolerance": 0.01, "opening": 0.07},
     )
     experiment = load_experiment(path)
-    write_parameters(tmp_path / "bridge.yaml", bridge_document(experiment))
-    assert bridge_settings(tmp_path / "bridge.yaml").workplace == experiment.world.workplace
-
-
-def bridge_settings(file: Path):
-    """Return what a bridge makes of a parameter file."""
-    context = rclpy.Context()
-    rclpy.init(args=["--ros-args", "--params-file", str(file)], context=context, domain_id=77)
-    try:
-        node = rclpy.create_node("pybullet_bridge", context=context)
-        try:
-            return world_settings(node)
-        finally:
-            node.destroy_node()
-    finally:
-        rclpy.shutdown(context=context)
-
-
-@pytest.mark.parametrize(
-    ("parameters", "line"),
-    [
-        ({"bricks": {"names": ["a"], "sizes": [0.1, 0.1]}}, r"bricks\.sizes must have 3 entries"),
-        (
-            {"gripper_schedule": {"times": [1.0], "closed": [True, False]}},
-            r"gripper_schedule\.closed must have 1 entries",
-        ),
-        ({"gripper_schedule": {"times": [-1.0], "closed": [True]}}, "must lie in"),
-        ({"gripper": {"opening": -1.0}}, "opening -1.0 of the gripper"),
-    ],
-)
-def test_parameters_that_make_no_scene_are_refused(parameters, line, tmp_path):
-    document = {"pybullet_bridge": {"ros__parameters": parameters}}
-    write_parameters(tmp_path / "bridge.yaml", document)
-    with pytest.raises(SettingError, match=line):
-        bridge_settings(tmp_path / "bridge.yaml")
+    write_document(tmp_path / "world.yaml", world_mapping(experiment.world))
+    document = load_yaml(tmp_path / "world.yaml", ExperimentError)
+    there = read_world(Section(document, "", ExperimentError), ()).world
+    assert there == experiment.world
 
 
 @pytest.mark.parametrize(
@@ -280,7 +249,7 @@ def test_parameters_that_make_no_scene_are_refused(parameters, line, tmp_path):
             {"scene__supports__brick": {"size": [1, 1, 1], "position": [9, 9, 9]}},
             "'brick' is twice",
         ),
-        ({"scene__gripper": {"angle_tolerance": 2.0}}, "at most pi/4"),
+        ({"scene__gripper": {"angle_tolerance": 2.0}}, "above 0 and at most 0.785398"),
         (
             {"scene__bricks__brick__position": [2.0, 0.0, 0.23]},
             r"brick 'brick', pick: payload cannot be put at \(2\.000",

@@ -1,11 +1,13 @@
 """The documentation says what the code says."""
 
+import importlib.util
 import re
 
 import pytest
 from harness.places import ROOT
 
 from hpid_ros.control import LOOP_PARAMETERS
+from hpid_ros.nodes.bridge.world_parameters import OVER_THE_FILE
 
 INTERFACES = (ROOT / "docs" / "interfaces.md").read_text()
 
@@ -28,6 +30,7 @@ def test_every_other_parameter_of_a_node_is_documented():
     for path in (ROOT / "hpid_ros" / "nodes").rglob("*.py"):
         pattern = r'(?:read_only|read_number|positive)\(\s*(?:(?:self|node),\s*)?"(\w+)"'
         declared |= set(re.findall(pattern, path.read_text()))
+    declared |= set(OVER_THE_FILE)
     assert {"command_interface", "bag", "mode", "command_timeout", "seed"} <= declared
     assert not {name for name in declared if f"`{name}`" not in INTERFACES}
 
@@ -58,3 +61,13 @@ def test_the_double_integrator_claims_no_settling_that_did_not_happen(capsys):
     assert lines[0] == "PID            settles in 1.164 s"
     assert lines[-1] == "hPID, mu +0.2 does not settle within 5 s"
     assert example["settling_time"](example["Pid"](example["GAINS"]), start=1e-4) == 0.0
+
+
+def test_the_tables_of_experiment_files_are_what_the_package_declares():
+    name = "make_experiment_tables"
+    spec = importlib.util.spec_from_file_location(name, ROOT / "tools" / f"{name}.py")
+    tool = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(tool)
+    text = tool.PAGE.read_text()
+    assert {match["name"] for match in tool.BLOCK.finditer(text)} == set(tool.TABLES)
+    assert tool.page(text) == text, f"python tools/{name}.py writes it"

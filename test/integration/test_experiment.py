@@ -5,7 +5,7 @@ import yaml
 
 from hpid_ros.base.errors import ExperimentError
 from hpid_ros.experiment.description import load_experiment
-from hpid_ros.experiment.graph.nodes import bridge_document, controllers_document
+from hpid_ros.experiment.graph.nodes import controllers_document
 
 
 def test_the_motions_are_of_eight_joints_nine_seconds_and_two_controllers(experiment_file):
@@ -62,9 +62,6 @@ def test_parameter_files_say_what_the_experiment_says(experiment_file):
         parameters = document[f"/**/{each.joint}_controller"]["ros__parameters"]
         assert parameters["gains"]["p"] == each.gains.p
         assert parameters["mu"] == each.mu
-    bridge = bridge_document(experiment)["/**/pybullet_bridge"]["ros__parameters"]
-    assert bridge["control_rate"] == 1000.0
-    assert bridge["joints"] == list(experiment.world.joints)
 
 
 @pytest.mark.parametrize(

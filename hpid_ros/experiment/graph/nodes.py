@@ -9,7 +9,6 @@ from __future__ import annotations
 import itertools
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -17,52 +16,14 @@ import yaml
 
 from hpid_ros.base.errors import ExperimentError
 from hpid_ros.base.names import ANYWHERE, controller_name
-from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.control import LoopSettings
 from hpid_ros.experiment.description import Experiment
 from hpid_ros.experiment.graph.options import GraphOptions
 from hpid_ros.experiment.graph.processes import NodeGroup, NodeProcess
 from hpid_ros.experiment.in_process import recorded_topics
-from hpid_ros.robot.differential_drive import DifferentialDrive
 from hpid_ros.simulation.base import REPORT_RATE
-from hpid_ros.simulation.columns import columns
-from hpid_ros.simulation.drives import Motor, Pwm
-from hpid_ros.simulation.sensors import Homing
-from hpid_ros.simulation.settings import WorldSettings
-from hpid_ros.simulation.world.disturbances import Disturbances
 from hpid_ros.simulation.world.gripper import task_topics
-from hpid_ros.simulation.world.workpieces import Support, Workplace
-
-
-def scene_document(workplace: Workplace) -> dict[str, Any]:
-    """Return the parameters, nested; empty where nothing stands about the robot.
-
-    Args:
-        workplace: What does.
-    """
-    document: dict[str, Any] = {}
-    if workplace.supports:
-        document["supports"] = _boxes(workplace.supports)
-    if workplace.bricks:
-        masses = {"masses": [brick.mass for brick in workplace.bricks]}
-        document["bricks"] = _boxes(workplace.bricks) | masses
-        document["gripper"] = asdict(workplace.gripper)
-    if workplace.schedule:
-        document["gripper_schedule"] = {
-            "times": [command.time_ns / NANOSECONDS for command in workplace.schedule],
-            "closed": [command.is_closed for command in workplace.schedule],
-        }
-    return document
-
-
-def _boxes(boxes: Sequence[Support]) -> dict[str, list[Any]]:
-    return {
-        "names": [box.name for box in boxes],
-        "sizes": [edge for box in boxes for edge in box.size],
-        "positions": [coordinate for box in boxes for coordinate in box.position],
-        "yaws": [box.yaw for box in boxes],
-        "frictions": [box.friction for box in boxes],
-    }
+from hpid_ros.simulation.world_file import world_mapping
 
 
 def controllers_document(settings: Sequence[LoopSettings], robot: str = "") -> dict[str, Any]:
@@ -85,88 +46,47 @@ def controllers_document(settings: Sequence[LoopSettings], robot: str = "") -> d
     return document
 
 
-def bridge_document(experiment: Experiment) -> dict[str, Any]:
-    """Return the parameters of the bridge."""
-    world = experiment.world
+def bridge_document(experiment: Experiment, world_file: Path) -> dict[str, Any]:
+    """Return the parameters of the bridge.
+
+    Args:
+        experiment: The experiment.
+        world_file: Where its world is described.
+    """
     return {
         f"{ANYWHERE}pybullet_bridge": {
             "ros__parameters": {
-                "robot_description": str(world.robot_description),
-                "joints": list(world.joints),
-                "control_rate": NANOSECONDS / world.control_period_ns,
-                "physics_steps": world.physics_steps,
-                "initial_positions": [
-                    float(world.initial_positions.get(joint, 0.0)) for joint in world.joints
-                ],
-                "encoder_counts": list(world.counts),
-                "seed": world.seed,
-                "fixed_base": world.fixed_base,
-                "payload_mass": world.payload_mass,
+                "world_file": str(world_file.resolve()),
                 "duration": experiment.duration,
                 "answer_timeout": experiment.answer_timeout,
                 "ee_link": experiment.end_effector,
-                **_models(world),
             }
         }
     }
 
 
-def _models(world: WorldSettings) -> dict[str, Any]:
-    """Return the parameters of all that is not ideal; what is left out is."""
-    drives = world.drives
-    parameters: dict[str, Any] = {
-        "motor": columns(Motor, [drive.motor for drive in drives]),
-        "pwm": columns(Pwm, [drive.pwm for drive in drives]),
-        "homing": columns(Homing, world.homing),
-        "payload_schedule": _payload(world.disturbances),
-        "wrench_schedule": _wrenches(world.disturbances),
-    }
-    if any(drive.delay for drive in drives):
-        parameters["effort_delay"] = [drive.delay for drive in drives]
-    if any(world.position_noises):
-        parameters["position_noise"] = list(world.position_noises)
-    if world.base is not None:
-        parameters["base"] = _base(world.base)
-    if world.velocity != "none":
-        parameters["velocity"] = world.velocity
-    parameters |= scene_document(world.workplace)
-    return {name: values for name, values in parameters.items() if values}
+def write_run_files(
+    folder: Path, experiment: Experiment, settings: Sequence[LoopSettings]
+) -> tuple[Path, Path]:
+    """Write the parameter files of controllers and bridge, and the world's, and return the first.
+
+    Args:
+        folder: Where they are written: ``controllers.yaml``, ``bridge.yaml``, ``world.yaml``.
+        experiment: The experiment.
+        settings: Of each of its controllers.
+    """
+    controllers, bridge, world = (
+        folder / f"{name}.yaml" for name in ("controllers", "bridge", "world")
+    )
+    write_document(world, world_mapping(experiment.world))
+    write_document(bridge, bridge_document(experiment, world))
+    robot = str(experiment.world.robot_description)
+    write_document(controllers, controllers_document(settings, robot))
+    return controllers, bridge
 
 
-def _base(base: DifferentialDrive) -> dict[str, Any]:
-    return {
-        "left_wheel": base.left,
-        "right_wheel": base.right,
-        "wheel_radius": base.radius,
-        "wheel_separation": base.separation,
-    }
-
-
-def _payload(disturbances: Disturbances) -> dict[str, Any]:
-    changes = disturbances.payload
-    if not changes:
-        return {}
-    return {
-        "times": [change.time_ns / NANOSECONDS for change in changes],
-        "masses": [change.mass for change in changes],
-    }
-
-
-def _wrenches(disturbances: Disturbances) -> dict[str, Any]:
-    pulses = disturbances.wrenches
-    if not pulses:
-        return {}
-    return {
-        "links": [pulse.link for pulse in pulses],
-        "forces": [component for pulse in pulses for component in pulse.force],
-        "torques": [component for pulse in pulses for component in pulse.torque],
-        "starts": [pulse.start_ns / NANOSECONDS for pulse in pulses],
-        "durations": [pulse.duration_ns / NANOSECONDS for pulse in pulses],
-    }
-
-
-def write_parameters(path: Path, document: Mapping[str, Any]) -> None:
-    """Write a ROS parameter file; the text of a robot gets a file of its own beside it."""
+def write_document(path: Path, document: Mapping[str, Any]) -> None:
+    """Write a YAML file; the text of a robot gets a file of its own beside it."""
     values = _with_robots_beside(document, path.resolve().parent)
     path.write_text(yaml.safe_dump(values, sort_keys=False), encoding="utf-8")
 
@@ -251,9 +171,7 @@ class GraphNodes:
             group: Takes the processes.
         """
         settings = self._experiment.controllers[self._label]
-        robot = str(self._experiment.world.robot_description)
-        write_parameters(self._folder / "bridge.yaml", bridge_document(self._experiment))
-        write_parameters(self._folder / "controllers.yaml", controllers_document(settings, robot))
+        write_run_files(self._folder, self._experiment, settings)
         reference = _parameters(reference_file=self._experiment.path)
         nodes = [group.start(REFERENCE, REFERENCE, reference)]
         topics = self.topics

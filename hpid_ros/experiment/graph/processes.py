@@ -14,6 +14,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
+from hpid_ros.base.interrupts import uninterrupted
+
 _PR_SET_PDEATHSIG = 1
 _LIBC = ctypes.CDLL(None)
 
@@ -163,17 +165,18 @@ class NodeGroup:
             is_renamed: As for :class:`NodeProcess`.
         """
         log = self._logs / f"{name}.log"
-        node = NodeProcess(
-            name,
-            executable,
-            arguments,
-            self._environment,
-            log,
-            is_renamed=is_renamed,
-            is_batch=self._is_batch,
-            prefix=self._prefix,
-        )
-        self.nodes[name] = node
+        with uninterrupted():
+            node = NodeProcess(
+                name,
+                executable,
+                arguments,
+                self._environment,
+                log,
+                is_renamed=is_renamed,
+                is_batch=self._is_batch,
+                prefix=self._prefix,
+            )
+            self.nodes[name] = node
         return node
 
     def stop(self, names: Sequence[str] | None = None, patience: float = 1.5) -> None:

@@ -13,12 +13,9 @@ from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool
 
-from hpid_ros.base.errors import SettingError
 from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.nodes.ros.middleware import OFFERED, RARE
 from hpid_ros.nodes.ros.parameters import read_number, read_only
-from hpid_ros.robot.description import RobotDescription
-from hpid_ros.robot.differential_drive import DifferentialDrive
 from hpid_ros.simulation.base import (
     ODOM_FRAME,
     REPORT_RATE,
@@ -42,37 +39,6 @@ from hpid_ros.simulation.world.gripper import (
     grip_status,
 )
 from hpid_ros.simulation.world.world import World
-
-
-def base_parameters(node: Node, description: RobotDescription) -> DifferentialDrive | None:
-    """Declare the parameters of the base and return what they say; None without wheels.
-
-    Args:
-        node: The bridge.
-        description: The robot, which is asked for what is not given.
-
-    Raises:
-        SettingError: Only one wheel is named, or a length is out of range.
-        RobotDescriptionError: The robot's wheels are not a pair on one axle.
-    """
-    left, right = (
-        str(
-            read_only(node, f"base.{side}_wheel", "", f"Joint of the {side} wheel; empty: no base")
-        )
-        for side in ("left", "right")
-    )
-    radius, separation = (
-        float(read_only(node, f"base.wheel_{name}", 0.0, f"{what} [m]; 0 asks the URDF"))
-        for name, what in (("radius", "Of both wheels"), ("separation", "Between the wheels"))
-    )
-    if not left and not right:
-        return None
-    if not (left and right):
-        raise SettingError(
-            f"base.left_wheel {left!r} and base.right_wheel {right!r} must both name a joint, "
-            f"or neither"
-        )
-    return DifferentialDrive.of(description, left, right, radius or None, separation or None)
 
 
 class BridgeBase:

@@ -1,23 +1,53 @@
-"""The bridge's parameters as settings of a simulated world."""
+"""The bridge's parameters as a simulated world: a file, and what is laid over it."""
 
 from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from hpid_ros.base.errors import SettingError
+from hpid_ros.base.errors import ExperimentError, HpidError, SettingError
 from hpid_ros.base.resources import find_resource
-from hpid_ros.base.units import NANOSECONDS
-from hpid_ros.nodes.bridge import realism as realism_parameters
-from hpid_ros.nodes.bridge.realism import along
-from hpid_ros.nodes.bridge.reports import base_parameters
-from hpid_ros.nodes.bridge.workplace import workplace
+from hpid_ros.documents.sections import Section
+from hpid_ros.documents.yaml_files import load_document
 from hpid_ros.nodes.ros.parameters import read_only
-from hpid_ros.robot.description import RobotDescription
 from hpid_ros.simulation.settings import WorldSettings
+from hpid_ros.simulation.world_file import OF_EXPERIMENTS, read_world
+
+_DEFAULT_ROBOT = "urdf/mobile_manipulator.urdf"
+OVER_THE_FILE = {
+    "joints": (
+        *("robot", "driven", Parameter.Type.STRING_ARRAY),
+        "Driven joints; all moving ones if left out",
+    ),
+    "fixed_base": (
+        *("robot", "fixed_base", Parameter.Type.BOOL),
+        "Hold the robot's root, without a ground",
+    ),
+    "payload_mass": (
+        *("robot", "payload", Parameter.Type.DOUBLE),
+        "Mass in the gripper [kg]",
+    ),
+    "control_rate": (
+        *("control", "rate", Parameter.Type.DOUBLE),
+        "States per simulated second [Hz]",
+    ),
+    "physics_steps": (
+        *("simulation", "physics_steps", Parameter.Type.INTEGER),
+        "Physics steps in one control period",
+    ),
+    "seed": (
+        *("", "seed", Parameter.Type.INTEGER),
+        "Of where each encoder's counts begin, of noise, of homing",
+    ),
+}
+"""Parameters that are laid over the file: its section (none: the root), key, type, meaning."""
 
 
 def world_settings(node: Node) -> WorldSettings:
@@ -28,72 +58,90 @@ def world_settings(node: Node) -> WorldSettings:
 
     Raises:
         SettingError: A value is out of range.
-        RobotDescriptionError: The robot cannot be read or lacks a joint.
+        HpidError: The file or the robot cannot be read, or the robot lacks a joint.
     """
-    source = str(
+    file = str(
+        read_only(
+            node,
+            "world_file",
+            "",
+            "YAML file of the world, for instance an experiment; what is given besides counts",
+        )
+    )
+    document = load_document(find_resource(file), ExperimentError) if file else None
+    robot = str(
         read_only(
             node,
             "robot_description",
-            "urdf/mobile_manipulator.urdf",
-            "URDF of the robot: its XML text, a path, or a path in this package's share folder",
+            "" if file else _DEFAULT_ROBOT,
+            "URDF of the robot: its XML text, a path, or a path in this package's share folder; "
+            "that of world_file if empty",
         )
     )
-    if not source.strip():
+    if not (file or robot.strip()):
         raise SettingError("robot_description must be a URDF or name one, it is empty")
-    if not source.lstrip().startswith("<"):
-        source = str(find_resource(source))
-    joints = read_only(
-        node, "joints", Parameter.Type.STRING_ARRAY, "Driven joints; all moving ones if left out"
-    )
-    joints = tuple(joints or RobotDescription.load(source).joints)
-    rate = float(read_only(node, "control_rate", 1000.0, "States per simulated second [Hz]"))
-    if not 0.1 <= rate <= 1e5:
-        raise SettingError(f"control_rate must lie in [0.1, 100000] Hz, not {rate}")
-    positions = along(
-        joints,
+    values = _laid_over(node, {} if document is None else document.values, robot)
+    positions = read_only(
+        node,
         "initial_positions",
-        read_only(
-            node,
-            "initial_positions",
-            Parameter.Type.DOUBLE_ARRAY,
-            "Position of each driven joint at the start [rad]; zero if left out",
-        ),
+        Parameter.Type.DOUBLE_ARRAY,
+        "Position of each driven joint at the start [rad]; zero, or the file's, if left out",
     )
-    counts = along(
-        joints,
+    counts = read_only(
+        node,
         "encoder_counts",
-        read_only(
-            node,
-            "encoder_counts",
-            Parameter.Type.INTEGER_ARRAY,
-            "Encoder counts per revolution of each driven joint; 0 or left out measures exactly",
-        ),
+        Parameter.Type.INTEGER_ARRAY,
+        "Encoder counts per revolution of each driven joint; 0 measures exactly",
     )
-    return WorldSettings(
-        robot_description=source,
-        joints=joints,
-        control_period_ns=round(NANOSECONDS / rate),
-        physics_steps=int(
-            read_only(node, "physics_steps", 4, "Physics steps in one control period")
-        ),
-        initial_positions=dict(zip(joints, positions, strict=True)) if positions else {},
-        encoder_counts=counts or 0,
-        seed=int(
-            read_only(node, "seed", 0, "Of where each encoder's counts begin, of noise, of homing")
-        ),
-        fixed_base=bool(
-            read_only(node, "fixed_base", False, "Hold the robot's root, without a ground")
-        ),
-        payload_mass=float(read_only(node, "payload_mass", 0.0, "Mass in the gripper [kg]")),
-        gui=_gui(node),
-        drives=realism_parameters.drives(node, joints),
-        position_noise=realism_parameters.position_noise(node, joints),
-        homing=realism_parameters.homing(node, joints),
-        velocity=realism_parameters.velocity(node),
-        base=base_parameters(node, RobotDescription.load(source)),
-        disturbances=realism_parameters.disturbances(node),
-        workplace=workplace(node),
-    )
+    world = _read(values, file, () if document is None else document.folders)
+    joints = world.joints
+    if positions:
+        along = _along(joints, "initial_positions", positions)
+        world = replace(world, initial_positions=dict(zip(joints, along, strict=True)))
+    if counts:
+        world = replace(world, encoder_counts=_along(joints, "encoder_counts", counts))
+    return replace(world, gui=_gui(node))
+
+
+def _laid_over(node: Node, values: Any, robot: str) -> Any:
+    """Return a document with the parameters that were given laid over it."""
+    if not isinstance(values, dict):
+        return values
+    values = dict(values)
+    given: dict[str, dict[str, Any]] = {"robot": {"description": robot}} if robot else {}
+    for name, (section, key, kind, meaning) in OVER_THE_FILE.items():
+        value = read_only(node, name, kind, f"{meaning}; the file's, or its default, if left out")
+        if value is not None:
+            value = list(value) if kind == Parameter.Type.STRING_ARRAY else value
+            given.setdefault(section, {})[key] = value
+    values |= given.pop("", {})
+    for section, entries in given.items():
+        own = values.get(section, {})
+        if isinstance(own, dict):
+            values[section] = own | entries
+    return values
+
+
+def _read(values: Any, file: str, folders: Sequence[Path]) -> WorldSettings:
+    try:
+        root = Section(values, "", SettingError)
+        for key in OF_EXPERIMENTS:
+            root.take(key, None)
+        world = read_world(root, folders).world
+        root.finish()
+    except HpidError as error:
+        raise SettingError(f"{file}: {error}" if file else str(error)) from None
+    return world
+
+
+def _along(joints: Sequence[str], name: str, values: Sequence[Any]) -> tuple[Any, ...]:
+    """Return the values of an array with one entry for each joint."""
+    if len(values) != len(joints):
+        raise SettingError(
+            f"{name} must have one entry for each of {len(joints)} driven joints, "
+            f"not {len(values)}"
+        )
+    return tuple(values)
 
 
 def _gui(node: Node) -> bool:

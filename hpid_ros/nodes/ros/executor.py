@@ -87,18 +87,18 @@ class ClosingNode(Node):
         guard_services(self, fault)
         self.sources.require_namespace(self)
 
-    def require_given(self, name: str) -> None:
+    def require_given(self, *names: str) -> None:
         """Refuse a default where parameter files were given, and one has nothing for this node.
 
         Args:
-            name: Of the parameter, before it is declared.
+            names: Of the parameter, before it is declared, or of several of which one will do.
 
         Raises:
             SettingError: Whoever gave that file had something else in mind.
         """
         lines = self.sources.without([self])
-        if lines and name not in self._parameter_overrides:
-            raise SettingError(f"{name} must be given: {lines[0]}")
+        if lines and not any(name in self._parameter_overrides for name in names):
+            raise SettingError(f"{' or '.join(names)} must be given: {lines[0]}")
 
     def declare_parameters(
         self, namespace: str, parameters: list[Any], ignore_override: bool = False

@@ -12,7 +12,6 @@ from hpid_ros.simulation.world.bullet import pybullet
 from hpid_ros.simulation.world.disturbances import (
     Event,
     PayloadChange,
-    begin_ns,
     require_mass,
     vector,
 )
@@ -108,7 +107,7 @@ class DisturbanceSchedule:
         Args:
             now_ns: Simulated time in [ns].
         """
-        while self._pending and begin_ns(self._pending[-1]) <= now_ns:
+        while self._pending and self._pending[-1].start_ns <= now_ns:
             event = self._pending.pop()
             if isinstance(event, PayloadChange):
                 self.load(event.mass)

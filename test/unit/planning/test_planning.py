@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from harness.places import URDF
 
-from hpid_ros.base.errors import TrajectoryError
+from hpid_ros.base.errors import SettingError, TrajectoryError
 from hpid_ros.planning import BrickGoal, Placement, PlanOptions, TaskRobot
 from hpid_ros.planning.bricks import plan_bricks
 from hpid_ros.planning.configuration import planned_reference
@@ -69,7 +69,7 @@ def hand_in_odom(plan, times_ns, base=MOBILE.base):
 
 @pytest.fixture(scope="module")
 def plan():
-    return plan_bricks(MOBILE, ARM, [LIGHT, HEAVY], AT_REST, PlanOptions(opening=0.078))
+    return plan_bricks(replace(MOBILE, opening=0.078), ARM, [LIGHT, HEAVY], AT_REST)
 
 
 def test_every_joint_stays_within_its_limits_and_moves_without_a_jump(plan):
@@ -131,18 +131,18 @@ def test_the_base_moves_only_with_the_arm_folded(plan):
 
 
 def test_a_plan_is_the_same_every_time(plan):
-    again = plan_bricks(MOBILE, ARM, [LIGHT, HEAVY], AT_REST, PlanOptions(opening=0.078))
+    again = plan_bricks(replace(MOBILE, opening=0.078), ARM, [LIGHT, HEAVY], AT_REST)
     assert again.trajectory == plan.trajectory
 
 
 def test_a_brick_is_taken_across_its_narrow_side():
     long = replace(NEAR, size=(0.06, 0.15, 0.08))
-    plan = plan_bricks(STANDING, ARM, [long], AT_REST, PlanOptions(opening=0.078))
+    plan = plan_bricks(replace(STANDING, opening=0.078), ARM, [long], AT_REST)
     fingers = plan.poses[1].pose.rotation[:, 1]
     assert abs(fingers[0]) == pytest.approx(1.0)  # the brick's x, since its yaw is 0
     wide = replace(NEAR, size=(0.15, 0.15, 0.08))
     with pytest.raises(TrajectoryError, match=r"'near' is 0\.15 m wide.* opening of 0\.078 m"):
-        plan_bricks(STANDING, ARM, [wide], AT_REST, PlanOptions(opening=0.078))
+        plan_bricks(replace(STANDING, opening=0.078), ARM, [wide], AT_REST)
 
 
 def test_what_is_out_of_reach_is_named_with_the_reach():
@@ -166,7 +166,7 @@ def test_a_base_that_would_have_to_turn_its_wheels_too_fast_is_refused():
     "wrong", [{"standoff": 0.0}, {"arm_speed": 1.5}, {"settle": -1.0}, {"clearance": math.nan}]
 )
 def test_options_out_of_range_are_refused(wrong):
-    with pytest.raises(TrajectoryError, match=next(iter(wrong))):
+    with pytest.raises(SettingError, match=next(iter(wrong))):
         PlanOptions(**wrong)
 
 
@@ -213,12 +213,12 @@ def test_any_other_reference_is_what_it_was():
     ("wrong", "line"),
     [
         ({"bricks": [{"brick": "c", "place": {"position": [0, 0, 0]}}]}, "unknown brick 'c'"),
-        ({"bricks": []}, "must be a list of bricks"),
+        ({"bricks": []}, "reference.bricks must name at least one brick"),
         ({"bricks": [{"brick": "b"}]}, r"reference\.bricks\[0\]\.place is missing"),
         ({"speed": 1.0}, "unknown key 'reference.speed'"),
         ({"folded": {"elbow": 1.0}}, "unknown joint 'elbow'"),
-        ({"arm": "arm_joint_1"}, "must be a list of joints"),
-        ({"arm_speed": 2.0}, "arm_speed is a share"),
+        ({"arm": "arm_joint_1"}, "reference.arm must be a list, not 'arm_joint_1'"),
+        ({"arm_speed": 2.0}, r"reference\.arm_speed must be above 0 and at most 1, not 2\.0"),
         ({"bricks": [{"brick": "b", "place": {"position": [5, 0]}}]}, "three numbers"),
     ],
 )

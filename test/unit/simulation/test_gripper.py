@@ -186,7 +186,7 @@ def test_a_held_brick_weighs_on_the_arm():
         assert sag == pytest.approx(moment / STIFF[1], abs=2.0 * friction / STIFF[1])
 
 
-SCHEDULE = (GripCommand(350_000_000, False), GripCommand(20_000_000, True))
+SCHEDULE = (GripCommand(0.35, False), GripCommand(0.02, True))
 
 
 def test_a_schedule_does_what_a_person_at_the_same_time_would_do():
@@ -252,7 +252,7 @@ def test_a_hand_that_the_robot_lacks_is_refused():
         lambda: replace(GRIPPER, opening=0.0),
         lambda: replace(GRIPPER, angle_tolerance=1.0),
         lambda: replace(PLACE, bricks=(BRICK, BRICK)),
-        lambda: GripCommand(-1, True),
+        lambda: GripCommand(-1e-9, True),
     ],
 )
 def test_impossible_settings_are_refused(wrong):

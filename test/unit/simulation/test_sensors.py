@@ -183,10 +183,10 @@ def test_impossible_sensors_are_refused(changes: dict[str, object], says: str):
 @pytest.mark.parametrize(
     ("values", "says"),
     [
-        ((0.0,), "homing.speed 0.0"),
-        ((1e-9,), "homing.speed 1e-09"),
-        ((1.0, math.nan), "homing.position nan"),
-        ((1.0, 0.0, -1.0), "homing.hysteresis -1.0"),
+        ((0.0,), "speed must be at least 1e-06, not 0.0"),
+        ((1e-9,), "speed must be at least 1e-06, not 1e-09"),
+        ((1.0, math.nan), "position must be .* not nan"),
+        ((1.0, 0.0, -1.0), "hysteresis must be at least 0, not -1.0"),
     ],
 )
 def test_impossible_homing_runs_are_refused(values: tuple[float, ...], says: str):

@@ -1,0 +1,492 @@
+"""Records: what a section of a file may say, declared once as a frozen dataclass.
+
+A field declares its meaning, unit, range and default. From that come the checks of a record that
+is made in Python, the reading of a section, the way back into a file, the JSON Schema with which
+editors complete and check files, and the tables of the documentation. (A library would be the
+better choice, were there one: of those that do all this, none has the same interface on PyPI and
+in the Ubuntu of Jazzy, pydantic, or a rosdep key, msgspec and cattrs.)
+"""
+
+from __future__ import annotations
+
+import math
+import types
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import MISSING, Field, dataclass, field, fields
+from functools import cache
+from typing import Any, NamedTuple, TypeVar, Union, cast, get_args, get_origin, get_type_hints
+
+from hpid_ros.base.errors import HpidError, SettingError, unknown_name
+from hpid_ros.documents.sections import ANY, Bounds, Section, shown
+
+_KEY = "quantity"
+OFF = False
+"""What YAML makes of ``off``: a part that is left out although something else names it."""
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """What a field is.
+
+    Attributes:
+        meaning: In words, without a full stop.
+        unit: For instance ``"N m"``; empty for what has none.
+        bounds: Of a number, or of each number of a list.
+        choices: Of a text; any if empty.
+        key: Its name in a file, where that is no name in Python.
+        names: Whether a file has a mapping by name, whose keys are the ``name`` of each record.
+    """
+
+    meaning: str
+    unit: str = ""
+    bounds: Bounds = ANY
+    choices: tuple[str, ...] = ()
+    key: str = ""
+    names: bool = False
+
+
+def quantity(
+    meaning: str,
+    unit: str = "",
+    *,
+    default: Any = MISSING,
+    factory: Any = MISSING,
+    above: float = -math.inf,
+    least: float = -math.inf,
+    most: float = math.inf,
+    below: float = math.inf,
+    choices: Sequence[str] = (),
+    key: str = "",
+    names: bool = False,
+) -> Any:
+    """Declare a field of a :class:`Record`; see :class:`Quantity` and :class:`.Bounds`."""
+    bounds = Bounds(above, least, most, below)
+    metadata = {_KEY: Quantity(meaning, unit, bounds, tuple(choices), key, names)}
+    return field(default=default, default_factory=factory, metadata=metadata)
+
+
+class Record:
+    """A frozen dataclass all of whose fields are declared by :func:`quantity`.
+
+    A field is a bool, a number, a text, another record, a tuple of such (``tuple[float, float,
+    float]``, ``tuple[Brick, ...]``), a mapping by name, a union of a number and a mapping, or one
+    of these or None. Values become what their field is declared to be.
+
+    Raises:
+        SettingError: A value is of another kind or out of its range.
+    """
+
+    def __post_init__(self) -> None:
+        for each in record_fields(type(self)):
+            value = getattr(self, each.name)
+            if value is not None or not each.is_optional:
+                value = _converted(value, each, each.name, SettingError)
+                object.__setattr__(self, each.name, value)
+
+
+AnyRecord = TypeVar("AnyRecord", bound=Record)
+
+
+class RecordField(NamedTuple):
+    """A field of a record.
+
+    Attributes:
+        name: In Python.
+        key: In a file.
+        kind: Its type, None aside.
+        is_optional: Whether it may be None.
+        is_needed: Whether it has no default.
+        quantity: What it is.
+        declared: The dataclass's own entry.
+    """
+
+    name: str
+    key: str
+    kind: Any
+    is_optional: bool
+    is_needed: bool
+    quantity: Quantity
+    declared: Field[Any]
+
+    @property
+    def default(self) -> Any:
+        """Its default; None where it has none."""
+        if self.declared.default_factory is not MISSING:
+            return self.declared.default_factory()
+        return None if self.declared.default is MISSING else self.declared.default
+
+
+def record_fields(kind: type[Record]) -> tuple[RecordField, ...]:
+    """Return the fields of a kind of record."""
+    found: tuple[RecordField, ...] = _fields_of(cast(Any, kind))
+    return found
+
+
+@cache
+def _fields_of(kind: Any) -> tuple[RecordField, ...]:
+    hints = get_type_hints(kind)
+    found = []
+    for each in fields(kind):
+        what: Quantity = each.metadata[_KEY]
+        inner, is_optional = _without_none(hints[each.name])
+        is_needed = each.default is MISSING and each.default_factory is MISSING
+        key = what.key or each.name
+        found.append(RecordField(each.name, key, inner, is_optional, is_needed, what, each))
+    return tuple(found)
+
+
+def from_mapping(
+    kind: type[AnyRecord], values: object, where: str, error: type[HpidError]
+) -> AnyRecord:
+    """Return the record that a section of a file says.
+
+    Args:
+        kind: What it is.
+        values: The section.
+        where: Its place in the document, for the messages.
+        error: The error that a bad entry raises.
+
+    Raises:
+        HpidError: The ``error`` given: an entry is missing, unknown, of another kind or out of
+            range; the line names its place.
+    """
+    section = Section(values, where, error)
+    record = take_record(kind, section)
+    section.finish()
+    return record
+
+
+def take_record(
+    kind: type[AnyRecord], section: Section, known: Mapping[str, object] | None = None
+) -> AnyRecord:
+    """Return the record that a section says; what else the section says stays for the caller.
+
+    Args:
+        kind: What it is.
+        section: The section.
+        known: Values that are known already, by name in Python; their keys stay.
+
+    Raises:
+        HpidError: As for :func:`from_mapping`.
+    """
+    values = dict(known or {})
+    asked = [each for each in record_fields(kind) if each.name not in values]
+    for each in asked:
+        section.take(each.key, None)
+    for each in asked:
+        if each.key not in section and not each.is_needed:
+            continue
+        value = section.take(each.key)
+        if value is OFF and each.is_optional and _is_record(each.kind):
+            values[each.name] = None
+        else:
+            values[each.name] = _converted(value, each, section.place(each.key), section.error)
+    try:
+        return kind(**values)
+    except section.error:
+        raise
+    except HpidError as error:
+        raise section.error(f"{section.where}: {error}" if section.where else str(error)) from None
+
+
+def take_layered(
+    kind: type[AnyRecord], section: Section, names: Sequence[str], what: str = "joint"
+) -> tuple[AnyRecord, ...]:
+    """Return a record for each name: what a section says of all, but for what it says of one.
+
+    Entries of the section hold for all; those of its ``joints`` for one, key by key also within
+    a record; ``off`` leaves a record out. What else the section says stays for the caller.
+
+    Args:
+        kind: What each is.
+        section: The section, of which the record's keys and ``joints`` are taken.
+        names: The joints.
+        what: What the names are of, for the messages; their key is its plural.
+
+    Raises:
+        HpidError: As for :func:`from_mapping`, or ``joints`` names one that there is not.
+    """
+    own = section.section(f"{what}s", {})
+    for name in own.items():
+        if name not in names:
+            raise section.error(f"{own.where}: {unknown_name(what, name, names)}")
+    for each in record_fields(kind):
+        section.take(each.key, None)
+    records = []
+    for name in names:
+        layer = own.section(name, {})
+        values = {}
+        for each in record_fields(kind):
+            value, common = layer.take(each.key, None), section.take(each.key, None)
+            source = layer if each.key in layer else section
+            if each.key not in source:
+                continue
+            if source is section:
+                value = common
+            elif isinstance(value, Mapping) and isinstance(common, Mapping):
+                value = {**common, **value}
+            if not (value is OFF and _is_record(each.kind)):
+                place = source.place(each.key)
+                values[each.name] = _converted(value, each, place, section.error)
+        layer.finish()
+        where = layer.where if name in own else section.where
+        records.append(take_record(kind, Section({}, where, section.error), values))
+    return tuple(records)
+
+
+def to_mapping(record: Record) -> dict[str, Any]:
+    """Return what a file says to give this record; what has its default is left out."""
+    return {
+        each.key: _plain(getattr(record, each.name), each)
+        for each in record_fields(type(record))
+        if each.is_needed or getattr(record, each.name) != each.default
+    }
+
+
+def json_schema(kind: type[Record]) -> dict[str, Any]:
+    """Return the JSON Schema (draft 2020-12) of a section, all of it in one piece."""
+    named = {each.key: each for each in record_fields(kind)}
+    schema: dict[str, Any] = {
+        "type": "object",
+        "description": _summary(kind),
+        "properties": {key: _schema(each) for key, each in named.items()},
+        "additionalProperties": False,
+    }
+    needed = [key for key, each in named.items() if each.is_needed and each.key != "name"]
+    return schema | ({"required": needed} if needed else {})
+
+
+def layered_schema(kind: type[Record]) -> dict[str, Any]:
+    """Return the JSON Schema of what :func:`take_layered` reads."""
+    own = partial_schema(json_schema(kind))
+    joints = {"type": "object", "additionalProperties": own}
+    return {**own, "properties": {**own["properties"], "joints": joints}}
+
+
+def partial_schema(schema: dict[str, Any], *, is_nullable: bool = False) -> dict[str, Any]:
+    """Return a schema in which nothing is needed, in its mappings neither.
+
+    Args:
+        schema: The schema.
+        is_nullable: Whether null may stand for each entry, which removes it.
+    """
+
+    def loosened(each: dict[str, Any]) -> dict[str, Any]:
+        inner = partial_schema(each, is_nullable=is_nullable)
+        return {"anyOf": [inner, {"type": "null"}]} if is_nullable else inner
+
+    result = {key: value for key, value in schema.items() if key != "required"}
+    if "properties" in result:
+        result["properties"] = {key: loosened(each) for key, each in result["properties"].items()}
+    if isinstance(result.get("additionalProperties"), dict):
+        result["additionalProperties"] = loosened(result["additionalProperties"])
+    elif "additionalProperties" in result and is_nullable:
+        result["additionalProperties"] = {"type": "null"}
+    choices = [*result.pop("oneOf", ()), *result.pop("anyOf", ())]
+    if choices:
+        result["anyOf"] = [partial_schema(each, is_nullable=is_nullable) for each in choices]
+    return result
+
+
+class TableRow(NamedTuple):
+    """One key of a section, for a person.
+
+    Attributes:
+        key: Its name, with those of the sections that it is in.
+        default: What it is when it is left out; ``needed`` where it must not be.
+        range: What it may be; empty for whatever fits.
+        meaning: What it is, with its unit.
+    """
+
+    key: str
+    default: str
+    range: str
+    meaning: str
+
+
+def table(kind: type[Record], prefix: str = "") -> Iterator[TableRow]:
+    """Yield each key of a section, those of records within it too.
+
+    Args:
+        kind: What the section is.
+        prefix: Before each key.
+    """
+    for each in record_fields(kind):
+        inner, place = _inner(each.kind, each.quantity)
+        if each.key == "name":  # stands for NAME in the other keys
+            continue
+        unit = f" [{each.quantity.unit}]" if each.quantity.unit else ""
+        bounds = ", ".join(each.quantity.choices)
+        if each.quantity.bounds != ANY:
+            bounds = str(each.quantity.bounds)
+        default = "needed" if each.is_needed else _shown_default(each.default)
+        yield TableRow(f"{prefix}{each.key}", default, bounds, f"{each.quantity.meaning}{unit}")
+        if _is_record(inner):
+            yield from table(inner, f"{prefix}{each.key}{place}.")
+
+
+def _inner(kind: Any, what: Quantity) -> tuple[Any, str]:
+    """Return what a list or mapping holds, and how its entries are named; else the type itself."""
+    container = _container(kind)
+    if container is tuple:
+        return get_args(kind)[0], ".NAME" if what.names else "[]"
+    if container is Mapping:
+        return get_args(kind)[1], ".NAME"
+    return kind, ""
+
+
+def _shown_default(value: Any) -> str:
+    if value is None or value in ({}, ()) or isinstance(value, Record):
+        return ""
+    if isinstance(value, bool):
+        return str(value).lower()
+    return str(list(value)) if isinstance(value, tuple) else f"{value}"
+
+
+def _without_none(hint: Any) -> tuple[Any, bool]:
+    """Return a type without None, and whether None was one of its choices."""
+    if get_origin(hint) not in (Union, types.UnionType):
+        return hint, False
+    rest = tuple(each for each in get_args(hint) if each is not types.NoneType)
+    return (rest[0] if len(rest) == 1 else Union[rest]), len(rest) < len(get_args(hint))  # noqa: UP007
+
+
+def _is_record(kind: Any) -> bool:
+    return isinstance(kind, type) and issubclass(kind, Record)
+
+
+def _converted(value: Any, each: RecordField, place: str, error: type[HpidError]) -> Any:
+    return _as(each.kind, value, each.quantity, place, error)
+
+
+def _as(kind: Any, value: Any, what: Quantity, place: str, error: type[HpidError]) -> Any:
+    """Return a value as what its field is declared to be.
+
+    Raises:
+        HpidError: The ``error`` given: it is something else.
+    """
+    if kind is object or (_is_record(kind) and isinstance(value, kind)):
+        return value
+    origin = get_origin(kind)
+    if origin in (Union, types.UnionType):
+        return _as(_chosen(get_args(kind), value), value, what, place, error)
+    if origin is tuple:
+        return _list(get_args(kind), value, what, place, error)
+    if isinstance(origin, type) and issubclass(origin, Mapping):
+        section = Section(value, place, error)
+        inner = get_args(kind)[1]
+        return {
+            name: _as(inner, each, what, section.place(name), error)
+            for name, each in section.items().items()
+        }
+    if _is_record(kind):
+        return from_mapping(kind, value, place, error)
+    checked = Section({place: value}, "", error)
+    if kind is bool:
+        return checked.flag(place)
+    if kind is int:
+        return checked.whole(place, bounds=what.bounds)
+    if kind is float:
+        return checked.number(place, bounds=what.bounds)
+    text = checked.text(place)
+    if what.choices and text not in what.choices:
+        raise error(f"{place}: {unknown_name(place.rpartition('.')[2], text, what.choices)}")
+    return text
+
+
+def _chosen(kinds: tuple[Any, ...], value: Any) -> Any:
+    """Return which of a union's types is meant: the mapping, the list, or what is neither."""
+    is_mapping, is_list = isinstance(value, Mapping), isinstance(value, list | tuple)
+    meant = Mapping if is_mapping else tuple if is_list else None
+    containers = {_container(each): each for each in kinds}
+    return containers.get(meant, containers[None])
+
+
+def _container(kind: Any) -> Any:
+    origin = get_origin(kind)
+    return Mapping if isinstance(origin, type) and issubclass(origin, Mapping) else origin
+
+
+def _list(
+    kinds: tuple[Any, ...], value: Any, what: Quantity, place: str, error: type[HpidError]
+) -> tuple[Any, ...]:
+    if what.names and isinstance(value, Mapping):
+        section = Section(value, place, error)
+        found = []
+        for name in section.items():
+            inner = section.section(name)
+            found.append(take_record(kinds[0], inner, {"name": name}))
+            inner.finish()
+        return tuple(found)
+    is_list = isinstance(value, list | tuple)
+    if kinds[-1] is not Ellipsis:
+        if not is_list or len(value) != len(kinds):
+            unit = f" [{what.unit}]" if what.unit else ""
+            raise error(f"{place} must be {_COUNTS[len(kinds)]} numbers{unit}, not {shown(value)}")
+    elif not is_list:
+        raise error(f"{place} must be a list, not {shown(value)}")
+    return tuple(
+        _as(kinds[0], each, what, f"{place}[{index}]", error) for index, each in enumerate(value)
+    )
+
+
+_COUNTS = {2: "two", 3: "three", 4: "four", 6: "six"}
+
+
+def _plain(value: Any, each: RecordField) -> Any:
+    if isinstance(value, Record):
+        return to_mapping(value)
+    if isinstance(value, Mapping):
+        return {name: _plain(inner, each) for name, inner in value.items()}
+    if isinstance(value, tuple):
+        if not each.quantity.names:
+            return [_plain(inner, each) for inner in value]
+        named = {inner.name: to_mapping(inner) for inner in value}
+        for entry in named.values():
+            del entry["name"]
+        return named
+    return value
+
+
+_TYPES = {bool: "boolean", int: "integer", float: "number", str: "string", object: None}
+
+
+def _schema(each: RecordField) -> dict[str, Any]:
+    what = each.quantity
+    unit = f" [{what.unit}]" if what.unit else ""
+    schema = _schema_of(each.kind, what)
+    if each.is_optional and _is_record(each.kind):
+        schema = {"anyOf": [schema, {"const": OFF}]}
+    schema = {**schema, "description": f"{what.meaning}{unit}"}
+    if not each.is_needed and isinstance(each.default, bool | int | float | str):
+        schema["default"] = each.default
+    return schema
+
+
+def _schema_of(kind: Any, what: Quantity) -> dict[str, Any]:
+    origin, inner = get_origin(kind), get_args(kind)
+    if origin in (Union, types.UnionType):
+        return {"anyOf": [_schema_of(each, what) for each in inner]}
+    if origin is tuple and what.names:
+        entries = json_schema(inner[0])
+        entries["properties"].pop("name")
+        return {"type": "object", "additionalProperties": entries}
+    if origin is tuple:
+        sizes = {} if inner[-1] is Ellipsis else {"minItems": len(inner), "maxItems": len(inner)}
+        return {"type": "array", "items": _schema_of(inner[0], what), **sizes}
+    if isinstance(origin, type) and issubclass(origin, Mapping):
+        return {"type": "object", "additionalProperties": _schema_of(inner[1], what)}
+    if _is_record(kind):
+        return json_schema(kind)
+    name = _TYPES[kind]
+    if name is None:
+        return {}
+    if kind is str:
+        return {"type": name} | (
+            {"enum": list(what.choices)} if what.choices else {"minLength": 1}
+        )
+    return {"type": name} | ({} if kind is bool else what.bounds.schema())
+
+
+def _summary(kind: type[Record]) -> str:
+    return (kind.__doc__ or kind.__name__).strip().splitlines()[0]

@@ -1,0 +1,108 @@
+"""The JSON Schema of an experiment file, with which editors complete and check it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from typing import Any
+
+from hpid_ros.control.settings.model import MODEL_PARAMETERS
+from hpid_ros.control.settings.table import LOOP_PARAMETERS, ParameterSpec
+from hpid_ros.documents.records import partial_schema
+from hpid_ros.documents.yaml_files import EXTENDS
+from hpid_ros.planning.configuration import task_schema
+from hpid_ros.simulation.world_file import world_schema
+
+_TYPES = {bool: "boolean", float: "number", str: "string"}
+_OF_THE_NODE = "joint"
+_NEEDED = ("name", "duration", "robot", "reference", "controllers", "compare")
+
+
+def experiment_schema() -> dict[str, Any]:
+    """Return the schema (draft 2020-12).
+
+    A file that extends another one may leave out whatever it likes, and remove keys by null.
+    """
+    whole = _mapping(_sections(), _NEEDED)
+    extending = partial_schema(whole, is_nullable=True)
+    extending["properties"][EXTENDS] = {
+        "type": "string",
+        "minLength": 1,
+        "description": "The file whose document this one is laid over",
+    }
+    extending["required"] = [EXTENDS]
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "title": "Experiment of hpid_ros",
+        "type": "object",
+        "if": {"required": [EXTENDS]},
+        "then": extending,
+        "else": whole,
+    }
+
+
+def _sections() -> dict[str, Any]:
+    parameters = parameters_schema()
+    own = {"type": "object", "additionalProperties": parameters}
+    compared = {**parameters, "properties": {**parameters["properties"], "joints": own}}
+    return {
+        "name": {"type": "string", "minLength": 1, "description": "Of the experiment"},
+        "duration": {
+            "type": "number",
+            "exclusiveMinimum": 0,
+            "maximum": 1e5,
+            "description": "Stamp of the last state [s]",
+        },
+        **world_schema(),
+        "reference": {"description": "What the joints follow", **task_schema()},
+        "controllers": _mapping({"common": parameters, "joints": own}),
+        "compare": {
+            "type": "object",
+            "minProperties": 1,
+            "additionalProperties": compared,
+            "description": "The controllers by label; the first is the baseline",
+        },
+        "judge": _mapping(
+            {"joints": {"type": "array", "minItems": 1, "items": {"type": "string"}}}, ("joints",)
+        ),
+    }
+
+
+def parameters_schema() -> dict[str, Any]:
+    """Return the schema of a controller's parameters, whose names may be nested or dotted."""
+    specs = [
+        *(spec for name, spec in LOOP_PARAMETERS.items() if name != _OF_THE_NODE),
+        *MODEL_PARAMETERS.values(),
+    ]
+    properties = {spec.name: _parameter(spec) for spec in specs}
+    for prefix in dict.fromkeys(name.partition(".")[0] for name in properties if "." in name):
+        inner = {
+            name.partition(".")[2]: schema
+            for name, schema in properties.items()
+            if name.startswith(f"{prefix}.")
+        }
+        properties[prefix] = _mapping(inner)
+    return _mapping(properties)
+
+
+def _mapping(properties: dict[str, Any], needed: Iterable[str] = ()) -> dict[str, Any]:
+    return {
+        "type": "object",
+        "properties": properties,
+        "additionalProperties": False,
+        **({"required": list(needed)} if needed else {}),
+    }
+
+
+def _parameter(spec: ParameterSpec) -> dict[str, Any]:
+    schema: dict[str, Any] = {
+        "type": _TYPES[type(spec.default)],
+        "description": spec.description,
+        "default": spec.default,
+    }
+    if spec.choices:
+        schema["enum"] = list(spec.choices)
+    for word, bound in (("minimum", spec.minimum), ("maximum", spec.maximum)):
+        if math.isfinite(bound):
+            schema[word] = bound
+    return schema

@@ -1,0 +1,282 @@
+"""The simulated world as a file says it: the sections of an experiment that are of the world."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from hpid_ros.base.errors import ExperimentError, HpidError
+from hpid_ros.base.resources import find_resource
+from hpid_ros.base.units import NANOSECONDS
+from hpid_ros.documents.records import (
+    Record,
+    json_schema,
+    layered_schema,
+    quantity,
+    take_layered,
+    take_record,
+    to_mapping,
+)
+from hpid_ros.documents.sections import Section
+from hpid_ros.planning import PlannedReference, planned_reference
+from hpid_ros.robot.configuration import RobotSection, Wheels
+from hpid_ros.robot.description import RobotDescription
+from hpid_ros.simulation.drives import DriveSettings
+from hpid_ros.simulation.sensors import VELOCITIES, Sensor
+from hpid_ros.simulation.settings import WorldSettings
+from hpid_ros.simulation.world.disturbances import Disturbances
+from hpid_ros.simulation.world.workpieces import GripCommand, Workplace
+
+OF_EXPERIMENTS = ("name", "duration", "reference", "controllers", "compare", "judge")
+"""Keys of an experiment that are not of its world."""
+_BY_JOINT = ("encoder_counts", "noise")
+
+
+@dataclass(frozen=True)
+class ControlSection(Record):
+    """How often the robot is controlled."""
+
+    rate: float = quantity(
+        "States, and commands, per second", "Hz", default=1000.0, least=0.1, most=1e5
+    )
+    answer_timeout: float = quantity(
+        "Wall time that lock-step waits for an answer", "s", default=2.0, above=0.0, most=3600.0
+    )
+
+
+@dataclass(frozen=True)
+class PhysicsSection(Record):
+    """How the physics are computed."""
+
+    physics_steps: int = quantity(
+        "Physics steps in one control period", default=4, least=1, most=1000
+    )
+
+
+@dataclass(frozen=True)
+class MeasuredSection(Record):
+    """What is measured of all joints alike."""
+
+    velocity: str = quantity(
+        "Velocities in joint_states: none, or differences of the measured positions",
+        default="none",
+        choices=VELOCITIES,
+    )
+
+
+class WorldFile(NamedTuple):
+    """What a file says of its world.
+
+    Attributes:
+        world: The simulated robot.
+        control: How often it is controlled.
+        reference: What its joints follow, and the plan behind it; None where it says nothing.
+    """
+
+    world: WorldSettings
+    control: ControlSection
+    reference: PlannedReference | None
+
+
+def read_world(root: Section, folders: Sequence[Path]) -> WorldFile:
+    """Return the world that a file describes; other sections stay for the caller.
+
+    Args:
+        root: The file.
+        folders: Where the robot's URDF is looked for besides the share folder.
+
+    Raises:
+        HpidError: An entry is missing, unknown or impossible; the line names its place.
+    """
+    control = _whole(ControlSection, root.section("control", {}))
+    physics = _whole(PhysicsSection, root.section("simulation", {}))
+    seed = root.whole("seed", 0, least=0)
+    robot = _whole(RobotSection, root.section("robot"))
+    known = robot.load(lambda name: _load(name, folders))
+    reference = _reference(root, folders)
+    joints = _driven(robot, known, reference)
+    sensors, velocity = _sensors(root.section("sensors", {}), joints)
+    counts = tuple(each.encoder_counts for each in sensors)
+    noises = tuple(each.noise for each in sensors)
+    homing = tuple(each.homing for each in sensors)
+    world = WorldSettings(
+        robot_description=_description(robot, known, folders),
+        joints=joints,
+        control_period_ns=round(NANOSECONDS / control.rate),
+        physics_steps=physics.physics_steps,
+        initial_positions=robot.initial_positions,
+        encoder_counts=counts[0] if len(set(counts)) == 1 else counts,
+        seed=seed,
+        fixed_base=robot.fixed_base,
+        payload_mass=robot.payload,
+        drives=_drives(root.section("actuators", {}), joints),
+        position_noise=noises[0] if len(set(noises)) == 1 else noises,
+        homing=homing if any(homing) else (),
+        velocity=velocity,
+        disturbances=_whole(Disturbances, root.section("disturbances", {})),
+        workplace=_workplace(root.section("scene", {}), reference),
+        base=_base(robot, known),
+    )
+    world.start(known)
+    for link in world.links:
+        known.link(link)
+    return WorldFile(world, control, reference)
+
+
+def world_mapping(world: WorldSettings) -> dict[str, Any]:
+    """Return what a file says to describe this world.
+
+    What no file can say is left out: another gravity, PyBullet's window.
+
+    Args:
+        world: The world.
+    """
+    robot = RobotSection(
+        description=str(world.robot_description),
+        driven=world.joints,
+        payload=world.payload_mass,
+        fixed_base=world.fixed_base,
+        initial_positions=world.initial_positions,
+        base=None if world.base is None else Wheels.of(world.base),
+    )
+    columns = zip(world.counts, world.position_noises, world.homings, strict=True)
+    sensors = [Sensor(*each) for each in columns]
+    document = {
+        "robot": to_mapping(robot),
+        "control": to_mapping(ControlSection(NANOSECONDS / world.control_period_ns)),
+        "simulation": to_mapping(PhysicsSection(world.physics_steps)),
+        "seed": world.seed,
+        "sensors": to_mapping(MeasuredSection(world.velocity)) | _each(world.joints, sensors),
+        "actuators": _each(world.joints, world.drives),
+        "disturbances": to_mapping(world.disturbances),
+        "scene": to_mapping(world.workplace),
+    }
+    return {key: value for key, value in document.items() if value not in ({}, None)}
+
+
+def world_schema() -> dict[str, Any]:
+    """Return the JSON Schema of each section that is of the world, by key."""
+    sensors = layered_schema(Sensor)
+    properties = sensors["properties"] | json_schema(MeasuredSection)["properties"]
+    for key in _BY_JOINT:
+        one = {name: value for name, value in properties[key].items() if name != "description"}
+        properties[key] = {
+            "anyOf": [one, {"type": "object", "additionalProperties": one}],
+            "description": f"{properties[key]['description']}; for all, or by joint",
+        }
+    return {
+        "robot": json_schema(RobotSection),
+        "control": json_schema(ControlSection),
+        "simulation": json_schema(PhysicsSection),
+        "seed": {
+            "type": "integer",
+            "minimum": 0,
+            "default": 0,
+            "description": "Of everything that is drawn by chance",
+        },
+        "sensors": sensors | {"properties": properties},
+        "actuators": layered_schema(DriveSettings),
+        "disturbances": json_schema(Disturbances),
+        "scene": json_schema(Workplace),
+    }
+
+
+def _whole(kind: type[Any], section: Section) -> Any:
+    record = take_record(kind, section)
+    section.finish()
+    return record
+
+
+def _load(source: str, folders: Sequence[Path]) -> RobotDescription:
+    return RobotDescription.load(_source(source, folders))
+
+
+def _source(source: str, folders: Sequence[Path]) -> str | Path:
+    """Return a URDF's text as it is, and where the file is that anything else names."""
+    return source if source.lstrip().startswith("<") else find_resource(source, folders)
+
+
+def _description(robot: RobotSection, known: RobotDescription, folders: Sequence[Path]) -> str:
+    is_plain = not (robot.joints or robot.links or robot.held)
+    return str(_source(robot.description, folders)) if is_plain else known.xml
+
+
+def _reference(root: Section, folders: Sequence[Path]) -> PlannedReference | None:
+    if "reference" not in root:
+        return None
+    root.take("reference")
+    return planned_reference(root.values, "reference", lambda name: _load(name, folders))
+
+
+def _driven(
+    robot: RobotSection, known: RobotDescription, reference: PlannedReference | None
+) -> tuple[str, ...]:
+    followed = () if reference is None else reference.trajectory.joint_names
+    joints = robot.driven or followed or tuple(known.joints)
+    if followed and set(joints) != set(followed):
+        others = ", ".join(sorted(set(joints) ^ set(followed)))
+        raise ExperimentError(
+            f"robot.driven must name the joints of the reference: {others} is in one alone"
+        )
+    known.select(joints)
+    return tuple(joints)
+
+
+def _base(robot: RobotSection, known: RobotDescription) -> Any:
+    try:
+        return None if robot.base is None else robot.base.drive(known)
+    except HpidError as error:
+        raise ExperimentError(f"robot.base: {error}") from None
+
+
+def _drives(section: Section, joints: Sequence[str]) -> tuple[DriveSettings, ...]:
+    drives = take_layered(DriveSettings, section, joints)
+    section.finish()
+    return () if all(drive.is_ideal for drive in drives) else drives
+
+
+def _sensors(section: Section, joints: Sequence[str]) -> tuple[tuple[Sensor, ...], str]:
+    """Return the sensor of each joint, and where velocities come from."""
+    values = section.items()
+    own = section.section("joints", {})
+    layers = {joint: own.section(joint).items() for joint in own.items()}
+    for key in _BY_JOINT:
+        if not isinstance(values.get(key), Mapping):
+            continue
+        by_name = section.section(key)
+        del values[key]
+        for joint in joints:
+            layers[joint] = {key: by_name.take(joint), **layers.get(joint, {})}
+        by_name.finish()
+    layered = Section(values | {"joints": layers}, section.where, section.error)
+    sensors = take_layered(Sensor, layered, joints)
+    velocity = take_record(MeasuredSection, layered).velocity
+    layered.finish()
+    return sensors, velocity
+
+
+def _workplace(section: Section, reference: PlannedReference | None) -> Workplace:
+    if reference is None or reference.plan is None:
+        return _whole(Workplace, section)
+    if "grips" in section:
+        raise section.error(f"{section.place('grips')}: the reference plans them already")
+    grips = reference.plan.grips
+    schedule = tuple(GripCommand(each.time_ns / NANOSECONDS, each.is_closed) for each in grips)
+    workplace = take_record(Workplace, section, {"schedule": schedule})
+    section.finish()
+    return workplace
+
+
+def _each(joints: Sequence[str], records: Sequence[Record]) -> dict[str, Any]:
+    """Return a layered section: what all joints have alike, and the ``joints`` with the rest."""
+    each = [to_mapping(record) for record in records]
+    first = each[0] if each else {}
+    common = {k: v for k, v in first.items() if all(k in one and one[k] == v for one in each)}
+    own = {
+        joint: {key: value for key, value in one.items() if key not in common}
+        for joint, one in zip(joints, each, strict=bool(each))
+    }
+    own = {joint: one for joint, one in own.items() if one}
+    return common | ({"joints": own} if own else {})

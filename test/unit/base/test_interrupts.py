@@ -1,0 +1,42 @@
+"""Interrupts are postponed where a new process is written down, and never lost."""
+
+import os
+import signal
+
+import pytest
+
+from hpid_ros.base.interrupts import heed_interrupts, raise_if_interrupted, uninterrupted
+
+
+@pytest.fixture(autouse=True)
+def handlers():
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    heed_interrupts()
+    yield
+    heed_interrupts()
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupt_waits_for_the_end_of_the_block(number):
+    done = []
+
+    def start():
+        with uninterrupted():
+            os.kill(os.getpid(), number)
+            done.append("written down")
+        done.append("not reached")
+
+    with pytest.raises(KeyboardInterrupt):
+        start()
+    assert done == ["written down"]
+
+
+def test_outside_it_comes_at_once_and_is_remembered():
+    with pytest.raises(KeyboardInterrupt):
+        os.kill(os.getpid(), signal.SIGINT)
+    with pytest.raises(KeyboardInterrupt):
+        raise_if_interrupted()
+    with uninterrupted():  # cleaning up may start what it needs
+        pass
