@@ -1,11 +1,10 @@
-"""Whole messages, made and read back: odometry and slip of a base, poses, the gripper's doings.
+"""Whole messages read back: odometry and slip of a base, poses, the gripper's doings.
 
 For topics of a few messages; what comes a thousand times a second is read as columns.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -17,57 +16,7 @@ from hpid_ros.bags.message_types import jazzy_types
 from hpid_ros.bags.run.topics import find_topic
 from hpid_ros.base.errors import BagError
 from hpid_ros.base.units import NANOSECONDS
-
-Vector = tuple[float, float, float]
-PoseValues = tuple[Vector, tuple[float, float, float, float]]
-"""Position in [m] and quaternion x, y, z, w."""
-
-
-class Stamp(NamedTuple):
-    """Header of a message.
-
-    Attributes:
-        stamp_ns: In [ns].
-        frame: Its ``frame_id``.
-    """
-
-    stamp_ns: int
-    frame: str
-
-
-def new(kind: str, **values: Any) -> Any:
-    """Return a message of a type by its fields."""
-    return jazzy_types().types[kind](**values)
-
-
-def encoded(kind: str, **values: Any) -> bytes:
-    """Return a serialised message of a type by its fields."""
-    return bytes(jazzy_types().serialize_cdr(new(kind, **values), kind))
-
-
-def header_of(stamp: Stamp) -> Any:
-    """Return a ``std_msgs/msg/Header``."""
-    seconds, rest = divmod(stamp.stamp_ns, NANOSECONDS)
-    time = new("builtin_interfaces/msg/Time", sec=seconds, nanosec=rest)
-    return new("std_msgs/msg/Header", stamp=time, frame_id=stamp.frame)
-
-
-def pose_of(pose: PoseValues) -> Any:
-    """Return a ``geometry_msgs/msg/Pose``."""
-    (x, y, z), (qx, qy, qz, qw) = pose
-    return new(
-        "geometry_msgs/msg/Pose",
-        position=new("geometry_msgs/msg/Point", x=float(x), y=float(y), z=float(z)),
-        orientation=new(
-            "geometry_msgs/msg/Quaternion", x=float(qx), y=float(qy), z=float(qz), w=float(qw)
-        ),
-    )
-
-
-def vector_of(vector: Vector) -> Any:
-    """Return a ``geometry_msgs/msg/Vector3``."""
-    x, y, z = vector
-    return new("geometry_msgs/msg/Vector3", x=float(x), y=float(y), z=float(z))
+from hpid_ros.wire.reports import ODOMETRY, POSES, STATUSES, VECTOR, Status
 
 
 def stamp_ns_of(message: Any) -> int:
@@ -106,9 +55,6 @@ def messages_on(bag: Path, topic: str, kind: str) -> list[Any]:
     return found
 
 
-ODOMETRY = "nav_msgs/msg/Odometry"
-VECTOR = "geometry_msgs/msg/Vector3Stamped"
-
 Numbers = NDArray[np.float64]
 
 
@@ -122,49 +68,6 @@ class PlanarColumns(NamedTuple):
 
     stamps_ns: NDArray[np.int64]
     poses: Numbers
-
-
-def encode_odometry(
-    header: Stamp,
-    child: str,
-    pose: PoseValues,
-    pose_covariance: Sequence[float],
-    twist: tuple[Vector, Vector],
-    twist_covariance: Sequence[float],
-) -> bytes:
-    """Return a serialised ``nav_msgs/msg/Odometry``.
-
-    Args:
-        header: Stamp and frame of the pose.
-        child: Frame of the twist, ``child_frame_id``.
-        pose: Position in [m] and quaternion x, y, z, w.
-        pose_covariance: 36 numbers, row by row.
-        twist: Linear [m/s] and angular [rad/s].
-        twist_covariance: 36 numbers, row by row.
-    """
-    linear, angular = twist
-    return encoded(
-        ODOMETRY,
-        header=header_of(header),
-        child_frame_id=child,
-        pose=new(
-            "geometry_msgs/msg/PoseWithCovariance",
-            pose=pose_of(pose),
-            covariance=np.array(pose_covariance, dtype=np.float64),
-        ),
-        twist=new(
-            "geometry_msgs/msg/TwistWithCovariance",
-            twist=new(
-                "geometry_msgs/msg/Twist", linear=vector_of(linear), angular=vector_of(angular)
-            ),
-            covariance=np.array(twist_covariance, dtype=np.float64),
-        ),
-    )
-
-
-def encode_vector(header: Stamp, vector: Vector) -> bytes:
-    """Return a serialised ``geometry_msgs/msg/Vector3Stamped``."""
-    return encoded(VECTOR, header=header_of(header), vector=vector_of(vector))
 
 
 def read_planar(bag: Path, topic: str) -> PlanarColumns:
@@ -220,11 +123,6 @@ def _ordered(stamps: list[int]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     return order, stamps_ns[order]
 
 
-POSE = "geometry_msgs/msg/PoseStamped"
-POSES = "geometry_msgs/msg/PoseArray"
-STATUSES = "diagnostic_msgs/msg/DiagnosticArray"
-
-
 class PoseColumns(NamedTuple):
     """K poses at N times, as one topic tells them.
 
@@ -237,60 +135,6 @@ class PoseColumns(NamedTuple):
     stamps_ns: NDArray[np.int64]
     positions: Numbers
     orientations: Numbers
-
-
-class Status(NamedTuple):
-    """One ``diagnostic_msgs/DiagnosticStatus`` with the stamp of its array.
-
-    Attributes:
-        stamp_ns: In [ns].
-        level: 0 good, 1 a warning, 2 an error.
-        name: Of what it is.
-        message: In words.
-        values: Figures as texts, by name.
-    """
-
-    stamp_ns: int
-    level: int
-    name: str
-    message: str
-    values: Mapping[str, str]
-
-
-def encode_pose(header: Stamp, pose: PoseValues) -> bytes:
-    """Return a serialised ``geometry_msgs/msg/PoseStamped``.
-
-    Args:
-        header: Its header.
-        pose: The pose.
-    """
-    return encoded(POSE, header=header_of(header), pose=pose_of(pose))
-
-
-def encode_poses(header: Stamp, poses: Sequence[PoseValues]) -> bytes:
-    """Return a serialised ``geometry_msgs/msg/PoseArray``.
-
-    Args:
-        header: Its header.
-        poses: The poses.
-    """
-    return encoded(POSES, header=header_of(header), poses=[pose_of(pose) for pose in poses])
-
-
-def encode_status(status: Status) -> bytes:
-    """Return a serialised ``diagnostic_msgs/msg/DiagnosticArray`` of one status."""
-    one = new(
-        "diagnostic_msgs/msg/DiagnosticStatus",
-        level=status.level,
-        name=status.name,
-        message=status.message,
-        hardware_id="",
-        values=[
-            new("diagnostic_msgs/msg/KeyValue", key=key, value=value)
-            for key, value in status.values.items()
-        ],
-    )
-    return encoded(STATUSES, header=header_of(Stamp(status.stamp_ns, "")), status=[one])
 
 
 def read_poses(bag: Path, topic: str, kind: str = POSES) -> PoseColumns | None:

@@ -9,6 +9,7 @@ Source: OMG DDS-RTPS 2.5 section 10 (encapsulation), OMG DDS-XTypes 1.3 section 
 from __future__ import annotations
 
 import struct
+from collections.abc import Sequence
 
 from hpid_ros.base.errors import MessageError
 from hpid_ros.base.units import NANOSECONDS
@@ -88,6 +89,37 @@ class Cursor:
             raise MessageError(
                 f"a {self._kind} of {len(self._raw)} bytes ends before byte {self.offset + size}"
             )
+
+
+class Writer:
+    """Writes CDR values one after the other, little endian."""
+
+    def __init__(self) -> None:
+        self._raw = bytearray(b"\x00\x01\x00\x00")
+
+    @property
+    def raw(self) -> bytes:
+        """The message so far, with its encapsulation header."""
+        return bytes(self._raw)
+
+    def _align(self, size: int) -> None:
+        self._raw += bytes(-(len(self._raw) - ENCAPSULATION) % size)
+
+    def scalar(self, code: str, value: int) -> None:
+        """Append an integer of a struct code."""
+        self._align(struct.calcsize(code))
+        self._raw += struct.pack(f"<{code}", value)
+
+    def string(self, text: str) -> None:
+        """Append a text."""
+        raw = text.encode() + b"\x00"
+        self.scalar("I", len(raw))
+        self._raw += raw
+
+    def doubles(self, values: Sequence[float]) -> None:
+        """Append doubles without their number, as of an array of fixed length."""
+        self._align(_DOUBLE)
+        self._raw += struct.pack(f"<{len(values)}d", *values)
 
 
 def require_nanoseconds(nanoseconds: int) -> None:

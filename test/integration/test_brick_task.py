@@ -10,16 +10,7 @@ import numpy as np
 import pytest
 import yaml
 
-from hpid_ros.bags.messages import (
-    POSE,
-    POSES,
-    PoseColumns,
-    Status,
-    encode_pose,
-    encode_status,
-    read_poses,
-    read_statuses,
-)
+from hpid_ros.bags.messages import PoseColumns, read_poses, read_statuses
 from hpid_ros.bags.writer import BagWriter
 from hpid_ros.base.errors import BagError, ExperimentError
 from hpid_ros.base.resources import share_folder
@@ -39,6 +30,7 @@ from hpid_ros.robot import RobotDescription
 from hpid_ros.robot.differential_drive import DifferentialDrive
 from hpid_ros.robot.kinematics import Kinematics
 from hpid_ros.simulation.world_file import read_world, world_mapping
+from hpid_ros.wire.reports import POSE, POSES, Stamp, Status, encode_pose, encode_status
 
 EXPERIMENTS = share_folder() / "config" / "experiments"
 ROBOT = RobotDescription.load(share_folder() / "urdf" / "mobile_manipulator.urdf")
@@ -337,8 +329,6 @@ def test_a_run_without_the_arm_has_no_end_effector():
 
 
 def test_messages_come_back_as_they_were(tmp_path):
-    from hpid_ros.bags.messages import Stamp
-
     status = Status(1_500_000_001, 1, "light", "missed: far", {"distance [m]": repr(0.1 + 0.2)})
     pose = ((0.1, -0.2, 0.3), (0.0, 0.6, 0.0, 0.8))
     with BagWriter(tmp_path / "bag") as writer:

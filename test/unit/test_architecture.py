@@ -23,7 +23,7 @@ ALLOWED = {
     "stability": {"control"},
     "compensation": {"control", "robot"},
     "planning": {"documents", "robot", "trajectory"},
-    "simulation": {"compensation", "control", "documents", "planning", "robot"},
+    "simulation": {"compensation", "control", "documents", "planning", "robot", "wire"},
     "bags": {"documents", "recordings", "trajectory", "wire"},
     "analysis": {"recordings"},
     "report": {"analysis", "recordings"},

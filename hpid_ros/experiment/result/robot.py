@@ -17,22 +17,15 @@ from hpid_ros.analysis.indices.task import (
     EndEffectorPath,
     task_notes,
 )
-from hpid_ros.bags.messages import (
-    POSE,
-    Status,
-    read_planar,
-    read_poses,
-    read_statuses,
-    read_vectors,
-)
+from hpid_ros.bags.messages import read_planar, read_poses, read_statuses, read_vectors
 from hpid_ros.experiment.description import Experiment
-from hpid_ros.experiment.in_process import ODOM, SLIP, TRUTH
 from hpid_ros.metrics.end_effector import EndEffector, TaskFrame, moving_joints
 from hpid_ros.planning import BrickGoal
 from hpid_ros.recordings.series import RunSeries
 from hpid_ros.robot.description import RobotDescription
 from hpid_ros.robot.differential_drive import DifferentialDrive
 from hpid_ros.robot.odometry import integrated
+from hpid_ros.simulation.reports import ODOM, SLIP, TRUTH
 from hpid_ros.simulation.settings import WorldSettings
 from hpid_ros.simulation.world.gripper import (
     ANGLE,
@@ -44,6 +37,7 @@ from hpid_ros.simulation.world.gripper import (
     LOST,
     MISSED,
 )
+from hpid_ros.wire.reports import POSE, Status
 
 Numbers = NDArray[np.float64]
 

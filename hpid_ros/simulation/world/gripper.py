@@ -29,6 +29,7 @@ from hpid_ros.simulation.world.boxes import box_pose
 from hpid_ros.simulation.world.bullet import pybullet
 from hpid_ros.simulation.world.scene import Scene
 from hpid_ros.simulation.world.workpieces import Brick, GripperSettings, Workplace
+from hpid_ros.wire.reports import Status
 
 Matrix = npt.NDArray[np.float64]
 
@@ -303,28 +304,13 @@ _OK, _WARN, _ERROR = range(3)  # of diagnostic_msgs/DiagnosticStatus
 _LEVELS = {MISSED: _WARN, LOST: _ERROR}
 
 
-class GripStatus(NamedTuple):
-    """An event of the gripper as a ``diagnostic_msgs/DiagnosticStatus``.
-
-    Attributes:
-        level: 0 good, 1 missed, 2 lost.
-        name: Name of the brick.
-        message: The outcome and, after a colon, the reason if there is one.
-        values: Figures as texts that give back the same numbers.
-    """
-
-    level: int
-    name: str
-    message: str
-    values: dict[str, str]
-
-
-def grip_status(event: GripEvent) -> GripStatus:
-    """Return an event as it is published."""
+def grip_status(event: GripEvent) -> Status:
+    """Return an event as it is published: by brick, with figures that give back their numbers."""
     message = f"{event.outcome}: {event.reason}" if event.reason else event.outcome
     figures = {DISTANCE: event.distance, ANGLE: event.angle, FORCE: event.force}
     values = {name: repr(float(value)) for name, value in figures.items()}
-    return GripStatus(_LEVELS.get(event.outcome, _OK), event.brick, message, values)
+    level = _LEVELS.get(event.outcome, _OK)
+    return Status(event.stamp_ns, level, event.brick, message, values)
 
 
 def task_topics(settings: WorldSettings) -> tuple[str, ...]:
