@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 from rcl_interfaces.msg import SetParametersResult
@@ -15,9 +16,9 @@ from sensor_msgs.msg import JointState
 
 from hpid_ros.base.errors import ClaimError, MessageError
 from hpid_ros.control import LOOP_PARAMETERS, JointLoop
-from hpid_ros.control.damping_stop import DampingStop
 from hpid_ros.control.reference import Motion
 from hpid_ros.control.settings.model import MODEL_PARAMETERS
+from hpid_ros.control.supervision import SupervisedLoop
 from hpid_ros.nodes.controller.certification import Certification
 from hpid_ros.nodes.controller.commands import COMMAND_INTERFACES, joint_commands, sender_of
 from hpid_ros.nodes.controller.health import ControllerHealth, LoopTiming
@@ -85,16 +86,15 @@ class JointController(ManagedNode):
         self._status = StatusPipe(self)
         self._certification = Certification(self, self._loop.settings)
         self._timing = LoopTiming()
-        self._watchdog = StateWatchdog(self, self._on_silence)
-        self._stopping = ControllerStop(self, self._loop, self._commands, self._left)
+        self._supervised = SupervisedLoop(self._loop, self._lapsed, self._cut)
+        self._watchdog = StateWatchdog(self, self._supervised)
+        self._stopping = ControllerStop(self, self._supervised, self._commands, self._left)
         self._health = ControllerHealth(
             self, self._loop, self._certification, self._timing, self._model
         )
         self._states: Any = None
         self._readiness: Any = None
         self._references: ControllerReferences | None = None
-        self._stop: DampingStop | None = None
-        self._was_held = False
         steady_timer(self, self._health.period, self._report)
         self.add_on_set_parameters_callback(self._check)
         self.add_post_set_parameters_callback(self._retune)
@@ -131,7 +131,7 @@ class JointController(ManagedNode):
         self._stopping.end()
         self._claim.take()
         self._stop_listening()
-        self._stop = None
+        self._supervised.begin()
         self._readiness = steady_timer(self, _READINESS_PERIOD, self._start_when_ready)
 
     def leave(self) -> None:
@@ -139,7 +139,7 @@ class JointController(ManagedNode):
         self._needs_reference = self.is_starting = False
         if self._references is not None:
             self._references.discard()
-        self._stop = self._stopping.begin()
+        self._stopping.begin()
 
     def _left(self) -> None:
         self._stop_listening()
@@ -204,10 +204,10 @@ class JointController(ManagedNode):
         return ""
 
     def _on_state(self, raw: bytes) -> None:
-        self._watchdog.catch_up()
+        began_ns = time.perf_counter_ns()
+        self._supervised.catch_up(began_ns)
         if self._states is None:  # it was on its way when the joint was left
             return
-        began_ns = time.perf_counter_ns()
         try:
             sample = self._reader.read(raw)
         except MessageError as error:
@@ -216,29 +216,20 @@ class JointController(ManagedNode):
         if sample is None:
             self._health.foreign += 1
             return
-        if self._watchdog.observe(sample.stamp_ns, began_ns):
-            self._loop.wake()
-        if self._was_held:
-            self._was_held = False
-            self._loop.supersede(0.0)
-        if self._stop is not None:
-            effort = self._stop.step(*sample)
-        elif self._model is not None:
-            effort = self._model.answer(self._loop, sample, raw)
-        else:
-            effort = self._loop.step(*sample)
+        model = self._model
+        by_model = None if model is None else partial(model.answer, self._loop, sample, raw)
+        effort = self._supervised.answer(*sample, began_ns, by_model)
         self._commands.send(sample.stamp_ns, effort)
         self._timing.note(began_ns, time.perf_counter_ns())
         self._introspection.sample(sample.stamp_ns, self._loop)
 
-    def _on_silence(self, silence: float, is_new: bool) -> None:
-        """Take note of a silence; :meth:`look` gives the effort, whatever this thread does."""
-        if self._stop is not None:  # nothing to damp by
-            self._stopping.end()
-        elif is_new and self._loop.stamp_ns is not None:
-            effort = self._loop.lapse()
-            self._health.fault(f"no new state for {silence:.3g} s: the effort is {effort:g} N m")
-            self._report()
+    def _lapsed(self, silence: float, effort: float) -> None:
+        """Tell of a silence; :meth:`look` gives the effort, whatever this thread does."""
+        self._health.fault(f"no new state for {silence:.3g} s: the effort is {effort:g} N m")
+        self._report()
+
+    def _cut(self) -> None:
+        self._stopping.end()
 
     def _follow(self, motion: Motion) -> None:
         self._loop.follow(motion)
@@ -280,8 +271,7 @@ class JointController(ManagedNode):
 
     def look(self) -> float:
         """Give the effort that states have not come for."""
-        effort = self._loop.settings.fallback if self._stop is None else 0.0
-        self._commands.fall_back(effort, self._watchdog.is_silent)
+        self._commands.fall_back(self._supervised.effort_in_silence, self._watchdog.is_silent)
         return self._watchdog.within()
 
     def hold(self) -> None:
@@ -294,7 +284,7 @@ class JointController(ManagedNode):
 
     def go_on(self) -> None:
         """Answer states again."""
-        self._was_held = True
+        self._supervised.be_released()
         self._commands.go_on()
 
     def abandon(self) -> bool:

@@ -7,10 +7,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from hpid_ros.base.errors import SettingError, unknown_name
-from hpid_ros.control.anti_windup import AntiWindup, anti_windup
 from hpid_ros.control.gains import Gains, require_hurwitz
 from hpid_ros.control.homogeneous_pid import HomogeneousPid, SemiImplicitHomogeneousPid
-from hpid_ros.control.limits import LimitFigures, MotionLimits
+from hpid_ros.control.limits import AntiWindup, LimitFigures, MotionLimits, anti_windup
 from hpid_ros.control.norms import (
     CanonicalNorm,
     WeightedNorm,

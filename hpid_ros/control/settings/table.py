@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from hpid_ros.base.errors import SettingError
-from hpid_ros.control.anti_windup import STRATEGIES
+from hpid_ros.control.limits import STRATEGIES
 
 LAWS = ("hpid", "pid")
 NORMS = ("weighted", "canonical")

@@ -10,8 +10,7 @@ from rclpy.task import Future
 from rclpy.timer import Timer
 
 from hpid_ros.base.errors import SettingError
-from hpid_ros.control import JointLoop
-from hpid_ros.control.damping_stop import DampingStop
+from hpid_ros.control.supervision import SupervisedLoop
 from hpid_ros.nodes.controller.commands import Commands
 from hpid_ros.nodes.ros.parameters import read_number, read_only
 from hpid_ros.nodes.ros.steady_timer import steady_timer
@@ -27,7 +26,7 @@ class ControllerStop:
 
     Args:
         node: The controller; it gets ``stop`` and ``stop_duration``.
-        loop: Its loop.
+        joint: Its loop.
         commands: Where its commands go.
         finish: Called when the joint has been left.
 
@@ -36,7 +35,7 @@ class ControllerStop:
     """
 
     def __init__(
-        self, node: Node, loop: JointLoop, commands: Commands, finish: Callable[[], None]
+        self, node: Node, joint: SupervisedLoop, commands: Commands, finish: Callable[[], None]
     ) -> None:
         kind = read_only(
             node, "stop", "zero", f"How the joint is left: {', '.join(STOPS)} for stop_duration"
@@ -47,7 +46,7 @@ class ControllerStop:
             node, "stop_duration", 0.5, "Of the damping stop [s]", (0.0, _LONGEST)
         )
         self._duration = duration if kind == "damping" else 0.0
-        self._node, self._loop, self._commands, self._finish = node, loop, commands, finish
+        self._node, self._joint, self._commands, self._finish = node, joint, commands, finish
         self._timer: Timer | None = None
         self._ended: Future | None = None
         self._stamp_ns: int | None = None
@@ -58,19 +57,14 @@ class ControllerStop:
         """Whether the ramp is on."""
         return self._timer is not None
 
-    def begin(self) -> DampingStop | None:
-        """Leave the joint.
-
-        Returns:
-            What answers the states meanwhile; None if the joint has been left at once.
-        """
-        self._stamp_ns = self._loop.stamp_ns
-        if self._stamp_ns is None or self._duration == 0.0:
+    def begin(self) -> None:
+        """Leave the joint, at once or with a ramp."""
+        self._stamp_ns = self._joint.loop.stamp_ns
+        if not self._joint.damp(self._duration):
             self.now()
-            return None
+            return
         self._ended = Future()
         self._timer = steady_timer(self._node, self._duration, self.now)
-        return self._loop.damping_stop(self._duration)
 
     def ended(self) -> Future | None:
         """Return what is done when the ramp is; None if there is none."""
@@ -87,7 +81,7 @@ class ControllerStop:
             self._timer.cancel()
             self._node.destroy_timer(self._timer)
             self._timer = None
-        stamp_ns = self._loop.stamp_ns if self._stamp_ns is None else self._stamp_ns
+        stamp_ns = self._joint.loop.stamp_ns if self._stamp_ns is None else self._stamp_ns
         self._stamp_ns = None
         if stamp_ns is not None:
             self._commands.leave(stamp_ns)
