@@ -16,11 +16,11 @@ from benchmarks.tracking import tracking
 from hpid_ros.control import JointLoop
 from hpid_ros.experiment.description import Experiment
 from hpid_ros.robot.description import RobotDescription
+from hpid_ros.simulation.bullet.connection import captured, pybullet
+from hpid_ros.simulation.bullet.model import bullet_urdf
+from hpid_ros.simulation.bullet.scene import build_scene
 from hpid_ros.simulation.engine import Sample, run_in_process
 from hpid_ros.simulation.settings import WorldSettings
-from hpid_ros.simulation.world.bullet import captured, pybullet
-from hpid_ros.simulation.world.model import bullet_urdf
-from hpid_ros.simulation.world.scene import build_scene
 from hpid_ros.simulation.world.world import World
 
 LABEL = "hPID"

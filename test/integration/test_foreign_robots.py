@@ -27,8 +27,8 @@ from hpid_ros.robot import RobotDescription
 from hpid_ros.robot.amendments import JointAmendment, amended
 from hpid_ros.robot.dynamics import Dynamics
 from hpid_ros.simulation import World, WorldSettings
-from hpid_ros.simulation.world.bullet import pybullet
-from hpid_ros.simulation.world.model import bullet_urdf
+from hpid_ros.simulation.bullet.connection import pybullet
+from hpid_ros.simulation.bullet.model import bullet_urdf
 from hpid_ros.studies.batch import RunTask, WorldKeeper, simulate
 
 EXPERIMENTS = share_folder() / "config" / "experiments"

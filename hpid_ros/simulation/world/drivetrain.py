@@ -1,4 +1,4 @@
-"""All drives and sensors of a world, between the robot's board and Bullet."""
+"""All drives and sensors of a world, between the robot's board and the physics."""
 
 from __future__ import annotations
 
@@ -11,8 +11,7 @@ from hpid_ros.base.errors import SettingError
 from hpid_ros.robot.description import JointDescription
 from hpid_ros.simulation.drives import Drive
 from hpid_ros.simulation.settings import WorldSettings
-from hpid_ros.simulation.world.bullet import pybullet
-from hpid_ros.simulation.world.scene import Scene
+from hpid_ros.simulation.world.physics import Physics
 
 
 @dataclass(frozen=True)
@@ -41,13 +40,11 @@ class EffortActuator:
 class Drivetrain:
     """Turns the efforts of one control period into torques, physics step by physics step.
 
-    The friction of motors and gears joins the joints' own in Bullet's solver: viscous friction as
-    joint damping, Coulomb friction and the gears' loss as an implicit constraint with a largest
-    torque, which sticks truly and cannot chatter about zero speed.
+    The friction of motors and gears joins the joints' own in the engine's solver: viscous friction
+    as joint damping, Coulomb friction and the gears' loss as what a joint is braked with.
 
     Args:
-        client: PyBullet's client.
-        scene: The robot.
+        physics: The engine.
         settings: Settings of the world.
         joints: The driven joints, in the settings' order.
 
@@ -57,23 +54,19 @@ class Drivetrain:
 
     def __init__(
         self,
-        client: int,
-        scene: Scene,
+        physics: Physics,
         settings: WorldSettings,
         joints: Sequence[JointDescription],
     ) -> None:
-        self._client, self._scene = client, scene
+        self._physics = physics
         self._period_ns, self._steps = settings.control_period_ns, settings.physics_steps
         self._drives = [
             Drive(drive, joint, settings.physics_period)
             for drive, joint in zip(settings.drives, joints, strict=True)
         ]
         self._has_gear_loss = any(drive.has_gear_loss for drive in settings.drives)
-        for index, drive in zip(scene.driven, self._drives, strict=True):
-            pybullet.changeDynamics(
-                scene.body, index, jointDamping=drive.damping, physicsClientId=client
-            )
-        self._set_brakes([drive.friction for drive in self._drives])
+        physics.set_damping([drive.damping for drive in self._drives])
+        physics.brake([drive.friction for drive in self._drives])
 
     def reset(self) -> None:
         """Forget the past of every drive."""
@@ -99,33 +92,17 @@ class Drivetrain:
         for step in range(self._steps):
             # Rounded up, so that a cycle of the bridge that begins with a step is seen in it.
             time_ns = period * self._period_ns - (-step * self._period_ns // self._steps)
-            velocities = self._velocities()
+            velocities = [state[1] for state in self._physics.joint_states()]
             torques = [
                 drive.torque(time_ns, velocity)
                 for drive, velocity in zip(self._drives, velocities, strict=True)
             ]
             if self._has_gear_loss:
                 each = zip(self._drives, torques, velocities, strict=True)
-                self._set_brakes([drive.brake(torque, speed) for drive, torque, speed in each])
+                self._physics.brake([drive.brake(torque, speed) for drive, torque, speed in each])
             advance(torques)
             sums = [total + torque for total, torque in zip(sums, torques, strict=True)]
         return tuple([total / self._steps for total in sums])
-
-    def _velocities(self) -> list[float]:
-        states = pybullet.getJointStates(
-            self._scene.body, self._scene.driven, physicsClientId=self._client
-        )
-        return [state[1] for state in states]
-
-    def _set_brakes(self, frictions: Sequence[float]) -> None:
-        pybullet.setJointMotorControlArray(
-            self._scene.body,
-            self._scene.driven,
-            pybullet.VELOCITY_CONTROL,
-            targetVelocities=[0.0] * len(frictions),
-            forces=frictions,
-            physicsClientId=self._client,
-        )
 
 
 class Sensors:

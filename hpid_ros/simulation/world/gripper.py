@@ -22,12 +22,11 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial.transform import Rotation
 
-from hpid_ros.simulation.poses import Pose, link_pose
+from hpid_ros.simulation.poses import Pose
 from hpid_ros.simulation.settings import WorldSettings
-from hpid_ros.simulation.world.boxes import box_pose
-from hpid_ros.simulation.world.bullet import pybullet
-from hpid_ros.simulation.world.scene import Scene
+from hpid_ros.simulation.world.physics import Physics
 from hpid_ros.simulation.world.workpieces import Brick, GripperSettings, Workplace
 from hpid_ros.wire.reports import Status
 
@@ -93,15 +92,14 @@ def misfit(fit: Fit, gripper: GripperSettings) -> str:
 
 def _matrix(quaternion: Sequence[float]) -> Matrix:
     """Return a quaternion x, y, z, w as a rotation matrix."""
-    return np.reshape(pybullet.getMatrixFromQuaternion(quaternion), (3, 3))
+    matrix: Matrix = Rotation.from_quat(quaternion).as_matrix()
+    return matrix
 
 
 GRASPED, MISSED, RELEASED, LOST = "grasped", "missed", "released", "lost"
 
 PULL_TIME = 0.02
 """Over which a pull is averaged, in [s]."""
-
-_UNYIELDING = 1e5  # [N], far beyond any grip: the constraint itself never gives way
 
 
 class GripEvent(NamedTuple):
@@ -130,44 +128,32 @@ class Gripper:
     """The gripper of a robot among bricks.
 
     Args:
-        client: PyBullet's client.
-        robot: The robot's body.
-        link: Bullet's index of the link with the grasp frame.
+        physics: The engine.
         workplace: The bricks, the gripper's settings and its schedule.
-        bodies: Bullet's body of each brick.
         step: Time between two physics steps, in [s].
 
     Attributes:
         events: What happened since time 0, in order.
     """
 
-    def __init__(
-        self,
-        client: int,
-        robot: int,
-        link: int,
-        workplace: Workplace,
-        bodies: Sequence[int],
-        step: float,
-    ) -> None:
-        self._client, self._robot, self._link = client, robot, link
+    def __init__(self, physics: Physics, workplace: Workplace, step: float) -> None:
+        self._physics = physics
         self._settings, self._bricks = workplace.gripper, workplace.bricks
         # The last one first, of one time as they stand.
         self._pending = sorted(workplace.schedule, key=lambda each: each.time_ns)[::-1]
-        self._bodies = tuple(bodies)
         self.events: list[GripEvent] = []
-        self._held: tuple[int, int] | None = None  # which brick, and the constraint
+        self._held: int | None = None  # which brick
         steps = max(1, round(PULL_TIME / step))
         self._forces: deque[tuple[float, ...]] = deque(maxlen=steps)
 
     def poses(self) -> tuple[Pose, ...]:
         """Return where the bricks are, in the settings' order."""
-        return tuple(box_pose(self._client, body) for body in self._bodies)
+        return tuple(self._physics.brick_pose(index) for index in range(len(self._bricks)))
 
     @property
     def held(self) -> Brick | None:
         """The brick in the hand."""
-        return None if self._held is None else self._bricks[self._held[0]]
+        return None if self._held is None else self._bricks[self._held]
 
     def actuate(self, now_ns: int) -> None:
         """Do what is due.
@@ -197,8 +183,7 @@ class Gripper:
     def sample_contacts(self) -> None:
         """Note the force between hand and brick, after each physics step."""
         if self._held is not None:
-            state = pybullet.getConstraintState(self._held[1], physicsClientId=self._client)
-            self._forces.append(state[:3])
+            self._forces.append(self._physics.grip_force())
 
     def update(self, now_ns: int) -> None:
         """Drop the brick if it was pulled too hard, after each control period.
@@ -211,26 +196,27 @@ class Gripper:
         force, limit = self._force(), self._settings.holding_force
         if force <= limit:
             return
-        fit = self._fit(self._held[0])
+        fit = self._fit(self._held)
         self._release()
         why = f"pulled with {force:.3g} N, the grip holds {limit:.3g} N"
         self.events.append(self._event(now_ns, LOST, fit, force, why))
 
     def _close(self, now_ns: int) -> GripEvent | None:
-        if self._held is not None or not self._bodies:
+        if self._held is not None or not self._bricks:
             return None
-        fits = [self._fit(index) for index in range(len(self._bodies))]
+        fits = [self._fit(index) for index in range(len(self._bricks))]
         nearest = min(fits, key=lambda fit: fit.distance)
         why = misfit(nearest, self._settings)
         if why:
             return self._event(now_ns, MISSED, nearest, 0.0, why)
-        self._hold(nearest.brick)
+        self._physics.hold(nearest.brick)
+        self._held = nearest.brick
         return self._event(now_ns, GRASPED, nearest)
 
     def _open(self, now_ns: int) -> GripEvent | None:
         if self._held is None:
             return None
-        fit = self._fit(self._held[0])
+        fit = self._fit(self._held)
         self._release()
         return self._event(now_ns, RELEASED, fit)
 
@@ -241,38 +227,12 @@ class Gripper:
         return GripEvent(now_ns, outcome, name, fit.distance, fit.angle, force, why)
 
     def _fit(self, index: int) -> Fit:
-        hand = link_pose(self._client, self._robot, self._link)
-        brick = box_pose(self._client, self._bodies[index])
+        hand = self._physics.link_pose(self._settings.link)
+        brick = self._physics.brick_pose(index)
         return fit_of(index, self._bricks[index].size, brick, hand)
 
-    def _hold(self, index: int) -> None:
-        """Fix a brick to the hand as it lies there."""
-        body, client = self._bodies[index], self._client
-        # Bullet wants the frame as the link's centre of mass sees it.
-        state = pybullet.getLinkState(self._robot, self._link, physicsClientId=client)
-        inverse = pybullet.invertTransform(state[0], state[1], physicsClientId=client)
-        brick = box_pose(client, body)
-        position, orientation = pybullet.multiplyTransforms(
-            *inverse, brick.position, brick.orientation, physicsClientId=client
-        )
-        constraint = pybullet.createConstraint(
-            self._robot,
-            self._link,
-            body,
-            -1,
-            pybullet.JOINT_FIXED,
-            (0.0, 0.0, 0.0),
-            position,
-            (0.0, 0.0, 0.0),
-            orientation,
-            physicsClientId=client,
-        )
-        pybullet.changeConstraint(constraint, maxForce=_UNYIELDING, physicsClientId=client)
-        self._held = index, constraint
-
     def _release(self) -> None:
-        if self._held is not None:
-            pybullet.removeConstraint(self._held[1], physicsClientId=self._client)
+        self._physics.release()
         self._held = None
         self._forces.clear()
 
@@ -280,21 +240,6 @@ class Gripper:
         """Return the length of the mean force over the last while, in [N]; before, it is 0."""
         count = self._forces.maxlen or 1
         return math.hypot(*(sum(axis) / count for axis in zip(*self._forces, strict=True)))
-
-
-def build_gripper(client: int, scene: Scene, settings: WorldSettings) -> Gripper | None:
-    """Return the gripper of a scene just built; None where there are no bricks.
-
-    Args:
-        client: PyBullet's client.
-        scene: The scene.
-        settings: Settings of the world.
-    """
-    workplace = settings.workplace
-    if not workplace.bricks:
-        return None
-    link = scene.links[workplace.gripper.link]
-    return Gripper(client, scene.body, link, workplace, scene.bricks, settings.physics_period)
 
 
 END_EFFECTOR, BRICK_POSES, GRIP_EVENTS = "ee_pose", "brick_poses", "grip_events"

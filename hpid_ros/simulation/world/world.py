@@ -4,28 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from types import TracebackType
 
 from hpid_ros.base.errors import SettingError
 from hpid_ros.robot.description import RobotDescription
-from hpid_ros.simulation.poses import ROOT, Pose, Twist, link_pose, root_twist
+from hpid_ros.simulation.poses import Pose, Twist
 from hpid_ros.simulation.settings import WorldSettings
-from hpid_ros.simulation.world.bullet import Connection, pybullet
 from hpid_ros.simulation.world.drivetrain import Drivetrain, EffortActuator, Sensors
-from hpid_ros.simulation.world.gripper import build_gripper
-from hpid_ros.simulation.world.model import bullet_urdf
-from hpid_ros.simulation.world.pushes import DisturbanceSchedule
-from hpid_ros.simulation.world.scene import build_scene
+from hpid_ros.simulation.world.gripper import Gripper
+from hpid_ros.simulation.world.physics import Physics
+from hpid_ros.simulation.world.schedule import DisturbanceSchedule
 
 
-class World(Connection):
-    """A robot in PyBullet, driven by joint torques.
+class World:
+    """A robot in a physics engine, driven by joint torques.
 
     There is no control inside. The same sequence of calls gives the same numbers to the last
-    bit, in any process. Joints that are not driven move freely against their friction.
-
-    At time 0 the robot rests: its lowest point is put on the ground, it sinks into its elastic
-    tyres for 0.25 s with every joint locked, then all speeds are set to zero and the joints to
-    their initial positions.
+    bit, in any process. Joints that are not driven move freely against their friction. At time 0
+    the robot rests, as :class:`~hpid_ros.simulation.world.physics.Physics` says.
 
     Attributes:
         settings: Settings of the world.
@@ -43,22 +39,39 @@ class World(Connection):
         """
         self.settings = settings
         self.description = RobotDescription.load(settings.robot_description)
-        self._joints = self.description.select(settings.joints)
+        joints = self.description.select(settings.joints)
         settings.start(self.description)
-        self._actuators = [EffortActuator(joint.name, joint.effort) for joint in self._joints]
+        self._actuators = [EffortActuator(joint.name, joint.effort) for joint in joints]
         self._encoders = settings.encoders
         for link in settings.links:
             self.description.link(link)
-        self._states: Sequence[tuple[float, float]] | None = None
-        super().__init__(settings.gui)
+        self._states: Sequence[Sequence[float]] | None = None
+        self._physics = build_physics(settings, self.description)
         try:
-            self._build()
+            self._drivetrain = (
+                None if settings.has_ideal_drives else Drivetrain(self._physics, settings, joints)
+            )
         except BaseException:
             self.close()
             raise
+        self._schedule = DisturbanceSchedule(self._physics, self.description, settings)
+        self._physics.keep()
+        self._begin()
 
     def __enter__(self) -> World:
         return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Free the engine; a second call does nothing."""
+        self._physics.close()
 
     def reset(self, seed: int | None = None) -> None:
         """Go back to time 0; what follows is what would follow in a fresh world.
@@ -69,15 +82,7 @@ class World(Connection):
         if seed is not None:
             self.settings = replace(self.settings, seed=seed)
         self._encoders = self.settings.encoders
-        if self.gripper is not None:
-            # Of bricks that were moved Bullet keeps contacts that are not in the saved state.
-            pybullet.removeState(self._at_start, physicsClientId=self._client)
-            pybullet.resetSimulation(physicsClientId=self._client)
-            self._build()
-            return
-        if self._scene.payload is not None:
-            self._scene.load_payload(self._client, self.settings.payload_mass)
-        pybullet.restoreState(self._at_start, physicsClientId=self._client)
+        self._physics.restart()
         self._begin()
 
     @property
@@ -152,15 +157,15 @@ class World(Connection):
         Raises:
             RobotDescriptionError: The robot has no such link.
         """
-        return link_pose(self._client, self._scene.body, self._link(name))
+        return self._physics.link_pose(self.description.link(name))
 
     def base_pose(self) -> Pose:
         """Return the pose of the robot's root link."""
-        return link_pose(self._client, self._scene.body, ROOT)
+        return self._physics.root_pose()
 
     def base_velocity(self) -> Twist:
         """Return the velocity of the robot's root link, in that link's frame."""
-        return root_twist(self._client, self._scene.body)
+        return self._physics.root_twist()
 
     def apply_wrench(
         self, link: str, force: Sequence[float], torque: Sequence[float], duration_ns: int
@@ -193,31 +198,16 @@ class World(Connection):
         """
         self._schedule.load(mass)
 
-    def _build(self) -> None:
-        """Build the scene in an empty simulation, and keep its state for every reset."""
-        settings = self.settings
-        urdf = bullet_urdf(
-            self.description,
-            is_touched=not settings.fixed_base or bool(settings.workplace),
-            is_shown=settings.gui,
-        )
-        self._scene = build_scene(self._client, urdf, self.description, self.settings)
-        self._drivetrain = (
-            None
-            if self.settings.has_ideal_drives
-            else Drivetrain(self._client, self._scene, self.settings, self._joints)
-        )
-        self._schedule = DisturbanceSchedule(self._client, self._scene, self.description, settings)
-        self.gripper = build_gripper(self._client, self._scene, self.settings)
-        self._at_start: int = pybullet.saveState(physicsClientId=self._client)
-        self._begin()
-
     def _begin(self) -> None:
         """Start counting at time 0."""
         self._periods = 0
         self._applied = (0.0,) * len(self._actuators)
         self._states = None
         self._schedule.begin()
+        settings = self.settings
+        self.gripper: Gripper | None = None
+        if settings.workplace.bricks:
+            self.gripper = Gripper(self._physics, settings.workplace, settings.physics_period)
         if self._drivetrain is not None:
             self._drivetrain.reset()
         is_bare = self.settings.has_bare_encoders
@@ -225,30 +215,32 @@ class World(Connection):
             None if is_bare else Sensors(self.settings, self.true_positions())
         )
 
-    def _link(self, name: str) -> int:
-        """Return Bullet's index of a link that exists."""
-        return self._scene.links[self.description.link(name)]
-
-    def _joint_states(self) -> Sequence[tuple[float, float]]:
-        """Return Bullet's states of the driven joints, asked for once a period."""
+    def _joint_states(self) -> Sequence[Sequence[float]]:
+        """Return the states of the driven joints, asked for once a period."""
         states = self._states
         if states is None:
-            states = self._states = pybullet.getJointStates(
-                self._scene.body, self._scene.driven, physicsClientId=self._client
-            )
+            states = self._states = self._physics.joint_states()
         return states
 
     def _advance(self, torques: Sequence[float]) -> None:
         """Take one physics step with these torques at the driven joints, in [N m]."""
         self._schedule.apply()
-        # Bullet forgets applied torques after every step.
-        pybullet.setJointMotorControlArray(
-            self._scene.body,
-            self._scene.driven,
-            pybullet.TORQUE_CONTROL,
-            forces=torques,
-            physicsClientId=self._client,
-        )
-        pybullet.stepSimulation(physicsClientId=self._client)
+        self._physics.advance(torques)
         if self.gripper is not None:
             self.gripper.sample_contacts()
+
+
+def build_physics(settings: WorldSettings, description: RobotDescription) -> Physics:
+    """Return the engine of a world, at time 0.
+
+    Args:
+        settings: Settings of the world.
+        description: The robot.
+
+    Raises:
+        RobotDescriptionError: The engine cannot load the robot.
+        SettingError: A brick does not stay where it is put.
+    """
+    from hpid_ros.simulation.bullet.physics import BulletPhysics
+
+    return BulletPhysics(settings, description)

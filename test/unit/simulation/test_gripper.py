@@ -141,7 +141,7 @@ def test_a_brick_is_lost_when_it_is_pulled_with_more_than_friction_holds(pull):
     with World(replace(SETTINGS, physics_steps=1)) as world:
         world.gripper.move(True, 0)
         lift(world)
-        (body,), client = world._scene.bricks, world._client
+        (body,), client = world._physics._scene.bricks, world._physics._client
         force, weight = 0.0, np.array([0.0, 0.0, -BRICK.mass * 9.81])
         while world.gripper.held is not None:
             force += 0.02

@@ -20,7 +20,7 @@ from hpid_ros.base.errors import RobotDescriptionError, SettingError
 from hpid_ros.robot import RobotDescription
 from hpid_ros.robot.dynamics import Dynamics
 from hpid_ros.simulation import Twist, World, WorldSettings
-from hpid_ros.simulation.world.model import bullet_urdf, geared, rotor_name
+from hpid_ros.simulation.bullet.model import bullet_urdf, geared, rotor_name
 
 URDF = ROOT / "urdf" / "mobile_manipulator.urdf"
 WHEELS = ("wheel_left_joint", "wheel_right_joint")
@@ -415,7 +415,7 @@ def test_other_robots_load_and_swing(model: str, caplog: pytest.LogCaptureFixtur
     data = pytest.importorskip("pybullet_data")
     path = Path(data.getDataPath()) / model
     joints = tuple(RobotDescription.load(path).joints)
-    caplog.set_level(logging.DEBUG, "hpid_ros.simulation.world.bullet")
+    caplog.set_level(logging.DEBUG, "hpid_ros.simulation.bullet.connection")
     with World(WorldSettings(path, joints, fixed_base=True)) as world:
         for _ in range(50):
             world.step([2.0] * len(joints))

@@ -14,10 +14,8 @@ import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
-from types import TracebackType
 
-__all__ = ["Connection", "captured", "pybullet"]
-
+__all__ = ["captured", "connected", "disconnect", "pybullet"]
 
 _logger = logging.getLogger(__name__)
 _STANDARD_STREAMS = (1, 2)
@@ -65,29 +63,19 @@ with captured():
     import pybullet  # prints its build time
 
 
-class Connection:
-    """Holds PyBullet's client; closing it frees the simulation.
+def connected(gui: bool) -> int:
+    """Return the client of a new, empty simulation.
 
     Args:
         gui: Show PyBullet's window.
     """
+    with captured():
+        client: int = pybullet.connect(pybullet.GUI if gui else pybullet.DIRECT)
+    return client
 
-    def __init__(self, gui: bool) -> None:
-        self._client = -1
+
+def disconnect(client: int) -> None:
+    """Free the simulation of a client; one below 0 is none."""
+    if client >= 0:
         with captured():
-            self._client = pybullet.connect(pybullet.GUI if gui else pybullet.DIRECT)
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
-
-    def close(self) -> None:
-        """Disconnect from PyBullet; a second call does nothing."""
-        client, self._client = self._client, -1
-        if client >= 0:
-            with captured():
-                pybullet.disconnect(physicsClientId=client)
+            pybullet.disconnect(physicsClientId=client)

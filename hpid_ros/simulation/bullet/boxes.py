@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+from hpid_ros.simulation.bullet.connection import pybullet
 from hpid_ros.simulation.poses import Pose
-from hpid_ros.simulation.world.bullet import pybullet
 from hpid_ros.simulation.world.workpieces import Brick, Support
 
 

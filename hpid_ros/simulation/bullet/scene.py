@@ -11,10 +11,10 @@ from pathlib import Path
 
 from hpid_ros.base.errors import RobotDescriptionError, SettingError
 from hpid_ros.robot.description import RobotDescription
+from hpid_ros.simulation.bullet.boxes import box_pose, let_hand_pass, put_boxes, still
+from hpid_ros.simulation.bullet.connection import captured, pybullet
+from hpid_ros.simulation.bullet.model import ROTOR_SUFFIX, couple_rotors, geared, rotor_name
 from hpid_ros.simulation.settings import WorldSettings
-from hpid_ros.simulation.world.boxes import box_pose, let_hand_pass, put_boxes, still
-from hpid_ros.simulation.world.bullet import captured, pybullet
-from hpid_ros.simulation.world.model import ROTOR_SUFFIX, couple_rotors, geared, rotor_name
 from hpid_ros.simulation.world.workpieces import Workplace
 
 

@@ -20,7 +20,7 @@ from xml.etree import ElementTree
 from hpid_ros.base.errors import RobotDescriptionError
 from hpid_ros.robot.description import JointDescription, RobotDescription
 from hpid_ros.robot.meshes import find_mesh, mesh_places
-from hpid_ros.simulation.world.bullet import pybullet
+from hpid_ros.simulation.bullet.connection import pybullet
 
 ROTOR_SUFFIX = "__rotor"
 # The rotor's mass belongs to the housing and is part of the parent's; this one only has to be
