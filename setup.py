@@ -15,6 +15,8 @@ INSTALL_REQUIRES = [
     "scipy>=1.11,<2",
     "pin>=3.4,<5",  # Pinocchio; its 2.x has no armature in the forward dynamics
     "pybullet>=3.2.6,<3.3",  # results are reproducible to the last bit within one version only
+    # Exact to the minor version: its numbers may change from one to the next.
+    "mujoco>=3.17,<3.18",
     "lz4>=4,<5",  # this and zstd: compressed bags; rosbags requires them too
     "backports.zstd>=1,<2; python_version < '3.14'",
     "rosbags>=0.11,<0.12",  # the MCAP writer is extended, and every minor version changes it
@@ -56,6 +58,7 @@ EXECUTABLES = [
     "joint_controllers",
     "single_process",
     "pybullet_bridge",
+    "mujoco_bridge",
     "trajectory_publisher",
     "bag_recorder",
     "bag_metrics",

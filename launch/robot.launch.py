@@ -25,7 +25,7 @@ from launch_ros.substitutions import FindPackageShare
 
 from hpid_ros.base.names import controller_name
 from hpid_ros.experiment.description import load_experiment
-from hpid_ros.experiment.graph.nodes import write_run_files
+from hpid_ros.experiment.graph.nodes import bridge_name, write_run_files
 from hpid_ros.experiment.in_process import recorded_topics
 from hpid_ros.nodes.ros.process import LAUNCH
 
@@ -80,7 +80,7 @@ def nodes(context):
         ),
         Node(
             package="hpid_ros",
-            executable="pybullet_bridge",
+            executable=bridge_name(experiment.world),
             namespace=namespace,
             on_exit=Shutdown(),
             parameters=[

@@ -6,6 +6,7 @@ import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from hpid_ros.base.errors import ExperimentError, HpidError
 from hpid_ros.base.names import require_label
@@ -75,19 +76,25 @@ class Experiment:
 
     @property
     def digest(self) -> str:
-        """SHA-256 of the file, of the robot's and its models' descriptions, as hexadecimal."""
+        """SHA-256 of the file, of the robot's and its models' descriptions, as hexadecimal.
+
+        Another engine than PyBullet counts, too: it need not be named in the file.
+        """
         digest = hashlib.sha256(self.text.encode())
         digest.update(RobotDescription.load(self.world.robot_description).xml.encode())
         for model in models_of(self.controllers):
             digest.update(model.encode())
+        if self.world.engine != "pybullet":
+            digest.update(self.world.engine.encode())
         return digest.hexdigest()
 
 
-def load_experiment(path: str | Path) -> Experiment:
+def load_experiment(path: str | Path, engine: str | None = None) -> Experiment:
     """Read an experiment file.
 
     Args:
         path: The file.
+        engine: Who computes the physics, whatever the file says; None as it says.
 
     Raises:
         ExperimentError: Something is missing, unknown or impossible; the line names the file
@@ -96,7 +103,7 @@ def load_experiment(path: str | Path) -> Experiment:
     file = Path(path)
     document = load_document(file, ExperimentError)
     try:
-        root = Section(document.values, "", ExperimentError)
+        root = Section(_with_engine(document.values, engine), "", ExperimentError)
         experiment = _experiment(document, root)
         root.finish()
     except HpidError as error:
@@ -119,6 +126,16 @@ def load_reference(path: str | Path) -> JointTrajectory:
         f"{path}: reference",
         lambda name: RobotDescription.load(find_resource(name, document.folders)),
     ).trajectory
+
+
+def _with_engine(values: Any, engine: str | None) -> Any:
+    """Return a document in which ``simulation.engine`` is another one."""
+    if engine is None or not isinstance(values, Mapping):
+        return values
+    simulation = values.get("simulation", {})
+    if not isinstance(simulation, Mapping):
+        return values
+    return {**values, "simulation": {**simulation, "engine": engine}}
 
 
 def _experiment(document: Document, root: Section) -> Experiment:

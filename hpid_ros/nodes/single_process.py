@@ -5,12 +5,14 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 
+from hpid_ros.base.errors import SettingError, unknown_name
 from hpid_ros.nodes import joint_controllers
 from hpid_ros.nodes.bag_recorder import BagRecorder
-from hpid_ros.nodes.pybullet_bridge import PybulletBridge
+from hpid_ros.nodes.bridge.bridge import RobotBridge
 from hpid_ros.nodes.ros import executor
 from hpid_ros.nodes.ros.parameters import read_only
 from hpid_ros.nodes.ros.usage import Usage
+from hpid_ros.simulation.settings import ENGINES
 
 
 class SingleProcess(executor.ClosingNode):
@@ -21,6 +23,11 @@ class SingleProcess(executor.ClosingNode):
         self.records: bool = read_only(
             self, "record", False, "Run bag_recorder in this process too, with its parameters"
         )
+        self.engine = str(
+            read_only(self, "engine", "pybullet", f"Of the bridge: {', '.join(ENGINES)}")
+        )
+        if self.engine not in ENGINES:
+            raise SettingError(unknown_name("engine", self.engine, ENGINES))
 
 
 def make_nodes() -> list[executor.ClosingNode]:
@@ -31,17 +38,17 @@ def make_nodes() -> list[executor.ClosingNode]:
         InvalidNodeNameException: A joint's name has a character that a node's may not have.
     """
     process = SingleProcess()
-    nodes = [process, PybulletBridge(), *joint_controllers.make_nodes()]
+    nodes = [process, RobotBridge(process.engine), *joint_controllers.make_nodes()]
     # The last to be closed: it keeps what the others still say.
     return [*nodes, BagRecorder()] if process.records else nodes
 
 
 USAGE = Usage(
     "single_process",
-    "Runs pybullet_bridge and joint_controllers in one process, with record also bag_recorder; "
+    "Runs a bridge and joint_controllers in one process, with record also bag_recorder; "
     "their --help tells their parameters, topics and services.",
     "--params-file FILE",
-    ["record"],
+    ["record", "engine"],
 )
 
 

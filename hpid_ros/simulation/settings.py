@@ -16,6 +16,8 @@ from hpid_ros.simulation.sensors import VELOCITIES, Encoder, Homing
 from hpid_ros.simulation.world.disturbances import Disturbances, require_mass
 from hpid_ros.simulation.world.workpieces import Workplace
 
+ENGINES = ("pybullet", "mujoco")
+
 
 @dataclass(frozen=True)
 class WorldSettings:
@@ -26,6 +28,7 @@ class WorldSettings:
         joints: Driven joints, in the order of every reading and every command.
         control_period_ns: Time between two commands, in [ns].
         physics_steps: Physics steps in one control period.
+        engine: Who computes them: ``pybullet`` or ``mujoco``.
         initial_positions: Positions at time 0, by joint, in [rad]; others start at 0.
         encoder_counts: Counts per revolution of each joint's output shaft, one number for all
             or a tuple along ``joints``; 0 is an ideal sensor.
@@ -36,7 +39,7 @@ class WorldSettings:
         payload_mass: Mass at the payload link, in [kg].
         payload_link: Link that carries the payload.
         gravity: Acceleration of gravity, in [m/s^2].
-        gui: Show PyBullet's window.
+        gui: Show the engine's window.
         drives: The drive of each joint, along ``joints``; empty for ideal ones.
         position_noise: Standard deviation of what is added to a position before it is measured,
             in [rad], one number for all or a tuple along ``joints``.
@@ -71,6 +74,7 @@ class WorldSettings:
     disturbances: Disturbances = field(default_factory=Disturbances)
     workplace: Workplace = field(default_factory=Workplace)
     base: DifferentialDrive | None = None
+    engine: str = "pybullet"
 
     def __post_init__(self) -> None:
         for name in ("control_period_ns", "physics_steps"):
@@ -91,6 +95,8 @@ class WorldSettings:
         for wheel in self.base.joints if self.base else ():
             if wheel not in self.joints:
                 raise SettingError(f"base: {unknown_name('driven joint', wheel, self.joints)}")
+        if self.engine not in ENGINES:
+            raise SettingError(unknown_name("engine", self.engine, ENGINES))
         if self.velocity not in VELOCITIES:
             raise SettingError(
                 f"velocity {self.velocity!r} must be one of {', '.join(VELOCITIES)}"

@@ -25,7 +25,7 @@ from hpid_ros.robot.configuration import RobotSection, Wheels
 from hpid_ros.robot.description import RobotDescription
 from hpid_ros.simulation.drives import DriveSettings
 from hpid_ros.simulation.sensors import VELOCITIES, Sensor
-from hpid_ros.simulation.settings import WorldSettings
+from hpid_ros.simulation.settings import ENGINES, WorldSettings
 from hpid_ros.simulation.world.disturbances import Disturbances
 from hpid_ros.simulation.world.workpieces import GripCommand, Workplace
 
@@ -50,6 +50,7 @@ class ControlSection(Record):
 class PhysicsSection(Record):
     """How the physics are computed."""
 
+    engine: str = quantity("Who computes the physics", default="pybullet", choices=ENGINES)
     physics_steps: int = quantity(
         "Physics steps in one control period", default=4, least=1, most=1000
     )
@@ -105,6 +106,7 @@ def read_world(root: Section, folders: Sequence[Path]) -> WorldFile:
         robot_description=_description(robot, known, folders),
         joints=joints,
         control_period_ns=round(NANOSECONDS / control.rate),
+        engine=physics.engine,
         physics_steps=physics.physics_steps,
         initial_positions=robot.initial_positions,
         encoder_counts=counts[0] if len(set(counts)) == 1 else counts,
@@ -146,7 +148,7 @@ def world_mapping(world: WorldSettings) -> dict[str, Any]:
     document = {
         "robot": to_mapping(robot),
         "control": to_mapping(ControlSection(NANOSECONDS / world.control_period_ns)),
-        "simulation": to_mapping(PhysicsSection(world.physics_steps)),
+        "simulation": to_mapping(PhysicsSection(world.engine, world.physics_steps)),
         "seed": world.seed,
         "sensors": to_mapping(MeasuredSection(world.velocity)) | _each(world.joints, sensors),
         "actuators": _each(world.joints, world.drives),

@@ -110,7 +110,11 @@ def default_files() -> list[Path]:
 
 
 def plan_study(
-    files: Sequence[str | Path], *, joints: Sequence[str] = (), seeds: int = 20
+    files: Sequence[str | Path],
+    *,
+    joints: Sequence[str] = (),
+    seeds: int = 20,
+    engine: str | None = None,
 ) -> StudyPlan:
     """Read experiments and check them as a whole before anything runs.
 
@@ -119,6 +123,7 @@ def plan_study(
         joints: Joints to judge, in the experiments that have them; none for those that each
             experiment names.
         seeds: Runs of each controller.
+        engine: Who computes the physics; None as each file says.
 
     Raises:
         ExperimentError: A file is no experiment.
@@ -129,7 +134,7 @@ def plan_study(
         raise SettingError(f"seeds must be at least 1, not {seeds}")
     entries: dict[str, StudyEntry] = {}
     for file in files:
-        entry = _entry(load_experiment(file), joints)
+        entry = _entry(load_experiment(file, engine), joints)
         if entry.name in entries:
             other = entries[entry.name].experiment.path
             raise SettingError(f"two experiments are called {entry.name!r}: {other} and {file}")

@@ -28,6 +28,7 @@ T = Parameter.Type
 MS = 1_000_000
 EXECUTABLES = (
     *("joint_controller", "joint_controllers", "single_process", "pybullet_bridge"),
+    "mujoco_bridge",
     *("trajectory_publisher", "bag_recorder", "bag_metrics"),
 )
 JOINTS = [f"joint_{number}" for number in range(8)]
@@ -132,6 +133,7 @@ class Graph:
                 *ros_arguments(mode="realtime", payload_mass=1, seed=3),
                 *("-p", f"initial_positions:={robot['initial_positions']}"),
             ],
+            "mujoco_bridge": ros_arguments(mode="realtime", fixed_base=True),
             "trajectory_publisher": ros_arguments(
                 reference_file=share_folder() / "config" / "experiments" / "tracking.yaml"
             ),

@@ -421,11 +421,12 @@ def test_a_short_run_is_finite_and_the_same_after_a_reset(name: str, tmp_path: P
             assert np.array_equal(one.effort, other.effort)
 
 
-def test_the_graph_gives_what_one_process_gives(tmp_path: Path):
+@pytest.mark.parametrize("engine", ["pybullet", "mujoco"])
+def test_the_graph_gives_what_one_process_gives(tmp_path: Path, engine: str):
     from hpid_ros.experiment.compare import compare
     from hpid_ros.experiment.progress import NoProgress
 
-    experiment = load_experiment(short("panda", tmp_path, duration=0.1))
+    experiment = load_experiment(short("panda", tmp_path, duration=0.1), engine)
     results = [
         compare(experiment, tmp_path / f"result{number}", NoProgress(), in_process=bool(number))
         for number in range(2)

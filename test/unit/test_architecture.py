@@ -41,6 +41,7 @@ ALLOWED["cli"] = BELOW_EXPERIMENTS | {"experiment", "studies"}
 ONLY_IN = {
     "rclpy": {"nodes"},
     "pybullet": {"simulation"},
+    "mujoco": {"simulation"},
     "pinocchio": {"robot", "compensation"},
     "rosbags": {"bags"},
     "matplotlib": {"report"},

@@ -7,6 +7,7 @@ from typing import Any
 
 from hpid_ros.cli.commands import DONE
 from hpid_ros.cli.commands.options import (
+    add_engine,
     add_experiment,
     add_output,
     named_experiment,
@@ -23,6 +24,7 @@ def add(commands: Any) -> None:
         "per joint, record everything, and leave tables, figures and a report.",
     )
     add_experiment(parser)
+    add_engine(parser)
     add_output(parser, "NAME")
     parser.add_argument(
         "--in-process", action="store_true", help="run without ROS; the numbers are the same"
@@ -37,7 +39,7 @@ def run(options: argparse.Namespace) -> int:
     from hpid_ros.experiment.compare import compare
     from hpid_ros.report.tables.table import ComparisonTable
 
-    experiment = named_experiment(options.experiment)
+    experiment = named_experiment(options.experiment, options.engine)
     output = output_folder(options, experiment.name)
     console = output_console()
     period = experiment.world.control_period_ns * 1e-9

@@ -46,15 +46,28 @@ def add_experiment(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def named_experiment(file: str | None) -> Experiment:
+def add_engine(parser: argparse.ArgumentParser) -> None:
+    """Add ``--engine`` to the parser."""
+    parser.add_argument(
+        "--engine",
+        metavar="ENGINE",
+        help="who computes the physics, pybullet or mujoco (as the file says)",
+    )
+
+
+def named_experiment(file: str | None, engine: str | None = None) -> Experiment:
     """Return the experiment of a file, or the paper's if none is named.
+
+    Args:
+        file: The file.
+        engine: Who computes the physics; None as the file says.
 
     Raises:
         SettingError: It cannot be read.
     """
     from hpid_ros.experiment.description import load_experiment
 
-    return load_experiment(file or find_resource(DEFAULT_EXPERIMENT))
+    return load_experiment(file or find_resource(DEFAULT_EXPERIMENT), engine)
 
 
 def add_joints(parser: argparse.ArgumentParser, purpose: str) -> None:

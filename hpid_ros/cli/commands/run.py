@@ -7,6 +7,7 @@ from typing import Any
 
 from hpid_ros.cli.commands import DONE
 from hpid_ros.cli.commands.options import (
+    add_engine,
     add_experiment,
     add_output,
     named_experiment,
@@ -23,6 +24,7 @@ def add(commands: Any) -> None:
         "end with its indices and with a table of periods, compute times, latencies and losses.",
     )
     add_experiment(parser)
+    add_engine(parser)
     parser.add_argument(
         "--controller", metavar="LABEL", help="which of its controllers (the last one)"
     )
@@ -67,7 +69,7 @@ def run(options: argparse.Namespace) -> int:
         is_realtime=options.realtime,
         realtime_priority=options.realtime_priority,
     )
-    experiment = named_experiment(options.experiment)
+    experiment = named_experiment(options.experiment, options.engine)
     label = options.controller or list(experiment.controllers)[-1]
     output = output_folder(options, experiment.name)
     console = output_console()

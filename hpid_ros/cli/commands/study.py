@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from hpid_ros.base.errors import SettingError
 from hpid_ros.cli.commands import DONE, FAILED
 from hpid_ros.cli.commands.options import (
+    add_engine,
     add_jobs,
     add_joints,
     add_output,
@@ -44,6 +45,7 @@ def add(commands: Any) -> None:
     parser.add_argument(
         "--seeds", type=int, default=20, metavar="N", help="runs of each controller (20)"
     )
+    add_engine(parser)
     add_jobs(parser)
     add_output(parser, "study")
     parser.add_argument(
@@ -68,7 +70,7 @@ def run(options: argparse.Namespace) -> int:
     if options.resume and (options.force or options.output is None):
         raise SettingError("--resume needs the study's folder as --output, and not --force")
     files = options.experiments or default_files()
-    plan = plan_study(files, joints=options.joint, seeds=options.seeds)
+    plan = plan_study(files, joints=options.joint, seeds=options.seeds, engine=options.engine)
     path = output_folder(options, "study")
     inputs = [file for entry in plan.entries for file in entry.experiment.inputs]
     folder = study_folder(path, force=options.force, resume=options.resume, inputs=inputs)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from hpid_ros.cli.commands import DONE, FAILED
 from hpid_ros.cli.commands.options import (
+    add_engine,
     add_experiment,
     add_jobs,
     add_joints,
@@ -36,6 +37,7 @@ def add(commands: Any) -> None:
         "once and leaves what was run.",
     )
     add_experiment(parser)
+    add_engine(parser)
     parser.add_argument(
         "--vary",
         action="append",
@@ -69,7 +71,7 @@ def run(options: argparse.Namespace) -> int:
 
     axes = [Axis.parse(text) for text in options.vary]
     check_jobs(options)
-    experiment = named_experiment(options.experiment)
+    experiment = named_experiment(options.experiment, options.engine)
     sweep = plan_sweep(
         experiment,
         axes,

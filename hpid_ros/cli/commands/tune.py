@@ -9,6 +9,7 @@ from hpid_ros.base.errors import SettingError
 from hpid_ros.base.names import require_label
 from hpid_ros.cli.commands import DONE, FAILED
 from hpid_ros.cli.commands.options import (
+    add_engine,
     add_experiment,
     add_jobs,
     add_joints,
@@ -43,6 +44,7 @@ def add(commands: Any) -> None:
         "same result with any number of jobs. An interrupt leaves what was found.",
     )
     add_experiment(parser)
+    add_engine(parser)
     parser.add_argument("--law", choices=tuple(_LABELS), required=True)
     add_joints(parser, "judge this joint; may be repeated (those that the experiment judges)")
     parser.add_argument(
@@ -142,7 +144,7 @@ def _plan(options: argparse.Namespace) -> SearchPlan:
     from hpid_ros.studies.search import SearchPlan
     from hpid_ros.studies.search_space import SearchSpace
 
-    experiment = named_experiment(options.experiment)
+    experiment = named_experiment(options.experiment, options.engine)
     for joint in options.joint:
         if joint not in experiment.world.joints:
             raise SettingError(unknown_name("joint", joint, experiment.world.joints))

@@ -22,6 +22,7 @@ from hpid_ros.experiment.graph.options import GraphOptions
 from hpid_ros.experiment.graph.processes import NodeGroup, NodeProcess
 from hpid_ros.experiment.in_process import recorded_topics
 from hpid_ros.simulation.base import REPORT_RATE
+from hpid_ros.simulation.settings import WorldSettings
 from hpid_ros.simulation.world.gripper import task_topics
 from hpid_ros.simulation.world_file import world_mapping
 
@@ -54,7 +55,7 @@ def bridge_document(experiment: Experiment, world_file: Path) -> dict[str, Any]:
         world_file: Where its world is described.
     """
     return {
-        f"{ANYWHERE}pybullet_bridge": {
+        f"{ANYWHERE}{bridge_name(experiment.world)}": {
             "ros__parameters": {
                 "world_file": str(world_file.resolve()),
                 "duration": experiment.duration,
@@ -63,6 +64,11 @@ def bridge_document(experiment: Experiment, world_file: Path) -> dict[str, Any]:
             }
         }
     }
+
+
+def bridge_name(world: WorldSettings) -> str:
+    """Return the executable, and the node, that simulates a world."""
+    return f"{world.engine}_bridge"
 
 
 def write_run_files(
@@ -127,7 +133,7 @@ def _nested(values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 _NODE_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]{0,200}")
-BRIDGE, RECORDER, REFERENCE = "pybullet_bridge", "bag_recorder", "trajectory_publisher"
+RECORDER, REFERENCE = "bag_recorder", "trajectory_publisher"
 COMPOSED, SINGLE = "joint_controllers", "single_process"
 
 
@@ -160,7 +166,8 @@ class GraphNodes:
         self._bag, self._folder = bag, folder
         self.topics = recorded_topics(experiment.world)
         is_single = options.processes == "single"
-        self.bridge = SINGLE if is_single else BRIDGE
+        self._executable = bridge_name(experiment.world)
+        self.bridge = SINGLE if is_single else self._executable
         self.recorder = SINGLE if is_single else RECORDER
         self.vital = frozenset({self.bridge, self.recorder, REFERENCE})
 
@@ -181,7 +188,9 @@ class GraphNodes:
         of_all = _parameters(realtime_priority=self._options.realtime_priority)
         controllers, bridge = self.controller_arguments(), self.bridge_arguments() + of_all
         if self._options.processes == "single":
-            of_recorder += _parameters(record=self._options.is_recorded)
+            of_recorder += _parameters(
+                record=self._options.is_recorded, engine=self._experiment.world.engine
+            )
             everything = [*controllers, *bridge, *of_recorder]
             return [*nodes, group.start(SINGLE, SINGLE, everything, is_renamed=False)]
         if self._options.is_recorded:
@@ -191,7 +200,7 @@ class GraphNodes:
         else:
             names = [controller_name(each.joint) for each in settings]
             nodes += [group.start(name, "joint_controller", controllers) for name in names]
-        return [*nodes, group.start(BRIDGE, BRIDGE, bridge)]
+        return [*nodes, group.start(self._executable, self._executable, bridge)]
 
     def controller_arguments(self) -> list[str]:
         """Return the ROS arguments of a controller of the run, also for one that starts late."""

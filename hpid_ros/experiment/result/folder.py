@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from typing_extensions import Self
 
 
-_PARTS = ("numpy", "pybullet", "pin", "rosbags", "ros-rclpy", "rclpy", "ros-fastrtps")
+_PARTS = ("numpy", "pybullet", "mujoco", "pin", "rosbags", "ros-rclpy", "rclpy", "ros-fastrtps")
 
 
 def versions() -> dict[str, str]:

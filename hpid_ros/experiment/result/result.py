@@ -55,6 +55,7 @@ class Result:
             "sha256": experiment.digest,
             "seed": experiment.seed,
             "duration": experiment.duration,
+            "engine": experiment.world.engine,
             "control_period": experiment.world.control_period_ns * 1e-9,
             "versions": versions(),
             "indices": self.comparison.as_mapping(),

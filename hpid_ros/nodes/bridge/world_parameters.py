@@ -50,11 +50,12 @@ OVER_THE_FILE = {
 """Parameters that are laid over the file: its section (none: the root), key, type, meaning."""
 
 
-def world_settings(node: Node) -> WorldSettings:
+def world_settings(node: Node, engine: str) -> WorldSettings:
     """Declare the parameters of a world and return what they say.
 
     Args:
         node: The bridge.
+        engine: Who computes the physics, whatever the file says.
 
     Raises:
         SettingError: A value is out of range.
@@ -80,7 +81,7 @@ def world_settings(node: Node) -> WorldSettings:
     )
     if not (file or robot.strip()):
         raise SettingError("robot_description must be a URDF or name one, it is empty")
-    values = _laid_over(node, {} if document is None else document.values, robot)
+    values = _laid_over(node, {} if document is None else document.values, robot, engine)
     positions = read_only(
         node,
         "initial_positions",
@@ -103,12 +104,13 @@ def world_settings(node: Node) -> WorldSettings:
     return replace(world, gui=_gui(node))
 
 
-def _laid_over(node: Node, values: Any, robot: str) -> Any:
+def _laid_over(node: Node, values: Any, robot: str, engine: str) -> Any:
     """Return a document with the parameters that were given laid over it."""
     if not isinstance(values, dict):
         return values
     values = dict(values)
-    given: dict[str, dict[str, Any]] = {"robot": {"description": robot}} if robot else {}
+    given: dict[str, dict[str, Any]] = {"simulation": {"engine": engine}}
+    given |= {"robot": {"description": robot}} if robot else {}
     for name, (section, key, kind, meaning) in OVER_THE_FILE.items():
         value = read_only(node, name, kind, f"{meaning}; the file's, or its default, if left out")
         if value is not None:
@@ -145,7 +147,7 @@ def _along(joints: Sequence[str], name: str, values: Sequence[Any]) -> tuple[Any
 
 
 def _gui(node: Node) -> bool:
-    wanted = bool(read_only(node, "gui", False, "Show PyBullet's window"))
+    wanted = bool(read_only(node, "gui", False, "Show the engine's window"))
     # Without a display Bullet would end the process without a word.
     if wanted and sys.platform.startswith("linux") and not os.environ.get("DISPLAY"):
         raise SettingError("gui needs a display, and the variable DISPLAY names none")

@@ -15,6 +15,7 @@ from hpid_ros.simulation.bullet.boxes import box_pose, let_hand_pass, put_boxes,
 from hpid_ros.simulation.bullet.connection import captured, pybullet
 from hpid_ros.simulation.bullet.model import ROTOR_SUFFIX, couple_rotors, geared, rotor_name
 from hpid_ros.simulation.settings import WorldSettings
+from hpid_ros.simulation.world.physics import PAYLOAD_EDGE, SETTLING_TIME, STAYING
 from hpid_ros.simulation.world.workpieces import Workplace
 
 
@@ -61,9 +62,7 @@ def brake_joints(client: int, body: int, indices: Sequence[int], forces: Sequenc
 
 
 GROUND_FRICTION = 1.0  # Bullet multiplies the two surfaces' coefficients: the robot's decides
-SETTLING_TIME = 0.25  # [s]
 LOCK_FORCE = 1e6  # [N m]
-STAYING = 0.005  # [m], how far a brick may be from where it is put when it has settled
 NEARBY = 1e3  # [m], how far the robot may be from the ground before it is put down
 
 
@@ -108,7 +107,6 @@ def settle_bricks(client: int, bricks: tuple[int, ...], workplace: Workplace) ->
 SOLVER_RESIDUAL = 1e-10
 SOLVER_ITERATIONS = 100
 NO_SPEED_LIMIT = 1e6  # [rad/s], Bullet's own is 100: rotors turn faster
-PAYLOAD_EDGE = 0.08  # [m]
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,10 @@ from hpid_ros.simulation.poses import Pose, Twist
 
 Vector = tuple[float, float, float]
 
+SETTLING_TIME = 0.25  # [s]
+STAYING = 0.005  # [m], how far a brick may be from where it is put when it has settled
+PAYLOAD_EDGE = 0.08  # [m]
+
 
 class Physics(Protocol):
     """A robot, the ground, bricks and supports in an engine, one physics step at a time.

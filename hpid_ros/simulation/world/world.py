@@ -241,6 +241,11 @@ def build_physics(settings: WorldSettings, description: RobotDescription) -> Phy
         RobotDescriptionError: The engine cannot load the robot.
         SettingError: A brick does not stay where it is put.
     """
+    # Imported where it is asked for: either takes a while, and one of them may not be installed.
+    if settings.engine == "mujoco":
+        from hpid_ros.simulation.mujoco.physics import MujocoPhysics
+
+        return MujocoPhysics(settings, description)
     from hpid_ros.simulation.bullet.physics import BulletPhysics
 
     return BulletPhysics(settings, description)

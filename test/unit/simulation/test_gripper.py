@@ -16,6 +16,7 @@ from hpid_ros.robot import RobotDescription
 from hpid_ros.robot.dynamics import Dynamics
 from hpid_ros.robot.kinematics import Kinematics, LinkPose
 from hpid_ros.simulation import World, WorldSettings
+from hpid_ros.simulation.mujoco.physics import MujocoPhysics
 from hpid_ros.simulation.world.workpieces import (
     Brick,
     GripCommand,
@@ -135,26 +136,32 @@ def test_of_several_bricks_the_nearest_is_taken():
         assert world.gripper.move(True, 0).brick == "brick"
 
 
+def pull_at(world, brick, force):
+    """Pull at the one brick's centre in the next step, in whatever engine."""
+    physics = world._physics
+    if isinstance(physics, MujocoPhysics):
+        (body,) = physics._built.bricks
+        physics._data.xfrc_applied[body, :3] = force
+        physics._is_pushed = True
+        return
+    pybullet.applyExternalForce(
+        *(physics._scene.bricks[0], -1, force, brick.position, pybullet.WORLD_FRAME),
+        physicsClientId=physics._client,
+    )
+
+
 @pytest.mark.parametrize("pull", [(0.0, 0.0, -1.0), (0.0, 1.0, 0.0)])
 def test_a_brick_is_lost_when_it_is_pulled_with_more_than_friction_holds(pull):
     """A slowly growing force on the held brick, beside its weight."""
     with World(replace(SETTINGS, physics_steps=1)) as world:
         world.gripper.move(True, 0)
         lift(world)
-        (body,), client = world._physics._scene.bricks, world._physics._client
         force, weight = 0.0, np.array([0.0, 0.0, -BRICK.mass * 9.81])
         while world.gripper.held is not None:
             force += 0.02
             assert force < 2.0 * HOLDING, "it holds more than it should"
             (brick,) = world.gripper.poses()
-            pybullet.applyExternalForce(
-                body,
-                -1,
-                [force * axis for axis in pull],
-                brick.position,
-                pybullet.WORLD_FRAME,
-                physicsClientId=client,
-            )
+            pull_at(world, brick, [force * axis for axis in pull])
             world.step(efforts(world, 0.25))
         event = world.gripper.events[-1]
         assert (event.outcome, event.brick) == ("lost", "brick")

@@ -1,0 +1,268 @@
+"""The bridge that stands in for the robot, whatever engine is behind it."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+from sensor_msgs.msg import JointState
+
+from hpid_ros.base.errors import MessageError
+from hpid_ros.base.units import NANOSECONDS
+from hpid_ros.nodes.bridge.commanders import Commanders, HeldCommands
+from hpid_ros.nodes.bridge.pace import BridgeTiming, read_pace
+from hpid_ros.nodes.bridge.reports import BridgeReports
+from hpid_ros.nodes.bridge.services import BridgeServices
+from hpid_ros.nodes.bridge.world_parameters import world_settings
+from hpid_ros.nodes.ros import executor
+from hpid_ros.nodes.ros.middleware import ALL_COMMANDS, OFFERED, overridable
+from hpid_ros.nodes.ros.parameters import read_only
+from hpid_ros.nodes.ros.process import schedule
+from hpid_ros.nodes.ros.status import ERROR, OK, WARN, Diagnostics, StatusPipe
+from hpid_ros.nodes.ros.steady_timer import steady_timer
+from hpid_ros.nodes.ros.usage import Usage
+from hpid_ros.simulation.lockstep import Barrier
+from hpid_ros.simulation.world.world import World
+from hpid_ros.wire import EffortReader, JointStateTemplate
+
+_READINESS_PERIOD = 0.01  # [s]
+_LOOKS = 8  # at who is missing, in one answer_timeout
+_LAST_LOOK = 1.0 - 2.0 / _LOOKS  # of answer_timeout: the next look may be late, the limit holds
+_PROGRESS_PERIOD_NS = 100_000_000
+
+
+class RobotBridge(executor.ClosingNode):
+    """A simulated robot behind the topics of a real one.
+
+    In ``lockstep`` every state waits for the command of every driven joint that carries its
+    stamp, then the physics advance by one control period. In ``realtime`` the wall clock paces
+    the states, and each joint gets its newest command.
+
+    Args:
+        engine: Who computes the physics; the node is called after it.
+
+    Raises:
+        HpidError: The parameters given at start cannot be used.
+    """
+
+    def __init__(self, engine: str) -> None:
+        super().__init__(f"{engine}_bridge")
+        self.require_given("world_file", "robot_description")
+        settings = world_settings(self, engine)
+        self._pace = pace = read_pace(self, len(settings.joints))
+        self._status = StatusPipe(self)
+        self._world = World(settings)
+        driven = self._world.description.select(settings.joints)
+        limits = {joint.name: joint.effort for joint in driven}
+        self._barrier: Barrier | HeldCommands = (
+            Barrier(settings.joints, limits)
+            if pace.is_lockstep
+            else HeldCommands(settings.joints, pace.command_timeout_ns, limits)
+        )
+        self._commanders = Commanders(
+            self, settings.joints, self._barrier.counts, pace.command_patience
+        )
+        self._reader = EffortReader()
+        self._template = JointStateTemplate(
+            settings.joints,
+            position=True,
+            velocity=self._world.read_velocities() is not None,
+            effort=True,
+        )
+        self._states = self.create_publisher(
+            JointState, "joint_states", OFFERED, qos_overriding_options=overridable()
+        )
+        self.create_subscription(
+            JointState,
+            "joint_commands",
+            self._on_command,
+            ALL_COMMANDS,
+            raw=True,
+            qos_overriding_options=overridable(),
+        )
+        prefix = str(
+            read_only(self, "frame_prefix", "", "Before each frame's name, e.g. of two robots")
+        )
+        self._reports = BridgeReports(self, self._world, prefix, pace.end_ns)
+        self._simulation = BridgeServices(self, self._world, prefix, self._reset, self._resume)
+        self._diagnostics = Diagnostics(self, self._world.description.name)
+        self._misread = 0
+        self._is_done = False
+        self._is_started = False
+        self._timing = BridgeTiming(settings.joints)
+        self._stamp_ns = -1
+        self._progressed_ns = time.perf_counter_ns()
+        self._asked_again = False
+        self._readiness = steady_timer(self, _READINESS_PERIOD, self._start_when_ready)
+        steady_timer(self, 1.0, self._report)
+        self._scheduling = schedule(self)
+
+    def _start_when_ready(self) -> None:
+        listeners = self._states.get_subscription_count()
+        commanders = self.count_publishers("joint_commands")
+        if listeners < self._pace.subscribers or commanders < self._pace.publishers:
+            now_ns = time.perf_counter_ns()
+            if now_ns - self._progressed_ns > NANOSECONDS:
+                self._progressed_ns = now_ns
+                self._status.send("waiting", listeners=listeners, commanders=commanders)
+                self.get_logger().info(
+                    f"waiting: {listeners} of {self._pace.subscribers} subscribers of the states, "
+                    f"{commanders} of {self._pace.publishers} publishers of commands",
+                    throttle_duration_sec=5.0,
+                )
+            return
+        self._readiness.cancel()
+        self._is_started = True
+        self._status.send("started")
+        if self._pace.is_lockstep:
+            steady_timer(self, self._pace.answer_timeout / _LOOKS, self._watch)
+            self._publish_state()
+        else:
+            period = self._world.settings.control_period_ns / NANOSECONDS
+            self._publish_state()
+            steady_timer(self, period / self._pace.real_time_factor, self._resume)
+
+    def _on_command(self, raw: bytes) -> None:
+        try:
+            stamp_ns, names, efforts = self._reader.read(raw)
+        except MessageError as error:
+            self._misread += 1
+            self.get_logger().warning(str(error), throttle_duration_sec=1.0)
+            return
+        names, efforts = self._commanders.heed(names, efforts, self._reader.sender)
+        if not names:
+            return
+        if stamp_ns == self._stamp_ns:
+            self._timing.answered(names[0])
+        if self._barrier.answer(stamp_ns, names, efforts):
+            self._resume()
+
+    def _resume(self) -> None:
+        """Advance if nothing is missing and nobody has paused the simulation."""
+        if not self._is_started or self._is_done or self._barrier.missing:
+            return
+        if self._simulation.may_advance():
+            self._advance()
+
+    def _advance(self) -> None:
+        efforts = self._barrier.finish()
+        if self._pace.end_ns is not None and self._world.time_ns >= self._pace.end_ns:
+            self._finish()
+            return
+        self._world.step(efforts)
+        self._publish_state()
+
+    def _publish_state(self) -> None:
+        self._stamp_ns = stamp_ns = self._world.time_ns
+        self._barrier.begin(stamp_ns)
+        positions = self._world.read()
+        self._last_state = self._template.encode(
+            stamp_ns,
+            position=positions,
+            velocity=self._world.read_velocities() or (),
+            effort=self._world.applied_efforts(),
+        )
+        self._timing.published()
+        self._commanders.move()
+        self._states.publish(self._last_state)
+        self._reports.sample(stamp_ns, positions)
+        self._asked_again = False
+        if self._timing.published_ns - self._progressed_ns > _PROGRESS_PERIOD_NS:
+            self._progressed_ns = self._timing.published_ns
+            self._status.send("progress", stamp_ns=stamp_ns, silent=self._barrier.silent)
+
+    def _watch(self) -> None:
+        """Ask again when an answer is late, and go on without it when it is too late."""
+        waited = (time.perf_counter_ns() - self._timing.published_ns) / NANOSECONDS
+        timeout = self._pace.answer_timeout
+        if self._barrier.is_abandoned:  # somebody may come back, and needs a state to answer
+            self._states.publish(self._last_state)
+        if not self._barrier.missing or self._is_done:
+            return
+        if waited > _LAST_LOOK * timeout:
+            given_up = self._barrier.time_out()
+            self.get_logger().warning(f"no answer within {timeout} s: {', '.join(given_up)}")
+            self._status.send("silent", joints=given_up, stamp_ns=self._world.time_ns)
+            if not self._barrier.is_abandoned:
+                self._resume()
+        elif waited > timeout / 2.0 and not self._asked_again:
+            self._asked_again = True
+            self._states.publish(self._last_state)
+
+    def _reset(self) -> None:
+        self._world.reset()
+        self._is_done = False
+        if self._is_started:
+            self._publish_state()
+
+    def _finish(self) -> None:
+        self._is_done = True
+        self._tell_end("finished")
+        if self._pace.exits:
+            self.request_stop()
+
+    def _tell_end(self, event: str) -> None:
+        """Tell a parent what the whole run was like."""
+        self._status.send(
+            event,
+            states=self._world.time_ns // self._world.settings.control_period_ns + 1,
+            counts={joint: vars(counts) for joint, counts in self._barrier.counts.items()},
+            foreign=self._barrier.foreign,
+            reports=self._reports.counts,
+            wall_time=self._timing.elapsed,
+            timing=self._timing.whole(),
+        )
+
+    def _report(self) -> None:
+        silent = self._barrier.silent
+        message = f"no answer from {', '.join(silent)}" if silent else "running"
+        if self._simulation.is_paused:
+            message = "paused"
+        if not self._is_started:
+            message = "waiting for controllers"
+        conflict = self._commanders.conflict()
+        values: dict[str, Any] = {
+            "simulated time [s]": self._world.time_ns / NANOSECONDS,
+            "misread commands": self._misread,
+            "commands for other joints": self._barrier.foreign,
+            **self._commanders.values(),
+        }
+        values |= self._timing.recent(self._world.time_ns) if self._is_started else {}
+        values |= self._reports.figures()
+        values["scheduling"] = self._scheduling
+        level = ERROR if conflict else OK if self._is_started and not silent else WARN
+        self._diagnostics.publish(level, conflict or message, values)
+
+    def close(self) -> None:
+        """Leave the engine, and tell how it was if nobody has been told."""
+        if self._is_started and not self._is_done:
+            self._tell_end("stopped")
+        self._world.close()
+
+
+def usage(name: str, engine: str) -> Usage:
+    """Return how a bridge is used.
+
+    Args:
+        name: Its executable.
+        engine: The engine in words.
+    """
+    return Usage(
+        name,
+        f"Simulates a robot in {engine} behind the topics of a real one.",
+        "-p world_file:=FILE",
+        [
+            *("world_file", "robot_description", "joints", "mode", "real_time_factor"),
+            *("control_rate", "physics_steps", "initial_positions", "encoder_counts", "seed"),
+            *("fixed_base", "payload_mass", "gui", "duration", "exit_when_done", "answer_timeout"),
+            *("command_timeout", "wait_for_subscribers", "wait_for_publishers", "report_rate"),
+            *("ee_link", "frame_prefix", "wrench_duration"),
+            *("realtime_priority", "cpu_affinity", "status_fd"),
+        ],
+        ["joint_commands", "~/wrench"],
+        [
+            *("joint_states", "clock", "odom", "base_pose_ground_truth", "wheel_slip", "ee_pose"),
+            *("brick_poses", "grip_events", "/diagnostics"),
+        ],
+        ["~/pause", "~/step", "~/reset", "~/grip"],
+    )

@@ -1,0 +1,20 @@
+"""Stands in for the robot, in MuJoCo: efforts in, joint states out."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+
+from hpid_ros.nodes.bridge.bridge import RobotBridge, usage
+from hpid_ros.nodes.ros import executor
+
+USAGE = usage("mujoco_bridge", "MuJoCo")
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the bridge."""
+    return executor.run(lambda: [RobotBridge("mujoco")], args, USAGE)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,27 @@
+"""Tests of a world run in every engine."""
+
+from dataclasses import replace
+
+import pytest
+
+from hpid_ros.simulation.settings import ENGINES
+from hpid_ros.simulation.world import world
+
+WORLDS = ("test_world", "test_drives", "test_disturbances", "test_gripper", "test_sensors")
+
+
+@pytest.fixture(autouse=True)
+def engine(request, monkeypatch):
+    """Let every world be computed by the engine of the test's name."""
+    name = getattr(request, "param", None)
+    if name is not None:
+        build = world.build_physics
+        monkeypatch.setattr(
+            world, "build_physics", lambda each, robot: build(replace(each, engine=name), robot)
+        )
+    return name
+
+
+def pytest_generate_tests(metafunc):
+    if metafunc.module.__name__.rpartition(".")[2] in WORLDS:
+        metafunc.parametrize("engine", ENGINES, indirect=True)

@@ -1,0 +1,144 @@
+"""MuJoCo's model of a robot, against Pinocchio and against what it stands for."""
+
+from __future__ import annotations
+
+import math
+import subprocess
+import sys
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+from harness.places import URDF
+
+from hpid_ros.base.errors import RobotDescriptionError
+from hpid_ros.robot.description import RobotDescription
+from hpid_ros.robot.dynamics import Dynamics
+from hpid_ros.robot.kinematics import Kinematics
+from hpid_ros.simulation import World, WorldSettings
+from hpid_ros.simulation.mujoco.model import build_model
+
+ROBOT = RobotDescription.load(URDF)
+JOINTS = tuple(ROBOT.joints)
+WHEELS = ("wheel_left_joint", "wheel_right_joint")
+SETTINGS = WorldSettings(URDF, JOINTS, engine="mujoco")
+OTHERS = ("pybullet_data/kuka_iiwa/model.urdf", "pybullet_data/franka_panda/panda.urdf")
+
+
+def pose(description, seed):
+    generator = np.random.default_rng(seed)
+    return {
+        name: float(generator.uniform(max(joint.lower, -2.0), min(joint.upper, 2.0)))
+        for name, joint in description.joints.items()
+    }
+
+
+def built(description):
+    settings = WorldSettings(description.xml, tuple(description.joints), fixed_base=True)
+    found = build_model(settings, description)
+    return found, mujoco.MjData(found.model)
+
+
+@pytest.mark.parametrize("source", [str(URDF), *OTHERS])
+def test_mass_matrix_gravity_and_frames_are_pinocchios(source):
+    from hpid_ros.base.resources import find_resource
+
+    description = RobotDescription.load(find_resource(source))
+    found, data = built(description)
+    model, joints = found.model, list(description.joints)
+    rows = [found.velocities[joint] for joint in joints]
+    dynamics = Dynamics(description)
+    for seed in range(5):
+        there = pose(description, seed)
+        for joint, position in there.items():
+            data.qpos[found.positions[joint]] = position
+        mujoco.mj_forward(model, data)
+        mass = np.empty((model.nv, model.nv))
+        mujoco.mj_fullM(model, data, mass)
+        mass = mass[np.ix_(rows, rows)]
+        assert np.allclose(mass, dynamics.mass_matrix(joints, there), rtol=0.0, atol=1e-9)
+        gravity = dynamics.gravity_torques(joints, there)
+        expected = [gravity[joint] for joint in joints]
+        assert np.allclose(data.qfrc_bias[rows], expected, rtol=0.0, atol=1e-8)
+        tip = description.last_link
+        chain = Kinematics(description, tip, None, there)
+        expected = chain.pose([there[joint] for joint in chain.joints]).position
+        assert np.allclose(data.xpos[found.links[tip]], expected, rtol=0.0, atol=1e-12)
+
+
+def test_the_robot_sinks_into_its_tyres_by_its_weight_over_their_stiffness():
+    stiffness = 2.0 * 1e5 + 4.0 * 5e4  # of wheels and balls, in [N/m]
+    for payload in (0.0, 2.0):
+        with World(replace(SETTINGS, payload_mass=payload)) as world:
+            mass = sum(world._physics._model.body_mass[list(world._physics._built.links.values())])
+            height = world.base_pose().position[2]
+        assert height == pytest.approx(-mass * 9.81 / stiffness, rel=1e-3)
+
+
+def test_a_tyre_rolls_on_its_own_radius():
+    with World(replace(SETTINGS, joints=WHEELS)) as world:
+        for _ in range(600):
+            world.step([0.8, 0.8])
+        distance = world.base_pose().position[0]
+        turned = np.mean(world.true_positions())
+    assert distance > 0.05
+    # What slips under the drive is of some micrometres.
+    assert distance == pytest.approx(0.075 * turned, rel=1e-3)
+
+
+def test_a_robot_without_friction_at_its_balls_slides_on_them():
+    """Their contacts have no friction at all, although the ground has."""
+    model = build_model(replace(SETTINGS, fixed_base=False), ROBOT).model
+    names = [model.pair(index).name for index in range(model.npair)]
+    balls = [index for index, name in enumerate(names) if name.startswith("ball_")]
+    assert len(balls) == 4
+    assert set(model.pair_dim[balls]) == {1}
+    wheels = [index for index, name in enumerate(names) if name.startswith("wheel_")]
+    assert np.allclose(model.pair_friction[wheels][:, :2], 0.9)
+
+
+RUN = """
+from harness.places import URDF
+from hpid_ros.robot.description import RobotDescription
+from hpid_ros.simulation import World, WorldSettings
+joints = tuple(RobotDescription.load(URDF).joints)
+with World(WorldSettings(URDF, joints, engine="mujoco", payload_mass=0.5)) as world:
+    for period in range(400):
+        world.step([0.3, -0.2] + [1.5 - 0.01 * period] * 6)
+    print([value.hex() for value in (*world.true_positions(), *world.base_pose().position)])
+"""
+
+
+def test_a_fresh_process_gives_the_same_bits():
+    lines = {
+        subprocess.run(
+            [sys.executable, "-c", RUN],
+            check=True,
+            capture_output=True,
+            text=True,
+            env={"PYTHONPATH": ":".join(sys.path)},
+        ).stdout
+        for _ in range(2)
+    }
+    assert len(lines) == 1
+    assert "nan" not in lines.pop()
+
+
+def test_both_engines_make_the_same_motion():
+    """A swing of the arm on the standing base, whose contacts both engines solve in their way."""
+    ends = {}
+    for engine in ("pybullet", "mujoco"):
+        with World(replace(SETTINGS, engine=engine, physics_steps=8)) as world:
+            for period in range(300):
+                world.step([0.0, 0.0, 2.0, 6.0 * math.sin(0.01 * period), 2.0, 0.3, 0.2, 0.1])
+            ends[engine] = np.array(world.true_positions())
+    travel = np.abs(ends["pybullet"])
+    assert travel[2:6].min() > 0.1
+    assert np.abs(ends["pybullet"] - ends["mujoco"])[2:].max() < 0.01 * travel.max()
+
+
+def test_a_shape_that_it_does_not_know_is_one_clear_line():
+    odd = ROBOT.xml.replace('<sphere radius="0.03"/>', '<torus radius="0.03"/>')
+    with pytest.raises(RobotDescriptionError, match="has a collision shape 'torus'"):
+        World(replace(SETTINGS, robot_description=odd))
