@@ -2,6 +2,7 @@
 
 ros2 launch hpid_ros robot.launch.py [experiment:=FILE] [controller:=hPID] [mode:=realtime]
                                      [composed:=false] [bag:=FOLDER] [namespace:=NAME]
+                                     [engine:=mujoco]
 
 Two robots side by side are two launches with a namespace each.
 """
@@ -32,10 +33,15 @@ from hpid_ros.nodes.ros.process import LAUNCH
 ARGUMENTS = {
     "controller": ("", None, "label under compare in the experiment file; the last one if empty"),
     "mode": ("realtime", ["realtime", "lockstep"], "lockstep: as fast as the machine allows"),
+    "engine": (
+        "",
+        ["", "pybullet", "mujoco"],
+        "who computes the physics; as the file says if empty",
+    ),
     "composed": ("false", ["true", "false"], "all controllers in one process"),
     "bag": ("", None, "record into this new folder"),
     "namespace": ("", None, "of all nodes, topics and services, and before the frames' names"),
-    "gui": ("false", ["true", "false"], "show PyBullet's window"),
+    "gui": ("false", ["true", "false"], "show the engine's window"),
 }
 
 
@@ -61,7 +67,8 @@ def generate_launch_description():
 
 def nodes(context):
     value = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
-    experiment = load_experiment(LaunchConfiguration("experiment").perform(context))
+    file = LaunchConfiguration("experiment").perform(context)
+    experiment = load_experiment(file, value["engine"] or None)
     label = value["controller"] or list(experiment.controllers)[-1]
     if label not in experiment.controllers:
         raise RuntimeError(
