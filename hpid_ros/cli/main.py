@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 from collections.abc import Callable, Sequence
 
@@ -14,6 +15,7 @@ from hpid_ros.cli.commands import (
     BAD_INPUT,
     FAILED,
     INTERRUPTED,
+    UNREAD,
     check_gains,
     compare,
     gains,
@@ -44,7 +46,9 @@ def main(args: Sequence[str] | None = None) -> int:
 def _run(options: argparse.Namespace) -> int:
     command: Callable[[argparse.Namespace], int] = options.command
     try:
-        return command(options)
+        code = command(options)
+        sys.stdout.flush()
+        return code
     except RunError as error:
         print(f"hpid: {error}", file=sys.stderr)
         return FAILED
@@ -54,6 +58,9 @@ def _run(options: argparse.Namespace) -> int:
     except KeyboardInterrupt:
         print("hpid: interrupted", file=sys.stderr)
         return INTERRUPTED
+    except BrokenPipeError:  # whoever read the output has read enough, as head does
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+        return UNREAD
 
 
 def _parser() -> argparse.ArgumentParser:

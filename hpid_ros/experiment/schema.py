@@ -23,8 +23,11 @@ def experiment_schema() -> dict[str, Any]:
 
     A file that extends another one may leave out whatever it likes, and remove keys by null.
     """
-    whole = _mapping(_sections(), _NEEDED)
-    extending = partial_schema(whole, is_nullable=True)
+    parameters = parameters_schema()
+    whole = _mapping(_sections("parameters"), _NEEDED)
+    extending = partial_schema(
+        _mapping(_sections("extending_parameters"), _NEEDED), is_nullable=True
+    )
     extending["properties"][EXTENDS] = {
         "type": "string",
         "minLength": 1,
@@ -38,13 +41,34 @@ def experiment_schema() -> dict[str, Any]:
         "if": {"required": [EXTENDS]},
         "then": extending,
         "else": whole,
+        "$defs": {
+            "parameters": parameters,
+            "extending_parameters": partial_schema(parameters, is_nullable=True),
+            "joints": _joints("parameters"),
+            "extending_joints": _joints("extending_parameters"),
+            "compared": _compared(parameters, "joints"),
+            "extending_compared": partial_schema(
+                _compared(parameters, "extending_joints"), is_nullable=True
+            ),
+        },
     }
 
 
-def _sections() -> dict[str, Any]:
-    parameters = parameters_schema()
-    own = {"type": "object", "additionalProperties": parameters}
-    compared = {**parameters, "properties": {**parameters["properties"], "joints": own}}
+def _ref(name: str) -> dict[str, Any]:
+    return {"$ref": f"#/$defs/{name}"}
+
+
+def _joints(parameters: str) -> dict[str, Any]:
+    return {"type": "object", "additionalProperties": _ref(parameters)}
+
+
+def _compared(parameters: dict[str, Any], joints: str) -> dict[str, Any]:
+    return {**parameters, "properties": {**parameters["properties"], "joints": _ref(joints)}}
+
+
+def _sections(parameters: str) -> dict[str, Any]:
+    """Return the sections, those of controllers by reference to parameters of this name."""
+    prefix = parameters.removesuffix("parameters")
     return {
         "name": {"type": "string", "minLength": 1, "description": "Of the experiment"},
         "duration": {
@@ -55,11 +79,11 @@ def _sections() -> dict[str, Any]:
         },
         **world_schema(),
         "reference": {"description": "What the joints follow", **task_schema()},
-        "controllers": _mapping({"common": parameters, "joints": own}),
+        "controllers": _mapping({"common": _ref(parameters), "joints": _ref(f"{prefix}joints")}),
         "compare": {
             "type": "object",
             "minProperties": 1,
-            "additionalProperties": compared,
+            "additionalProperties": _ref(f"{prefix}compared"),
             "description": "The controllers by label; the first is the baseline",
         },
         "judge": _mapping(

@@ -9,7 +9,7 @@ import pytest
 import yaml
 
 from hpid_ros.base.resources import share_folder
-from hpid_ros.cli.commands import BAD_INPUT, DONE
+from hpid_ros.cli.commands import BAD_INPUT, DONE, UNREAD
 from hpid_ros.cli.main import main
 
 
@@ -136,3 +136,19 @@ def test_every_shipped_experiment_is_valid():
     assert files
     for file in files:
         assert yaml.safe_load(file.read_text())["name"] == load_experiment(file).name
+
+
+def test_a_reader_that_has_read_enough_is_no_error():
+    command = subprocess.Popen(
+        [sys.executable, "-m", "hpid_ros.cli.main", "schema"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    )
+    try:
+        assert command.stdout.read(2) == b"{\n"
+        command.stdout.close()
+        assert command.wait(60) == UNREAD
+        assert command.stderr.read() == b""
+    finally:
+        command.kill()
+        command.communicate()
