@@ -14,7 +14,9 @@ INSTALL_REQUIRES = [
     "numpy>=1.26,<3",
     "scipy>=1.11,<2",
     "pin>=3.4,<5",  # Pinocchio; its 2.x has no armature in the forward dynamics
-    "pybullet>=3.2.6,<3.3",  # results are reproducible to the last bit within one version only
+    # Results are the same to the last bit within one version only. No wheel for 3.12 and later:
+    # MuJoCo is the engine there, until somebody compiles it (pip install pybullet).
+    "pybullet>=3.2.6,<3.3; python_version < '3.12'",
     # Exact to the minor version: its numbers may change from one to the next.
     "mujoco>=3.17,<3.18",
     "lz4>=4,<5",  # this and zstd: compressed bags; rosbags requires them too

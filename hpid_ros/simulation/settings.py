@@ -6,6 +6,7 @@ import math
 import random
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from importlib.util import find_spec
 from pathlib import Path
 
 from hpid_ros.base.errors import SettingError, unknown_name
@@ -19,6 +20,16 @@ from hpid_ros.simulation.world.workpieces import Workplace
 ENGINES = ("pybullet", "mujoco")
 
 
+def has_bullet() -> bool:
+    """Tell whether PyBullet is installed; it has no wheel for CPython 3.12 and later."""
+    return find_spec("pybullet") is not None
+
+
+def default_engine() -> str:
+    """Return the engine where nobody names one: PyBullet where it is installed, else MuJoCo."""
+    return ENGINES[0] if has_bullet() else ENGINES[1]
+
+
 @dataclass(frozen=True)
 class WorldSettings:
     """Settings of a :class:`~hpid_ros.simulation.world.world.World`.
@@ -28,7 +39,7 @@ class WorldSettings:
         joints: Driven joints, in the order of every reading and every command.
         control_period_ns: Time between two commands, in [ns].
         physics_steps: Physics steps in one control period.
-        engine: Who computes them: ``pybullet`` or ``mujoco``.
+        engine: Who computes them: ``pybullet``, the default where it is installed, or ``mujoco``.
         initial_positions: Positions at time 0, by joint, in [rad]; others start at 0.
         encoder_counts: Counts per revolution of each joint's output shaft, one number for all
             or a tuple along ``joints``; 0 is an ideal sensor.
@@ -74,7 +85,7 @@ class WorldSettings:
     disturbances: Disturbances = field(default_factory=Disturbances)
     workplace: Workplace = field(default_factory=Workplace)
     base: DifferentialDrive | None = None
-    engine: str = "pybullet"
+    engine: str = field(default_factory=default_engine)
 
     def __post_init__(self) -> None:
         for name in ("control_period_ns", "physics_steps"):

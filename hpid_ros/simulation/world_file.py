@@ -25,7 +25,7 @@ from hpid_ros.robot.configuration import RobotSection, Wheels
 from hpid_ros.robot.description import RobotDescription
 from hpid_ros.simulation.drives import DriveSettings
 from hpid_ros.simulation.sensors import VELOCITIES, Sensor
-from hpid_ros.simulation.settings import ENGINES, WorldSettings
+from hpid_ros.simulation.settings import ENGINES, WorldSettings, default_engine
 from hpid_ros.simulation.world.disturbances import Disturbances
 from hpid_ros.simulation.world.workpieces import GripCommand, Workplace
 
@@ -50,7 +50,11 @@ class ControlSection(Record):
 class PhysicsSection(Record):
     """How the physics are computed."""
 
-    engine: str = quantity("Who computes the physics", default="pybullet", choices=ENGINES)
+    engine: str | None = quantity(
+        "Who computes the physics; PyBullet where it is installed, else MuJoCo, if left out",
+        default=None,
+        choices=ENGINES,
+    )
     physics_steps: int = quantity(
         "Physics steps in one control period", default=4, least=1, most=1000
     )
@@ -106,7 +110,7 @@ def read_world(root: Section, folders: Sequence[Path]) -> WorldFile:
         robot_description=_description(robot, known, folders),
         joints=joints,
         control_period_ns=round(NANOSECONDS / control.rate),
-        engine=physics.engine,
+        engine=physics.engine or default_engine(),
         physics_steps=physics.physics_steps,
         initial_positions=robot.initial_positions,
         encoder_counts=counts[0] if len(set(counts)) == 1 else counts,

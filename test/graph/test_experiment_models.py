@@ -99,7 +99,7 @@ def bridge_settings(file: Path, domain: int):
     try:
         node = rclpy.create_node("pybullet_bridge", context=context)
         try:
-            return world_settings(node)
+            return world_settings(node, "pybullet")
         finally:
             node.destroy_node()
     finally:

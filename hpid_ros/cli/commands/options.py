@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -66,8 +67,16 @@ def named_experiment(file: str | None, engine: str | None = None) -> Experiment:
         SettingError: It cannot be read.
     """
     from hpid_ros.experiment.description import load_experiment
+    from hpid_ros.simulation.settings import has_bullet
 
-    return load_experiment(file or find_resource(DEFAULT_EXPERIMENT), engine)
+    experiment = load_experiment(file or find_resource(DEFAULT_EXPERIMENT), engine)
+    if engine is None and not has_bullet():
+        print(
+            f"hpid: {experiment.world.engine} computes the physics: PyBullet is not installed "
+            "(pip install pybullet)",
+            file=sys.stderr,
+        )
+    return experiment
 
 
 def add_joints(parser: argparse.ArgumentParser, purpose: str) -> None:
