@@ -1,6 +1,7 @@
 """Imports point inward, each library has one room, and no folder is crowded."""
 
 import ast
+import subprocess
 import sys
 from pathlib import Path
 
@@ -142,3 +143,16 @@ def test_nodes_do_not_import_each_other():
         used = {f"hpid_ros.nodes.{node}" for node in nodes} & set(imports(path))
         assert not used or path.stem in composed, f"{path.stem} imports {used}"
     assert nodes >= {p.stem for p in (ROOT / "nodes").glob("*.py")} - {"__init__"}
+
+
+def test_the_repository_holds_its_own_sources_alone():
+    top = ROOT.parent
+    if not (top / ".git").exists():
+        pytest.skip("not a checkout")
+    listing = subprocess.run(
+        ["git", "ls-files", "-z"], cwd=top, check=True, capture_output=True, text=True
+    )
+    tracked = [top / name for name in listing.stdout.split("\0") if name]
+    foreign = {".whl", ".gz", ".zip", ".so", ".pyc", ".log", ".TXT", ".mcap", ".db3"}
+    assert not [path.name for path in tracked if path.suffix in foreign]
+    assert not [path.name for path in tracked if path.is_file() and path.stat().st_size > 1 << 20]
