@@ -54,10 +54,10 @@ class Encoder:
         Returns:
             The middle of the count that the position is in, in [rad].
         """
-        if not self.counts:
+        counts, phase = self.counts, self.phase
+        if not counts:
             return position
-        count = round(position * self.counts / math.tau + self.phase)
-        return (count - self.phase) * math.tau / self.counts
+        return (round(position * counts / math.tau + phase) - phase) * math.tau / counts
 
 
 LEAST_SPEED = 1e-6  # [rad/s]

@@ -58,17 +58,18 @@ class BulletPhysics:
         )
         return states
 
-    def advance(self, torques: Sequence[float]) -> None:
-        """Take one physics step."""
-        # Bullet forgets applied torques after every step.
-        pybullet.setJointMotorControlArray(
-            self._scene.body,
-            self._scene.driven,
-            pybullet.TORQUE_CONTROL,
-            forces=torques,
-            physicsClientId=self._client,
-        )
-        pybullet.stepSimulation(physicsClientId=self._client)
+    def advance(self, torques: Sequence[float], steps: int = 1) -> None:
+        """Take physics steps."""
+        for _ in range(steps):
+            # Bullet forgets applied torques after every step.
+            pybullet.setJointMotorControlArray(
+                self._scene.body,
+                self._scene.driven,
+                pybullet.TORQUE_CONTROL,
+                forces=torques,
+                physicsClientId=self._client,
+            )
+            pybullet.stepSimulation(physicsClientId=self._client)
 
     def set_damping(self, damping: Sequence[float]) -> None:
         """Set the viscous friction of each driven joint: Bullet's joint damping."""

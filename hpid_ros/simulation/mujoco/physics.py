@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from hpid_ros.base.errors import SettingError
+from hpid_ros.base.errors import RunError, SettingError
 from hpid_ros.robot.description import RobotDescription
 from hpid_ros.simulation.mujoco.model import build_model, soften
 from hpid_ros.simulation.poses import Pose, Twist
@@ -27,6 +27,18 @@ _FAR = 1e3  # [m]
 _KEPT = ("body_mass", "body_inertia", "dof_damping", "dof_frictionloss")
 
 Numbers = NDArray[np.float64]
+
+_failures: list[str] = []
+_BENIGN = "Linesearch"  # a step of the solver that it repairs itself
+
+
+def _note(text: str) -> None:
+    """Take a warning of MuJoCo, which would write it into a file of the working folder."""
+    if not text.startswith(_BENIGN):
+        _failures.append(" ".join(text.split()))
+
+
+mujoco.set_mju_user_warning(_note)
 
 
 class MujocoPhysics:
@@ -65,14 +77,23 @@ class MujocoPhysics:
 
     def joint_states(self) -> Sequence[tuple[float, float]]:
         """Return position and velocity of each driven joint."""
-        positions = self._data.qpos[self._positions].tolist()
-        return list(zip(positions, self._data.qvel[self._velocities].tolist(), strict=True))
+        data = self._data
+        positions, velocities = data.qpos[self._positions], data.qvel[self._velocities]
+        return list(zip(positions.tolist(), velocities.tolist(), strict=True))
 
-    def advance(self, torques: Sequence[float]) -> None:
-        """Take one physics step."""
+    def advance(self, torques: Sequence[float], steps: int = 1) -> None:
+        """Take physics steps.
+
+        Raises:
+            RunError: The simulation is unstable; MuJoCo would start it anew without a word.
+        """
         data = self._data
         data.qfrc_applied[self._velocities] = torques
-        mujoco.mj_step(self._model, data)
+        mujoco.mj_step(self._model, data, steps)
+        if _failures:
+            line = _failures[0]
+            _failures.clear()
+            raise RunError(f"MuJoCo: {line}")
         self._is_current = False
         if self._is_pushed:
             data.xfrc_applied[:] = 0.0

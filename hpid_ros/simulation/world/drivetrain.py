@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 import random
+import sys
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 from hpid_ros.base.errors import SettingError
 from hpid_ros.robot.description import JointDescription
@@ -14,27 +14,33 @@ from hpid_ros.simulation.settings import WorldSettings
 from hpid_ros.simulation.world.physics import Physics
 
 
-@dataclass(frozen=True)
-class EffortActuator:
-    """An ideal torque source with a limit.
+class EffortLimits:
+    """Holds efforts to what the joints' motors can give.
 
-    Attributes:
-        joint: Name of the joint, for messages.
-        limit: Largest absolute effort, in [N m]; +inf for none.
+    Args:
+        joints: The driven joints.
     """
 
-    joint: str
-    limit: float = math.inf
+    def __init__(self, joints: Sequence[JointDescription]) -> None:
+        self._joints = joints
+        self._limits = [min(joint.effort, sys.float_info.max) for joint in joints]
 
-    def torque(self, effort: float) -> float:
-        """Return the torque at the joint for a commanded effort, both in [N m].
+    def hold(self, efforts: Sequence[float]) -> list[float]:
+        """Return the torques at the joints for their commanded efforts, all in [N m].
 
         Raises:
-            SettingError: The effort is not a finite number.
+            SettingError: There is not one finite effort for each joint.
         """
-        if not math.isfinite(effort):
-            raise SettingError(f"effort {effort} of joint {self.joint!r} is not finite")
-        return min(max(float(effort), -self.limit), self.limit)
+        if len(efforts) != len(self._limits):
+            raise SettingError(f"{len(efforts)} efforts for {len(self._limits)} driven joints")
+        held = [float(effort) for effort in efforts]
+        for index, (effort, limit) in enumerate(zip(held, self._limits, strict=True)):
+            if not -limit <= effort <= limit:
+                if not math.isfinite(effort):
+                    name = self._joints[index].name
+                    raise SettingError(f"effort {effort} of joint {name!r} is not finite")
+                held[index] = math.copysign(limit, effort)
+        return held
 
 
 class Drivetrain:

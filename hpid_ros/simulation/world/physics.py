@@ -25,8 +25,8 @@ class Physics(Protocol):
     def joint_states(self) -> Sequence[Sequence[float]]:
         """Return position [rad] and velocity [rad/s], first of all, of each driven joint."""
 
-    def advance(self, torques: Sequence[float]) -> None:
-        """Take one physics step with these torques at the driven joints, in [N m]."""
+    def advance(self, torques: Sequence[float], steps: int = 1) -> None:
+        """Take physics steps with these torques at the driven joints, in [N m]."""
 
     def set_damping(self, damping: Sequence[float]) -> None:
         """Set the viscous friction of each driven joint, in [N m s/rad]."""

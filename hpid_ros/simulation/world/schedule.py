@@ -48,6 +48,11 @@ class DisturbanceSchedule:
         self._pulses: list[Pulse] = []
         self._pending: list[Event] = self._settings.disturbances.in_order()[::-1]
 
+    @property
+    def is_pushing(self) -> bool:
+        """Whether a push is under way."""
+        return bool(self._pulses)
+
     def advance(self, now_ns: int) -> None:
         """Begin the disturbances that are due.
 

@@ -10,7 +10,7 @@ from hpid_ros.base.errors import SettingError
 from hpid_ros.robot.description import RobotDescription
 from hpid_ros.simulation.poses import Pose, Twist
 from hpid_ros.simulation.settings import WorldSettings, has_bullet
-from hpid_ros.simulation.world.drivetrain import Drivetrain, EffortActuator, Sensors
+from hpid_ros.simulation.world.drivetrain import Drivetrain, EffortLimits, Sensors
 from hpid_ros.simulation.world.gripper import Gripper
 from hpid_ros.simulation.world.physics import Physics
 from hpid_ros.simulation.world.schedule import DisturbanceSchedule
@@ -41,7 +41,7 @@ class World:
         self.description = RobotDescription.load(settings.robot_description)
         joints = self.description.select(settings.joints)
         settings.start(self.description)
-        self._actuators = [EffortActuator(joint.name, joint.effort) for joint in joints]
+        self._limits = EffortLimits(joints)
         self._encoders = settings.encoders
         for link in settings.links:
             self.description.link(link)
@@ -129,18 +129,12 @@ class World:
         Raises:
             SettingError: There is not one finite effort for each driven joint.
         """
-        if len(efforts) != len(self._actuators):
-            raise SettingError(f"{len(efforts)} efforts for {len(self._actuators)} driven joints")
-        torques = [
-            actuator.torque(effort)
-            for actuator, effort in zip(self._actuators, efforts, strict=True)
-        ]
+        torques = self._limits.hold(efforts)
         self._schedule.advance(self.time_ns)
         if self.gripper is not None:
             self.gripper.actuate(self.time_ns)
         if self._drivetrain is None:
-            for _ in range(self.settings.physics_steps):
-                self._advance(torques)
+            self._advance(torques, self.settings.physics_steps)
             self._applied = tuple(torques)
         else:
             self._applied = self._drivetrain.step(self._periods, torques, self._advance)
@@ -201,7 +195,7 @@ class World:
     def _begin(self) -> None:
         """Start counting at time 0."""
         self._periods = 0
-        self._applied = (0.0,) * len(self._actuators)
+        self._applied = (0.0,) * len(self.settings.joints)
         self._states = None
         self._schedule.begin()
         settings = self.settings
@@ -222,12 +216,16 @@ class World:
             states = self._states = self._physics.joint_states()
         return states
 
-    def _advance(self, torques: Sequence[float]) -> None:
-        """Take one physics step with these torques at the driven joints, in [N m]."""
-        self._schedule.apply()
-        self._physics.advance(torques)
-        if self.gripper is not None:
-            self.gripper.sample_contacts()
+    def _advance(self, torques: Sequence[float], steps: int = 1) -> None:
+        """Take physics steps with these torques at the driven joints, in [N m]."""
+        if self.gripper is None and not self._schedule.is_pushing:
+            self._physics.advance(torques, steps)
+            return
+        for _ in range(steps):
+            self._schedule.apply()
+            self._physics.advance(torques)
+            if self.gripper is not None:
+                self.gripper.sample_contacts()
 
 
 def build_physics(settings: WorldSettings, description: RobotDescription) -> Physics:

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from harness.places import URDF
 
-from hpid_ros.base.errors import RobotDescriptionError
+from hpid_ros.base.errors import RobotDescriptionError, RunError
 from hpid_ros.robot.description import RobotDescription
 from hpid_ros.robot.dynamics import Dynamics
 from hpid_ros.robot.kinematics import Kinematics
@@ -142,3 +142,15 @@ def test_a_shape_that_it_does_not_know_is_one_clear_line():
     odd = ROBOT.xml.replace('<sphere radius="0.03"/>', '<torus radius="0.03"/>')
     with pytest.raises(RobotDescriptionError, match="has a collision shape 'torus'"):
         World(replace(SETTINGS, robot_description=odd))
+
+
+def test_an_unstable_simulation_ends_with_a_line_and_leaves_no_file(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with World(SETTINGS) as world:
+        world.apply_wrench(ROBOT.last_link, (0.0, 0.0, 1e30), (0.0, 0.0, 0.0), 1_000_000)
+        with pytest.raises(RunError, match="MuJoCo: Nan, Inf or huge value"):
+            world.step([0.0] * len(JOINTS))
+        world.reset()
+        world.step([0.0] * len(JOINTS))
+        assert world.time_ns == world.settings.control_period_ns
+    assert not list(tmp_path.iterdir())
