@@ -29,6 +29,9 @@ class Clock:
     def phase(self, label: str, what: str) -> None:
         """Take no note of phases."""
 
+    def note(self, line: str) -> None:
+        """Take no note of lines."""
+
     def advanced(self, label: str, simulated: float) -> None:
         """Note a simulated time in [s]."""
         self._notes.append((time.perf_counter(), simulated))

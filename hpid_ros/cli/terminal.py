@@ -71,6 +71,10 @@ class RunProgress:
             )
         self._progress.update(self._tasks[label], phase=what)
 
+    def note(self, line: str) -> None:
+        """Print a line above the bars."""
+        self._progress.console.print(line, style="yellow", highlight=False, soft_wrap=True)
+
     def advanced(self, label: str, simulated: float) -> None:
         """Move a run's bar, with the rate since its first report."""
         now = time.monotonic()

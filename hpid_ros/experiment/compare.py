@@ -10,6 +10,7 @@ from hpid_ros.base.errors import ExperimentError, unknown_name
 from hpid_ros.experiment.description import Experiment
 from hpid_ros.experiment.graph.options import GraphOptions
 from hpid_ros.experiment.graph.run import run_on_graph
+from hpid_ros.experiment.graph.trial import run_trial
 from hpid_ros.experiment.in_process import run_without_ros
 from hpid_ros.experiment.progress import Progress, RunReport
 from hpid_ros.experiment.result.folder import EXPERIMENT, ResultFolder
@@ -40,6 +41,7 @@ def run_controller(
     options: GraphOptions,
     *,
     force: bool = False,
+    is_tried: bool = False,
 ) -> SingleRun:
     """Run one controller.
 
@@ -50,6 +52,8 @@ def run_controller(
         progress: Is told how far it is.
         options: How the run is spread over processes, paced and recorded.
         force: Replace a result that is there already.
+        is_tried: Whether a run in real time has a trial before it, see
+            :mod:`~hpid_ros.experiment.graph.trial`; what it found is noted.
 
     Raises:
         HpidError: There is no such controller, the folder is in the way, or the run failed.
@@ -57,6 +61,9 @@ def run_controller(
     if label not in experiment.controllers:
         raise ExperimentError(unknown_name("controller", label, experiment.controllers))
     with ResultFolder.create(output, force=force, inputs=experiment.inputs) as folder:
+        if options.is_realtime and is_tried:
+            progress.phase(label, "trying what the machine can hold")
+            progress.note(run_trial(experiment, label, options).line)
         return _run(experiment, label, folder, progress, options)
 
 

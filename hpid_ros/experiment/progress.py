@@ -93,6 +93,13 @@ class Progress(Protocol):
             what: The phase in a few words.
         """
 
+    def note(self, line: str) -> None:
+        """Something is worth knowing before a run begins.
+
+        Args:
+            line: What.
+        """
+
     def advanced(self, label: str, simulated: float) -> None:
         """A run has come this far.
 
@@ -106,6 +113,9 @@ class NoProgress:
     """Progress that nobody looks at."""
 
     def phase(self, label: str, what: str) -> None:
+        """Say nothing."""
+
+    def note(self, line: str) -> None:
         """Say nothing."""
 
     def advanced(self, label: str, simulated: float) -> None:

@@ -7,6 +7,7 @@ import pytest
 
 from hpid_ros.bags import read_run
 from hpid_ros.cli.main import main
+from hpid_ros.experiment.graph.trial import Trial
 
 FORMS = {"each": [], "composed": ["--composed"], "single": ["--single-process"]}
 PROCESSES = {"each": 11, "composed": 4, "single": 2}
@@ -41,16 +42,30 @@ def test_processes_change_nothing_of_the_numbers(experiment_file, tmp_path, caps
             assert np.array_equal(one.effort, other.effort)
 
 
-def test_realtime_keeps_the_wall_clock(experiment_file, tmp_path):
+def test_realtime_keeps_the_wall_clock(experiment_file, tmp_path, capsys):
     """The bridge's own clock, not a guess from outside: no state comes early."""
     folder = tmp_path / "run"
     file = experiment_file(control__rate=100)
     assert run(file, folder, "--single-process", "--realtime", "--no-record") == 0
+    assert "trial of 31 states: a cycle takes" in capsys.readouterr().out
     timing = json.loads((folder / "timing.json").read_text())["runs"]["hPID"]
     assert timing["wall_time"] >= 0.29
     assert timing["timing"]["cycle"]["median"] >= 5_000.0
     assert not (folder / "bags" / "hPID").exists()
     assert not (folder / "result.json").exists()
+
+
+def test_a_trial_says_whether_the_rate_can_be_held():
+    can, at_times, never = (
+        Trial(1001, median=median, p99=p99, period=1.0)
+        for median, p99 in ((0.4, 0.9), (0.8, 1.1), (2, 3))
+    )
+    assert can.holds
+    assert can.line.endswith("1 ms (1000 Hz) can be held")
+    assert (
+        "99 of 100 at most 1.10 ms: more than 1 ms (1000 Hz), so that some states" in at_times.line
+    )
+    assert "most states will be late" in never.line
 
 
 @pytest.mark.parametrize(

@@ -39,6 +39,12 @@ def add(commands: Any) -> None:
         "--realtime", action="store_true", help="paced by the wall clock, not in lock-step"
     )
     parser.add_argument(
+        "--no-trial",
+        action="store_true",
+        help="with --realtime: begin at once, without a second in lock-step that tells what rate "
+        "the machine holds",
+    )
+    parser.add_argument(
         "--realtime-priority",
         type=int,
         default=0,
@@ -75,7 +81,11 @@ def run(options: argparse.Namespace) -> int:
     console = output_console()
     period = experiment.world.control_period_ns * 1e-9
     with RunProgress(console, experiment.duration, [label], period) as progress:
-        ran = run_controller(experiment, label, output, progress, graph, force=options.force)
+        ran = run_controller(
+            *(experiment, label, output, progress, graph),
+            force=options.force,
+            is_tried=not options.no_trial,
+        )
     if ran.result:
         console.print(ComparisonTable(ran.result.comparison))
         print_notes(console, ran.result.notes)
