@@ -5,13 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from hpid_ros.documents.records import Record, quantity
 from hpid_ros.robot.description import RobotDescription
 from hpid_ros.robot.differential_drive import DifferentialDrive
-from hpid_ros.robot.kinematics import LinkPose
 from hpid_ros.trajectory import JointTrajectory
+
+if TYPE_CHECKING:  # Pinocchio takes a moment to import, and most references do without
+    from hpid_ros.robot.kinematics import LinkPose
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,6 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 import pinocchio
-from scipy.optimize import least_squares
 
 from hpid_ros.base.errors import HpidError, RobotDescriptionError, SettingError
 from hpid_ros.robot.description import RobotDescription
@@ -259,6 +258,8 @@ class Kinematics:
             ReachError: No start led there; the line tells how close the best one came.
             SettingError: There is not one finite position for each joint.
         """
+        from scipy.optimize import least_squares  # slow to import, and only needed here
+
         wanted = pinocchio.SE3(np.array(target.rotation), np.array(target.position))
         generator = np.random.default_rng(_SEED)
         begin = np.clip(self._checked(start), self.lower, self.upper)

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 from rclpy.node import Node
 
 from hpid_ros.base.errors import MessageError
-from hpid_ros.compensation.build import LoopModel, loop_model
 from hpid_ros.control import JointLoop, LoopSettings
 from hpid_ros.control.limited_law import ModelTerm
 from hpid_ros.control.settings.model import MODEL_PARAMETERS
 from hpid_ros.control.settings.table import Value
 from hpid_ros.nodes.ros.parameters import declare
 from hpid_ros.wire import JointSample, RobotReader
+
+if TYPE_CHECKING:
+    from hpid_ros.compensation.build import LoopModel
 
 
 def declare_model(node: Node) -> None:
@@ -48,6 +51,11 @@ def model_compensation(node: Node, settings: LoopSettings, robot: str) -> ModelC
     Raises:
         HpidError: The model cannot be built, or the joints' efforts would not settle.
     """
+    if not settings.model.is_on:
+        return None
+    # Pinocchio takes a moment to import, and a controller without a model does without.
+    from hpid_ros.compensation.build import loop_model
+
     model = loop_model(settings, robot)
     if model is None:
         return None

@@ -11,7 +11,6 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from hpid_ros.base.resources import find_resource
-from hpid_ros.compensation.build import with_inertia
 from hpid_ros.control import LOOP_PARAMETERS, LoopSettings
 from hpid_ros.control.settings.table import Value
 from hpid_ros.nodes.controller.model import declare_model, model_values
@@ -146,8 +145,13 @@ class ControllerSettings:
         """Return settings of these values; a set is checked first and put in force afterwards."""
         whole = {**values, **model_values(self._node)}
         if self._last is None or self._last[0] != whole:
-            settings = LoopSettings.from_parameters(whole)
-            self._last = whole, with_inertia(self._limits.within(settings), self.robot)
+            settings = self._limits.within(LoopSettings.from_parameters(whole))
+            if settings.model.is_on:
+                # Pinocchio takes a moment to import; what needs it is fixed at the start.
+                from hpid_ros.compensation.build import with_inertia
+
+                settings = with_inertia(settings, self.robot)
+            self._last = whole, settings
         return self._last[1]
 
 

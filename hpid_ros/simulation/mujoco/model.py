@@ -19,11 +19,11 @@ from xml.etree import ElementTree
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from hpid_ros.base.errors import RobotDescriptionError
 from hpid_ros.robot.description import JointDescription, RobotDescription
 from hpid_ros.robot.meshes import find_mesh, mesh_places
+from hpid_ros.simulation.poses import Quaternion, quaternion_of, rotation_matrix
 from hpid_ros.simulation.settings import WorldSettings
 from hpid_ros.simulation.world.workpieces import Brick, Support
 
@@ -173,7 +173,7 @@ class _Robot:
         child = element.find("child")
         name = "" if child is None else child.get("link", "")
         position, turn = _origin(element)
-        body = parent.add_body(name=name, pos=position, quat=turn.as_quat(scalar_first=True))
+        body = parent.add_body(name=name, pos=position, quat=(turn[3], *turn[:3]))
         joint = self._description.joints.get(element.get("name", ""))
         self.rigid[name] = self.rigid[above] if joint is None else name
         if joint is not None:
@@ -210,7 +210,7 @@ class _Robot:
         geom = body.add_geom(
             name=name,
             pos=position,
-            quat=turn.as_quat(scalar_first=True),
+            quat=(turn[3], *turn[:3]),
             contype=0,
             conaffinity=0,
             mass=0.0,
@@ -431,13 +431,13 @@ def _weld(brick: Brick) -> str:
     return f"__hold_{brick.name}"
 
 
-def _origin(element: ElementTree.Element) -> tuple[tuple[float, ...], Rotation]:
+def _origin(element: ElementTree.Element) -> tuple[tuple[float, ...], Quaternion]:
     origin = element.find("origin")
     if origin is None:
-        return (0.0, 0.0, 0.0), Rotation.identity()
+        return (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0)
     position = _numbers(origin, "xyz") if origin.get("xyz") else (0.0, 0.0, 0.0)
     angles = _numbers(origin, "rpy") if origin.get("rpy") else (0.0, 0.0, 0.0)
-    return position, Rotation.from_euler("xyz", angles)
+    return position, quaternion_of(*angles)
 
 
 def _inertial(
@@ -450,7 +450,7 @@ def _inertial(
         0.0 if inertia is None else float(inertia.get(name, "0"))
         for name in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
     )
-    axes = turn.as_matrix()
+    axes = rotation_matrix(turn)
     matrix = axes @ np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ axes.T
     moments = matrix[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]].tolist()
     return _value(element, "mass", 0.0), centre, tuple(moments)

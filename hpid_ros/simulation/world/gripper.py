@@ -21,16 +21,12 @@ from itertools import permutations, product
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
-from scipy.spatial.transform import Rotation
 
-from hpid_ros.simulation.poses import Pose
+from hpid_ros.simulation.poses import Pose, rotation_matrix, unit_quaternion
 from hpid_ros.simulation.settings import WorldSettings
 from hpid_ros.simulation.world.physics import Physics
 from hpid_ros.simulation.world.workpieces import Brick, GripperSettings, Workplace
 from hpid_ros.wire.reports import Status
-
-Matrix = npt.NDArray[np.float64]
 
 _ROTATIONS = [
     rotation
@@ -65,7 +61,8 @@ def fit_of(index: int, size: Sequence[float], brick: Pose, hand: Pose) -> Fit:
         brick: Pose of its centre.
         hand: The grasp frame, whose fingers close along y.
     """
-    relative = _matrix(hand.orientation).T @ _matrix(brick.orientation)
+    turns = [rotation_matrix(unit_quaternion(each.orientation)) for each in (hand, brick)]
+    relative = turns[0].T @ turns[1]
     nearest = max(_ROTATIONS, key=lambda rotation: float(np.sum(rotation * relative)))
     # The chord of an angle is exact for small ones, where the arc cosine of the trace is not.
     chord = float(np.linalg.norm(nearest - relative)) / (2.0 * math.sqrt(2.0))
@@ -88,12 +85,6 @@ def misfit(fit: Fit, gripper: GripperSettings) -> str:
     if fit.width > gripper.opening:
         return f"{fit.width:g} m wide, at most {gripper.opening:g} m"
     return ""
-
-
-def _matrix(quaternion: Sequence[float]) -> Matrix:
-    """Return a quaternion x, y, z, w as a rotation matrix."""
-    matrix: Matrix = Rotation.from_quat(quaternion).as_matrix()
-    return matrix
 
 
 GRASPED, MISSED, RELEASED, LOST = "grasped", "missed", "released", "lost"
