@@ -3,6 +3,8 @@
 #   make test      set up .venv with the test extras and run the suite
 # For every save:
 #   make quick     the unit tests alone
+# Before a release:
+#   make thorough  the suite with twenty times the examples of every property
 # And for whoever must trust it on an arm:
 #   make faults    break things on purpose and count what came of it
 # Options for hpid compare: make compare ARGS="FILE --output FOLDER --in-process"
@@ -11,7 +13,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: compare test quick faults bench lint clean
+.PHONY: compare test quick thorough faults bench lint clean
 
 $(BIN)/python:
 	$(PYTHON) -m venv $(VENV)
@@ -37,11 +39,14 @@ compare: $(VENV)/.installed
 JOBS ?= 2
 SPREAD := -n $(JOBS) --dist loadfile --no-loadscope-reorder
 
+thorough: PROFILE := --hypothesis-profile thorough
+thorough: test
+
 # What keeps time on a graph has the machine to itself.
 test: $(VENV)/.test-installed
 ifeq ($(strip $(ARGS)),)
-	$(BIN)/python -m pytest $(SPREAD) -m "unit or integration"
-	$(BIN)/python -m pytest -m "graph or faults"
+	$(BIN)/python -m pytest $(PROFILE) $(SPREAD) -m "unit or integration"
+	$(BIN)/python -m pytest $(PROFILE) -m "graph or faults"
 else
 	$(BIN)/python -m pytest $(ARGS)
 endif

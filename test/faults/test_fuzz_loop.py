@@ -5,8 +5,8 @@ import math
 
 import numpy as np
 import pytest
+from harness.examples import examples
 from harness.fuzzing import NUMBERS, StateFuzzer
-from hypothesis import settings as effort_of
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
@@ -145,7 +145,7 @@ class AnyOrder(RuleBasedStateMachine):
             assert goes_to(self.loop, 0.7, start_ns)
 
 
-AnyOrder.TestCase.settings = effort_of(max_examples=60, stateful_step_count=40, deadline=None)
+AnyOrder.TestCase.settings = examples(0.6, stateful_step_count=40)
 TestAnyOrder = AnyOrder.TestCase
 
 
@@ -296,5 +296,5 @@ class NothingKicks(RuleBasedStateMachine):
         self.loop.retune(LoopSettings.from_parameters(self.values))
 
 
-NothingKicks.TestCase.settings = effort_of(max_examples=60, stateful_step_count=30, deadline=None)
+NothingKicks.TestCase.settings = examples(0.6, stateful_step_count=30)
 TestNothingKicks = NothingKicks.TestCase

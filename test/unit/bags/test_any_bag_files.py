@@ -11,7 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from harness.bags import JOINT_STATE, MS, TYPES, command, convert, small_log, state, write_bag
-from hypothesis import given, settings
+from harness.examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, IndexType, Writer
@@ -339,7 +340,7 @@ def damaged(tmp_path_factory) -> list[Path]:
     ]
 
 
-@settings(max_examples=200, deadline=None)
+@examples(2)
 @given(
     st.integers(0, 3),
     st.lists(st.tuples(st.floats(0, 1, exclude_max=True), st.integers(0, 255)), max_size=4),
@@ -362,7 +363,6 @@ def test_damage_gives_a_run_or_one_line(damaged, number, damage, kept):
         assert "\n" not in line
 
 
-@settings(max_examples=100, deadline=None)
 @given(st.lists(st.tuples(st.floats(0, 1, exclude_max=True), st.integers(0, 255)), max_size=4))
 def test_what_checksums_cover_is_never_silently_wrong(damaged, whole, damage):
     with tempfile.TemporaryDirectory() as folder:

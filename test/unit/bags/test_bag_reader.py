@@ -26,7 +26,7 @@ from harness.bags import (
     trajectory,
     write_bag,
 )
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
@@ -427,7 +427,6 @@ def whole_bag(request, tmp_path_factory):
     return folder / "bag", file.name
 
 
-@settings(max_examples=150, deadline=None)
 @given(st.lists(st.tuples(st.floats(0, 1, exclude_max=True), st.integers(0, 255)), min_size=1))
 def test_damaged_bytes_give_a_run_or_one_line(whole_bag, damage):
     whole, name = whole_bag

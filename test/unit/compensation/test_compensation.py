@@ -5,7 +5,8 @@ import math
 import numpy as np
 import pinocchio
 import pytest
-from hypothesis import given, settings
+from harness.examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 
 from hpid_ros.base.errors import RobotDescriptionError, SettingError
@@ -60,7 +61,7 @@ def full(model, space, positions, velocities, efforts):
 
 @pytest.mark.parametrize("payload", [0.0, 2.0])
 @given(seed=seeds)
-@settings(max_examples=40)
+@examples(0.4)
 def test_fixed_base_decoupled_joint_accelerates_as_wanted_by_pinocchios_aba(payload, seed):
     space = JointSpace(ROBOT, payload_mass=payload)
     positions, velocities, efforts, wanted = draw(space, seed)
@@ -116,7 +117,7 @@ def rolling_acceleration(model, space, rates_of_joints, positions, efforts):
 
 
 @given(seed=seeds)
-@settings(max_examples=25)
+@examples(0.25)
 def test_rolling_base_decoupled_joint_accelerates_as_wanted_by_constrained_dynamics(seed):
     space = JointSpace(ROBOT, DRIVE, payload_mass=1.0)
     model = build_model(ROBOT, pinocchio.JointModelFreeFlyer(), payload_mass=1.0)

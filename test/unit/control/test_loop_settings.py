@@ -3,7 +3,8 @@
 import math
 
 import pytest
-from hypothesis import example, given, settings
+from harness.examples import examples
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from hpid_ros.base.errors import HpidError, NormError
@@ -58,7 +59,7 @@ LIKELY = st.fixed_dictionaries(  # what is seldom refused for one of many number
 )
 
 
-@settings(max_examples=400, deadline=None)
+@examples(4)
 @given(st.one_of(SETS, LIKELY))
 @example({"joint": "j", "mu": -0.001, "gains.d": 500.0})
 @example(

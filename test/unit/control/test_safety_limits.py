@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 import pytest
+from harness.examples import examples
 from hypothesis import given
-from hypothesis import settings as effort_of
 from hypothesis import strategies as st
 
 from hpid_ros.base.errors import SettingError
@@ -34,7 +34,7 @@ def move(command, seconds, position=0.0, velocity=0.0, load=0.0, inertia=1.0):
     return np.array(track)
 
 
-@effort_of(max_examples=40)
+@examples(0.4)
 @given(
     st.floats(-1.0, 1.0),
     st.floats(-3.0, 3.0),
@@ -114,7 +114,7 @@ def test_a_joint_that_begins_beyond_a_stop_is_held_and_let_in_but_not_further_ou
     assert max(again[:, 0]) < 1.01  # the stop is back where it belongs
 
 
-@effort_of(max_examples=25)
+@examples(0.25)
 @given(st.floats(0.0, 90.0), st.floats(0.5, 5.0))
 def test_the_velocity_limit_is_passed_by_no_more_than_the_load_needs(load, fastest):
     limits = settings(velocity_max=fastest).make_motion_limits()

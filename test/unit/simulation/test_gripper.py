@@ -39,7 +39,7 @@ SETTINGS = WorldSettings(
     URDF,
     ARM.joints,
     fixed_base=True,
-    physics_steps=2,
+    physics_steps=1,
     initial_positions=dict(zip(ARM.joints, AT_BRICK.tolist(), strict=True)),
     workplace=PLACE,
 )
@@ -96,7 +96,7 @@ def test_a_brick_between_the_fingers_is_taken_and_goes_where_the_hand_goes():
 
 def test_what_is_not_taken_stays():
     with World(SETTINGS) as world:
-        lift(world)
+        lift(world, 200)
         (brick,) = world.gripper.poses()
         assert brick.position == pytest.approx(HAND, abs=1e-3)
         assert outcomes(world) == []
@@ -118,7 +118,7 @@ def test_a_brick_that_does_not_fit_is_missed_with_the_reason(brick, reason):
         assert event.outcome == "missed"
         assert re.match(reason, event.reason)
         assert world.gripper.held is None
-        lift(world)
+        lift(world, 100)
         (left,) = world.gripper.poses()
         assert left.position == pytest.approx(brick.position, abs=2e-3)
 
@@ -153,7 +153,7 @@ def pull_at(world, brick, force):
 @pytest.mark.parametrize("pull", [(0.0, 0.0, -1.0), (0.0, 1.0, 0.0)])
 def test_a_brick_is_lost_when_it_is_pulled_with_more_than_friction_holds(pull):
     """A slowly growing force on the held brick, beside its weight."""
-    with World(replace(SETTINGS, physics_steps=1)) as world:
+    with World(SETTINGS) as world:
         world.gripper.move(True, 0)
         lift(world)
         force, weight = 0.0, np.array([0.0, 0.0, -BRICK.mass * 9.81])
@@ -186,24 +186,24 @@ def test_a_held_brick_weighs_on_the_arm():
     with World(SETTINGS) as world, World(workplace(replace(BRICK, mass=1.5))) as loaded:
         for each in (world, loaded):
             each.gripper.move(True, 0)
-            lift(each, 1500)
+            lift(each, 700)
         sag = loaded.true_positions()[1] - world.true_positions()[1]
         moment = (1.5 - 0.5) * 9.81 * loaded.link_pose("payload").position[0]
         friction = ROBOT.joints["arm_joint_2"].friction
         assert sag == pytest.approx(moment / STIFF[1], abs=2.0 * friction / STIFF[1])
 
 
-SCHEDULE = (GripCommand(0.35, False), GripCommand(0.02, True))
+SCHEDULE = (GripCommand(0.15, False), GripCommand(0.02, True))
 
 
 def test_a_schedule_does_what_a_person_at_the_same_time_would_do():
     with World(replace(SETTINGS, workplace=replace(PLACE, schedule=SCHEDULE))) as scheduled:
-        by_schedule = lift(scheduled)
+        by_schedule = lift(scheduled, 200)
         told = outcomes(scheduled)
     with World(SETTINGS) as world:
         by_hand = []
-        for period in range(400):
-            if period in (20, 350):
+        for period in range(200):
+            if period in (20, 150):
                 world.gripper.move(period == 20, world.time_ns)
             world.step(efforts(world, 0.25 * min(1.0, period / 300.0)))
             (brick,) = world.gripper.poses()
@@ -215,19 +215,19 @@ def test_a_schedule_does_what_a_person_at_the_same_time_would_do():
 def test_a_reset_repeats_everything_to_the_last_bit():
     settings = replace(SETTINGS, workplace=replace(PLACE, schedule=SCHEDULE))
     with World(settings) as world:
-        once = lift(world)
+        once = lift(world, 200)
         events = list(world.gripper.events)
         world.reset()
         assert world.gripper.events == []
-        assert lift(world) == once
+        assert lift(world, 200) == once
         world.reset()
         lift(world, 100)  # and with a brick in the hand
         assert world.gripper.held is not None
         world.reset()
-        assert lift(world) == once
+        assert lift(world, 200) == once
         assert world.gripper.events == events
     with World(settings) as fresh:
-        assert lift(fresh) == once
+        assert lift(fresh, 200) == once
 
 
 def test_a_world_without_bricks_has_no_gripper():

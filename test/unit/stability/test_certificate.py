@@ -5,7 +5,8 @@ import json
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from harness.examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from scipy.optimize import linprog
@@ -110,7 +111,7 @@ def test_state_norm_is_homogeneous_and_one_on_its_sphere(gains, degree, state, s
     assert moved == pytest.approx(np.exp(s) * state_norm(shape, degree, state), rel=1e-9)
 
 
-@settings(max_examples=15, deadline=None)
+@examples(0.15)
 @given(GAINS, norms(), st.floats(-2.0, 2.0), st.floats(0.2, 5.0))
 def test_search_and_check_see_the_same_sphere(gains, norm, log_scale, q):
     """The two share nothing but P: other points, other units, another form of the field."""
@@ -264,7 +265,7 @@ def programs(draw):
     return slopes, rng.normal(size=rows), rng.normal(size=(2, n)), rng.random(2)
 
 
-@settings(max_examples=60, deadline=None)
+@examples(0.6)
 @given(programs(), st.floats(-4.0, 0.0))
 def test_the_least_maximum_is_that_of_a_general_solver(program, log_radius):
     slopes, values, losses, spare = program

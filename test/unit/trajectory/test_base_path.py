@@ -4,7 +4,8 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import example, given, reject, settings
+from harness.examples import examples
+from hypothesis import example, given, reject
 from hypothesis import strategies as st
 
 from hpid_ros.base.errors import TrajectoryError
@@ -84,7 +85,7 @@ def drives(draw):
     return times, poses, directions, draw(st.booleans())
 
 
-@settings(max_examples=25)
+@examples(0.25)
 @example(([0.0, 2.0], [(0.0, 0.0, 0.0), (0.2194, 0.1199, -1.0)], ["forward"], False))
 @given(drives())
 def test_the_error_of_any_path_is_bounded(path):

@@ -3,7 +3,8 @@
 import math
 
 import pytest
-from hypothesis import given, settings
+from harness.examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 
 from hpid_ros.base.errors import TrajectoryError
@@ -42,7 +43,7 @@ def instants(parts):
     return sorted(time for time in {*close, *range(0, end, end // 40 + 1), 2 * end} if time >= 0)
 
 
-@settings(max_examples=200)
+@examples(2)
 @given(st.tuples(trajectories("a"), trajectories("b"), trajectories("c")))
 def test_every_reference_is_what_it_was_at_every_nanosecond(parts):
     whole = combined(parts)
