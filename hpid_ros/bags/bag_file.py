@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rosbags.rosbag2 import Reader
 
+from hpid_ros.bags.rosbags_internals import custom_data
 from hpid_ros.base.errors import BagError, unknown_name
 
 if TYPE_CHECKING:
@@ -92,8 +93,7 @@ class BagReader:
     @property
     def metadata(self) -> Mapping[str, str]:
         """The texts that the recording was given; empty for a single file."""
-        custom: object = self._reader.storage.metadata.custom
-        return dict(custom) if isinstance(custom, Mapping) else {}
+        return custom_data(self._reader)
 
     def find_topic(self, name: str, type: str) -> str:
         """Return the full name of a topic.

@@ -1,8 +1,13 @@
 """Imports point inward, each library has one room, and no folder is crowded."""
 
 import ast
+import functools
+import importlib
+import inspect
+import re
 import subprocess
 import sys
+import textwrap
 from pathlib import Path
 
 import pytest
@@ -49,6 +54,19 @@ ONLY_IN = {
 }
 PURE = {"control", "trajectory", "wire", "recordings"}
 PURE_LIBRARIES = {"numpy", "scipy"}
+# The only modules that may touch what another package keeps to itself.
+INTERNALS = {"nodes/ros/rclpy_internals.py", "bags/rosbags_internals.py"}
+# Documented in spite of the underscore: those of named tuples, and two of Python's own.
+PUBLISHED = {"_replace", "_asdict", "_fields", "_make"}
+BY_TEXT = {"getattr", "hasattr", "setattr", "delattr", "attrgetter"}
+PUBLISHED_OF_MODULES = {"os._exit", "sys._current_frames"}
+# rosbags keeps the rest to itself, without an underscore.
+DOCUMENTED_BY_ROSBAGS = {
+    "rosbags.interfaces",
+    "rosbags.rosbag2",
+    "rosbags.typesys",
+    "rosbags.typesys.store",
+}
 # Files, signals and terminals are not for the pure rooms.
 SHELL = {
     *("hpid_ros.base.console", "hpid_ros.base.interrupts", "hpid_ros.base.output_files"),
@@ -60,6 +78,11 @@ def modules():
     return sorted(ROOT.rglob("*.py"))
 
 
+@functools.cache
+def parsed(path):
+    return ast.parse(path.read_text())
+
+
 def room(path):
     parts = path.relative_to(ROOT).parts
     return parts[0] if len(parts) > 1 else None
@@ -67,7 +90,7 @@ def room(path):
 
 def imports(path):
     """Yield the dotted names that a file imports."""
-    for node in ast.walk(ast.parse(path.read_text())):
+    for node in ast.walk(parsed(path)):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
@@ -122,7 +145,7 @@ def module_name(path):
 
 def at_import(path):
     """Yield what is imported when a module is: what stands at its top level."""
-    for node in ast.parse(path.read_text()).body:
+    for node in parsed(path).body:
         if isinstance(node, ast.ImportFrom) and node.module.split(".")[0] == "hpid_ros":
             yield node.module
             yield from (f"{node.module}.{alias.name}" for alias in node.names)
@@ -156,3 +179,137 @@ def test_the_repository_holds_its_own_sources_alone():
     foreign = {".whl", ".gz", ".zip", ".so", ".pyc", ".log", ".TXT", ".mcap", ".db3"}
     assert not [path.name for path in tracked if path.suffix in foreign]
     assert not [path.name for path in tracked if path.is_file() and path.stat().st_size > 1 << 20]
+
+
+# Private names: who sees `x._name` in a file cannot tell whose x is. So an underscore is allowed
+# where the file itself, or for `self` an own base class, is the one that made the name.
+
+
+def is_private(name):
+    return re.fullmatch(r"_[A-Za-z]\w*", name) is not None
+
+
+def is_self(node):
+    """Tell whether an expression is the object or the class that a method is of."""
+    is_super = isinstance(node, ast.Call) and ast.unparse(node.func) == "super"
+    return is_super or (isinstance(node, ast.Name) and node.id in ("self", "cls"))
+
+
+def bound(tree):
+    """Return the private names that a class or a file makes: functions, variables, attributes."""
+    names = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+            names.add(node.name)
+        elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
+            names.add(node.id)
+        elif isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store):
+            names |= {node.attr} if is_self(node.value) else set()
+        elif isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "__slots__":
+            names |= {
+                each.value for each in ast.walk(node.value) if isinstance(each, ast.Constant)
+            }
+    return {name for name in names if is_private(name)}
+
+
+def classes(*trees):
+    return [node for tree in trees for node in ast.walk(tree) if isinstance(node, ast.ClassDef)]
+
+
+def bound_by_class(name, known):
+    """Return the private names of a class and of its bases, as far as they are known."""
+    names = set()
+    for node in known:
+        if node.name == name:
+            names |= bound(node)
+            for base in node.bases:
+                names |= bound_by_class(ast.unparse(base).rpartition(".")[2], known)
+    return names
+
+
+def foreign_privates(tree, known):
+    """Yield the expressions that touch a private name which neither file nor class has made."""
+    in_file, of_self = bound(tree), {}
+    for node in classes(tree):
+        names = bound_by_class(node.name, known)
+        of_self.update({id(each): names for each in ast.walk(node)})
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Attribute) and is_private(node.attr):
+            made = of_self.get(id(node), set()) if is_self(node.value) else in_file
+            published = node.attr in PUBLISHED or ast.unparse(node) in PUBLISHED_OF_MODULES
+            if node.attr not in made and not published:
+                yield ast.unparse(node)
+        elif isinstance(node, ast.Call) and ast.unparse(node.func).rpartition(".")[2] in BY_TEXT:
+            texts = [each.value for each in node.args if isinstance(each, ast.Constant)]
+            if any(isinstance(text, str) and is_private(text) for text in texts):
+                yield ast.unparse(node)
+        elif isinstance(node, ast.ImportFrom | ast.Import):
+            names = [getattr(node, "module", ""), *(alias.name for alias in node.names)]
+            if any(is_private(part) for name in names for part in name.split(".")):
+                yield ast.unparse(node)
+
+
+@pytest.fixture(scope="module")
+def known_classes():
+    return classes(*(parsed(path) for path in modules()))
+
+
+@pytest.mark.parametrize("path", modules(), ids=lambda path: str(path.relative_to(ROOT)))
+def test_what_others_keep_to_themselves_is_used_in_one_module_for_each(path, known_classes):
+    if str(path.relative_to(ROOT)) in INTERNALS:
+        return
+    assert list(foreign_privates(parsed(path), known_classes)) == []
+    of_rosbags = {name for name in imports(path) if name.split(".")[0] == "rosbags"}
+    assert of_rosbags <= DOCUMENTED_BY_ROSBAGS
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "def f(node): return node._parameters",
+        "class A(Node):\n    def f(self): return self._overrides['a']",
+        "class A(Node):\n    def f(self): self._overrides['a'] = 1",
+        "class A:\n    def f(self): self._x = 1\nclass B:\n    def f(self): return self._x",
+        "class A(Node):\n    def f(self): return super()._handle",
+        "getattr(node, '_handle')",
+        "from rclpy.impl import _rclpy",
+        "from rclpy._rclpy import Node",
+        "import rclpy._rclpy",
+        "os._environ",
+    ],
+)
+def test_a_foreign_private_name_is_seen(text):
+    tree = ast.parse(text)
+    assert len(list(foreign_privates(tree, classes(tree)))) == 1
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "class A:\n    def f(self, other):\n        self._x = 1\n        return other._x",
+        "class A:\n    def f(self): self._x = 1\nclass B(A):\n    def f(self): return self._x",
+        "class A:\n    __slots__ = ('_x',)\n    def f(self): return self._x",
+        "point._replace(x=1)",
+        "node.__class__",
+    ],
+)
+def test_an_own_private_name_is_no_foreign_one(text):
+    tree = ast.parse(text)
+    assert list(foreign_privates(tree, classes(tree))) == []
+
+
+def test_no_own_private_name_hides_one_of_a_foreign_base():
+    """Else the base would read ours: rclpy's nodes alone have dozens of such names."""
+    checked = 0
+    for path in modules():
+        if not {"rclpy", "rosbags"} & {name.split(".")[0] for name in imports(path)}:
+            continue
+        module = importlib.import_module(module_name(path))
+        for node in classes(parsed(path)):
+            for base in getattr(module, node.name).__mro__:
+                if base.__module__.split(".")[0] in ("rclpy", "rosbags"):
+                    source = textwrap.dedent(inspect.getsource(base))
+                    hidden = bound(node) & bound(ast.parse(source))
+                    assert not hidden, f"{node.name} hides {hidden} of {base}"
+                    checked += 1
+    assert checked > 5

@@ -10,6 +10,7 @@ from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackRet
 from hpid_ros.base.errors import ClaimError
 from hpid_ros.nodes.ros import executor
 from hpid_ros.nodes.ros.parameters import read_only
+from hpid_ros.nodes.ros.rclpy_internals import lifecycle_state
 
 
 class ManagedNode(LifecycleNode, executor.ClosingNode):
@@ -69,7 +70,7 @@ class ManagedNode(LifecycleNode, executor.ClosingNode):
     @property
     def lifecycle(self) -> str:
         """The state's name: ``unconfigured``, ``inactive``, ``active`` or ``finalized``."""
-        return str(self._state_machine.current_state[1])
+        return lifecycle_state(self)
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Configure."""

@@ -40,7 +40,8 @@ from hpid_ros.base.foreign_text import shown
 from hpid_ros.nodes.ros.given_parameters import ParameterSources, as_declared
 from hpid_ros.nodes.ros.middleware import load_profile
 from hpid_ros.nodes.ros.process import end_with_the_launch, warn_if_unprotected
-from hpid_ros.nodes.ros.services import guard_services
+from hpid_ros.nodes.ros.rclpy_internals import given_parameters
+from hpid_ros.nodes.ros.services import declared_names, guard_services
 from hpid_ros.nodes.ros.supervisor import Supervisor
 from hpid_ros.nodes.ros.usage import Usage, is_asked_for
 
@@ -97,7 +98,7 @@ class ClosingNode(Node):
             SettingError: Whoever gave that file had something else in mind.
         """
         lines = self.sources.without([self])
-        if lines and not any(name in self._parameter_overrides for name in names):
+        if lines and not given_parameters(self).keys() & set(names):
             raise SettingError(f"{' or '.join(names)} must be given: {lines[0]}")
 
     def declare_parameters(
@@ -108,18 +109,18 @@ class ClosingNode(Node):
         Raises:
             SettingError: What was given cannot be read so, or is out of range.
         """
+        given = given_parameters(self)
         for name, default, *_ in parameters:
             full = f"{namespace}.{name}" if namespace else name
-            given = self._parameter_overrides.get(full)  # rclpy has no public way to them
-            if given is None:
+            if full not in given:
                 continue
             try:
-                read = as_declared(given, _type_of(default))
+                read = as_declared(given[full], _type_of(default))
             except SettingError as error:
                 raise SettingError(f"{self.get_name()}: {error}") from None
-            self._parameter_overrides[full] = read
+            given[full] = read
             if read.type_ == Parameter.Type.NOT_SET:  # as if it had not been given
-                del self._parameter_overrides[full]
+                del given[full]
         try:
             return list(super().declare_parameters(namespace, parameters, ignore_override))
         except InvalidParameterValueException as error:
@@ -339,9 +340,9 @@ def _require_known_parameters(nodes: Sequence[Node]) -> None:
     rclpy ignores them silently, and a mistyped gain would be a gain of zero. What is given on
     the command line goes to every node of a process, so it is enough that one of them has it.
     """
-    everywhere = {name for node in nodes for name in node._parameters}
+    everywhere = {name for node in nodes for name in declared_names(node)}
     for node in nodes:
-        for name in node._parameter_overrides:  # rclpy has no public way to ask what was given
+        for name in given_parameters(node):
             if name not in everywhere and not name.startswith("qos_overrides."):
                 known = [p for p in everywhere if not p.startswith("qos_overrides.")]
                 raise SettingError(f"{node.get_name()}: {unknown_name('parameter', name, known)}")

@@ -11,13 +11,13 @@ from typing import Any
 
 from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.msg import SetParametersResult
+from rcl_interfaces.srv import ListParameters
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from hpid_ros.base.errors import SettingError, unknown_name
 from hpid_ros.nodes.ros.given_parameters import as_declared, is_same
-
-ServiceCallback = Callable[[Any, Any], Any]
+from hpid_ros.nodes.ros.rclpy_internals import ServiceCallback, answer_with, service_callback
 
 
 def guard_services(node: Node, fault: Callable[[str], None]) -> None:
@@ -36,16 +36,20 @@ def guard_services(node: Node, fault: Callable[[str], None]) -> None:
         node: The node, with all of its services.
         fault: Called with one line for a request that raised.
     """
+    own = {
+        "set_parameters": _whole_sets(node, fault),
+        "set_parameters_atomically": _atomic_sets(node, fault),
+        "get_parameters": _all_values(node),
+    }
     for service in node.services:
         name = service.srv_name.rpartition("/")[2]
-        callback = service.callback
-        if name == "set_parameters":
-            callback = _whole_sets(node, fault)
-        elif name == "set_parameters_atomically":
-            callback = _atomic_sets(node, fault)
-        elif name == "get_parameters":
-            callback = _all_values(node)
-        service.callback = _guarded(callback, name, fault)
+        answer = own.get(name) or service_callback(service)
+        answer_with(service, _guarded(answer, name, fault))
+
+
+def declared_names(node: Node) -> list[str]:
+    """Return the names of a node's parameters, also of those without a value."""
+    return list(node.list_parameters([], ListParameters.Request.DEPTH_RECURSIVE).names)
 
 
 def _guarded(
@@ -103,21 +107,18 @@ def _changes(node: Node, messages: Sequence[ParameterMessage]) -> list[Parameter
     """
     changes = []
     for message in messages:
-        if message.name not in node._parameters:  # also has those without a value
-            raise SettingError(unknown_name("parameter", message.name, node._parameters))
+        if not node.has_parameter(message.name):
+            raise SettingError(unknown_name("parameter", message.name, declared_names(node)))
         kind = Parameter.Type(node.describe_parameter(message.name).type)
         change = as_declared(Parameter.from_parameter_msg(message), kind)
-        if not is_same(node._parameters[message.name], change):
+        if not is_same(node.get_parameter_or(message.name), change):
             changes.append(change)
     return changes
 
 
 def _all_values(node: Node) -> ServiceCallback:
     def call(request: Any, response: Any) -> Any:
-        found = [
-            node._parameters[name] if node.has_parameter(name) else Parameter(name)
-            for name in request.names
-        ]
+        found = [node.get_parameter_or(name) for name in request.names]  # not set: without value
         response.values = [parameter.get_parameter_value() for parameter in found]
         return response
 

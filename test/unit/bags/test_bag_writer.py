@@ -15,6 +15,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
+from rosbags.rosbag2 import Writer
+from rosbags.rosbag2.storage_mcap import McapWriter
 
 from hpid_ros.bags import BagReader, BagTopic, BagWriter, TopicQos
 from hpid_ros.base.errors import BagError, ResultExistsError
@@ -291,3 +293,13 @@ def assert_another_reader_counts(file: Path, count: int) -> None:
         reader = make_reader(stream, validate_crcs=True)
         assert reader.get_summary().statistics.message_count == count
         assert sum(1 for _ in reader.iter_messages()) == count
+
+
+@pytest.mark.parametrize(("owner", "name"), [(McapWriter, "close_chunk"), (Writer, "abort")])
+def test_a_rosbags_that_lacks_what_is_used_is_named_before_anything_is_created(
+    owner, name, tmp_path, monkeypatch
+):
+    monkeypatch.delattr(owner, name)
+    with pytest.raises(BagError, match=rf"rosbags 0\.\S+: its {owner.__name__} has no {name}"):
+        BagWriter(tmp_path / "bag")
+    assert list(tmp_path.iterdir()) == []

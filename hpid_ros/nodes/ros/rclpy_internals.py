@@ -1,0 +1,98 @@
+"""The parts of rclpy that it does not publish, each read in rclpy 7.1.5 and 7.1.6 (ROS 2 Jazzy).
+
+rclpy has no public way to what these functions return. No other module of this package touches a
+private name of another one (``test_architecture.py``). Where another version of rclpy lacks what
+is used, :class:`.SettingError` says so in one line, which ends a process with the exit code of
+input that cannot be used.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from rclpy.lifecycle import LifecycleNode
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.service import Service
+
+from hpid_ros.base.errors import SettingError
+
+KNOWN_VERSIONS = "7.1 (ROS 2 Jazzy)"
+
+ServiceCallback = Callable[[Any, Any], Any]
+
+
+def given_parameters(node: Node) -> dict[str, Parameter]:
+    """Return what was given for a node: command line, parameter files and constructor, by name.
+
+    Uses ``Node._parameter_overrides``, which rclpy reads when a parameter is declared: whoever
+    changes an entry before changes what is declared. Values have the types that they came in.
+
+    Args:
+        node: Any node.
+
+    Raises:
+        SettingError: This rclpy lacks it.
+    """
+    given: dict[str, Parameter] = _private(node, "_parameter_overrides", "given parameters")
+    return given
+
+
+def lifecycle_state(node: LifecycleNode) -> str:
+    """Return the label of a managed node's present state, for instance ``"inactive"``.
+
+    Uses ``LifecycleNodeMixin._state_machine`` and its ``current_state``, a pair of id and label;
+    the public way is a request to the node's own service, which it cannot wait for.
+
+    Args:
+        node: The node.
+
+    Raises:
+        SettingError: This rclpy lacks it.
+    """
+    machine = _private(node, "_state_machine", "the lifecycle")
+    _, label = _private(machine, "current_state", "the lifecycle")
+    return str(label)
+
+
+def service_callback(service: Service) -> ServiceCallback:
+    """Return what answers the requests of a service, also of those that rclpy makes itself.
+
+    Uses ``Service.callback``.
+
+    Args:
+        service: The service.
+
+    Raises:
+        SettingError: This rclpy lacks it.
+    """
+    callback: ServiceCallback = _private(service, "callback", "the services of a node")
+    return callback
+
+
+def answer_with(service: Service, callback: ServiceCallback) -> None:
+    """Have a service's requests answered by something else from now on.
+
+    Uses ``Service.callback``, which the executors read at each request.
+
+    Args:
+        service: The service.
+        callback: Takes request and response, and returns the response.
+
+    Raises:
+        SettingError: This rclpy lacks it: without the check an attribute that nobody reads would
+            be set, and a request could bring the node down.
+    """
+    service_callback(service)
+    service.callback = callback
+
+
+def _private(owner: object, name: str, purpose: str) -> Any:
+    try:
+        return getattr(owner, name)
+    except AttributeError:
+        raise SettingError(
+            f"cannot reach {purpose} with this rclpy: its {type(owner).__name__} has no {name}; "
+            f"known to work is {KNOWN_VERSIONS}"
+        ) from None

@@ -1,0 +1,56 @@
+"""What rclpy keeps to itself: the real one has it; its absence is one line, not a traceback."""
+
+import pytest
+from rclpy.lifecycle import LifecycleNode
+from rclpy.parameter import Parameter
+from std_srvs.srv import Trigger
+
+from hpid_ros.base.errors import SettingError
+from hpid_ros.nodes.ros import rclpy_internals
+
+
+@pytest.fixture
+def node(harness):
+    node = LifecycleNode(
+        "watched", context=harness.context, parameter_overrides=[Parameter("given", value=1)]
+    )
+    yield node
+    node.destroy_node()
+
+
+def test_what_is_given_for_a_parameter_is_what_it_is_declared_with(node):
+    given = rclpy_internals.given_parameters(node)
+    assert given["given"].value == 1
+    given["given"] = Parameter("given", value=2.5)
+    node.declare_parameter("given", 0.0)
+    assert node.get_parameter("given").value == 2.5
+
+
+def test_the_state_is_that_of_the_lifecycle(node):
+    assert rclpy_internals.lifecycle_state(node) == "unconfigured"
+    node.trigger_configure()
+    assert rclpy_internals.lifecycle_state(node) == "inactive"
+
+
+def test_a_service_answers_with_what_it_was_given(node):
+    service = node.create_service(Trigger, "~/ask", lambda request, response: "as made")
+    assert rclpy_internals.service_callback(service)(None, None) == "as made"
+    rclpy_internals.answer_with(service, lambda request, response: "replaced")
+    assert rclpy_internals.service_callback(service)(None, None) == "replaced"
+
+
+@pytest.mark.parametrize(
+    ("use", "lacks"),
+    [
+        (rclpy_internals.given_parameters, "_parameter_overrides"),
+        (rclpy_internals.lifecycle_state, "_state_machine"),
+        (rclpy_internals.service_callback, "callback"),
+        (lambda owner: rclpy_internals.answer_with(owner, print), "callback"),
+    ],
+)
+def test_another_rclpy_that_lacks_it_is_named(use, lacks):
+    class Other:
+        """Of a version that has nothing of this."""
+
+    with pytest.raises(SettingError, match=rf"Other has no {lacks}; known to work is 7\.1"):
+        use(Other())
