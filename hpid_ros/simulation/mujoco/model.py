@@ -23,7 +23,6 @@ from numpy.typing import NDArray
 from hpid_ros.base.errors import RobotDescriptionError
 from hpid_ros.robot.description import JointDescription, RobotDescription
 from hpid_ros.robot.meshes import find_mesh, mesh_places
-from hpid_ros.simulation.poses import Quaternion, quaternion_of, rotation_matrix
 from hpid_ros.simulation.settings import WorldSettings
 from hpid_ros.simulation.world.workpieces import Brick, Support
 
@@ -173,7 +172,7 @@ class _Robot:
         child = element.find("child")
         name = "" if child is None else child.get("link", "")
         position, turn = _origin(element)
-        body = parent.add_body(name=name, pos=position, quat=(turn[3], *turn[:3]))
+        body = parent.add_body(name=name, pos=position, quat=turn)
         joint = self._description.joints.get(element.get("name", ""))
         self.rigid[name] = self.rigid[above] if joint is None else name
         if joint is not None:
@@ -210,7 +209,7 @@ class _Robot:
         geom = body.add_geom(
             name=name,
             pos=position,
-            quat=(turn[3], *turn[:3]),
+            quat=turn,
             contype=0,
             conaffinity=0,
             mass=0.0,
@@ -431,13 +430,16 @@ def _weld(brick: Brick) -> str:
     return f"__hold_{brick.name}"
 
 
-def _origin(element: ElementTree.Element) -> tuple[tuple[float, ...], Quaternion]:
+def _origin(element: ElementTree.Element) -> tuple[tuple[float, ...], NDArray[np.float64]]:
+    """Return the place of an element's frame, and its quaternion w, x, y, z."""
+    turn = np.array([1.0, 0.0, 0.0, 0.0])
     origin = element.find("origin")
     if origin is None:
-        return (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0)
+        return (0.0, 0.0, 0.0), turn
     position = _numbers(origin, "xyz") if origin.get("xyz") else (0.0, 0.0, 0.0)
     angles = _numbers(origin, "rpy") if origin.get("rpy") else (0.0, 0.0, 0.0)
-    return position, quaternion_of(*angles)
+    mujoco.mju_euler2Quat(turn, angles, "XYZ")  # about fixed axes, x first
+    return position, turn
 
 
 def _inertial(
@@ -450,7 +452,9 @@ def _inertial(
         0.0 if inertia is None else float(inertia.get(name, "0"))
         for name in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
     )
-    axes = rotation_matrix(turn)
+    flat = np.empty(9)
+    mujoco.mju_quat2Mat(flat, turn)
+    axes = flat.reshape(3, 3)
     matrix = axes @ np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ axes.T
     moments = matrix[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]].tolist()
     return _value(element, "mass", 0.0), centre, tuple(moments)

@@ -21,12 +21,15 @@ from itertools import permutations, product
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
-from hpid_ros.simulation.poses import Pose, rotation_matrix, unit_quaternion
+from hpid_ros.simulation.poses import Pose
 from hpid_ros.simulation.settings import WorldSettings
 from hpid_ros.simulation.world.physics import Physics
 from hpid_ros.simulation.world.workpieces import Brick, GripperSettings, Workplace
 from hpid_ros.wire.reports import Status
+
+Matrix = npt.NDArray[np.float64]
 
 _ROTATIONS = [
     rotation
@@ -61,8 +64,7 @@ def fit_of(index: int, size: Sequence[float], brick: Pose, hand: Pose) -> Fit:
         brick: Pose of its centre.
         hand: The grasp frame, whose fingers close along y.
     """
-    turns = [rotation_matrix(unit_quaternion(each.orientation)) for each in (hand, brick)]
-    relative = turns[0].T @ turns[1]
+    relative = _matrix(hand.orientation).T @ _matrix(brick.orientation)
     nearest = max(_ROTATIONS, key=lambda rotation: float(np.sum(rotation * relative)))
     # The chord of an angle is exact for small ones, where the arc cosine of the trace is not.
     chord = float(np.linalg.norm(nearest - relative)) / (2.0 * math.sqrt(2.0))
@@ -85,6 +87,14 @@ def misfit(fit: Fit, gripper: GripperSettings) -> str:
     if fit.width > gripper.opening:
         return f"{fit.width:g} m wide, at most {gripper.opening:g} m"
     return ""
+
+
+def _matrix(quaternion: Sequence[float]) -> Matrix:
+    """Return a quaternion x, y, z, w as a rotation matrix."""
+    from scipy.spatial.transform import Rotation  # slow to import, for a world without bricks
+
+    matrix: Matrix = Rotation.from_quat(quaternion).as_matrix()
+    return matrix
 
 
 GRASPED, MISSED, RELEASED, LOST = "grasped", "missed", "released", "lost"
@@ -136,6 +146,7 @@ class Gripper:
         self._held: int | None = None  # which brick
         steps = max(1, round(PULL_TIME / step))
         self._forces: deque[tuple[float, ...]] = deque(maxlen=steps)
+        _matrix((0.0, 0.0, 0.0, 1.0))  # so that the first grasp does not wait for an import
 
     def poses(self) -> tuple[Pose, ...]:
         """Return where the bricks are, in the settings' order."""
