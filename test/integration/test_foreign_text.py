@@ -1,6 +1,7 @@
 """What strangers wrote is shown as text, and cannot choose where files are written."""
 
 import csv
+import html
 import io
 import json
 import subprocess
@@ -16,7 +17,7 @@ from hpid_ros.analysis import Comparison
 from hpid_ros.bags import BagWriter
 from hpid_ros.base.console import TextConsole, guarded_output
 from hpid_ros.base.errors import ExperimentError, HpidError, ResultExistsError
-from hpid_ros.base.foreign_text import csv_text, html_text, shown, shown_lines
+from hpid_ros.base.foreign_text import csv_text, shown, shown_lines
 from hpid_ros.base.names import is_label
 from hpid_ros.cli.commands import BAD_INPUT, DONE
 from hpid_ros.cli.main import main
@@ -144,7 +145,7 @@ def test_a_strangers_bag_is_measured_without_taking_over_the_terminal(tmp_path, 
     for text in (captured.out, captured.err, report.read_text()):
         assert not controls(text)
     assert shown(name)[:8] in captured.out
-    assert html_text(name) in report.read_text()
+    assert shown(name) in html.unescape(report.read_text())
     for form in ("csv", "latex", "json"):
         assert main(["metrics", *options, "--format", form]) == DONE
         printed = capsys.readouterr().out
@@ -183,7 +184,7 @@ def test_figures_show_names_as_text_and_not_as_formulas(tmp_path, capsys):
     folder = tmp_path / "figures"
     assert main(["metrics", *options, "--figures", str(folder)]) == DONE
     drawings = [path.read_text() for path in folder.glob("*.svg")]
-    assert any(html_text(name) in drawing for drawing in drawings)
+    assert any(shown(name) in html.unescape(drawing) for drawing in drawings)
     assert not any("\x1b" in drawing for drawing in drawings)
 
 

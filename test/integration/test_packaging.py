@@ -86,7 +86,8 @@ def test_a_wheel_holds_every_file_and_command(source, tmp_path):
         entry_points = archive.read(entries).decode()
     for path in ("config/experiments/paper.yaml", "urdf/mobile_manipulator.urdf", "package.xml"):
         assert any(name.endswith(f"data/share/hpid_ros/{path}") for name in names)
-    assert "hpid_ros/py.typed" in names
+    for file in ("py.typed", "report/html/assets/chart.js", "report/html/templates/page.html"):
+        assert f"hpid_ros/{file}" in names
     assert all(f"{name} = hpid_ros." in entry_points for name in EXECUTABLES)
 
 

@@ -51,6 +51,7 @@ ONLY_IN = {
     "pinocchio": {"robot", "compensation"},
     "rosbags": {"bags"},
     "matplotlib": {"report"},
+    "jinja2": {"report"},
 }
 PURE = {"control", "trajectory", "wire", "recordings"}
 PURE_LIBRARIES = {"numpy", "scipy"}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import json
 from collections.abc import Callable, Iterator, Sequence
 from typing import TypedDict
 
@@ -71,8 +70,8 @@ class Figure(TypedDict):
     points: bool
 
 
-def page_data(figures: Sequence[Figure], labels: Sequence[str]) -> str:
-    """Return figures and runs as JSON that may stand inside a script element.
+def page_data(figures: Sequence[Figure], labels: Sequence[str]) -> dict[str, object]:
+    """Return figures and runs as the page's program is given them, as JSON.
 
     Args:
         figures: The figures.
@@ -83,8 +82,7 @@ def page_data(figures: Sequence[Figure], labels: Sequence[str]) -> str:
         style = RUN_STYLES[k % len(RUN_STYLES)]
         dashes = [round(each * PIXELS_PER_POINT, 1) for each in style.dashes or ()]
         runs.append({"label": label, "style": k % len(RUN_STYLES), "dashes": dashes})
-    document = {"runs": runs, "figures": figures}
-    return json.dumps(document, separators=(",", ":")).replace("<", "\\u003c")
+    return {"runs": runs, "figures": figures}
 
 
 def figure_data(

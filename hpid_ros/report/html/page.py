@@ -1,24 +1,33 @@
 """The report of a comparison: one web page that needs nothing beside itself.
 
 The answer stands first, then the table, the figures, what the controllers were set to, what
-went missing, and where the numbers come from. Every text that is not this module's own is
-escaped.
+went missing, and where the numbers come from. The markup is in ``templates/``, style and program
+are in ``assets/``. Every text is escaped where a template puts it into the page, by Jinja2, so
+that none can be forgotten; the exceptions are :func:`style_sheet` and :func:`script`, which hold
+nothing of a recording.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from functools import cache
 from importlib.resources import files
+from pathlib import Path
+
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from markupsafe import Markup, escape
 
 from hpid_ros.analysis.comparison import Comparison, answer
 from hpid_ros.analysis.indices.task import EndEffectorPath
 from hpid_ros.analysis.results import RunIndices
 from hpid_ros.analysis.signals import Gains
-from hpid_ros.base.foreign_text import html_text
+from hpid_ros.base.foreign_text import shown
 from hpid_ros.recordings.series import RunSeries, SeriesError
 from hpid_ros.report.figures.paths import path_data
 from hpid_ros.report.figures.style import GRID, INK, REFERENCE, RUN_STYLES
-from hpid_ros.report.html.data import Figure, figures_data, page_data
+from hpid_ros.report.html.blocks import Block, Heading, Paragraph, Properties
+from hpid_ros.report.html.data import figures_data, page_data
 from hpid_ros.report.html.facts import (
     Parameters,
     data_quality,
@@ -28,7 +37,6 @@ from hpid_ros.report.html.facts import (
     losses,
     norm_table,
     parameter_tables,
-    provenance_table,
     retunes,
 )
 
@@ -44,52 +52,8 @@ DARK_RUNS = (
     ("#aab6c4", "#4a525c"),
 )
 
-_LIGHT_VARIABLES = "".join(
-    f"--run-{k}:{style.color};--tint-{k}:{style.tint};" for k, style in enumerate(RUN_STYLES)
-)
-_DARK_VARIABLES = "".join(
-    f"--run-{k}:{color};--tint-{k}:{tint};" for k, (color, tint) in enumerate(DARK_RUNS)
-)
-
-_DARK = f"""
-    --page: #14171c; --ink: #e6e9ee; --soft: #a2abb8; --line: #39404b; --panel: #1d2229;
-    --grid: #2c323b; --reference: #5c6675; --better: #6fd198; --worse: #ff8f86;
-    --selection: #6cb4ff44;
-    {_DARK_VARIABLES}
-"""
-
-_PALETTE = f"""
-:root {{
-  color-scheme: light dark;
-  --page: #ffffff; --ink: {INK}; --soft: #5b6472; --line: #d5d9e0; --panel: #f4f6f9;
-  --grid: {GRID}; --reference: {REFERENCE}; --better: #14713d; --worse: #b3261e;
-  --selection: #0b4a8f33;
-  {_LIGHT_VARIABLES}
-}}
-@media screen and (prefers-color-scheme: dark) {{ :root:not([data-theme=light]) {{{_DARK}}} }}
-@media screen {{ :root[data-theme=dark] {{{_DARK}}} }}
-:root[data-theme=dark] {{ color-scheme: dark; }}
-:root[data-theme=light] {{ color-scheme: light; }}
-"""
-
-
-def style_sheet() -> str:
-    """Return the page's style sheet."""
-    return _PALETTE + _asset("style.css")
-
-
-def script() -> str:
-    """Return the page's program: no library, no network, nothing left in the global scope."""
-    parts = "".join(_asset(name) for name in ("ticks.js", "chart.js", "page.js"))
-    return f'"use strict";\n(() => {{\n{parts}}})();\n'
-
-
-def _asset(name: str) -> str:
-    return (files(__package__) / "assets" / name).read_text(encoding="utf-8")
-
-
-_UNKNOWN = "<p>The parameters of the controllers are not known.</p>"
-_NO_RECORDING = "<p>The numbers were saved without their recordings.</p>"
+_UNKNOWN = Paragraph("The parameters of the controllers are not known.")
+_NO_RECORDING = Paragraph("The numbers were saved without their recordings.")
 
 
 def render_report(
@@ -125,72 +89,91 @@ def render_report(
             f"are {', '.join(labels)}"
         )
     others = " and ".join(labels[1:])
-    title = f"{others} against {labels[0]}" if others else labels[0]
     figures = figures_data(runs, comparison, repeats, gains or {})
     if paths:
         figures.append(path_data(paths, labels))
-    body = [
-        f"<header><h1>{html_text(title)}</h1></header>",
-        f'<p class="answer">{html_text(answer(comparison))}</p>',
-        *(f'<p class="warning">{html_text(text)}</p>' for text in warnings),
-        *_losses_warning(runs),
-        "<h2>Indices</h2>",
-        *([index_table(comparison)] if comparison.indices else []),
-        *([norm_table(comparison)] if comparison.norms else []),
-        legend(comparison),
-    ]
-    sections: dict[str, Iterable[str]] = {
-        "Figures": _figures(figures),
-        "All indices": further_tables(comparison),
-        "Parameters": parameter_tables(parameters) if parameters else [_UNKNOWN],
-        "Data": ["<h3>Losses</h3>", *losses(runs), *retunes(runs), *data_quality(runs)]
+    sections: dict[str, Sequence[Block]] = {
+        "Figures": () if figures else (_NO_RECORDING,),
+        "All indices": [*further_tables(comparison)],
+        "Parameters": [*parameter_tables(parameters)] or [_UNKNOWN],
+        "Data": [Heading("Losses"), *losses(runs), *retunes(runs), *data_quality(runs)]
         if runs
         else [_NO_RECORDING],
-        "Provenance": [provenance_table(provenance)],
+        "Provenance": [Properties.of("Provenance", provenance)],
     }
-    for heading, parts in sections.items():
-        name = heading.lower().replace(" ", "-")
-        body += [f'<section id="{name}" data-tab="{heading}">', f"<h2>{heading}</h2>"]
-        body += [*parts, "</section>"]
-    return _page(title, "\n".join(body), page_data(figures, labels))
-
-
-def _figures(figures: Sequence[Figure]) -> Iterator[str]:
-    if not figures:
-        yield _NO_RECORDING
-        return
-    yield "<noscript><p>The figures need JavaScript; the numbers do not.</p></noscript>"
-    yield (
-        '<p class="soft">Drag across a chart to zoom, double click for the whole. On a focused '
-        "chart: arrows read values, shift and arrows move, + and − zoom, 0 shows the whole.</p>"
+    page = _templates().get_template("page.html")
+    return page.render(
+        title=f"{others} against {labels[0]}" if others else labels[0],
+        answer=answer(comparison),
+        warnings=[*warnings, *_losses_warnings(runs)],
+        indices=[
+            *([index_table(comparison)] if comparison.indices else []),
+            *([norm_table(comparison)] if comparison.norms else []),
+            *legend(comparison),
+        ],
+        sections=sections,
+        figures=figures,
+        data=page_data(figures, labels),
+        style=style_sheet(),
+        script=script(),
     )
-    for figure in figures:
-        yield (
-            f'<figure id="{figure["name"]}">'
-            f"<figcaption>{html_text(figure['caption'])}</figcaption></figure>"
-        )
 
 
-def _losses_warning(runs: Sequence[RunSeries]) -> Iterator[str]:
+def style_sheet() -> Markup:
+    """Return the page's style sheet."""
+    palette = _templates().get_template("palette.css")
+    colors = palette.render(
+        ink=INK,
+        grid=GRID,
+        reference=REFERENCE,
+        light_runs=[(style.color, style.tint) for style in RUN_STYLES],
+        dark_runs=DARK_RUNS,
+    )
+    return Markup(colors + _asset("style.css"))
+
+
+def script() -> Markup:
+    """Return the page's program: no library, no network, nothing left in the global scope."""
+    parts = "".join(_asset(name) for name in ("ticks.js", "chart.js", "page.js"))
+    return Markup(f'"use strict";\n(() => {{\n{parts}}})();\n')
+
+
+def _asset(name: str) -> str:
+    return (files(__package__) / "assets" / name).read_text(encoding="utf-8")
+
+
+@cache
+def _templates() -> Environment:
+    """Return the templates; whatever they print is made printable, and escaped."""
+    environment = Environment(
+        loader=FileSystemLoader(Path(__file__).parent / "templates"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        finalize=_printable,
+        keep_trailing_newline=True,
+    )
+    environment.filters["superscripts"] = _superscripts
+    environment.policies["json.dumps_kwargs"] = {"separators": (",", ":")}
+    return environment
+
+
+def _printable(value: object) -> object:
+    return shown(value) if isinstance(value, str) and not isinstance(value, Markup) else value
+
+
+def _superscripts(unit: str) -> Markup:
+    """Return a unit with its powers raised."""
+    return Markup(re.sub(r"\^([\d.]+)", r"<sup>\1</sup>", str(escape(shown(unit)))))
+
+
+def _losses_warnings(runs: Sequence[RunSeries]) -> Iterator[str]:
     """Yield one line for each run that lost something: its numbers are not the whole truth."""
     for run in runs:
         lost = {joint: loss for joint, loss in run.losses.items() if loss}
         if lost:
             unanswered = sum(loss.unanswered_states for loss in lost.values())
             repeated = sum(loss.repeated_commands for loss in lost.values())
-            text = (
+            yield (
                 f"{run.label} lost samples in {', '.join(lost)}: unanswered states {unanswered}, "
                 f"repeated commands {repeated}; see Data."
             )
-            yield f'<p class="warning">{html_text(text)}</p>'
-
-
-def _page(title: str, body: str, data: str) -> str:
-    return (
-        '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f"<title>{html_text(title)}</title>\n<style>{style_sheet()}</style>\n</head>\n"
-        f"<body>\n<main>\n{body}\n</main>\n"
-        f'<script type="application/json" id="report-data">{data}</script>\n'
-        f"<script>\n{script()}</script>\n</body>\n</html>\n"
-    )

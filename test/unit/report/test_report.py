@@ -4,14 +4,19 @@ import itertools
 import json
 import re
 from html.parser import HTMLParser
+from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
 
 from hpid_ros.analysis.comparison import Comparison, answer
 from hpid_ros.analysis.indices.run import run_indices
 from hpid_ros.analysis.signals import GainSignals, Signal
+from hpid_ros.base.foreign_text import shown
 from hpid_ros.recordings.series import JointSeries, Losses, Retune, RunSeries, SeriesError
+from hpid_ros.report.html import page as html_page
 from hpid_ros.report.html.page import render_report
 from hpid_ros.report.tables.numbers import format_values
 
@@ -48,8 +53,8 @@ class Page(HTMLParser):
         self.text.append(data)
 
 
-def response(label, damping, names=("shoulder", "elbow"), losses=None):
-    t = np.linspace(0.0, 9.0, 301)
+def response(label, damping, names=("shoulder", "elbow"), losses=None, samples=301):
+    t = np.linspace(0.0, 9.0, samples)
     stamps = np.round(t * 1e9).astype(np.int64)
     joints = []
     for k, name in enumerate(names):
@@ -254,6 +259,59 @@ def test_nothing_that_comes_from_outside_becomes_markup():
     assert page.tags.count("script") == 2  # the page's data and its own program
     assert "".join(page.text).count(HOSTILE) >= 10
     assert data_of(text)["runs"][0]["label"] == f"PID{HOSTILE}"
+
+
+MARKUP = st.sampled_from(
+    [
+        *(
+            "<script>",
+            "</script>",
+            "</style>",
+            "<!--",
+            "-->",
+            "<b onclick='x'>",
+            '" onload="x',
+            "]]>",
+        ),
+        *("{{ 7 * 7 }}", "{% raw %}", "&lt;", "&#60;", "^2", "\x1b[2J", "\u202e", "'", "`", "\0"),
+    ]
+)
+names = st.lists(MARKUP | st.text(max_size=3), min_size=1, max_size=4).map("".join).filter(bool)
+
+
+def page_of(label, joint, text):
+    """Return the page of two runs whose labels, joint and everything else are strangers' texts."""
+    runs = [
+        response(f"PID{label}", 0.6, (joint, "b"), samples=31),
+        response(f"h{label}", 1.2, (joint, "b"), {joint: Losses(1, 1)}, samples=31),
+    ]
+    retune = Retune(3_000_000_000, text, text)
+    runs[1] = dataclasses.replace(runs[1], retunes=(retune,))
+    values = {run.label: {joint: {text: text}, "b": {text: 1}} for run in runs}
+    return Page(report(runs, {text: {text: text}}, values, warnings=(text,)))
+
+
+@pytest.fixture(scope="module")
+def plain_page():
+    return page_of("x", "joint", "text")
+
+
+@settings(max_examples=15)
+@given(label=names, joint=names, text=names)
+def test_any_name_is_text_wherever_it_stands(plain_page, label, joint, text):
+    assume(joint != "b")
+    page = page_of(label, joint, text)
+    assert page.tags == plain_page.tags
+    attributes = {name for _, name, _ in page.attributes}
+    assert attributes <= {name for _, name, _ in plain_page.attributes}
+    words = "".join(page.text)
+    assert not set("\x1b\u202e\0") & set(words)
+    assert all(shown(each) in words for each in (f"PID{label}", joint, text))
+
+
+def test_no_template_lets_text_through_as_markup():
+    for template in (Path(html_page.__file__).parent / "templates").iterdir():
+        assert not re.search(r"\|\s*safe\b|autoescape|Markup", template.read_text())
 
 
 def test_warnings_stand_at_the_top_and_are_escaped(runs):

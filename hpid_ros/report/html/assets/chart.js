@@ -67,18 +67,10 @@ class Chart {
     const [low, high] = this.range;
     const cursor = this.figure.free ? null : this.figure.cursor;
     const at = cursor != null && cursor > low && cursor < high ? cursor : (low + high) / 2;
-    const half = [(at - low) * factor, (high - at) * factor];
-    const next = [Math.max(this.whole[0], at - half[0]), Math.min(this.whole[1], at + half[1])];
-    if (next[1] - next[0] < 1e-6 * (this.whole[1] - this.whole[0])) return;
-    this.range = next;
+    this.range = zoomed(this.range, this.whole, at, factor);
   }
   pan(share) {
-    const [low, high] = this.range;
-    const move = Math.max(
-      this.whole[0] - low,
-      Math.min(this.whole[1] - high, share * (high - low)),
-    );
-    this.range = [low + move, high + move];
+    this.range = panned(this.range, this.whole, share);
   }
   yRange() {
     if (this.figure.free && this.height) return this.height;
@@ -317,14 +309,7 @@ class Chart {
     );
     const values = this.shown
       .filter((line) => line.x.length)
-      .map((line) => {
-        const k = firstAtLeast(line.x, cursor);
-        const j = Math.max(0, k - 1),
-          i = Math.min(k, line.x.length - 1);
-        const part = line.x[i] > line.x[j] ? (cursor - line.x[j]) / (line.x[i] - line.x[j]) : 0;
-        const value = line.y[j] + Math.max(0, Math.min(1, part)) * (line.y[i] - line.y[j]);
-        return `${label(line)} ${shown(value, yLog)}`;
-      });
+      .map((line) => `${label(line)} ${shown(valueAt(line, cursor), yLog)}`);
     this.readout.textContent = `${xName} ${shown(cursor, xLog)}: ${values.join(", ")}`;
   }
   nearest([px, py]) {

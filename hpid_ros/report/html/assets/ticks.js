@@ -1,4 +1,4 @@
-// Numbers and ticks of the charts, and the data of the page unpacked.
+// Numbers, ticks and ranges of the charts, and the data of the page unpacked.
 const data = JSON.parse(document.getElementById("report-data").textContent);
 const floats = (text) => {
   const raw = atob(text);
@@ -59,6 +59,26 @@ const firstAtLeast = (xs, x) => {
     else high = middle;
   }
   return low;
+};
+// The value of a line between its points; beyond its ends that of the end.
+const valueAt = ({ x, y }, at) => {
+  const k = firstAtLeast(x, at);
+  const [j, i] = [Math.max(0, k - 1), Math.min(k, x.length - 1)];
+  const part = x[i] > x[j] ? (at - x[j]) / (x[i] - x[j]) : 0;
+  return y[j] + Math.max(0, Math.min(1, part)) * (y[i] - y[j]);
+};
+// A range made wider or narrower about a place, within the whole, and no narrower than a millionth.
+const zoomed = ([low, high], [first, last], at, factor) => {
+  const next = [
+    Math.max(first, at - (at - low) * factor),
+    Math.min(last, at + (high - at) * factor),
+  ];
+  return next[1] - next[0] < 1e-6 * (last - first) ? [low, high] : next;
+};
+// A range moved by a share of itself, within the whole.
+const panned = ([low, high], [first, last], share) => {
+  const move = Math.max(first - low, Math.min(last - high, share * (high - low)));
+  return [low + move, high + move];
 };
 const extent = (values, from, to, seed) => {
   let [low, high] = seed;
