@@ -27,6 +27,7 @@ from hpid_ros.base.errors import BagError
 from hpid_ros.base.names import PROFILE_FILES
 from hpid_ros.cli.main import main
 from hpid_ros.nodes.ros.middleware import LATCHED
+from hpid_ros.report.html.blocks import Paragraph
 from hpid_ros.report.html.facts import data_quality
 from hpid_ros.wire import JointStateTemplate
 
@@ -93,7 +94,7 @@ def test_what_a_recorder_missed_is_told_with_the_numbers(tmp_path, capsys):
     assert run.quality.stood_still == 3.5
     assert f"run 'run': {line}" in list(quality_lines(run))
     assert "the recorder stood still for 3.5 s" in "".join(quality_lines(run))
-    assert f"<p>{line}</p>" in "".join(data_quality([run]))
+    assert Paragraph(line) in list(data_quality([run]))
     assert main(["metrics", str(tmp_path / "bag"), "--commands", "/joint_states"]) == 0
     assert line in capsys.readouterr().err
     repair_bag(tmp_path / "bag", tmp_path / "repaired")

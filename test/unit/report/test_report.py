@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from hpid_ros.analysis.comparison import Comparison, answer
@@ -296,7 +296,6 @@ def plain_page():
     return page_of("x", "joint", "text")
 
 
-@settings(max_examples=15)
 @given(label=names, joint=names, text=names)
 def test_any_name_is_text_wherever_it_stands(plain_page, label, joint, text):
     assume(joint != "b")

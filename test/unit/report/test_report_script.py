@@ -13,7 +13,7 @@ import numpy as np
 import playwright
 import pytest
 from harness.places import ROOT
-from hypothesis import assume, given, settings
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from hpid_ros.report.html.data import line_data
@@ -103,7 +103,6 @@ spans = st.tuples(st.floats(-1e3, 1e3), st.floats(1e-3, 1e3)).map(lambda at: (at
 shares = st.floats(0.0, 1.0)
 
 
-@settings(max_examples=20)
 @given(whole=spans, low=shares, high=shares, at=shares, factor=st.floats(0.1, 8.0))
 def test_a_zoomed_range_holds_its_place_and_stays_within_the_whole(whole, low, high, at, factor):
     assume(low + 1e-3 < high)
@@ -123,7 +122,6 @@ def test_zooming_ends_at_a_millionth_of_the_whole():
     assert evaluate("zoomed([0.5, 0.5000011], [0, 1], 0.5, 0.5)") == [0.5, 0.5000011]
 
 
-@settings(max_examples=20)
 @given(whole=spans, low=shares, high=shares, share=st.floats(-2.0, 2.0))
 def test_a_panned_range_keeps_its_length_and_stays_within_the_whole(whole, low, high, share):
     assume(low < high)
