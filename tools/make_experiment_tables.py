@@ -16,7 +16,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-from hpid_ros.documents.records import TableRow, table  # noqa: E402
+from hpid_ros.documents.descriptions import TableRow, table  # noqa: E402
 from hpid_ros.planning.configuration import BrickTask  # noqa: E402
 from hpid_ros.robot.configuration import RobotSection  # noqa: E402
 from hpid_ros.simulation.drives import DriveSettings  # noqa: E402

@@ -1,17 +1,18 @@
 """Records: what a section of a file may say, declared once as a frozen dataclass.
 
 A field declares its meaning, unit, range and default. From that come the checks of a record that
-is made in Python, the reading of a section, the way back into a file, the JSON Schema with which
-editors complete and check files, and the tables of the documentation. (A library would be the
-better choice, were there one: of those that do all this, none has the same interface on PyPI and
-in the Ubuntu of Jazzy, pydantic, or a rosdep key, msgspec and cattrs.)
+is made in Python, the reading of a section, the way back into a file, and in :mod:`.descriptions`
+the JSON Schema with which editors complete and check files, and the tables of the documentation.
+
+A library would be the better choice, were there one: of those that do all this, pydantic has
+another interface on PyPI than in the Ubuntu of Jazzy, and msgspec and cattrs have no rosdep key.
 """
 
 from __future__ import annotations
 
 import math
 import types
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, Field, dataclass, field, fields
 from functools import cache
 from typing import Any, NamedTuple, TypeVar, Union, cast, get_args, get_origin, get_type_hints
@@ -135,6 +136,17 @@ def _fields_of(kind: Any) -> tuple[RecordField, ...]:
     return tuple(found)
 
 
+def is_record(kind: Any) -> bool:
+    """Tell whether a field's type is a record."""
+    return isinstance(kind, type) and issubclass(kind, Record)
+
+
+def container_of(kind: Any) -> Any:
+    """Return ``tuple`` for lists, ``Mapping`` for mappings by name; None for a single value."""
+    origin = get_origin(kind)
+    return Mapping if isinstance(origin, type) and issubclass(origin, Mapping) else origin
+
+
 def from_mapping(
     kind: type[AnyRecord], values: object, where: str, error: type[HpidError]
 ) -> AnyRecord:
@@ -177,7 +189,7 @@ def take_record(
         if each.key not in section and not each.is_needed:
             continue
         value = section.take(each.key)
-        if value is OFF and each.is_optional and _is_record(each.kind):
+        if value is OFF and each.is_optional and is_record(each.kind):
             values[each.name] = None
         else:
             values[each.name] = _converted(value, each, section.place(each.key), section.error)
@@ -225,7 +237,7 @@ def take_layered(
                 value = common
             elif isinstance(value, Mapping) and isinstance(common, Mapping):
                 value = {**common, **value}
-            if not (value is OFF and _is_record(each.kind)):
+            if not (value is OFF and is_record(each.kind)):
                 place = source.place(each.key)
                 values[each.name] = _converted(value, each, place, section.error)
         layer.finish()
@@ -243,116 +255,12 @@ def to_mapping(record: Record) -> dict[str, Any]:
     }
 
 
-def json_schema(kind: type[Record]) -> dict[str, Any]:
-    """Return the JSON Schema (draft 2020-12) of a section, all of it in one piece."""
-    named = {each.key: each for each in record_fields(kind)}
-    schema: dict[str, Any] = {
-        "type": "object",
-        "description": _summary(kind),
-        "properties": {key: _schema(each) for key, each in named.items()},
-        "additionalProperties": False,
-    }
-    needed = [key for key, each in named.items() if each.is_needed and each.key != "name"]
-    return schema | ({"required": needed} if needed else {})
-
-
-def layered_schema(kind: type[Record]) -> dict[str, Any]:
-    """Return the JSON Schema of what :func:`take_layered` reads."""
-    own = partial_schema(json_schema(kind))
-    joints = {"type": "object", "additionalProperties": own}
-    return {**own, "properties": {**own["properties"], "joints": joints}}
-
-
-def partial_schema(schema: dict[str, Any], *, is_nullable: bool = False) -> dict[str, Any]:
-    """Return a schema in which nothing is needed, in its mappings neither.
-
-    Args:
-        schema: The schema.
-        is_nullable: Whether null may stand for each entry, which removes it.
-    """
-
-    def loosened(each: dict[str, Any]) -> dict[str, Any]:
-        inner = partial_schema(each, is_nullable=is_nullable)
-        return {"anyOf": [inner, {"type": "null"}]} if is_nullable else inner
-
-    result = {key: value for key, value in schema.items() if key != "required"}
-    if "properties" in result:
-        result["properties"] = {key: loosened(each) for key, each in result["properties"].items()}
-    if isinstance(result.get("additionalProperties"), dict):
-        result["additionalProperties"] = loosened(result["additionalProperties"])
-    elif "additionalProperties" in result and is_nullable:
-        result["additionalProperties"] = {"type": "null"}
-    choices = [*result.pop("oneOf", ()), *result.pop("anyOf", ())]
-    if choices:
-        result["anyOf"] = [partial_schema(each, is_nullable=is_nullable) for each in choices]
-    return result
-
-
-class TableRow(NamedTuple):
-    """One key of a section, for a person.
-
-    Attributes:
-        key: Its name, with those of the sections that it is in.
-        default: What it is when it is left out; ``needed`` where it must not be.
-        range: What it may be; empty for whatever fits.
-        meaning: What it is, with its unit.
-    """
-
-    key: str
-    default: str
-    range: str
-    meaning: str
-
-
-def table(kind: type[Record], prefix: str = "") -> Iterator[TableRow]:
-    """Yield each key of a section, those of records within it too.
-
-    Args:
-        kind: What the section is.
-        prefix: Before each key.
-    """
-    for each in record_fields(kind):
-        inner, place = _inner(each.kind, each.quantity)
-        if each.key == "name":  # stands for NAME in the other keys
-            continue
-        unit = f" [{each.quantity.unit}]" if each.quantity.unit else ""
-        bounds = ", ".join(each.quantity.choices)
-        if each.quantity.bounds != ANY:
-            bounds = str(each.quantity.bounds)
-        default = "needed" if each.is_needed else _shown_default(each.default)
-        yield TableRow(f"{prefix}{each.key}", default, bounds, f"{each.quantity.meaning}{unit}")
-        if _is_record(inner):
-            yield from table(inner, f"{prefix}{each.key}{place}.")
-
-
-def _inner(kind: Any, what: Quantity) -> tuple[Any, str]:
-    """Return what a list or mapping holds, and how its entries are named; else the type itself."""
-    container = _container(kind)
-    if container is tuple:
-        return get_args(kind)[0], ".NAME" if what.names else "[]"
-    if container is Mapping:
-        return get_args(kind)[1], ".NAME"
-    return kind, ""
-
-
-def _shown_default(value: Any) -> str:
-    if value is None or value in ({}, ()) or isinstance(value, Record):
-        return ""
-    if isinstance(value, bool):
-        return str(value).lower()
-    return str(list(value)) if isinstance(value, tuple) else f"{value}"
-
-
 def _without_none(hint: Any) -> tuple[Any, bool]:
     """Return a type without None, and whether None was one of its choices."""
     if get_origin(hint) not in (Union, types.UnionType):
         return hint, False
     rest = tuple(each for each in get_args(hint) if each is not types.NoneType)
     return (rest[0] if len(rest) == 1 else Union[rest]), len(rest) < len(get_args(hint))  # noqa: UP007
-
-
-def _is_record(kind: Any) -> bool:
-    return isinstance(kind, type) and issubclass(kind, Record)
 
 
 def _converted(value: Any, each: RecordField, place: str, error: type[HpidError]) -> Any:
@@ -365,21 +273,21 @@ def _as(kind: Any, value: Any, what: Quantity, place: str, error: type[HpidError
     Raises:
         HpidError: The ``error`` given: it is something else.
     """
-    if kind is object or (_is_record(kind) and isinstance(value, kind)):
+    if kind is object or (is_record(kind) and isinstance(value, kind)):
         return value
     origin = get_origin(kind)
     if origin in (Union, types.UnionType):
         return _as(_chosen(get_args(kind), value), value, what, place, error)
     if origin is tuple:
         return _list(get_args(kind), value, what, place, error)
-    if isinstance(origin, type) and issubclass(origin, Mapping):
+    if container_of(kind) is Mapping:
         section = Section(value, place, error)
         inner = get_args(kind)[1]
         return {
             name: _as(inner, each, what, section.place(name), error)
             for name, each in section.items().items()
         }
-    if _is_record(kind):
+    if is_record(kind):
         return from_mapping(kind, value, place, error)
     checked = Section({place: value}, "", error)
     if kind is bool:
@@ -398,13 +306,8 @@ def _chosen(kinds: tuple[Any, ...], value: Any) -> Any:
     """Return which of a union's types is meant: the mapping, the list, or what is neither."""
     is_mapping, is_list = isinstance(value, Mapping), isinstance(value, list | tuple)
     meant = Mapping if is_mapping else tuple if is_list else None
-    containers = {_container(each): each for each in kinds}
+    containers = {container_of(each): each for each in kinds}
     return containers.get(meant, containers[None])
-
-
-def _container(kind: Any) -> Any:
-    origin = get_origin(kind)
-    return Mapping if isinstance(origin, type) and issubclass(origin, Mapping) else origin
 
 
 def _list(
@@ -446,47 +349,3 @@ def _plain(value: Any, each: RecordField) -> Any:
             del entry["name"]
         return named
     return value
-
-
-_TYPES = {bool: "boolean", int: "integer", float: "number", str: "string", object: None}
-
-
-def _schema(each: RecordField) -> dict[str, Any]:
-    what = each.quantity
-    unit = f" [{what.unit}]" if what.unit else ""
-    schema = _schema_of(each.kind, what)
-    if each.is_optional and _is_record(each.kind):
-        schema = {"anyOf": [schema, {"const": OFF}]}
-    schema = {**schema, "description": f"{what.meaning}{unit}"}
-    if not each.is_needed and isinstance(each.default, bool | int | float | str):
-        schema["default"] = each.default
-    return schema
-
-
-def _schema_of(kind: Any, what: Quantity) -> dict[str, Any]:
-    origin, inner = get_origin(kind), get_args(kind)
-    if origin in (Union, types.UnionType):
-        return {"anyOf": [_schema_of(each, what) for each in inner]}
-    if origin is tuple and what.names:
-        entries = json_schema(inner[0])
-        entries["properties"].pop("name")
-        return {"type": "object", "additionalProperties": entries}
-    if origin is tuple:
-        sizes = {} if inner[-1] is Ellipsis else {"minItems": len(inner), "maxItems": len(inner)}
-        return {"type": "array", "items": _schema_of(inner[0], what), **sizes}
-    if isinstance(origin, type) and issubclass(origin, Mapping):
-        return {"type": "object", "additionalProperties": _schema_of(inner[1], what)}
-    if _is_record(kind):
-        return json_schema(kind)
-    name = _TYPES[kind]
-    if name is None:
-        return {}
-    if kind is str:
-        return {"type": name} | (
-            {"enum": list(what.choices)} if what.choices else {"minLength": 1}
-        )
-    return {"type": name} | ({} if kind is bool else what.bounds.schema())
-
-
-def _summary(kind: type[Record]) -> str:
-    return (kind.__doc__ or kind.__name__).strip().splitlines()[0]

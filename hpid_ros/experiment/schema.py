@@ -8,7 +8,7 @@ from typing import Any
 
 from hpid_ros.control.settings.model import MODEL_PARAMETERS
 from hpid_ros.control.settings.table import LOOP_PARAMETERS, ParameterSpec
-from hpid_ros.documents.records import partial_schema
+from hpid_ros.documents.descriptions import partial_schema
 from hpid_ros.documents.yaml_files import EXTENDS
 from hpid_ros.planning.configuration import task_schema
 from hpid_ros.simulation.world_file import world_schema

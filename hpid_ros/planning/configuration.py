@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from hpid_ros.base.errors import HpidError, TrajectoryError, unknown_name
-from hpid_ros.documents.records import Record, json_schema, quantity, take_record
+from hpid_ros.documents.descriptions import json_schema
+from hpid_ros.documents.records import Record, quantity, take_record
 from hpid_ros.documents.sections import Section
 from hpid_ros.planning.plan import BrickGoal, BrickPlan, Placement, PlanOptions, TaskRobot
 from hpid_ros.robot.configuration import RobotSection

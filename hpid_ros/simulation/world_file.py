@@ -10,15 +10,8 @@ from typing import Any, NamedTuple
 from hpid_ros.base.errors import ExperimentError, HpidError
 from hpid_ros.base.resources import find_resource
 from hpid_ros.base.units import NANOSECONDS
-from hpid_ros.documents.records import (
-    Record,
-    json_schema,
-    layered_schema,
-    quantity,
-    take_layered,
-    take_record,
-    to_mapping,
-)
+from hpid_ros.documents.descriptions import json_schema, layered_schema
+from hpid_ros.documents.records import Record, quantity, take_layered, take_record, to_mapping
 from hpid_ros.documents.sections import Section
 from hpid_ros.planning import PlannedReference, planned_reference
 from hpid_ros.robot.configuration import RobotSection, Wheels

@@ -7,7 +7,8 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from hpid_ros.base.errors import HpidError, TrajectoryError, unknown_name
-from hpid_ros.documents.records import Record, json_schema, quantity, take_record
+from hpid_ros.documents.descriptions import json_schema
+from hpid_ros.documents.records import Record, quantity, take_record
 from hpid_ros.documents.sections import Section
 from hpid_ros.trajectory.base_path import FORWARD, base_path
 from hpid_ros.trajectory.combining import combined

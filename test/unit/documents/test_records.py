@@ -12,16 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hpid_ros.base.errors import ExperimentError, SettingError
-from hpid_ros.documents.records import (
-    Record,
-    from_mapping,
-    json_schema,
-    layered_schema,
-    quantity,
-    table,
-    take_layered,
-    to_mapping,
-)
+from hpid_ros.documents.descriptions import json_schema, layered_schema, table
+from hpid_ros.documents.records import Record, from_mapping, quantity, take_layered, to_mapping
 from hpid_ros.documents.sections import Section
 
 
