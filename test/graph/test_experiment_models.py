@@ -11,7 +11,7 @@ import yaml
 from hpid_ros.base.errors import ExperimentError, HpidError
 from hpid_ros.experiment.description import load_experiment
 from hpid_ros.experiment.graph.nodes import write_document, write_run_files
-from hpid_ros.nodes.bridge.world_parameters import world_settings
+from hpid_ros.nodes.bridge.world_parameters import read_world_file
 from hpid_ros.simulation.drives import Motor, Pwm
 from hpid_ros.simulation.sensors import Homing
 from hpid_ros.simulation.world.disturbances import Disturbances, PayloadChange, WrenchPulse
@@ -99,7 +99,7 @@ def bridge_settings(file: Path, domain: int):
     try:
         node = rclpy.create_node("pybullet_bridge", context=context)
         try:
-            return world_settings(node, "pybullet")
+            return read_world_file(node, "pybullet")
         finally:
             node.destroy_node()
     finally:
@@ -121,7 +121,8 @@ def test_the_bridge_builds_the_very_world_of_the_experiment(
     write_document(tmp_path / "own.yaml", bridge_parameters(world_file=str(experiment.path)))
     for file in ("bridge.yaml", "own.yaml"):
         there = bridge_settings(tmp_path / file, harness.context.get_domain_id())
-        assert there == experiment.world, file
+        assert there.world == experiment.world, file
+        assert there.control.answer_timeout == experiment.answer_timeout != 2.0
 
 
 def test_parameters_are_laid_over_the_file(experiment_file, tmp_path, harness):
@@ -131,11 +132,14 @@ def test_parameters_are_laid_over_the_file(experiment_file, tmp_path, harness):
         physics_steps=2,
         control_rate=500.0,
         payload_mass=0.5,
+        answer_timeout=0.5,
         encoder_counts=[100 + index for index in range(8)],
         initial_positions=[0.0] * 7 + [0.25],
     )
     write_document(tmp_path / "bridge.yaml", given)
-    world = bridge_settings(tmp_path / "bridge.yaml", harness.context.get_domain_id())
+    found = bridge_settings(tmp_path / "bridge.yaml", harness.context.get_domain_id())
+    assert found.control.answer_timeout == 0.5
+    world = found.world
     assert (world.seed, world.physics_steps, world.payload_mass) == (7, 2, 0.5)
     assert world.control_period_ns == 2_000_000
     assert world.counts == tuple(range(100, 108))

@@ -54,6 +54,8 @@ def test_result_folder_is_whole(experiment_file, tmp_path):
     assert figures >= {"positions", "efforts", "errors", "effort_norm", "error_norm"}
     result = json.loads((folder / "result.json").read_text())
     assert result["sha256"] == experiment.digest
+    engine = f'<tr><th scope="row">engine</th><td>{result["engine"]}</td></tr>'
+    assert engine in (folder / "report.html").read_text()
     for samples in result["samples"].values():
         for joint in samples.values():
             assert joint == {

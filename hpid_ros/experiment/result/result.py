@@ -171,6 +171,7 @@ def save(result: Result, folder: ResultFolder, reports: Sequence[RunReport], how
     provenance = {
         "experiment": result.experiment.name,
         "ran": how,
+        "engine": result.experiment.world.engine,
         "command": f"hpid compare {result.experiment.path.name}",
         "seed": result.experiment.seed,
         "SHA-256 of experiment and robot": result.experiment.digest,

@@ -13,7 +13,7 @@ from hpid_ros.nodes.bridge.commanders import Commanders, HeldCommands
 from hpid_ros.nodes.bridge.pace import BridgeTiming, read_pace
 from hpid_ros.nodes.bridge.reports import BridgeReports
 from hpid_ros.nodes.bridge.services import BridgeServices
-from hpid_ros.nodes.bridge.world_parameters import world_settings
+from hpid_ros.nodes.bridge.world_parameters import read_world_file
 from hpid_ros.nodes.ros import executor
 from hpid_ros.nodes.ros.middleware import ALL_COMMANDS, OFFERED, overridable
 from hpid_ros.nodes.ros.parameters import read_only
@@ -48,8 +48,9 @@ class RobotBridge(executor.ClosingNode):
     def __init__(self, engine: str) -> None:
         super().__init__(f"{engine}_bridge")
         self.require_given("world_file", "robot_description")
-        settings = world_settings(self, engine)
-        self._pace = pace = read_pace(self, len(settings.joints))
+        found = read_world_file(self, engine)
+        settings = found.world
+        self._pace = pace = read_pace(self, len(settings.joints), found.control.answer_timeout)
         self._status = StatusPipe(self)
         self._world = World(settings)
         driven = self._world.description.select(settings.joints)

@@ -121,12 +121,13 @@ class Pace:
         return self.command_timeout_ns / NANOSECONDS / self.real_time_factor
 
 
-def read_pace(node: Node, joints: int) -> Pace:
+def read_pace(node: Node, joints: int, answer_timeout: float) -> Pace:
     """Declare the parameters of time and return what they say.
 
     Args:
         node: The bridge.
         joints: Number of driven joints; lockstep waits for as many controllers.
+        answer_timeout: Wall time that lockstep waits for one answer in [s].
 
     Raises:
         SettingError: A value is out of range.
@@ -152,9 +153,7 @@ def read_pace(node: Node, joints: int) -> Pace:
         real_time_factor=positive(
             "real_time_factor", 1.0, "Simulated time per wall time in realtime"
         ),
-        answer_timeout=positive(
-            "answer_timeout", 2.0, "Wall time that lockstep waits for one answer [s]"
-        ),
+        answer_timeout=answer_timeout,
         command_timeout_ns=round(timeout * NANOSECONDS),
         subscribers=read_only(
             node, "wait_for_subscribers", everyone, "Subscribers that states must have first"

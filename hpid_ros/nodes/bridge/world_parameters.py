@@ -17,8 +17,7 @@ from hpid_ros.base.resources import find_resource
 from hpid_ros.documents.sections import Section
 from hpid_ros.documents.yaml_files import load_document
 from hpid_ros.nodes.ros.parameters import read_only
-from hpid_ros.simulation.settings import WorldSettings
-from hpid_ros.simulation.world_file import OF_EXPERIMENTS, read_world
+from hpid_ros.simulation.world_file import OF_EXPERIMENTS, WorldFile, read_world
 
 _DEFAULT_ROBOT = "urdf/mobile_manipulator.urdf"
 OVER_THE_FILE = {
@@ -38,6 +37,10 @@ OVER_THE_FILE = {
         *("control", "rate", Parameter.Type.DOUBLE),
         "States per simulated second [Hz]",
     ),
+    "answer_timeout": (
+        *("control", "answer_timeout", Parameter.Type.DOUBLE),
+        "Wall time that lockstep waits for one answer [s]",
+    ),
     "physics_steps": (
         *("simulation", "physics_steps", Parameter.Type.INTEGER),
         "Physics steps in one control period",
@@ -50,7 +53,7 @@ OVER_THE_FILE = {
 """Parameters that are laid over the file: its section (none: the root), key, type, meaning."""
 
 
-def world_settings(node: Node, engine: str) -> WorldSettings:
+def read_world_file(node: Node, engine: str) -> WorldFile:
     """Declare the parameters of a world and return what they say.
 
     Args:
@@ -94,14 +97,14 @@ def world_settings(node: Node, engine: str) -> WorldSettings:
         Parameter.Type.INTEGER_ARRAY,
         "Encoder counts per revolution of each driven joint; 0 measures exactly",
     )
-    world = _read(values, file, () if document is None else document.folders)
-    joints = world.joints
+    found = _read(values, file, () if document is None else document.folders)
+    world, joints = found.world, found.world.joints
     if positions:
         along = _along(joints, "initial_positions", positions)
         world = replace(world, initial_positions=dict(zip(joints, along, strict=True)))
     if counts:
         world = replace(world, encoder_counts=_along(joints, "encoder_counts", counts))
-    return replace(world, gui=_gui(node))
+    return found._replace(world=replace(world, gui=_gui(node)))
 
 
 def _laid_over(node: Node, values: Any, robot: str, engine: str) -> Any:
@@ -124,16 +127,16 @@ def _laid_over(node: Node, values: Any, robot: str, engine: str) -> Any:
     return values
 
 
-def _read(values: Any, file: str, folders: Sequence[Path]) -> WorldSettings:
+def _read(values: Any, file: str, folders: Sequence[Path]) -> WorldFile:
     try:
         root = Section(values, "", SettingError)
         for key in OF_EXPERIMENTS:
             root.take(key, None)
-        world = read_world(root, folders).world
+        found = read_world(root, folders)
         root.finish()
     except HpidError as error:
         raise SettingError(f"{file}: {error}" if file else str(error)) from None
-    return world
+    return found
 
 
 def _along(joints: Sequence[str], name: str, values: Sequence[Any]) -> tuple[Any, ...]:
