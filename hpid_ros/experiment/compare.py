@@ -3,18 +3,25 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from hpid_ros.analysis import Comparison
+from hpid_ros.analysis.engine_totals import EngineTotal, Numbers, engine_mapping
+from hpid_ros.analysis.quantities import PAPER, Quantity
 from hpid_ros.base.errors import ExperimentError, unknown_name
 from hpid_ros.experiment.description import Experiment
 from hpid_ros.experiment.graph.options import GraphOptions
 from hpid_ros.experiment.graph.run import run_on_graph
 from hpid_ros.experiment.graph.trial import run_trial
 from hpid_ros.experiment.in_process import run_without_ros
-from hpid_ros.experiment.progress import Progress, RunReport
+from hpid_ros.experiment.progress import NamedProgress, Progress, RunReport
 from hpid_ros.experiment.result.folder import EXPERIMENT, ResultFolder
+from hpid_ros.experiment.result.places import ResultPlaces
 from hpid_ros.experiment.result.result import Result, compute, save, save_numbers, save_timing
+from hpid_ros.report.tables.engine_tables import engine_grids, engines_csv
+from hpid_ros.report.tables.grid import Grid, grids_text
 from hpid_ros.stability.saved_certificates import certificates
 
 
@@ -99,7 +106,7 @@ class Compared:
 
     result: Result
     reports: tuple[RunReport, ...]
-    folder: ResultFolder
+    folder: ResultPlaces
 
 
 def compare(
@@ -127,8 +134,80 @@ def compare(
     return Compared(result, tuple(reports), folder)
 
 
+@dataclass(frozen=True)
+class ComparedEngines:
+    """What a comparison in several engines gives back.
+
+    Attributes:
+        compared: The comparison in each engine, by its name.
+        totals: Each total of each controller in all engines.
+        folder: Where everything lies.
+    """
+
+    compared: Mapping[str, Compared]
+    totals: tuple[EngineTotal, ...]
+    folder: ResultFolder
+
+    @property
+    def grids(self) -> list[Grid]:
+        """How far the engines lie apart, as tables."""
+        return engine_grids(self.totals, "Totals over all driven joints, one seed.")
+
+
+def compare_engines(
+    experiments: Sequence[Experiment],
+    output: Path,
+    progress: Progress,
+    *,
+    in_process: bool = False,
+    force: bool = False,
+) -> ComparedEngines:
+    """Make the same comparison in two engines, and say how far they lie apart.
+
+    Args:
+        experiments: One and the same, in two engines.
+        output: Folder of the result, with a whole comparison in a folder for each engine.
+        progress: As for :func:`compare`, is told of ``LABEL (ENGINE)``.
+        in_process: As for :func:`compare`.
+        force: As for :func:`compare`.
+
+    Raises:
+        HpidError: As for :func:`compare`.
+    """
+    with ResultFolder.create(output, force=force, inputs=experiments[0].inputs) as folder:
+        compared = {}
+        for experiment in experiments:
+            engine = experiment.world.engine
+            part = folder.part(engine)
+            told = NamedProgress(progress, engine, list(experiment.controllers))
+            result, reports = _compare(experiment, part, told, in_process)
+            compared[engine] = Compared(result, tuple(reports), part)
+        totals = _engine_totals({engine: each.result for engine, each in compared.items()})
+        both = ComparedEngines(compared, totals, folder)
+        folder.write("engines.txt", grids_text(both.grids))
+        folder.write("engines.csv", engines_csv(totals))
+        folder.write("engines.json", json.dumps(engine_mapping(totals), indent=2) + "\n")
+    return both
+
+
+def _engine_totals(results: Mapping[str, Result]) -> tuple[EngineTotal, ...]:
+    first = next(iter(results.values()))
+    name, seed = first.experiment.name, first.experiment.seed
+
+    def in_each(number: Callable[[Comparison], float]) -> dict[str, Numbers]:
+        return {engine: {seed: number(each.comparison)} for engine, each in results.items()}
+
+    def total(label: str, quantity: Quantity) -> EngineTotal:
+        values = in_each(lambda comparison: comparison.run(label).value(quantity))
+        ratios = in_each(lambda comparison: comparison.ratio(label, quantity))
+        is_baseline = label == first.comparison.baseline.label
+        return EngineTotal(name, label, quantity, values, {} if is_baseline else ratios)
+
+    return tuple(total(run.label, each) for run in first.comparison.runs for each in PAPER)
+
+
 def _compare(
-    experiment: Experiment, folder: ResultFolder, progress: Progress, in_process: bool
+    experiment: Experiment, folder: ResultPlaces, progress: Progress, in_process: bool
 ) -> tuple[Result, list[RunReport]]:
     folder.write(EXPERIMENT, experiment.text)
     reports = []

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -120,6 +120,32 @@ class NoProgress:
 
     def advanced(self, label: str, simulated: float) -> None:
         """Say nothing."""
+
+
+class NamedProgress:
+    """Progress of runs that need another name beside their label.
+
+    Args:
+        progress: Who is told, of ``LABEL (NAME)``.
+        name: What the runs have in common.
+        labels: Their labels, in their order.
+    """
+
+    def __init__(self, progress: Progress, name: str, labels: Sequence[str]) -> None:
+        self._progress, self._name, self._last = progress, name, labels[-1]
+
+    def phase(self, label: str, what: str) -> None:
+        """Pass it on; what follows all runs is of the last one."""
+        self._progress.phase(named(label or self._last, self._name), what)
+
+    def advanced(self, label: str, simulated: float) -> None:
+        """Pass it on."""
+        self._progress.advanced(named(label, self._name), simulated)
+
+
+def named(label: str, name: str) -> str:
+    """Return a run's label with what it has in common with others."""
+    return f"{label} ({name})"
 
 
 @dataclass

@@ -12,7 +12,7 @@ from hpid_ros.nodes.bridge.bridge import RobotBridge
 from hpid_ros.nodes.ros import executor
 from hpid_ros.nodes.ros.parameters import read_only
 from hpid_ros.nodes.ros.usage import Usage
-from hpid_ros.simulation.settings import ENGINES
+from hpid_ros.simulation.settings import ENGINES, default_engine
 
 
 class SingleProcess(executor.ClosingNode):
@@ -23,9 +23,8 @@ class SingleProcess(executor.ClosingNode):
         self.records: bool = read_only(
             self, "record", False, "Run bag_recorder in this process too, with its parameters"
         )
-        self.engine = str(
-            read_only(self, "engine", "pybullet", f"Of the bridge: {', '.join(ENGINES)}")
-        )
+        choices = ", ".join(ENGINES)
+        self.engine = str(read_only(self, "engine", default_engine(), f"Of the bridge: {choices}"))
         if self.engine not in ENGINES:
             raise SettingError(unknown_name("engine", self.engine, ENGINES))
 

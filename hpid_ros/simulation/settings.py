@@ -18,16 +18,33 @@ from hpid_ros.simulation.world.disturbances import Disturbances, require_mass
 from hpid_ros.simulation.world.workpieces import Workplace
 
 ENGINES = ("pybullet", "mujoco")
+"""The engines by name, which is also that of the Python package that each is."""
 
 
-def has_bullet() -> bool:
-    """Tell whether PyBullet is installed; it has no wheel for CPython 3.12 and later."""
-    return find_spec("pybullet") is not None
+def installed_engines() -> tuple[str, ...]:
+    """Return the engines that are installed; PyBullet has no wheel for CPython 3.12 and later."""
+    return tuple(engine for engine in ENGINES if find_spec(engine) is not None)
 
 
 def default_engine() -> str:
     """Return the engine where nobody names one: PyBullet where it is installed, else MuJoCo."""
-    return ENGINES[0] if has_bullet() else ENGINES[1]
+    return ENGINES[0] if ENGINES[0] in installed_engines() else ENGINES[1]
+
+
+def require_engine(engine: str) -> None:
+    """Refuse an engine that cannot be used here.
+
+    Args:
+        engine: Its name.
+
+    Raises:
+        SettingError: There is no engine of that name, or it is not installed.
+    """
+    if engine not in ENGINES:
+        raise SettingError(unknown_name("engine", engine, ENGINES))
+    if engine not in (installed := installed_engines()):
+        others = f", or take engine {' or '.join(installed)}" if installed else ""
+        raise SettingError(f"engine {engine} is not installed: pip install {engine}{others}")
 
 
 @dataclass(frozen=True)

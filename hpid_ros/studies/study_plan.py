@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import itertools
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -11,10 +12,13 @@ from typing import NamedTuple
 
 from hpid_ros.analysis import RunIndices
 from hpid_ros.analysis.quantities import CHATTER, ERROR_MAX, OVERSHOOT, Quantity
-from hpid_ros.base.errors import RunError, SettingError, unknown_name
-from hpid_ros.base.resources import share_folder
+from hpid_ros.base.errors import ExperimentError, RunError, SettingError, unknown_name
+from hpid_ros.base.resources import ResourceError, find_resource, share_folder
+from hpid_ros.documents.sections import Section
+from hpid_ros.documents.yaml_files import load_document
 from hpid_ros.experiment.description import Experiment, load_experiment
 from hpid_ros.experiment.result.folder import versions
+from hpid_ros.simulation.settings import ENGINES, require_engine
 from hpid_ros.studies.batch import LAST_ERROR, PAPER_QUANTITIES, JudgedTask
 
 SLOW = ("bricks",)
@@ -26,31 +30,45 @@ class RunKey(NamedTuple):
 
     Attributes:
         experiment: Name of the experiment.
+        engine: Who computes the physics.
         controller: Label of the controller.
         seed: The run's seed.
     """
 
     experiment: str
+    engine: str
     controller: str
     seed: int
 
 
 @dataclass(frozen=True)
 class StudyEntry:
-    """One experiment of a study.
+    """One experiment of a study, in one engine.
 
     Attributes:
         experiment: The experiment.
         joints: The joints that are judged, in the world's order.
+        is_in_both: Whether another entry is the same experiment in the other engine.
     """
 
     experiment: Experiment
     joints: tuple[str, ...]
+    is_in_both: bool = False
 
     @property
     def name(self) -> str:
-        """Name of the experiment."""
-        return self.experiment.name
+        """Name in the study: the experiment's, and its engine's where it is in both."""
+        name = self.experiment.name
+        return f"{name} ({self.engine})" if self.is_in_both else name
+
+    @property
+    def engine(self) -> str:
+        """Who computes the physics."""
+        return self.experiment.world.engine
+
+    def key(self, label: str, seed: int) -> RunKey:
+        """Return the name of one of its runs."""
+        return RunKey(self.experiment.name, self.engine, label, seed)
 
     @property
     def digest(self) -> str:
@@ -74,12 +92,18 @@ class StudyPlan:
     """Everything that decides a study's numbers.
 
     Attributes:
-        entries: The experiments, of unlike names.
+        entries: The experiments, of unlike names; those in both engines one after the other.
         count: Seeds of each controller: the experiment's own and those that follow it.
     """
 
     entries: tuple[StudyEntry, ...]
     count: int
+
+    @property
+    def pairs(self) -> list[tuple[StudyEntry, StudyEntry]]:
+        """The experiments that are in both engines."""
+        twice = [entry for entry in self.entries if entry.is_in_both]
+        return list(zip(twice[::2], twice[1::2], strict=True))
 
     def seeds(self, entry: StudyEntry) -> tuple[int, ...]:
         """Return the seeds of an experiment's runs."""
@@ -88,7 +112,7 @@ class StudyPlan:
     def tasks(self) -> dict[RunKey, JudgedTask]:
         """Return all runs; those on one robot are side by side."""
         return {
-            RunKey(entry.name, label, seed): JudgedTask(
+            entry.key(label, seed): JudgedTask(
                 f"{entry.name} {label} seed={seed}",
                 replace(entry.experiment.world, seed=seed),
                 loops,
@@ -109,12 +133,30 @@ def default_files() -> list[Path]:
     return sorted(files, key=lambda path: path.stem != "paper")
 
 
+def is_robot_installed(file: Path) -> bool:
+    """Tell whether an experiment's robot is here: two of this package's are PyBullet's.
+
+    Args:
+        file: The experiment.
+
+    Raises:
+        ExperimentError: It is none.
+    """
+    document = load_document(file, ExperimentError)
+    robot = Section(document.values, "", ExperimentError).section("robot", {})
+    try:
+        find_resource(robot.text("description"), document.folders)
+    except ResourceError:
+        return False
+    return True
+
+
 def plan_study(
     files: Sequence[str | Path],
     *,
     joints: Sequence[str] = (),
     seeds: int = 20,
-    engine: str | None = None,
+    engines: Sequence[str | None] = (None,),
 ) -> StudyPlan:
     """Read experiments and check them as a whole before anything runs.
 
@@ -123,37 +165,38 @@ def plan_study(
         joints: Joints to judge, in the experiments that have them; none for those that each
             experiment names.
         seeds: Runs of each controller.
-        engine: Who computes the physics; None as each file says.
+        engines: Who computes the physics, one or two; None as each file says.
 
     Raises:
         ExperimentError: A file is no experiment.
         SettingError: Two experiments have one name, one has nothing to compare or none of the
-            joints, or there is no seed.
+            joints, an engine is not installed, or there is no seed.
     """
     if seeds < 1:
         raise SettingError(f"seeds must be at least 1, not {seeds}")
     entries: dict[str, StudyEntry] = {}
-    for file in files:
-        entry = _entry(load_experiment(file, engine), joints)
+    for file, engine in itertools.product(files, engines):
+        entry = _entry(load_experiment(file, engine), joints, is_in_both=len(engines) > 1)
+        require_engine(entry.engine)
         if entry.name in entries:
-            other = entries[entry.name].experiment.path
-            raise SettingError(f"two experiments are called {entry.name!r}: {other} and {file}")
+            name, other = entry.experiment.name, entries[entry.name].experiment.path
+            raise SettingError(f"two experiments are called {name!r}: {other} and {file}")
         entries[entry.name] = entry
     if not entries:
         raise SettingError("a study needs at least one experiment")
     return StudyPlan(tuple(entries.values()), seeds)
 
 
-def _entry(experiment: Experiment, joints: Sequence[str]) -> StudyEntry:
+def _entry(experiment: Experiment, joints: Sequence[str], *, is_in_both: bool) -> StudyEntry:
     if len(experiment.controllers) < 2:
         raise SettingError(f"{experiment.path}: there is nothing to compare with the baseline")
     if not joints:
-        return StudyEntry(experiment, experiment.judged)
+        return StudyEntry(experiment, experiment.judged, is_in_both)
     named = tuple(joint for joint in experiment.world.joints if joint in joints)
     if not named:
         names = unknown_name("joint", joints[0], experiment.world.joints)
         raise SettingError(f"{experiment.path}: {names}")
-    return StudyEntry(experiment, named)
+    return StudyEntry(experiment, named, is_in_both)
 
 
 QUANTITIES: tuple[Quantity, ...] = (
@@ -218,9 +261,11 @@ class RunRecord:
         """
         try:
             saved = json.loads(line)
-            key = RunKey(saved["experiment"], saved["controller"], int(saved["seed"]))
+            # Where no engine is named it was the only one that there was.
+            names = (saved["experiment"], saved.get("engine", ENGINES[0]), saved["controller"])
+            key = RunKey(*names, int(saved["seed"]))
             return cls(key, saved["sha256"], saved["numbers"], saved["failure"])
-        except (KeyError, TypeError) as error:
+        except (AttributeError, KeyError, TypeError) as error:
             raise ValueError(f"no record of a run: {error}") from None
 
 

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from hpid_ros.analysis.comparison import ratio
+from hpid_ros.analysis.engine_totals import EngineTotal, engine_mapping
 from hpid_ros.analysis.quantities import ITAE, Quantity
 from hpid_ros.experiment.result.folder import versions
 from hpid_ros.stability.degrees import DegreeChecker
@@ -37,7 +38,7 @@ class StudyResult:
         """Return one number of a controller's runs by seed; failed runs have none."""
         found = {}
         for seed in self.plan.seeds(entry):
-            record = self.records.get(RunKey(entry.name, label, seed))
+            record = self.records.get(entry.key(label, seed))
             values = record.numbers.get(joint, {}) if record is not None else {}
             if quantity.key in values:
                 found[seed] = values[quantity.key]
@@ -53,9 +54,36 @@ class StudyResult:
         self, entry: StudyEntry, label: str, quantity: Quantity, joint: str = TOTAL
     ) -> Quartiles | None:
         """Return a controller's ratio to the baseline over the seeds, taken seed by seed."""
+        return Quartiles.of(list(self.seed_ratios(entry, label, quantity, joint).values()))
+
+    def seed_ratios(
+        self, entry: StudyEntry, label: str, quantity: Quantity, joint: str = TOTAL
+    ) -> dict[int, float]:
+        """Return a controller's ratio to the baseline with the same seed, by seed."""
         against = self.numbers(entry, entry.baseline, quantity, joint)
         own = self.numbers(entry, label, quantity, joint)
-        return Quartiles.of([ratio(own[seed], against[seed]) for seed in own if seed in against])
+        return {seed: ratio(own[seed], against[seed]) for seed in own if seed in against}
+
+    def engine_totals(self) -> list[EngineTotal]:
+        """Return the totals of what was run in both engines; empty if nothing was."""
+        return [
+            EngineTotal(
+                first.experiment.name,
+                label,
+                quantity,
+                {each.engine: self.numbers(each, label, quantity) for each in (first, second)},
+                {}
+                if label == first.baseline
+                else {
+                    each.engine: self.seed_ratios(each, label, quantity)
+                    for each in (first, second)
+                },
+            )
+            for first, second in self.plan.pairs
+            for label in first.experiment.controllers
+            for quantity in QUANTITIES
+            if self.numbers(first, label, quantity) or self.numbers(second, label, quantity)
+        ]
 
     def evidence(self, entry: StudyEntry, label: str) -> Evidence:
         """Return what an experiment says of a controller, by medians."""
@@ -106,7 +134,7 @@ class StudyResult:
     def note(self, entry: StudyEntry, label: str) -> str:
         """Return in one line what did not run; empty if everything did."""
         seeds = self.plan.seeds(entry)
-        found = [self.records.get(RunKey(entry.name, label, seed)) for seed in seeds]
+        found = [self.records.get(entry.key(label, seed)) for seed in seeds]
         failures = [each.failure for each in found if each is not None and each.failure]
         missing = sum(each is None for each in found)
         notes = [f"{len(failures)} of {len(seeds)} runs failed: {failures[0]}"] if failures else []
@@ -132,13 +160,19 @@ class StudyResult:
             "settled_below": SETTLED,
             "experiments": {entry.name: self._entry(entry) for entry in self.plan.entries},
             "claims": {label: self._claims(label) for label in self.claimed_labels()},
+            **self._engines(),
         }
+
+    def _engines(self) -> dict[str, object]:
+        totals = self.engine_totals()
+        return {"engines": engine_mapping(totals)} if totals else {}
 
     def _entry(self, entry: StudyEntry) -> dict[str, object]:
         experiment = entry.experiment
         return {
             "file": experiment.path.name,
             "sha256": experiment.digest,
+            "engine": entry.engine,
             "duration": experiment.duration,
             "joints": list(entry.joints),
             "seeds": list(self.plan.seeds(entry)),

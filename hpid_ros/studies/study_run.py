@@ -10,6 +10,7 @@ from pathlib import Path
 from hpid_ros.base.errors import ResultExistsError
 from hpid_ros.base.foreign_text import csv_text
 from hpid_ros.experiment.result.folder import ResultFolder
+from hpid_ros.report.tables.engine_tables import engines_csv
 from hpid_ros.studies.batch import Outcome, run_batch
 from hpid_ros.studies.study_plan import (
     QUANTITIES,
@@ -67,13 +68,13 @@ def run_study(
         SettingError: As for :func:`~hpid_ros.studies.batch.run_batch`.
         RunError: A process died, or the journal is damaged.
     """
-    digests = {entry.name: entry.digest for entry in plan.entries}
+    digests = _digests(plan)
     records = kept_records(plan, folder)
     tasks = {key: task for key, task in plan.tasks().items() if key not in records}
     keys = tuple(tasks)
     result = StudyResult(plan, records)
     for entry in plan.entries:
-        folder.write(f"experiments/{entry.name}.yaml", entry.experiment.text)
+        folder.write(f"experiments/{entry.experiment.name}.yaml", entry.experiment.text)
     _write(folder, plan, records)
     try:
         with (
@@ -82,7 +83,7 @@ def run_study(
         ):
             for outcome in batch:
                 key = keys[outcome.place]
-                digest = digests[key.experiment]
+                digest = digests[key.experiment, key.engine]
                 record = RunRecord.of(key, digest, outcome.indices, outcome.failure)
                 records[key] = record
                 lines.write(record.line() + "\n")
@@ -104,13 +105,13 @@ def kept_records(plan: StudyPlan, folder: ResultFolder) -> dict[RunKey, RunRecor
     Raises:
         RunError: The journal is damaged.
     """
-    digests = {entry.name: entry.digest for entry in plan.entries}
+    digests = _digests(plan)
     wanted = set(plan.tasks())
     return {
         record.key: record
         for record in read_journal(folder.path / JOURNAL)
         if record.key in wanted
-        and record.digest == digests[record.key.experiment]
+        and record.digest == digests[record.key.experiment, record.key.engine]
         and not record.failure
     }
 
@@ -126,6 +127,9 @@ def save(result: StudyResult, folder: ResultFolder) -> None:
     folder.write("study.json", json.dumps(result.as_mapping(), indent=2) + "\n")
     folder.write("tables.txt", study_text(result))
     folder.write("tables.md", study_markdown(result))
+    totals = result.engine_totals()
+    if totals:
+        folder.write("engines.csv", engines_csv(totals))
 
 
 def runs_csv(result: StudyResult) -> str:
@@ -135,7 +139,7 @@ def runs_csv(result: StudyResult) -> str:
         result: The study.
     """
     keys = [quantity.key for quantity in QUANTITIES]
-    rows: list[list[object]] = [["experiment", "controller", "seed", "joint", *keys, "failure"]]
+    rows: list[list[object]] = [[*RunKey._fields, "joint", *keys, "failure"]]
     for key in result.plan.tasks():
         record = result.records.get(key)
         if record is None:
@@ -146,6 +150,11 @@ def runs_csv(result: StudyResult) -> str:
             values = [numbers.get(each, "") for each in keys]
             rows.append([*key, name, *values, record.failure])
     return csv_text(rows)
+
+
+def _digests(plan: StudyPlan) -> dict[tuple[str, str], str]:
+    """Return what decides the numbers of each experiment in each engine."""
+    return {(each.experiment.name, each.engine): each.digest for each in plan.entries}
 
 
 def _write(folder: ResultFolder, plan: StudyPlan, records: dict[RunKey, RunRecord]) -> None:

@@ -3,16 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
-
-from rich.box import SIMPLE
-from rich.console import Console, ConsoleOptions, RenderResult
-from rich.text import Text
 
 from hpid_ros.analysis.quantities import ITAE, OVERSHOOT, Quantity
-from hpid_ros.base.console import plain_console
+from hpid_ros.report.tables.engine_tables import engine_grids
+from hpid_ros.report.tables.grid import Grid, grids_markdown, grids_text
 from hpid_ros.report.tables.numbers import format_ratio, format_values
-from hpid_ros.report.tables.wide_table import UNLIMITED_WIDTH, TableColumn, WideTable
 from hpid_ros.studies.batch import LAST_ERROR, PAPER_QUANTITIES
 from hpid_ros.studies.claims import CLAIMS, ClaimVerdict, verdict
 from hpid_ros.studies.study_plan import StudyEntry
@@ -20,55 +15,22 @@ from hpid_ros.studies.study_result import SETTLED, StudyResult
 from hpid_ros.studies.sweep_result import Quartiles
 
 NOTHING = "-"
-_TEXTS = ("joint", "controller", "verdict", "certified")  # columns that may fold
 _SHOWN = (*PAPER_QUANTITIES, OVERSHOOT)
-
-
-class Grid(NamedTuple):
-    """One table.
-
-    Attributes:
-        key: Its name in files.
-        title: What it shows.
-        headings: Of the columns; the first column is text.
-        rows: The cells.
-        note: What must be known to read it.
-    """
-
-    key: str
-    title: str
-    headings: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
-    note: str = ""
-
-    def markdown(self) -> str:
-        """Return the table as Markdown, without its title."""
-        lines = [_row(self.headings), _row(["---", *["---:"] * (len(self.headings) - 1)])]
-        lines += [_row(cells) for cells in self.rows]
-        return "\n".join(lines) + "\n" + (f"\n{self.note}\n" if self.note else "")
-
-    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        columns = [
-            TableColumn(heading, cells, is_text=not place or heading in _TEXTS)
-            for place, (heading, cells) in enumerate(
-                zip(self.headings, zip(*self.rows, strict=True), strict=True)
-            )
-        ]
-        names = 1 + (self.headings[1:2] in (("joint",), ("controller",)))
-        yield WideTable(columns[:names], columns[names:], title=self.title, box=SIMPLE)
-        if self.note:
-            yield Text(self.note, style="dim")
-        yield ""
 
 
 def grids(result: StudyResult) -> list[Grid]:
     """Return all tables of a study: claims, loops, then of each experiment totals and joints.
+
+    What was run in both engines is compared after the claims.
 
     Args:
         result: The study.
     """
     entries = result.plan.entries
     found = [_claims(result, label) for label in result.claimed_labels()]
+    totals = result.engine_totals()
+    if totals:
+        found += engine_grids(totals, f"Totals over the judged joints, {_seeds(result)}.")
     found.append(_loops(result))
     for entry in entries:
         found += [_totals(result, entry), _joints(result, entry)]
@@ -81,12 +43,7 @@ def study_text(result: StudyResult) -> str:
     Args:
         result: The study.
     """
-    console = plain_console(UNLIMITED_WIDTH)
-    with console.capture() as capture:
-        for grid in grids(result):
-            console.print(grid)
-    lines = (line.rstrip() for line in capture.get().splitlines())
-    return "\n".join(lines).strip("\n") + "\n"
+    return grids_text(grids(result))
 
 
 def study_markdown(result: StudyResult) -> str:
@@ -95,11 +52,7 @@ def study_markdown(result: StudyResult) -> str:
     Args:
         result: The study.
     """
-    parts = []
-    for grid in grids(result):
-        body = f"### {grid.title}\n\n{grid.markdown()}"
-        parts.append(f"<!-- begin {grid.key} -->\n{body}<!-- end {grid.key} -->\n")
-    return "\n".join(parts)
+    return grids_markdown(grids(result))
 
 
 def _claims(result: StudyResult, label: str) -> Grid:
@@ -246,7 +199,3 @@ def _seeds(result: StudyResult) -> str:
 
 def _yes(answer: bool) -> str:
     return "yes" if answer else "no"
-
-
-def _row(cells: Sequence[str]) -> str:
-    return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"

@@ -7,10 +7,16 @@ import sys
 
 import pytest
 import yaml
+from harness.engines import needs_bullet
 
 from hpid_ros.base.resources import share_folder
 from hpid_ros.cli.commands import BAD_INPUT, DONE, UNREAD
 from hpid_ros.cli.main import main
+from hpid_ros.experiment.description import load_experiment
+from hpid_ros.experiment.in_process import run_without_ros
+from hpid_ros.experiment.progress import NoProgress
+from hpid_ros.experiment.result.result import compute
+from hpid_ros.simulation.settings import ENGINES
 
 
 def test_in_process_comparison_prints_the_table_and_leaves_the_result(
@@ -27,6 +33,69 @@ def test_in_process_comparison_prints_the_table_and_leaves_the_result(
     bags = [str(folder / "bags" / label) for label in ("PID", "hPID")]
     assert main(["metrics", *bags, "--format", "json"]) == DONE
     assert json.loads(capsys.readouterr().out) == result["indices"]
+
+
+@needs_bullet
+def test_both_engines_are_two_whole_comparisons_and_their_distance(
+    experiment_file, tmp_path, capsys
+):
+    file, both = str(experiment_file(duration=0.1)), tmp_path / "both"
+    command = ["compare", file, "--in-process", "--engine", "both", "-o", str(both)]
+    assert main(command) == DONE
+    printed = capsys.readouterr().out
+    for words in ("in pybullet:", "in mujoco:", "short: both engines"):
+        assert words in printed
+    assert "How far MuJoCo's" in (both / "engines.txt").read_text()
+    for engine in ENGINES:
+        experiment = load_experiment(file, engine)
+        bags = {label: tmp_path / engine / label for label in experiment.controllers}
+        for label, bag in bags.items():
+            run_without_ros(experiment, label, bag, NoProgress())
+        alone = json.dumps(compute(experiment, bags).as_mapping(), indent=2) + "\n"
+        assert (both / engine / "result.json").read_text() == alone
+        assert (both / engine / "report.html").is_file()
+        assert sorted(path.name for path in (both / engine / "bags").iterdir()) == sorted(bags)
+    found = json.loads((both / "engines.json").read_text())["short"]
+    runs = [
+        json.loads((both / engine / "result.json").read_text())["indices"]["runs"]
+        for engine in ENGINES
+    ]
+    for label in ("PID", "hPID"):
+        values = [each[label]["totals"]["ivc"] for each in runs]
+        assert list(found[label]["ivc"]["values"].values()) == values
+        assert found[label]["ivc"]["distance"] == values[1] / values[0] - 1.0
+    capsys.readouterr()
+    assert "--force" in refused(command, capsys)
+
+
+@pytest.mark.parametrize("command", ["run", "sweep", "tune"])
+def test_commands_for_one_engine_take_one(command, tmp_path, capsys):
+    options = {"sweep": ["--vary", "mu=0.1"], "tune": ["--law", "pid"]}.get(command, [])
+    line = refused([command, *options, "--engine", "both", "-o", str(tmp_path / "r")], capsys)
+    assert "takes pybullet or mujoco" in line
+    assert "unknown engine 'bulet'" in refused([command, *options, "--engine", "bulet"], capsys)
+
+
+@pytest.mark.parametrize("command", ["compare", "run", "sweep", "tune"])
+def test_an_engine_that_is_not_installed_is_one_line_and_leaves_no_folder(
+    command, tmp_path, monkeypatch, capsys
+):
+    monkeypatch.setitem(sys.modules, "pybullet", None)  # as if it were not
+    options = {"sweep": ["--vary", "mu=0.1"], "tune": ["--law", "pid"]}.get(command, [])
+    arguments = [command, *options, "--engine", "pybullet", "-o", str(tmp_path / "r")]
+    line = "engine pybullet is not installed: pip install pybullet, or take engine mujoco"
+    assert refused(arguments, capsys) == f"hpid: {line}"
+    assert not (tmp_path / "r").exists()
+
+
+def test_without_pybullet_one_line_says_who_computes(
+    experiment_file, tmp_path, monkeypatch, capsys
+):
+    monkeypatch.setitem(sys.modules, "pybullet", None)
+    options = ["--vary", "mu=0.1", "--seeds", "1", "--jobs", "1", "-o", str(tmp_path / "r")]
+    assert main(["sweep", str(experiment_file(duration=0.02)), *options]) == DONE
+    line, _ = capsys.readouterr().err.splitlines()
+    assert line.startswith("hpid: mujoco computes the physics: PyBullet is not installed")
 
 
 def test_the_default_experiment_is_the_papers():

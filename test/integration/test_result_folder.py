@@ -79,6 +79,30 @@ def test_parameter_files_name_the_robot_where_it_is_in_the_end(tmp_path):
         assert Path(named).is_file()
 
 
+def test_a_result_in_parts_is_replaced_as_a_whole(tmp_path):
+    output = tmp_path / "result"
+    for text, is_new in (("old", False), ("new", True)):
+        with ResultFolder.create(output, force=is_new) as folder:
+            folder.write("both.txt", text)
+            for engine in ("pybullet", "mujoco"):
+                part = folder.part(engine)
+                part.write("result.json", text)
+                part.bag("PID").mkdir(parents=True)
+                write_file(part.bag("PID") / "PID.mcap", text)
+                (part.figures / f"{text}.png").write_text(text)
+                place = part.nodes("PID")
+                (place / "controllers.yaml").write_text(f"robot: {place.resolve()}/robot.urdf")
+        if not is_new:
+            write_file(output / "mujoco" / "note.txt", "mine")
+    files = files_in(output)
+    assert files.pop("mujoco/note.txt") == b"mine"
+    assert {name for name in files if "old" in name} == set()
+    for engine in ("pybullet", "mujoco"):
+        assert files[f"{engine}/bags/PID/PID.mcap"] == b"new"
+        named = files[f"{engine}/nodes/PID/controllers.yaml"].decode()
+        assert named == f"robot: {output.resolve()}/{engine}/nodes/PID/robot.urdf"
+
+
 @pytest.mark.parametrize("error", [KeyboardInterrupt, ExperimentError])
 def test_a_run_that_does_not_end_leaves_the_former_result_as_it_was(tmp_path, caplog, error):
     output = tmp_path / "result"

@@ -74,7 +74,7 @@ def comparison_table():
 
 
 def study_grid():
-    from hpid_ros.studies.study_tables import Grid
+    from hpid_ros.report.tables.grid import Grid
 
     headings = ("index", "PID", "hPID", "ratio", "searched", "ratio")
     row = (

@@ -3,16 +3,24 @@
 from __future__ import annotations
 
 import argparse
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from hpid_ros.cli.commands import DONE
 from hpid_ros.cli.commands.options import (
+    BOTH,
     add_engine,
     add_experiment,
     add_output,
+    chosen_engines,
+    experiment_to_run,
     named_experiment,
     output_folder,
 )
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from hpid_ros.experiment.compare import Compared
 
 
 def add(commands: Any) -> None:
@@ -24,7 +32,7 @@ def add(commands: Any) -> None:
         "per joint, record everything, and leave tables, figures and a report.",
     )
     add_experiment(parser)
-    add_engine(parser)
+    add_engine(parser, or_both=True)
     add_output(parser, "NAME")
     parser.add_argument(
         "--in-process", action="store_true", help="run without ROS; the numbers are the same"
@@ -35,11 +43,12 @@ def add(commands: Any) -> None:
 def run(options: argparse.Namespace) -> int:
     """Run the comparison and print what it gave."""
     # Imported here, as in every command: --help and errors do not wait for them.
-    from hpid_ros.cli.terminal import RunProgress, output_console, print_notes, print_reports
+    from hpid_ros.cli.terminal import RunProgress, output_console
     from hpid_ros.experiment.compare import compare
-    from hpid_ros.report.tables.table import ComparisonTable
 
-    experiment = named_experiment(options.experiment, options.engine)
+    if options.engine == BOTH:
+        return _run_in_both(options)
+    experiment = experiment_to_run(options)
     output = output_folder(options, experiment.name)
     console = output_console()
     period = experiment.world.control_period_ns * 1e-9
@@ -48,7 +57,43 @@ def run(options: argparse.Namespace) -> int:
         compared = compare(
             experiment, output, progress, in_process=options.in_process, force=options.force
         )
-    console.print(ComparisonTable(compared.result.comparison))
-    print_notes(console, compared.result.notes)
-    print_reports(console, compared.reports, experiment.duration, compared.folder.path)
+    _print(console, compared)
     return DONE
+
+
+def _run_in_both(options: argparse.Namespace) -> int:
+    """Run the comparison in both engines, one after the other, and print how far they differ."""
+    from hpid_ros.cli.terminal import RunProgress, output_console, print_result_places
+    from hpid_ros.experiment.compare import compare_engines
+    from hpid_ros.experiment.progress import named
+
+    engines = chosen_engines(options)
+    experiments = [named_experiment(options.experiment, engine) for engine in engines]
+    first = experiments[0]
+    output = output_folder(options, first.name)
+    console = output_console()
+    labels = [named(label, str(engine)) for engine in engines for label in first.controllers]
+    period = first.world.control_period_ns * 1e-9
+    with RunProgress(console, first.duration, labels, period) as progress:
+        both = compare_engines(
+            experiments, output, progress, in_process=options.in_process, force=options.force
+        )
+    for engine, compared in both.compared.items():
+        console.print(f"\nin {engine}:")
+        _print(console, compared)
+    console.print()
+    for grid in both.grids:
+        console.print(grid)
+    print_result_places(console, {"both": both.folder.path})
+    return DONE
+
+
+def _print(console: Console, compared: Compared) -> None:
+    from hpid_ros.cli.terminal import print_notes, print_reports
+    from hpid_ros.report.tables.table import ComparisonTable
+
+    result = compared.result
+    console.print(ComparisonTable(result.comparison))
+    print_notes(console, result.notes)
+    duration = result.experiment.duration
+    print_reports(console, compared.reports, duration, compared.folder.path)

@@ -2,37 +2,25 @@
 
 from __future__ import annotations
 
+import argparse
+import math
 import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from hpid_ros.base.errors import ExperimentError, HpidError, SettingError, unknown_name
 from hpid_ros.base.resources import find_resource
 
 if TYPE_CHECKING:
-    import argparse
-
-    from hpid_ros.experiment.description import Experiment
-import argparse
-import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
-
-from hpid_ros.base.errors import ExperimentError, HpidError, SettingError, unknown_name
-
-if TYPE_CHECKING:
-    from hpid_ros.robot.description import RobotDescription
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    import argparse
-
     from rich.console import Console
 
+    from hpid_ros.experiment.description import Experiment
     from hpid_ros.experiment.result.folder import ResultFolder
+    from hpid_ros.robot.description import RobotDescription
     from hpid_ros.studies.batch import Outcome
 
 
@@ -47,13 +35,50 @@ def add_experiment(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def add_engine(parser: argparse.ArgumentParser) -> None:
-    """Add ``--engine`` to the parser."""
+BOTH = "both"
+"""``--engine both``: the same runs in every engine."""
+
+
+def add_engine(parser: argparse.ArgumentParser, *, or_both: bool = False) -> None:
+    """Add ``--engine`` to the parser; ``or_both`` says whether it may be more than one."""
+    names = "pybullet, mujoco, or both to compare them" if or_both else "pybullet or mujoco"
     parser.add_argument(
-        "--engine",
-        metavar="ENGINE",
-        help="who computes the physics, pybullet or mujoco (as the file says)",
+        "--engine", metavar="ENGINE", help=f"who computes the physics, {names} (as the file says)"
     )
+
+
+def chosen_engines(options: argparse.Namespace) -> tuple[str | None, ...]:
+    """Return who is to compute the physics; None as the file says.
+
+    Raises:
+        SettingError: There is no such engine, or it is not installed.
+    """
+    from hpid_ros.simulation.settings import ENGINES, require_engine
+
+    if options.engine is None:
+        return (None,)
+    if options.engine not in (*ENGINES, BOTH):
+        raise SettingError(unknown_name("engine", options.engine, (*ENGINES, BOTH)))
+    engines = ENGINES if options.engine == BOTH else (options.engine,)
+    for engine in engines:
+        require_engine(engine)
+    return engines
+
+
+def tell_engine(engines: Sequence[str | None]) -> None:
+    """Say who computes the physics where nobody chose and PyBullet is not installed.
+
+    Args:
+        engines: From :func:`chosen_engines`.
+    """
+    from hpid_ros.simulation.settings import ENGINES, default_engine
+
+    if None in engines and (engine := default_engine()) != ENGINES[0]:
+        print(
+            f"hpid: {engine} computes the physics: PyBullet is not installed "
+            "(pip install pybullet)",
+            file=sys.stderr,
+        )
 
 
 def named_experiment(file: str | None, engine: str | None = None) -> Experiment:
@@ -67,15 +92,27 @@ def named_experiment(file: str | None, engine: str | None = None) -> Experiment:
         SettingError: It cannot be read.
     """
     from hpid_ros.experiment.description import load_experiment
-    from hpid_ros.simulation.settings import has_bullet
 
-    experiment = load_experiment(file or find_resource(DEFAULT_EXPERIMENT), engine)
-    if engine is None and not has_bullet():
-        print(
-            f"hpid: {experiment.world.engine} computes the physics: PyBullet is not installed "
-            "(pip install pybullet)",
-            file=sys.stderr,
+    return load_experiment(file or find_resource(DEFAULT_EXPERIMENT), engine)
+
+
+def experiment_to_run(options: argparse.Namespace) -> Experiment:
+    """Return the experiment that the options name, in the engine that they name.
+
+    Raises:
+        SettingError: It cannot be read, or its engine is not installed.
+    """
+    from hpid_ros.simulation.settings import ENGINES, require_engine
+
+    if options.engine == BOTH:
+        known = " or ".join(ENGINES)
+        raise SettingError(
+            f"engine both is for hpid compare and hpid study; this command takes {known}"
         )
+    (engine,) = engines = chosen_engines(options)
+    experiment = named_experiment(options.experiment, engine)
+    require_engine(experiment.world.engine)
+    tell_engine(engines)
     return experiment
 
 

@@ -10,7 +10,7 @@ from hpid_ros.cli.commands.options import (
     add_engine,
     add_experiment,
     add_output,
-    named_experiment,
+    experiment_to_run,
     output_folder,
 )
 
@@ -75,7 +75,7 @@ def run(options: argparse.Namespace) -> int:
         is_realtime=options.realtime,
         realtime_priority=options.realtime_priority,
     )
-    experiment = named_experiment(options.experiment, options.engine)
+    experiment = experiment_to_run(options)
     label = options.controller or list(experiment.controllers)[-1]
     output = output_folder(options, experiment.name)
     console = output_console()

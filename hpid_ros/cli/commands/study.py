@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hpid_ros.base.errors import SettingError
@@ -14,8 +15,10 @@ from hpid_ros.cli.commands.options import (
     add_joints,
     add_output,
     check_jobs,
+    chosen_engines,
     output_folder,
     run_progress,
+    tell_engine,
     telling_where,
 )
 
@@ -45,7 +48,7 @@ def add(commands: Any) -> None:
     parser.add_argument(
         "--seeds", type=int, default=20, metavar="N", help="runs of each controller (20)"
     )
-    add_engine(parser)
+    add_engine(parser, or_both=True)
     add_jobs(parser)
     add_output(parser, "study")
     parser.add_argument(
@@ -63,14 +66,16 @@ def add(commands: Any) -> None:
 def run(options: argparse.Namespace) -> int:
     """Run the study and print its tables."""
     from hpid_ros.base.console import TextConsole
-    from hpid_ros.studies.study_plan import default_files, plan_study
+    from hpid_ros.studies.study_plan import plan_study
     from hpid_ros.studies.study_run import kept_records, run_study, study_folder
 
     check_jobs(options)
     if options.resume and (options.force or options.output is None):
         raise SettingError("--resume needs the study's folder as --output, and not --force")
-    files = options.experiments or default_files()
-    plan = plan_study(files, joints=options.joint, seeds=options.seeds, engine=options.engine)
+    engines = chosen_engines(options)
+    files = options.experiments or _shipped_files()
+    plan = plan_study(files, joints=options.joint, seeds=options.seeds, engines=engines)
+    tell_engine(engines)
     path = output_folder(options, "study")
     inputs = [file for entry in plan.entries for file in entry.experiment.inputs]
     folder = study_folder(path, force=options.force, resume=options.resume, inputs=inputs)
@@ -81,6 +86,18 @@ def run(options: argparse.Namespace) -> int:
             result = run_study(plan, folder, options.jobs, ended)
         _print(result, options.table)
     return FAILED if result.failures else DONE
+
+
+def _shipped_files() -> list[Path]:
+    """Return this package's experiments whose robots are installed, and say which are not."""
+    from hpid_ros.studies.study_plan import default_files, is_robot_installed
+
+    files = default_files()
+    missing = [file for file in files if not is_robot_installed(file)]
+    if missing:
+        names = ", ".join(file.stem for file in missing)
+        print(f"hpid: left out, because their robots are not installed: {names}", file=sys.stderr)
+    return [file for file in files if file not in missing]
 
 
 def _print(result: StudyResult, form: str) -> None:

@@ -14,7 +14,7 @@ from hpid_ros.cli.commands.options import (
     add_joints,
     add_output,
     check_jobs,
-    named_experiment,
+    experiment_to_run,
     output_folder,
     run_progress,
     telling_where,
@@ -71,7 +71,7 @@ def run(options: argparse.Namespace) -> int:
 
     axes = [Axis.parse(text) for text in options.vary]
     check_jobs(options)
-    experiment = named_experiment(options.experiment, options.engine)
+    experiment = experiment_to_run(options)
     sweep = plan_sweep(
         experiment,
         axes,

@@ -15,7 +15,7 @@ from hpid_ros.cli.commands.options import (
     add_joints,
     add_output,
     check_jobs,
-    named_experiment,
+    experiment_to_run,
     output_folder,
     progress,
     telling_where,
@@ -144,7 +144,7 @@ def _plan(options: argparse.Namespace) -> SearchPlan:
     from hpid_ros.studies.search import SearchPlan
     from hpid_ros.studies.search_space import SearchSpace
 
-    experiment = named_experiment(options.experiment, options.engine)
+    experiment = experiment_to_run(options)
     for joint in options.joint:
         if joint not in experiment.world.joints:
             raise SettingError(unknown_name("joint", joint, experiment.world.joints))

@@ -14,7 +14,6 @@ import os
 import platform
 import stat
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import datetime
 from importlib import metadata
@@ -23,8 +22,9 @@ from types import TracebackType
 from typing import TYPE_CHECKING
 
 from hpid_ros import __version__
-from hpid_ros.base.errors import ExperimentError, HpidError, ResultExistsError
+from hpid_ros.base.errors import ResultExistsError
 from hpid_ros.base.output_files import write_file
+from hpid_ros.experiment.result.places import ResultPlaces, told
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -114,7 +114,7 @@ class Marker:
         return frozenset(files)
 
 
-class ResultFolder:
+class ResultFolder(ResultPlaces):
     """Places in the folder of one result; finished when its ``with`` block ends without an error.
 
     Attributes:
@@ -149,7 +149,7 @@ class ResultFolder:
             ExperimentError: The folder cannot be made.
         """
         former = check_place(path, force=force, inputs=inputs, option=option)
-        with _told(f"cannot make the result folder {path}"):
+        with told(f"cannot make the result folder {path}"):
             place = path if former is None else _aside(path)
             place.mkdir(parents=True, exist_ok=former is None)
             folder = cls(place, path, former)
@@ -168,19 +168,6 @@ class ResultFolder:
             raise ResultExistsError(f"{path} has no {MARKER}: {_NOT_OURS}")
         return cls(path, path, former)
 
-    @property
-    def figures(self) -> Path:
-        """Existing folder of the figures."""
-        return self._own_folder("figures", is_made=True)
-
-    def bag(self, label: str) -> Path:
-        """Return the folder of a run's bag."""
-        return self._own_folder(f"bags/{label}")
-
-    def nodes(self, label: str) -> Path:
-        """Return the existing folder of a run's parameter files and logs."""
-        return self._own_folder(f"nodes/{label}", is_made=True)
-
     def file(self, name: str) -> Path:
         """Return the path of a file that is about to be written, and note that it is ours.
 
@@ -190,22 +177,28 @@ class ResultFolder:
         Raises:
             ResultExistsError: Somebody else's file is there.
         """
-        with _told(f"cannot write {self.path / name}"):
+        with told(f"cannot write {self.path / name}"):
             self._claim(self._files, name)
             path = self.path / name
             path.parent.mkdir(parents=True, exist_ok=True)
         return path
 
-    def write(self, name: str, content: str | bytes) -> None:
-        """Write one file of the result as a whole.
+    def folder(self, name: str, *, is_made: bool = False) -> Path:
+        """Return a folder of which everything is ours.
 
         Args:
-            name: As for :meth:`file`.
-            content: What it shall hold.
+            name: Relative to the folder, with slashes.
+            is_made: Make it.
+
+        Raises:
+            ResultExistsError: Somebody else's file is there.
         """
-        path = self.file(name)
-        with _told(f"cannot write {path}"):
-            write_file(path, content)
+        with told(f"cannot make {self.path / name}"):
+            self._claim(self._folders, name)
+            path = self.path / name
+            if is_made:
+                path.mkdir(parents=True, exist_ok=True)
+        return path
 
     def add(self, name: str) -> None:
         """Note a file that was just written into a folder that was empty.
@@ -223,7 +216,7 @@ class ResultFolder:
             ExperimentError: The files cannot be moved.
         """
         written = Marker(frozenset(self._files), frozenset(self._folders)).expanded(self.path)
-        with _told(f"what was run is in {self.path}, but {self._output} cannot be finished"):
+        with told(f"what was run is in {self.path}, but {self._output} cannot be finished"):
             if self._former is not None and self.path != self._output:
                 self._take_place(written, self._former.expanded(self._output))
             Marker(written, is_finished=True).write(self._output)
@@ -246,14 +239,6 @@ class ResultFolder:
                 self._output,
                 self.path,
             )
-
-    def _own_folder(self, name: str, *, is_made: bool = False) -> Path:
-        with _told(f"cannot make {self.path / name}"):
-            self._claim(self._folders, name)
-            path = self.path / name
-            if is_made:
-                path.mkdir(parents=True, exist_ok=True)
-        return path
 
     def _claim(self, kind: set[str], name: str) -> None:
         if name in kind:
@@ -300,7 +285,7 @@ class ResultFolder:
         """Let the nodes' parameter files name their robots by where these will be."""
         before, after = str(self.path.resolve()), str(self._output.resolve())
         for name in written:
-            if name.startswith("nodes/") and name.endswith(".yaml"):
+            if "nodes" in PurePosixPath(name).parts[:-1] and name.endswith(".yaml"):
                 text = (self.path / name).read_text(encoding="utf-8")
                 if before in text:
                     write_file(self.path / name, text.replace(before, after))
@@ -330,7 +315,7 @@ def check_place(path: Path, *, force: bool, inputs: Iterable[Path], option: str)
         raise ResultExistsError(f"{path} is a symbolic link; name the folder itself")
     if not path.is_dir():
         raise ResultExistsError(f"{path} is no folder; name another with {option}")
-    with _told(f"cannot look at {path}"):
+    with told(f"cannot look at {path}"):
         _refuse_precious(path, inputs, option)
         is_empty = not any(path.iterdir())
         former = Marker.read(path)
@@ -430,15 +415,3 @@ def _remove_empty(root: Path, folders: Iterable[PurePosixPath]) -> None:
         path = root / folder
         if path.is_dir() and not path.is_symlink() and not any(path.iterdir()):
             path.rmdir()
-
-
-@contextmanager
-def _told(what: str) -> Iterator[None]:
-    """Turn an error of the operating system into one line."""
-    try:
-        yield
-    except HpidError:  # one of them is an OSError, too
-        raise
-    except OSError as error:
-        reason = (error.strerror or str(error)).lower()
-        raise ExperimentError(f"{what}: {reason}") from None

@@ -17,7 +17,8 @@ from hpid_ros.bags.selection import BagSelection
 from hpid_ros.base.foreign_text import shown
 from hpid_ros.experiment.description import Experiment
 from hpid_ros.experiment.progress import RunReport
-from hpid_ros.experiment.result.folder import ResultFolder, versions
+from hpid_ros.experiment.result.folder import versions
+from hpid_ros.experiment.result.places import ResultPlaces
 from hpid_ros.experiment.result.robot import TaskResult, base_results, task_result
 from hpid_ros.metrics import Measuring, measure
 from hpid_ros.recordings.series import RunSeries
@@ -121,7 +122,7 @@ def compute(experiment: Experiment, bags: Mapping[str, Path]) -> Result:
 
 
 def save_numbers(
-    result: Result, folder: ResultFolder, reports: Sequence[RunReport], how: str
+    result: Result, folder: ResultPlaces, reports: Sequence[RunReport], how: str
 ) -> None:
     """Write the numbers of a result: indices and table, and how long everything took.
 
@@ -139,13 +140,13 @@ def save_numbers(
     save_timing(folder, reports, how)
 
 
-def save_timing(folder: ResultFolder, reports: Sequence[RunReport], how: str) -> None:
+def save_timing(folder: ResultPlaces, reports: Sequence[RunReport], how: str) -> None:
     """Write how long the runs took, as for :func:`save_numbers`."""
     timing = {"ran": how, "runs": {each.label: each.as_mapping() for each in reports}}
     folder.write("timing.json", json.dumps(timing, indent=2) + "\n")
 
 
-def save(result: Result, folder: ResultFolder, reports: Sequence[RunReport], how: str) -> None:
+def save(result: Result, folder: ResultPlaces, reports: Sequence[RunReport], how: str) -> None:
     """Write the result: first the numbers, then what is drawn from them.
 
     Args:
@@ -174,6 +175,7 @@ def save(result: Result, folder: ResultFolder, reports: Sequence[RunReport], how
         "engine": result.experiment.world.engine,
         "command": f"hpid compare {result.experiment.path.name}",
         "seed": result.experiment.seed,
+        "engine": result.experiment.world.engine,
         "SHA-256 of experiment and robot": result.experiment.digest,
         "versions": versions(),
     }

@@ -9,7 +9,7 @@ from types import TracebackType
 from hpid_ros.base.errors import SettingError
 from hpid_ros.robot.description import RobotDescription
 from hpid_ros.simulation.poses import Pose, Twist
-from hpid_ros.simulation.settings import WorldSettings, has_bullet
+from hpid_ros.simulation.settings import WorldSettings, require_engine
 from hpid_ros.simulation.world.drivetrain import Drivetrain, EffortLimits, Sensors
 from hpid_ros.simulation.world.gripper import Gripper
 from hpid_ros.simulation.world.physics import Physics
@@ -237,17 +237,14 @@ def build_physics(settings: WorldSettings, description: RobotDescription) -> Phy
 
     Raises:
         RobotDescriptionError: The engine cannot load the robot.
-        SettingError: A brick does not stay where it is put, or PyBullet is not installed.
+        SettingError: A brick does not stay where it is put, or the engine is not installed.
     """
+    require_engine(settings.engine)
     # Imported where it is asked for: either takes a while, and one of them may not be installed.
     if settings.engine == "mujoco":
         from hpid_ros.simulation.mujoco.physics import MujocoPhysics
 
         return MujocoPhysics(settings, description)
-    if not has_bullet():
-        raise SettingError(
-            "engine pybullet is not installed: pip install pybullet, or take engine mujoco"
-        )
     from hpid_ros.simulation.bullet.physics import BulletPhysics
 
     return BulletPhysics(settings, description)
