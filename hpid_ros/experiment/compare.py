@@ -116,6 +116,7 @@ def compare(
     *,
     in_process: bool = False,
     force: bool = False,
+    has_figures: bool = True,
 ) -> Compared:
     """Run an experiment's controllers one after the other, record, compute, draw, certify.
 
@@ -125,12 +126,13 @@ def compare(
         progress: Is told how far it is.
         in_process: Run without ROS; the numbers are the same.
         force: Replace a result that is there already.
+        has_figures: Draw the figures as well, which take the longest.
 
     Raises:
         HpidError: The folder is in the way, a run failed, or a bag cannot be read.
     """
     with ResultFolder.create(output, force=force, inputs=experiment.inputs) as folder:
-        result, reports = _compare(experiment, folder, progress, in_process)
+        result, reports = _compare(experiment, folder, progress, in_process, has_figures)
     return Compared(result, tuple(reports), folder)
 
 
@@ -160,6 +162,7 @@ def compare_engines(
     progress: Progress,
     *,
     in_process: bool = False,
+    has_figures: bool = True,
     force: bool = False,
 ) -> ComparedEngines:
     """Make the same comparison in two engines, and say how far they lie apart.
@@ -169,6 +172,7 @@ def compare_engines(
         output: Folder of the result, with a whole comparison in a folder for each engine.
         progress: As for :func:`compare`, is told of ``LABEL (ENGINE)``.
         in_process: As for :func:`compare`.
+        has_figures: As for :func:`compare`.
         force: As for :func:`compare`.
 
     Raises:
@@ -180,7 +184,7 @@ def compare_engines(
             engine = experiment.world.engine
             part = folder.part(engine)
             told = NamedProgress(progress, engine, list(experiment.controllers))
-            result, reports = _compare(experiment, part, told, in_process)
+            result, reports = _compare(experiment, part, told, in_process, has_figures)
             compared[engine] = Compared(result, tuple(reports), part)
         totals = _engine_totals({engine: each.result for engine, each in compared.items()})
         both = ComparedEngines(compared, totals, folder)
@@ -207,7 +211,11 @@ def _engine_totals(results: Mapping[str, Result]) -> tuple[EngineTotal, ...]:
 
 
 def _compare(
-    experiment: Experiment, folder: ResultPlaces, progress: Progress, in_process: bool
+    experiment: Experiment,
+    folder: ResultPlaces,
+    progress: Progress,
+    in_process: bool,
+    has_figures: bool,
 ) -> tuple[Result, list[RunReport]]:
     folder.write(EXPERIMENT, experiment.text)
     reports = []
@@ -222,7 +230,8 @@ def _compare(
     progress.phase("", "computing and drawing")
     bags = {label: folder.bag(label) for label in experiment.controllers}
     result = compute(experiment, bags)
-    save(result, folder, reports, "in one process" if in_process else "ROS 2 graph")
+    how = "in one process" if in_process else "ROS 2 graph"
+    save(result, folder, reports, how, has_figures=has_figures)
     progress.phase("", "certifying the degrees")
     folder.write("certificates.json", json.dumps(certificates(experiment.controllers)) + "\n")
     return result, reports

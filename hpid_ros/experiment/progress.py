@@ -138,6 +138,10 @@ class NamedProgress:
         """Pass it on; what follows all runs is of the last one."""
         self._progress.phase(named(label or self._last, self._name), what)
 
+    def note(self, line: str) -> None:
+        """Pass it on."""
+        self._progress.note(line)
+
     def advanced(self, label: str, simulated: float) -> None:
         """Pass it on."""
         self._progress.advanced(named(label, self._name), simulated)

@@ -43,7 +43,7 @@ SMALL = {
     "name": "small",
     "duration": 4.4,
     "control": {"rate": 500, "answer_timeout": 120.0},
-    "simulation": {"physics_steps": 2},
+    "simulation": {"engine": "mujoco", "physics_steps": 2},
     "robot": {
         "base": None,
         "fixed_base": True,
@@ -173,7 +173,7 @@ def test_the_shipped_task_puts_both_bricks_where_they_belong(tmp_path):
     document = {
         "extends": str(EXPERIMENTS / "bricks.yaml"),
         "control": {"rate": 500},  # half the rate of the file, which takes half the time
-        "simulation": {"physics_steps": 2},
+        "simulation": {"engine": "mujoco", "physics_steps": 2},
         "compare": {"PID": None},
     }
     path = tmp_path / "bricks.yaml"
@@ -194,11 +194,10 @@ def test_the_shipped_task_puts_both_bricks_where_they_belong(tmp_path):
         assert end_effector[which]["largest_position"] < 0.05
 
 
-def test_a_result_draws_the_path_of_the_end_effector(small_result, tmp_path):
+def test_a_result_shows_the_path_of_the_end_effector(small_result, tmp_path):
     result, _ = small_result
     folder = ResultFolder.create(tmp_path / "result")
-    save(result, folder, [RunReport("hPID", 1.0, 2201, 1)], "in one process")
-    assert (folder.figures / "end_effector.png").stat().st_size > 10_000
+    save(result, folder, [RunReport("hPID", 1.0, 2201, 1)], "in one process", has_figures=False)
     assert '"end_effector"' in (folder.path / "report.html").read_text()
     assert "brick brick carried" in (folder.path / "table.txt").read_text()
 

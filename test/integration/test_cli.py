@@ -23,7 +23,9 @@ def test_in_process_comparison_prints_the_table_and_leaves_the_result(
     experiment_file, tmp_path, capsys
 ):
     folder = tmp_path / "result"
-    assert main(["compare", str(experiment_file()), "--in-process", "-o", str(folder)]) == DONE
+    options = ["--in-process", "--no-figures", "-o", str(folder)]
+    assert main(["compare", str(experiment_file()), *options]) == DONE
+    assert not (folder / "figures").exists()
     printed = capsys.readouterr().out
     for word in ("IVC", "IAVC", "ITAE", "arm_joint_6", "total", "report.html"):
         assert word in printed
@@ -141,7 +143,8 @@ def test_a_bad_experiment_is_one_line_and_leaves_no_folder(
 
 def test_nothing_is_overwritten_without_force(experiment_file, tmp_path, capsys):
     folder = tmp_path / "result"
-    command = ["compare", str(experiment_file()), "--in-process", "-o", str(folder)]
+    options = ["--in-process", "--no-figures", "-o", str(folder)]
+    command = ["compare", str(experiment_file(duration=0.05)), *options]
     assert main(command) == DONE
     before = (folder / "result.json").read_bytes()
     (folder / "note.txt").write_text("mine")
@@ -191,7 +194,7 @@ def test_in_process_needs_no_ros(experiment_file, tmp_path):
     """People without ROS, and sweeps, run the same experiment file."""
     code = (
         "import sys; sys.modules['rclpy'] = None; from hpid_ros.cli.main import main; "
-        f"sys.exit(main(['compare', {str(experiment_file())!r}, '--in-process', "
+        f"sys.exit(main(['compare', {str(experiment_file())!r}, '--in-process', '--no-figures', "
         f"'-o', {str(tmp_path / 'result')!r}]))"
     )
     ended = subprocess.run([sys.executable, "-c", code], capture_output=True, check=False)

@@ -428,7 +428,13 @@ def test_the_graph_gives_what_one_process_gives(tmp_path: Path, engine: str):
 
     experiment = load_experiment(short("panda", tmp_path, duration=0.1), engine)
     results = [
-        compare(experiment, tmp_path / f"result{number}", NoProgress(), in_process=bool(number))
+        compare(
+            experiment,
+            tmp_path / f"result{number}",
+            NoProgress(),
+            in_process=bool(number),
+            has_figures=False,
+        )
         for number in range(2)
     ]
     graph, one_process = ((each.folder.path / "result.json").read_bytes() for each in results)

@@ -37,10 +37,12 @@ def result(tmp_path_factory):
     document = yaml.safe_load(
         (share_folder() / "config" / "experiments" / "tracking.yaml").read_text()
     )
-    document |= {"name": "short", "duration": 0.3, "simulation": {"physics_steps": 1}}
+    document |= {"name": "short", "duration": 0.3}
+    document["simulation"] = {"engine": "mujoco", "physics_steps": 2}
     file = folder / "short.yaml"
     file.write_text(yaml.safe_dump(document, sort_keys=False))
-    assert main(["compare", str(file), "--in-process", "-o", str(folder / "result")]) == DONE
+    options = ["--in-process", "--no-figures", "-o", str(folder / "result")]
+    assert main(["compare", str(file), *options]) == DONE
     return folder / "result"
 
 

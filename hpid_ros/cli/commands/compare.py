@@ -37,6 +37,9 @@ def add(commands: Any) -> None:
     parser.add_argument(
         "--in-process", action="store_true", help="run without ROS; the numbers are the same"
     )
+    parser.add_argument(
+        "--no-figures", action="store_true", help="leave out figures/, which take the longest"
+    )
     parser.set_defaults(command=run)
 
 
@@ -55,7 +58,12 @@ def run(options: argparse.Namespace) -> int:
     labels = tuple(experiment.controllers)
     with RunProgress(console, experiment.duration, labels, period) as progress:
         compared = compare(
-            experiment, output, progress, in_process=options.in_process, force=options.force
+            experiment,
+            output,
+            progress,
+            in_process=options.in_process,
+            force=options.force,
+            has_figures=not options.no_figures,
         )
     _print(console, compared)
     return DONE
@@ -76,7 +84,10 @@ def _run_in_both(options: argparse.Namespace) -> int:
     period = first.world.control_period_ns * 1e-9
     with RunProgress(console, first.duration, labels, period) as progress:
         both = compare_engines(
-            experiments, output, progress, in_process=options.in_process, force=options.force
+            *(experiments, output, progress),
+            in_process=options.in_process,
+            has_figures=not options.no_figures,
+            force=options.force,
         )
     for engine, compared in both.compared.items():
         console.print(f"\nin {engine}:")

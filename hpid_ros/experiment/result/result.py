@@ -146,7 +146,14 @@ def save_timing(folder: ResultPlaces, reports: Sequence[RunReport], how: str) ->
     folder.write("timing.json", json.dumps(timing, indent=2) + "\n")
 
 
-def save(result: Result, folder: ResultPlaces, reports: Sequence[RunReport], how: str) -> None:
+def save(
+    result: Result,
+    folder: ResultPlaces,
+    reports: Sequence[RunReport],
+    how: str,
+    *,
+    has_figures: bool = True,
+) -> None:
     """Write the result: first the numbers, then what is drawn from them.
 
     Args:
@@ -154,11 +161,11 @@ def save(result: Result, folder: ResultPlaces, reports: Sequence[RunReport], how
         folder: Its folder.
         reports: How the runs went.
         how: On what they ran, for instance ``"ROS 2 graph"``.
+        has_figures: Draw the figures as well.
     """
     save_numbers(result, folder, reports, how)
 
     # Drawing is slow to import, and numbers that are saved survive a failure to draw them.
-    from hpid_ros.report.figures.plots import save_figures
     from hpid_ros.report.html.page import render_report
     from hpid_ros.report.tables.export import table_csv, table_latex
 
@@ -166,16 +173,18 @@ def save(result: Result, folder: ResultPlaces, reports: Sequence[RunReport], how
     folder.write("table.tex", table_latex(result.comparison))
     gains = _gain_signals(result)
     paths = result.task.paths
-    save_figures(
-        result.runs, folder.figures, comparison=result.comparison, gains=gains, paths=paths
-    )
+    if has_figures:
+        from hpid_ros.report.figures.plots import save_figures
+
+        save_figures(
+            result.runs, folder.figures, comparison=result.comparison, gains=gains, paths=paths
+        )
     provenance = {
         "experiment": result.experiment.name,
         "ran": how,
         "engine": result.experiment.world.engine,
         "command": f"hpid compare {result.experiment.path.name}",
         "seed": result.experiment.seed,
-        "engine": result.experiment.world.engine,
         "SHA-256 of experiment and robot": result.experiment.digest,
         "versions": versions(),
     }
