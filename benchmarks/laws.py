@@ -18,6 +18,14 @@ from hpid_ros.control import (
     Pid,
     WeightedNorm,
 )
+from hpid_ros.control.settings.choices import NormType
+from hpid_ros.control.settings.groups import (
+    EffortLimits,
+    EncoderSettings,
+    IntegralLimits,
+    NormSettings,
+    VelocitySettings,
+)
 from hpid_ros.trajectory import minimum_jerk
 
 GAINS = Gains(p=39.6, i=132.0, d=3.96)
@@ -83,7 +91,7 @@ def _error_states(count: int) -> list[tuple[float, float]]:
     return states
 
 
-def _homogeneous(norm: str) -> HomogeneousPid:
+def _homogeneous(norm: NormType) -> HomogeneousPid:
     if norm == "weighted":
         return HomogeneousPid(GAINS, WeightedNorm.scaled(DEGREE, ERROR_SCALE, RATE_WEIGHT))
     shape = ((ERROR_SCALE**-2, 0.0), (0.0, RATE_WEIGHT**2))
@@ -121,22 +129,17 @@ def _peer(count: int) -> Measure:
     return measure
 
 
-def _loop(norm: str, count: int) -> Measure:
+def _loop(norm: NormType, count: int) -> Measure:
     """Return the measurement of a joint loop with everything switched on."""
     settings = LoopSettings(
         joint=JOINT,
         gains=GAINS,
         mu=DEGREE,
-        norm_type=norm,
-        norm_error_scale=ERROR_SCALE,
-        norm_rate_weight=RATE_WEIGHT,
-        u_clamp_max=EFFORT_LIMIT,
-        u_clamp_min=-EFFORT_LIMIT,
-        i_clamp_max=0.5 * EFFORT_LIMIT,
-        i_clamp_min=-0.5 * EFFORT_LIMIT,
-        antiwindup_strategy="back_calculation",
-        velocity_source="filtered",
-        encoder_resolution=math.tau / 16384,
+        norm=NormSettings(norm, ERROR_SCALE, RATE_WEIGHT),
+        effort=EffortLimits(EFFORT_LIMIT, -EFFORT_LIMIT),
+        integral=IntegralLimits(0.5 * EFFORT_LIMIT, -0.5 * EFFORT_LIMIT, "back_calculation"),
+        velocity=VelocitySettings("filtered"),
+        encoder=EncoderSettings(resolution=math.tau / 16384),
         inertia=0.132,
     )
     seconds = count * PERIOD

@@ -8,6 +8,7 @@ import math
 from hpid_ros.base.resources import find_resource
 from hpid_ros.control import Gains, JointLoop, LoopSettings
 from hpid_ros.control.reference import Setpoint
+from hpid_ros.control.settings.groups import EncoderSettings, NormSettings
 from hpid_ros.simulation import World, WorldSettings
 from hpid_ros.simulation.engine import run_in_process
 
@@ -21,9 +22,9 @@ def response(degree):
         joint=JOINT,
         gains=GAINS,
         mu=degree,
-        norm_error_scale=0.3,
+        norm=NormSettings(error_scale=0.3),
         inertia=INERTIA,
-        encoder_resolution=math.tau / COUNTS,
+        encoder=EncoderSettings(resolution=math.tau / COUNTS),
     )
     loop = JointLoop(settings)
     loop.follow(Setpoint(0.3))

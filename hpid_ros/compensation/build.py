@@ -154,16 +154,6 @@ class DecouplingShare:
         return gain, gain * float(column @ load)
 
 
-_OF_THE_STATES = (
-    "model",
-    "control_period",
-    "state_timeout",
-    "velocity_source",
-    "velocity_filter_time_constant",
-    "acceleration_bound",
-)
-
-
 class LoopModel(NamedTuple):
     """One joint's model, ready to run.
 
@@ -215,7 +205,8 @@ def compensators(loops: Sequence[LoopSettings], robot: str) -> list[Compensator 
         if not settings.model.is_on:
             found.append(None)
             continue
-        key = tuple(getattr(settings, name) for name in _OF_THE_STATES)
+        timing = settings.timing
+        key = (settings.model, timing.control_period, timing.state_timeout, settings.velocity)
         if key not in shared:
             shared[key] = _of_the_robot(settings, robot)
         found.append(_of_the_joint(settings, *shared[key]))

@@ -126,7 +126,7 @@ class Settling(NamedTuple):
             settings: The loop's.
             coupling: Of its model's joints.
         """
-        period = settings.control_period
+        period = settings.timing.control_period
         time_constant = settings.model.effort_filter_time_constant
         if time_constant < 0.0:
             time_constant = coupling.filter_time_constant(period)
@@ -160,5 +160,5 @@ def settling_of(loops: Iterable[LoopSettings], robot: str) -> list[Settling]:
     """
     from hpid_ros.compensation.build import coupling_of
 
-    different = {(each.model, each.control_period): each for each in loops}
+    different = {(each.model, each.timing.control_period): each for each in loops}
     return [Settling.of(each, coupling_of(each, robot)) for each in different.values()]

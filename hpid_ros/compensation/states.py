@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 from hpid_ros.base.units import SECONDS_PER_NANOSECOND
 from hpid_ros.control.reference import LARGEST_POSITION
+from hpid_ros.control.settings.assembly import make_velocity_source
 from hpid_ros.control.settings.loop import LoopSettings
 from hpid_ros.control.velocity import Unwrapper
 
@@ -62,8 +63,8 @@ class RobotStates:
         self.last_fault = ""
         self.joints = tuple(joints)
         self._settings = settings
-        self._timeout = settings.state_timeout
-        self._velocities = [settings.make_velocity_source() for _ in self.joints]
+        self._timeout = settings.timing.state_timeout
+        self._velocities = [make_velocity_source(settings.velocity) for _ in self.joints]
         self._unwrappers = [
             (place, Unwrapper(math.tau)) for place, name in enumerate(joints) if name in endless
         ]
@@ -87,15 +88,15 @@ class RobotStates:
         Args:
             settings: Checked settings of the same joint and the same compensation.
         """
-        if settings.velocity_parameters != self._settings.velocity_parameters:
-            self._velocities = [settings.make_velocity_source() for _ in self.joints]
+        if settings.velocity.in_use != self._settings.velocity.in_use:
+            self._velocities = [make_velocity_source(settings.velocity) for _ in self.joints]
             if self._state is not None:
                 seen = zip(
                     self._velocities, self._state.positions, self._state.velocities, strict=True
                 )
                 for source, position, velocity in seen:
                     source.take_over(position, velocity)
-        self._settings, self._timeout = settings, settings.state_timeout
+        self._settings, self._timeout = settings, settings.timing.state_timeout
 
     def observe(
         self,

@@ -10,9 +10,9 @@ from __future__ import annotations
 import math
 from typing import Protocol
 
-from hpid_ros.base.errors import GainError, NormError
+from hpid_ros.base.errors import GainError
 from hpid_ros.control.gains import Gains
-from hpid_ros.control.norms import WeightedNorm
+from hpid_ros.control.norms import WeightedNorm, require_floor
 from hpid_ros.control.pid import Pid
 
 
@@ -57,11 +57,7 @@ class HomogeneousPid(Pid):
         norm_floor: float = 0.0,
         norm_cap: float = math.inf,
     ) -> None:
-        if not 0.0 <= norm_floor < norm_cap:
-            raise NormError(
-                f"the norm's floor must not be negative and lie below its cap {norm_cap}, "
-                f"not {norm_floor}"
-            )
+        require_floor(norm_floor, norm_cap)
         super().__init__(gains)
         self.norm = norm
         self._degree = norm.degree

@@ -13,6 +13,11 @@ from hpid_ros.control.limited_law import LimitedLaw, ModelTerm
 from hpid_ros.control.loop_state import LoopClock, LoopCounts, LoopState
 from hpid_ros.control.pid import Terms
 from hpid_ros.control.reference import LARGEST_POSITION, Following, Motion
+from hpid_ros.control.settings.assembly import (
+    largest_step,
+    make_unwrapper,
+    make_velocity_source,
+)
 from hpid_ros.control.settings.loop import LoopSettings
 from hpid_ros.control.velocity import VelocitySource
 
@@ -42,17 +47,18 @@ class JointLoop:
         """What was last wrong with a state, in words."""
         self._following = Following()
         self._law = LimitedLaw(settings, self.counts)
-        self._velocity = settings.make_velocity_source()
-        self._unwrapper = settings.make_unwrapper()
+        self._velocity = make_velocity_source(settings.velocity)
+        self._unwrapper = make_unwrapper(settings.encoder)
         self._clock = LoopClock(self.counts)
         self._adopt(settings)
         self.reset()
 
     def _adopt(self, settings: LoopSettings) -> None:
         """Take from settings what is looked at in each sample."""
-        self._hears_velocity = settings.hears_velocity
-        self._step_max, self._speed_max = settings.largest_step
-        self._following.turn = math.tau if settings.angle_wraparound else 0.0
+        self._timing = settings.timing
+        self._hears_velocity = settings.velocity.is_measured
+        self._step_max, self._speed_max = largest_step(settings)
+        self._following.turn = math.tau if settings.motion.angle_wraparound else 0.0
 
     def follow(self, motion: Motion) -> None:
         """Follow a motion from the next sample on; a reset starts it anew.
@@ -83,17 +89,17 @@ class JointLoop:
         if settings.model != before.model:
             raise SettingError("compensation and its model cannot change while the loop runs")
         is_new = self._clock.stamp_ns is None
-        if settings.velocity_parameters != before.velocity_parameters:
-            self._velocity = settings.make_velocity_source()
+        if settings.velocity.in_use != before.velocity.in_use:
+            self._velocity = make_velocity_source(settings.velocity)
             if not is_new:
                 self._velocity.take_over(self._position, self._rate)
-        if settings.encoder_wrap != before.encoder_wrap:
-            self._unwrapper = settings.make_unwrapper()
+        if settings.encoder.wrap != before.encoder.wrap:
+            self._unwrapper = make_unwrapper(settings.encoder)
         self._law.retune(settings, None if is_new else (self._position, self._rate))
         self.settings = settings
         self._adopt(settings)
         if self.is_on_fallback:
-            self._law.give(settings.fallback)
+            self._law.give(settings.effort.fallback)
 
     def reset(self) -> None:
         """Forget integral, velocity and time; start the motion anew with the next state."""
@@ -127,9 +133,9 @@ class JointLoop:
         """
         self._clock.lapse()
         self.counts.silences += 1
-        if not self.settings.is_simulated:
-            self.supersede(self.settings.fallback)
-        return self.settings.fallback
+        if not self._timing.is_simulated:
+            self.supersede(self.settings.effort.fallback)
+        return self.settings.effort.fallback
 
     def wake(self) -> None:
         """Note that states have stayed away for too long, and nobody has given another effort.
@@ -137,7 +143,7 @@ class JointLoop:
         As after :meth:`lapse` the next state is a takeover, but from the effort in force.
         """
         self.counts.silences += 1
-        if not self.settings.is_simulated:
+        if not self._timing.is_simulated:
             self.supersede(self._law.effort)
 
     def supersede(self, effort: float) -> None:
@@ -153,7 +159,7 @@ class JointLoop:
     def is_on_fallback(self) -> bool:
         """Whether the effort in force is ``fallback_effort``, for want of a usable state."""
         if self._clock.has_lapsed:
-            return not self.settings.is_simulated
+            return not self._timing.is_simulated
         return self._state is LoopState.FAULT
 
     def damping_stop(self, duration: float) -> DampingStop:
@@ -185,7 +191,7 @@ class JointLoop:
             The effort in [N m]: finite, within the limits, and the fallback when the state is
             not finite.
         """
-        clock, law, settings = self._clock, self._law, self.settings
+        clock, law, timing = self._clock, self._law, self._timing
         before_ns = clock.stamp_ns
         if stamp_ns == before_ns or stamp_ns == clock.unusable_ns:
             self.counts.repeats += 1
@@ -200,7 +206,7 @@ class JointLoop:
         if self._before_jump is not None:
             before_ns = self._settle_jump(stamp_ns)
         since = 0.0 if before_ns is None else (stamp_ns - before_ns) * SECONDS_PER_NANOSECOND
-        is_next = 0.0 < since <= settings.state_timeout
+        is_next = 0.0 < since <= timing.state_timeout
         if not is_next:
             self._interrupt(since)
         if self._unwrapper is not None:
@@ -213,13 +219,13 @@ class JointLoop:
         elapsed = dt = since if is_next else 0.0
         if clock.unusable_ns is not None:
             self._astray = None
-            elapsed = min(dt, settings.control_period)  # what was not seen is not integrated
+            elapsed = min(dt, timing.control_period)  # what was not seen is not integrated
         self._position = position
         following = self._following
         is_takeover = False
         if self._is_takeover_due or not following.is_standing:
             is_takeover = self._begin(stamp_ns, position)
-        wanted, rate, acceleration = following.sample(stamp_ns, settings.takeover_time, law.limits)
+        wanted, rate, acceleration = following.sample(stamp_ns, timing.takeover_time, law.limits)
         if is_takeover:
             law.take_over(model, acceleration, is_still_damped=is_next)
         self._state = LoopState.HOLDING if following.motion is None else LoopState.FOLLOWING
@@ -232,7 +238,7 @@ class JointLoop:
             self._velocity.reset()
             clock.skip(stamp_ns)
             return self._fault()
-        clock.take(stamp_ns, since, settings)
+        clock.take(stamp_ns, since, timing)
         self.counts.samples += 1
         return effort
 
@@ -258,7 +264,7 @@ class JointLoop:
     def _fault(self) -> float:
         self.counts.rejected += 1
         self._state = LoopState.FAULT
-        self._law.give(self.settings.fallback)
+        self._law.give(self.settings.effort.fallback)
         return self._law.effort
 
     def _interrupt(self, dt: float) -> None:
@@ -272,7 +278,7 @@ class JointLoop:
             self._before_jump = _BeforeJump.of(self)
             self._is_takeover_due = True
             if self._clock.has_lapsed:
-                self._law.give(self.settings.fallback)
+                self._law.give(self.settings.effort.fallback)
             if self._unwrapper is not None:
                 self._unwrapper.interrupt()
 
@@ -283,7 +289,7 @@ class JointLoop:
         assert before is not None
         assert last_ns is not None
         since = (stamp_ns - before.stamp_ns) * SECONDS_PER_NANOSECOND
-        if stamp_ns > last_ns or not 0.0 <= since <= self.settings.state_timeout:
+        if stamp_ns > last_ns or not 0.0 <= since <= self._timing.state_timeout:
             return last_ns
         before.put_back(self)
         return before.stamp_ns
@@ -324,7 +330,7 @@ class JointLoop:
         if is_takeover:
             self.counts.takeovers += 1
             self._velocity.reset()
-            self._following.take_over(stamp_ns, position, self.settings.takeover_time)
+            self._following.take_over(stamp_ns, position, self._timing.takeover_time)
         else:
             self._following.stand(position)
         return is_takeover

@@ -6,8 +6,10 @@ import math
 from typing import NamedTuple
 
 from hpid_ros.control.damping_stop import DampingStop
+from hpid_ros.control.limits import MotionLimits
 from hpid_ros.control.loop_state import LoopCounts
 from hpid_ros.control.pid import Terms
+from hpid_ros.control.settings.assembly import make_anti_windup, make_law, make_motion_limits
 from hpid_ros.control.settings.loop import LoopSettings
 from hpid_ros.control.velocity import VelocitySource
 
@@ -48,12 +50,14 @@ class LimitedLaw:
 
     __slots__ = (
         "_anti_windup",
+        "_clamp",
         "_counts",
+        "_damping",
         "_gain",
+        "_integral_clamp",
         "_is_given",
         "_law",
         "_model_effort",
-        "_settings",
         "effort",
         "limits",
     )
@@ -61,11 +65,18 @@ class LimitedLaw:
     effort: float
 
     def __init__(self, settings: LoopSettings, counts: LoopCounts) -> None:
-        self._settings, self._counts = settings, counts
-        self._law = settings.make_law()
-        self._anti_windup = settings.make_anti_windup()
-        self.limits = settings.make_motion_limits()
+        self._counts = counts
+        self._law = make_law(settings)
+        self._adopt(settings, make_motion_limits(settings))
         self.reset()
+
+    def _adopt(self, settings: LoopSettings, limits: MotionLimits | None) -> None:
+        """Take from settings what is looked at in each sample."""
+        effort, integral = settings.effort, settings.integral
+        self._clamp = effort.u_clamp_min, effort.u_clamp_max
+        self._integral_clamp = integral.i_clamp_min, integral.i_clamp_max
+        self._damping = settings.gains.d
+        self._anti_windup, self.limits = make_anti_windup(settings), limits
 
     @property
     def terms(self) -> Terms:
@@ -104,15 +115,15 @@ class LimitedLaw:
             motion: Where the joint is in [rad], and its velocity in [rad/s]; None before the
                 first state.
         """
-        law = settings.make_law()
+        law = make_law(settings)
         law.restore_integral(self._law.integral)
-        limits = settings.make_motion_limits()
-        effort = min(max(self.effort, settings.u_clamp_min), settings.u_clamp_max)
+        limits = make_motion_limits(settings)
+        effort = settings.effort.within(self.effort)
         if limits is not None and motion is not None:
             limits.take_over(self.limits, motion[0])
             effort = limits.limit(effort, *motion, before=effort, dt=0.0)
-        self._anti_windup, self.limits = settings.make_anti_windup(), limits
-        self._law, self._settings = law, settings
+        self._adopt(settings, limits)
+        self._law = law
         self.give(effort)
 
     def give(self, effort: float) -> None:
@@ -141,18 +152,19 @@ class LimitedLaw:
                 the sample to come takes the place of the last one. It is left out: of two
                 takeovers in a row the damping would be in the integral twice.
         """
-        settings, law = self._settings, self._law
+        law, (least, most) = self._law, self._clamp
         integral = self.effort
         if is_still_damped and not self._is_given:
             terms = self.terms
             rest = terms.p + terms.i + self._model_effort
-            integral = min(max(rest, settings.u_clamp_min), settings.u_clamp_max)
+            integral = min(max(rest, least), most)
         if model is not None:
             integral = (integral - model.effort) / model.gain
             if model.follows_acceleration:
                 integral -= acceleration
         law.reset()
-        law.restore_integral(min(max(integral, settings.i_clamp_min), settings.i_clamp_max))
+        least, most = self._integral_clamp
+        law.restore_integral(min(max(integral, least), most))
 
     def update(
         self,
@@ -181,7 +193,7 @@ class LimitedLaw:
         Raises:
             ArithmeticError: The effort is not finite; the integral is as it was.
         """
-        law, settings = self._law, self._settings
+        law = self._law
         before = law.integral
         gain = 1.0
         try:
@@ -200,14 +212,16 @@ class LimitedLaw:
             law.restore_integral(before)
             raise ArithmeticError(f"the law gave {wanted} N m at an error of {error} rad")
         if self.limits is None:
-            effort = min(max(wanted, settings.u_clamp_min), settings.u_clamp_max)
+            least, most = self._clamp
+            effort = min(max(wanted, least), most)
         else:
             effort = self.limits.limit(wanted, position, velocity, self.effort, dt)
         if effort != wanted:
             self._counts.saturated += 1
         # In the law's own units: what is taken from the effort is taken from the law's output.
         integral = self._anti_windup(before, after, error, wanted / gain, effort / gain, dt)
-        law.restore_integral(min(max(integral, settings.i_clamp_min), settings.i_clamp_max))
+        least, most = self._integral_clamp
+        law.restore_integral(min(max(integral, least), most))
         self.effort, self._is_given = effort, False
         return effort
 
@@ -226,13 +240,12 @@ class LimitedLaw:
             stamp_ns: Stamp of the last state in [ns]; None before the first one.
             duration: In [s], positive.
         """
-        settings = self._settings
         return DampingStop(
-            self._gain * settings.gains.d,
+            self._gain * self._damping,
             velocity,
             hears_velocity,
             self.limits,
-            (settings.u_clamp_min, settings.u_clamp_max),
+            self._clamp,
             self.effort,
             stamp_ns or 0,
             duration,

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 from hpid_ros.base.errors import SettingError
 from hpid_ros.control.gains import Gains
+from hpid_ros.control.settings.choices import AntiWindupStrategy
 
 
 class LimitFigures(NamedTuple):
@@ -155,8 +156,6 @@ class MotionLimits:
             self._low = min(position, figures.lower)
 
 
-STRATEGIES = ("none", "conditional_integration", "back_calculation")
-
 AntiWindup = Callable[[float, float, float, float, float, float], float]
 """``(before, after, error, wanted, limited, dt) -> integral``.
 
@@ -166,17 +165,19 @@ AntiWindup = Callable[[float, float, float, float, float, float], float]
 """
 
 
-def anti_windup(strategy: str, gains: Gains, tracking_time_constant: float) -> AntiWindup:
+def anti_windup(
+    strategy: AntiWindupStrategy, gains: Gains, tracking_time_constant: float
+) -> AntiWindup:
     """Return the strategy of this name.
 
     Args:
-        strategy: ``none`` | ``conditional_integration`` | ``back_calculation``.
+        strategy: Its name.
         gains: For the default of the tracking time constant.
         tracking_time_constant: Of back calculation in [s]; 0 chooses ``sqrt(kd / ki)``, or
             ``kp / ki`` for a PI, as control_toolbox does.
 
     Raises:
-        SettingError: No such strategy, or a time constant that is negative or not finite.
+        SettingError: The time constant is negative or not finite.
     """
     if not math.isfinite(tracking_time_constant) or tracking_time_constant < 0.0:
         raise SettingError(
@@ -187,11 +188,7 @@ def anti_windup(strategy: str, gains: Gains, tracking_time_constant: float) -> A
         return _keep  # without an integral gain nothing winds up, and nothing would wind back
     if strategy == "conditional_integration":
         return _stop_while_pushing
-    if strategy == "back_calculation":
-        return _back_calculation(tracking_time_constant or _default_time_constant(gains))
-    raise SettingError(
-        f"antiwindup_strategy must be one of {', '.join(STRATEGIES)}, not {strategy!r}"
-    )
+    return _back_calculation(tracking_time_constant or _default_time_constant(gains))
 
 
 def _keep(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum
 
-from hpid_ros.control.settings.loop import LoopSettings
+from hpid_ros.control.settings.groups import Timing
 
 
 class LoopState(Enum):
@@ -82,20 +82,20 @@ class LoopClock:
         """Note that no state has come for too long."""
         self.has_lapsed = True
 
-    def take(self, stamp_ns: int, dt: float, settings: LoopSettings) -> None:
+    def take(self, stamp_ns: int, dt: float, timing: Timing) -> None:
         """Take the stamp of a usable state.
 
         Args:
             stamp_ns: In [ns].
             dt: Time since the last usable one in [s].
-            settings: Those in force, for ``control_period`` and ``state_timeout``.
+            timing: The settings in force.
         """
         self.stamp_ns = stamp_ns
         self.has_lapsed = False
-        period = settings.control_period
+        period = timing.control_period
         if dt > _LATE * period:
             self._counts.missed += max(round(dt / period) - 1 - self._unusable, 0)
-            self._counts.gaps += dt > settings.state_timeout
+            self._counts.gaps += dt > timing.state_timeout
         if self.unusable_ns is not None:
             self.unusable_ns = None
             self._unusable = 0

@@ -11,8 +11,10 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 from hpid_ros.base.errors import NormError
+from hpid_ros.control.settings.choices import NormType
 
 DEGREE_LIMIT = 0.5
 """Degrees lie strictly between minus and plus this."""
@@ -198,23 +200,44 @@ class CanonicalNorm:
         return f"CanonicalNorm({self.degree}, {self.shape})"
 
 
-def scaled_norm(
-    kind: str, degree: float, error_scale: float, rate_weight: float
-) -> WeightedNorm | CanonicalNorm:
-    """Return the norm of a loop's parameters: 1 for an error of ``error_scale`` at rest.
+@dataclass(frozen=True)
+class NormFamily:
+    """A norm for every degree, all of them 1 for an error of ``error_scale`` at rest.
 
-    Args:
-        kind: ``weighted`` or ``canonical``.
-        degree: Homogeneity degree mu, in (-0.5, 0.5).
+    Attributes:
+        type: Of the norm.
         error_scale: e_max in [rad].
         rate_weight: Weight of the error rate in [s/rad].
+    """
+
+    type: NormType
+    error_scale: float
+    rate_weight: float
+
+    def __call__(self, degree: float) -> WeightedNorm | CanonicalNorm:
+        """Return the norm of a degree.
+
+        Args:
+            degree: Homogeneity degree mu, in (-0.5, 0.5).
+
+        Raises:
+            NormError: The degree is out of range, or a number is not positive and finite.
+        """
+        if self.type == "weighted":
+            return WeightedNorm.scaled(degree, self.error_scale, self.rate_weight)
+        return CanonicalNorm(degree, ((self.error_scale**-2, 0.0), (0.0, self.rate_weight**2)))
+
+
+def require_floor(floor: float, cap: float) -> None:
+    """Refuse a floor of the norm that leaves no room below its cap.
 
     Raises:
-        NormError: The degree is out of range, or a number is not positive and finite.
+        NormError: The floor is negative or not below the cap.
     """
-    if kind == "weighted":
-        return WeightedNorm.scaled(degree, error_scale, rate_weight)
-    return CanonicalNorm(degree, ((error_scale**-2, 0.0), (0.0, rate_weight**2)))
+    if not 0.0 <= floor < cap:
+        raise NormError(
+            f"the norm's floor must not be negative and lie below its cap {cap}, not {floor}"
+        )
 
 
 def norm_floor(

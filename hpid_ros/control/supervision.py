@@ -161,7 +161,7 @@ class SupervisedLoop:
     @property
     def effort_in_silence(self) -> float:
         """Effort to give while no state comes, in [N m]."""
-        return self.loop.settings.fallback if self._stop is None else 0.0
+        return self.loop.settings.effort.fallback if self._stop is None else 0.0
 
     def be_released(self) -> None:
         """Note that the joint was held without effort, and is not any more."""

@@ -11,7 +11,8 @@ from hpid_ros.base.names import require_label
 from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.compensation.build import robot_xml, with_inertia
 from hpid_ros.control import LOOP_PARAMETERS, LoopSettings
-from hpid_ros.control.settings.model import MODEL_PARAMETERS, ModelSettings
+from hpid_ros.control.settings.model import ModelSettings
+from hpid_ros.control.settings.table import PARAMETERS
 from hpid_ros.documents.sections import Section
 from hpid_ros.robot.description import JointDescription, RobotDescription
 from hpid_ros.simulation.settings import WorldSettings
@@ -145,16 +146,15 @@ def _parameters(section: Section, key: str, but: str = "") -> Parameters:
     """Return a section of loop parameters, nested or dotted, by dotted name, but for one key."""
     flat: Parameters = {}
     inner = section.section(key, {})
-    known_names = [*LOOP_PARAMETERS, *MODEL_PARAMETERS]
     for name, value in inner.items().items():
         if name == but:
             continue
         nested = value.items() if isinstance(value, Mapping) else [(None, value)]
         for rest, entry in nested:
             dotted = name if rest is None else f"{name}.{rest}"
-            if dotted not in known_names or dotted == "joint":
+            if dotted not in PARAMETERS or dotted == "joint":
                 place = inner.place(dotted)
-                known = [inner.place(p) for p in known_names if p != "joint"]
+                known = [inner.place(p) for p in PARAMETERS if p != "joint"]
                 raise ExperimentError(unknown_name("key", place, known))
             flat[dotted] = entry
     return flat

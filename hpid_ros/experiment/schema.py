@@ -6,8 +6,7 @@ import math
 from collections.abc import Iterable
 from typing import Any
 
-from hpid_ros.control.settings.model import MODEL_PARAMETERS
-from hpid_ros.control.settings.table import LOOP_PARAMETERS, ParameterSpec
+from hpid_ros.control.settings.table import PARAMETERS, ParameterSpec
 from hpid_ros.documents.descriptions import partial_schema
 from hpid_ros.documents.yaml_files import EXTENDS
 from hpid_ros.planning.configuration import task_schema
@@ -94,10 +93,7 @@ def _sections(parameters: str) -> dict[str, Any]:
 
 def parameters_schema() -> dict[str, Any]:
     """Return the schema of a controller's parameters, whose names may be nested or dotted."""
-    specs = [
-        *(spec for name, spec in LOOP_PARAMETERS.items() if name != _OF_THE_NODE),
-        *MODEL_PARAMETERS.values(),
-    ]
+    specs = [spec for name, spec in PARAMETERS.items() if name != _OF_THE_NODE]
     properties = {spec.name: _parameter(spec) for spec in specs}
     for prefix in dict.fromkeys(name.partition(".")[0] for name in properties if "." in name):
         inner = {

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from hpid_ros.analysis.signals import GainSignals, Signal
 from hpid_ros.control import LoopSettings
 from hpid_ros.control.homogeneous_pid import HomogeneousPid
+from hpid_ros.control.settings.assembly import make_law, make_norm
 from hpid_ros.recordings.series import JointSeries, RunSeries
 from hpid_ros.stability.closed_loop import norm_values
 
@@ -37,8 +38,7 @@ def gain_signals(
 
 
 def _signals(series: JointSeries, settings: LoopSettings) -> GainSignals:
-    law = settings.make_law()
-    norm = settings.make_norm()
+    law, norm = make_law(settings), make_norm(settings)
     values = norm_values(norm, series.error, _error_rate(series, settings))
     if not isinstance(law, HomogeneousPid):
         multiplier = np.ones_like(values)
@@ -59,7 +59,7 @@ def _error_rate(series: JointSeries, settings: LoopSettings) -> Array:
 
     steps = np.diff(t)
     period = float(np.median(steps))
-    share = period / (settings.velocity_filter_time_constant + period)
+    share = period / (settings.velocity.filter_time_constant + period)
     difference = np.append(0.0, np.diff(series.position) / steps)
     velocity: Array = lfilter([share], [1.0, share - 1.0], difference)
     return _reference_rate(series.reference, steps) - velocity

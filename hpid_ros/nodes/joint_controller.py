@@ -15,9 +15,9 @@ from rclpy.task import Future
 from sensor_msgs.msg import JointState
 
 from hpid_ros.base.errors import ClaimError, MessageError
-from hpid_ros.control import LOOP_PARAMETERS, JointLoop
+from hpid_ros.control import JointLoop
 from hpid_ros.control.reference import Motion
-from hpid_ros.control.settings.model import MODEL_PARAMETERS
+from hpid_ros.control.settings.table import PARAMETERS
 from hpid_ros.control.supervision import SupervisedLoop
 from hpid_ros.nodes.controller.certification import Certification
 from hpid_ros.nodes.controller.commands import COMMAND_INTERFACES, joint_commands, sender_of
@@ -190,7 +190,7 @@ class JointController(ManagedNode):
             raw=True,
             qos_overriding_options=overridable(),
         )
-        self._watchdog.watch(self._loop.settings.state_timeout)
+        self._watchdog.watch(self._loop.settings.timing.state_timeout)
         self._status.send("listening")
 
     def _waits_for(self) -> str:
@@ -245,7 +245,7 @@ class JointController(ManagedNode):
         if self._model is not None:
             self._model.retune(settings)
         if self._states is not None and self.is_active:
-            self._watchdog.watch(settings.state_timeout)
+            self._watchdog.watch(settings.timing.state_timeout)
         self._certification.accept(settings)
 
     def refuse(self, line: str) -> None:
@@ -310,7 +310,7 @@ USAGE = Usage(
     "joint_controller",
     "Controls one joint: states in, effort commands out.",
     "-p joint:=JOINT",
-    [*LOOP_PARAMETERS, *MODEL_PARAMETERS, *OWN_PARAMETERS],
+    [*PARAMETERS, *OWN_PARAMETERS],
     ["joint_states", "joint_trajectory", "~/setpoint"],
     ["joint_commands (or ~/commands, ~/command)", "~/reference", "~/terms", "/diagnostics"],
     ["~/change_state and the others of a managed node"],

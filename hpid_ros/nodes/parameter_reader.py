@@ -12,8 +12,7 @@ from rclpy.node import Node
 from rclpy.parameter import parameter_value_to_python
 from rclpy.parameter_client import AsyncParameterClient
 
-from hpid_ros.control import LOOP_PARAMETERS
-from hpid_ros.control.settings.model import MODEL_PARAMETERS
+from hpid_ros.control.settings.table import PARAMETERS
 
 _SERVICE = "rcl_interfaces/srv/GetParameters"
 _QUIET_FOR = 1.0  # [s] without a new node, after which the graph is taken as known
@@ -41,7 +40,7 @@ def read(node: Node, name: str) -> dict[str, Any]:
     client = AsyncParameterClient(node, name)
     if not client.wait_for_services(timeout_sec=_ANSWER_WITHIN):
         return {}
-    names = [*LOOP_PARAMETERS, *MODEL_PARAMETERS]
+    names = list(PARAMETERS)
     future = client.get_parameters(names)
     rclpy.spin_until_future_complete(node, future, timeout_sec=_ANSWER_WITHIN)
     if not future.done() or future.result() is None:

@@ -10,7 +10,6 @@ import sys
 
 from hpid_ros.base.errors import HpidError
 from hpid_ros.control import LoopSettings
-from hpid_ros.stability.degrees import norm_family
 from hpid_ros.stability.verdict import certified_degree_interval
 
 
@@ -19,7 +18,7 @@ def main() -> int:
     try:
         settings = LoopSettings.from_parameters(json.load(sys.stdin))
         interval = certified_degree_interval(
-            settings.gains, norm_family(settings), settings.plant_inertia
+            settings.gains, settings.norm_family, settings.plant_inertia
         )
     except HpidError as error:
         answer: dict[str, object] = {"reason": str(error)}

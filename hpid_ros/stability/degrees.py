@@ -16,7 +16,9 @@ from typing import NamedTuple
 from hpid_ros.base.errors import GainError, NormError, RunError, SettingError
 from hpid_ros.control import LoopSettings
 from hpid_ros.control.gains import Gains, is_hurwitz
-from hpid_ros.control.norms import CanonicalNorm, WeightedNorm, scaled_norm
+from hpid_ros.control.norms import NormFamily
+from hpid_ros.control.settings.assembly import make_norm
+from hpid_ros.control.settings.choices import NormType
 from hpid_ros.stability.certificate import Certificate, CertifiedSpan, DegreeInterval, Matrix
 from hpid_ros.stability.closed_loop import effective_gains
 from hpid_ros.stability.verdict import (
@@ -38,14 +40,14 @@ class LoopKind(NamedTuple):
         p: Proportional gain.
         d: Derivative gain.
         least_inertia: Least inertia.
-        norm_type: ``weighted`` or ``canonical``.
+        norm_type: Of the norm.
         rate_weight: Weight of the error rate in the norm.
     """
 
     p: float
     d: float
     least_inertia: float
-    norm_type: str
+    norm_type: NormType
     rate_weight: float
 
 
@@ -81,17 +83,6 @@ def certified_degrees(
     return [each for each in found if each is not None]
 
 
-def norm_family(settings: LoopSettings) -> Callable[[float], WeightedNorm | CanonicalNorm]:
-    """Return the norm as a function of the degree, everything else as configured."""
-
-    def norm(degree: float) -> WeightedNorm | CanonicalNorm:
-        return scaled_norm(
-            settings.norm_type, degree, settings.norm_error_scale, settings.norm_rate_weight
-        )
-
-    return norm
-
-
 def kind_of(settings: LoopSettings, inertia: tuple[float, float]) -> LoopKind:
     """Return a loop's kind.
 
@@ -100,15 +91,15 @@ def kind_of(settings: LoopSettings, inertia: tuple[float, float]) -> LoopKind:
         inertia: Least and largest inertia, in [kg m^2].
     """
     least, largest = inertia
-    rate = _rate(settings.gains, largest)
+    rate, norm = _rate(settings.gains, largest), settings.norm_family
     numbers = (
         settings.gains.p / (largest * rate**2),
         settings.gains.d / (largest * rate),
         least / largest,
-        settings.norm_rate_weight * settings.norm_error_scale * rate,
+        norm.rate_weight * norm.error_scale * rate,
     )
     p, d, least_inertia, rate_weight = (float(f"{each:.{_DIGITS}g}") for each in numbers)
-    return LoopKind(p, d, least_inertia, settings.norm_type, rate_weight)
+    return LoopKind(p, d, least_inertia, norm.type, rate_weight)
 
 
 def _rate(gains: Gains, inertia: float) -> float:
@@ -140,7 +131,7 @@ def _interval(kind: LoopKind) -> DegreeInterval | None:
     try:
         return certified_degree_interval(
             Gains(kind.p, 1.0, kind.d),
-            lambda degree: scaled_norm(kind.norm_type, degree, 1.0, kind.rate_weight),
+            NormFamily(kind.norm_type, 1.0, kind.rate_weight),
             (kind.least_inertia, 1.0),
         )
     except GainError:
@@ -156,7 +147,8 @@ def _in_physical_units(
             f"not even degree 0 is certified: p d = {gains.p * gains.d:g} must exceed i x inertia "
             f"= {gains.i * largest:g} by more"
         )
-    rate, scale = _rate(gains, largest), settings.norm_error_scale
+    family = settings.norm_family
+    rate, scale = _rate(gains, largest), family.error_scale
     units = [scale, scale * rate, scale * rate**2]
     certificate = interval.certificate
     middle = [0.5 * (least + largest)] * (len(certificate.inertias) - 2)
@@ -168,7 +160,7 @@ def _in_physical_units(
             tuple(value / (units[i] * units[j]) for j, value in enumerate(row))
             for i, row in enumerate(span.shape)
         )
-        norms = tuple(norm_family(settings)(norm.degree) for norm in span.norms)
+        norms = tuple(family(norm.degree) for norm in span.norms)
         return CertifiedSpan(physical[span.inertia], norms, shape, span.rate * rate)
 
     return DegreeInterval(
@@ -223,17 +215,11 @@ class DegreeChecker:
             SettingError: Its inertia is not known.
         """
         reason = self.instability(settings)
-        if reason or settings.law == "pid" or settings.mu == 0.0:
+        if reason or settings.degree == 0.0:
             return reason
         gains = effective_gains(settings.gains, settings.plant_inertia)
         rounded = tuple(float(f"{each:.{_GAIN_DIGITS}g}") for each in (gains.p, gains.i, gains.d))
-        key = (
-            *rounded,
-            settings.mu,
-            settings.norm_type,
-            settings.norm_error_scale,
-            settings.norm_rate_weight,
-        )
+        key = (rounded, settings.mu, settings.norm_family)
         if key not in self._known:
             self._known[key] = _reason(settings)
         return self._known[key]
@@ -241,7 +227,7 @@ class DegreeChecker:
 
 def _reason(settings: LoopSettings) -> str:
     try:
-        certify_degree(settings.gains, settings.make_norm(), settings.plant_inertia)
+        certify_degree(settings.gains, make_norm(settings), settings.plant_inertia)
     except (GainError, NormError) as error:
         return f"not certified at mu = {settings.mu:g}: {error}"
     return ""

@@ -13,6 +13,7 @@ from hpid_ros.base.errors import GainError, SettingError
 from hpid_ros.control import HomogeneousPid, LoopSettings
 from hpid_ros.control.gains import is_hurwitz
 from hpid_ros.control.norms import GOOD_SAMPLING_MARGIN
+from hpid_ros.control.settings.assembly import make_law, make_norm
 from hpid_ros.stability.bounds import (
     gain_multiplier_range,
     integral_ratio,
@@ -20,7 +21,7 @@ from hpid_ros.stability.bounds import (
     settling_time_bound,
 )
 from hpid_ros.stability.certificate import Certificate, DegreeInterval
-from hpid_ros.stability.degrees import Loop, certified_degrees, norm_family
+from hpid_ros.stability.degrees import Loop, certified_degrees
 from hpid_ros.stability.verdict import certify_degree
 
 _LARGEST_NORM = 2.0
@@ -119,7 +120,7 @@ def _verdict(
 ) -> GainVerdict:
     low, high = inertia
     gains = settings.gains
-    degree = settings.mu if settings.law == "hpid" else 0.0
+    degree = settings.degree
     multipliers = _multipliers(settings)
     interval, certificate, bound, reason = None, None, None, ""
     if isinstance(found, DegreeInterval):
@@ -144,7 +145,9 @@ def _verdict(
         reason=reason,
         interval=interval,
         integral_ratio=integral_ratio(gains, high),
-        sampling_margin=sampling_margin(gains, settings.control_period, multipliers[1], low),
+        sampling_margin=sampling_margin(
+            gains, settings.timing.control_period, multipliers[1], low
+        ),
         multipliers=multipliers,
         settling_bound=bound,
         certificate=certificate,
@@ -155,7 +158,8 @@ def _settling_bound(
     settings: LoopSettings, degree: float, inertia: tuple[float, float], certificate: Certificate
 ) -> float:
     """Return the bound by a certificate of this degree alone, which is tighter than a span's."""
-    norm, start = norm_family(settings)(degree), (settings.norm_error_scale, 0.0, 0.0)
+    family = settings.norm_family
+    norm, start = family(degree), (family.error_scale, 0.0, 0.0)
     try:
         own = certify_degree(settings.gains, norm, inertia)
     except GainError:  # it was found from its neighbours only
@@ -191,11 +195,11 @@ def inertia_of(
 
 
 def _multipliers(settings: LoopSettings) -> tuple[float, float]:
-    law = settings.make_law()
+    law = make_law(settings)
     if not isinstance(law, HomogeneousPid):
         return 1.0, 1.0
     cap = min(law.norm_cap, _LARGEST_NORM)
     least, largest = gain_multiplier_range(
-        settings.make_norm(), floor=min(law.norm_floor, cap), cap=cap
+        make_norm(settings), floor=min(law.norm_floor, cap), cap=cap
     )
     return least, largest

@@ -11,6 +11,7 @@ import yaml
 
 from hpid_ros.base.foreign_text import csv_text
 from hpid_ros.control import LoopSettings
+from hpid_ros.control.settings.choices import LawName
 from hpid_ros.experiment.description import Experiment
 from hpid_ros.experiment.result.folder import ResultFolder, versions
 from hpid_ros.report.tables.numbers import format_ratio
@@ -26,7 +27,7 @@ _JOINTS = "joints"
 
 
 def compare_entry(
-    experiment: Experiment, law: str, loops: Sequence[LoopSettings]
+    experiment: Experiment, law: LawName, loops: Sequence[LoopSettings]
 ) -> dict[str, Any]:
     """Return the entry that gives these loops in this experiment file, or one that extends it.
 

@@ -9,13 +9,14 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import Protocol, get_args
 
 from hpid_ros.analysis import RunIndices
 from hpid_ros.analysis.comparison import ratio
 from hpid_ros.analysis.quantities import Quantity
 from hpid_ros.base.errors import HpidError, SettingError, unknown_name
 from hpid_ros.control import Gains, LoopSettings
+from hpid_ros.control.settings.choices import LawName
 from hpid_ros.experiment.description import Experiment
 from hpid_ros.studies.batch import PAPER_QUANTITIES
 
@@ -152,7 +153,6 @@ def mean_ratios(
     return found
 
 
-LAWS = ("pid", "hpid")
 _DIGITS = 6
 
 
@@ -217,7 +217,7 @@ HPID_PARAMETERS = (
 )
 
 
-def source_label(experiment: Experiment, law: str) -> str:
+def source_label(experiment: Experiment, law: LawName) -> str:
     """Return the label of the controller whose other settings a search keeps.
 
     Args:
@@ -242,7 +242,7 @@ class SearchSpace:
         joints: The joints that are changed.
     """
 
-    law: str
+    law: LawName
     parameters: tuple[FreeParameter, ...]
     start: tuple[LoopSettings, ...]
     joints: tuple[str, ...]
@@ -251,7 +251,7 @@ class SearchSpace:
     def of(
         cls,
         experiment: Experiment,
-        law: str,
+        law: LawName,
         bounds: Mapping[str, tuple[float, float]] | None = None,
     ) -> SearchSpace:
         """Return the space around an experiment's baseline, over all its joints.
@@ -267,15 +267,15 @@ class SearchSpace:
         Raises:
             SettingError: There is no such law or parameter, or bounds are impossible.
         """
-        if law not in LAWS:
-            raise SettingError(unknown_name("law", law, LAWS))
+        if law not in get_args(LawName):
+            raise SettingError(unknown_name("law", law, get_args(LawName)))
         baseline = next(iter(experiment.controllers.values()))
         source = experiment.controllers[source_label(experiment, law)]
         start = tuple(
             replace(each, law=law, mu=0.0, gains=known.gains)
             for each, known in zip(source, baseline, strict=True)
         )
-        weight = start[0].norm_rate_weight
+        weight = start[0].norm.rate_weight
         usual = PID_PARAMETERS
         if law == "hpid":
             usual = (*HPID_PARAMETERS[:2], replace(HPID_PARAMETERS[2], start=weight))
@@ -314,7 +314,7 @@ class SearchSpace:
             "integral": 1.0,
             "mu": own.mu,
             "error_scale": 1.0,
-            "rate_weight": own.norm_rate_weight,
+            "rate_weight": own.norm.rate_weight,
         }
         parameters = tuple(replace(each, start=at[each.name]) for each in self.parameters)
         return replace(self, parameters=parameters, start=tuple(start), joints=(joint,))
@@ -350,11 +350,12 @@ def _scaled_gains(
 def _homogeneous(
     settings: LoopSettings, degree: float, error_scale: float, rate_weight: float
 ) -> LoopSettings:
-    return replace(
-        settings,
-        mu=degree,
-        norm_error_scale=_rounded(settings.norm_error_scale * error_scale),
-        norm_rate_weight=rate_weight,
+    return settings.with_parameters(
+        {
+            "mu": degree,
+            "norm.error_scale": _rounded(settings.norm.error_scale * error_scale),
+            "norm.rate_weight": rate_weight,
+        }
     )
 
 

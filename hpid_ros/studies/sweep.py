@@ -10,8 +10,8 @@ from fractions import Fraction
 from typing import Any
 
 from hpid_ros.base.errors import HpidError, SettingError, unknown_name
-from hpid_ros.control import LOOP_PARAMETERS, LoopSettings
-from hpid_ros.control.settings.model import MODEL_PARAMETERS
+from hpid_ros.control import LoopSettings
+from hpid_ros.control.settings.table import PARAMETERS
 from hpid_ros.experiment.controllers import with_robot
 from hpid_ros.experiment.description import Experiment
 from hpid_ros.robot.description import RobotDescription
@@ -28,7 +28,6 @@ WORLD_SETTINGS = {
 """Settings of the simulated robot that can be varied, and their names in ``WorldSettings``."""
 
 LARGEST_COUNT = 10_000
-_PARAMETERS = {**LOOP_PARAMETERS, **MODEL_PARAMETERS}
 _FORMS = "NAME=START:STOP:COUNT or NAME=VALUE,VALUE,..."
 
 
@@ -84,14 +83,14 @@ def _is_text(name: str) -> bool:
     Raises:
         SettingError: There is no such parameter, or it cannot be varied.
     """
-    names = [*(each for each in _PARAMETERS if each != "joint"), *WORLD_SETTINGS]
+    names = [*(each for each in PARAMETERS if each != "joint"), *WORLD_SETTINGS]
     if name not in names:
         raise SettingError(unknown_name("parameter", name, names))
-    return name in _PARAMETERS and isinstance(_PARAMETERS[name].default, str)
+    return name in PARAMETERS and isinstance(PARAMETERS[name].default, str)
 
 
 def _texts(name: str, text: str) -> tuple[Value, ...]:
-    return tuple(_PARAMETERS[name].checked(part.strip()) for part in text.split(","))
+    return tuple(PARAMETERS[name].checked(part.strip()) for part in text.split(","))
 
 
 def _numbers(text: str) -> tuple[Value, ...]:
@@ -205,9 +204,9 @@ def _baseline(experiment: Experiment, values: Mapping[str, Value]) -> Row:
     world = experiment.world
     try:
         changed = _changed_world(world, values)
+        return Row(label, values, None, changed, _on_robot(loops, world, changed))
     except HpidError as error:
         return Row(label, values, None, world, refusal=str(error))
-    return Row(label, values, None, changed, _on_robot(loops, world, changed))
 
 
 def _changed_world(world: WorldSettings, values: Mapping[str, Value]) -> WorldSettings:
@@ -231,8 +230,9 @@ def _on_robot(
     """Return loops that know the encoder of the robot as they knew that of the one before."""
     known = []
     for each, old, new in zip(loops, before.encoders, after.encoders, strict=True):
-        is_as_fitted = each.encoder_resolution == old.resolution
-        known.append(replace(each, encoder_resolution=new.resolution) if is_as_fitted else each)
+        is_as_fitted = each.encoder.resolution == old.resolution
+        fitted = {"encoder_resolution": new.resolution} if is_as_fitted else {}
+        known.append(each.with_parameters(fitted))
     return tuple(known)
 
 

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 from hpid_ros.base.errors import HpidError, SettingError, unknown_name
 from hpid_ros.base.names import ANYWHERE, NODE_PARAMETERS, node_sections
 from hpid_ros.control import LOOP_PARAMETERS, LoopSettings
-from hpid_ros.control.settings.model import MODEL_PARAMETERS
+from hpid_ros.control.settings.table import PARAMETERS
 from hpid_ros.documents.yaml_files import load_yaml
 
 INERTIA_RANGES = "inertia_ranges"
@@ -138,7 +138,7 @@ def _flat(parameters: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 def _settings(values: Mapping[str, Any], where: str) -> LoopSettings:
     loop = {}
     for name, value in values.items():
-        if name in LOOP_PARAMETERS or name in MODEL_PARAMETERS:
+        if name in PARAMETERS:
             loop[name] = value
         elif name.split(".")[0] not in NODE_PARAMETERS:
             raise SettingError(f"{where}: {unknown_name('parameter', name, LOOP_PARAMETERS)}")

@@ -208,8 +208,8 @@ def _designed(
     found: DegreeInterval | GainError,
     delay: float,
 ) -> DesignedGains:
-    is_filtered = settings.velocity_source == "filtered"
-    filter_time = settings.velocity_filter_time_constant if is_filtered else 0.0
+    is_filtered = settings.velocity.source == "filtered"
+    filter_time = settings.velocity.filter_time_constant if is_filtered else 0.0
     margins, interval, reason = None, None, ""
     try:
         margins = loop_margins(settings.gains, inertia[0], delay=delay, filter_time=filter_time)

@@ -53,7 +53,7 @@ def predict(
     series = {each.joint: each for each in recorded if each.joint in joints}
     start = dict(initial_positions or {})
     start |= {name: float(each.position[0]) for name, each in series.items()}
-    period_ns = round(first[0].control_period * NANOSECONDS)
+    period_ns = round(first[0].timing.control_period * NANOSECONDS)
     world = WorldSettings(
         robot_description=robot,
         joints=joints,
@@ -106,12 +106,12 @@ def _run(
 def _motion(settings: LoopSettings, series: JointSeries | None, start: float) -> Column:
     """Return the recorded reference, or a step from where the joint starts, in [rad]."""
     if series is None:
-        return Column(settings.joint, (Knot(0, start + settings.norm_error_scale),))
+        return Column(settings.joint, (Knot(0, start + settings.norm_family.error_scale),))
     stamps = series.state_stamps_ns - series.state_stamps_ns[0]
     knots = (Knot(int(t), float(x)) for t, x in zip(stamps, series.reference, strict=True))
     return Column(settings.joint, tuple(knots))
 
 
 def _counts(settings: LoopSettings) -> int:
-    resolution = settings.encoder_resolution
+    resolution = settings.encoder.resolution
     return round(math.tau / resolution) if resolution > 0.0 else 0

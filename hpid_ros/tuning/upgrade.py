@@ -14,6 +14,7 @@ from hpid_ros.base.errors import GainError, HpidError, NormError, SettingError
 from hpid_ros.base.units import SECONDS_PER_NANOSECOND
 from hpid_ros.control import HomogeneousPid, LoopSettings
 from hpid_ros.control.norms import GOOD_SAMPLING_MARGIN
+from hpid_ros.control.settings.assembly import make_law
 from hpid_ros.control.settings.table import LARGEST_EFFORT
 from hpid_ros.recordings.series import JointSeries
 from hpid_ros.stability.bounds import (
@@ -237,13 +238,15 @@ def _base(candidate: Candidate) -> tuple[LoopSettings, dict[str, str], tuple[str
     pid = candidate.pid
     reasons: dict[str, str] = dict.fromkeys(("gains.p", "gains.i", "gains.d"), "as before")
     base = _with_statistics(replace(pid, law="hpid", mu=0.0), candidate.statistics, reasons)
-    least, largest, limit = base.u_clamp_min, base.u_clamp_max, candidate.effort
+    least, largest, limit = base.effort.u_clamp_min, base.effort.u_clamp_max, candidate.effort
     if limit > 0.0:  # a URDF says 0 where nothing is known
-        base = replace(
-            base, u_clamp_min=max(least, min(-limit, largest)), u_clamp_max=min(largest, limit)
-        )
+        within = {
+            "u_clamp_min": max(least, min(-limit, largest)),
+            "u_clamp_max": min(largest, limit),
+        }
+        base = base.with_parameters(within)
     for name, was in (("u_clamp_min", least), ("u_clamp_max", largest)):
-        if getattr(base, name) != was:
+        if getattr(base.effort, name) != was:
             had = "" if abs(was) == LARGEST_EFFORT else f"; it was {was:g}"
             reasons[name] = f"effort limit of the URDF{had}"
     return base, reasons, _sampling_remarks(base, candidate.inertia[0])
@@ -255,11 +258,12 @@ def _sampling_remarks(settings: LoopSettings, inertia: float) -> tuple[str, ...]
     Raises:
         GainError: The sampled PID is unstable.
     """
-    margin = sampling_margin(settings.gains, settings.control_period, 1.0, inertia)
+    period = settings.timing.control_period
+    margin = sampling_margin(settings.gains, period, 1.0, inertia)
     if margin <= GOOD_SAMPLING_MARGIN or settings.discretization != "explicit":
         return ()
     figures = (
-        f"T kd / m = {margin:.3g} (T {settings.control_period:g} s, kd {settings.gains.d:g}, "
+        f"T kd / m = {margin:.3g} (T {period:g} s, kd {settings.gains.d:g}, "
         f"least m {inertia:.3g} kg m^2)"
     )
     if margin > LARGEST_SAMPLING_MARGIN_LATE:
@@ -320,18 +324,18 @@ def _with_statistics(
         return settings
     rate = statistics.largest_rate
     changes: dict[str, float] = {
-        "norm_error_scale": statistics.largest_error,
+        "norm.error_scale": statistics.largest_error,
         "control_period": statistics.period,
     }
     reasons["norm.error_scale"] = "largest error in the bag: both laws agree there"
     reasons["control_period"] = "median time between two states in the bag"
     if rate > 0.0:
-        changes["norm_rate_weight"] = 1.0 / rate
+        changes["norm.rate_weight"] = 1.0 / rate
         reasons["norm.rate_weight"] = f"one over the largest velocity in the bag, {rate:.3g} rad/s"
     if statistics.resolution > 0.0:
         changes["encoder_resolution"] = statistics.resolution
         reasons["encoder_resolution"] = "smallest step of the position in the bag"
-    return replace(settings, **changes)  # type: ignore[arg-type]
+    return settings.with_parameters(changes)
 
 
 def _excess(settings: LoopSettings, interval: tuple[float, float], inertia: float) -> str:
@@ -339,14 +343,14 @@ def _excess(settings: LoopSettings, interval: tuple[float, float], inertia: floa
     lower, upper = (_SHARE_OF_INTERVAL * end for end in interval)
     if not lower <= settings.mu <= upper:
         return "leaves the inner four fifths of the certified interval"
-    law = settings.make_law()
+    law = make_law(settings)
     if not isinstance(law, HomogeneousPid):
         raise GainError("only the homogeneous law has a degree")
     multiplier = law.norm_floor**settings.mu
     if not _SLOWEST <= multiplier <= _FASTEST:
         return f"multiplies the bandwidth by {multiplier:.2f} at the norm's floor"
     margin = sampling_margin(
-        settings.gains, settings.control_period, max(multiplier, 1.0), inertia
+        settings.gains, settings.timing.control_period, max(multiplier, 1.0), inertia
     )
     if margin > GOOD_SAMPLING_MARGIN and settings.mu < 0.0:
         return f"brings T kd lam / m to {margin:.2f}, above {GOOD_SAMPLING_MARGIN}"

@@ -6,16 +6,14 @@ import json
 from collections.abc import Mapping, Sequence
 
 from hpid_ros.base.names import ANYWHERE, controller_name
-from hpid_ros.control import LOOP_PARAMETERS, LoopSettings
-from hpid_ros.control.settings.model import MODEL_PARAMETERS
-from hpid_ros.control.settings.table import Value
+from hpid_ros.control import LoopSettings
+from hpid_ros.control.settings.table import PARAMETERS, Value
 from hpid_ros.tuning.controller_files import INERTIA_RANGES
 from hpid_ros.tuning.gain_design import number_text
 from hpid_ros.tuning.upgrade import Upgrade
 
 _COMMENT_COLUMN = 48
 _LEAST_PLAIN = 1e-4  # what is smaller would lose digits without an exponent
-_SPECS = {**LOOP_PARAMETERS, **MODEL_PARAMETERS}
 
 
 def upgrade_text(
@@ -86,7 +84,7 @@ def _value(value: Value) -> str:
 def _reason(reasons: Mapping[str, str], name: str, value: Value) -> str:
     if name in reasons:
         return reasons[name]
-    spec = _SPECS[name]
+    spec = PARAMETERS[name]
     origin = "default" if value == spec.default else "as before"
     text = spec.description
     is_word = text[1:2].islower()  # and no abbreviation

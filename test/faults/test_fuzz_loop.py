@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from harness.examples import examples
 from harness.fuzzing import NUMBERS, StateFuzzer
+from harness.loops import loop_settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
@@ -27,7 +28,7 @@ def settings(**changes):
         **{"u_clamp_max": 40.0, "u_clamp_min": -30.0, "position_max": 2.0, "position_min": -2.0},
         "velocity_max": 8.0,
     }
-    return LoopSettings(**{**values, **changes})
+    return loop_settings(**{**values, **changes})
 
 
 def goes_to(loop, target, stamp_ns):

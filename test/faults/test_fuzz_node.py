@@ -19,6 +19,7 @@ from rclpy.qos import qos_profile_parameters
 
 from hpid_ros.base.errors import HpidError
 from hpid_ros.control import LOOP_PARAMETERS, LoopSettings
+from hpid_ros.control.settings.assembly import make_law
 from hpid_ros.wire import JointStateTemplate
 
 MS = 1_000_000
@@ -132,8 +133,7 @@ class Retuned:
     def effort(self):
         """Return the effort of the parameters that are in force."""
         settings = LoopSettings.from_parameters(self.present)
-        law = settings.make_law().update(self.ERROR, 0.0, MS * 1e-9)
-        return min(max(law, settings.u_clamp_min), settings.u_clamp_max)
+        return settings.effort.within(make_law(settings).update(self.ERROR, 0.0, MS * 1e-9))
 
     def take(self, changes):
         """Return whether a set is valid; then it is in force."""

@@ -35,13 +35,13 @@ def test_later_layers_win(experiment_file):
 def test_encoder_resolution_reaches_the_loops(experiment_file):
     experiment = load_experiment(experiment_file(sensors__encoder_counts=1000))
     for each in experiment.controllers["PID"]:
-        assert each.encoder_resolution == pytest.approx(6.283185307 / 1000)
+        assert each.encoder.resolution == pytest.approx(6.283185307 / 1000)
 
 
 def test_efforts_are_limited_as_the_robot_is_unless_the_file_says_otherwise(experiment_file):
     path = experiment_file(controllers__joints__arm_joint_2={"u_clamp_max": 3.0})
     limits = {
-        each.joint: (each.u_clamp_min, each.u_clamp_max)
+        each.joint: (each.effort.u_clamp_min, each.effort.u_clamp_max)
         for each in load_experiment(path).controllers["PID"]
     }
     assert limits["arm_joint_1"] == (-30.0, 30.0)

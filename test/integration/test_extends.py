@@ -170,8 +170,8 @@ def test_a_controller_may_differ_joint_by_joint(write):
     assert loops["arm_joint_2"].gains.p == 99.0
     paper = {each.joint: each for each in load_experiment(PAPER).controllers["PID"]}
     assert loops["arm_joint_2"].gains.d == paper["arm_joint_2"].gains.d
-    assert loops["arm_joint_2"].velocity_filter_time_constant == 0.02
-    assert loops["arm_joint_1"].velocity_filter_time_constant == 0.01
+    assert loops["arm_joint_2"].velocity.filter_time_constant == 0.02
+    assert loops["arm_joint_1"].velocity.filter_time_constant == 0.01
     wrong = text.replace("arm_joint_2", "arm_joint_9")
     with pytest.raises(ExperimentError, match=r"compare.PID.joints: unknown joint 'arm_joint_9'"):
         load_experiment(write("b.yaml", wrong))

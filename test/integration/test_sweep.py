@@ -316,7 +316,7 @@ def test_a_grid_is_every_combination_with_every_seed(experiment):
         (mu, scale) for mu in (-0.1, 0.1) for scale in (0.2, 0.3, 0.4)
     ]
     for row in points:
-        assert {(e.mu, e.norm_error_scale) for e in row.loops} == {tuple(row.values.values())}
+        assert {(e.mu, e.norm.error_scale) for e in row.loops} == {tuple(row.values.values())}
     tasks = sweep.tasks()
     assert len(tasks) == len({task.label for task in tasks.values()}) == 7 * 3
     assert all(task.world.seed == seed for (_, seed), task in tasks.items())
@@ -342,7 +342,7 @@ def test_each_robot_has_its_own_baseline(experiment):
         assert row.world.payload_mass == row.values["payload"]
         counts = row.values["encoder_counts"]
         resolution = 2.0 * np.pi / counts if counts else 0.0
-        assert {each.encoder_resolution for each in row.loops} == {resolution}
+        assert {each.encoder.resolution for each in row.loops} == {resolution}
         if row.baseline is not None:
             against = sweep.rows[row.baseline]
             assert against.world == row.world

@@ -3,7 +3,6 @@
 import csv
 import json
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -97,8 +96,8 @@ def test_the_homogeneous_search_leaves_the_gains_alone(experiment):
     for before, after in zip(experiment.controllers["PID"], found, strict=True):
         assert after.gains == before.gains
         assert (after.law, after.mu) == ("hpid", -0.2)
-        assert after.norm_error_scale == pytest.approx(2.0 * before.norm_error_scale)
-        assert after.norm_rate_weight == 0.5
+        assert after.norm.error_scale == pytest.approx(2.0 * before.norm.error_scale)
+        assert after.norm.rate_weight == 0.5
     start = space.controller([each.start for each in space.parameters])
     assert {each.mu for each in start} == {0.0}
 
@@ -253,11 +252,11 @@ def test_joints_of_one_rule_are_certified_once(experiment, monkeypatch):
     calls = []
     monkeypatch.setattr(degree_check, "certify_degree", lambda *loop: calls.append(loop))
     checker = degree_check.DegreeChecker()
-    loops = [replace(e, norm_error_scale=0.3) for e in experiment.controllers["hPID"]]
+    loops = [e.with_parameters({"norm.error_scale": 0.3}) for e in experiment.controllers["hPID"]]
     for each in loops:
         assert checker.refusal(each) == ""
     assert len(calls) == 1
-    assert checker.refusal(replace(loops[0], norm_rate_weight=0.7)) == ""
+    assert checker.refusal(loops[0].with_parameters({"norm.rate_weight": 0.7})) == ""
     assert len(calls) == 2
 
 

@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import yaml
+from harness.loops import loop_settings
 
 from hpid_ros.analysis import Comparison
 from hpid_ros.analysis.results import JointIndices, RunIndices
@@ -16,10 +17,10 @@ from hpid_ros.base.errors import GainError, SettingError
 from hpid_ros.cli.commands import BAD_INPUT, DONE, FAILED
 from hpid_ros.cli.commands.options import inertias_from
 from hpid_ros.cli.main import main
-from hpid_ros.control import Gains, LoopSettings
+from hpid_ros.control import Gains
+from hpid_ros.control.settings.assembly import make_law
 from hpid_ros.recordings.series import JointSeries
 from hpid_ros.simulation.sensors import Encoder
-from hpid_ros.stability.degrees import norm_family
 from hpid_ros.stability.verdict import certified_degree_interval, verify_certificate
 from hpid_ros.tuning.controller_files import parameter_file, settings_from_parameter_file
 from hpid_ros.tuning.inertias import visited_poses
@@ -42,7 +43,7 @@ def recording(counts=4096, noise=0.0):
 
 def pid(**changes):
     values = {"joint": "elbow", "law": "pid", "gains": Gains(39.6, 132.0, 3.96), "inertia": 0.132}
-    return LoopSettings(**{**values, **changes})
+    return loop_settings(**{**values, **changes})
 
 
 @pytest.mark.parametrize("counts", [1024, 4096, 16384])
@@ -68,11 +69,11 @@ def test_the_degree_has_the_goals_sign_and_is_certified(goal, sign):
     assert sign * found.settings.mu > 0.05
     assert found.interval[0] < found.settings.mu < found.interval[1]
     interval = certified_degree_interval(
-        found.settings.gains, norm_family(found.settings), (0.1, 0.2)
+        found.settings.gains, found.settings.norm_family, (0.1, 0.2)
     )
     assert verify_certificate(interval.certificate).rate > 0.0
     assert found.settings.gains == pid().gains
-    law = found.settings.make_law()
+    law = make_law(found.settings)
     assert 0.5 <= law.norm_floor**found.settings.mu <= 2.0
 
 
@@ -84,7 +85,7 @@ def test_every_number_of_the_proposal_has_a_reason_or_a_default():
 
 
 def test_gains_near_the_limit_keep_a_small_degree():
-    near = pid(gains=Gains(5.0, 9.0, 2.0), inertia=1.0, norm_rate_weight=3.0)
+    near = pid(gains=Gains(5.0, 9.0, 2.0), inertia=1.0, norm__rate_weight=3.0)
     found = upgrade(near, (1.0, 1.0), "smooth")
     assert 0.0 < found.settings.mu <= 0.8 * 0.1
 
@@ -155,7 +156,7 @@ def test_where_the_goals_index_does_not_fall_the_pid_is_kept(ratio, is_kept):
 def test_effort_limits_are_the_narrower_of_the_urdfs_and_the_pids(own, limit, clamps):
     loop = pid(u_clamp_min=own[0], u_clamp_max=own[1])
     (found,) = upgrades([Candidate(loop, (0.132, 0.132), effort=limit)], "smooth")
-    assert (found.settings.u_clamp_min, found.settings.u_clamp_max) == clamps
+    assert (found.settings.effort.u_clamp_min, found.settings.effort.u_clamp_max) == clamps
     for name, was, now in zip(("u_clamp_min", "u_clamp_max"), own, clamps, strict=True):
         assert ("effort limit of the URDF" in found.reasons.get(name, "")) == (was != now)
 
@@ -324,7 +325,7 @@ def test_from_recording_to_a_file_that_runs_and_is_certified(result, tmp_path, c
         assert settings.law == "hpid"
         assert settings.mu < 0.0
         assert settings.gains == before[name].gains
-        assert settings.encoder_resolution == pytest.approx(math.tau / 16384, rel=1e-4)
+        assert settings.encoder.resolution == pytest.approx(math.tau / 16384, rel=1e-4)
     numbers = [line for line in file.read_text().splitlines() if ": " in line and "#" not in line]
     joints = [settings.joint for settings in after.values()]  # in the section of inertias
     assert [line.split(":")[0].strip() for line in numbers] == ["joints", *joints]

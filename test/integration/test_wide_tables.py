@@ -16,6 +16,7 @@ from hpid_ros.analysis import Comparison
 from hpid_ros.cli.commands.check_gains import GainTable
 from hpid_ros.cli.terminal import output_console
 from hpid_ros.control import Gains, LoopSettings
+from hpid_ros.control.settings.groups import Timing
 from hpid_ros.report.tables.table import ComparisonTable
 from hpid_ros.report.tables.wide_table import UNLIMITED_WIDTH, TableColumn, WideTable
 from hpid_ros.stability.gain_check import GainVerdict
@@ -180,7 +181,7 @@ def test_hpid_robot_shows_the_same_numbers_in_a_narrow_terminal_and_in_a_pipe():
 
 
 def test_a_gain_table_names_a_sampling_rate_that_breaks_the_loop():
-    loop = LoopSettings("elbow", Gains(100.0, 100.0, 20.0), control_period=0.06)
+    loop = LoopSettings("elbow", Gains(100.0, 100.0, 20.0), timing=Timing(control_period=0.06))
     from hpid_ros.stability.gain_check import judge
 
     text = printed(GainTable({"elbow": judge(loop, (1.0, 1.0))}), 80)

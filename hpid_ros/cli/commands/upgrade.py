@@ -135,7 +135,7 @@ def _proposals(
         try:
             inertia = inertia_of(loop, inertias.get(loop.joint))
             if own is not None:
-                statistics = loop_statistics(own, loop.velocity_filter_time_constant)
+                statistics = loop_statistics(own, loop.velocity.filter_time_constant)
         except HpidError as error:
             failures[loop.joint] = error
         else:

@@ -1,6 +1,6 @@
-"""Every parameter of a joint loop: name, unit, range, default.
+"""Every parameter of a joint loop and of its model: name, unit, range, default.
 
-The table serves the node's parameters, the experiment files and the documentation alike.
+The tables serve the node's parameters, the experiment files and the documentation alike.
 """
 
 from __future__ import annotations
@@ -8,22 +8,24 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import get_args
 
 from hpid_ros.base.errors import SettingError
-from hpid_ros.control.limits import STRATEGIES
-
-LAWS = ("hpid", "pid")
-NORMS = ("weighted", "canonical")
-VELOCITY_SOURCES = ("measured", "filtered", "homogeneous_differentiator")
-DISCRETIZATIONS = ("explicit", "semi_implicit")
+from hpid_ros.control.settings.choices import (
+    AntiWindupStrategy,
+    Compensation,
+    Discretization,
+    LawName,
+    NormType,
+    StateClock,
+    VelocitySourceName,
+)
 
 _LARGEST_GAIN = 1e6
 LARGEST_EFFORT = 1e6
 LARGEST_NORM = 1e6
 LARGEST_MOTION = 1e6
 """A position or velocity limit of this size is none."""
-
-CLOCKS = ("wall", "simulated")
 
 LONGEST_TIMEOUT = 1.0
 """No watchdog may be patient for longer than this, in [s]."""
@@ -57,22 +59,27 @@ class ParameterSpec:
         Raises:
             SettingError: Wrong type, not finite, out of range, or not one of the choices.
         """
-        if isinstance(self.default, bool):
-            if not isinstance(value, bool):
-                raise SettingError(f"{self.name} must be true or false, not {value!r}")
-            return value
-        if isinstance(self.default, str):
-            if not isinstance(value, str) or (self.choices and value not in self.choices):
-                allowed = f"one of {', '.join(self.choices)}" if self.choices else "a text"
-                raise SettingError(f"{self.name} must be {allowed}, not {value!r}")
-            return value
-        if isinstance(value, bool) or not isinstance(value, int | float):
+        if not isinstance(self.default, float):
+            return self._flag_or_text(value)
+        if type(value) is not float and (
+            isinstance(value, bool) or not isinstance(value, int | float)
+        ):
             raise SettingError(f"{self.name} must be a number, not {value!r}")
-        if not math.isfinite(value) or not self.minimum <= value <= self.maximum:
+        if not (math.isfinite(value) and self.minimum <= value <= self.maximum):
             raise SettingError(
                 f"{self.name} must lie in [{self.minimum:g}, {self.maximum:g}], not {value}"
             )
         return float(value)
+
+    def _flag_or_text(self, value: object) -> Value:
+        if isinstance(self.default, bool):
+            if not isinstance(value, bool):
+                raise SettingError(f"{self.name} must be true or false, not {value!r}")
+            return value
+        if not isinstance(value, str) or (self.choices and value not in self.choices):
+            allowed = f"one of {', '.join(self.choices)}" if self.choices else "a text"
+            raise SettingError(f"{self.name} must be {allowed}, not {value!r}")
+        return value
 
 
 def _gain(name: str, term: str, unit: str) -> ParameterSpec:
@@ -87,7 +94,9 @@ def _gain(name: str, term: str, unit: str) -> ParameterSpec:
 
 _TABLE = (
     ParameterSpec("joint", "", "Name of the joint in joint_states and joint_commands"),
-    ParameterSpec("law", "hpid", "Control law: homogeneous PID or linear PID", choices=LAWS),
+    ParameterSpec(
+        "law", "hpid", "Control law: homogeneous PID or linear PID", choices=get_args(LawName)
+    ),
     _gain("gains.p", "Proportional", "N m/rad"),
     _gain("gains.i", "Integral", "N m/(rad s)"),
     _gain("gains.d", "Derivative", "N m s/rad"),
@@ -98,7 +107,7 @@ _TABLE = (
         -0.5,
         0.5,
     ),
-    ParameterSpec("norm.type", "weighted", "Homogeneous norm", choices=NORMS),
+    ParameterSpec("norm.type", "weighted", "Homogeneous norm", choices=get_args(NormType)),
     ParameterSpec(
         "norm.error_scale", 1.0, "Error at rest whose norm is 1, e_max [rad]", 1e-6, LARGEST_NORM
     ),
@@ -146,7 +155,7 @@ _TABLE = (
         "antiwindup_strategy",
         "conditional_integration",
         "What the integral does while the effort is limited, as in control_toolbox",
-        choices=STRATEGIES,
+        choices=get_args(AntiWindupStrategy),
     ),
     ParameterSpec(
         "tracking_time_constant",
@@ -160,7 +169,7 @@ _TABLE = (
         "measured",
         "Where the velocity comes from: the message (filtered differences where it has none), "
         "always filtered differences of the position, or Levant's differentiator",
-        choices=VELOCITY_SOURCES,
+        choices=get_args(VelocitySourceName),
     ),
     ParameterSpec(
         "velocity_filter_time_constant", 0.005, "Of the first-order velocity filter [s]", 0.0, 10.0
@@ -177,7 +186,7 @@ _TABLE = (
         "explicit",
         "Step of the law: explicit, or semi_implicit for periods from 5 ms on with a weak "
         "integral (needs inertia)",
-        choices=DISCRETIZATIONS,
+        choices=get_args(Discretization),
     ),
     ParameterSpec(
         "encoder_wrap",
@@ -273,7 +282,7 @@ _TABLE = (
         "state_clock",
         "wall",
         "What stamps the states: wall, or simulated, which can be paused without a takeover",
-        choices=CLOCKS,
+        choices=get_args(StateClock),
     ),
     ParameterSpec("control_period", 0.001, "Nominal time between two states [s]", 1e-6, 10.0),
     ParameterSpec(
@@ -289,5 +298,62 @@ _TABLE = (
     ),
 )
 
+_MODEL_TABLE = (
+    ParameterSpec(
+        "compensation",
+        "none",
+        "Model-based term: none, gravity, or decoupling, with which gains and i_clamp are those "
+        "of a unit double integrator (per kg m^2)",
+        choices=get_args(Compensation),
+    ),
+    ParameterSpec(
+        "model.description",
+        "",
+        "URDF of the model, XML text or path, where it is not robot_description",
+    ),
+    ParameterSpec("model.payload", 0.0, "Payload that the model carries [kg]", 0.0, 1e4),
+    ParameterSpec("model.payload_link", "payload", "Link that carries the model's payload"),
+    ParameterSpec(
+        "model.mass_scale",
+        1.0,
+        "Factor on the mass and inertia of every link of the model, rotors not",
+        1e-3,
+        1e3,
+    ),
+    ParameterSpec(
+        "model.locked_joints",
+        "",
+        "Joints that joint_states do not have, separated by commas: the model holds them at 0",
+    ),
+    ParameterSpec(
+        "model.left_wheel", "", "Joint of the left wheel of a rolling base; empty for a fixed base"
+    ),
+    ParameterSpec("model.right_wheel", "", "Joint of its right wheel; empty for a fixed base"),
+    ParameterSpec(
+        "model.wheel_radius", 0.0, "Of both wheels [m]; 0 is that of the URDF", 0.0, 1e6
+    ),
+    ParameterSpec(
+        "model.wheel_separation",
+        0.0,
+        "Distance of the wheels' contact points [m]; 0 is that of the URDF",
+        0.0,
+        1e6,
+    ),
+    ParameterSpec(
+        "model.effort_filter_time_constant",
+        -1.0,
+        "Of the low-pass on the measured efforts of the other joints [s]; 0 is none, -1 chooses "
+        "it from the model",
+        -1.0,
+        10.0,
+    ),
+)
+
 LOOP_PARAMETERS: Mapping[str, ParameterSpec] = {spec.name: spec for spec in _TABLE}
 """Every parameter of a joint loop by its dotted name."""
+
+MODEL_PARAMETERS: Mapping[str, ParameterSpec] = {spec.name: spec for spec in _MODEL_TABLE}
+"""Every parameter of a loop's model by its dotted name; all are fixed when a node starts."""
+
+PARAMETERS: Mapping[str, ParameterSpec] = {**LOOP_PARAMETERS, **MODEL_PARAMETERS}
+"""Both."""

@@ -109,11 +109,12 @@ class ControllerHealth:
     def begun(self) -> None:
         """Say once, after the first state, what is in force."""
         loop, settings = self._loop, self._loop.settings
+        effort, motion = settings.effort, settings.motion
         degree = f" with mu = {settings.mu:g}" if settings.law == "hpid" else ""
         limits = {
-            "N m": (settings.u_clamp_min, settings.u_clamp_max),
-            "rad": (settings.position_min, settings.position_max),
-            "rad/s": (-settings.velocity_max, settings.velocity_max),
+            "N m": (effort.u_clamp_min, effort.u_clamp_max),
+            "rad": (motion.position_min, motion.position_max),
+            "rad/s": (-motion.velocity_max, motion.velocity_max),
         }
         within = [
             f"[{low:g}, {high:g}] {unit}"
@@ -210,7 +211,7 @@ class ControllerHealth:
         """Return a warning when most states of the last report seem lost."""
         missed = self._loop.counts.missed - self._missed
         self._missed += missed
-        settings = self._loop.settings
-        if missed < _MANY_MISSED * self.period / settings.control_period:
+        period = self._loop.settings.timing.control_period
+        if missed < _MANY_MISSED * self.period / period:
             return ""
-        return f"states come more slowly than control_period = {settings.control_period:g} s says"
+        return f"states come more slowly than control_period = {period:g} s says"

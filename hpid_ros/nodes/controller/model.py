@@ -10,8 +10,7 @@ from rclpy.node import Node
 from hpid_ros.base.errors import MessageError
 from hpid_ros.control import JointLoop, LoopSettings
 from hpid_ros.control.limited_law import ModelTerm
-from hpid_ros.control.settings.model import MODEL_PARAMETERS
-from hpid_ros.control.settings.table import Value
+from hpid_ros.control.settings.table import MODEL_PARAMETERS, Value
 from hpid_ros.nodes.ros.parameters import declare
 from hpid_ros.wire import JointSample, RobotReader
 

@@ -42,15 +42,22 @@ class RobotLimits:
         Raises:
             SettingError: The positions that the settings allow are none that the robot allows.
         """
-        wraps = self.is_continuous and settings.encoder_wrap < 0.0
+        effort, motion, encoder = settings.effort, settings.motion, settings.encoder
+        wraps = self.is_continuous and encoder.wrap < 0.0
         return replace(
             settings,
-            encoder_wrap=math.tau if wraps else settings.encoder_wrap,
-            u_clamp_max=max(min(settings.u_clamp_max, self.effort), -self.effort),
-            u_clamp_min=min(max(settings.u_clamp_min, -self.effort), self.effort),
-            position_max=min(settings.position_max, self.upper),
-            position_min=max(settings.position_min, self.lower),
-            velocity_max=min(settings.velocity_max, self.velocity),
+            effort=replace(
+                effort,
+                u_clamp_max=max(min(effort.u_clamp_max, self.effort), -self.effort),
+                u_clamp_min=min(max(effort.u_clamp_min, -self.effort), self.effort),
+            ),
+            motion=replace(
+                motion,
+                position_max=min(motion.position_max, self.upper),
+                position_min=max(motion.position_min, self.lower),
+                velocity_max=min(motion.velocity_max, self.velocity),
+            ),
+            encoder=replace(encoder, wrap=math.tau if wraps else encoder.wrap),
         )
 
 

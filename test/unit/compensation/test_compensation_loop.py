@@ -15,6 +15,7 @@ from hpid_ros.control import JointLoop, LoopSettings
 from hpid_ros.control.limited_law import ModelTerm
 from hpid_ros.control.loop_state import LoopState
 from hpid_ros.control.reference import Setpoint
+from hpid_ros.control.settings.assembly import soft_stop_gains
 from hpid_ros.experiment.description import load_experiment
 from hpid_ros.experiment.graph.nodes import controllers_document
 from hpid_ros.stability.gain_check import inertia_of, judge
@@ -158,7 +159,7 @@ def test_soft_stops_brake_with_the_joints_inertia():
     plain = LoopSettings.from_parameters(
         {"joint": "j", "law": "pid", **scaled, "inertia": 0.2, "position_max": 1.0}
     )
-    assert per_inertia._soft_stop() == pytest.approx(plain._soft_stop())
+    assert soft_stop_gains(per_inertia) == pytest.approx(soft_stop_gains(plain))
 
 
 def test_a_reset_forgets_the_models_gain():

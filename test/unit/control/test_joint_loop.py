@@ -3,6 +3,7 @@
 import math
 
 import pytest
+from harness.loops import loop_settings
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -18,7 +19,7 @@ SECOND = 1000 * MS
 
 def settings(**changes):
     values = {"joint": "j", "gains": Gains(10.0, 4.0, 2.0), "law": "pid"}
-    return LoopSettings(**{**values, **changes})
+    return loop_settings(**{**values, **changes})
 
 
 def follow_double_integrator(loop, seconds, position=0.0, velocity=0.0, load=0.0, inertia=1.0):
@@ -275,7 +276,7 @@ def test_semi_implicit_step_holds_a_joint_that_the_explicit_one_loses(law):
             settings(
                 law=law,
                 mu=-0.1,
-                norm_floor=1e-3,
+                norm__floor=1e-3,
                 gains=Gains(150.0**2, 0.01 * 150.0**3, 300.0),
                 inertia=1.0,
                 control_period=0.01,

@@ -10,6 +10,12 @@ from hypothesis import strategies as st
 from hpid_ros.base.errors import HpidError, NormError
 from hpid_ros.control import LOOP_PARAMETERS, LoopSettings, WeightedNorm
 from hpid_ros.control.norms import norm_floor
+from hpid_ros.control.settings.assembly import (
+    make_anti_windup,
+    make_law,
+    make_motion_limits,
+    make_velocity_source,
+)
 
 ANYWHERE = (0.0, -0.0, 5e-324, 1e-300, 1e-12, 1.0, math.nan, math.inf, 1e300, 3, True, None, "x")
 
@@ -78,12 +84,12 @@ def test_a_set_is_taken_or_refused_with_a_reason(values):
         assert reason.strip()
         assert len(reason.splitlines()) == 1
         return
-    law = loop.make_law()
-    loop.make_velocity_source()
-    loop.make_anti_windup()
-    loop.make_motion_limits()
+    law = make_law(loop)
+    make_velocity_source(loop.velocity)
+    make_anti_windup(loop)
+    make_motion_limits(loop)
     for error, rate in ((0.0, 0.0), (1e-9, -1e-9), (1.0, 10.0)):
-        assert math.isfinite(law.update(error, rate, loop.control_period))
+        assert math.isfinite(law.update(error, rate, loop.timing.control_period))
 
 
 def test_a_floor_that_no_cap_leaves_room_for_is_refused_with_its_figures():
@@ -107,4 +113,4 @@ def test_the_floor_keeps_the_sampled_gain_where_sampling_bears_it(degree, rate):
 
 def test_a_floor_that_is_given_is_not_computed():
     values = {"joint": "j", "mu": -0.001, "gains.d": 500.0, "norm.floor": 0.01}
-    assert LoopSettings.from_parameters(values).make_law().norm_floor == 0.01
+    assert make_law(LoopSettings.from_parameters(values)).norm_floor == 0.01

@@ -5,12 +5,14 @@ import math
 import numpy as np
 import pytest
 from harness.examples import examples
+from harness.loops import loop_settings
 from hypothesis import given
 from hypothesis import strategies as st
 
 from hpid_ros.base.errors import SettingError
-from hpid_ros.control import Gains, JointLoop, LoopSettings
+from hpid_ros.control import Gains, JointLoop
 from hpid_ros.control.reference import Setpoint
+from hpid_ros.control.settings.assembly import make_motion_limits, soft_stop_gains
 from hpid_ros.trajectory import Column, Knot
 
 MS = 1_000_000
@@ -20,7 +22,7 @@ GAINS = Gains(300.0, 1000.0, 30.0)  # three poles at -10 rad/s on 1 kg m^2
 
 def settings(**changes):
     values = {"joint": "j", "gains": GAINS, "law": "pid", "u_clamp_max": 100.0}
-    return LoopSettings(**{"u_clamp_min": -100.0, **values, **changes})
+    return loop_settings(**{"u_clamp_min": -100.0, **values, **changes})
 
 
 def move(command, seconds, position=0.0, velocity=0.0, load=0.0, inertia=1.0):
@@ -46,9 +48,9 @@ def test_a_mass_on_the_stop_never_passes_it_by_more_than_the_stated_bound(
 ):
     """Whatever the law wants: here all the effort there is, into the stop."""
     given_settings = settings(position_max=1.2, position_min=-1.2, velocity_max=3.0, inertia=1.0)
-    limits = given_settings.make_motion_limits()
+    limits = make_motion_limits(given_settings)
     limits.open(position)
-    k_position, k_velocity = given_settings._soft_stop()
+    k_position, k_velocity = soft_stop_gains(given_settings)
     assert k_velocity >= 4.0 * k_position  # just overdamped on 1 kg m^2
     assert k_position * 3.0 + load <= 100.0  # the effort limit can brake it
     efforts = [0.0]
@@ -78,7 +80,7 @@ def test_a_loop_sent_beyond_the_stop_holds_a_load_on_it(law):
     st.floats(-0.999, 0.999), st.floats(-5.0, 5.0), st.floats(-90.0, 90.0), st.floats(-1e3, 1e3)
 )
 def test_effort_away_from_a_stop_is_never_reduced(position, velocity, wanted, before):
-    limits = settings(position_max=1.0, position_min=-1.0).make_motion_limits()
+    limits = make_motion_limits(settings(position_max=1.0, position_min=-1.0))
     limits.open(position)
     given_effort = limits.limit(wanted, position, velocity, before, T)
     if wanted <= 0.0 and position > -0.94 and velocity > -1.0 * 7.5 * (position + 0.94):
@@ -117,7 +119,7 @@ def test_a_joint_that_begins_beyond_a_stop_is_held_and_let_in_but_not_further_ou
 @examples(0.25)
 @given(st.floats(0.0, 90.0), st.floats(0.5, 5.0))
 def test_the_velocity_limit_is_passed_by_no_more_than_the_load_needs(load, fastest):
-    limits = settings(velocity_max=fastest).make_motion_limits()
+    limits = make_motion_limits(settings(velocity_max=fastest))
     track = move(lambda k, q, v: limits.limit(1e9, q, v, 0.0, T), 3.0, load=load)
     assert max(track[:, 1]) <= fastest + load / GAINS.d + T * (100.0 + load)
     assert track[-1, 1] > 0.9 * fastest
@@ -194,6 +196,6 @@ def test_a_retune_moves_no_stop_onto_the_joint():
 @given(st.floats(-3.0, 3.0), st.floats(-100.0, 100.0), st.floats(-1e9, 1e9), st.floats(-200, 200))
 def test_the_effort_limits_hold_whatever_braking_or_rate_ask_for(q, v, wanted, before):
     given_settings = settings(position_max=1.0, velocity_max=2.0, effort_rate_max=10.0)
-    limits = given_settings.make_motion_limits()
+    limits = make_motion_limits(given_settings)
     limits.open(0.0)
     assert -100.0 <= limits.limit(wanted, q, v, before, T) <= 100.0

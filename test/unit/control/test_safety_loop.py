@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from harness.loops import loop_settings
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -11,6 +12,7 @@ from hpid_ros.base.errors import HpidError, SettingError
 from hpid_ros.control import LOOP_PARAMETERS, Gains, JointLoop, LoopSettings
 from hpid_ros.control.loop_state import LoopState
 from hpid_ros.control.reference import Glide, Setpoint
+from hpid_ros.control.settings.assembly import make_law, make_motion_limits
 from hpid_ros.trajectory import Column, Knot
 
 MS = 1_000_000
@@ -20,7 +22,7 @@ RAMP = Column("j", (Knot(0, 0.0, 0.0), Knot(4 * SECOND, 2.0, 0.0)), stamp_ns=SEC
 
 def settings(**changes):
     values = {"joint": "j", "gains": Gains(100.0, 50.0, 20.0), "law": "pid"}
-    return LoopSettings(**{**values, **changes})
+    return loop_settings(**{**values, **changes})
 
 
 def run(loop, first_ms, last_ms, position):
@@ -255,14 +257,14 @@ def test_every_parameter_is_retuned_in_motion_without_a_kick(name, source):
         if k == 1000:
             changed = LoopSettings.from_parameters({**values, name: OTHERS[name]})
             integral = loop.integral
-            law = changed.make_law()
-            law.restore_integral(min(max(integral, changed.i_clamp_min), changed.i_clamp_max))
+            law, clamp = make_law(changed), changed.integral
+            law.restore_integral(min(max(integral, clamp.i_clamp_min), clamp.i_clamp_max))
             loop.retune(changed)
         speed = 2.0 + 0.4 * math.cos(0.02 * k) if hears else None
         efforts = [each.step(k * MS, position, speed) for each in loops]
         if k >= 1000:
             own = law.update(loop.error, loop.reference[1] - loop.velocity, 1e-3)
-            difference = abs(min(max(own, changed.u_clamp_min), changed.u_clamp_max) - efforts[1])
+            difference = abs(changed.effort.within(own) - efforts[1])
             assert abs(efforts[0] - efforts[1]) <= difference + 1e-9 + 0.02 * (k > 1000), k
             # ... and estimates of the velocity differ by no more than their filters do.
             assert abs(loop.velocity - twin.velocity) < 0.2
@@ -431,16 +433,16 @@ def test_ten_thousand_sets_between_samples_are_in_force_whole_or_not_at_all(faul
         integral, before = loop.integral, loop.effort
         effort = loop.step(k * MS, position, velocity)
         assert loop.settings is settings_now
-        low, high = settings_now.u_clamp_min, settings_now.u_clamp_max
+        low, high = settings_now.effort.u_clamp_min, settings_now.effort.u_clamp_max
         assert low <= effort <= high
         assert loop.terms.i == integral  # the law's own change and nothing else: p and d terms
-        law = settings_now.make_law()
+        law = make_law(settings_now)
         law.restore_integral(integral)
         own = law.update(loop.error, loop.reference[1] - loop.velocity, 0.001)
-        if settings_now.make_motion_limits() is None:
+        if make_motion_limits(settings_now) is None:
             assert effort == min(max(own, low), high)
-        elif settings_now.effort_rate_max > 0.0:
-            allowed = settings_now.effort_rate_max * 0.001 + 1e-9
+        elif settings_now.effort.effort_rate_max > 0.0:
+            allowed = settings_now.effort.effort_rate_max * 0.001 + 1e-9
             assert abs(effort - before) <= allowed or effort in (low, high)
     assert min(counts.values()) > 1000
     faults.count("parameter sets: pure loop, valid", counts["valid"])

@@ -3,11 +3,12 @@
 import math
 
 import pytest
+from harness.loops import loop_settings
 from hypothesis import given
 from hypothesis import strategies as st
 
 from hpid_ros.base.errors import SettingError
-from hpid_ros.control import Gains, JointLoop, LoopSettings
+from hpid_ros.control import Gains, JointLoop
 from hpid_ros.control.reference import Setpoint
 from hpid_ros.control.velocity import Unwrapper
 from hpid_ros.trajectory import Column, Knot
@@ -18,7 +19,7 @@ SECOND = 1000 * MS
 
 def settings(**changes):
     values = {"joint": "j", "gains": Gains(100.0, 50.0, 20.0), "law": "pid"}
-    return LoopSettings(**{**values, **changes})
+    return loop_settings(**{**values, **changes})
 
 
 @given(

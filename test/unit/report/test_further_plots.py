@@ -13,6 +13,8 @@ from hpid_ros.analysis.indices.effort import chatter
 from hpid_ros.analysis.indices.run import run_indices
 from hpid_ros.analysis.quantities import ITAE, IVC
 from hpid_ros.control import Gains, LoopSettings
+from hpid_ros.control.settings.assembly import make_law, make_norm, make_velocity_source
+from hpid_ros.control.settings.groups import NormSettings, VelocitySettings
 from hpid_ros.metrics.gain_signals import gain_signals
 from hpid_ros.recordings.series import JointSeries, Retune, RunSeries, SeriesError
 from hpid_ros.report.figures.panels import log_ticks
@@ -152,9 +154,8 @@ SETTINGS = LoopSettings(
     "joint0",
     Gains(40.0, 130.0, 4.0),
     mu=-0.2,
-    norm_error_scale=0.5,
-    norm_floor=0.01,
-    velocity_source="filtered",
+    norm=NormSettings(error_scale=0.5, floor=0.01),
+    velocity=VelocitySettings("filtered"),
 )
 
 
@@ -162,8 +163,8 @@ def test_multiplier_and_norm_are_the_laws_own():
     """The recorded loop, run again sample by sample, has the multipliers that are drawn."""
     run = swing(joints=1)
     signals = gain_signals(run, {"joint0": SETTINGS})["joint0"]
-    series, law = run.joints[0], SETTINGS.make_law()
-    velocity = SETTINGS.make_velocity_source()
+    series, law = run.joints[0], make_law(SETTINGS)
+    velocity = make_velocity_source(SETTINGS.velocity)
     expected = []
     for k, position in enumerate(series.position):
         rate = velocity.update(float(position), None, 1e-3 if k else 0.0)
@@ -178,13 +179,13 @@ def test_the_error_rate_is_the_references_rate_minus_the_velocity():
     stamps = np.round(t * 1e9).astype(np.int64)
     reference = np.sin(3.0 * t)
     series = JointSeries("joint0", stamps, reference - 0.3, reference, stamps, t)
-    settings = dataclasses.replace(SETTINGS, velocity_filter_time_constant=0.0)
+    settings = SETTINGS.with_parameters({"velocity_filter_time_constant": 0.0})
     norm = gain_signals(RunSeries("x", (series,)), {"joint0": settings})["joint0"].norm.values
-    at_rest = settings.make_norm()(0.3, 0.0)
+    at_rest = make_norm(settings)(0.3, 0.0)
     assert np.allclose(norm[1:], at_rest, rtol=1e-6)  # it moves with its reference
     jump = JointSeries("joint0", stamps, 0.0 * t, 1.0 * (t > 1.0), stamps, t)
     norm = gain_signals(RunSeries("x", (jump,)), {"joint0": settings})["joint0"].norm.values
-    assert norm.max() == pytest.approx(settings.make_norm()(1.0, 0.0))  # a jump has no rate
+    assert norm.max() == pytest.approx(make_norm(settings)(1.0, 0.0))  # a jump has no rate
 
 
 def test_a_linear_pid_has_the_multiplier_one_and_unknown_settings_none():

@@ -4,8 +4,9 @@ import pytest
 
 from hpid_ros.base.errors import GainError
 from hpid_ros.control import Gains, LoopSettings
+from hpid_ros.control.settings.groups import NormSettings
 from hpid_ros.stability import degrees as module
-from hpid_ros.stability.degrees import certified_degrees, kind_of, norm_family
+from hpid_ros.stability.degrees import certified_degrees, kind_of
 from hpid_ros.stability.verdict import certified_degree_interval, verify_certificate
 
 pytestmark = pytest.mark.slow
@@ -13,24 +14,24 @@ pytestmark = pytest.mark.slow
 NEAR_THE_LIMIT = Gains(5.0, 9.0, 2.0)
 
 
-def loop(inertia=1.0, rate=1.0, scale=1.0, **changes):
+def loop(inertia=1.0, rate=1.0, scale=1.0, **norm):
     """Return the loop of NEAR_THE_LIMIT in other units of effort, time and error."""
     p, i, d = NEAR_THE_LIMIT.p, NEAR_THE_LIMIT.i, NEAR_THE_LIMIT.d
     gains = Gains(inertia * rate**2 * p, inertia * rate**3 * i, inertia * rate * d)
-    values = {"norm_error_scale": scale, "norm_rate_weight": 3.0 / (scale * rate), **changes}
-    return LoopSettings("j", gains, mu=0.05, **values), (inertia, inertia)
+    norm = NormSettings(**{"error_scale": scale, "rate_weight": 3.0 / (scale * rate), **norm})
+    return LoopSettings("j", gains, mu=0.05, norm=norm), (inertia, inertia)
 
 
 @pytest.mark.parametrize("norm_type", ["weighted", "canonical"])
 def test_loops_that_differ_by_their_units_are_of_one_kind(norm_type):
     kinds = {
-        kind_of(*loop(inertia, rate, scale, norm_type=norm_type))
+        kind_of(*loop(inertia, rate, scale, type=norm_type))
         for inertia in (0.007, 1.0, 30.0)
         for rate in (0.3, 1.0, 17.0)
         for scale in (0.05, 1.0)
     }
     assert len(kinds) == 1
-    assert kind_of(*loop(norm_rate_weight=3.1)) not in kinds
+    assert kind_of(*loop(rate_weight=3.1)) not in kinds
 
 
 def test_a_kind_is_computed_once_and_certifies_each_of_its_loops(monkeypatch):
@@ -47,12 +48,12 @@ def test_a_kind_is_computed_once_and_certifies_each_of_its_loops(monkeypatch):
         assert each.certificate.inertias == inertia[:1]
         assert each.certificate.spans[0].norms[-1].degree == each.certificate.spans[1].lower
         assert verify_certificate(each.certificate).rate > 0.0
-    alone = certified_degree_interval(NEAR_THE_LIMIT, norm_family(loops[0][0]), 1.0)
+    alone = certified_degree_interval(NEAR_THE_LIMIT, loops[0][0].norm_family, 1.0)
     assert found[0][:2] == pytest.approx(alone[:2], abs=4e-3)
 
 
 def test_a_range_of_inertia_comes_back_in_its_units():
-    settings, _ = loop(0.1, 5.0, 0.2, norm_rate_weight=0.5)
+    settings, _ = loop(0.1, 5.0, 0.2, rate_weight=0.5)
     (found,) = certified_degrees([(settings, (0.02, 0.1))])
     assert found.certificate.inertias == (0.02, pytest.approx(0.06), 0.1)
     verify_certificate(found.certificate)

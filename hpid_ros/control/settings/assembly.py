@@ -1,0 +1,122 @@
+"""The parts of a joint loop, made of its settings."""
+
+from __future__ import annotations
+
+import math
+
+from hpid_ros.control.homogeneous_pid import HomogeneousPid, SemiImplicitHomogeneousPid
+from hpid_ros.control.limits import AntiWindup, LimitFigures, MotionLimits, anti_windup
+from hpid_ros.control.norms import CanonicalNorm, WeightedNorm
+from hpid_ros.control.pid import Pid
+from hpid_ros.control.settings.groups import EncoderSettings, VelocitySettings
+from hpid_ros.control.settings.loop import LoopSettings
+from hpid_ros.control.settings.table import LARGEST_MOTION
+from hpid_ros.control.velocity import (
+    FilteredVelocity,
+    HomogeneousDifferentiator,
+    MeasuredVelocity,
+    Unwrapper,
+    VelocitySource,
+)
+
+_ALLOWANCE = 0.1  # [rad], for noise and coarse encoders
+_K_POSITION = 10.0  # [1/s], of a soft stop where the gains say nothing
+
+
+def make_norm(settings: LoopSettings) -> WeightedNorm | CanonicalNorm:
+    """Return the norm of degree ``mu``, whether or not the law uses it."""
+    return settings.norm_family(settings.mu)
+
+
+def make_law(settings: LoopSettings) -> Pid | HomogeneousPid:
+    """Return the control law, its integral at zero."""
+    is_implicit = settings.discretization == "semi_implicit"
+    if settings.law == "pid" and not is_implicit:
+        return Pid(settings.gains)
+    norm = settings.norm_family(settings.degree)
+    floor, cap = settings.norm_floor, settings.norm.cap
+    if not is_implicit:
+        return HomogeneousPid(settings.gains, norm, floor, cap)
+    return SemiImplicitHomogeneousPid(
+        settings.gains, norm, floor, cap, inertia=settings.plant_inertia
+    )
+
+
+def make_velocity_source(settings: VelocitySettings) -> VelocitySource:
+    """Return the velocity source, without a past."""
+    if settings.source == "homogeneous_differentiator":
+        return HomogeneousDifferentiator(settings.acceleration_bound)
+    if settings.source == "filtered":
+        return FilteredVelocity(settings.filter_time_constant)
+    return MeasuredVelocity(settings.filter_time_constant)
+
+
+def make_unwrapper(settings: EncoderSettings) -> Unwrapper | None:
+    """Return what makes the positions continuous; None where the encoder does not wrap."""
+    return Unwrapper(settings.wrap) if settings.wrap > 0.0 else None
+
+
+def make_anti_windup(settings: LoopSettings) -> AntiWindup:
+    """Return the anti-windup strategy."""
+    integral = settings.integral
+    return anti_windup(
+        integral.antiwindup_strategy, settings.gains, integral.tracking_time_constant
+    )
+
+
+def make_motion_limits(settings: LoopSettings) -> MotionLimits | None:
+    """Return the limits of position, velocity and effort rate; None where there are none."""
+    motion, effort = settings.motion, settings.effort
+    lower, upper, fastest = motion.lower, motion.upper, motion.fastest
+    rate = effort.effort_rate_max or math.inf
+    if -lower == upper == fastest == rate == math.inf:
+        return None
+    k_position, k_velocity = soft_stop_gains(settings)
+    return MotionLimits(
+        LimitFigures(
+            lower,
+            upper,
+            fastest,
+            motion.soft_stop.margin,
+            k_position,
+            k_velocity,
+            rate,
+            effort.u_clamp_min,
+            effort.u_clamp_max,
+        )
+    )
+
+
+def largest_step(settings: LoopSettings) -> tuple[float, float]:
+    """Return what a position may differ from the last one: in [rad], and in [rad/s] of the time.
+
+    A load may drive a joint beyond its velocity limit, and a stamp may be a period late: twice
+    ``velocity_max`` is allowed over one period more than the stamps tell.
+    """
+    fastest = settings.motion.fastest
+    has_limit = fastest < math.inf
+    allowance = settings.encoder.step_max or (_ALLOWANCE if has_limit else math.pi)
+    if allowance >= LARGEST_MOTION:
+        return math.inf, 0.0
+    allowed = 2.0 * fastest if has_limit else 0.0
+    return allowance + allowed * settings.timing.control_period, allowed
+
+
+def soft_stop_gains(settings: LoopSettings) -> tuple[float, float]:
+    """Return the gains of the soft stops in [1/s] and [N m s/rad].
+
+    Three equal poles at -w mean p = 3 w^2 m and d = 3 w m: then 0.75 p / d is d / (4 m), where a
+    stop is just overdamped. A known inertia says it itself, and keeps the braking within what
+    sampling allows.
+    """
+    given, inertia = settings.motion.soft_stop, settings.inertia
+    scale = inertia if settings.model.is_decoupling and inertia else 1.0
+    p, d = scale * settings.gains.p, scale * settings.gains.d
+    k_position = given.k_position or (0.75 * p / d if p and d else _K_POSITION)
+    k_velocity = given.k_velocity or d or p / k_position
+    if inertia > 0.0:
+        if not given.k_velocity:
+            k_velocity = min(k_velocity, 0.5 * inertia / settings.timing.control_period)
+        if not given.k_position and k_velocity:
+            k_position = min(k_position, k_velocity / (4.0 * inertia))
+    return k_position, k_velocity

@@ -1,0 +1,236 @@
+"""The groups of a loop's parameters: small records, each of one idea, that check themselves."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+from hpid_ros.base.errors import SettingError
+from hpid_ros.control.settings.choices import (
+    AntiWindupStrategy,
+    NormType,
+    StateClock,
+    VelocitySourceName,
+)
+from hpid_ros.control.settings.records import ParameterRecord, parameter
+from hpid_ros.control.settings.table import LARGEST_MOTION
+
+_LEAST_PERIODS = 1.5  # of control_period in state_timeout: one state may be late
+
+
+@dataclass(frozen=True)
+class NormSettings(ParameterRecord):
+    """The homogeneous norm: what it is, and between which bounds it is used.
+
+    Attributes:
+        type: Of the norm.
+        error_scale: Error at rest whose norm is 1, in [rad].
+        rate_weight: Weight of the error rate, in [s/rad].
+        floor: Its least value; -1 computes it.
+        cap: Its largest value.
+    """
+
+    type: NormType = parameter("norm.type")
+    error_scale: float = parameter("norm.error_scale")
+    rate_weight: float = parameter("norm.rate_weight")
+    floor: float = parameter("norm.floor")
+    cap: float = parameter("norm.cap")
+
+
+@dataclass(frozen=True)
+class EffortLimits(ParameterRecord):
+    """The efforts that may be given.
+
+    Attributes:
+        u_clamp_max: Largest effort, in [N m].
+        u_clamp_min: Least effort, in [N m].
+        effort_rate_max: Largest change of the effort, in [N m/s]; 0 is none.
+        fallback_effort: Wanted while there is no usable state, in [N m].
+
+    Raises:
+        SettingError: As for :class:`ParameterRecord`, or the limits are the wrong way round.
+    """
+
+    u_clamp_max: float = parameter("u_clamp_max")
+    u_clamp_min: float = parameter("u_clamp_min")
+    effort_rate_max: float = parameter("effort_rate_max")
+    fallback_effort: float = parameter("fallback_effort")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _require_order("u_clamp", self.u_clamp_min, self.u_clamp_max)
+
+    def within(self, effort: float) -> float:
+        """Return the nearest effort within the limits, in [N m]."""
+        return min(max(effort, self.u_clamp_min), self.u_clamp_max)
+
+    @property
+    def fallback(self) -> float:
+        """The effort while there is no usable state, within the limits, in [N m]."""
+        return self.within(self.fallback_effort)
+
+
+@dataclass(frozen=True)
+class IntegralLimits(ParameterRecord):
+    """What keeps the integral term from winding up.
+
+    Attributes:
+        i_clamp_max: Its largest value, in [N m].
+        i_clamp_min: Its least value, in [N m].
+        antiwindup_strategy: What it does while the effort is limited.
+        tracking_time_constant: Of back calculation, in [s]; 0 chooses it from the gains.
+
+    Raises:
+        SettingError: As for :class:`ParameterRecord`, or the limits are the wrong way round.
+    """
+
+    i_clamp_max: float = parameter("i_clamp_max")
+    i_clamp_min: float = parameter("i_clamp_min")
+    antiwindup_strategy: AntiWindupStrategy = parameter("antiwindup_strategy")
+    tracking_time_constant: float = parameter("tracking_time_constant")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _require_order("i_clamp", self.i_clamp_min, self.i_clamp_max)
+
+
+@dataclass(frozen=True)
+class VelocitySettings(ParameterRecord):
+    """Where the velocity comes from.
+
+    Attributes:
+        source: The source.
+        filter_time_constant: Of the first-order filter, in [s].
+        acceleration_bound: Of the homogeneous differentiator, in [rad/s^2].
+    """
+
+    source: VelocitySourceName = parameter("velocity_source")
+    filter_time_constant: float = parameter("velocity_filter_time_constant")
+    acceleration_bound: float = parameter("acceleration_bound")
+
+    @property
+    def is_measured(self) -> bool:
+        """Whether measured velocities are used."""
+        return self.source == "measured"
+
+    @property
+    def in_use(self) -> tuple[object, ...]:
+        """The source, and the parameters that it uses."""
+        if self.source == "homogeneous_differentiator":
+            return self.source, self.acceleration_bound
+        return self.source, self.filter_time_constant
+
+
+@dataclass(frozen=True)
+class EncoderSettings(ParameterRecord):
+    """What is known of the encoder, and which of its positions are believed.
+
+    Attributes:
+        wrap: It begins anew after so much, in [rad]; 0 never, -1 if not known.
+        resolution: Step of the measured position, in [rad]; 0 if unknown.
+        step_max: Largest believable step between two positions, in [rad]; 0 chooses it.
+    """
+
+    wrap: float = parameter("encoder_wrap")
+    resolution: float = parameter("encoder_resolution")
+    step_max: float = parameter("position_step_max")
+
+
+@dataclass(frozen=True)
+class SoftStop(ParameterRecord):
+    """How a stop is approached.
+
+    Attributes:
+        margin: Effort towards a stop begins to fade this far before it, in [rad].
+        k_position: Velocity allowed for each rad of distance, in [1/s]; 0 chooses it.
+        k_velocity: Braking for each rad/s beyond it, in [N m s/rad]; 0 chooses it.
+    """
+
+    margin: float = parameter("soft_stop.margin")
+    k_position: float = parameter("soft_stop.k_position")
+    k_velocity: float = parameter("soft_stop.k_velocity")
+
+
+@dataclass(frozen=True)
+class MotionSettings(ParameterRecord):
+    """How far and how fast the joint may move.
+
+    Attributes:
+        position_max: Upper soft stop, in [rad]; 1e6 is none.
+        position_min: Lower soft stop, in [rad]; -1e6 is none.
+        velocity_max: In [rad/s]; 1e6 is none.
+        soft_stop: How the stops are approached.
+        angle_wraparound: Whether each new reference is reached the shorter way round.
+
+    Raises:
+        SettingError: As for :class:`ParameterRecord`, the stops are the wrong way round, or the
+            way round may lead through one.
+    """
+
+    position_max: float = parameter("position_max")
+    position_min: float = parameter("position_min")
+    velocity_max: float = parameter("velocity_max")
+    soft_stop: SoftStop = field(default_factory=SoftStop)
+    angle_wraparound: bool = parameter("angle_wraparound")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _require_order("position", self.position_min, self.position_max)
+        if self.angle_wraparound and (self.lower > -math.inf or self.upper < math.inf):
+            raise SettingError(
+                "angle_wraparound takes the shorter way round, and that may lead through a stop: "
+                "it is not for joints with position_min or position_max"
+            )
+
+    @property
+    def lower(self) -> float:
+        """Lowest position in [rad]; -inf for none."""
+        return self.position_min if self.position_min > -LARGEST_MOTION else -math.inf
+
+    @property
+    def upper(self) -> float:
+        """Highest position in [rad]; inf for none."""
+        return self.position_max if self.position_max < LARGEST_MOTION else math.inf
+
+    @property
+    def fastest(self) -> float:
+        """Largest absolute velocity in [rad/s]; inf for none."""
+        return self.velocity_max if self.velocity_max < LARGEST_MOTION else math.inf
+
+
+@dataclass(frozen=True)
+class Timing(ParameterRecord):
+    """The times between states, and what follows when one stays away.
+
+    Attributes:
+        control_period: Nominal time between two states, in [s].
+        state_timeout: A longer time between two states is a gap, in [s].
+        state_clock: What stamps the states.
+        takeover_time: How long the reference glides onto a motion under way, in [s]; 0 jumps.
+
+    Raises:
+        SettingError: As for :class:`ParameterRecord`, or every state would be a gap.
+    """
+
+    control_period: float = parameter("control_period")
+    state_timeout: float = parameter("state_timeout")
+    state_clock: StateClock = parameter("state_clock")
+    takeover_time: float = parameter("takeover_time")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.state_timeout < _LEAST_PERIODS * self.control_period:
+            raise SettingError(
+                f"state_timeout = {self.state_timeout:g} s must be at least {_LEAST_PERIODS:g} "
+                f"times control_period = {self.control_period:g} s: every state would be a gap"
+            )
+
+    @property
+    def is_simulated(self) -> bool:
+        """Whether the control clock is a simulation's, which can be paused."""
+        return self.state_clock == "simulated"
+
+
+def _require_order(name: str, low: float, high: float) -> None:
+    if not low <= high:
+        raise SettingError(f"{name}_min = {low} must not exceed {name}_max = {high}")
