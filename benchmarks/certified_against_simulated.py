@@ -18,6 +18,7 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
+from functools import partial
 from multiprocessing import Pool
 from pathlib import Path
 from typing import Any
@@ -28,6 +29,8 @@ from scipy.integrate import solve_ivp
 
 from hpid_ros.base.errors import GainError, NormError
 from hpid_ros.control import CanonicalNorm, Gains, WeightedNorm
+from hpid_ros.control.settings.choices import NormType
+from hpid_ros.control.settings.groups import NormSettings
 from hpid_ros.stability.bounds import integral_ratio
 from hpid_ros.stability.check import margins_at
 from hpid_ros.stability.verdict import Norm, certified_degree_interval
@@ -105,12 +108,23 @@ class SimulatedLoop:
         return True
 
 
-def random_loop(random: np.random.Generator) -> tuple[Gains, str, NormOfDegree]:
-    """Return gains, the kind of norm, and the norm of every degree."""
+def random_loop(
+    random: np.random.Generator, *, is_in_effort: bool
+) -> tuple[Gains, str, NormOfDegree]:
+    """Return gains, the kind of norm, and the norm of every degree.
+
+    Args:
+        random: Chance.
+        is_in_effort: Whether the norm is that of ``norm.effort_scale``.
+    """
     gain_p = float(10.0 ** random.uniform(-0.5, 2.5))
     damping = float(10.0 ** random.uniform(-0.7, 0.7))
     gain_d = 2.0 * damping * math.sqrt(gain_p)
     gains = Gains(gain_p, random.uniform(0.02, 0.95) * gain_p * gain_d, gain_d)
+    if is_in_effort:
+        scale = float(10.0 ** random.uniform(-1.5, 1.5))
+        kind: NormType = "weighted" if random.random() < 0.5 else "canonical"
+        return gains, kind, NormSettings(type=kind, effort_scale=scale).family(gains.p, gains.d)
     # The error at rest and the rate at which the norm is 1; the rate is that of the loop's own
     # oscillation about such an error, within an order and a half.
     error = float(10.0 ** random.uniform(-1.5, 1.5))
@@ -122,10 +136,10 @@ def random_loop(random: np.random.Generator) -> tuple[Gains, str, NormOfDegree]:
     return gains, "canonical", lambda degree: CanonicalNorm(degree, shape)
 
 
-def try_loop(seed: int) -> dict[str, Any]:
+def try_loop(seed: int, *, is_in_effort: bool = False) -> dict[str, Any]:
     """Return what one loop gave."""
     random = np.random.default_rng(seed)
-    gains, kind, norm_of_degree = random_loop(random)
+    gains, kind, norm_of_degree = random_loop(random, is_in_effort=is_in_effort)
     drawn = random.uniform(-LARGEST_DEGREE, LARGEST_DEGREE)
     result: dict[str, Any] = {"seed": seed, "norm": kind, "rho": integral_ratio(gains)}
     started = time.process_time()
@@ -159,13 +173,17 @@ def main() -> int:
     parser.add_argument("--loops", type=int, default=520)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--processes", type=int, default=1)
+    parser.add_argument(
+        "--effort-scale", action="store_true", help="norms of norm.effort_scale alone"
+    )
     parser.add_argument("--output", type=Path, metavar="FILE", help="a JSON line for each loop")
     arguments = parser.parse_args()
     seeds = [1_000_000 * arguments.seed + k for k in range(arguments.loops)]
     results = []
     lines = arguments.output.open("w") if arguments.output else nullcontext()
     with lines as output, Pool(arguments.processes) as pool:
-        for done, result in enumerate(pool.imap_unordered(try_loop, seeds), 1):
+        attempt = partial(try_loop, is_in_effort=arguments.effort_scale)
+        for done, result in enumerate(pool.imap_unordered(attempt, seeds), 1):
             results.append(result)
             if output:
                 print(json.dumps(result), file=output, flush=True)

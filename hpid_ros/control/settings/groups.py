@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass, field
 
 from hpid_ros.base.errors import SettingError
+from hpid_ros.control.norms import NormFamily
 from hpid_ros.control.settings.choices import (
     AntiWindupStrategy,
     NormType,
@@ -13,7 +14,7 @@ from hpid_ros.control.settings.choices import (
     VelocitySourceName,
 )
 from hpid_ros.control.settings.records import ParameterRecord, parameter
-from hpid_ros.control.settings.table import LARGEST_MOTION
+from hpid_ros.control.settings.table import LARGEST_MOTION, PARAMETERS
 
 _LEAST_PERIODS = 1.5  # of control_period in state_timeout: one state may be late
 
@@ -26,15 +27,52 @@ class NormSettings(ParameterRecord):
         type: Of the norm.
         error_scale: Error at rest whose norm is 1, in [rad].
         rate_weight: Weight of the error rate, in [s/rad].
+        effort_scale: Effort of the PID's proportional or derivative term whose norm is 1, in
+            [N m]; it takes the place of the two before. 0 is off.
         floor: Its least value; -1 computes it.
         cap: Its largest value.
+
+    Raises:
+        SettingError: As for :class:`ParameterRecord`, or ``effort_scale`` is given beside what
+            it takes the place of.
     """
 
     type: NormType = parameter("norm.type")
     error_scale: float = parameter("norm.error_scale")
     rate_weight: float = parameter("norm.rate_weight")
+    effort_scale: float = parameter("norm.effort_scale")
     floor: float = parameter("norm.floor")
     cap: float = parameter("norm.cap")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name in ("error_scale", "rate_weight") if self.effort_scale else ():
+            value, default = getattr(self, name), PARAMETERS[f"norm.{name}"].default
+            if value != default:
+                raise SettingError(
+                    f"norm.effort_scale = {self.effort_scale:g} N m takes the place of "
+                    f"norm.{name}, which must stay at its default {default:g}, not {value:g}"
+                )
+
+    def family(self, p: float, d: float) -> NormFamily:
+        """Return the norm for every degree.
+
+        Args:
+            p: Proportional gain in [N m/rad].
+            d: Derivative gain in [N m s/rad].
+
+        Raises:
+            SettingError: ``effort_scale`` is given, and one of the gains is 0.
+        """
+        scale = self.effort_scale
+        if not scale:
+            return NormFamily(self.type, self.error_scale, self.rate_weight)
+        if p <= 0.0 or d <= 0.0:
+            raise SettingError(
+                f"norm.effort_scale weighs the error by gains.p and its rate by gains.d: neither "
+                f"may be 0, as of {p:g} and {d:g}"
+            )
+        return NormFamily(self.type, scale / p, d / scale)
 
 
 @dataclass(frozen=True)

@@ -81,6 +81,9 @@ class LoopSettings(ParameterRecord):
             raise SettingError("discretization semi_implicit needs the inertia, which is unknown")
         if self.plant_inertia > 0.0:
             require_hurwitz(self.gains, self.plant_inertia)
+        if self._lacks_inertia:  # a model gives it later
+            return
+        self.norm_family(self.degree)
         if self.law == "hpid" or is_implicit:
             require_floor(self.norm_floor, self.norm.cap)
 
@@ -135,10 +138,23 @@ class LoopSettings(ParameterRecord):
         """
         return 1.0 if self.model.is_decoupling else self.inertia
 
+    @property
+    def _lacks_inertia(self) -> bool:
+        return self.norm.effort_scale > 0.0 and self.model.is_decoupling and not self.inertia
+
     @cached_property
     def norm_family(self) -> NormFamily:
-        """The norm for every degree."""
-        return NormFamily(self.norm.type, self.norm.error_scale, self.norm.rate_weight)
+        """The norm for every degree.
+
+        With decoupling the gains are accelerations; the inertia makes efforts of them.
+
+        Raises:
+            SettingError: ``norm.effort_scale`` is given with decoupling, and no inertia yet.
+        """
+        if self._lacks_inertia:
+            raise SettingError("norm.effort_scale with decoupling needs the inertia")
+        unit = self.inertia if self.model.is_decoupling else 1.0
+        return self.norm.family(unit * self.gains.p, unit * self.gains.d)
 
     @cached_property
     def norm_floor(self) -> float:

@@ -115,6 +115,14 @@ _TABLE = (
         "norm.rate_weight", 0.1, "Weight of the error rate in the norm [s/rad]", 1e-6, 1e6
     ),
     ParameterSpec(
+        "norm.effort_scale",
+        0.0,
+        "u0 [N m]: the norm is 1 where the PID's p e or d de is u0, that is error_scale = u0/p "
+        "and rate_weight = d/u0, which are not given then; 0 is off",
+        0.0,
+        LARGEST_EFFORT,
+    ),
+    ParameterSpec(
         "norm.floor",
         -1.0,
         "Least value of the norm; 0 is the paper's law exactly, -1 computes it from "

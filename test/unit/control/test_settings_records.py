@@ -40,7 +40,9 @@ OTHERS = {
     **{"model.wheel_radius": 0.1, "model.wheel_separation": 0.4},
     "model.effort_filter_time_constant": 0.02,
 }
+IN_EFFORT = {"norm.effort_scale": 3.0}  # not beside scales of the joint's own
 STOPS = {"position_max": 2.0, "position_min": -3.0}  # not where angles wrap around
+SCALES = ("norm.error_scale", "norm.rate_weight")
 GROUPS = [
     *(NormSettings, EffortLimits, IntegralLimits, MotionSettings, SoftStop, Timing),
     ModelSettings,
@@ -76,7 +78,7 @@ def test_every_choice_of_a_parameter_is_one_of_its_fields_and_the_other_way_roun
 @pytest.mark.parametrize("name", PARAMETERS)
 def test_a_parameter_has_a_place_of_its_own(name):
     """It can be changed alone, nothing else changes with it, and it comes back."""
-    value = {**OTHERS, **STOPS}[name]
+    value = {**OTHERS, **STOPS, **IN_EFFORT}[name]
     assert value != PARAMETERS[name].default
     beside = {"inertia": 0.2, "gains.p": 20.0, "gains.d": 3.0} | (
         {"model.left_wheel": "L", "model.right_wheel": "R"} if "wheel" in name else {}
@@ -88,7 +90,12 @@ def test_a_parameter_has_a_place_of_its_own(name):
 
 
 def test_all_parameters_together_survive_the_round_trip():
-    for values in (OTHERS, {**OTHERS, **STOPS, "angle_wraparound": False}):
+    own_scales = {name: PARAMETERS[name].default for name in SCALES}
+    for values in (
+        {**OTHERS, **IN_EFFORT, **own_scales},
+        {**OTHERS, **STOPS, "angle_wraparound": False},
+        OTHERS,
+    ):
         found = LoopSettings.from_parameters(values)
         assert found.to_parameters() == {**to_values(loop_settings()), **values}
         assert LoopSettings.from_parameters(found.to_parameters()) == found
