@@ -23,6 +23,7 @@ _FREE = {
     "pid": ("gains.p", "gains.i", "gains.d"),
     "hpid": ("mu", "norm.error_scale", "norm.rate_weight"),
 }
+_FREE_IN_EFFORT = ("mu", "norm.effort_scale")
 _JOINTS = "joints"
 
 
@@ -44,7 +45,8 @@ def compare_entry(
     common = _flat({key: value for key, value in written.items() if key != _JOINTS})
     each = {joint: _flat(entry) for joint, entry in written.get(_JOINTS, {}).items()}
     common["law"] = law
-    for name in _FREE[law]:
+    is_in_effort = law == "hpid" and all(loop.norm.effort_scale for loop in loops)
+    for name in _FREE_IN_EFFORT if is_in_effort else _FREE[law]:
         values = {loop.joint: loop.to_parameters()[name] for loop in loops}
         for parameters in (common, *each.values()):
             parameters.pop(name, None)

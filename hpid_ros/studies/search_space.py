@@ -7,7 +7,7 @@ degree and its norm, with the gains untouched.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol, get_args
 
@@ -215,6 +215,11 @@ HPID_PARAMETERS = (
     FreeParameter("error_scale", 0.05, 20.0, 1.0, "factor of norm.error_scale"),
     FreeParameter("rate_weight", 1e-3, 10.0, 0.1, "norm.rate_weight [s/rad]"),
 )
+EFFORT_PARAMETERS = (
+    HPID_PARAMETERS[0],
+    FreeParameter("effort_scale", 0.05, 20.0, 1.0, "factor of norm.effort_scale"),
+)
+"""Of a homogeneous controller whose norm is in units of effort."""
 
 
 def source_label(experiment: Experiment, law: LawName) -> str:
@@ -275,9 +280,11 @@ class SearchSpace:
             replace(each, law=law, mu=0.0, gains=known.gains)
             for each, known in zip(source, baseline, strict=True)
         )
-        weight = start[0].norm.rate_weight
-        usual = PID_PARAMETERS
-        if law == "hpid":
+        usual: tuple[FreeParameter, ...] = PID_PARAMETERS
+        if law == "hpid" and all(each.norm.effort_scale for each in start):
+            usual = EFFORT_PARAMETERS
+        elif law == "hpid":
+            weight = start[0].norm.rate_weight
             usual = (*HPID_PARAMETERS[:2], replace(HPID_PARAMETERS[2], start=weight))
         parameters = _bounded(usual, bounds or {})
         return cls(law, parameters, start, experiment.world.joints)
@@ -291,7 +298,9 @@ class SearchSpace:
         Raises:
             HpidError: A loop refuses its settings, for instance an unstable PID.
         """
-        change = _scaled_gains if self.law == "pid" else _homogeneous
+        change: Callable[..., LoopSettings] = _scaled_gains
+        if self.law == "hpid":
+            change = _in_effort if self.parameters[1].name == "effort_scale" else _homogeneous
         loops = []
         for each in self.start:
             try:
@@ -314,6 +323,7 @@ class SearchSpace:
             "integral": 1.0,
             "mu": own.mu,
             "error_scale": 1.0,
+            "effort_scale": 1.0,
             "rate_weight": own.norm.rate_weight,
         }
         parameters = tuple(replace(each, start=at[each.name]) for each in self.parameters)
@@ -357,6 +367,11 @@ def _homogeneous(
             "norm.rate_weight": rate_weight,
         }
     )
+
+
+def _in_effort(settings: LoopSettings, degree: float, effort_scale: float) -> LoopSettings:
+    scale = _rounded(settings.norm.effort_scale * effort_scale)
+    return settings.with_parameters({"mu": degree, "norm.effort_scale": scale})
 
 
 def _rounded(value: float) -> float:

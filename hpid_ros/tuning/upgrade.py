@@ -15,7 +15,7 @@ from hpid_ros.base.units import SECONDS_PER_NANOSECOND
 from hpid_ros.control import HomogeneousPid, LoopSettings
 from hpid_ros.control.norms import GOOD_SAMPLING_MARGIN
 from hpid_ros.control.settings.assembly import make_law
-from hpid_ros.control.settings.table import LARGEST_EFFORT
+from hpid_ros.control.settings.table import LARGEST_EFFORT, PARAMETERS
 from hpid_ros.recordings.series import JointSeries
 from hpid_ros.stability.bounds import (
     LARGEST_SAMPLING_MARGIN,
@@ -35,6 +35,7 @@ class LoopStatistics:
 
     Attributes:
         largest_error: In [rad].
+        mean_square_error: In [rad^2].
         largest_rate: Largest velocity of the joint, filtered as the loop would, in [rad/s].
         resolution: Smallest step of the measured position in [rad]; 0 when it has none.
         period: Median time between two states in [s].
@@ -42,6 +43,7 @@ class LoopStatistics:
     """
 
     largest_error: float
+    mean_square_error: float
     largest_rate: float
     resolution: float
     period: float
@@ -70,6 +72,7 @@ def loop_statistics(series: JointSeries, filter_time_constant: float) -> LoopSta
     period = float(np.median(np.diff(series.state_stamps_ns))) * SECONDS_PER_NANOSECOND
     return LoopStatistics(
         largest_error=largest,
+        mean_square_error=float(np.mean(np.square(error))),
         largest_rate=_largest_rate(series, filter_time_constant),
         resolution=_resolution(series),
         period=period,
@@ -102,8 +105,15 @@ def _resolution(series: JointSeries) -> float:
     return smallest if is_grid else 0.0
 
 
-GOALS: Mapping[str, Quantity] = {"smooth": IVC, "fast": ITAE}
-"""What each goal lowers."""
+GOALS: Mapping[str, tuple[Quantity, ...]] = {
+    "smooth": (IVC,),
+    "fast": (ITAE,),
+    "balanced": (IVC, ITAE),
+}
+"""What each goal lowers: of every joint, or, with ``balanced``, of the robot as a whole."""
+
+BALANCED_FLOOR = 0.1
+"""Of the norm in units of effort: at degree -0.3 it doubles the bandwidth and no more."""
 
 _SHARE_OF_INTERVAL = 0.8
 _STEP = 0.01
@@ -147,6 +157,30 @@ class Upgrade:
     remarks: tuple[str, ...] = ()
 
 
+def effort_scale(candidates: Sequence[Candidate]) -> float:
+    """Return one scale of the norm for all joints of a robot, in [N m].
+
+    It is the root mean square of the proportional term p e over the states of all joints: where a
+    PID works harder than that, the homogeneous one of a negative degree is gentler. Gravity and
+    friction are not in it, the integral carries them.
+
+    Args:
+        candidates: The loops; those without a recording do not count.
+
+    Raises:
+        SettingError: There is no recording, or no proportional gain.
+    """
+    known = [(each.pid.gains.p, each.statistics) for each in candidates if each.statistics]
+    states = sum(statistics.states for _, statistics in known)
+    total = sum(p * p * each.mean_square_error * each.states for p, each in known)
+    if total == 0.0:
+        raise SettingError(
+            "goal balanced takes the norm's scale in N m from a recording under the PID, with a "
+            "proportional gain: give --bag"
+        )
+    return float(f"{math.sqrt(total / states):.3g}")
+
+
 def upgrades(
     candidates: Sequence[Candidate],
     goal: str,
@@ -160,7 +194,9 @@ def upgrades(
 
     Args:
         candidates: The loops.
-        goal: ``smooth`` (gains fall close to the target) or ``fast`` (they rise).
+        goal: ``smooth`` (gains fall close to the target), ``fast`` (they rise) or ``balanced``
+            (they rise where a joint's PID works little, and fall where it works hard, by one norm
+            in units of effort, :func:`effort_scale`).
         tell: Called with the joints whose degrees have been certified.
 
     Returns:
@@ -169,12 +205,14 @@ def upgrades(
 
     Raises:
         RunError: A process died.
+        SettingError: The goal needs a recording, and there is none.
     """
+    scale = effort_scale(candidates) if goal == "balanced" else 0.0
     found: dict[int, Upgrade | HpidError] = {}
     bases: dict[int, tuple[LoopSettings, dict[str, str], tuple[str, ...]]] = {}
     for place, each in enumerate(candidates):
         try:
-            bases[place] = _base(each)
+            bases[place] = _base(each, scale)
         except HpidError as error:
             found[place] = error
             tell([each.pid.joint])
@@ -208,11 +246,12 @@ def worthwhile(each: Upgrade, goal: str, prediction: Comparison | None) -> Upgra
     """Return a proposal, or the PID where there is nothing to gain.
 
     There is something to gain where another degree than 0 qualifies and, as far as a prediction
-    says, the goal's index falls by at least 2 %.
+    says, each of the goal's indices falls by at least 2 %: the joint's own, or, with the goal
+    ``balanced``, that of all joints together.
 
     Args:
         each: The proposal.
-        goal: ``smooth`` or ``fast``.
+        goal: One of :data:`GOALS`.
         prediction: The PID, then the proposals, simulated on the robot; None if not known.
     """
     settings = each.settings
@@ -221,10 +260,13 @@ def worthwhile(each: Upgrade, goal: str, prediction: Comparison | None) -> Upgra
     elif prediction is None:
         return each
     else:
-        index = GOALS[goal]
-        ratio = prediction.ratio(prediction.others[0].label, index, settings.joint)
-        if ratio <= 1.0 - _LEAST_GAIN or math.isnan(ratio):
+        joint = None if goal == "balanced" else settings.joint
+        label = prediction.others[0].label
+        ratios = {index: prediction.ratio(label, index, joint) for index in GOALS[goal]}
+        short = {index: r for index, r in ratios.items() if r > 1.0 - _LEAST_GAIN}
+        if not short:
             return each
+        index, ratio = next(iter(short.items()))
         why = (
             f"with mu {settings.mu:+.2f} the predicted {index.symbol} is {ratio:.3f} of the PID's"
         )
@@ -233,11 +275,21 @@ def worthwhile(each: Upgrade, goal: str, prediction: Comparison | None) -> Upgra
     return replace(each, settings=kept, reasons=reasons)
 
 
-def _base(candidate: Candidate) -> tuple[LoopSettings, dict[str, str], tuple[str, ...]]:
-    """Return the homogeneous loop of degree 0, reasons, and remarks on the PID."""
+def _base(
+    candidate: Candidate, scale: float
+) -> tuple[LoopSettings, dict[str, str], tuple[str, ...]]:
+    """Return the homogeneous loop of degree 0, reasons, and remarks on the PID.
+
+    Args:
+        candidate: The loop.
+        scale: Of the norm in [N m]; 0 for a norm of the joint's own.
+    """
     pid = candidate.pid
     reasons: dict[str, str] = dict.fromkeys(("gains.p", "gains.i", "gains.d"), "as before")
-    base = _with_statistics(replace(pid, law="hpid", mu=0.0), candidate.statistics, reasons)
+    base = replace(pid, law="hpid", mu=0.0)
+    if scale:
+        base = _in_units_of_effort(base, scale, reasons)
+    base = _with_statistics(base, candidate.statistics, reasons)
     least, largest, limit = base.effort.u_clamp_min, base.effort.u_clamp_max, candidate.effort
     if limit > 0.0:  # a URDF says 0 where nothing is known
         within = {
@@ -315,21 +367,41 @@ def _proposal(
     return Upgrade(chosen, ends, inertia, reasons, remarks)
 
 
+def _in_units_of_effort(
+    settings: LoopSettings, scale: float, reasons: dict[str, str]
+) -> LoopSettings:
+    reasons["norm.effort_scale"] = (
+        "root mean square of p e in the bag, over all joints: both laws agree there"
+    )
+    reasons["norm.type"] = "the norm of both terms together, whatever the degree"
+    reasons["norm.floor"] = "at degree -0.3 the bandwidth is doubled and no more"
+    own = ("norm.error_scale", "norm.rate_weight")
+    return settings.with_parameters(
+        {
+            "norm.type": "canonical",
+            "norm.effort_scale": scale,
+            "norm.floor": BALANCED_FLOOR,
+            **{name: PARAMETERS[name].default for name in own},
+        }
+    )
+
+
 def _with_statistics(
     settings: LoopSettings, statistics: LoopStatistics | None, reasons: dict[str, str]
 ) -> LoopSettings:
+    is_own = not settings.norm.effort_scale
     if statistics is None:
-        reasons["norm.error_scale"] = "not measured: the error at which both laws agree"
-        reasons["norm.rate_weight"] = "not measured"
+        if is_own:
+            reasons["norm.error_scale"] = "not measured: the error at which both laws agree"
+            reasons["norm.rate_weight"] = "not measured"
         return settings
     rate = statistics.largest_rate
-    changes: dict[str, float] = {
-        "norm.error_scale": statistics.largest_error,
-        "control_period": statistics.period,
-    }
-    reasons["norm.error_scale"] = "largest error in the bag: both laws agree there"
+    changes: dict[str, float] = {"control_period": statistics.period}
     reasons["control_period"] = "median time between two states in the bag"
-    if rate > 0.0:
+    if is_own:
+        changes["norm.error_scale"] = statistics.largest_error
+        reasons["norm.error_scale"] = "largest error in the bag: both laws agree there"
+    if is_own and rate > 0.0:
         changes["norm.rate_weight"] = 1.0 / rate
         reasons["norm.rate_weight"] = f"one over the largest velocity in the bag, {rate:.3g} rad/s"
     if statistics.resolution > 0.0:

@@ -3,6 +3,7 @@
 import csv
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -106,6 +107,18 @@ def indices(label, *values):
     ivc, iavc, itae, effort, error = values
     totals = JointIndices(ivc, iavc, itae)
     return RunIndices(label, {"j": totals}, totals, effort, error)
+
+
+def test_a_norm_in_units_of_effort_has_one_scale_for_all_joints(experiment):
+    own = {"norm.error_scale": 1.0, "norm.rate_weight": 0.1, "norm.effort_scale": 3.0}
+    loops = tuple(each.with_parameters(own) for each in experiment.controllers["hPID"])
+    space = SearchSpace.of(
+        replace(experiment, controllers={**experiment.controllers, "hPID": loops}), "hpid"
+    )
+    assert [each.name for each in space.parameters] == ["mu", "effort_scale"]
+    found = space.controller([-0.2, 0.5])
+    assert {(each.mu, each.norm.effort_scale) for each in found} == {(-0.2, 1.5)}
+    assert [each.gains for each in found] == [each.gains for each in space.start]
 
 
 def test_the_cost_is_the_geometric_mean_of_the_ratios():

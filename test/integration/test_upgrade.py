@@ -77,6 +77,59 @@ def test_the_degree_has_the_goals_sign_and_is_certified(goal, sign):
     assert 0.5 <= law.norm_floor**found.settings.mu <= 2.0
 
 
+def elbow_and_wrist():
+    """Return a joint that works hard and one that hardly does, as they were recorded."""
+    loops = pid(), pid(joint="wrist", gains=Gains(3.96, 13.2, 0.396), inertia=0.0132)
+    statistics = loop_statistics(recording(), 0.005)
+    return [Candidate(loop, (loop.inertia,) * 2, statistics) for loop in loops]
+
+
+def test_balanced_gives_all_joints_one_scale_in_units_of_effort():
+    both = elbow_and_wrist()
+    proposals = upgrades(both, "balanced")
+    mean_square = np.mean(np.square(recording().error))
+    expected = math.sqrt(0.5 * (39.6**2 + 3.96**2) * mean_square)
+    for proposal, candidate in zip(proposals, both, strict=True):
+        settings = proposal.settings
+        assert settings.norm.effort_scale == pytest.approx(expected, rel=5e-3)
+        assert settings.mu == pytest.approx(-0.3)
+        assert settings.gains == candidate.pid.gains
+        assert proposal.interval == proposals[0].interval  # one rule, one certificate
+        least, most = make_law(settings).multiplier(0.0, 0.0), make_law(settings).multiplier(9, 9)
+        assert 1.9 < least <= 2.0
+        assert most < 1.0
+    # At the same share of its largest error the wrist is firmer than its PID, the elbow gentler.
+    elbow, wrist = (make_law(each.settings).multiplier(0.25, 0.0) for each in proposals)
+    assert elbow < 1.0 < wrist
+
+
+def test_balanced_needs_a_recording_and_forgets_the_joints_own_scales(capsys, tmp_path):
+    own = pid(**{"norm.error_scale": 0.7, "norm.rate_weight": 0.4})
+    with pytest.raises(SettingError, match="give --bag"):
+        upgrade(own, (0.1, 0.2), "balanced")
+    found = upgrade(own, (0.1, 0.2), "balanced", loop_statistics(recording(), 0.005)).settings
+    assert found.norm_family.error_scale == pytest.approx(found.norm.effort_scale / 39.6)
+    file = tmp_path / "pid.yaml"
+    file.write_text(parameter_text(elbow=(39.6, 132.0, 3.96)))
+    command = ["upgrade", str(file), "--goal", "balanced", "--inertia", "0.132"]
+    assert main([*command, "-o", str(tmp_path / "out.yaml")]) == BAD_INPUT
+    assert capsys.readouterr().err.count("give --bag") == 1
+    assert not (tmp_path / "out.yaml").exists()
+
+
+@pytest.mark.parametrize(
+    ("ivc", "itae", "is_kept"), [(0.5, 0.6, False), (0.99, 0.6, True), (0.5, 1.2, True)]
+)
+def test_balanced_is_kept_or_left_for_the_robot_as_a_whole(ivc, itae, is_kept):
+    found = upgrade(pid(), (0.1, 0.2), "balanced", loop_statistics(recording(), 0.005))
+    pid_alone, proposed = prediction(elbow=1.0).runs
+    totals = replace(proposed, totals=JointIndices(ivc, 1.0, itae))
+    kept = worthwhile(found, "balanced", Comparison((pid_alone, totals)))
+    assert (kept.settings.law == "pid") == is_kept
+    if is_kept:
+        assert ("IVC" if ivc > 0.9 else "ITAE") in kept.reasons["law"]
+
+
 def test_every_number_of_the_proposal_has_a_reason_or_a_default():
     found = upgrade(pid(), (0.132, 0.132), "fast", loop_statistics(recording(), 0.005))
     for name in ("mu", "law", "norm.error_scale", "norm.rate_weight", "encoder_resolution"):

@@ -79,7 +79,8 @@ def add(commands: Any) -> None:
         action="append",
         default=[],
         metavar="NAME=LOW:HIGH",
-        help="of a free parameter: bandwidth, damping, integral; mu, error_scale, rate_weight",
+        help="of a free parameter: bandwidth, damping, integral; mu, error_scale, "
+        "rate_weight, effort_scale",
     )
     parser.add_argument(
         "--settle", type=float, metavar="RAD", help="refuse larger errors in the last second"

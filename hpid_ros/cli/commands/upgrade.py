@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from hpid_ros.recordings.series import JointSeries
     from hpid_ros.tuning.upgrade import Upgrade
 
-_GOALS = ("smooth", "fast")
+_GOALS = ("smooth", "fast", "balanced")
 
 
 def add(commands: Any) -> None:
@@ -32,7 +32,8 @@ def add(commands: Any) -> None:
         description="Choose norm and degree for the gains of a PID, inside the certified "
         "interval, and write a controller parameter file with a comment on every number. A joint "
         "keeps its PID where there is nothing to gain: no degree but 0 qualifies, or, with "
-        "--urdf, the goal's index (smooth: IVC, fast: ITAE) is not predicted to fall by 2 %.",
+        "--urdf, the goal's index (smooth: IVC, fast: ITAE, balanced: both, of the whole robot) "
+        "is not predicted to fall by 2 %.",
         epilog="Exit code 1 if a joint could not be upgraded: the file holds it as it was, with "
         "the reason.",
     )
@@ -41,7 +42,8 @@ def add(commands: Any) -> None:
         "--goal",
         choices=_GOALS,
         required=True,
-        help="smooth lowers the variation of the effort, fast shortens transients",
+        help="smooth lowers the variation of the effort, fast shortens transients; balanced does "
+        "both for the robot as a whole, by one norm in N m for all joints, and needs --bag",
     )
     parser.add_argument(
         "--bag",
