@@ -97,9 +97,9 @@ def bridge_settings(file: Path, domain: int):
     arguments = ["--ros-args", "--params-file", str(file)]
     rclpy.init(args=arguments, context=context, domain_id=domain)
     try:
-        node = rclpy.create_node("pybullet_bridge", context=context)
+        node = rclpy.create_node("mujoco_bridge", context=context)
         try:
-            return read_world_file(node, "pybullet")
+            return read_world_file(node, "mujoco")
         finally:
             node.destroy_node()
     finally:
@@ -107,7 +107,7 @@ def bridge_settings(file: Path, domain: int):
 
 
 def bridge_parameters(**values: object) -> dict[str, object]:
-    return {"pybullet_bridge": {"ros__parameters": values}}
+    return {"mujoco_bridge": {"ros__parameters": values}}
 
 
 @pytest.mark.parametrize("changes", [{}, EVERYTHING], ids=["ideal", "everything"])

@@ -328,7 +328,7 @@ class Robot:
         joints = len(experiment.world.joints)
         self._bridge = start(
             f"{name}_bridge",
-            "pybullet_bridge",
+            f"{experiment.world.engine}_bridge",
             [
                 *("--params-file", str(folder / "bridge.yaml"), *space),
                 *ros_arguments(frame_prefix=f"{name}/", wait_for_subscribers=joints + 1),

@@ -154,7 +154,7 @@ def applied_after(bag, joint, seconds):
     return largest
 
 
-@pytest.mark.parametrize("node", ["pybullet_bridge", "bag_recorder"])
+@pytest.mark.parametrize("node", ["mujoco_bridge", "bag_recorder"])
 def test_a_run_that_loses_what_it_cannot_do_without_fails_in_one_line(
     experiment_file, tmp_path, node
 ):

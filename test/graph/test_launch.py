@@ -62,7 +62,7 @@ def test_a_namespaced_robot_comes_up_and_goes_with_its_launch(
     log = tmp_path / "launch.log"
     harness.wait(lambda: log.read_text().count("active: joint") == 8, within=120.0, what="joints")
     assert "left.arm_joint_1_controller" in log.read_text()
-    assert {"pybullet_bridge", "arm_joint_1_controller"} <= nodes(harness, "/left")
+    assert {"mujoco_bridge", "arm_joint_1_controller"} <= nodes(harness, "/left")
     process.send_signal(ending)
     process.wait(30)
     harness.wait(lambda: not nodes(harness, "/left"), within=60.0, what="the nodes to end")

@@ -219,7 +219,7 @@ def test_an_interrupt_ends_every_process_and_leaves_what_was_run(
         "-m",
         "hpid_ros.cli.main",
         "sweep",
-        str(experiment_file(duration=2.0)),
+        str(experiment_file(duration=20.0)),
     ]
     command += ["--vary", "mu=-0.2:0.2:50", "--jobs", "2", "-o", str(folder)]
     process = subprocess.Popen(
@@ -228,9 +228,7 @@ def test_an_interrupt_ends_every_process_and_leaves_what_was_run(
     wait_until(lambda: len(workers(process.pid)) == 2)
     children = workers(process.pid)
     if is_warm:  # they have begun to compute, in one thread each
-        wait_until(
-            lambda: all("pybullet" in Path(f"/proc/{k}/maps").read_text() for k in children)
-        )
+        wait_until(lambda: all("mujoco" in Path(f"/proc/{k}/maps").read_text() for k in children))
         for each in children:
             assert b"OMP_NUM_THREADS=1\0" in Path(f"/proc/{each}/environ").read_bytes()
             assert signal.SIGINT in blocked_signals(each)  # so that none of them says anything
