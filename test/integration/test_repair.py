@@ -215,7 +215,7 @@ def run_on_mount(folder, options, experiment):
     """Run an experiment whose result is on a file system with these options."""
     code = f'mount -t tmpfs -o {options} none {folder} && exec "$@"'
     command = [sys.executable, "-m", "hpid_ros.cli.main", "run", experiment]
-    command += ["--output", str(folder / "result")]
+    command += ["--composed", "--output", str(folder / "result")]
     return subprocess.run(
         [*MOUNTS, "sh", "-c", code, "sh", *map(str, command)],
         capture_output=True,
@@ -257,7 +257,9 @@ def test_a_run_whose_recorder_is_killed_leaves_a_bag_that_can_be_measured(
         str(experiment_file(duration=100.0)),
     ]
     run = subprocess.Popen(
-        [*command, "--output", str(folder)], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE
+        [*command, "--composed", "--output", str(folder)],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
     )
     try:
         wait_for(lambda: size_of(folder) > 300_000, 60.0)

@@ -121,7 +121,8 @@ def test_every_experiment_runs_and_no_two_seeds_are_alike(path):
 def short_task(entry):
     """Return a fifth of a second of an experiment's baseline."""
     task = JudgedTask.of(entry.experiment, entry.baseline)
-    return replace(task, periods=200, joints=entry.joints)
+    world = replace(task.world, engine="mujoco")
+    return replace(task, world=world, periods=200, joints=entry.joints)
 
 
 def test_the_default_study_is_all_experiments_but_the_bricks_the_paper_first():

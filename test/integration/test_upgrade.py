@@ -348,10 +348,11 @@ def test_recordings_that_say_nothing_are_refused(series, words):
 
 @pytest.fixture(scope="module")
 def result(tmp_path_factory):
-    """Return the folder of a short comparison on the graph: parameter files and bags."""
+    """Return the folder of a run: parameter files of its controllers and its bag."""
     from hpid_ros.base.resources import share_folder
-    from hpid_ros.experiment.compare import compare
     from hpid_ros.experiment.description import load_experiment
+    from hpid_ros.experiment.graph.nodes import write_run_files
+    from hpid_ros.experiment.in_process import run_without_ros
     from hpid_ros.experiment.progress import NoProgress
 
     folder = tmp_path_factory.mktemp("upgrade")
@@ -359,14 +360,15 @@ def result(tmp_path_factory):
     document |= {"duration": 1.0, "simulation": {"engine": "mujoco", "physics_steps": 2}}
     (folder / "short.yaml").write_text(yaml.safe_dump(document, sort_keys=False))
     experiment = load_experiment(folder / "short.yaml")
-    compare(experiment, folder / "result", NoProgress(), has_figures=False)
-    return folder / "result"
+    write_run_files(folder, experiment, experiment.controllers["PID"])
+    run_without_ros(experiment, "PID", folder / "PID", NoProgress())
+    return folder
 
 
 def test_from_recording_to_a_file_that_runs_and_is_certified(result, tmp_path, capsys):
     file = tmp_path / "upgraded.yaml"
-    parameters = result / "nodes" / "PID" / "controllers.yaml"
-    command = ["upgrade", str(parameters), "--goal", "fast", "--bag", str(result / "bags" / "PID")]
+    parameters = result / "controllers.yaml"
+    command = ["upgrade", str(parameters), "--goal", "fast", "--bag", str(result / "PID")]
     command += ["--urdf", "urdf/mobile_manipulator.urdf", "--poses", "3", "-o", str(file)]
     assert main(command) == DONE
     said = capsys.readouterr()
@@ -403,6 +405,6 @@ def test_a_bag_without_the_joint_is_one_line(result, tmp_path, capsys):
     file = tmp_path / "elbow.yaml"
     file.write_text(yaml.safe_dump({"elbow_controller": {"ros__parameters": parameters}}))
     command = ["upgrade", str(file), "--goal", "fast", "-o", str(tmp_path / "new.yaml")]
-    assert "elbow" in refused([*command, "--bag", str(result / "bags" / "PID")], capsys)
+    assert "elbow" in refused([*command, "--bag", str(result / "PID")], capsys)
     assert main(command) == DONE  # and without the bag it works
     assert "cannot write" in refused([*command[:-1], "/proc/new.yaml"], capsys)
