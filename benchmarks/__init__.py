@@ -1,4 +1,4 @@
-"""What the package costs, each figure beside its limit or a peer from the same run.
+"""Benchmarks: each figure beside its limit or a peer from the same run.
 
 ``python -m benchmarks`` (or ``make bench``) from the checkout; ``--help`` says more.
 """

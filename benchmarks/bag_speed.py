@@ -1,4 +1,4 @@
-"""How fast a bag becomes arrays, beside reading its bytes and beside rosbags on the same file.
+"""The time from a bag to arrays, beside reading its bytes and beside rosbags on the same file.
 
 Run it as ``python benchmarks/bag_speed.py --minutes 2``. Three contenders take turns, each in a
 process of its own: ``bytes`` reads the file and decompresses it, ``arrays`` is

@@ -1,4 +1,4 @@
-"""What each choice of the node path is worth: the closed loop with and without it.
+"""The worth of each choice of the node path: the closed loop with and without it.
 
     python -m benchmarks.choices [--rounds 5] [--seconds 4]
 

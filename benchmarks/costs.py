@@ -1,4 +1,4 @@
-"""What one message costs as bytes at known offsets, and as a message of rclpy.
+"""The cost of one message as bytes at known offsets, and as a message of rclpy.
 
 python -m benchmarks.costs
 """

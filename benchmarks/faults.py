@@ -1,4 +1,4 @@
-"""What one controller's end does to the others: ``python -m benchmarks.faults [--minutes M]``.
+"""The effect of one controller's end on the others: ``python -m benchmarks.faults [--minutes M]``.
 
 Runs eight controllers in lock-step for M minutes of simulated time, in episodes. At random one of
 them is killed and restarted, ended and restarted, or frozen and thawed. Each episode is compared

@@ -1,4 +1,4 @@
-"""What a figure is: two measured quantities, their ratio, and what is asked of it."""
+"""Figures of speed: two measured quantities, their ratio, and what is asked of it."""
 
 from __future__ import annotations
 

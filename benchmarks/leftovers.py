@@ -1,4 +1,4 @@
-"""What a run leaves behind: processes, threads, and files of shared memory that nobody uses."""
+"""Leftovers of a run: processes, threads, and files of shared memory that nobody uses."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How much memory a process has to itself."""
+"""The memory that a process has to itself."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How much a model that is wrong costs: ``python -m benchmarks.model_errors [EXPERIMENT]``.
+"""The cost of a wrong model: ``python -m benchmarks.model_errors [EXPERIMENT]``.
 
 Runs an experiment's controllers in process on robots that their models do not know: with a payload
 of 0, 1 and 2 kg, with all masses of the model 20 % too small or too large, and with the mass of

@@ -1,4 +1,4 @@
-"""How the cost of a control cycle grows with the number of joints and of processes.
+"""The cost of a control cycle over the number of joints and of processes.
 
     python -m benchmarks.scaling [--joints 2 8 16 32] [--rounds 3]
 

@@ -1,4 +1,4 @@
-"""How far the base's odometry goes wrong: ``python -m benchmarks.slip``.
+"""The error of the base's odometry: ``python -m benchmarks.slip``.
 
 Drives two paths with the linear PID of tracking.yaml, on the floor as it is and on slippery ones,
 with finer and coarser physics, and prints the table of docs/base.md.

@@ -1,4 +1,4 @@
-"""What one joint feels when something goes wrong: ``python -m benchmarks.stimuli [NAME ...]``.
+"""Effort and motion of a joint when something goes wrong: ``python -m benchmarks.stimuli [NAME]``.
 
 A driver with wall-clock stamps plays a joint of 1 kg m^2 under a load at 500 Hz; a controller of
 its own process drives it along a trajectory. Then one thing happens, and the commands tell: the

@@ -1,4 +1,4 @@
-"""Where a disturbed graph runs: with the transports of a robot, in a network of its own.
+"""Surroundings of a disturbed graph: the transports of a robot, a network of its own.
 
 On a robot the nodes find each other by UDP and talk through shared memory. Experiments have
 shared memory alone, the closed mode, and there Fast DDS can lose its discovery for good: when a

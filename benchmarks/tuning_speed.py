@@ -1,4 +1,4 @@
-"""How long the commands take that certify: ``python -m benchmarks.tuning_speed [--against TREE]``.
+"""The time of the commands that certify: ``python -m benchmarks.tuning_speed [--against TREE]``.
 
 ``hpid gains``, ``check-gains --urdf`` and ``upgrade --urdf`` on the six joints of a shipped arm,
 as processes. With another source tree both take turns, and the ratios of wall-clock and processor

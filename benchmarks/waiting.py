@@ -1,4 +1,4 @@
-"""What eight controllers cost that wait for states."""
+"""The cost of eight controllers that wait for states."""
 
 from __future__ import annotations
 

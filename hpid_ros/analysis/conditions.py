@@ -1,4 +1,4 @@
-"""Under what conditions a run was made, as far as two runs need the same to be compared."""
+"""Conditions of a run, as far as two runs must share them to be compared."""
 
 from __future__ import annotations
 

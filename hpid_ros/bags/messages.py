@@ -1,4 +1,4 @@
-"""Whole messages read back: odometry and slip of a base, poses, the gripper's doings.
+"""Whole messages read back: odometry and slip of a base, poses, events of the gripper.
 
 For topics of a few messages; what comes a thousand times a second is read as columns.
 """

@@ -1,4 +1,4 @@
-"""The parts of rosbags that it does not document, and its MCAP writer with chunks that last.
+"""The undocumented parts of rosbags, and an MCAP writer whose chunks reach the disk in time.
 
 rosbags documents how a bag is opened, written and closed. It closes a chunk after 1 MiB, leaves
 flushing to the file's buffer and writes no checksums, and its public interface can change none of

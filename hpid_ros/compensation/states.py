@@ -178,7 +178,7 @@ class RobotStates:
         return ""
 
     def _worst(self, values: Sequence[float]) -> str:
-        """Return the first joint whose number is none of a joint, with it."""
+        """Return the first joint whose number is out of bounds, with the number."""
         for joint, value in zip(self.joints, values, strict=True):
             if not -LARGEST_POSITION <= value <= LARGEST_POSITION:
                 return f"{joint} {value}"
@@ -186,7 +186,7 @@ class RobotStates:
 
 
 def _are_possible(values: Sequence[float]) -> bool:
-    """Tell whether all numbers are finite and some joint's."""
+    """Tell whether all numbers are finite and within bounds."""
     # A sum is finite only if nothing in it is nan, with which min and max would be blind.
     return (
         math.isfinite(sum(values))

@@ -133,20 +133,15 @@ class MeasuredVelocity:
         time_constant: Of the filter for samples without a velocity, in [s].
     """
 
-    __slots__ = ("_fallback", "estimated")
+    __slots__ = ("_fallback",)
 
     def __init__(self, time_constant: float) -> None:
         self._fallback = FilteredVelocity(time_constant)
-        self.estimated = 0
-        """Samples whose velocity had to be estimated."""
 
     def update(self, position: float, velocity: float | None, dt: float) -> float:
         """Return the measured velocity in [rad/s], or an estimate where there is none."""
         estimate = self._fallback.update(position, velocity, dt)
-        if velocity is not None:
-            return velocity
-        self.estimated += 1
-        return estimate
+        return estimate if velocity is None else velocity
 
     def take_over(self, position: float, velocity: float) -> None:
         """Let the estimate go on from a position in [rad] and a velocity in [rad/s]."""

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple, Union, get_args, get_origin
 
 from hpid_ros.documents.records import (
     OFF,
-    Quantity,
+    FieldSpec,
     Record,
     RecordField,
     container_of,
@@ -102,7 +102,7 @@ def table(kind: type[Record], prefix: str = "") -> Iterator[TableRow]:
             yield from table(inner, f"{prefix}{each.key}{place}.")
 
 
-def _inner(kind: Any, what: Quantity) -> tuple[Any, str]:
+def _inner(kind: Any, what: FieldSpec) -> tuple[Any, str]:
     """Return what a list or mapping holds, and how its entries are named; else the type itself."""
     container = container_of(kind)
     if container is tuple:
@@ -132,7 +132,7 @@ def _schema(each: RecordField) -> dict[str, Any]:
     return schema
 
 
-def _schema_of(kind: Any, what: Quantity) -> dict[str, Any]:
+def _schema_of(kind: Any, what: FieldSpec) -> dict[str, Any]:
     origin, inner = get_origin(kind), get_args(kind)
     if origin in (Union, types.UnionType):
         return {"anyOf": [_schema_of(each, what) for each in inner]}

@@ -26,7 +26,7 @@ OFF = False
 
 
 @dataclass(frozen=True)
-class Quantity:
+class FieldSpec:
     """What a field is.
 
     Attributes:
@@ -60,9 +60,9 @@ def quantity(
     key: str = "",
     names: bool = False,
 ) -> Any:
-    """Declare a field of a :class:`Record`; see :class:`Quantity` and :class:`.Bounds`."""
+    """Declare a field of a :class:`Record`; see :class:`FieldSpec` and :class:`.Bounds`."""
     bounds = Bounds(above, least, most, below)
-    metadata = {_KEY: Quantity(meaning, unit, bounds, tuple(choices), key, names)}
+    metadata = {_KEY: FieldSpec(meaning, unit, bounds, tuple(choices), key, names)}
     return field(default=default, default_factory=factory, metadata=metadata)
 
 
@@ -106,7 +106,7 @@ class RecordField(NamedTuple):
     kind: Any
     is_optional: bool
     is_needed: bool
-    quantity: Quantity
+    quantity: FieldSpec
     declared: Field[Any]
 
     @property
@@ -128,7 +128,7 @@ def _fields_of(kind: Any) -> tuple[RecordField, ...]:
     hints = get_type_hints(kind)
     found = []
     for each in fields(kind):
-        what: Quantity = each.metadata[_KEY]
+        what: FieldSpec = each.metadata[_KEY]
         inner, is_optional = _without_none(hints[each.name])
         is_needed = each.default is MISSING and each.default_factory is MISSING
         key = what.key or each.name
@@ -267,7 +267,7 @@ def _converted(value: Any, each: RecordField, place: str, error: type[HpidError]
     return _as(each.kind, value, each.quantity, place, error)
 
 
-def _as(kind: Any, value: Any, what: Quantity, place: str, error: type[HpidError]) -> Any:
+def _as(kind: Any, value: Any, what: FieldSpec, place: str, error: type[HpidError]) -> Any:
     """Return a value as what its field is declared to be.
 
     Raises:
@@ -311,7 +311,7 @@ def _chosen(kinds: tuple[Any, ...], value: Any) -> Any:
 
 
 def _list(
-    kinds: tuple[Any, ...], value: Any, what: Quantity, place: str, error: type[HpidError]
+    kinds: tuple[Any, ...], value: Any, what: FieldSpec, place: str, error: type[HpidError]
 ) -> tuple[Any, ...]:
     if what.names and isinstance(value, Mapping):
         section = Section(value, place, error)

@@ -1,4 +1,4 @@
-"""What a configuration file says of its robot, corrections of its URDF among it."""
+"""A robot as a configuration file says it, with corrections of its URDF."""
 
 from __future__ import annotations
 

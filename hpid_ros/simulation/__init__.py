@@ -1,4 +1,4 @@
-"""The simulated robot; the only importer of PyBullet.
+"""The simulated robot; the only importer of PyBullet and MuJoCo.
 
 :class:`World` is the door: efforts in, measured positions out. This package is imported by name
 where a simulation is wanted, never by the rest of hpid_ros, so that a robot's computer needs no

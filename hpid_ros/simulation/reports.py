@@ -1,4 +1,4 @@
-"""What a simulated robot tells beside its joint states, as serialised messages.
+"""Reports of a simulated robot beside its joint states, as serialised messages.
 
 The bridge publishes them and a run in one process writes them into its bag: the same bytes.
 """

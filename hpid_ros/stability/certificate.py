@@ -117,7 +117,7 @@ class Certificate:
         Raises:
             SettingError: It is not such a mapping.
             GainError: Gains that are not a PID's.
-            NormError: A norm that is none.
+            NormError: A norm out of range.
         """
         if not isinstance(mapping, Mapping) or mapping.get("format") != FORMAT:
             raise SettingError(f"a certificate's format must be {FORMAT!r}")

@@ -1,4 +1,4 @@
-"""Knows which degrees are certified, and finds out beside a running loop."""
+"""The certifier: certified degrees, those it knows and those it finds beside a running loop."""
 
 from __future__ import annotations
 

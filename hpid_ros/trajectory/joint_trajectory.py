@@ -251,7 +251,7 @@ def require_arrays(
     Raises:
         TrajectoryError: As for ``JointTrajectory``.
     """
-    for index in _suspects(len(names), stamp_ns, times_ns, derivatives, lengths):
+    for index in _suspects(len(names), times_ns, derivatives, lengths):
         _check_alone(names, stamp_ns, point, index)
     # Two points at most: the joints, the stamp, and that there is a point at all.
     _check_alone(names, stamp_ns, point, len(times_ns) - 1)
@@ -280,7 +280,6 @@ def checked_column(
 
 def _suspects(
     joints: int,
-    stamp_ns: int,
     times_ns: Integers,
     derivatives: tuple[Numbers, Numbers, Numbers],
     lengths: Integers,

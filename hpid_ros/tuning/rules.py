@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from typing import NamedTuple
 
 from hpid_ros.base.errors import SettingError
@@ -108,42 +107,6 @@ Rule = Callable[[float, float, float], Gains]
 
 RULES: Mapping[str, Rule] = {"simc": simc, "pole-placement": pole_placement}
 """The rules by name: gains of inertia [kg m^2], closed-loop time [s] and delay [s]."""
-
-
-@dataclass(frozen=True)
-class Recognised:
-    """Which rule gives certain gains.
-
-    Attributes:
-        rule: Its name in :data:`RULES`.
-        time: closed-loop time plus delay, in [s].
-        deviation: Largest relative deviation of a gain from the rule's.
-    """
-
-    rule: str
-    time: float
-    deviation: float
-
-
-def recognise(gains: Gains, inertia: float) -> Recognised:
-    """Return the rule that comes closest to gains, with its time from their d over the inertia.
-
-    Args:
-        gains: The gains, d positive.
-        inertia: What one unit of effort accelerates, in [kg m^2].
-
-    Raises:
-        SettingError: The inertia or d is not positive.
-    """
-    if not gains.d > 0.0 or not inertia > 0.0:
-        raise SettingError(f"d and inertia must be positive, not {gains.d} and {inertia}")
-    found = []
-    for name, rule in RULES.items():
-        time = rule(inertia, 1.0, 0.0).d / gains.d  # in every rule d is inversely proportional
-        wanted = rule(inertia, time, 0.0)
-        pairs = ((gains.p, wanted.p), (gains.i, wanted.i))
-        found.append(Recognised(name, time, max(abs(a / b - 1.0) for a, b in pairs)))
-    return min(found, key=lambda each: each.deviation)
 
 
 def _checked(inertia: float, closed_loop_time: float, delay: float) -> float:

@@ -1,4 +1,4 @@
-"""What a simulated robot tells beside its joint states, serialised: odometry, poses, slip."""
+"""Codec of a simulated robot's reports: odometry, poses, slip."""
 
 from __future__ import annotations
 

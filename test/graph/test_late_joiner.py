@@ -2,13 +2,14 @@
 
 import pytest
 from harness.graph import ros_arguments
+from harness.trajectories import from_message
 from hypothesis import given
 from hypothesis import strategies as st
 from trajectory_msgs.msg import JointTrajectory as JointTrajectoryMessage
 
 from hpid_ros.base.errors import TrajectoryError
 from hpid_ros.nodes.ros.middleware import LATCHED
-from hpid_ros.nodes.ros.trajectories import from_message, to_message
+from hpid_ros.nodes.ros.trajectories import to_message
 from hpid_ros.trajectory import JointTrajectory, TrajectoryPoint, minimum_jerk
 from hpid_ros.wire import JointStateTemplate
 

@@ -1,1 +1,1 @@
-"""What tests share: a graph to talk to, bags to read, faults to inject."""
+"""Parts that tests share: a graph to talk to, bags to read, faults to inject."""

@@ -1,4 +1,4 @@
-"""What a controller tells on ``/diagnostics``, and its services."""
+"""A controller's ``/diagnostics`` and services."""
 
 from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.msg import Transition

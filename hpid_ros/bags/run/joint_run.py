@@ -52,7 +52,7 @@ class Window(NamedTuple):
         return cls(origin_ns, first_ns, last_ns)
 
 
-class _Reference(NamedTuple):
+class _SampledReference(NamedTuple):
     """A joint's reference at its states, kind and topic, its messages, when it began, in [ns]."""
 
     values: Numbers
@@ -207,12 +207,12 @@ class JointRun:
             return Losses(0, commands.repeated), False
         return Losses(count - answered, commands.repeated), True
 
-    def _reference(self, states: Ordered, window: Window) -> _Reference:
+    def _reference(self, states: Ordered, window: Window) -> _SampledReference:
         """Return the reference at the states and where it comes from; none without one."""
         asked = self._selection.reference
         if asked == HOLD:
             held = np.full(len(states.stamps_ns), states.values[0])
-            return _Reference(held, HOLD, 0, None)
+            return _SampledReference(held, HOLD, 0, None)
         if isinstance(asked, JointTrajectory):
             trajectories, setpoints = self._given(asked, window), None
         else:
@@ -234,15 +234,15 @@ class JointRun:
                 kind = "sampled" if topic in self._recording.choice.references.sampled else ""
                 kind = f"{kind or 'controller_state'} {topic}"
                 begin_ns = max(int(known.stamps_ns[0]), int(states.stamps_ns[0]))
-                return _Reference(values, kind, len(samples.values), begin_ns)
-        return _Reference(np.empty(0), NONE, 0, None)
+                return _SampledReference(values, kind, len(samples.values), begin_ns)
+        return _SampledReference(np.empty(0), NONE, 0, None)
 
     def _followed(
         self,
         trajectories: list[tuple[str, ReferenceEvent]],
         setpoints: tuple[str, JointSamples] | None,
         states: Ordered,
-    ) -> _Reference:
+    ) -> _SampledReference:
         """Return the reference that trajectories and setpoints make together."""
         logged, stamps_ns = self._logged_states(), states.stamps_ns
         first = float(states.values[0])
@@ -263,7 +263,7 @@ class JointRun:
         begin_ns = int(stamps_ns[begin]) if begin < len(stamps_ns) else None
         if values is None:
             values = sample_events(events, logged, stamps_ns, first)
-        return _Reference(values, " and ".join(kinds), count, begin_ns)
+        return _SampledReference(values, " and ".join(kinds), count, begin_ns)
 
     def _given(
         self, trajectory: JointTrajectory, window: Window

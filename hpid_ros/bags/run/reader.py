@@ -7,7 +7,6 @@ from dataclasses import replace
 from pathlib import Path
 
 from hpid_ros.bags.bag_file import BagReader, RawMessage, TopicSummary
-from hpid_ros.bags.columns.batches import TopicInfo
 from hpid_ros.bags.columns.storage import Progress, Storage
 from hpid_ros.bags.columns.streams import OrderNeededError
 from hpid_ros.bags.metadata import missed_messages, time_stood_still
@@ -99,7 +98,7 @@ def _recording(
     if choice.may_be_measured and not recording.has_efforts():
         choice = choice.measured()
         recording = _collected(storage, where, selection, choice, types, progress)
-    _require_messages(where, recording, topics)
+    _require_messages(where, recording)
     if choice.in_doubt and not (selection.commands or selection.command_topics):
         recording.notes.append(
             f"{', '.join(choice.in_doubt)}: efforts, positions or velocities, which nothing "
@@ -131,7 +130,7 @@ def _collected(
             raise BagError(f"{where}: {error}") from error
 
 
-def _require_messages(where: str, recording: RecordedRun, topics: Mapping[str, TopicInfo]) -> None:
+def _require_messages(where: str, recording: RecordedRun) -> None:
     """Raise BagError if there are no states, or no commands though they were asked for."""
     counts = {topic: stream.message_count for topic, stream in recording.streams()}
     counts |= dict.fromkeys(recording.choice.references.trajectory, 0)

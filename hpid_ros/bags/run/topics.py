@@ -204,7 +204,7 @@ class _Chooser:
             has_commands=asked != NO_COMMANDS,
             is_measured=commands == (states,),
             may_be_measured=asked is None and not explicit,
-            in_doubt=self.in_doubt(states, {*commands, *(each.topic for each in topics.values())}),
+            in_doubt=self.in_doubt({*commands, *(each.topic for each in topics.values())}),
         )
         if choice.may_be_measured and not commands and not topics:
             return choice.measured()
@@ -280,7 +280,7 @@ class _Chooser:
         found = [name for name in candidates if name != states and _may_be_commands(name)]
         return (self.one("the commands", found, "--commands"),) if found else (), {}
 
-    def in_doubt(self, states: str, taken: Collection[str]) -> tuple[str, ...]:
+    def in_doubt(self, taken: Collection[str]) -> tuple[str, ...]:
         """Return topics without names of joints that may carry efforts, or something else."""
         return tuple(
             name

@@ -1,4 +1,4 @@
-"""``hpid check-gains``: is every joint's loop certified, and with what margins."""
+"""``hpid check-gains``: certificates and margins of every joint's loop."""
 
 from __future__ import annotations
 

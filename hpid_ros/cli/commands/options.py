@@ -138,7 +138,7 @@ _POSES = 200
 
 
 @dataclass(frozen=True)
-class Robot:
+class GivenRobot:
     """A robot that an option names.
 
     Attributes:
@@ -154,7 +154,7 @@ class Robot:
     initial_positions: Mapping[str, float] = field(default_factory=dict)
 
 
-def load_robot(name: str) -> Robot:
+def load_robot(name: str) -> GivenRobot:
     """Return the robot of a URDF, or of an experiment file.
 
     Args:
@@ -169,13 +169,13 @@ def load_robot(name: str) -> Robot:
 
     file = find_resource(name)
     if file.suffix not in (".yaml", ".yml"):
-        return Robot(str(file), RobotDescription.load(file))
+        return GivenRobot(str(file), RobotDescription.load(file))
     from hpid_ros.experiment.description import load_experiment
 
     world = load_experiment(file).world
     source = str(world.robot_description)
     description = RobotDescription.load(source)
-    return Robot(source, description, world.fixed_base, world.initial_positions)
+    return GivenRobot(source, description, world.fixed_base, world.initial_positions)
 
 
 def add_robot_options(parser: argparse.ArgumentParser) -> None:

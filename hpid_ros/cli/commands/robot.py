@@ -14,7 +14,7 @@ from hpid_ros.cli.commands import DONE
 from hpid_ros.cli.commands.options import load_robot
 
 if TYPE_CHECKING:
-    from hpid_ros.cli.commands.options import Robot
+    from hpid_ros.cli.commands.options import GivenRobot
     from hpid_ros.report.tables.wide_table import WideTable
 
 _COLUMNS = ("range", "effort", "velocity", "damping", "friction", "Jr N²", "inertia", "gravity")
@@ -75,7 +75,7 @@ def _listed(names: tuple[str, ...]) -> str:
     return ", ".join(shown) + more
 
 
-def _save(robot: Robot, path: Path) -> None:
+def _save(robot: GivenRobot, path: Path) -> None:
     from hpid_ros.robot.amendments import amended
 
     try:
@@ -87,7 +87,7 @@ def _save(robot: Robot, path: Path) -> None:
         ) from None
 
 
-def _facts(robot: Robot, poses: int) -> dict[str, dict[str, Any]]:
+def _facts(robot: GivenRobot, poses: int) -> dict[str, dict[str, Any]]:
     """Return what is known of each joint; None is unlimited."""
     import numpy as np
 

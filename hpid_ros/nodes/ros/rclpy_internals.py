@@ -1,4 +1,4 @@
-"""The parts of rclpy that it does not publish, each read in rclpy 7.1.5 and 7.1.6 (ROS 2 Jazzy).
+"""The private parts of rclpy that nodes need, each read in rclpy 7.1.5 and 7.1.6 (ROS 2 Jazzy).
 
 rclpy has no public way to what these functions return. No other module of this package touches a
 private name of another one (``test_architecture.py``). Where another version of rclpy lacks what

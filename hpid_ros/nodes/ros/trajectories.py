@@ -1,4 +1,4 @@
-"""``trajectory_msgs/msg/JointTrajectory`` to and from the pure trajectory."""
+"""Trajectories as ROS messages, and one joint's column of a decoded one."""
 
 from __future__ import annotations
 
@@ -7,48 +7,9 @@ from trajectory_msgs.msg import JointTrajectory as JointTrajectoryMessage
 from trajectory_msgs.msg import JointTrajectoryPoint
 
 from hpid_ros.base.units import NANOSECONDS
-from hpid_ros.trajectory import Column, JointTrajectory, TrajectoryPoint
+from hpid_ros.trajectory import Column, JointTrajectory
 from hpid_ros.trajectory.joint_trajectory import column_from_arrays
-from hpid_ros.wire import MixedTrajectory, TrajectoryArrays, decode_trajectory
-
-
-def from_message(message: JointTrajectoryMessage) -> JointTrajectory:
-    """Check a message and return what it says.
-
-    Raises:
-        TrajectoryError: The message is malformed; the line says how.
-    """
-    stamp = message.header.stamp
-    return JointTrajectory(
-        tuple(message.joint_names),
-        tuple(
-            TrajectoryPoint(
-                point.time_from_start.sec * NANOSECONDS + point.time_from_start.nanosec,
-                tuple(point.positions),
-                tuple(point.velocities),
-                tuple(point.accelerations),
-            )
-            for point in message.points
-        ),
-        stamp.sec * NANOSECONDS + stamp.nanosec,
-    )
-
-
-def column_from_bytes(raw: bytes, joint: str) -> Column | None:
-    """Check a serialised message and return one joint's column.
-
-    Args:
-        raw: A serialised JointTrajectory.
-        joint: The joint.
-
-    Returns:
-        None when the message is about other joints.
-
-    Raises:
-        MessageError: The bytes are no JointTrajectory, or it has too many points.
-        TrajectoryError: The trajectory is malformed; the line says how.
-    """
-    return column_of(decode_trajectory(raw), joint)
+from hpid_ros.wire import MixedTrajectory, TrajectoryArrays
 
 
 def column_of(decoded: TrajectoryArrays | MixedTrajectory, joint: str) -> Column | None:

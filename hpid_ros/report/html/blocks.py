@@ -1,4 +1,4 @@
-"""What the report's sections are made of, without markup: the templates turn it into that.
+"""Blocks of the report's sections: headings, paragraphs and tables, without markup.
 
 Each kind of block has the template's macro of the same name in ``templates/blocks.html``.
 """
@@ -126,7 +126,7 @@ class Cell:
 
 
 @dataclass(frozen=True)
-class Row:
+class IndexRow:
     """A row of an index table.
 
     Attributes:
@@ -156,8 +156,8 @@ class IndexTable:
     name: str
     corner: str
     headings: Sequence[str]
-    rows: Sequence[Row]
-    total: Row | None = None
+    rows: Sequence[IndexRow]
+    total: IndexRow | None = None
     groups: Sequence[Title] = ()
     columns: int = 0
 

@@ -13,10 +13,10 @@ from hpid_ros.report.html.blocks import (
     Cell,
     Details,
     Heading,
+    IndexRow,
     IndexTable,
     Paragraph,
     PlainTable,
-    Row,
     Title,
     value_text,
 )
@@ -37,7 +37,9 @@ def index_table(comparison: Comparison) -> IndexTable:
     joints = (*comparison.joint_names, None)
     cells = [_index_cells(comparison, quantity, joints) for quantity in comparison.indices]
     total = total_name(comparison.indices)
-    rows = [Row(joint or total, [column[k] for column in cells]) for k, joint in enumerate(joints)]
+    rows = [
+        IndexRow(joint or total, [column[k] for column in cells]) for k, joint in enumerate(joints)
+    ]
     return IndexTable(
         "Indices of each joint",
         "joint",
@@ -190,7 +192,7 @@ def _overall_table(
 ) -> IndexTable:
     headings = _run_headings(comparison)
     rows = [
-        Row(
+        IndexRow(
             _title(comparison, quantity, quantity.meaning),
             _index_cells(comparison, quantity, (None,)),
         )
@@ -204,7 +206,7 @@ def _joint_table(comparison: Comparison, quantity: Quantity) -> IndexTable:
     headings = _run_headings(comparison)
     last = f"all: {quantity.fold.value}"
     *rows, total = (
-        Row(joint or last, [cells])
+        IndexRow(joint or last, [cells])
         for joint, cells in zip(joints, _index_cells(comparison, quantity, joints), strict=True)
     )
     name = f"{quantity.meaning} of each joint"

@@ -171,29 +171,29 @@ class _Blocks:
             return []
         return [Text(line, style="bold") for line in verdict_lines(comparison)]
 
-    def names(self, quantities: Sequence[Quantity]) -> _Column:
+    def names(self, quantities: Sequence[Quantity]) -> _RunColumn:
         """Return the names of the rows."""
         names = [Text(shown(name)) for name in self._comparison.joint_names]
-        return _Column("joint", [*names, Text(total_name(quantities))], "left")
+        return _RunColumn("joint", [*names, Text(total_name(quantities))], "left")
 
     def _title(self, quantity: Quantity) -> str:
         return f"{quantity.symbol} [{self._comparison.unit(quantity)}]"
 
-    def _columns(self, quantity: Quantity, digits: int) -> list[_Column]:
+    def _columns(self, quantity: Quantity, digits: int) -> list[_RunColumn]:
         joints = (*self._comparison.joint_names, None)
         runs = self._comparison.runs
         values = [run.value(quantity, joint) for run in runs for joint in joints]
         texts = [Text(text) for text in format_values(values, digits)]
-        columns: list[_Column] = []
+        columns: list[_RunColumn] = []
         for k, run in enumerate(runs):
             cells = texts[k * len(joints) : (k + 1) * len(joints)]
-            columns.append(_Column(heading_of(run), cells))
+            columns.append(_RunColumn(heading_of(run), cells))
             for heading in _quartiles_heading(run):
                 spreads = [Text(quartiles_of(run, quantity, joint)) for joint in joints]
-                columns.append(_Column(heading, spreads))
+                columns.append(_RunColumn(heading, spreads))
             if k:
                 ratios = (self._comparison.ratio(run.label, quantity, joint) for joint in joints)
-                columns.append(_Column("ratio", [self._ratio(ratio) for ratio in ratios]))
+                columns.append(_RunColumn("ratio", [self._ratio(ratio) for ratio in ratios]))
         return columns
 
     def _norm_row(self, quantity: Quantity) -> list[Text]:
@@ -212,7 +212,7 @@ class _Blocks:
         return Text(f"{format_ratio(ratio)}{self._marks[kind]}", style=STYLES[kind])
 
 
-class _Column(NamedTuple):
+class _RunColumn(NamedTuple):
     heading: str
     cells: list[Text]  # one for each joint, then the total
     justify: JustifyMethod = "right"
@@ -239,7 +239,7 @@ def _quartiles_heading(run: RunIndices) -> list[str]:
     return [] if run.spread is None else ["quartiles"]
 
 
-def _block(title: str, columns: Sequence[_Column]) -> Table:
+def _block(title: str, columns: Sequence[_RunColumn]) -> Table:
     """Return columns under a common title, their last cells below a line of their own."""
     block = Table(
         title=Text(title, style="bold"),

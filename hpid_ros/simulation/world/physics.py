@@ -1,4 +1,4 @@
-"""What a world asks of a physics engine."""
+"""The protocol of physics engines, as a world uses them."""
 
 from __future__ import annotations
 

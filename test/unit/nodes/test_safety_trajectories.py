@@ -7,6 +7,7 @@ import time
 import numpy as np
 import pytest
 from builtin_interfaces.msg import Duration
+from harness.trajectories import column_from_bytes, from_message
 from hypothesis import given
 from hypothesis import strategies as st
 from rclpy.serialization import serialize_message
@@ -14,7 +15,6 @@ from rosbags.typesys import Stores, get_typestore
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from hpid_ros.base.errors import HpidError, MessageError, TrajectoryError
-from hpid_ros.nodes.ros.trajectories import column_from_bytes, from_message
 from hpid_ros.wire import TrajectoryArrays, decode_float64, decode_trajectory
 from hpid_ros.wire.joint_trajectory import MOST_MIXED_POINTS, MOST_POINTS
 

@@ -1,6 +1,7 @@
 """Tuning rules: the loop that they promise, their source's margins, the gains of the files."""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -19,7 +20,7 @@ from hpid_ros.robot.description import RobotDescription
 from hpid_ros.robot.differential_drive import DifferentialDrive
 from hpid_ros.robot.dynamics import wheel_inertias
 from hpid_ros.tuning.gain_design import loop_margins
-from hpid_ros.tuning.rules import RULES, pole_placement, recognise, simc, simc_series
+from hpid_ros.tuning.rules import RULES, pole_placement, simc, simc_series
 
 EXPERIMENTS = sorted((share_folder() / "config" / "experiments").glob("*.yaml"))
 inertias = st.floats(1e-4, 10.0)
@@ -70,6 +71,25 @@ def test_every_rule_gives_a_stable_loop_as_fast_as_asked(inertia, time, rule):
     assert -1.01 < slowest < -0.17  # the slowest of simc is a pair at -0.176 / T
     twice = RULES[rule](2.0 * inertia, time, 0.0)
     assert (twice.p, twice.i, twice.d) == pytest.approx((2 * gains.p, 2 * gains.i, 2 * gains.d))
+
+
+class Recognised(NamedTuple):
+    """A rule, its closed-loop time plus delay in [s], and the largest relative deviation."""
+
+    rule: str
+    time: float
+    deviation: float
+
+
+def recognise(gains, inertia):
+    """Return the rule that comes closest to gains, with its time from their d over the inertia."""
+    found = []
+    for name, rule in RULES.items():
+        time = rule(inertia, 1.0, 0.0).d / gains.d  # in every rule d is inversely proportional
+        wanted = rule(inertia, time, 0.0)
+        pairs = ((gains.p, wanted.p), (gains.i, wanted.i))
+        found.append(Recognised(name, time, max(abs(a / b - 1.0) for a, b in pairs)))
+    return min(found, key=lambda each: each.deviation)
 
 
 @given(inertias, times, st.sampled_from(sorted(RULES)))

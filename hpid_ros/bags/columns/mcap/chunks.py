@@ -166,7 +166,7 @@ def _messages_at(buffer: Bytes, starts: list[int], end: int) -> Messages:
 
 
 def walk(buffer: Bytes, begin: int, end: int, catalogue: Catalogue, starts: list[int]) -> int:
-    """Walk records until the end or the first that is none; return where that was.
+    """Walk records until the end, or until something is no record; return where that was.
 
     Args:
         buffer: The bytes.
