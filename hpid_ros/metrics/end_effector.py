@@ -198,7 +198,10 @@ def _deviations(one: LinkPoses, other: LinkPoses) -> tuple[Numbers, Numbers]:
 
 
 def _matrices(quaternions: Numbers) -> Numbers:
-    """Return quaternions x, y, z, w, (N, 4), as rotation matrices, (N, 3, 3)."""
+    """Return quaternions x, y, z, w, (N, 4), as rotation matrices, (N, 3, 3).
+
+    SciPy's agree to 1e-15, and not to the last bit, which is in the numbers of a result.
+    """
     x, y, z, w = (quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)).T
     rows = [
         [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)],

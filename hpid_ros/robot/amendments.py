@@ -9,6 +9,7 @@ a model, sees the same robot, and nobody else has to know.
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from xml.etree import ElementTree
@@ -38,6 +39,8 @@ def hold(element: ElementTree.Element, joint: JointDescription, position: float)
     Raises:
         RobotDescriptionError: The position is beyond the joint's limits.
     """
+    from scipy.spatial.transform import Rotation  # slow to import, and only needed here
+
     if not (math.isfinite(position) and joint.lower <= position <= joint.upper):
         raise RobotDescriptionError(
             f"joint {joint.name!r} cannot be held at {position}, which is not within its limits"
@@ -47,13 +50,16 @@ def hold(element: ElementTree.Element, joint: JointDescription, position: float)
     if origin is None:
         origin = ElementTree.SubElement(element, "origin")
     place = np.array([float(word) for word in origin.get("xyz", "0 0 0").split()])
-    turn = _rotation(*(float(word) for word in origin.get("rpy", "0 0 0").split()))
+    angles = [float(word) for word in origin.get("rpy", "0 0 0").split()]
+    turn = Rotation.from_euler("xyz", angles)  # about fixed axes
     axis = np.array(joint.axis) / np.linalg.norm(joint.axis)
     if joint.type == "prismatic":
-        place = place + turn @ (axis * position)
+        place = place + turn.as_matrix() @ (axis * position)
     elif position:
-        turn = turn @ _about(axis, position)
-        origin.set("rpy", _text(_angles(turn)))
+        turn = turn * Rotation.from_rotvec(axis * position)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # pitch upright: any roll will do
+            origin.set("rpy", _text(turn.as_euler("xyz")))
     origin.set("xyz", _text(place))
     element.set("type", "fixed")
     for tag in _MOVING_ONLY:
@@ -61,31 +67,7 @@ def hold(element: ElementTree.Element, joint: JointDescription, position: float)
             element.remove(child)
 
 
-def _rotation(roll: float, pitch: float, yaw: float) -> Matrix:
-    """Return the rotation of fixed-axis roll, pitch and yaw, as URDF has them."""
-    x, y, z = np.eye(3)
-    return _about(z, yaw) @ _about(y, pitch) @ _about(x, roll)
-
-
-def _about(axis: Matrix, angle: float) -> Matrix:
-    """Return the rotation about a unit axis, by Rodrigues' formula."""
-    x, y, z = axis
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    turned: Matrix = np.eye(3) + math.sin(angle) * cross + (1.0 - math.cos(angle)) * cross @ cross
-    return turned
-
-
-def _angles(rotation: Matrix) -> tuple[float, float, float]:
-    """Return roll, pitch and yaw; with pitch upright, roll is 0."""
-    level = math.hypot(rotation[0, 0], rotation[1, 0])
-    pitch = math.atan2(-rotation[2, 0], level)
-    if level < 1e-9:
-        return 0.0, pitch, math.atan2(-rotation[0, 1], rotation[1, 1])
-    roll = math.atan2(rotation[2, 1], rotation[2, 2])
-    return roll, pitch, math.atan2(rotation[1, 0], rotation[0, 0])
-
-
-def _text(numbers: Matrix | tuple[float, ...]) -> str:
+def _text(numbers: Matrix) -> str:
     return " ".join(repr(float(number)) for number in numbers)
 
 

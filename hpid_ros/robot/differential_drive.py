@@ -85,7 +85,10 @@ def _child(joint: ElementTree.Element) -> str:
 
 
 def _origin(joint: ElementTree.Element) -> tuple[Vector, Rows]:
-    """Return a joint's shift in [m] and its turn as the rows of a matrix."""
+    """Return a joint's shift in [m] and its turn as the rows of a matrix.
+
+    Without SciPy, whose import a bridge would have to wait for at its start.
+    """
     origin = joint.find("origin")
     if origin is None:
         return (0.0, 0.0, 0.0), _NO_TURN

@@ -112,6 +112,9 @@ class SerialChain:
 def axis_rotations(axis: Array, angles: Array) -> Array:
     """Return rotations about one axis, by Rodrigues' formula.
 
+    SciPy's rotations agree to 1e-15, and not to the last bit, which is in the numbers of a
+    result.
+
     Args:
         axis: Unit axis, (3,).
         angles: In [rad], (n,).
