@@ -67,7 +67,7 @@ class Side:
             self.claim = self.claim.become(ClaimState.HELD)
             self.told.append(self.claim)
 
-    def hear(self, claim):
+    def receive(self, claim):
         if self.claim is not None and claim is not None and self.claim.yields_to(claim):
             self.claim = None
 
@@ -87,16 +87,16 @@ def test_whatever_comes_when_exactly_one_of_two_is_left(data):
         if settles:
             me.settle()
         elif heard[index] < len(other.told):
-            me.hear(other.told[heard[index]])
+            me.receive(other.told[heard[index]])
             heard[index] += 1
         assert any(side.claim for side in sides)
     for _ in range(2):  # then the network works: everything is told again, in order
         for index, me in enumerate(sides):
             for claim in sides[1 - index].told[heard[index] :]:
-                me.hear(claim)
+                me.receive(claim)
             heard[index] = len(sides[1 - index].told)
             if sides[1 - index].claim is not None:
-                me.hear(sides[1 - index].claim)
+                me.receive(sides[1 - index].claim)
             me.settle()
     assert [side.claim is not None for side in sides].count(True) == 1
 
@@ -104,11 +104,11 @@ def test_whatever_comes_when_exactly_one_of_two_is_left(data):
 def test_a_claim_stands_for_its_lease_or_until_it_is_released():
     claim = Claim("elbow", "/t", "/c", "b", 1, 0, "there", ClaimState.HELD)
     heard = HeardClaims()
-    heard.hear(claim, 10.0)
+    heard.receive(claim, 10.0)
     assert heard.standing(10.0 + LEASE) == claim
     assert heard.standing(10.1 + LEASE) is None
-    heard.hear(claim, 20.0)
-    heard.hear(claim.become(ClaimState.RELEASED), 20.1)
+    heard.receive(claim, 20.0)
+    heard.receive(claim.become(ClaimState.RELEASED), 20.1)
     assert heard.standing(20.1) is None
 
 

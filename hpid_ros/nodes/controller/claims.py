@@ -162,7 +162,7 @@ class HeardClaims:
     def __init__(self) -> None:
         self._heard: dict[tuple[str, str, int, str], tuple[float, Claim]] = {}
 
-    def hear(self, claim: Claim, now: float) -> None:
+    def receive(self, claim: Claim, now: float) -> None:
         """Take a claim that was told.
 
         Args:

@@ -99,7 +99,7 @@ class JointClaim:
         self._told = 0.0
         topic = claim_topic(commands, joint)
         self._publisher = node.create_publisher(DiagnosticStatus, topic, LATCHED)
-        node.create_subscription(DiagnosticStatus, topic, self._hear, LATCHED)
+        node.create_subscription(DiagnosticStatus, topic, self._on_claim, LATCHED)
 
     @property
     def text(self) -> str:
@@ -185,7 +185,7 @@ class JointClaim:
             self._mine = self._claim = replace(self._claim, since_ns=time.time_ns())
         self._tell()
 
-    def _hear(self, message: DiagnosticStatus) -> None:
+    def _on_claim(self, message: DiagnosticStatus) -> None:
         try:
             claim = _from_message(message)
         except (KeyError, ValueError):
@@ -199,7 +199,7 @@ class JointClaim:
             mine.commands,
         ):
             return
-        self._others.hear(claim, _now())
+        self._others.receive(claim, _now())
         if claim.state is ClaimState.RELEASED or self._mine is None:
             return
         self._begin_anew_if_lapsed()
