@@ -73,6 +73,18 @@ class PlainTable:
 
 
 @dataclass(frozen=True)
+class Settings:
+    """Names and values as a list, where they are many and short.
+
+    Attributes:
+        entries: The pairs.
+    """
+
+    kind: ClassVar = "settings"
+    entries: Sequence[tuple[str, str]]
+
+
+@dataclass(frozen=True)
 class Properties:
     """A table of names and values.
 
@@ -176,7 +188,7 @@ class Details:
     table: IndexTable
 
 
-Block: TypeAlias = Heading | Paragraph | PlainTable | Properties | IndexTable | Details
+Block: TypeAlias = Heading | Paragraph | PlainTable | Settings | Properties | IndexTable | Details
 
 
 def value_text(value: object) -> str:

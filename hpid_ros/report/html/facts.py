@@ -17,6 +17,7 @@ from hpid_ros.report.html.blocks import (
     IndexTable,
     Paragraph,
     PlainTable,
+    Settings,
     Title,
     value_text,
 )
@@ -119,8 +120,8 @@ def parameter_tables(parameters: Parameters) -> Iterator[Block]:
             rows = [(joint, *(texts[name][k] for name in own)) for k, joint in enumerate(joints)]
             yield PlainTable(f"Parameters of {label}", ("joint", *own), rows)
         if shared:
-            settings = ", ".join(f"{name} = {texts[name][0]}" for name in shared)
-            yield Paragraph(f"The same for all joints: {settings}.")
+            yield Paragraph("The same for all joints:")
+            yield Settings([(name, texts[name][0]) for name in shared])
 
 
 def losses(runs: Sequence[RunSeries]) -> Iterator[Block]:

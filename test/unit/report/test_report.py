@@ -238,7 +238,7 @@ def test_losses_are_said_at_the_top_and_listed(text, runs):
 
 
 def test_parameters_that_joints_share_are_said_once_and_others_by_joint(text):
-    assert text.count("The same for all joints: law = pid.") == 2
+    assert text.count("The same for all joints:") == text.count("<li>law = pid</li>") == 2
     assert "gains.p" in text
     assert "<td>4.5</td>" in text
 
