@@ -115,6 +115,7 @@ class CanonicalNorm:
     _SLOPE_MARGIN = 1e-6
     _TOLERANCE = 1e-15
     _ITERATIONS_AT_MOST = 60
+    _SMALLEST = -400.0  # of ln n: 1.5 times its opposite is still the logarithm of a number
 
     def __init__(self, degree: float, shape: Sequence[Sequence[float]]) -> None:
         require_degree(degree)
@@ -167,8 +168,13 @@ class CanonicalNorm:
             math.log(abs(error)) / r if error else -math.inf,
             math.log(abs(error_rate)) if error_rate else -math.inf,
         )
-        y1 = error * math.exp(-r * scale)
-        y2 = error_rate * math.exp(-scale)
+        if scale < self._SMALLEST:  # the reciprocal has no number; in two steps it needs none
+            error *= math.exp(-r * 0.5 * scale)
+            error_rate *= math.exp(-0.5 * scale)
+            y1, y2 = error * math.exp(-r * 0.5 * scale), error_rate * math.exp(-0.5 * scale)
+        else:
+            y1 = error * math.exp(-r * scale)
+            y2 = error_rate * math.exp(-scale)
         return math.exp(scale + self._solve(y1, y2))
 
     def _solve(self, error: float, error_rate: float) -> float:

@@ -113,3 +113,24 @@ def test_floor_covers_what_encoder_and_sampling_feign():
     sampled = norm_floor(norm, derivative_gain=200.0, **common)
     assert period * 200.0 * sampled**-0.3 == pytest.approx(0.25)
     assert norm_floor(norm, period=period, derivative_gain=0.0) == 1e-6
+
+
+@given(
+    st.floats(-0.49, 0.49),
+    st.floats(-320.0, -150.0),
+    st.floats(-320.0, -150.0),
+    st.sampled_from([1.0, -1.0]),
+)
+def test_the_canonical_norm_has_a_value_down_to_the_smallest_numbers(degree, e, de, sign):
+    """Squares and reciprocals of such numbers have none."""
+    norm = CanonicalNorm(degree, ((2.0, 0.1), (0.1, 1.0)))
+    tiny = norm(10.0**e, sign * 10.0**de)
+    # The same point brought up by the dilation, of about 1e150 times the norm.
+    raised = norm(10.0 ** (e + 150.0 * (1.0 - degree)), sign * 10.0 ** (de + 150.0))
+    assert tiny >= 0.0
+    if 10.0**e > 1e-307 and 10.0**de > 1e-307 and tiny > 1e-300:  # all digits are there
+        assert tiny == pytest.approx(raised * 1e-150, rel=1e-9)
+
+
+def test_the_smallest_rate_is_no_overflow():
+    assert CanonicalNorm(0.0, ((2.0, 0.5), (0.5, 1.0)))(0.0, 2.2250738585e-313) > 0.0
