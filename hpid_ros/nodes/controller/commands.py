@@ -17,7 +17,7 @@ from std_msgs.msg import Float64, Float64MultiArray
 
 from hpid_ros.base.errors import SettingError
 from hpid_ros.base.units import NANOSECONDS
-from hpid_ros.nodes.ros.middleware import OFFERED, overridable
+from hpid_ros.nodes.ros.middleware import NEWEST_COMMAND, OFFERED, overridable
 from hpid_ros.wire import JointStateTemplate
 
 _LOCK_WITHIN = 0.2  # [s]; whoever holds it longer is stuck in the middleware, as we would be
@@ -71,7 +71,7 @@ class Float64MultiArrayCommands:
 
     def __init__(self, node: Node, joint: str, sender: str) -> None:
         self.publisher = node.create_publisher(
-            Float64MultiArray, "~/commands", OFFERED, qos_overriding_options=overridable()
+            Float64MultiArray, "~/commands", NEWEST_COMMAND, qos_overriding_options=overridable()
         )
         self._message = Float64MultiArray(data=[0.0])
 
@@ -92,7 +92,7 @@ class Float64Commands:
 
     def __init__(self, node: Node, joint: str, sender: str) -> None:
         self.publisher = node.create_publisher(
-            Float64, "~/command", OFFERED, qos_overriding_options=overridable()
+            Float64, "~/command", NEWEST_COMMAND, qos_overriding_options=overridable()
         )
         self._message = Float64()
 

@@ -18,6 +18,7 @@ import sys
 import time
 import traceback
 from collections.abc import Callable, Sequence
+from copy import copy
 from typing import Any
 
 import rclpy
@@ -31,7 +32,9 @@ from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.logging import get_logger
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.publisher import Publisher
 from rclpy.signals import SignalHandlerOptions
+from rclpy.subscription import Subscription
 from rclpy.task import Future
 from rclpy.utilities import remove_ros_args
 
@@ -125,6 +128,16 @@ class ClosingNode(Node):
             return list(super().declare_parameters(namespace, parameters, ignore_override))
         except InvalidParameterValueException as error:
             raise SettingError(f"{self.get_name()}: {_input_error(error)}") from None
+
+    def create_publisher(self, kind: Any, topic: str, qos: Any, **options: Any) -> Publisher:
+        """Create a publisher, as rclpy does; overrides change no profile but its own."""
+        return super().create_publisher(kind, topic, copy(qos), **options)
+
+    def create_subscription(
+        self, kind: Any, topic: str, callback: Any, qos: Any, **options: Any
+    ) -> Subscription:
+        """Create a subscription, as rclpy does; overrides change no profile but its own."""
+        return super().create_subscription(kind, topic, callback, copy(qos), **options)
 
     def wind_down(self) -> Future | None:
         """Begin what takes time before the end; called once, while spinning goes on.

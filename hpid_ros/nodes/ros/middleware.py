@@ -3,7 +3,8 @@
 Publishers are reliable, so that any subscriber may ask for either; controllers and bridge
 subscribe with best effort, which costs a third less per sample and loses nothing on one
 machine. A recorder asks for reliability; the depth of the publishers is what it may fall
-behind. Every profile can be overridden by the standard ``qos_overrides`` parameters.
+behind. What goes to a driver has no such depth: late commands are worse than none. Every profile
+can be overridden by the standard ``qos_overrides`` parameters.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import os
 from rclpy.qos import (
     DurabilityPolicy,
     HistoryPolicy,
+    QoSPolicyKind,
     QoSProfile,
     ReliabilityPolicy,
 )
@@ -39,6 +41,13 @@ def _profile(reliability: ReliabilityPolicy, depth: int) -> QoSProfile:
 OFFERED = _profile(ReliabilityPolicy.RELIABLE, _BEHIND_AT_MOST)
 """States and commands, as they are published."""
 
+NEWEST_COMMAND = _profile(ReliabilityPolicy.RELIABLE, 1)
+"""Commands for a driver, as they are published: what is sent again after a loss is the newest.
+
+It matches the subscribers of ros2_control (best effort), of Isaac Sim and of ros_gz_bridge (both
+reliable and volatile).
+"""
+
 NEWEST_STATES = _profile(ReliabilityPolicy.BEST_EFFORT, _STATES_AT_ONCE)
 """States, as a controller takes them: a hiccup is caught up, anything older is the past."""
 
@@ -58,8 +67,15 @@ RARE = _profile(ReliabilityPolicy.RELIABLE, 10)
 
 
 def overridable() -> QoSOverridingOptions:
-    """Return the option that lets ``qos_overrides`` parameters replace a profile."""
-    return QoSOverridingOptions.with_default_policies()
+    """Return the option that lets ``qos_overrides`` parameters replace a profile.
+
+    History, depth and reliability, as by default; of a publisher also the lifespan in [ns]. Fast
+    DDS sends a message that is older than that to nobody any more, and does not take back what a
+    subscriber has got; other middlewares do, by the clock of the subscriber's host. It is not
+    limited by default: a last zero is worth being sent again.
+    """
+    kinds = QoSPolicyKind
+    return QoSOverridingOptions((kinds.HISTORY, kinds.DEPTH, kinds.RELIABILITY, kinds.LIFESPAN))
 
 
 def load_profile() -> None:
