@@ -84,6 +84,7 @@ def drive(experiment_file, tmp_path):
         changes = {"robot__description": slippery(tmp_path, friction)} if friction else {}
         file = experiment_file(
             duration=times[-1] + 0.3,
+            simulation__physics_steps=2,  # with one the wheels of a driven base slip by 0.1 m
             reference={"kind": "combined", "parts": parts},
             compare={"PID": {"law": "pid"}},
             **changes,
@@ -165,7 +166,7 @@ def test_result_and_bag_hold_the_base(experiment_file, tmp_path):
 
 
 def test_odometry_is_what_the_encoders_said(experiment_file, tmp_path):
-    file = experiment_file(duration=2.6, sensors__encoder_counts=512)
+    file = experiment_file(duration=2.6, sensors__encoder_counts=512, simulation__physics_steps=2)
     experiment = load_experiment(file)
     run_without_ros(experiment, "PID", tmp_path / "bag", NoProgress())
     run = read_run(tmp_path / "bag", "PID", joints=WHEELS)
