@@ -582,6 +582,7 @@ def test_a_thousand_joints_with_messages_of_their_own_are_read_in_one_go(tmp_pat
     assert counts["compared"] < 20
 
 
+@pytest.mark.slow
 def test_a_trajectory_of_a_hundred_thousand_points_is_sampled_exactly(tmp_path):
     points = 100_000
     times = np.arange(points) * 10_000

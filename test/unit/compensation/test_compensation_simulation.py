@@ -17,6 +17,8 @@ from hpid_ros.robot.description import RobotDescription
 from hpid_ros.simulation import World, WorldSettings
 from hpid_ros.simulation.engine import record_run
 
+pytestmark = pytest.mark.slow
+
 ROBOT = (share_folder() / "urdf" / "mobile_manipulator.urdf").read_text()
 SMOOTH = re.sub(r'friction="[0-9.]+"', 'friction="0"', ROBOT)  # no Coulomb friction
 JOINTS = tuple(RobotDescription.load(ROBOT).joints)

@@ -413,6 +413,7 @@ def random_values(draw):
     return values
 
 
+@pytest.mark.slow
 def test_ten_thousand_sets_between_samples_are_in_force_whole_or_not_at_all(faults):
     draw = np.random.default_rng(1)
     present = {"joint": "j", "law": "pid", "gains.p": 10.0, "gains.i": 4.0, "gains.d": 2.0}

@@ -19,6 +19,8 @@ from hpid_ros.robot.kinematics import Kinematics, rotation_angles
 from hpid_ros.robot.odometry import integrated
 from hpid_ros.trajectory.spline import SplineReference
 
+pytestmark = pytest.mark.slow
+
 ROBOT = RobotDescription.load(URDF)
 WHEELS = ("wheel_left_joint", "wheel_right_joint")
 ARM = Kinematics(ROBOT, "payload")

@@ -299,6 +299,7 @@ def test_many_shapes_at_once_have_the_rates_of_each():
     assert worst_rates(grids, shapes) == pytest.approx(each, rel=1e-12)
 
 
+@pytest.mark.slow
 def test_the_search_needs_no_more_than_the_narrowest_inertia_allows():
     """All inertias reach the same ends: what lies beyond them at one of them is not searched."""
     gains = Gains(21.0, 52.5, 2.1)
