@@ -10,30 +10,10 @@ from rclpy.node import Node
 from hpid_ros.base.errors import MessageError
 from hpid_ros.control import JointLoop, LoopSettings
 from hpid_ros.control.limited_law import ModelTerm
-from hpid_ros.control.settings.table import MODEL_PARAMETERS, Value
-from hpid_ros.nodes.ros.parameters import declare
 from hpid_ros.wire import JointSample, RobotReader
 
 if TYPE_CHECKING:
     from hpid_ros.compensation.build import LoopModel
-
-
-def declare_model(node: Node) -> None:
-    """Declare ``compensation`` and the parameters of its model, all fixed at the start.
-
-    Args:
-        node: The controller.
-    """
-    declare(node, MODEL_PARAMETERS.values(), read_only=MODEL_PARAMETERS)
-
-
-def model_values(node: Node) -> dict[str, Value]:
-    """Return the parameters of the model by name.
-
-    Args:
-        node: The controller, after :func:`declare_model`.
-    """
-    return {name: node.get_parameter(name).value for name in MODEL_PARAMETERS}
 
 
 def model_compensation(node: Node, settings: LoopSettings, robot: str) -> ModelCompensation | None:

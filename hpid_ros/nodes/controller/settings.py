@@ -10,11 +10,11 @@ from rcl_interfaces.msg import SetParametersResult
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
+from hpid_ros.base.errors import HpidError
 from hpid_ros.base.resources import find_resource
 from hpid_ros.control import LOOP_PARAMETERS, LoopSettings
-from hpid_ros.control.settings.table import Value
-from hpid_ros.nodes.controller.model import declare_model, model_values
-from hpid_ros.nodes.ros.parameters import declare, merged, read_only, verdict
+from hpid_ros.control.settings.table import MODEL_PARAMETERS, PARAMETERS, Value
+from hpid_ros.nodes.ros.parameters import declare, read_only
 from hpid_ros.robot.description import RobotDescription
 
 
@@ -117,8 +117,7 @@ class ControllerSettings:
 
     def __init__(self, node: Node) -> None:
         self._node = node
-        declare(node, LOOP_PARAMETERS.values(), read_only=["joint"])
-        declare_model(node)
+        declare(node, PARAMETERS.values(), read_only=["joint", *MODEL_PARAMETERS])
         self.robot = robot_source(node)
         self._limits = robot_limits(node, self.robot)
         self._last: tuple[Mapping[str, Value], LoopSettings] | None = None
@@ -132,7 +131,17 @@ class ControllerSettings:
         Raises:
             HpidError: The parameters cannot be used as a whole.
         """
-        return self._checked(merged(self._node, LOOP_PARAMETERS, changes))
+        values = {name: self._node.get_parameter(name).value for name in PARAMETERS}
+        values |= {each.name: each.value for each in changes if each.name in LOOP_PARAMETERS}
+        if self._last is None or self._last[0] != values:  # checked first, put in force afterwards
+            settings = self._limits.within(LoopSettings.from_parameters(values))
+            if settings.model.is_on:
+                # Pinocchio takes a moment to import; what needs it is fixed at the start.
+                from hpid_ros.compensation.build import with_inertia
+
+                settings = with_inertia(settings, self.robot)
+            self._last = values, settings
+        return self._last[1]
 
     def verdict(
         self, changes: Sequence[Parameter], require: Callable[[LoopSettings], None]
@@ -143,23 +152,12 @@ class ControllerSettings:
             changes: What is about to be set.
             require: Raises an :class:`.HpidError` for settings that are refused.
         """
-        if not concern_the_loop(changes):
-            return SetParametersResult(successful=True)
-        values = merged(self._node, LOOP_PARAMETERS, changes)
-        return verdict(values, lambda each: require(self._checked(each)))
-
-    def _checked(self, values: Mapping[str, Value]) -> LoopSettings:
-        """Return settings of these values; a set is checked first and put in force afterwards."""
-        whole = {**values, **model_values(self._node)}
-        if self._last is None or self._last[0] != whole:
-            settings = self._limits.within(LoopSettings.from_parameters(whole))
-            if settings.model.is_on:
-                # Pinocchio takes a moment to import; what needs it is fixed at the start.
-                from hpid_ros.compensation.build import with_inertia
-
-                settings = with_inertia(settings, self.robot)
-            self._last = whole, settings
-        return self._last[1]
+        if concern_the_loop(changes):
+            try:
+                require(self.with_changes(changes))
+            except HpidError as error:
+                return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
 
 
 def concern_the_loop(changes: Sequence[Parameter]) -> bool:

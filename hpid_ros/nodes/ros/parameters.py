@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable
 from typing import Any
 
-from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor, SetParametersResult
+from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
 from rclpy.node import Node
-from rclpy.parameter import Parameter
 
-from hpid_ros.base.errors import HpidError, SettingError
-from hpid_ros.control.settings.table import ParameterSpec, Value
+from hpid_ros.base.errors import SettingError
+from hpid_ros.control.settings.table import ParameterSpec
 
 
 def descriptor(spec: ParameterSpec, *, read_only: bool = False) -> ParameterDescriptor:
@@ -84,32 +83,3 @@ def read_number(
     if not low <= value <= high:
         raise SettingError(f"{name} must lie in [{low:g}, {high:g}], not {value}")
     return value
-
-
-def merged(node: Node, names: Iterable[str], changes: Iterable[Parameter]) -> dict[str, Value]:
-    """Return the values that would be in force after a change.
-
-    Args:
-        node: The node.
-        names: The parameters that are asked for.
-        changes: What is about to be set.
-    """
-    values = {name: node.get_parameter(name).value for name in names}
-    values.update({p.name: p.value for p in changes if p.name in values})
-    return values
-
-
-def verdict(
-    check: Mapping[str, Value], build: Callable[[Mapping[str, Value]], object]
-) -> SetParametersResult:
-    """Say whether a set of values as a whole can be put in force.
-
-    Args:
-        check: The values by name.
-        build: Called with the values; raises an :class:`HpidError` when they cannot be used.
-    """
-    try:
-        build(check)
-    except HpidError as error:
-        return SetParametersResult(successful=False, reason=str(error))
-    return SetParametersResult(successful=True)
