@@ -11,24 +11,18 @@ import yaml
 
 from hpid_ros.base.foreign_text import csv_text
 from hpid_ros.control import LoopSettings
-from hpid_ros.control.settings.choices import LawName
 from hpid_ros.experiment.description import Experiment
 from hpid_ros.experiment.result.folder import ResultFolder, versions
 from hpid_ros.report.tables.numbers import format_ratio
 from hpid_ros.studies.batch import LAST_ERROR, PAPER_QUANTITIES
 from hpid_ros.studies.search import Evaluation, Search
-from hpid_ros.studies.search_space import source_label
+from hpid_ros.studies.search_space import SearchSpace, source_label
 
-_FREE = {
-    "pid": ("gains.p", "gains.i", "gains.d"),
-    "hpid": ("mu", "norm.error_scale", "norm.rate_weight"),
-}
-_FREE_IN_EFFORT = ("mu", "norm.effort_scale")
 _JOINTS = "joints"
 
 
 def compare_entry(
-    experiment: Experiment, law: LawName, loops: Sequence[LoopSettings]
+    experiment: Experiment, space: SearchSpace, loops: Sequence[LoopSettings]
 ) -> dict[str, Any]:
     """Return the entry that gives these loops in this experiment file, or one that extends it.
 
@@ -37,16 +31,15 @@ def compare_entry(
 
     Args:
         experiment: The experiment of the search.
-        law: ``pid`` or ``hpid``.
+        space: The space of the search.
         loops: One for each driven joint.
     """
-    source = source_label(experiment, law)
+    source = source_label(experiment, space.law)
     written = yaml.safe_load(experiment.text)["compare"][source] or {}
     common = _flat({key: value for key, value in written.items() if key != _JOINTS})
     each = {joint: _flat(entry) for joint, entry in written.get(_JOINTS, {}).items()}
-    common["law"] = law
-    is_in_effort = law == "hpid" and all(loop.norm.effort_scale for loop in loops)
-    for name in _FREE_IN_EFFORT if is_in_effort else _FREE[law]:
+    common["law"] = space.law
+    for name in space.directions.changed:
         values = {loop.joint: loop.to_parameters()[name] for loop in loops}
         for parameters in (common, *each.values()):
             parameters.pop(name, None)
@@ -92,7 +85,7 @@ class SearchResult:
         best = self._search.best
         if best is None:
             return ""
-        entry = compare_entry(self._plan.experiment, self._plan.space.law, best.loops)
+        entry = compare_entry(self._plan.experiment, self._plan.space, best.loops)
         text: str = yaml.safe_dump(
             {"compare": {self.label: entry}}, sort_keys=False, default_flow_style=None, width=96
         )

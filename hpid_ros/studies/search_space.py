@@ -1,7 +1,7 @@
 """The space and the cost of a search.
 
-Both laws have three numbers for all joints: the PID scales of its gains, the homogeneous PID its
-degree and its norm, with the gains untouched.
+Both laws have a few numbers for all joints: the PID scales of its gains and how its bandwidth is
+distributed over the joints, the homogeneous PID its degree and its norm, with the gains untouched.
 """
 
 from __future__ import annotations
@@ -9,6 +9,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
+from statistics import geometric_mean
 from typing import Protocol, get_args
 
 from hpid_ros.analysis import RunIndices
@@ -205,19 +207,49 @@ class FreeParameter:
         return math.log(value) if self.is_logarithmic else value
 
 
+@dataclass(frozen=True)
+class Directions:
+    """Free parameters, and what their values make of the settings of one joint.
+
+    Attributes:
+        parameters: The free parameters.
+        apply: Takes settings and the values by name, and returns other settings.
+        changed: The names of the settings that it changes.
+    """
+
+    parameters: tuple[FreeParameter, ...]
+    apply: Callable[..., LoopSettings]
+    changed: tuple[str, ...]
+
+
 PID_PARAMETERS = (
     FreeParameter("bandwidth", 0.2, 5.0, 1.0, "p, i and d times its square, cube and itself"),
     FreeParameter("damping", 0.3, 3.0, 1.0, "factor of d"),
     FreeParameter("integral", 0.05, 5.0, 1.0, "factor of i"),
+    FreeParameter(
+        "distribution",
+        -0.4,
+        0.4,
+        0.0,
+        "exponent of a joint's p over the geometric mean of all p; the power is a factor of its "
+        "bandwidth",
+        is_logarithmic=False,
+    ),
 )
+"""Of a linear controller; the last one only where there is more than one joint."""
+
+_DEGREE = FreeParameter("mu", -0.45, 0.45, 0.0, "degree", is_logarithmic=False)
 HPID_PARAMETERS = (
-    FreeParameter("mu", -0.45, 0.45, 0.0, "degree", is_logarithmic=False),
+    _DEGREE,
     FreeParameter("error_scale", 0.05, 20.0, 1.0, "factor of norm.error_scale"),
     FreeParameter("rate_weight", 1e-3, 10.0, 0.1, "norm.rate_weight [s/rad]"),
 )
+"""Of a homogeneous controller whose joints have scales of their own."""
+
 EFFORT_PARAMETERS = (
-    HPID_PARAMETERS[0],
+    _DEGREE,
     FreeParameter("effort_scale", 0.05, 20.0, 1.0, "factor of norm.effort_scale"),
+    FreeParameter("floor", 0.01, 1.0, 0.1, "norm.floor"),
 )
 """Of a homogeneous controller whose norm is in units of effort."""
 
@@ -242,15 +274,20 @@ class SearchSpace:
 
     Attributes:
         law: ``pid`` or ``hpid``.
-        parameters: The directions.
+        directions: The free parameters and what they do.
         start: The controller that is changed, joint by joint, at the start of the search.
         joints: The joints that are changed.
     """
 
     law: LawName
-    parameters: tuple[FreeParameter, ...]
+    directions: Directions
     start: tuple[LoopSettings, ...]
     joints: tuple[str, ...]
+
+    @property
+    def parameters(self) -> tuple[FreeParameter, ...]:
+        """The free parameters."""
+        return self.directions.parameters
 
     @classmethod
     def of(
@@ -280,14 +317,9 @@ class SearchSpace:
             replace(each, law=law, mu=0.0, gains=known.gains)
             for each, known in zip(source, baseline, strict=True)
         )
-        usual: tuple[FreeParameter, ...] = PID_PARAMETERS
-        if law == "hpid" and all(each.norm.effort_scale for each in start):
-            usual = EFFORT_PARAMETERS
-        elif law == "hpid":
-            weight = start[0].norm.rate_weight
-            usual = (*HPID_PARAMETERS[:2], replace(HPID_PARAMETERS[2], start=weight))
-        parameters = _bounded(usual, bounds or {})
-        return cls(law, parameters, start, experiment.world.joints)
+        usual = _directions(law, start)
+        directions = replace(usual, parameters=_bounded(usual.parameters, bounds or {}))
+        return cls(law, directions, start, experiment.world.joints)
 
     def controller(self, values: Sequence[float]) -> tuple[LoopSettings, ...]:
         """Return the controller at a point.
@@ -298,13 +330,12 @@ class SearchSpace:
         Raises:
             HpidError: A loop refuses its settings, for instance an unstable PID.
         """
-        change: Callable[..., LoopSettings] = _scaled_gains
-        if self.law == "hpid":
-            change = _in_effort if self.parameters[1].name == "effort_scale" else _homogeneous
+        found = {each.name: value for each, value in zip(self.parameters, values, strict=True)}
         loops = []
         for each in self.start:
             try:
-                loops.append(change(each, *values) if each.joint in self.joints else each)
+                is_free = each.joint in self.joints
+                loops.append(self.directions.apply(each, **found) if is_free else each)
             except HpidError as error:
                 raise type(error)(f"{each.joint}: {error}") from None
         return tuple(loops)
@@ -318,16 +349,34 @@ class SearchSpace:
         """
         (own,) = [each for each in start if each.joint == joint]
         at = {
-            "bandwidth": 1.0,
-            "damping": 1.0,
-            "integral": 1.0,
             "mu": own.mu,
-            "error_scale": 1.0,
-            "effort_scale": 1.0,
             "rate_weight": own.norm.rate_weight,
+            "floor": own.norm.floor,
         }
-        parameters = tuple(replace(each, start=at[each.name]) for each in self.parameters)
-        return replace(self, parameters=parameters, start=tuple(start), joints=(joint,))
+        parameters = tuple(
+            replace(each, start=at.get(each.name, 1.0))
+            for each in self.parameters
+            if each.name != "distribution"  # one joint's bandwidth is said already
+        )
+        directions = replace(self.directions, parameters=parameters)
+        return replace(self, directions=directions, start=tuple(start), joints=(joint,))
+
+
+def _directions(law: LawName, start: Sequence[LoopSettings]) -> Directions:
+    if law == "pid":
+        mean = geometric_mean(each.gains.p for each in start)
+        count = len(PID_PARAMETERS) - (len(start) == 1)
+        gains = ("gains.p", "gains.i", "gains.d")
+        return Directions(PID_PARAMETERS[:count], partial(_scaled_gains, mean), gains)
+    norm = start[0].norm
+    if all(each.norm.effort_scale for each in start):
+        *others, floor = EFFORT_PARAMETERS
+        first = norm.floor if floor.low <= norm.floor <= floor.high else floor.start
+        parameters = (*others, replace(floor, start=first))
+        return Directions(parameters, _in_effort, ("mu", "norm.effort_scale", "norm.floor"))
+    *others, weight = HPID_PARAMETERS
+    parameters = (*others, replace(weight, start=norm.rate_weight))
+    return Directions(parameters, _homogeneous, ("mu", "norm.error_scale", "norm.rate_weight"))
 
 
 def _bounded(
@@ -346,32 +395,40 @@ def _bounded(
 
 
 def _scaled_gains(
-    settings: LoopSettings, bandwidth: float, damping: float, integral: float
+    mean: float,
+    settings: LoopSettings,
+    bandwidth: float,
+    damping: float,
+    integral: float,
+    distribution: float = 0.0,
 ) -> LoopSettings:
     gains = settings.gains
+    own = bandwidth * (gains.p / mean) ** distribution
     scaled = Gains(
-        p=_rounded(gains.p * bandwidth**2),
-        i=_rounded(gains.i * bandwidth**3 * integral),
-        d=_rounded(gains.d * bandwidth * damping),
+        p=_rounded(gains.p * own**2),
+        i=_rounded(gains.i * own**3 * integral),
+        d=_rounded(gains.d * own * damping),
     )
     return replace(settings, gains=scaled)
 
 
 def _homogeneous(
-    settings: LoopSettings, degree: float, error_scale: float, rate_weight: float
+    settings: LoopSettings, mu: float, error_scale: float, rate_weight: float
 ) -> LoopSettings:
     return settings.with_parameters(
         {
-            "mu": degree,
+            "mu": mu,
             "norm.error_scale": _rounded(settings.norm.error_scale * error_scale),
             "norm.rate_weight": rate_weight,
         }
     )
 
 
-def _in_effort(settings: LoopSettings, degree: float, effort_scale: float) -> LoopSettings:
+def _in_effort(
+    settings: LoopSettings, mu: float, effort_scale: float, floor: float
+) -> LoopSettings:
     scale = _rounded(settings.norm.effort_scale * effort_scale)
-    return settings.with_parameters({"mu": degree, "norm.effort_scale": scale})
+    return settings.with_parameters({"mu": mu, "norm.effort_scale": scale, "norm.floor": floor})
 
 
 def _rounded(value: float) -> float:

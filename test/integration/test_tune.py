@@ -25,6 +25,7 @@ from hpid_ros.studies.batch import simulated_indices
 from hpid_ros.studies.search import Evaluation, Search, SearchPlan
 from hpid_ros.studies.search_result import compare_entry
 from hpid_ros.studies.search_space import (
+    EFFORT_PARAMETERS,
     HPID_PARAMETERS,
     PID_PARAMETERS,
     Cost,
@@ -61,7 +62,9 @@ def tune(path, tmp_path, *options, folder="t"):
     return code, tmp_path / folder
 
 
-@given(st.sampled_from([*PID_PARAMETERS, *HPID_PARAMETERS]), st.floats(0.0, 1.0))
+@given(
+    st.sampled_from([*PID_PARAMETERS, *HPID_PARAMETERS, *EFFORT_PARAMETERS]), st.floats(0.0, 1.0)
+)
 def test_a_share_of_the_way_is_a_value_within_the_bounds_and_back(parameter, share):
     value = parameter.value(share)
     assert parameter.low <= value <= parameter.high
@@ -71,22 +74,45 @@ def test_a_share_of_the_way_is_a_value_within_the_bounds_and_back(parameter, sha
     assert parameter.low <= parameter.start <= parameter.high
 
 
-def test_both_laws_have_the_same_number_of_free_parameters():
-    assert len(PID_PARAMETERS) == len(HPID_PARAMETERS) == 3
+def test_the_linear_rival_has_no_fewer_free_parameters():
+    assert len(HPID_PARAMETERS) == len(EFFORT_PARAMETERS) == 3 < len(PID_PARAMETERS)
+
+
+def test_a_distribution_gives_heavy_joints_what_it_takes_from_light_ones(experiment):
+    space = SearchSpace.of(experiment, "pid")
+    baseline = experiment.controllers["PID"]
+    found = space.controller([1.0, 1.0, 1.0, -0.25])
+    factors = [
+        np.cbrt(after.gains.i / before.gains.i)
+        for before, after in zip(baseline, found, strict=True)
+    ]
+    for before, after, own in zip(baseline, found, factors, strict=True):
+        assert after.gains.p == pytest.approx(before.gains.p * own**2, rel=1e-4)
+        assert after.gains.d == pytest.approx(before.gains.d * own, rel=1e-4)
+    assert np.prod(factors) == pytest.approx(1.0, rel=1e-4)
+    by_stiffness = [own for _, own in sorted(zip(baseline, factors, strict=True), key=_stiffness)]
+    assert by_stiffness == sorted(by_stiffness, reverse=True)
+    one = space.narrowed("arm_joint_1", found)
+    assert [each.name for each in one.parameters] == ["bandwidth", "damping", "integral"]
+    assert one.controller([1.0, 1.0, 1.0]) == found
+
+
+def _stiffness(pair):
+    return pair[0].gains.p
 
 
 def test_the_pid_s_scales_are_what_they_are_called(experiment):
     space = SearchSpace.of(experiment, "pid")
     baseline = experiment.controllers["PID"]
-    assert space.controller([1.0, 1.0, 1.0]) == baseline
-    for before, after in zip(baseline, space.controller([2.0, 1.0, 1.0]), strict=True):
+    assert space.controller([1.0, 1.0, 1.0, 0.0]) == baseline
+    for before, after in zip(baseline, space.controller([2.0, 1.0, 1.0, 0.0]), strict=True):
         old, new = (
             np.sort_complex(np.roots([m.inertia, m.gains.d, m.gains.p, m.gains.i]))
             for m in (before, after)
         )
         assert new.mean() == pytest.approx(2.0 * old.mean())
         assert new.prod() == pytest.approx(8.0 * old.prod(), rel=1e-5)
-    changed = space.controller([1.0, 1.5, 0.5])[0].gains
+    changed = space.controller([1.0, 1.5, 0.5, 0.0])[0].gains
     base = baseline[0].gains
     assert (changed.p, changed.i, changed.d) == pytest.approx((base.p, 0.5 * base.i, 1.5 * base.d))
 
@@ -115,9 +141,11 @@ def test_a_norm_in_units_of_effort_has_one_scale_for_all_joints(experiment):
     space = SearchSpace.of(
         replace(experiment, controllers={**experiment.controllers, "hPID": loops}), "hpid"
     )
-    assert [each.name for each in space.parameters] == ["mu", "effort_scale"]
-    found = space.controller([-0.2, 0.5])
-    assert {(each.mu, each.norm.effort_scale) for each in found} == {(-0.2, 1.5)}
+    assert [each.name for each in space.parameters] == ["mu", "effort_scale", "floor"]
+    found = space.controller([-0.2, 0.5, 0.03])
+    assert {(each.mu, each.norm.effort_scale, each.norm.floor) for each in found} == {
+        (-0.2, 1.5, 0.03)
+    }
     assert [each.gains for each in found] == [each.gains for each in space.start]
 
 
@@ -195,7 +223,7 @@ class Known(Search):
 
 @pytest.mark.parametrize("evaluations", [10, 47, 150])
 def test_a_search_uses_its_budget_and_finds_what_is_there(experiment, evaluations):
-    search = Known(planned(experiment, "pid", evaluations=evaluations))
+    search = Known(planned(experiment, "hpid", evaluations=evaluations))
     search.run()
     assert len(search.evaluations) == evaluations
     assert search.best.cost < 1.0 + 3.0 / evaluations
@@ -347,8 +375,9 @@ def test_what_was_said_of_one_joint_does_not_outlive_the_search(experiment_file)
     compare = {"PID": {"law": "pid"}, "hPID": {"mu": -0.1, "joints": own}}
     path = experiment_file(duration=0.05, compare=compare, judge={"joints": ARM})
     experiment = load_experiment(path)
-    loops = SearchSpace.of(experiment, "hpid").controller([-0.2, 2.0, 0.3])
-    entry = compare_entry(experiment, "hpid", loops)
+    space = SearchSpace.of(experiment, "hpid")
+    loops = space.controller([-0.2, 2.0, 0.3])
+    entry = compare_entry(experiment, space, loops)
     assert entry["norm"] == {"rate_weight": 0.3}
     assert entry["joints"]["arm_joint_1"] == {"norm": {"floor": 0.0, "error_scale": 0.2}}
     document = yaml.safe_load(path.read_text())

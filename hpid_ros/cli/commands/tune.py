@@ -36,10 +36,11 @@ def add(commands: Any) -> None:
         "tune",
         help="search the best gains of a PID, or the best degree and norm, for one cost",
         description="Search the free parameters of a controller for the least cost, without ROS, "
-        "on every core. pid scales the baseline's gains (bandwidth, damping, integral), hpid "
-        "chooses degree and norm and leaves the gains alone: three numbers each. The cost is the "
-        "geometric mean over IVC, IAVC, ITAE, ||u|| and ||e|| of the ratio to the experiment's "
-        "first controller, or what --limit makes of it.",
+        "on every core. pid scales the baseline's gains (bandwidth, damping, integral, and how "
+        "the bandwidth is distributed over the joints), hpid chooses degree and norm with three "
+        "numbers and leaves the gains alone. The cost is the geometric mean over IVC, IAVC, "
+        "ITAE, ||u|| and ||e|| of the ratio to the experiment's first controller, or what "
+        "--limit makes of it.",
         epilog="Unstable gains and uncertified degrees are refused. The same options give the "
         "same result with any number of jobs. An interrupt leaves what was found.",
     )
@@ -79,8 +80,8 @@ def add(commands: Any) -> None:
         action="append",
         default=[],
         metavar="NAME=LOW:HIGH",
-        help="of a free parameter: bandwidth, damping, integral; mu, error_scale, "
-        "rate_weight, effort_scale",
+        help="of a free parameter: bandwidth, damping, integral, distribution; mu, "
+        "error_scale, rate_weight, effort_scale, floor",
     )
     parser.add_argument(
         "--settle", type=float, metavar="RAD", help="refuse larger errors in the last second"
