@@ -42,11 +42,11 @@ SPREAD := -n $(JOBS) --dist loadfile --no-loadscope-reorder
 thorough: PROFILE := --hypothesis-profile thorough
 thorough: test
 
-# What keeps time on a graph has the machine to itself.
+# What keeps the time of the wall has the machine to itself.
 test: $(VENV)/.test-installed
 ifeq ($(strip $(ARGS)),)
-	$(BIN)/python -m pytest $(PROFILE) $(SPREAD) -m "unit or integration"
-	$(BIN)/python -m pytest $(PROFILE) -m "graph or faults"
+	$(BIN)/python -m pytest $(PROFILE) $(SPREAD) -m "not alone"
+	$(BIN)/python -m pytest $(PROFILE) -m alone
 else
 	$(BIN)/python -m pytest $(ARGS)
 endif

@@ -16,7 +16,7 @@ from typing import Any
 
 from hpid_ros.base.errors import RunError
 from hpid_ros.base.interrupts import raise_if_interrupted, uninterrupted
-from hpid_ros.experiment.graph.processes import beginning, end_all
+from hpid_ros.experiment.graph.processes import Beginning, end_all
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -43,7 +43,7 @@ class Scripts:
         prefix: Sequence[str] = (),
     ) -> None:
         self._prefix = prefix
-        self._begin = beginning(signal.SIGKILL, is_batch=is_batch)
+        self._begin = Beginning(signal.SIGKILL, is_batch)
         self._environment = dict(environment)
         self._environment["PYTHONPATH"] = os.pathsep.join(
             [str(ROOT), *filter(None, [environment.get("PYTHONPATH")])]

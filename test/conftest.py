@@ -6,16 +6,20 @@ from pathlib import Path
 
 import pytest
 import yaml
+from harness.fork_server import ForkedPopen
 from harness.graph import Harness
 from hypothesis import settings
 
 from hpid_ros.base.resources import share_folder
 from hpid_ros.experiment.graph.isolation import closed_environment, own_domain
+from hpid_ros.experiment.graph.processes import NodeProcess
 
 # A busy machine is not a failure. Every run draws other examples, so that many runs see many.
 settings.register_profile("suite", deadline=None, max_examples=25)
 settings.register_profile("thorough", deadline=None, max_examples=500)
 settings.load_profile("suite")  # another one: pytest --hypothesis-profile thorough
+
+NodeProcess.popen = ForkedPopen  # of the suite's processes: nodes that it starts are forked
 
 FAULTS = pytest.StashKey()
 TESTS = Path(__file__).parent

@@ -28,6 +28,8 @@ from hpid_ros.nodes.ros.middleware import LATCHED, OFFERED
 from hpid_ros.simulation.lockstep import FollowedSender
 from hpid_ros.wire import JointStateTemplate, decode_joint_state
 
+pytestmark = pytest.mark.alone
+
 MS = 1_000_000
 GAINS = {"law": "pid", "gains__p": 10.0, "certify": False, "state_watchdog": False}
 
@@ -146,7 +148,7 @@ def log_of(process):
     return process.log.read_text(errors="replace")
 
 
-def ended(harness, process, within=20.0):
+def ended(harness, process, within=60.0):
     harness.wait(lambda: process.process.poll() is not None, within, f"{process.name} to end")
     return process.process.returncode
 
@@ -467,7 +469,7 @@ def start_on(group, name, **parameters):
     return group.start(name, "joint_controller", ros_arguments(**values))
 
 
-def until(condition, within=20.0, what="the condition"):
+def until(condition, within=60.0, what="the condition"):
     deadline = time.monotonic() + within
     while not condition():
         assert time.monotonic() < deadline, f"waited {within} s in vain for {what}"

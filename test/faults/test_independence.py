@@ -12,13 +12,16 @@ from benchmarks.faults import main as faults_command
 from benchmarks.memory import private_bytes
 from benchmarks.soak import GROWTH_AT_MOST, soak, warm_up_of
 from benchmarks.soak import main as soak_command
+from hpid_ros.experiment.description import load_experiment
 
-SOAK_MINUTES = float(os.environ.get("HPID_SOAK_MINUTES", "2"))
+pytestmark = pytest.mark.alone
+
+SOAK_MINUTES = float(os.environ.get("HPID_SOAK_MINUTES", "1"))
 
 
 @pytest.mark.timeout(1200)
 def test_the_others_go_on_and_a_restarted_controller_takes_over(tmp_path, faults):
-    experiment = sines(tmp_path, 20.0)
+    experiment = load_experiment(sines(tmp_path, 12.0).path, engine="mujoco")
     episode = run_episode(experiment, undisturbed(experiment), tmp_path / "run", seed=3)
     kinds = Counter(fault.kind for fault in episode.faults)
     for kind, count in kinds.items():
@@ -31,14 +34,14 @@ def test_the_others_go_on_and_a_restarted_controller_takes_over(tmp_path, faults
 
 @pytest.mark.skipif(SOAK_MINUTES == 0.0, reason="HPID_SOAK_MINUTES is 0")
 @pytest.mark.timeout(60.0 * SOAK_MINUTES + 300.0)
-def test_two_minutes_at_full_rate_leave_memory_flat_and_nothing_behind(tmp_path, faults):
+def test_minutes_at_full_rate_leave_memory_flat_and_nothing_behind(tmp_path, faults):
     result = soak(SOAK_MINUTES, warm_up_of(SOAK_MINUTES), 1, tmp_path)
     for name, count in result.retunes.items():
         faults.count(f"soak: sets of parameters {name}", count)
     faults.count("soak: controllers hit", len(result.faults))
     faults.count("soak: states", result.states)
     faults.count("soak: samples missed outside of the faults", len(result.unplanned))
-    assert len(result.growth) >= 11
+    assert len(result.growth) >= 10  # eight controllers, bridge and recorder
     assert max(result.growth.values()) < GROWTH_AT_MOST
     assert result.retunes["accepted"] > 0
     assert result.retunes["refused"] > 0

@@ -15,6 +15,8 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from hpid_ros.nodes.ros.middleware import LATCHED, OFFERED
 from hpid_ros.wire import JointStateTemplate
 
+pytestmark = pytest.mark.alone
+
 MS = 1_000_000
 TIMEOUT = 0.1  # [s], the state_timeout here
 SLACK = 1.5  # [s] for a machine that has other work, too

@@ -12,6 +12,8 @@ from lifecycle_msgs.srv import ChangeState
 
 from hpid_ros.wire import JointStateTemplate
 
+pytestmark = pytest.mark.alone
+
 MS = 1_000_000
 GAINS = {"law": "pid", "gains__p": 10.0, "gains__i": 4.0, "gains__d": 2.0}
 DAMPING = {"stop": "damping", "stop_duration": 0.6, "state_watchdog": False}

@@ -4,6 +4,8 @@ import pytest
 
 from benchmarks.stimuli import STIMULI, a_joint
 
+pytestmark = pytest.mark.alone
+
 DAMPING = 20.0 * 0.5  # of the joint at the trajectory's speed, in [N m]
 BOUNDS = {
     "freeze of 1.5 s": 1.6 * DAMPING,

@@ -2,12 +2,11 @@
 
 import math
 import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
+from harness.fork_server import run_node
 from harness.graph import ros_arguments
 from harness.loops import pure_loop
 from rcl_interfaces.srv import DescribeParameters
@@ -203,15 +202,7 @@ MODELLED = {
 def test_a_node_that_cannot_start_says_one_line_and_ends_with_two(
     harness, tmp_path, executable, parameters, line
 ):
-    command = [sys.executable, "-m", f"hpid_ros.nodes.{executable}", "--ros-args"]
-    ended = subprocess.run(
-        [*command, *ros_arguments(**parameters)],
-        capture_output=True,
-        text=True,
-        timeout=60,
-        cwd=tmp_path,
-        check=False,
-    )
+    ended = run_node(executable, ros_arguments(**parameters), cwd=tmp_path)
     assert ended.returncode == 2
     assert line in ended.stderr
     assert "Traceback" not in ended.stderr

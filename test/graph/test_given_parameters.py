@@ -12,6 +12,7 @@ from functools import partial
 import pytest
 import yaml
 from harness.bags import small_log, write_bag
+from harness.fork_server import run_node
 from harness.graph import ros_arguments
 from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters
 from rclpy.parameter import Parameter, parameter_value_to_python
@@ -275,16 +276,7 @@ def test_a_file_that_is_for_another_node_is_one_line_and_exit_code_two(
     file = tmp_path / "parameters.yaml"
     sections = {name: {"ros__parameters": values} for name, values in document.items()}
     file.write_text(yaml.safe_dump(sections))
-    ended = subprocess.run(
-        [
-            *(sys.executable, "-m", f"hpid_ros.nodes.{executable}", "--ros-args"),
-            *("--params-file", str(file), "-r", "__ns:=/a"),
-        ],
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=False,
-    )
+    ended = run_node(executable, ["--params-file", str(file), "-r", "__ns:=/a"])
     assert ended.returncode == 2
     assert said in ended.stderr.strip().splitlines()[-1]
     assert executable in ended.stderr

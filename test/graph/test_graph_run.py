@@ -103,21 +103,21 @@ class KillerOf(NoProgress):
 
 
 def children():
-    """Return command lines of this process's children by pid."""
+    """Return the names of this process's children that write a log, by pid."""
     found = {}
     for path in Path("/proc").glob("[0-9]*"):
         try:
             parent = int((path / "stat").read_text().rpartition(")")[2].split()[1])
-            command = (path / "cmdline").read_text().split("\0")
-        except (FileNotFoundError, ProcessLookupError):
+            log = (path / "fd" / "1").readlink()
+        except OSError:  # it has ended, or is not ours
             continue
-        if parent == os.getpid():
-            found[int(path.name)] = command
+        if parent == os.getpid() and log.suffix == ".log":
+            found[int(path.name)] = log.stem
     return found
 
 
 def child_of(node):
-    return next(pid for pid, line in children().items() if f"__node:={node}" in line)
+    return next(pid for pid, name in children().items() if name == node)
 
 
 def test_a_killed_controller_leaves_the_others_at_work(experiment_file, tmp_path):
@@ -164,7 +164,7 @@ def test_a_run_that_loses_what_it_cannot_do_without_fails_in_one_line(
     with pytest.raises(RunError, match=f"{node} ended with code -9") as failure:
         run_on_graph(experiment, "hPID", tmp_path / "bag", folder, KillerOf(node, 0.1))
     assert "\n" not in str(failure.value)
-    assert not [line for line in children().values() if "hpid_ros" in " ".join(line)]
+    assert not children()
 
 
 def heed_interrupts():
@@ -203,7 +203,7 @@ def test_whatever_ends_a_comparison_ends_its_nodes_and_leaves_a_readable_bag(
         nodes = processes_below(hpid.pid)
         assert len(nodes) == 11
         hpid.send_signal(number)
-        hpid.wait(timeout=20)
+        hpid.wait(timeout=60)
         wait_for(lambda: not [pid for pid in nodes if Path(f"/proc/{pid}").exists()], 20.0)
     finally:
         hpid.kill()
@@ -228,7 +228,7 @@ def test_domains_are_not_shared():
     with own_domain() as one, own_domain() as other:
         assert one != other
     with own_domain() as again:
-        assert again == one
+        assert again not in (one, other)  # what a killed process left there goes first
 
 
 def test_the_self_check_sees_a_network_socket(tmp_path):

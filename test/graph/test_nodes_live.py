@@ -1,9 +1,7 @@
 """What users do to running nodes: late commands, volatile publishers, bad command lines."""
 
-import subprocess
-import sys
-
 import pytest
+from harness.fork_server import run_node
 from harness.graph import ros_arguments
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
@@ -136,10 +134,7 @@ def test_what_a_latched_publisher_sends_to_both_subscriptions_is_taken_once():
 def test_a_bad_command_line_is_one_line_and_exit_code_two(
     harness, tmp_path, executable, arguments, line
 ):
-    command = [sys.executable, "-m", f"hpid_ros.nodes.{executable}", "--ros-args", *arguments]
-    ended = subprocess.run(
-        command, capture_output=True, text=True, timeout=60, cwd=tmp_path, check=False
-    )
+    ended = run_node(executable, arguments, cwd=tmp_path)
     assert ended.returncode == 2
     assert line in ended.stderr
     assert "Traceback" not in ended.stderr

@@ -135,7 +135,7 @@ def test_states_are_asked_for_when_the_latched_reference_is_in_the_bag(harness, 
     events = Events(recorder)
     harness.wait(lambda: events.recorded() == 1, what="the state")
     recorder.process.terminate()
-    assert recorder.process.wait(timeout=20) == 0
+    assert recorder.process.wait(timeout=60) == 0
     with BagReader(tmp_path / "bag") as bag:
         topics = [message.topic for message in bag.messages()]
     assert topics == ["/joint_trajectory", "/joint_states"]
@@ -231,7 +231,7 @@ def test_a_recorder_that_was_frozen_tells_what_it_missed(harness, tmp_path, faul
     harness.wait(accounted_for, 60.0, "all to be accounted for")
     assert missed() > 10_000
     recorder.process.terminate()
-    assert recorder.process.wait(timeout=20) == 0
+    assert recorder.process.wait(timeout=60) == 0
     closed = events.last("closed")
     assert closed["counts"] == {"/joint_states": events.recorded()}
     assert closed["missed"] == {"/joint_states": missed()}

@@ -55,7 +55,7 @@ class Harness:
     def _on_command(self, raw):
         self.commands.append(decode_joint_state(raw))
 
-    def wait(self, condition, within=20.0, what="the condition"):
+    def wait(self, condition, within=60.0, what="the condition"):
         """Spin until a condition holds."""
         deadline = time.monotonic() + within
         while not condition():

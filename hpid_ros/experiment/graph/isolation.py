@@ -123,6 +123,9 @@ def closed_environment(domain: int) -> dict[str, str]:
 def own_domain() -> Iterator[int]:
     """Reserve a ROS domain that no other experiment on this machine has, free of dead ports.
 
+    It is the one whose last use is the longest ago: what a process that was killed there left
+    behind has then been cleared.
+
     Yields:
         The domain.
 
@@ -132,19 +135,24 @@ def own_domain() -> Iterator[int]:
     folder = Path(tempfile.gettempdir()) / f"hpid_ros_domains_{os.getuid()}"
     folder.mkdir(mode=0o700, exist_ok=True)
     clear_dead()
-    for domain in _DOMAINS:
+    for domain in sorted(_DOMAINS, key=lambda each: _last_use(folder / str(each))):
         lock = os.open(folder / str(domain), os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:
             os.close(lock)
             continue
+        os.utime(lock)
         try:
             yield domain
         finally:
             os.close(lock)
         return
     raise RunError(f"all ROS domains from {_DOMAINS[0]} to {_DOMAINS[-1]} are taken")
+
+
+def _last_use(lock: Path) -> float:
+    return lock.stat().st_mtime if lock.exists() else 0.0
 
 
 def require_no_sockets(pids: Iterable[int]) -> None:

@@ -9,10 +9,11 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import Any, ClassVar
 
 from hpid_ros.base.interrupts import uninterrupted
 
@@ -20,21 +21,24 @@ _PR_SET_PDEATHSIG = 1
 _LIBC = ctypes.CDLL(None)
 
 
-def beginning(parting: signal.Signals, *, is_batch: bool = False) -> Callable[[], None]:
-    """Return what a child runs before its program, for ``preexec_fn``.
+@dataclass(frozen=True)
+class Beginning:
+    """What a child runs before its program, for ``preexec_fn``.
 
-    Args:
+    Attributes:
         parting: What the kernel sends the child when its parent is gone, however that came about.
         is_batch: Schedule it as a batch job: it yields the processor to nobody by waking
             somebody.
     """
 
-    def begin() -> None:
-        _LIBC.prctl(_PR_SET_PDEATHSIG, parting)
-        if is_batch:
-            os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
+    parting: signal.Signals
+    is_batch: bool = False
 
-    return begin
+    def __call__(self) -> None:
+        """Run it, in the child."""
+        _LIBC.prctl(_PR_SET_PDEATHSIG, self.parting)
+        if self.is_batch:
+            os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
 
 
 def end_all(processes: Iterable[subprocess.Popen[bytes]], patience: float) -> None:
@@ -72,6 +76,8 @@ class NodeProcess:
         prefix: Command in front of the node's own, for instance to enter a namespace.
     """
 
+    popen: ClassVar[type[subprocess.Popen[bytes]]] = subprocess.Popen
+
     def __init__(
         self,
         name: str,
@@ -97,7 +103,7 @@ class NodeProcess:
             *arguments,
         ]
         with log.open("wb") as output:
-            self.process = subprocess.Popen(
+            self.process = self.popen(
                 command,
                 stdin=subprocess.DEVNULL,
                 stdout=output,
@@ -105,7 +111,7 @@ class NodeProcess:
                 env=dict(environment),
                 pass_fds=[writer],
                 start_new_session=True,
-                preexec_fn=beginning(signal.SIGTERM, is_batch=is_batch),
+                preexec_fn=Beginning(signal.SIGTERM, is_batch),
             )
         os.close(writer)
 
