@@ -4,6 +4,7 @@ import math
 import os
 from pathlib import Path
 
+import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from harness.fork_server import run_node
@@ -52,7 +53,7 @@ def test_a_set_is_in_force_as_a_whole_from_the_next_sample_on(harness):
 @pytest.mark.parametrize(
     ("changes", "reason"),
     [
-        ({"gains__p": 20.0, "mu": 0.5}, "(-0.5, 0.5), not 0.5"),
+        ({"gains__p": 20.0, "mu": 0.5}, "Max: 0.4999, value: 0.5"),
         ({"gains__p": 20.0, "gains__d": math.nan}, "gains.d"),
         ({"gains__p": 20.0, "gains__i": 1000.0}, "p d = 40 must exceed i x inertia = 500"),
         ({"gains__p": 20.0, "law": "PID"}, "law must be one of hpid, pid, not 'PID'"),
@@ -151,8 +152,25 @@ def test_parameters_are_described_with_their_ranges(harness):
         spec = LOOP_PARAMETERS[described.name]
         assert described.description == spec.description
         if isinstance(spec.default, float):
-            (bounds,) = described.floating_point_range
-            assert (bounds.from_value, bounds.to_value) == (spec.minimum, spec.maximum)
+            allowed = f"from {spec.minimum:g} to {spec.maximum:g}"
+            assert described.additional_constraints == allowed
+
+
+def test_a_slider_moves_from_end_to_end_without_a_refusal(harness):
+    """rqt and Foxglove draw a slider where there is a range, else a field for a number."""
+    harness.start_controller(law="hpid", **GAINS)
+    client = harness.node.create_client(DescribeParameters, "elbow_controller/describe_parameters")
+    harness.wait(client.service_is_ready, what="the parameter services")
+    future = client.call_async(DescribeParameters.Request(names=list(LOOP_PARAMETERS)))
+    harness.wait(future.done, what="the descriptions")
+    ranges = {each.name: each.floating_point_range for each in future.result().descriptors}
+    sliders = {name: found[0] for name, found in ranges.items() if found}
+    assert set(sliders) == {"mu"}
+    for name, bounds in sliders.items():
+        span = bounds.to_value - bounds.from_value
+        for value in np.linspace(bounds.from_value, bounds.to_value, 9):
+            assert harness.set_parameters("elbow_controller", **{name: float(value)}) == (True, "")
+            assert abs(harness.ask(int(1 + (value + span) * 1e9), 0.1)) < 1e3
 
 
 MODELLED = {

@@ -44,6 +44,8 @@ class ParameterSpec:
         minimum: Least allowed number.
         maximum: Largest allowed number.
         choices: Allowed texts.
+        slider: The ends of a slider in a parameter client, each of them allowed and sensible;
+            None where a field for a number serves better. ROS refuses what lies beyond.
     """
 
     name: str
@@ -52,6 +54,7 @@ class ParameterSpec:
     minimum: float = -math.inf
     maximum: float = math.inf
     choices: tuple[str, ...] = ()
+    slider: tuple[float, float] | None = None
 
     def checked(self, value: object) -> Value:
         """Return the value in the parameter's type.
@@ -106,6 +109,7 @@ _TABLE = (
         "Homogeneity degree, strictly inside (-0.5, 0.5); 0 is the linear PID",
         -0.5,
         0.5,
+        slider=(-0.4999, 0.4999),
     ),
     ParameterSpec("norm.type", "weighted", "Homogeneous norm", choices=get_args(NormType)),
     ParameterSpec(

@@ -1,4 +1,4 @@
-"""Declares parameters from tables, with descriptions and ranges that sliders can show."""
+"""Declares parameters from tables, with descriptions, constraints and the ends of sliders."""
 
 from __future__ import annotations
 
@@ -23,13 +23,22 @@ def descriptor(spec: ParameterSpec, *, read_only: bool = False) -> ParameterDesc
     description = ParameterDescriptor(
         description=spec.description,
         read_only=read_only,
-        additional_constraints=f"one of: {', '.join(spec.choices)}" if spec.choices else "",
+        additional_constraints=_constraints(spec),
     )
-    if isinstance(spec.default, float) and math.isfinite(spec.minimum + spec.maximum):
+    if spec.slider:
+        low, high = spec.slider
         description.floating_point_range = [
-            FloatingPointRange(from_value=spec.minimum, to_value=spec.maximum, step=0.0)
+            FloatingPointRange(from_value=low, to_value=high, step=0.0)
         ]
     return description
+
+
+def _constraints(spec: ParameterSpec) -> str:
+    if spec.choices:
+        return f"one of: {', '.join(spec.choices)}"
+    if isinstance(spec.default, float) and math.isfinite(spec.minimum + spec.maximum):
+        return f"from {spec.minimum:g} to {spec.maximum:g}"
+    return ""
 
 
 def declare(node: Node, specs: Iterable[ParameterSpec], read_only: Iterable[str] = ()) -> None:
