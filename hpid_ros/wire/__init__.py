@@ -1,5 +1,6 @@
-"""CDR codec: the two hot messages, states and commands (both JointState), and references."""
+"""CDR codec: states and commands (both JointState), commands of groups, references."""
 
+from hpid_ros.wire.group_commands import DynamicJointStateTemplate, MultiArrayTemplate
 from hpid_ros.wire.joint_state import (
     JointStateFields,
     JointStateLayout,
@@ -15,6 +16,7 @@ from hpid_ros.wire.joint_trajectory import (
 from hpid_ros.wire.readers import EffortReader, JointReader, JointSample, RobotReader, RobotSample
 
 __all__ = [
+    "DynamicJointStateTemplate",
     "EffortReader",
     "JointReader",
     "JointSample",
@@ -22,6 +24,7 @@ __all__ = [
     "JointStateLayout",
     "JointStateTemplate",
     "MixedTrajectory",
+    "MultiArrayTemplate",
     "RobotReader",
     "RobotSample",
     "TrajectoryArrays",

@@ -22,6 +22,7 @@ ALLOWED = {
     "base": set(),
     "documents": set(),
     "control": set(),
+    "merging": set(),
     "wire": set(),
     "recordings": set(),
     "trajectory": {"documents"},
@@ -53,7 +54,7 @@ ONLY_IN = {
     "matplotlib": {"report"},
     "jinja2": {"report"},
 }
-PURE = {"control", "trajectory", "wire", "recordings"}
+PURE = {"control", "merging", "trajectory", "wire", "recordings"}
 PURE_LIBRARIES = {"numpy", "scipy"}
 # The only modules that may touch what another package keeps to itself.
 INTERNALS = {"nodes/ros/rclpy_internals.py", "bags/rosbags_internals.py"}

@@ -1,0 +1,129 @@
+"""What a merger is told: its joints in their order, how long it waits, what it falls back to."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+from hpid_ros.base.errors import SettingError, unknown_name
+
+LONGEST_TIMEOUT = 1.0
+"""No joint may be silent for longer than this without its fallback, in [s]."""
+
+LARGEST_EFFORT = 1e6
+"""No fallback is larger, in [N m] or [N]."""
+
+
+@dataclass(frozen=True)
+class MergedJoint:
+    """One joint of a merged command.
+
+    Attributes:
+        name: The joint.
+        timeout: It is silent when no usable command has come for longer than this, in [s].
+        fallback: Effort that it is sent while it is silent, in [N m] or [N].
+        may_be_missing: Whether the merger starts without a command of this joint, at its fallback.
+
+    Raises:
+        SettingError: A value is out of range.
+    """
+
+    name: str
+    timeout: float = 0.1
+    fallback: float = 0.0
+    may_be_missing: bool = False
+
+    def __post_init__(self) -> None:
+        if not self.name:
+            raise SettingError("a joint must have a name, not an empty one")
+        if not 0.0 < self.timeout <= LONGEST_TIMEOUT:
+            raise SettingError(
+                f"the timeout of {self.name} must lie in (0, {LONGEST_TIMEOUT:g}] s, "
+                f"not {self.timeout}"
+            )
+        if not abs(self.fallback) <= LARGEST_EFFORT:
+            raise SettingError(
+                f"the fallback of {self.name} must lie in [{-LARGEST_EFFORT:g}, "
+                f"{LARGEST_EFFORT:g}], not {self.fallback}"
+            )
+
+
+@dataclass(frozen=True)
+class MergerSettings:
+    """All that a merger is told.
+
+    Attributes:
+        joints: In the order of the merged command.
+        straggler_wait: How long what has come waits for the joints that have not answered the same
+            state, as a part of the time between two states; at most 1.
+        fade_in_time: A joint that comes back is faded in from its fallback for so long, in [s];
+            0 takes its first command as it is.
+
+    Raises:
+        SettingError: There is no joint, one comes twice, or a value is out of range.
+    """
+
+    joints: tuple[MergedJoint, ...]
+    straggler_wait: float = 0.5
+    fade_in_time: float = 0.1
+
+    def __post_init__(self) -> None:
+        require_order(joint.name for joint in self.joints)
+        if not 0.0 < self.straggler_wait <= 1.0:
+            raise SettingError(f"straggler_wait must lie in (0, 1], not {self.straggler_wait}")
+        if not (self.fade_in_time >= 0.0 and math.isfinite(self.fade_in_time)):
+            raise SettingError(f"fade_in_time must be 0 s or more, not {self.fade_in_time}")
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The joints' names, in their order."""
+        return tuple(joint.name for joint in self.joints)
+
+
+def require_order(names: Iterable[str]) -> tuple[str, ...]:
+    """Return the order of a merged command.
+
+    Args:
+        names: Its joints.
+
+    Raises:
+        SettingError: There is none, or one comes twice.
+    """
+    order = tuple(names)
+    if not order or len(set(order)) != len(order):
+        raise SettingError(
+            f"the joints of a merged command must be named once each, "
+            f"not {', '.join(order) or 'none'}"
+        )
+    return order
+
+
+def joints_of(
+    order: Iterable[str],
+    timeout: float,
+    timeouts: Mapping[str, float],
+    fallbacks: Mapping[str, float],
+) -> tuple[MergedJoint, ...]:
+    """Return the joints of a merged command.
+
+    Args:
+        order: Their names.
+        timeout: Of those that have none of their own, in [s].
+        timeouts: By joint, in [s].
+        fallbacks: By joint, in [N m] or [N]; a joint without one has zero, and must be there when
+            the merger starts.
+
+    Raises:
+        SettingError: A timeout or a fallback is that of no joint, or out of range.
+    """
+    names = require_order(order)
+    for what, values in (("timeout", timeouts), ("fallback", fallbacks)):
+        for name in values:
+            if name not in names:
+                unknown = unknown_name("joint", name, names)
+                raise SettingError(f"a {what} is given for the {unknown}")
+    return tuple(
+        MergedJoint(name, timeouts.get(name, timeout), fallbacks.get(name, 0.0), name in fallbacks)
+        for name in names
+    )
