@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterable
 from typing import Any
 
 from sensor_msgs.msg import JointState
@@ -21,7 +22,7 @@ from hpid_ros.nodes.ros.process import schedule
 from hpid_ros.nodes.ros.status import ERROR, OK, WARN, Diagnostics, StatusPipe
 from hpid_ros.nodes.ros.steady_timer import steady_timer
 from hpid_ros.nodes.ros.usage import Usage
-from hpid_ros.simulation.lockstep import Barrier
+from hpid_ros.simulation.lockstep import AnswerCounts, Barrier
 from hpid_ros.simulation.world.world import World
 from hpid_ros.wire import EffortReader, JointStateTemplate
 
@@ -226,6 +227,7 @@ class RobotBridge(executor.ClosingNode):
             "simulated time [s]": self._world.time_ns / NANOSECONDS,
             "misread commands": self._misread,
             "commands for other joints": self._barrier.foreign,
+            **_totals(self._barrier.counts.values()),
             **self._commanders.values(),
         }
         values |= self._timing.recent(self._world.time_ns) if self._is_started else {}
@@ -239,6 +241,17 @@ class RobotBridge(executor.ClosingNode):
         if self._is_started and not self._is_done:
             self._tell_end("stopped")
         self._world.close()
+
+
+def _totals(counts: Iterable[AnswerCounts]) -> dict[str, int]:
+    """Return what the controllers of all joints did, for ``/diagnostics``."""
+    each = list(counts)
+    return {
+        "unanswered": sum(count.unanswered for count in each),
+        "answers to earlier states": sum(count.stale for count in each),
+        "commands not finite": sum(count.invalid for count in each),
+        "commands beyond the joint's limit": sum(count.excessive for count in each),
+    }
 
 
 def usage(name: str, engine: str) -> Usage:

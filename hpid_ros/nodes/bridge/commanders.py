@@ -6,7 +6,7 @@ import math
 import time
 from collections.abc import Mapping, Sequence
 from itertools import compress
-from typing import Any
+from typing import Any, Protocol
 
 from rclpy.node import Node
 
@@ -117,6 +117,16 @@ class HeldCommands:
         return effort if self._stamp_ns - came_ns <= self._timeout_ns else None
 
 
+class Conflicts(Protocol):
+    """Counts a joint's conflicting commands.
+
+    Attributes:
+        conflicting: Commands that cannot come from one sender alone.
+    """
+
+    conflicting: int
+
+
 class Commanders:
     """Follows one sender a joint, and reports joints that have more than one.
 
@@ -126,9 +136,9 @@ class Commanders:
     themselves away by answers that differ, and are named as far as the graph knows them.
 
     Args:
-        node: The bridge.
-        joints: The driven joints.
-        counts: What each joint's controller did, by joint; kept up to date by others.
+        node: Who is commanded on ``joint_commands``.
+        joints: Its joints.
+        counts: Conflicting commands of each joint, by joint; kept up to date by others.
         patience: The longest silence of the one that is followed, in [s].
     """
 
@@ -136,7 +146,7 @@ class Commanders:
         self,
         node: Node,
         joints: Sequence[str],
-        counts: Mapping[str, AnswerCounts],
+        counts: Mapping[str, Conflicts],
         patience: float,
     ) -> None:
         self._node = node
@@ -192,13 +202,9 @@ class Commanders:
         return f"commanded twice: {'; '.join(lines)}" if lines else ""
 
     def values(self) -> dict[str, Any]:
-        """Return the counts of all joints for ``/diagnostics``."""
+        """Return the counts of conflicts of all joints for ``/diagnostics``."""
         counts, followed = self._counts.values(), self._followed.values()
         return {
-            "unanswered": sum(count.unanswered for count in counts),
-            "answers to earlier states": sum(count.stale for count in counts),
-            "commands not finite": sum(count.invalid for count in counts),
-            "commands beyond the joint's limit": sum(count.excessive for count in counts),
             "conflicting commands": sum(count.conflicting for count in counts),
             "commands of second senders, not obeyed": sum(each.others for each in followed),
             "changes of sender": sum(each.changes for each in followed),
