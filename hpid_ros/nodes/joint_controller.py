@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any
 
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.duration import Duration
+from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.task import Future
 from sensor_msgs.msg import JointState
@@ -20,7 +21,7 @@ from hpid_ros.control.reference import Motion
 from hpid_ros.control.settings.table import PARAMETERS
 from hpid_ros.control.supervision import SupervisedLoop
 from hpid_ros.nodes.controller.certification import Certification
-from hpid_ros.nodes.controller.commands import COMMAND_INTERFACES, joint_commands, sender_of
+from hpid_ros.nodes.controller.commands import SINKS, CommandSink, joint_commands, sender_of
 from hpid_ros.nodes.controller.health import ControllerHealth, LoopTiming
 from hpid_ros.nodes.controller.introspection import Introspection
 from hpid_ros.nodes.controller.joint_claim import JointClaim, claims_joint
@@ -52,13 +53,19 @@ class JointController(ManagedNode):
 
     Args:
         name: Node name.
+        sinks: Where its commands may go, by the names of ``command_interface``.
         options: Passed on to ``rclpy.node.Node``.
 
     Raises:
         HpidError: The parameters given at start cannot be used as a whole.
     """
 
-    def __init__(self, name: str = "joint_controller", **options: Any) -> None:
+    def __init__(
+        self,
+        name: str = "joint_controller",
+        sinks: Mapping[str, Callable[[Node, str, str], CommandSink]] = SINKS,
+        **options: Any,
+    ) -> None:
         super().__init__(name, **options)
         self._tuning = ControllerSettings(self)
         self._loop = JointLoop(self._tuning.with_changes())
@@ -68,7 +75,7 @@ class JointController(ManagedNode):
             self,
             "command_interface",
             "joint_state",
-            f"Message of the commands: {', '.join(COMMAND_INTERFACES)}",
+            f"Message of the commands: {', '.join(sinks)}",
         )
         self._model = model_compensation(self, self._loop.settings, self._tuning.robot)
         self._listeners = read_only(
@@ -79,7 +86,7 @@ class JointController(ManagedNode):
         )
         is_claiming = claims_joint(self)
         sender = sender_of(self, is_claiming)
-        self._commands = joint_commands(self, self.joint, str(interface), sender)
+        self._commands = joint_commands(self, self.joint, str(interface), sender, sinks)
         topic = self._commands.publisher.topic_name
         self._claim = JointClaim(self, is_claiming, self.joint, topic, self._lose)
         self._introspection = Introspection(self, self.joint, self._model is not None)

@@ -6,12 +6,12 @@ import os
 import socket
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from hashlib import sha256
 from typing import Protocol
 
+from rclpy.duration import Duration
 from rclpy.node import Node
-from rclpy.publisher import Publisher
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64, Float64MultiArray
 
@@ -23,10 +23,26 @@ from hpid_ros.wire import JointStateTemplate
 _LOCK_WITHIN = 0.2  # [s]; whoever holds it longer is stuck in the middleware, as we would be
 
 
-class CommandSink(Protocol):
-    """Publishes one joint's efforts."""
+class CommandTopic(Protocol):
+    """Where commands go, as far as a controller asks; a ``Publisher`` is one."""
 
-    publisher: Publisher
+    @property
+    def topic_name(self) -> str:
+        """Full name of the topic."""
+
+    def get_subscription_count(self) -> int:
+        """Return how many hear what is sent."""
+
+    def wait_for_all_acked(self, timeout: Duration) -> bool:
+        """Wait until all who acknowledge anything have done so, and tell whether they have."""
+
+
+class CommandSink(Protocol):
+    """Takes one joint's efforts."""
+
+    @property
+    def publisher(self) -> CommandTopic:
+        """Where they go."""
 
     def send(self, stamp_ns: int, effort: float) -> None:
         """Publish an effort.
@@ -212,30 +228,35 @@ class Commands:
             self._lock.release()
 
 
-_SINKS: dict[str, Callable[[Node, str, str], CommandSink]] = {
+SINKS: Mapping[str, Callable[[Node, str, str], CommandSink]] = {
     "joint_state": JointStateCommands,
     "float64_multi_array": Float64MultiArrayCommands,
     "float64": Float64Commands,
 }
-
-COMMAND_INTERFACES = tuple(_SINKS)
-"""The names that the parameter ``command_interface`` may have."""
+"""By the names of ``command_interface``: what makes a sink of a node, its joint and its sender."""
 
 
-def joint_commands(node: Node, joint: str, interface: str, sender: str) -> Commands:
+def joint_commands(
+    node: Node,
+    joint: str,
+    interface: str,
+    sender: str,
+    sinks: Mapping[str, Callable[[Node, str, str], CommandSink]] = SINKS,
+) -> Commands:
     """Return the commands of a joint, by the name of their interface.
 
     Args:
         node: The node that publishes.
         joint: The joint.
-        interface: One of :data:`COMMAND_INTERFACES`.
+        interface: The name of one of the sinks.
         sender: From :func:`sender_of`.
+        sinks: Those that there are.
 
     Raises:
         SettingError: There is no such interface.
     """
-    if interface not in _SINKS:
+    if interface not in sinks:
         raise SettingError(
-            f"command_interface must be one of {', '.join(_SINKS)}, not {interface!r}"
+            f"command_interface must be one of {', '.join(sinks)}, not {interface!r}"
         )
-    return Commands(_SINKS[interface](node, joint, sender))
+    return Commands(sinks[interface](node, joint, sender))

@@ -63,6 +63,7 @@ class JointClaim:
         commands: Full name of the topic of its commands.
         lose: Called when the joint is another's after all, with the reason, and whether the claim
             was held already.
+        what: What is claimed, in words; the joint if empty.
     """
 
     def __init__(
@@ -72,7 +73,9 @@ class JointClaim:
         joint: str,
         commands: str,
         lose: Callable[[ClaimError, bool], None],
+        what: str = "",
     ) -> None:
+        self._what = what or f"joint {joint}"
         self._node, self._is_claiming, self._lose = node, is_claiming, lose
         self._mine: Claim | None = None
         self._timer: Timer | None = None
@@ -213,7 +216,7 @@ class JointClaim:
         self._told = _now()
 
     def _refused(self, holder: str) -> ClaimError:
-        self.refusal = f"joint {self._claim.joint} is commanded by {holder}"
+        self.refusal = f"{self._what} is commanded by {holder}"
         return ClaimError(
             f"{self._claim.node}: {self.refusal}; one controller at a time may be active, unless "
             f"each has the parameter claim: none"
