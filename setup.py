@@ -63,6 +63,7 @@ EXTRAS = {
 EXECUTABLES = [
     "joint_controller",
     "joint_controllers",
+    "joint_command_merger",
     "single_process",
     "pybullet_bridge",
     "mujoco_bridge",

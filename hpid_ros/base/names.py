@@ -29,6 +29,9 @@ def claim_topic(commands: str, joint: str) -> str:
     return f"{commands}/_claim_{re.sub('[^A-Za-z0-9]+', '_', joint)}"
 
 
+ALL_JOINTS = "all joints"
+"""In place of a joint's name, where whoever commands them together claims them."""
+
 ANYWHERE = "/**/"
 """Before a node's name in a parameter file: the node of that name in whatever namespace."""
 

@@ -10,14 +10,19 @@ from rclpy.validate_node_name import validate_node_name
 
 from hpid_ros.base.errors import SettingError
 from hpid_ros.base.names import controller_name
+from hpid_ros.nodes.controller.commands import SINKS
+from hpid_ros.nodes.joint_command_merger import JointCommandMerger
 from hpid_ros.nodes.joint_controller import JointController
 from hpid_ros.nodes.ros import executor
 from hpid_ros.nodes.ros.parameters import read_only
 from hpid_ros.nodes.ros.usage import Usage
 
+MERGED = "merged"
+"""Name of the command interface of controllers whose commands are merged in their process."""
+
 
 class Composition(executor.ClosingNode):
-    """Says which joints are controlled in this process."""
+    """Says which joints are controlled in this process, and whether their commands are merged."""
 
     def __init__(self) -> None:
         super().__init__("joint_controllers")
@@ -30,13 +35,19 @@ class Composition(executor.ClosingNode):
             )
             or ()
         )
+        self.merges: bool = read_only(
+            self,
+            "merge",
+            False,
+            "Publish one message for all joints, as joint_command_merger, with its parameters",
+        )
 
 
 def make_nodes() -> list[executor.ClosingNode]:
-    """Make one controller for each joint of the parameter ``joints``.
+    """Make one controller for each joint of the parameter ``joints``, and a merger if wished.
 
     Raises:
-        SettingError: The parameter names no joint, or one twice.
+        HpidError: The parameter names no joint, or one twice; or others cannot be used.
         InvalidNodeNameException: A joint's name has a character that a node's may not have.
     """
     composition = Composition()
@@ -45,22 +56,29 @@ def make_nodes() -> list[executor.ClosingNode]:
         validate_node_name(controller_name(joint))
     if not joints or len(set(joints)) != len(joints):
         raise SettingError(f"the parameter joints must name each joint once, not {joints}")
+    merger = JointCommandMerger(joints=joints, is_composed=True) if composition.merges else None
     controllers = [
         JointController(
             controller_name(joint),
-            parameter_overrides=[Parameter("joint", Parameter.Type.STRING, joint)],
+            SINKS if merger is None else {MERGED: merger.sink},
+            parameter_overrides=[
+                Parameter("joint", value=joint),
+                *([] if merger is None else [Parameter("command_interface", value=MERGED)]),
+            ],
         )
         for joint in joints
     ]
-    return [composition, *controllers]
+    # The merger is left last: it sends what the controllers leave their joints with.
+    return [composition, *controllers, *([] if merger is None else [merger])]
 
 
 USAGE = Usage(
     "joint_controllers",
     "Controls joints in one process, each with a node JOINT_controller of its own, whose "
-    "parameters, topics and services joint_controller --help tells.",
+    "parameters, topics and services joint_controller --help tells; with merge also a node "
+    "joint_command_merger, as its --help tells.",
     "-p joints:=[JOINT, ...] --params-file FILE",
-    ["joints"],
+    ["joints", "merge"],
 )
 
 

@@ -29,7 +29,7 @@ T = Parameter.Type
 MS = 1_000_000
 EXECUTABLES = (
     *("joint_controller", "joint_controllers", "single_process", "pybullet_bridge"),
-    "mujoco_bridge",
+    *("mujoco_bridge", "joint_command_merger"),
     *("trajectory_publisher", "bag_recorder", "bag_metrics"),
 )
 JOINTS = [f"joint_{number}" for number in range(8)]
@@ -125,7 +125,10 @@ class Graph:
         robot = {"initial_positions": [0.1] + 7 * [0.0]}
         self.arguments = {
             "joint_controller": ros_arguments(joint="elbow", gains__p=60, norm__floor=5e-5),
-            "joint_controllers": ["-p", f"joints:=[{', '.join(JOINTS)}]", "-r", "__ns:=/many"],
+            "joint_controllers": [
+                *("-p", f"joints:=[{', '.join(JOINTS)}]", "-p", "merge:=true"),
+                *("-r", "__ns:=/many"),
+            ],
             "single_process": [
                 *("-p", "joints:=[arm_joint_1]", "-p", f"bag:={folder / 'single'}"),
                 *("-p", "record:=true", "-r", "__ns:=/one"),
@@ -135,6 +138,10 @@ class Graph:
                 *("-p", f"initial_positions:={robot['initial_positions']}"),
             ],
             "mujoco_bridge": ros_arguments(mode="realtime", fixed_base=True),
+            "joint_command_merger": [
+                *ros_arguments(joints="[elbow, wrist]", fallback_efforts__elbow=1),
+                *ros_arguments(command_timeouts__wrist=0.2),
+            ],
             "trajectory_publisher": ros_arguments(
                 reference_file=share_folder() / "config" / "experiments" / "tracking.yaml"
             ),
@@ -143,7 +150,10 @@ class Graph:
         }
         self.nodes = {
             "joint_controller": ["/joint_controller"],
-            "joint_controllers": ["/many/joint_controllers", f"/many/{JOINTS[7]}_controller"],
+            "joint_controllers": [
+                *("/many/joint_controllers", f"/many/{JOINTS[7]}_controller"),
+                "/many/joint_command_merger",
+            ],
             "single_process": [
                 *("/one/single_process", "/one/pybullet_bridge", "/one/joint_controllers"),
                 *("/one/arm_joint_1_controller", "/one/bag_recorder"),

@@ -7,6 +7,8 @@ import subprocess
 
 import pytest
 from ament_index_python import PackageNotFoundError, get_package_prefix
+from harness.places import ROOT
+from harness.ros2_control import Ros2Control
 
 
 def is_there():
@@ -27,10 +29,10 @@ def launch(harness, tmp_path):
     """Return a function that launches the robot, its output going into ``launch.log``."""
     started = []
 
-    def start(*arguments):
+    def start(*arguments, file="robot.launch.py"):
         with (tmp_path / "launch.log").open("wb") as log:
             process = subprocess.Popen(
-                ["ros2", "launch", "hpid_ros", "robot.launch.py", *arguments],
+                ["ros2", "launch", "hpid_ros", file, *arguments],
                 stdout=log,
                 stderr=subprocess.STDOUT,
                 start_new_session=True,
@@ -66,6 +68,23 @@ def test_a_namespaced_robot_comes_up_and_goes_with_its_launch(
     process.send_signal(ending)
     process.wait(30)
     harness.wait(lambda: not nodes(harness, "/left"), within=60.0, what="the nodes to end")
+
+
+@pytest.mark.parametrize("composed", ["true", "false"])
+def test_controllers_and_their_merger_come_up_before_ros2_control(
+    harness, launch, tmp_path, composed
+):
+    file = ROOT / "config" / "ros2_control" / "joint_controllers.yaml"
+    with Ros2Control(harness.context, {"shoulder": 2.0, "elbow": 0.5}) as control:
+        control.load(["shoulder", "elbow"], kind="group", name="effort_controller")
+        process = launch(
+            f"params_file:={file}", f"composed:={composed}", file="ros2_control.launch.py"
+        )
+        harness.wait(lambda: control.controller.received, within=120.0, what="commands")
+        process.send_signal(signal.SIGINT)
+        process.wait(30)
+        assert not control.refused
+    harness.wait(lambda: "joint_command_merger" not in nodes(harness, "/"), what="the end")
 
 
 def test_a_launch_whose_processes_fail_ends_with_their_reason(

@@ -3,6 +3,7 @@
 import pytest
 from rclpy.lifecycle import LifecycleNode
 from rclpy.parameter import Parameter
+from std_msgs.msg import Empty
 from std_srvs.srv import Trigger
 
 from hpid_ros.base.errors import SettingError
@@ -37,6 +38,18 @@ def test_a_service_answers_with_what_it_was_given(node):
     assert rclpy_internals.service_callback(service)(None, None) == "as made"
     rclpy_internals.answer_with(service, lambda request, response: "replaced")
     assert rclpy_internals.service_callback(service)(None, None) == "replaced"
+
+
+def test_matches_are_counted_when_they_happen_and_never_forgotten(node):
+    """Also where nobody spins, and one subscription has taken another's place."""
+    publisher = node.create_publisher(Empty, "~/topic", 1)
+    count = rclpy_internals.match_counter(publisher)
+    assert count() == 0
+    for matches in (1, 2, 3):
+        subscription = node.create_subscription(Empty, "~/topic", print, 1)
+        assert (count(), publisher.get_subscription_count()) == (matches, 1)
+        node.destroy_subscription(subscription)
+        assert (count(), publisher.get_subscription_count()) == (matches, 0)
 
 
 @pytest.mark.parametrize(

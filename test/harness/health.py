@@ -15,14 +15,14 @@ TRANSITIONS = {
 
 
 class Told:
-    """What the controller has told of its health."""
+    """What a node, a controller if none is named, has told of its health."""
 
-    def __init__(self, harness):
-        self._statuses = []
+    def __init__(self, harness, name=NAME):
+        self._name, self._statuses = name, []
         harness.node.create_subscription(DiagnosticArray, "/diagnostics", self._take, 10)
 
     def _take(self, message):
-        self._statuses += [status for status in message.status if NAME in status.name]
+        self._statuses += [status for status in message.status if self._name in status.name]
 
     def newest(self):
         """Return the newest figures by name; empty before the first."""

@@ -11,7 +11,8 @@ import pytest
 from harness.places import ROOT
 
 EXECUTABLES = {
-    *("joint_controller", "joint_controllers", "pybullet_bridge", "mujoco_bridge"),
+    *("joint_controller", "joint_controllers", "joint_command_merger"),
+    *("pybullet_bridge", "mujoco_bridge"),
     "trajectory_publisher",
     *("bag_recorder", "bag_metrics", "single_process", "hpid"),
 }

@@ -11,9 +11,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from rclpy import event_handler
 from rclpy.lifecycle import LifecycleNode
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.publisher import Publisher
 from rclpy.service import Service
 
 from hpid_ros.base.errors import SettingError
@@ -86,6 +88,31 @@ def answer_with(service: Service, callback: ServiceCallback) -> None:
     """
     service_callback(service)
     service.callback = callback
+
+
+def match_counter(publisher: Publisher) -> Callable[[], int]:
+    """Return what tells how many subscriptions a publisher has ever been matched with.
+
+    Uses the ``EventHandle`` below ``rclpy.event_handler``. The public way is a callback, which
+    comes after whatever the executor does first; this is true at the time of the call, also where
+    one subscription has taken another's place since the last one.
+
+    Args:
+        publisher: The publisher.
+
+    Raises:
+        SettingError: This rclpy lacks it.
+    """
+    purpose = "the matches of a publisher"
+    library = _private(event_handler, "_rclpy", purpose)
+    kind = event_handler.QoSPublisherEventType.RCL_PUBLISHER_MATCHED
+    handle = _private(library, "EventHandle", purpose)(publisher.handle, kind)
+
+    def count() -> int:
+        with handle:
+            return int(handle.take_event().total_count)
+
+    return count
 
 
 def _private(owner: object, name: str, purpose: str) -> Any:

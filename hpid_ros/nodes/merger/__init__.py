@@ -1,0 +1,1 @@
+"""Parts of the merger's node: parameters, output, receiver, health."""

@@ -1,0 +1,456 @@
+"""The merger on a graph: controllers before it, ros2_control as it was seen to be behind it."""
+
+import itertools
+import signal
+from contextlib import contextmanager
+
+import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
+from harness.graph import ros_arguments
+from harness.health import Told, change, state
+from harness.ros2_control import NAME, Ros2Control
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64, Float64MultiArray
+
+from hpid_ros.nodes.ros.middleware import NEWEST_COMMAND, OFFERED, RARE
+from hpid_ros.wire import JointStateTemplate
+
+try:
+    from control_msgs.msg import DynamicJointState
+except ImportError:
+    DynamicJointState = None
+
+MS = 1_000_000
+MERGER = "joint_command_merger"
+INERTIAS = {"elbow": 0.5, "shoulder": 2.0, "wrist": 0.1}
+ORDER = ["wrist", "shoulder", "elbow"]  # neither of the alphabet nor of the states
+TARGETS = {"wrist": 0.3, "shoulder": -0.2, "elbow": 0.5}
+WITHIN = 60.0  # [s], on a busy machine
+
+
+@pytest.fixture
+def control(harness):
+    with Ros2Control(harness.context, INERTIAS) as control:
+        yield control
+
+
+@pytest.fixture
+def told(harness):
+    return Told(harness, MERGER)
+
+
+def start_merger(harness, **parameters):
+    """Start a merger, by default for the stand-in's controller."""
+    parameters = {"controller": NAME, "command_timeout": 0.5} | parameters
+    arguments = ros_arguments(**{k: v for k, v in parameters.items() if v is not None})
+    return harness.processes.start(MERGER, MERGER, arguments)
+
+
+def says(told, text):
+    """Tell whether the newest health has these words."""
+    return text in told.newest().get("message", "")
+
+
+class Commander:
+    """Commands of joints as controllers send them, all of them from the test."""
+
+    def __init__(self, harness, joints=ORDER, sender="/{}_controller"):
+        self.harness, self.stamp = harness, 0
+        self._publishers = {
+            joint: harness.node.create_publisher(JointState, "joint_commands", OFFERED)
+            for joint in joints
+        }
+        self._templates = {
+            joint: JointStateTemplate([joint], sender.format(joint), effort=True)
+            for joint in joints
+        }
+
+    def __call__(self, efforts):
+        """Answer one more state."""
+        self.stamp += 10 * MS
+        for joint, effort in efforts.items():
+            raw = self._templates[joint].encode(self.stamp, effort=[effort])
+            self._publishers[joint].publish(raw)
+
+    def until(self, efforts, condition, what):
+        """Answer states until a condition holds."""
+
+        def holds():
+            self(efforts)
+            return condition()
+
+        self.harness.wait(holds, WITHIN, what)
+
+
+EFFORTS = {"wrist": 1.0, "shoulder": 2.0, "elbow": 3.0}
+
+
+@contextmanager
+def listening(harness, kind, topic):
+    """Yield what is heard on a topic of merged commands."""
+    heard = []
+    subscription = harness.node.create_subscription(kind, topic, heard.append, 100)
+    yield heard
+    harness.node.destroy_subscription(subscription)
+
+
+# --- with controllers and a robot ---------------------------------------------------------
+
+
+def start_controller(harness, joint):
+    inertia = INERTIAS[joint]
+    return harness.processes.start(
+        f"{joint}_controller",
+        "joint_controller",
+        ros_arguments(
+            joint=joint,
+            law="pid",
+            gains__p=25.0 * inertia,
+            gains__d=9.0 * inertia,
+            state_timeout=1.0,
+            certify=False,
+        ),
+    )
+
+
+def send_to_targets(harness, joints, setpoints):
+    """Send joints to where they are wanted; those who listen are there."""
+    for joint in joints:
+        topic = f"{joint}_controller/setpoint"
+        if joint not in setpoints:
+            setpoints[joint] = harness.node.create_publisher(Float64, topic, RARE)
+        publisher = setpoints[joint]
+        harness.wait(publisher.get_subscription_count, WITHIN, topic)
+        publisher.publish(Float64(data=TARGETS[joint]))
+
+
+def are_there(control, joints=ORDER):
+    return all(abs(control.hardware[j].position - TARGETS[j]) < 0.01 for j in joints)
+
+
+def test_controllers_drive_a_group_and_one_of_them_is_killed_or_stopped_and_comes_back(
+    harness, control, told
+):
+    """No message is refused, the others go on, and the silent joint gets its fallback."""
+    control.load(ORDER)
+    fallback = {"fallback_efforts.elbow": 0.25}
+    start_merger(harness, **fallback)
+    processes = {joint: start_controller(harness, joint) for joint in ORDER}
+    setpoints = {}
+    harness.wait(lambda: control.controller.received, WITHIN, "the first command")
+    send_to_targets(harness, ORDER, setpoints)
+    harness.wait(lambda: are_there(control), WITHIN, "the joints where they are wanted")
+    for _ in range(2):
+        processes["elbow"].process.kill()
+        harness.wait(lambda: control.efforts()["elbow"] == 0.25, WITHIN, "the fallback")
+        harness.wait(lambda: says(told, "silent: elbow (sent 0.25)"), WITHIN, "its name")
+        assert told.newest()["level"] == DiagnosticStatus.ERROR
+        count = len(control.controller.received)
+        harness.wait(
+            lambda n=count: len(control.controller.received) > n + 100, WITHIN, "the others"
+        )
+        assert are_there(control, ["wrist", "shoulder"])
+        processes["elbow"].process.wait()
+        del harness.processes.nodes["elbow_controller"]
+        processes["elbow"] = start_controller(harness, "elbow")
+        harness.wait(lambda: says(told, "merging"), WITHIN, "it to come back")
+        send_to_targets(harness, ["elbow"], setpoints)
+        harness.wait(lambda: are_there(control), WITHIN, "the joints where they are wanted")
+    processes["elbow"].process.send_signal(signal.SIGSTOP)
+    harness.wait(lambda: control.efforts()["elbow"] == 0.25, WITHIN, "the fallback")
+    processes["elbow"].process.send_signal(signal.SIGCONT)
+    harness.wait(lambda: says(told, "merging") and are_there(control), WITHIN, "it to go on")
+    assert {len(numbers) for _, numbers in control.controller.received} == {3}
+    assert (control.refused, control.controller.is_active) == ([], True)
+
+
+def test_controllers_of_one_process_are_merged_without_a_topic_between(harness, control, told):
+    control.load(ORDER)
+    arguments = ros_arguments(
+        joints="[elbow, shoulder, wrist]",
+        merge=True,
+        controller=NAME,
+        command_timeout=0.5,
+        law="pid",
+        gains__p=10.0,
+        gains__d=3.0,
+        state_timeout=1.0,
+        certify=False,
+    )
+    process = harness.processes.start(
+        "joint_controllers", "joint_controllers", arguments, is_renamed=False
+    )
+    setpoints = {}
+    harness.wait(lambda: control.controller.received, WITHIN, "the first command")
+    assert harness.node.count_publishers("joint_commands") == 0
+    send_to_targets(harness, ORDER, setpoints)
+    harness.wait(lambda: are_there(control), WITHIN, "the joints where they are wanted")
+    assert change(harness, "deactivate", "elbow_controller")
+    harness.wait(lambda: says(told, "silent: elbow"), WITHIN, "the joint that was left")
+    process.process.send_signal(signal.SIGINT)
+    harness.wait(lambda: process.process.poll() is not None, WITHIN, "the end")
+    assert process.process.returncode == 0
+    assert [numbers for _, numbers in control.controller.received][-1] == (0.0, 0.0, 0.0)
+    assert (control.refused, control.controller.is_active) == ([], True)
+
+
+# --- what is sent, and when ---------------------------------------------------------------
+
+
+def test_the_answers_of_all_to_each_state_are_sent_in_order(harness, control):
+    control.load(ORDER)
+    start_merger(harness)
+    command = Commander(harness)
+    command.until(EFFORTS, lambda: control.controller.received, "the first command")
+    for k in range(1, 51):
+        efforts = {joint: effort + k for joint, effort in EFFORTS.items()}
+        command(efforts)
+        expected = tuple(efforts[joint] for joint in ORDER)
+        harness.wait(
+            lambda sent=expected: control.controller.received[-1][1] == sent, WITHIN, "the message"
+        )
+    sent = [numbers for _, numbers in control.controller.received]
+    assert all(a <= b for a, b in itertools.pairwise(sent))  # none goes back
+    assert not control.refused
+
+
+def test_nothing_is_sent_before_every_joint_has_commanded(harness, control, told):
+    control.load(ORDER)
+    start_merger(harness)
+    command = Commander(harness)
+    two = {"wrist": 1.0, "shoulder": 2.0}
+    command.until(two, lambda: says(told, "waiting for commands of elbow"), "the missing joint")
+    assert not control.controller.received
+    command.until(EFFORTS, lambda: control.controller.received, "the first command")
+    assert control.controller.received[0][1] == (1.0, 2.0, 3.0)
+
+
+def test_joints_with_a_fallback_may_be_missing(harness, control):
+    control.load(ORDER)
+    start_merger(harness, **{"fallback_efforts.elbow": -4, "fallback_efforts.wrist": 0.5})
+    command = Commander(harness, ["shoulder"])
+    command.until({"shoulder": 2.0}, lambda: control.controller.received, "the first command")
+    assert control.controller.received[0][1] == (0.5, 2.0, -4.0)
+
+
+def test_a_straggler_delays_nobody_for_long_and_a_silent_joint_not_at_all(harness, control, told):
+    control.load(ORDER)
+    start_merger(harness, **{"command_timeouts.elbow": 0.2})
+    command = Commander(harness)
+    command.until(EFFORTS, lambda: control.controller.received, "the first command")
+    others = {"wrist": 5.0, "shoulder": 6.0}
+    command(others)
+    harness.wait(
+        lambda: control.controller.received[-1][1] == (5.0, 6.0, 3.0), WITHIN, "the others"
+    )
+    command.until(others, lambda: control.efforts()["elbow"] == 0.0, "the fallback")
+    command.until(others, lambda: says(told, "silent: elbow (sent 0)"), "its name")
+
+
+def test_numbers_that_are_none_are_silence_and_named(harness, control, told):
+    control.load(ORDER)
+    start_merger(harness)
+    command = Commander(harness)
+    command.until(EFFORTS, lambda: control.controller.received, "the first command")
+    broken = {**EFFORTS, "elbow": float("nan")}
+    command.until(broken, lambda: says(told, "elbow commands what is not finite"), "its name")
+    command.until(broken, lambda: control.efforts()["elbow"] == 0.0, "the fallback")
+    assert control.controller.dropped == 0
+    assert not control.refused
+
+
+def test_a_second_source_of_a_joint_is_not_obeyed_and_both_are_named(harness, control, told):
+    control.load(ORDER)
+    start_merger(harness)
+    command = Commander(harness)
+    command.until(EFFORTS, lambda: control.controller.received, "the first command")
+    rival = Commander(harness, ["elbow"], "/rival")
+
+    def is_named():
+        rival({"elbow": 99.0})
+        return says(told, "commanded twice: elbow by /elbow_controller and /rival")
+
+    command.until(EFFORTS, is_named, "both of them")
+    assert {numbers[2] for _, numbers in control.controller.received} == {3.0}
+
+
+# --- the receiver -------------------------------------------------------------------------
+
+
+def test_a_controller_that_is_deactivated_is_told_and_served_again_when_it_is_active(
+    harness, control, told
+):
+    control.load(ORDER, kind="group")
+    start_merger(harness)
+    command = Commander(harness)
+    command.until(EFFORTS, lambda: control.controller.received, "the first command")
+    control.switch(False)
+    line = f"/{NAME} is inactive, and discards what it is sent"
+    command.until(EFFORTS, lambda: says(told, line), "the deactivation")
+    assert told.newest()["level"] == DiagnosticStatus.ERROR
+    control.switch(True)
+    command.until(EFFORTS, lambda: control.efforts() == EFFORTS, "the efforts")
+
+
+def test_another_controller_of_the_same_name_is_asked_for_its_joints(harness, control, told):
+    control.load(ORDER)
+    start_merger(harness)
+    command = Commander(harness)
+    command.until(EFFORTS, lambda: control.controller.received, "the first command")
+    for joints in 3 * (["elbow", "wrist"], ["shoulder"], ["elbow", "shoulder", "wrist"]):
+        control.load(joints)  # at once: the merger may not have seen that the other one went
+        command.until(EFFORTS, lambda: control.controller.received, "the first command")
+        expected = tuple(EFFORTS[joint] for joint in joints)
+        assert {numbers for _, numbers in control.controller.received} == {expected}
+    assert not control.refused
+
+
+def test_whoever_listens_beside_the_controller_changes_nothing(harness, control, told):
+    control.load(ORDER)
+    log = start_merger(harness).log
+    command = Commander(harness)
+    command.until(EFFORTS, lambda: says(told, "merging"), "it to merge")
+    before = log.read_text()
+    for k in range(1, 6):
+        efforts = {joint: effort + k for joint, effort in EFFORTS.items()}
+        with listening(harness, Float64MultiArray, f"{NAME}/commands") as heard:
+            command.until(efforts, lambda h=heard: len(h) > 3, "the messages")
+        assert all(len(message.data) == 3 for message in heard)
+    command.until(EFFORTS, lambda: control.efforts() == EFFORTS, "the efforts")
+    assert log.read_text() == before  # it has waited for nobody anew
+    assert not control.refused
+
+
+@pytest.mark.parametrize(
+    ("parameters", "loaded", "line"),
+    [
+        ({"joints": "[elbow, wrist]"}, {}, "those that were given elbow, wrist"),
+        ({}, {"interface": "position"}, "commands the position of its joints, not their effort"),
+        ({"fallback_efforts.knee": 1.0}, {}, "fallback is given for the unknown joint 'knee'"),
+    ],
+)
+def test_a_controller_that_does_not_fit_is_sent_nothing_and_told(
+    harness, control, told, parameters, loaded, line
+):
+    control.load(ORDER, **loaded)
+    start_merger(harness, **parameters)
+    command = Commander(harness)
+    command.until(EFFORTS, lambda: says(told, line), "the reason")
+    assert told.newest()["level"] == DiagnosticStatus.ERROR
+    assert not control.controller.received
+
+
+def test_whoever_subscribes_gets_the_order_that_was_given(harness, told):
+    start_merger(harness, controller=None, joints=str(ORDER), command_interface="joint_state")
+    harness.wait(
+        lambda: says(told, "waiting for somebody to subscribe to /joint_command"),
+        WITHIN,
+        "what it waits for",
+    )
+    command = Commander(harness)
+    with listening(harness, JointState, "joint_command") as heard:
+        command.until(EFFORTS, lambda: heard, "the first command")
+    (first, *_) = heard
+    stamp = first.header.stamp.sec * 10**9 + first.header.stamp.nanosec
+    assert 0 < stamp <= command.stamp
+    assert first.header.frame_id == f"/{MERGER}"
+    assert (list(first.name), list(first.effort)) == (ORDER, [1.0, 2.0, 3.0])
+    command.until(EFFORTS, lambda: says(told, "waiting for somebody"), "nobody to be missed")
+
+
+@pytest.mark.skipif(DynamicJointState is None, reason="control_msgs is not installed")
+def test_dynamic_joint_states_name_joints_and_their_interface(harness):
+    start_merger(harness, controller=None, joints=ORDER, command_interface="dynamic_joint_state")
+    command = Commander(harness)
+    with listening(harness, DynamicJointState, "dynamic_joint_commands") as heard:
+        command.until(EFFORTS, lambda: heard, "the first command")
+    (first, *_) = heard
+    assert 0 < first.header.stamp.sec * 10**9 + first.header.stamp.nanosec <= command.stamp
+    assert list(first.joint_names) == ORDER
+    found = [(list(each.interface_names), list(each.values)) for each in first.interface_values]
+    assert found == [(["effort"], [EFFORTS[joint]]) for joint in ORDER]
+
+
+@pytest.mark.skipif(DynamicJointState is not None, reason="control_msgs is installed")
+def test_a_message_that_is_not_installed_is_one_line_and_exit_code_two(harness):
+    started = start_merger(
+        harness, controller=None, joints=ORDER, command_interface="dynamic_joint_state"
+    )
+    harness.wait(lambda: started.process.poll() is not None, WITHIN, "the refusal")
+    assert started.process.returncode == 2
+    assert "needs the package control_msgs" in started.last_words()
+
+
+# --- the end ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("ending", ["SIGINT", "SIGTERM", "SIGHUP", "deactivate", "shutdown"])
+def test_it_leaves_with_zeros_again_and_again(harness, control, ending):
+    """Nobody acknowledges them, and the receiver keeps the last effort for ever."""
+    control.load(ORDER)
+    process = start_merger(harness).process
+    command = Commander(harness)
+    with listening(harness, Float64MultiArray, f"{NAME}/commands") as heard:
+        command.until(EFFORTS, lambda: heard and control.controller.received, "the first command")
+        leave(harness, process, command, ending)
+
+        def zeros():
+            last = [any(message.data) for message in heard[::-1]]
+            return last.index(True)  # at the end, in a row
+
+        command.until(EFFORTS, lambda: zeros() >= 5, "zeros")
+    command.until(EFFORTS, lambda: set(control.efforts().values()) == {0.0}, "their effect")
+    if ending == "deactivate":
+        assert change(harness, "activate", MERGER)
+        command.until(EFFORTS, lambda: control.efforts() == EFFORTS, "the efforts")
+
+
+def leave(harness, process, command, ending):
+    if ending.startswith("SIG"):
+        process.send_signal(signal.Signals[ending])
+        command.until(EFFORTS, lambda: process.poll() is not None, "the end")
+        assert process.returncode == 0
+    else:
+        assert change(harness, ending, MERGER)
+        expected = {"deactivate": "inactive", "shutdown": "finalized"}[ending]
+        assert state(harness, MERGER) == expected
+
+
+def test_a_process_that_is_stopped_leaves_with_zeros_and_comes_back_from_there(harness, control):
+    control.load(ORDER)
+    process = start_merger(harness, fade_in_time=0.0).process
+    command = Commander(harness)
+    command.until(EFFORTS, lambda: control.controller.received, "the first command")
+    process.send_signal(signal.SIGTSTP)
+    command.until(EFFORTS, lambda: set(control.efforts().values()) == {0.0}, "zeros")
+    process.send_signal(signal.SIGCONT)
+    command.until(EFFORTS, lambda: control.efforts() == EFFORTS, "the efforts")
+
+
+def test_a_second_merger_of_the_same_topic_is_refused_and_others_on_it_are_named(
+    harness, control, told
+):
+    control.load(ORDER)
+    start_merger(harness)
+    command = Commander(harness)
+    command.until(EFFORTS, lambda: control.controller.received, "the first command")
+    second = harness.processes.start("second", MERGER, ros_arguments(controller=NAME))
+    harness.wait(lambda: second.process.poll() is not None, WITHIN, "the refusal")
+    assert second.process.returncode == 1
+    line = f"all that is sent on /{NAME}/commands is commanded by /{MERGER}"
+    assert line in second.log.read_text()
+    harness.node.create_publisher(Float64MultiArray, f"{NAME}/commands", NEWEST_COMMAND)
+    line = f"/robot also publishes on /{NAME}/commands"
+    command.until(EFFORTS, lambda: says(told, line), "the intruder")
+
+
+def test_a_merger_that_is_not_active_does_not_listen(harness, control):
+    control.load(ORDER)
+    start_merger(harness, autostart=False)
+    harness.wait(lambda: MERGER in harness.node.get_node_names(), WITHIN, "the node")
+    assert state(harness, MERGER) == "unconfigured"
+    command = Commander(harness)
+    command(EFFORTS)
+    for label in ("configure", "activate"):
+        assert change(harness, label, MERGER)
+    command.until(EFFORTS, lambda: control.efforts() == EFFORTS, "the efforts")
