@@ -10,7 +10,7 @@ import sys
 from collections.abc import Iterable
 from xml.etree import ElementTree
 
-from hpid_ros.base.names import claim_topic, controller_name
+from hpid_ros.base.names import ALL_JOINTS, claim_topic, controller_name
 from hpid_ros.base.resources import find_resource, share_folder
 from hpid_ros.robot.description import RobotDescription
 
@@ -26,6 +26,8 @@ _POSES = (
     *("odom", "base_pose_ground_truth", "wheel_slip", "ee_pose"),
     *("brick_poses", "grip_events"),
 )
+_MERGER = "joint_command_merger"
+_MERGED = ("~/commands", "joint_command", "dynamic_joint_commands", "/effort_controller/commands")
 _RECORDED = ("joint_trajectory", "joint_commands", "joint_states", *_POSES)
 
 
@@ -51,6 +53,14 @@ def policy(joints: Iterable[str]) -> ElementTree.Element:
             subscribe=("joint_states", "joint_trajectory", "~/setpoint", *_claims(joint)),
             reply=(f"~/{service}" for service in _LIFECYCLE),
         )
+    claims = [claim_topic(commands, ALL_JOINTS) for commands in _MERGED]
+    _allow(
+        _profile(enclaves, "merger", _MERGER),  # as in config/ros2_control
+        publish=(*_MERGED, "~/transition_event", "/diagnostics", *claims),
+        subscribe=("joint_commands", "/controller_manager/activity", "/diagnostics", *claims),
+        reply=(f"~/{service}" for service in _LIFECYCLE),
+        request=("/effort_controller/get_parameters",),
+    )
     profile = _profile(enclaves, "robot", "pybullet_bridge")
     _allow(
         profile,
@@ -69,7 +79,11 @@ def policy(joints: Iterable[str]) -> ElementTree.Element:
         _profile(enclaves, "operator", "operator"),
         publish=(*(f"/{name}/setpoint" for name in controllers), "/pybullet_bridge/wrench"),
         subscribe=("/diagnostics", *_RECORDED),
-        request=[f"/{name}/{each}" for name in controllers for each in (*_PARAMETERS, *_LIFECYCLE)]
+        request=[
+            f"/{name}/{each}"
+            for name in (*controllers, _MERGER)
+            for each in (*_PARAMETERS, *_LIFECYCLE)
+        ]
         + [f"/pybullet_bridge/{each}" for each in ("pause", "step", "reset", "grip")],
     )
     ElementTree.indent(root)

@@ -53,6 +53,13 @@ def test_only_controllers_may_command_and_only_the_robot_may_tell_states():
 @pytest.mark.parametrize(
     ("node", "executable", "parameters"),
     [
+        ("joint_command_merger", "joint_command_merger", {"controller": "effort_controller"}),
+        ("joint_command_merger", "joint_command_merger", {"joints": "[elbow]"}),
+        (
+            "joint_command_merger",
+            "joint_command_merger",
+            {"joints": "[elbow]", "command_interface": "joint_state"},
+        ),
         ("arm_joint_1_controller", "joint_controller", {"joint": "arm_joint_1"}),
         ("pybullet_bridge", "pybullet_bridge", {"fixed_base": True}),
         (
