@@ -19,6 +19,7 @@ from benchmarks.engine import group as engine_group
 from benchmarks.figures import Bound, Figure, Group, Outcome, Source, middle
 from benchmarks.floor_graph import run_floor
 from benchmarks.measuring import figures_of, time_per_item
+from benchmarks.merging import FORMS, Load, measure
 from benchmarks.pendulums import LABEL, pendulum_experiment
 from hpid_ros.base.errors import RunError
 
@@ -213,3 +214,12 @@ def _is_running(pid):
         return "State:\tZ" not in Path(f"/proc/{pid}/status").read_text()
     except (FileNotFoundError, ProcessLookupError):
         return False
+
+
+@pytest.mark.parametrize("form", FORMS.values(), ids=FORMS)
+def test_a_merger_makes_one_message_of_the_answers_to_a_state(form):
+    found = measure(form, Load(["a", "b", "c", "d"], rate=50.0, seconds=1.0, priority=0))
+    assert found["median"] > 0.0
+    assert 0.0 < found["answered"] <= 1.0
+    # A busy machine may lose some, or send a straggler's answer apart.
+    assert (found["messages"] < 2.5) is form.is_merged
