@@ -12,12 +12,23 @@ from hpid_ros.wire.joint_trajectory import (
     TrajectoryArrays,
     decode_float64,
     decode_trajectory,
+    encode_trajectory,
 )
-from hpid_ros.wire.readers import EffortReader, JointReader, JointSample, RobotReader, RobotSample
+from hpid_ros.wire.readers import (
+    EffortReader,
+    GroupReader,
+    JointPart,
+    JointReader,
+    JointSample,
+    RobotReader,
+    RobotSample,
+)
 
 __all__ = [
     "DynamicJointStateTemplate",
     "EffortReader",
+    "GroupReader",
+    "JointPart",
     "JointReader",
     "JointSample",
     "JointStateFields",
@@ -31,4 +42,5 @@ __all__ = [
     "decode_float64",
     "decode_joint_state",
     "decode_trajectory",
+    "encode_trajectory",
 ]

@@ -1,4 +1,4 @@
-"""``trajectory_msgs/msg/JointTrajectory`` from bytes to arrays, without a message object.
+"""``trajectory_msgs/msg/JointTrajectory`` between bytes and arrays, without a message object.
 
 What a message can cost is bounded: it may have only so many points. Points of one layout (all
 have the same arrays, as every planner sends them) are taken as records; where they differ, one
@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import struct
 from array import array
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,7 +20,7 @@ from numpy.typing import NDArray
 
 from hpid_ros.base.errors import MessageError
 from hpid_ros.base.units import NANOSECONDS
-from hpid_ros.wire.cdr import ENCAPSULATION, Cursor, require_nanoseconds
+from hpid_ros.wire.cdr import ENCAPSULATION, Cursor, Writer, require_nanoseconds
 
 MOST_POINTS = 50_000
 """Points of one layout that a message may have."""
@@ -215,7 +216,21 @@ class _Records(NamedTuple):
 def _records(
     raw: bytes, start: int, lengths: tuple[int, ...], count: int
 ) -> tuple[_Records, _Records] | None:
-    """Return the points as records; None if they do not all have arrays of these lengths.
+    """Return the points as records; None if they do not all have arrays of these lengths."""
+    records = _views(raw, start, lengths, count)
+    if records is None:
+        return None
+    for each in records:
+        for k, length in enumerate(lengths):
+            if np.any(each.values[f"count{k}"] != length):
+                return None
+    return records
+
+
+def _views(
+    raw: bytes | bytearray, start: int, lengths: tuple[int, ...], count: int
+) -> tuple[_Records, _Records] | None:
+    """Return where points of one layout lie, as records; None if there is no room for them.
 
     A point is a whole number of four bytes, and its doubles stand at multiples of eight: so there
     are two layouts at most. They take turns, or all points but the first have the second.
@@ -230,15 +245,10 @@ def _records(
     if end > len(raw):
         return None
     which = (slice(0, None, 2), slice(1, None, 2)) if take_turns else (slice(1), slice(1, None))
-    records = (
+    return (
         _Records(which[0], np.ndarray((firsts,), first, raw, start, (stride,))),
         _Records(which[1], np.ndarray((count - firsts,), second, raw, start + size, (stride,))),
     )
-    for each in records:
-        for k, length in enumerate(lengths):
-            if np.any(each.values[f"count{k}"] != length):
-                return None
-    return records
 
 
 def _layout(phase: int, lengths: tuple[int, ...]) -> tuple[np.dtype[Any], int]:
@@ -271,6 +281,70 @@ def _merged(points: tuple[_Records, _Records], field: str) -> NDArray[Any]:
     merged = np.empty((len(one) + len(two), *one.shape[1:]), one.dtype)
     merged[points[0].which], merged[points[1].which] = one, two
     return merged
+
+
+def encode_trajectory(
+    stamp_ns: int,
+    names: Sequence[str],
+    times_ns: NDArray[np.int64],
+    derivatives: tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]],
+) -> bytes:
+    """Serialise a JointTrajectory, little endian.
+
+    Args:
+        stamp_ns: ``header.stamp`` in [ns], not negative.
+        names: Joint names.
+        times_ns: Time from start of each point in [ns], shape (points,), at least one.
+        derivatives: Positions, velocities and accelerations, each of shape (points, joints); a
+            point whose row begins with NaN has none of them.
+    """
+    writer = Writer()
+    seconds, nanoseconds = divmod(stamp_ns, NANOSECONDS)
+    writer.scalar("i", seconds)
+    writer.scalar("I", nanoseconds)
+    writer.string("")
+    writer.scalar("I", len(names))
+    for name in names:
+        writer.string(name)
+    writer.scalar("I", len(times_ns))
+    columns = [np.where(np.isnan(each[:, 0]), 0, len(names)) for each in derivatives]
+    lengths = np.stack([*columns, np.zeros_like(columns[0])], axis=1)  # no efforts
+    if np.all(lengths == lengths[0]):
+        return _as_records(writer.raw, times_ns, derivatives, tuple(lengths[0].tolist()))
+    seconds_of, nanoseconds_of = np.divmod(times_ns, NANOSECONDS)
+    for index, row in enumerate(lengths.tolist()):
+        for k, length in enumerate(row):
+            writer.scalar("I", length)
+            if length:
+                writer.doubles(derivatives[k][index].tolist())
+        writer.scalar("i", int(seconds_of[index]))
+        writer.scalar("I", int(nanoseconds_of[index]))
+    return writer.raw
+
+
+def _as_records(
+    head: bytes,
+    times_ns: NDArray[np.int64],
+    derivatives: Sequence[NDArray[np.float64]],
+    lengths: tuple[int, ...],
+) -> bytes:
+    """Return a message whose points have one layout, behind what stands before them."""
+    count, start = len(times_ns), len(head) + -len(head) % 4
+    most = sum(4 + 4 + 8 * length for length in lengths) + 8  # of a point, with its padding
+    raw = bytearray(start + count * most)
+    raw[: len(head)] = head
+    records = _views(raw, start, lengths, count)
+    assert records is not None  # there is room for the largest points
+    seconds, nanoseconds = np.divmod(times_ns, NANOSECONDS)
+    end = start
+    for which, values in records:
+        for k, length in enumerate(lengths):
+            values[f"count{k}"] = length
+            if length:
+                values[f"array{k}"] = derivatives[k][which]
+        values["seconds"], values["nanoseconds"] = seconds[which], nanoseconds[which]
+        end += len(values) * values.dtype.itemsize
+    return bytes(memoryview(raw)[:end])
 
 
 def decode_float64(raw: bytes) -> float:

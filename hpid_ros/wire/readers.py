@@ -1,4 +1,4 @@
-"""Readers of states and commands: one joint's numbers, or a whole robot's, out of the bytes."""
+"""Readers of states and commands: one joint's numbers, or several joints', out of the bytes."""
 
 from __future__ import annotations
 
@@ -246,6 +246,94 @@ class RobotReader:
         self._numbers = struct.Struct(numbers)
         self._picks = tuple(picks)
         self._layout = layout
+
+
+class JointPart(NamedTuple):
+    """One of several joints in a JointState.
+
+    Attributes:
+        joint: Its place among the joints that were asked for.
+        position: In [rad] or [m].
+        velocity: In [rad/s] or [m/s]; None when the message has no velocities.
+    """
+
+    joint: int
+    position: float
+    velocity: float | None
+
+
+class _Known(NamedTuple):
+    """A layout, and where its joints are."""
+
+    layout: JointStateLayout
+    numbers: struct.Struct
+    places: tuple[tuple[int, int], ...]  # among the joints that were asked for; in the message
+
+
+class GroupReader:
+    """Finds whichever of several joints serialised JointStates have.
+
+    As in :class:`~hpid_ros.wire.readers.JointReader` offsets are learned, here of several layouts:
+    the joints of a robot may be told by several publishers.
+
+    Args:
+        joints: The joints to look for.
+    """
+
+    _LAYOUTS_AT_MOST = 16
+
+    def __init__(self, joints: Sequence[str]) -> None:
+        self.joints = tuple(joints)
+        self._known: list[_Known] = []
+        self._stamp = struct.Struct("<iI")
+
+    def read(self, raw: bytes) -> tuple[int, Sequence[JointPart]]:
+        """Return the stamp in [ns], and those of the joints that the message has.
+
+        Raises:
+            MessageError: The bytes are no JointState, its stamp is impossible, it names one of
+                the joints twice, or an array that holds one has another length than the names.
+        """
+        known = next((each for each in self._known if each.layout.matches(raw)), None)
+        if known is None:
+            return self._learn(raw)
+        layout, numbers, places = known
+        seconds, nanoseconds = self._stamp.unpack_from(raw, STAMP_OFFSET)
+        if nanoseconds >= NANOSECONDS:
+            require_nanoseconds(nanoseconds)
+        stamp_ns = seconds * NANOSECONDS + nanoseconds
+        if not places:
+            return stamp_ns, ()
+        positions = numbers.unpack_from(raw, layout.position)
+        if not layout.velocity:
+            return stamp_ns, [JointPart(j, positions[k], None) for j, k in places]
+        velocities = numbers.unpack_from(raw, layout.velocity)
+        return stamp_ns, [JointPart(j, positions[k], velocities[k]) for j, k in places]
+
+    def _learn(self, raw: bytes) -> tuple[int, Sequence[JointPart]]:
+        fields = decode_joint_state(raw)
+        count = len(fields.names)
+        found = [(j, joint) for j, joint in enumerate(self.joints) if joint in fields.names]
+        for _, joint in found:
+            if fields.names.count(joint) != 1:
+                raise MessageError(
+                    f"a JointState must name each joint once, not {joint!r} "
+                    f"{fields.names.count(joint)} times"
+                )
+        if found and (len(fields.position) != count or len(fields.velocity) not in (0, count)):
+            raise MessageError(
+                f"a JointState of {count} names must have {count} positions and 0 or {count} "
+                f"velocities, not {len(fields.position)} and {len(fields.velocity)}"
+            )
+        places = tuple((j, fields.names.index(joint)) for j, joint in found)
+        lengths = len(fields.position), len(fields.velocity), len(fields.effort)
+        layout = JointStateLayout.for_fields(fields.names, fields.frame_id, lengths)
+        if layout.matches(raw) and len(self._known) < self._LAYOUTS_AT_MOST:
+            self._known.append(_Known(layout, struct.Struct(f"<{count}d"), places))
+        return fields.stamp_ns, [
+            JointPart(j, fields.position[k], fields.velocity[k] if fields.velocity else None)
+            for j, k in places
+        ]
 
 
 def _picking(places: Sequence[int]) -> _Pick:
