@@ -8,6 +8,8 @@ from hpid_ros.wire.joint_state import (
     decode_joint_state,
 )
 from hpid_ros.wire.joint_trajectory import (
+    MOST_MIXED_POINTS,
+    MOST_POINTS,
     MixedTrajectory,
     TrajectoryArrays,
     decode_float64,
@@ -26,6 +28,8 @@ from hpid_ros.wire.readers import (
 
 __all__ = [
     "DynamicJointStateTemplate",
+    "MOST_MIXED_POINTS",
+    "MOST_POINTS",
     "EffortReader",
     "GroupReader",
     "JointPart",

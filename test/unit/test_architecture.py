@@ -29,6 +29,7 @@ ALLOWED = {
     "robot": {"documents"},
     "stability": {"control"},
     "compensation": {"control", "robot"},
+    "goals": {"control", "trajectory", "wire"},
     "planning": {"documents", "robot", "trajectory"},
     "simulation": {"compensation", "control", "documents", "planning", "robot", "wire"},
     "bags": {"documents", "recordings", "trajectory", "wire"},
@@ -54,7 +55,7 @@ ONLY_IN = {
     "matplotlib": {"report"},
     "jinja2": {"report"},
 }
-PURE = {"control", "merging", "trajectory", "wire", "recordings"}
+PURE = {"control", "goals", "merging", "trajectory", "wire", "recordings"}
 PURE_LIBRARIES = {"numpy", "scipy"}
 # The only modules that may touch what another package keeps to itself.
 INTERNALS = {"nodes/ros/rclpy_internals.py", "bags/rosbags_internals.py"}

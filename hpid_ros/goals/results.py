@@ -1,0 +1,52 @@
+"""How a goal ends: codes of FollowJointTrajectory, and the line that says why.
+
+Source: ``control_msgs/action/FollowJointTrajectory``, the constants of its result.
+"""
+
+from __future__ import annotations
+
+from enum import IntEnum
+from typing import NamedTuple
+
+from hpid_ros.base.errors import TrajectoryError
+
+
+class ResultCode(IntEnum):
+    """``error_code`` of a result."""
+
+    SUCCESSFUL = 0
+    INVALID_GOAL = -1
+    INVALID_JOINTS = -2
+    OLD_HEADER_TIMESTAMP = -3
+    PATH_TOLERANCE_VIOLATED = -4
+    GOAL_TOLERANCE_VIOLATED = -5
+
+
+class Result(NamedTuple):
+    """How a goal ended.
+
+    Attributes:
+        code: What a program looks at.
+        text: What a person reads, one line.
+    """
+
+    code: ResultCode
+    text: str
+
+
+class GoalError(TrajectoryError):
+    """A goal that is not obeyed.
+
+    Args:
+        text: One line: what came, and what is allowed.
+        code: The code that its client gets.
+    """
+
+    def __init__(self, text: str, code: ResultCode = ResultCode.INVALID_GOAL) -> None:
+        super().__init__(text)
+        self.code = code
+
+    @property
+    def result(self) -> Result:
+        """The result that its client gets."""
+        return Result(self.code, str(self))

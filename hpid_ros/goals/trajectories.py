@@ -1,0 +1,219 @@
+"""A goal's trajectory: what came, checked, and what all joints of the group are told for it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hpid_ros.base.errors import TrajectoryError, unknown_name
+from hpid_ros.base.units import NANOSECONDS
+from hpid_ros.goals.results import GoalError, ResultCode
+from hpid_ros.goals.settings import GroupSettings
+from hpid_ros.goals.tolerances import AskedTolerance, Tolerances
+from hpid_ros.trajectory import Column
+from hpid_ros.trajectory.joint_trajectory import (
+    Integers,
+    Numbers,
+    Point,
+    checked_column,
+    require_arrays,
+)
+from hpid_ros.wire import MOST_MIXED_POINTS, MOST_POINTS
+
+_AT_REST = 1.2e-7  # [rad/s, m/s], float32's epsilon, as JTC takes it
+_WAITS_AT_MOST = 3600  # [s] for the start of a goal
+
+
+@dataclass(frozen=True, eq=False)
+class GoalRequest:
+    """A goal that is a trajectory, whoever may follow it; made by :meth:`checked`.
+
+    Attributes:
+        names: Its joints, each once.
+        stamp_ns: When it starts in [ns]; 0 means now.
+        times_ns: Time from start of each point in [ns], shape (points,).
+        derivatives: Positions, velocities and accelerations, each of shape (points, joints); a
+            row of NaN where a point has none.
+        path_tolerance: What it asks for while it lasts.
+        goal_tolerance: What it asks for at its end.
+        goal_time_tolerance: In [s]; 0 is the default, -1 waits for ever.
+    """
+
+    names: tuple[str, ...]
+    stamp_ns: int
+    times_ns: Integers
+    derivatives: tuple[Numbers, Numbers, Numbers]
+    path_tolerance: tuple[AskedTolerance, ...] = ()
+    goal_tolerance: tuple[AskedTolerance, ...] = ()
+    goal_time_tolerance: float = 0.0
+
+    def require_trajectory(self, lengths: Integers, point: Callable[[int], Point]) -> None:
+        """Refuse what is no trajectory.
+
+        Args:
+            lengths: Numbers that each point has in each array, shape (points, 3).
+            point: Returns one point as it came.
+
+        Raises:
+            GoalError: As for :class:`~hpid_ros.trajectory.JointTrajectory`, or more points than
+                controllers take.
+        """
+        if not self.names or len(set(self.names)) != len(self.names):
+            raise GoalError(
+                f"a goal must name each of its joints once, not {list(self.names)}",
+                ResultCode.INVALID_JOINTS,
+            )
+        is_mixed = bool(np.any(lengths != lengths[:1]))
+        most = (MOST_MIXED_POINTS if is_mixed else MOST_POINTS) - 1  # one may be put before them
+        if len(self.times_ns) > most:
+            differing = " whose points differ in their arrays" if is_mixed else ""
+            raise GoalError(f"a goal{differing} may have {most} points, not {len(self.times_ns)}")
+        try:
+            require_arrays(
+                self.names, self.stamp_ns, self.times_ns, self.derivatives, lengths, point
+            )
+        except TrajectoryError as error:
+            raise GoalError(str(error)) from None
+
+    def require_group(self, settings: GroupSettings) -> Tolerances:
+        """Refuse what is not for these joints, and return the tolerances that hold.
+
+        Args:
+            settings: Of the group.
+
+        Raises:
+            GoalError: Joints that are not the group's, a trajectory that ends in motion, or
+                tolerances that are none.
+        """
+        for joint in self.names:
+            if joint not in settings.joints:
+                line = unknown_name("joint", joint, settings.joints)
+                raise GoalError(line, ResultCode.INVALID_JOINTS)
+        lacking = [joint for joint in settings.joints if joint not in self.names]
+        if lacking and not settings.allows_partial_goals:
+            raise GoalError(
+                f"the goal lacks {', '.join(lacking)}; it must name all joints unless "
+                f"allow_partial_joints_goal is true",
+                ResultCode.INVALID_JOINTS,
+            )
+        last = self.derivatives[1][-1]
+        if not settings.allows_final_velocity:
+            for joint, velocity in zip(self.names, last.tolist(), strict=True):
+                if abs(velocity) > _AT_REST:  # NaN, where there is none, is not
+                    unit = settings.facts[settings.joints.index(joint)].unit
+                    raise GoalError(
+                        f"the last point must be at rest, not {joint} at {velocity:g} {unit}/s, "
+                        f"unless allow_nonzero_velocity_at_trajectory_end is true"
+                    )
+        return settings.tolerances.asked(
+            self.path_tolerance, self.goal_tolerance, self.goal_time_tolerance
+        )
+
+    def start(self, now_ns: int) -> int:
+        """Return the instant at which the goal starts, in [ns].
+
+        Args:
+            now_ns: The control clock in [ns].
+
+        Raises:
+            GoalError: It ended in the past, or starts in an hour or later: its stamp is of
+                another clock.
+        """
+        if self.stamp_ns == 0:
+            # One nanosecond ago: for every controller it is under way, whichever state it is at.
+            return max(now_ns - 1, 1)
+        end_ns = self.stamp_ns + int(self.times_ns[-1])
+        if end_ns < now_ns:
+            raise GoalError(
+                f"the goal ended at {_seconds(end_ns)} s, in the past: the stamps of joint_states "
+                f"say {_seconds(now_ns)} s",
+                ResultCode.OLD_HEADER_TIMESTAMP,
+            )
+        if self.stamp_ns > now_ns + _WAITS_AT_MOST * NANOSECONDS:
+            raise GoalError(
+                f"the goal must start within {_WAITS_AT_MOST} s, not at "
+                f"{_seconds(self.stamp_ns)} s: the stamps of joint_states say "
+                f"{_seconds(now_ns)} s"
+            )
+        return self.stamp_ns
+
+
+def _seconds(instant_ns: int) -> str:
+    return f"{instant_ns / NANOSECONDS:.3f}"
+
+
+@dataclass(frozen=True, eq=False)
+class GroupTrajectory:
+    """What all joints of a group are told at once.
+
+    Attributes:
+        names: The joints.
+        stamp_ns: When it starts in [ns]; never 0.
+        times_ns: Time from start of each point in [ns], shape (points,).
+        derivatives: Positions, velocities and accelerations, each of shape (points, joints); a
+            row of NaN where a point has none.
+    """
+
+    names: tuple[str, ...]
+    stamp_ns: int
+    times_ns: Integers
+    derivatives: tuple[Numbers, Numbers, Numbers]
+
+    @property
+    def end_ns(self) -> int:
+        """The instant of the last point in [ns]."""
+        return self.stamp_ns + int(self.times_ns[-1])
+
+    def column(self, joint: int) -> Column:
+        """Return one joint's part.
+
+        Args:
+            joint: Its place among the names.
+        """
+        name = self.names[joint]
+        return checked_column(name, joint, self.stamp_ns, self.times_ns, self.derivatives)
+
+
+def for_all_joints(
+    request: GoalRequest,
+    joints: Sequence[str],
+    start_ns: int,
+    now_ns: int,
+    standing: Sequence[Sequence[float]],
+    rest: Sequence[float],
+) -> GroupTrajectory:
+    """Return what all joints are told for a goal, which may name some of them only.
+
+    The others are told to rest. The first point is never in the future: where the goal's own is,
+    one is put before it, at which the joints are where their references stand now. So the goal
+    is under way for every controller, whenever it takes it up, and none of them jumps: it glides.
+
+    Args:
+        request: The goal.
+        joints: All joints.
+        start_ns: When the goal starts in [ns].
+        now_ns: The control clock in [ns].
+        standing: Position, velocity and acceleration of each joint's reference now.
+        rest: Where each joint that is not named comes to rest, in [rad] or [m].
+    """
+    named = [joints.index(name) for name in request.names]
+    times_ns = request.times_ns
+    derivatives = []
+    for order, given in enumerate(request.derivatives):
+        values = np.zeros((len(times_ns), len(joints)))
+        values[:] = rest if order == 0 else 0.0
+        values[:, named] = given
+        values[np.isnan(given[:, 0])] = np.nan
+        derivatives.append(values)
+    before_ns = max(now_ns - 1, 0) - start_ns
+    if times_ns[0] > before_ns:
+        times_ns = np.concatenate([[before_ns], times_ns])
+        for order, values in enumerate(derivatives):
+            first = np.array(rest if order == 0 else [0.0] * len(joints))
+            first[named] = [standing[joint][order] for joint in named]
+            first[np.isnan(values[0])] = np.nan
+            derivatives[order] = np.vstack([first, values])
+    p, v, a = derivatives
+    return GroupTrajectory(tuple(joints), start_ns, times_ns, (p, v, a))

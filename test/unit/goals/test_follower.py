@@ -1,0 +1,472 @@
+"""The course of goals over loops that get their messages late: reached, ended, stopped."""
+
+import numpy as np
+import pytest
+from harness.groups import MS, SECOND, SimulatedGroup, at_rest, goal
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hpid_ros.control.reference import Setpoint
+from hpid_ros.goals import AskedTolerance, GoalError, JointFacts, ResultCode
+
+THERE = {"shoulder": [0.0, 0.4, 1.0], "elbow": [0.0, -0.3, -0.5]}
+TIMES = [0.0, 0.5, 1.0]
+
+
+def moving(stamp_ns=0, **asked):
+    return goal(THERE, TIMES, at_rest(THERE), stamp_ns=stamp_ns, **asked)
+
+
+def started(**values):
+    group = SimulatedGroup(**values)
+    group.run(0.2)
+    group.begin(moving())
+    return group
+
+
+@pytest.mark.parametrize("most_delay", [0, 5, 40])
+def test_a_goal_is_reached_and_the_reference_follows_it_from_one_instant(most_delay):
+    group = started(most_delay=most_delay, **{"constraints.elbow.goal": 1e-3})
+    group.run(3.0, until=lambda: group.results)
+    assert group.results == [(ResultCode.SUCCESSFUL, "goal reached")]
+    assert group.position == pytest.approx([1.0, -0.5], abs=2e-3)
+    (told,) = group.told
+    for joint in range(2):
+        stamps, reference, _, _, _ = group.logged(joint)
+        meant = told.column(joint).start(told.stamp_ns, 0.0)
+        late = stamps > (told.stamp_ns + 0.6 * SECOND) / SECOND
+        wanted = [meant.sample(round(stamp * SECOND)).position for stamp in stamps[late]]
+        assert reference[late] == pytest.approx(wanted, abs=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_what_is_desired_is_what_the_controllers_follow(seed):
+    group = started(seed=seed)
+    for _ in range(1000):
+        group.step()
+        desired = [each[0] for each in group.follower.feedback().desired]
+        assert desired == pytest.approx([loop.reference[0] for loop in group.loops], abs=4e-3)
+
+
+def test_feedback_tells_reference_measurement_and_their_difference_from_the_first_moment_on():
+    group = SimulatedGroup()
+    group.run(0.2)
+    assert group.follower.feedback() is None
+    group.begin(moving())
+    for _ in range(300):
+        feedback = group.follower.feedback()
+        assert feedback.stamp_ns == group.stamp_ns
+        for desired, actual, error in zip(
+            feedback.desired, feedback.actual, feedback.error, strict=True
+        ):
+            assert error == (desired[0] - actual[0], desired[1] - actual[1])
+        group.step()
+    assert feedback.since_start_ns == pytest.approx(0.3 * SECOND, abs=2 * MS)
+
+
+def test_a_joint_that_is_blocked_aborts_and_holds_where_it_is_with_little_effort():
+    group = started(**{"constraints.elbow.trajectory": 0.1, "constraints.stop_duration": 0.3})
+    group.run(0.3)
+    group.blocked = {1}
+    group.run(2.0, until=lambda: group.results)
+    (result,) = group.results
+    assert result.code is ResultCode.PATH_TOLERANCE_VIOLATED
+    assert result.text.startswith("elbow is 0.1")
+    assert "its tolerance is 0.1 rad" in result.text
+    assert "of 1 s" in result.text
+    before = abs(group.logged(1)[4][-1])
+    group.run(1.0)
+    stuck = group.position[1]
+    assert group.loops[1].reference == (pytest.approx(stuck, abs=1e-9), 0.0)
+    # Its integral stays what it was; the proportional effort against the block is gone.
+    assert abs(group.logged(1)[4][-1]) < before
+    assert abs(group.loops[1].terms.p) < 1e-6
+    # The other one has stopped where it was going, and holds.
+    assert group.loops[0].reference == (pytest.approx(group.position[0], abs=2e-3), 0.0)
+    assert 0.2 < group.position[0] < 1.0
+
+
+def test_a_goal_that_is_not_reached_in_time_is_aborted_and_one_without_a_time_waits():
+    group = started(**{"constraints.shoulder.goal": 0.01})
+    group.blocked = {0}
+    group.run(5.0)
+    assert group.results == []
+    group.follower.cancel()
+    group = SimulatedGroup(**{"constraints.shoulder.goal": 0.01, "constraints.goal_time": 0.5})
+    group.run(0.2)
+    group.begin(moving())
+    group.blocked = {0}
+    assert group.run(5.0, until=lambda: group.results) == pytest.approx(1.5, abs=0.01)
+    (result,) = group.results
+    assert result.code is ResultCode.GOAL_TOLERANCE_VIOLATED
+    assert "shoulder is 1 rad from its reference" in result.text
+
+
+def test_a_joint_that_still_moves_has_not_arrived():
+    group = started()
+    group.run(1.2, until=lambda: group.results)
+    arrived = group.results[:]
+    assert arrived
+    rolling = SimulatedGroup(**{"constraints.stopped_velocity_tolerance": 1e-9})
+    rolling.run(0.2)
+    rolling.begin(moving())
+    rolling.run(1.2, until=lambda: rolling.results)
+    assert rolling.results == []
+
+
+@settings(max_examples=10)
+@given(st.floats(0.1, 0.9), st.floats(2.0, 20.0), st.integers(0, 9), st.integers(0, 20))
+def test_a_cancelled_goal_decelerates_within_its_limit_and_holds(at, most, seed, most_delay):
+    name = "max_deceleration_on_cancel"
+    group = SimulatedGroup(
+        seed=seed,
+        most_delay=most_delay,
+        **{f"constraints.shoulder.{name}": most, f"constraints.elbow.{name}": 0.5 * most},
+    )
+    group.run(0.2)
+    group.begin(moving())
+    group.run(at)
+    now = group.stamp_ns / SECOND
+    group.cancel()
+    assert group.results == [(ResultCode.SUCCESSFUL, "cancelled: the joints stop and hold")]
+    assert not group.follower.is_active
+    group.run(0.05 + 1.6 / (0.5 * most) + 0.6)
+    for joint, limit in enumerate((most, 0.5 * most)):
+        stamps, reference, velocity, _, _ = group.logged(joint)
+        after = stamps > now + 0.051
+        # A controller that took the goal up late glides onto it still; that comes on top.
+        glide = 0.025 * most_delay  # [rad/s^2]
+        assert np.abs(np.diff(velocity[after])).max(initial=0.0) <= (limit + glide) * 1e-3
+        assert velocity[-1] == 0.0
+        assert np.abs(np.diff(reference)).max() < 2e-3
+        assert np.ptp(reference[stamps > stamps[-1] - 0.3]) == 0.0
+
+
+@settings(max_examples=10)
+@given(st.floats(0.1, 0.9), st.floats(0.001, 0.2))
+def test_a_stop_never_passes_a_position_limit(at, room):
+    most = {"constraints.shoulder.max_deceleration_on_cancel": 0.5}
+    group = SimulatedGroup(("shoulder",), **most)
+    group.run(0.2)
+    request = goal({"shoulder": [0.0, 1.0]}, [0.0, 1.0], {"shoulder": [0.0, 0.0]})
+    group.begin(request)
+    group.run(at)
+    upper = group.loops[0].reference[0] + room
+    limited = SimulatedGroup(("shoulder",), {"shoulder": JointFacts(upper=upper)}, **most)
+    limited.run(0.2)
+    limited.begin(request)
+    limited.run(at)
+    limited.cancel()
+    (told,) = limited.told[1:]
+    assert told.derivatives[0].max() <= upper
+    stop = told.column(0).start(limited.stamp_ns, 0.0)
+    path = [stop.sample(told.stamp_ns + k * MS).position for k in range(3000)]
+    assert max(path) <= upper + 1e-12
+    assert path[-1] == path[-2]
+
+
+def test_a_new_goal_replaces_the_old_one_without_a_jump():
+    group = started(**{"constraints.shoulder.goal": 2e-3, "constraints.elbow.goal": 2e-3})
+    group.run(0.5)
+    back = {"shoulder": [0.2], "elbow": [0.1]}
+    group.begin(goal(back, [1.0], at_rest(back)))
+    assert group.results == [(ResultCode.INVALID_GOAL, "replaced by a new goal")]
+    group.run(2.0, until=lambda: len(group.results) > 1)
+    assert group.results[1].code is ResultCode.SUCCESSFUL
+    assert group.position == pytest.approx([0.2, 0.1], abs=2e-3)
+    for joint in range(2):
+        _, reference, velocity, _, effort = group.logged(joint)
+        assert np.abs(np.diff(reference)).max() < 2.5e-3
+        assert np.abs(np.diff(velocity)).max() < 0.03
+        assert np.abs(np.diff(effort)).max() < 1.0
+
+
+def test_a_new_goal_that_begins_elsewhere_is_glided_onto():
+    group = started()
+    group.run(0.5)
+    far = {"shoulder": [0.0, 0.0], "elbow": [0.0, 0.0]}
+    group.begin(goal(far, [0.0, 1.0], at_rest(far)))
+    group.run(0.6)
+    for joint in range(2):
+        _, reference, velocity, _, _ = group.logged(joint)
+        assert np.abs(np.diff(reference)).max() < 4e-3
+        assert np.abs(np.diff(velocity)).max() < 0.05
+        assert reference[-1] == 0.0
+
+
+def test_joints_that_a_goal_does_not_name_rest_and_never_swing_back():
+    group = SimulatedGroup(allow_partial_joints_goal=True)
+    group.run(0.2)
+    group.begin(moving())
+    group.run(0.5)
+    only = {"elbow": [0.0]}
+    begun = group.begin(goal(only, [10.0], at_rest(only)))
+    assert begun.told.names == ("shoulder", "elbow")
+    before = group.loops[0].reference
+    group.run(1.0)
+    path = group.logged(0)[1]
+    assert np.all(np.diff(path) >= 0.0)
+    assert path[-1] == pytest.approx(before[0] + 0.25 * before[1], abs=5e-3)
+    assert group.loops[0].reference[1] == 0.0
+
+
+def test_a_goal_for_some_joints_leaves_the_others_where_their_references_stand():
+    group = SimulatedGroup(allow_partial_joints_goal=True)
+    group.loops[0].follow(Setpoint(0.7))  # told by somebody else before
+    group.run(2.0)
+    only = {"elbow": [0.5]}
+    group.begin(goal(only, [1.0], at_rest(only)))
+    group.run(2.0)
+    assert group.results[0].code is ResultCode.SUCCESSFUL
+    assert group.loops[0].reference == (0.7, 0.0)
+
+
+def test_a_goal_with_a_stamp_begins_then_and_one_that_is_under_way_is_joined():
+    group = SimulatedGroup(start_ns=100 * SECOND)
+    group.run(0.2)
+    group.begin(moving(stamp_ns=101 * SECOND))
+    group.run(0.7)
+    assert [loop.reference[0] for loop in group.loops] == [0.0, 0.0]
+    group.run(3.0, until=lambda: group.results)
+    assert group.stamp_ns == pytest.approx(102 * SECOND, abs=0.05 * SECOND)
+    assert group.results[0].code is ResultCode.SUCCESSFUL
+    joining = SimulatedGroup(start_ns=100 * SECOND)
+    joining.run(0.2)
+    joining.begin(moving(stamp_ns=round(99.7 * SECOND)))
+    joining.run(3.0, until=lambda: joining.results)
+    assert 100.7 * SECOND < joining.stamp_ns < 101.2 * SECOND
+    for joint in range(2):
+        assert np.abs(np.diff(joining.logged(joint)[1])).max() < 4e-3
+
+
+def test_goals_of_another_clock_are_refused():
+    group = SimulatedGroup(start_ns=100 * SECOND)
+    group.run(0.2)
+    with pytest.raises(GoalError, match=r"ended at 51\.000 s, in the past.*say 100\.200 s") as old:
+        group.begin(moving(stamp_ns=50 * SECOND))
+    assert old.value.code is ResultCode.OLD_HEADER_TIMESTAMP
+    with pytest.raises(GoalError, match="must start within 3600 s"):
+        group.begin(moving(stamp_ns=1_700_000_000 * SECOND))
+    assert not group.follower.is_active
+
+
+def test_a_goal_that_is_refused_leaves_the_one_before_it():
+    group = started()
+    group.run(0.3)
+    with pytest.raises(GoalError):
+        group.begin(goal({"elbow": [1.0]}, [1.0]))
+    group.run(2.0, until=lambda: group.results)
+    assert [each.code for each in group.results] == [ResultCode.SUCCESSFUL]
+
+
+def test_no_goal_is_taken_before_there_are_states_and_after_they_have_stopped():
+    group = SimulatedGroup()
+    with pytest.raises(GoalError, match="no state of shoulder yet"):
+        group.begin(moving())
+    group.run(0.2)
+    assert group.follower.lapse(0.6) is None
+    with pytest.raises(GoalError, match=r"no new state for 0\.6 s"):
+        group.begin(moving())
+    group.run(0.01)
+    group.begin(moving())
+
+
+def test_states_that_stop_abort_the_goal_and_the_joints_hold_where_they_are_found_again():
+    group = started()
+    group.run(0.5)
+    outcome = group.follower.lapse(0.7)
+    assert outcome.result.code is ResultCode.INVALID_GOAL
+    assert "no new state for 0.7 s" in outcome.result.text
+    assert outcome.told is None
+    group.position = [-0.3, 0.2]  # somebody has moved the arm meanwhile
+    group.velocity = [0.0, 0.0]
+    group.stamp_ns += SECOND
+    group.run(1.5)
+    assert [loop.reference for loop in group.loops] == [
+        (pytest.approx(-0.3, abs=0.01), 0.0),
+        (pytest.approx(0.2, abs=0.01), 0.0),
+    ]
+
+
+def test_a_paused_simulation_aborts_nothing():
+    group = started(state_clock="simulated")
+    group.run(0.5)
+    assert group.follower.lapse(60.0) is None
+    with pytest.raises(GoalError, match="no new state for 60 s"):
+        group.begin(moving())
+    group.run(1.0, until=lambda: group.results)
+    assert [each.code for each in group.results] == [ResultCode.SUCCESSFUL]
+
+
+def test_a_clock_that_goes_back_aborts_the_goal_and_moves_nothing():
+    group = started(start_ns=50 * SECOND)
+    group.run(0.5)
+    group.stamp_ns = 0
+    group.position, group.velocity = [0.0, 0.0], [0.0, 0.0]
+    group.run(3.0)
+    (result,) = group.results
+    assert result.code is ResultCode.INVALID_GOAL
+    assert "clock of the states went back by 50.7 s" in result.text
+    assert group.position == pytest.approx([0.0, 0.0], abs=1e-3)
+    group.begin(moving())
+    group.run(2.0, until=lambda: len(group.results) > 1)
+    assert group.results[1].code is ResultCode.SUCCESSFUL
+    # Of an idle group, too: its controllers would begin the last trajectory anew.
+    group.stamp_ns = 0
+    group.position, group.velocity = [0.0, 0.0], [0.0, 0.0]
+    group.run(3.0)
+    assert group.position == pytest.approx([0.0, 0.0], abs=1e-3)
+
+
+def test_a_joint_that_is_missing_from_the_states_aborts_the_goal():
+    group = started()
+    group.run(0.3)
+    group.seen = lambda parts: parts[:1]
+    assert group.run(2.0, until=lambda: group.results) == pytest.approx(0.5, abs=0.01)
+    (result,) = group.results
+    assert "elbow has had no state for 0.5" in result.text
+    with pytest.raises(GoalError, match="elbow has had no state"):
+        group.begin(moving())
+
+
+def test_a_controller_that_tells_its_reference_no_more_aborts_the_goal():
+    group = started()
+    group.run(0.3)
+    group.mute = {1}
+    group.run(2.0, until=lambda: group.results)
+    assert "the controller of elbow has told no reference for 0.5" in group.results[0].text
+    with pytest.raises(GoalError, match="controller of elbow has told no reference"):
+        group.begin(moving())
+    group.mute = set()
+    group.run(0.1)
+    group.begin(moving())
+
+
+def test_controllers_that_never_tell_their_references_are_taken_at_their_word():
+    group = SimulatedGroup()
+    group.mute = {0, 1}
+    group.run(0.2)
+    group.begin(moving())
+    group.run(2.0, until=lambda: group.results)
+    assert group.results[0].code is ResultCode.SUCCESSFUL
+
+
+@pytest.mark.parametrize("is_deaf", [True, False])
+def test_a_controller_that_follows_something_else_aborts_the_goal(is_deaf):
+    group = SimulatedGroup()
+    group.deaf = {1} if is_deaf else set()
+    group.run(0.2)
+    long = {name: [0.0, path[-1]] for name, path in THERE.items()}
+    group.begin(goal(long, [0.0, 4.0], at_rest(long)))
+    if not is_deaf:
+        group.run(1.0)
+        group.loops[1].follow(Setpoint(0.3))
+    group.run(5.0, until=lambda: group.results)
+    (result,) = group.results
+    assert result.code is ResultCode.INVALID_GOAL
+    assert "the reference of elbow's controller is at" in result.text
+    assert "follows something else" in result.text
+
+
+def test_a_tolerance_of_the_goal_replaces_the_default_and_minus_one_removes_it():
+    default = {"constraints.elbow.trajectory": 0.05, "constraints.elbow.goal": 0.05}
+    for asked, code in (
+        ({}, ResultCode.PATH_TOLERANCE_VIOLATED),
+        ({"path_tolerance": (AskedTolerance("elbow", -1.0),)}, None),
+        (
+            {
+                "path_tolerance": (AskedTolerance("elbow", 2.0),),
+                "goal_time_tolerance": 0.2,
+            },
+            ResultCode.GOAL_TOLERANCE_VIOLATED,
+        ),
+    ):
+        group = SimulatedGroup(**default)
+        group.run(0.2)
+        group.begin(moving(**asked))
+        group.blocked = {1}
+        group.run(3.0, until=lambda: group.results)  # noqa: B023
+        assert [each.code for each in group.results] == ([] if code is None else [code])
+
+
+def test_an_endless_joint_is_where_it_should_be_whole_turns_away():
+    facts = {"shoulder": JointFacts(is_endless=True), "elbow": JointFacts()}
+    group = SimulatedGroup(facts=facts, **{"constraints.shoulder.trajectory": 0.1})
+    group.seen = lambda parts: [
+        part._replace(position=(part.position + np.pi) % (2 * np.pi) - np.pi)
+        if part.joint == 0
+        else part
+        for part in parts
+    ]
+    group.run(0.2)
+    far = {"shoulder": [0.0, 7.0], "elbow": [0.0, 0.1]}
+    group.begin(goal(far, [0.0, 5.0], at_rest(far)))
+    group.run(6.0, until=lambda: group.results)
+    assert group.results[0].code is ResultCode.SUCCESSFUL
+    assert group.position[0] == pytest.approx(7.0, abs=2e-3)
+
+
+def test_leaving_ends_the_goal_and_stops():
+    group = started()
+    group.run(0.5)
+    group.note(group.follower.leave("the node ends"))
+    assert group.results == [(ResultCode.INVALID_GOAL, "the node ends")]
+    group.run(1.5)
+    assert [loop.reference[1] for loop in group.loops] == [0.0, 0.0]
+    assert group.follower.leave("again") == (None, None)
+    assert group.follower.cancel() == (None, None)
+
+
+def test_a_goal_gives_way_to_another_trajectory_and_stops_only_the_joints_that_it_does_not_name():
+    group = started(allow_partial_joints_goal=True)
+    group.run(0.5)
+    group.loops[1].follow(Setpoint(0.7))
+    group.note(group.follower.give_way(["elbow", "of another robot"]))
+    (result,) = group.results
+    assert result == (
+        ResultCode.INVALID_GOAL,
+        "another node has sent a trajectory for elbow",
+    )
+    assert group.told[-1].names == ("shoulder",)
+    group.run(1.5)
+    assert [loop.reference for loop in group.loops][1] == (0.7, 0.0)
+    assert group.loops[0].reference[1] == 0.0
+    assert abs(group.loops[0].reference[0]) < 0.9  # of 1.0
+    group.begin(goal({"elbow": [0.7]}, [0.5], at_rest({"elbow": [0.7]})))
+    group.run(2.0, until=lambda: len(group.results) > 1)
+    assert group.results[-1].code is ResultCode.SUCCESSFUL
+
+
+def test_trajectories_of_other_joints_and_without_a_goal_are_nobodys_business():
+    group = started()
+    assert group.follower.give_way(["of another robot"]) == (None, None)
+    assert group.follower.is_active
+    group.cancel()
+    assert group.follower.give_way(["elbow"]) == (None, None)
+
+
+@pytest.mark.parametrize(
+    ("is_excused", "dead", "code"),
+    [
+        (True, set(), ResultCode.SUCCESSFUL),
+        (True, {1}, ResultCode.INVALID_GOAL),
+        (False, set(), ResultCode.INVALID_GOAL),
+    ],
+)
+def test_what_came_while_nobody_called_is_not_missed_but_what_stays_away_is(
+    is_excused, dead, code
+):
+    group = SimulatedGroup()
+    group.run(0.2)
+    slow = {name: [0.0, path[-1]] for name, path in THERE.items()}
+    group.begin(goal(slow, [0.0, 3.0], at_rest(slow)))
+    group.run(0.5)
+    group.seen, group.mute = lambda parts: [], {0, 1}
+    group.run(0.7)
+    if is_excused:
+        group.follower.excuse()
+    del group.seen
+    group.run(0.1)  # a state comes before the references do
+    group.mute = dead
+    group.run(4.0, until=lambda: group.results)
+    assert group.results[0].code is code
