@@ -14,15 +14,15 @@ from sensor_msgs.msg import JointState
 from hpid_ros.base.errors import ClaimError, MessageError, SettingError
 from hpid_ros.base.names import ALL_JOINTS
 from hpid_ros.merging import CommandMerger, Receiver
-from hpid_ros.nodes.bridge.commanders import Commanders
-from hpid_ros.nodes.controller.commands import CommandSink, sender_of
-from hpid_ros.nodes.controller.joint_claim import JointClaim, claims_joint
-from hpid_ros.nodes.controller.lifecycle import ManagedNode
-from hpid_ros.nodes.merger.health import MergerHealth, Standing, shown_silent
-from hpid_ros.nodes.merger.output import GroupOutput
-from hpid_ros.nodes.merger.parameters import read_parameters
-from hpid_ros.nodes.merger.receiver import ReceiverWatch
-from hpid_ros.nodes.merger.stream import MergedCommands, MergedStream
+from hpid_ros.nodes.parts.bridge.commanders import Commanders
+from hpid_ros.nodes.parts.controller.commands import CommandSink, sender_of
+from hpid_ros.nodes.parts.controller.joint_claim import JointClaim, claims_joint
+from hpid_ros.nodes.parts.controller.lifecycle import ManagedNode
+from hpid_ros.nodes.parts.merger.health import MergerHealth, Standing, shown_silent
+from hpid_ros.nodes.parts.merger.output import GroupOutput
+from hpid_ros.nodes.parts.merger.parameters import read_parameters
+from hpid_ros.nodes.parts.merger.receiver import ReceiverWatch
+from hpid_ros.nodes.parts.merger.stream import MergedCommands, MergedStream
 from hpid_ros.nodes.ros import executor
 from hpid_ros.nodes.ros.middleware import ALL_COMMANDS, overridable
 from hpid_ros.nodes.ros.process import schedule

@@ -20,17 +20,17 @@ from hpid_ros.control import JointLoop
 from hpid_ros.control.reference import Motion
 from hpid_ros.control.settings.table import PARAMETERS
 from hpid_ros.control.supervision import SupervisedLoop
-from hpid_ros.nodes.controller.certification import Certification
-from hpid_ros.nodes.controller.commands import SINKS, CommandSink, joint_commands, sender_of
-from hpid_ros.nodes.controller.health import ControllerHealth, LoopTiming
-from hpid_ros.nodes.controller.introspection import Introspection
-from hpid_ros.nodes.controller.joint_claim import JointClaim, claims_joint
-from hpid_ros.nodes.controller.lifecycle import ManagedNode
-from hpid_ros.nodes.controller.model import model_compensation
-from hpid_ros.nodes.controller.references import ControllerReferences
-from hpid_ros.nodes.controller.settings import ControllerSettings, concern_the_loop
-from hpid_ros.nodes.controller.stop import ControllerStop
-from hpid_ros.nodes.controller.watchdog import StateWatchdog
+from hpid_ros.nodes.parts.controller.certification import Certification
+from hpid_ros.nodes.parts.controller.commands import SINKS, CommandSink, joint_commands, sender_of
+from hpid_ros.nodes.parts.controller.health import ControllerHealth, LoopTiming
+from hpid_ros.nodes.parts.controller.introspection import Introspection
+from hpid_ros.nodes.parts.controller.joint_claim import JointClaim, claims_joint
+from hpid_ros.nodes.parts.controller.lifecycle import ManagedNode
+from hpid_ros.nodes.parts.controller.model import model_compensation
+from hpid_ros.nodes.parts.controller.references import ControllerReferences
+from hpid_ros.nodes.parts.controller.settings import ControllerSettings, concern_the_loop
+from hpid_ros.nodes.parts.controller.stop import ControllerStop
+from hpid_ros.nodes.parts.controller.watchdog import StateWatchdog
 from hpid_ros.nodes.ros import executor
 from hpid_ros.nodes.ros.middleware import NEWEST_STATES, overridable
 from hpid_ros.nodes.ros.parameters import read_only

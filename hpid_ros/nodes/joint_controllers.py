@@ -10,9 +10,9 @@ from rclpy.validate_node_name import validate_node_name
 
 from hpid_ros.base.errors import SettingError
 from hpid_ros.base.names import controller_name
-from hpid_ros.nodes.controller.commands import SINKS
 from hpid_ros.nodes.joint_command_merger import JointCommandMerger
 from hpid_ros.nodes.joint_controller import JointController
+from hpid_ros.nodes.parts.controller.commands import SINKS
 from hpid_ros.nodes.ros import executor
 from hpid_ros.nodes.ros.parameters import read_only
 from hpid_ros.nodes.ros.usage import Usage

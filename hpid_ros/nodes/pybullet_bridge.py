@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 
-from hpid_ros.nodes.bridge.bridge import RobotBridge, usage
+from hpid_ros.nodes.parts.bridge.bridge import RobotBridge, usage
 from hpid_ros.nodes.ros import executor
 
 USAGE = usage("pybullet_bridge", "PyBullet")

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from hpid_ros.base.errors import SettingError, unknown_name
 from hpid_ros.nodes import joint_controllers
 from hpid_ros.nodes.bag_recorder import BagRecorder
-from hpid_ros.nodes.bridge.bridge import RobotBridge
+from hpid_ros.nodes.parts.bridge.bridge import RobotBridge
 from hpid_ros.nodes.ros import executor
 from hpid_ros.nodes.ros.parameters import read_only
 from hpid_ros.nodes.ros.usage import Usage

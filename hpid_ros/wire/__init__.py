@@ -27,9 +27,9 @@ from hpid_ros.wire.readers import (
 )
 
 __all__ = [
-    "DynamicJointStateTemplate",
     "MOST_MIXED_POINTS",
     "MOST_POINTS",
+    "DynamicJointStateTemplate",
     "EffortReader",
     "GroupReader",
     "JointPart",

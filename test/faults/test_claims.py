@@ -22,8 +22,8 @@ from sensor_msgs.msg import JointState
 from hpid_ros.base.names import claim_topic
 from hpid_ros.experiment.graph.isolation import closed_environment, own_domain
 from hpid_ros.experiment.graph.processes import NodeGroup
-from hpid_ros.nodes.controller.claims import LEASE, Claim, ClaimState, HeardClaims, HostLock
-from hpid_ros.nodes.controller.joint_claim import to_message
+from hpid_ros.nodes.parts.controller.claims import LEASE, Claim, ClaimState, HeardClaims, HostLock
+from hpid_ros.nodes.parts.controller.joint_claim import to_message
 from hpid_ros.nodes.ros.middleware import LATCHED, OFFERED
 from hpid_ros.simulation.lockstep import FollowedSender
 from hpid_ros.wire import JointStateTemplate, decode_joint_state

@@ -5,7 +5,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from harness.graph import ros_arguments
 from sensor_msgs.msg import JointState
 
-from hpid_ros.nodes.bridge.commanders import HeldCommands
+from hpid_ros.nodes.parts.bridge.commanders import HeldCommands
 from hpid_ros.nodes.ros.middleware import OFFERED, RARE
 from hpid_ros.simulation.lockstep import Barrier
 from hpid_ros.wire import JointStateTemplate, decode_joint_state

@@ -6,8 +6,8 @@ from harness.graph import ros_arguments
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
 
-from hpid_ros.nodes.bridge.commanders import HeldCommands
-from hpid_ros.nodes.controller.references import TrajectorySubscriptions
+from hpid_ros.nodes.parts.bridge.commanders import HeldCommands
+from hpid_ros.nodes.parts.controller.references import TrajectorySubscriptions
 from hpid_ros.nodes.ros.middleware import ALL_COMMANDS, LATCHED, OFFERED, RARE
 from hpid_ros.nodes.ros.trajectories import to_message
 from hpid_ros.trajectory import minimum_jerk

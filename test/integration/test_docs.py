@@ -7,7 +7,7 @@ import pytest
 from harness.places import ROOT
 
 from hpid_ros.control import LOOP_PARAMETERS
-from hpid_ros.nodes.bridge.world_parameters import OVER_THE_FILE
+from hpid_ros.nodes.parts.bridge.world_parameters import OVER_THE_FILE
 
 INTERFACES = (ROOT / "docs" / "interfaces.md").read_text()
 

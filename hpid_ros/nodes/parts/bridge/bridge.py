@@ -10,11 +10,11 @@ from sensor_msgs.msg import JointState
 
 from hpid_ros.base.errors import MessageError
 from hpid_ros.base.units import NANOSECONDS
-from hpid_ros.nodes.bridge.commanders import Commanders, HeldCommands
-from hpid_ros.nodes.bridge.pace import BridgeTiming, read_pace
-from hpid_ros.nodes.bridge.reports import BridgeReports
-from hpid_ros.nodes.bridge.services import BridgeServices
-from hpid_ros.nodes.bridge.world_parameters import read_world_file
+from hpid_ros.nodes.parts.bridge.commanders import Commanders, HeldCommands
+from hpid_ros.nodes.parts.bridge.pace import BridgeTiming, read_pace
+from hpid_ros.nodes.parts.bridge.reports import BridgeReports
+from hpid_ros.nodes.parts.bridge.services import BridgeServices
+from hpid_ros.nodes.parts.bridge.world_parameters import read_world_file
 from hpid_ros.nodes.ros import executor
 from hpid_ros.nodes.ros.middleware import ALL_COMMANDS, OFFERED, overridable
 from hpid_ros.nodes.ros.parameters import read_only

@@ -19,7 +19,7 @@ from rclpy.timer import Timer
 
 from hpid_ros.base.errors import ClaimError, SettingError
 from hpid_ros.base.names import claim_topic
-from hpid_ros.nodes.controller.claims import LEASE, Claim, ClaimState, HeardClaims, HostLock
+from hpid_ros.nodes.parts.controller.claims import LEASE, Claim, ClaimState, HeardClaims, HostLock
 from hpid_ros.nodes.ros.middleware import LATCHED, has_shared_memory_alone
 from hpid_ros.nodes.ros.parameters import read_only
 from hpid_ros.nodes.ros.steady_timer import steady_timer

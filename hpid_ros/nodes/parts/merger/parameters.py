@@ -11,7 +11,7 @@ from rclpy.parameter import Parameter
 from hpid_ros.base.errors import SettingError
 from hpid_ros.merging import MergerSettings
 from hpid_ros.merging.settings import LARGEST_EFFORT, LONGEST_TIMEOUT, joints_of
-from hpid_ros.nodes.merger.output import ARRAY, INTERFACES
+from hpid_ros.nodes.parts.merger.output import ARRAY, INTERFACES
 from hpid_ros.nodes.ros.parameters import read_number, read_only
 from hpid_ros.nodes.ros.rclpy_internals import given_parameters
 

@@ -11,7 +11,7 @@ from rclpy.timer import Timer
 
 from hpid_ros.base.errors import SettingError
 from hpid_ros.control.supervision import SupervisedLoop
-from hpid_ros.nodes.controller.commands import Commands
+from hpid_ros.nodes.parts.controller.commands import Commands
 from hpid_ros.nodes.ros.parameters import read_number, read_only
 from hpid_ros.nodes.ros.steady_timer import steady_timer
 

@@ -9,8 +9,8 @@ from rclpy.node import Node
 from hpid_ros.base.durations import Durations
 from hpid_ros.control import JointLoop
 from hpid_ros.control.loop_state import LoopState
-from hpid_ros.nodes.controller.certification import Certification
-from hpid_ros.nodes.controller.model import ModelCompensation
+from hpid_ros.nodes.parts.controller.certification import Certification
+from hpid_ros.nodes.parts.controller.model import ModelCompensation
 from hpid_ros.nodes.ros.status import ERROR, OK, WARN, Diagnostics
 
 

@@ -12,7 +12,7 @@ from rclpy.duration import Duration
 
 from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.merging import CommandMerger, Merged, MergerSettings
-from hpid_ros.nodes.merger.output import GroupOutput
+from hpid_ros.nodes.parts.merger.output import GroupOutput
 from hpid_ros.nodes.ros.executor import ClosingNode
 from hpid_ros.nodes.ros.steady_timer import steady_timer
 

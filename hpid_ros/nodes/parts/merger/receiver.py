@@ -15,7 +15,7 @@ from rclpy.task import Future
 from rclpy.timer import Timer
 
 from hpid_ros.merging import Receiver
-from hpid_ros.nodes.merger.output import GroupOutput
+from hpid_ros.nodes.parts.merger.output import GroupOutput
 from hpid_ros.nodes.ros.middleware import LATCHED, RARE
 from hpid_ros.nodes.ros.steady_timer import steady_timer
 

@@ -1,0 +1,1 @@
+"""What the executables are made of, one folder for each kind of node."""
