@@ -68,6 +68,7 @@ EXECUTABLES = [
     "pybullet_bridge",
     "mujoco_bridge",
     "trajectory_publisher",
+    "follow_joint_trajectory",
     "bag_recorder",
     "bag_metrics",
 ]

@@ -28,6 +28,7 @@ _POSES = (
 )
 _MERGER = "joint_command_merger"
 _MERGED = ("~/commands", "joint_command", "dynamic_joint_commands", "/effort_controller/commands")
+ACTION_SERVER = "joint_trajectory_controller"
 _RECORDED = ("joint_trajectory", "joint_commands", "joint_states", *_POSES)
 
 
@@ -70,13 +71,25 @@ def policy(joints: Iterable[str]) -> ElementTree.Element:
     )
     profile = _profile(enclaves, "reference", "trajectory_publisher")
     _allow(profile, publish=("joint_trajectory",), subscribe=("joint_states",))
+    profile = _profile(enclaves, "goals", ACTION_SERVER)
+    _allow(
+        profile,
+        publish=("joint_trajectory", "/diagnostics"),
+        subscribe=(
+            *("joint_states", "joint_trajectory"),
+            *(f"/{name}/reference" for name in controllers),
+        ),
+    )
+    _allow(profile, execute=("~/follow_joint_trajectory",))
     _allow(
         _profile(enclaves, "recorder", "bag_recorder"),
         publish=("/diagnostics",),
         subscribe=_RECORDED,
     )
+    profile = _profile(enclaves, "operator", "operator")
+    _allow(profile, call=(f"/{ACTION_SERVER}/follow_joint_trajectory",))
     _allow(
-        _profile(enclaves, "operator", "operator"),
+        profile,
         publish=(*(f"/{name}/setpoint" for name in controllers), "/pybullet_bridge/wrench"),
         subscribe=("/diagnostics", *_RECORDED),
         request=[
@@ -111,9 +124,10 @@ def _profile(enclaves: ElementTree.Element, name: str, node: str) -> ElementTree
 
 
 def _allow(profile: ElementTree.Element, **rules: Iterable[str]) -> None:
-    """Add rules: publish and subscribe for topics, request and reply for services."""
+    """Add rules: those of topics, of services (request, reply) and of actions (call, execute)."""
+    kinds = {"publish": "topic", "subscribe": "topic", "call": "action", "execute": "action"}
     for rule, names in rules.items():
-        kind = "topic" if rule in ("publish", "subscribe") else "service"
+        kind = kinds.get(rule, "service")
         # What is not allowed in an enclave is denied.
         group = ElementTree.SubElement(profile, f"{kind}s", {rule: "ALLOW"})
         for name in names:

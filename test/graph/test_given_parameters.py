@@ -8,6 +8,7 @@ import subprocess
 import sys
 from fnmatch import fnmatch
 from functools import partial
+from importlib.util import find_spec
 
 import pytest
 import yaml
@@ -32,6 +33,8 @@ EXECUTABLES = (
     *("mujoco_bridge", "joint_command_merger"),
     *("trajectory_publisher", "bag_recorder", "bag_metrics"),
 )
+ACTION = "follow_joint_trajectory"
+STARTED = (*EXECUTABLES, ACTION) if find_spec("control_msgs") else EXECUTABLES
 JOINTS = [f"joint_{number}" for number in range(8)]
 OF_EVERY_NODE = {"use_sim_time", "start_type_description_service"}
 
@@ -106,7 +109,7 @@ def test_controllers_are_found_in_files_for_any_namespace():
         assert {name: each.gains.p for name, each in found.items()} == {"elbow_controller": 2.0}
 
 
-@pytest.mark.parametrize("name", EXECUTABLES)
+@pytest.mark.parametrize("name", [*EXECUTABLES, ACTION])
 def test_help_is_a_few_lines_and_starts_nothing(name, capsys, monkeypatch):
     module = importlib.import_module(f"hpid_ros.nodes.{name}")
     monkeypatch.setattr("rclpy.init", None)
@@ -146,6 +149,7 @@ class Graph:
                 reference_file=share_folder() / "config" / "experiments" / "tracking.yaml"
             ),
             "bag_recorder": ros_arguments(bag=folder / "recorded"),
+            ACTION: ros_arguments(joints="[elbow, wrist]", constraints__elbow__goal=1),
             "bag_metrics": ["-p", f"bags:=[{folder / 'bag'}]", "-p", "keep_running:=true"],
         }
         self.nodes = {
@@ -159,6 +163,7 @@ class Graph:
                 *("/one/arm_joint_1_controller", "/one/bag_recorder"),
             ],
             **{f"{name}": [f"/{name}"] for name in EXECUTABLES[3:]},
+            **({ACTION: ["/joint_trajectory_controller"]} if ACTION in STARTED else {}),
         }
 
     def start(self, suffix, arguments):
@@ -166,7 +171,7 @@ class Graph:
             name: self._harness.processes.start(
                 f"{name}_{suffix}", name, arguments[name], is_renamed=False
             )
-            for name in EXECUTABLES
+            for name in STARTED
         }
 
     def dump(self, node):
@@ -255,7 +260,7 @@ def test_every_executable_starts_from_its_dump_and_takes_it_back(harness, tmp_pa
     spaces = {name: graph.arguments[name][-2:] for name in ("joint_controllers", "single_process")}
     again = graph.start(
         "again",
-        {n: ["--params-file", str(files[n]), *spaces.get(n, [])] for n in EXECUTABLES},
+        {n: ["--params-file", str(files[n]), *spaces.get(n, [])] for n in STARTED},
     )
     for node, before in dumps.items():
         after = graph.dump(node)

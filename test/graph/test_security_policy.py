@@ -2,11 +2,14 @@
 
 import subprocess
 import sys
+from functools import partial
 from xml.etree import ElementTree
 
 import pytest
+from harness.goals import ACTION, needs_control_msgs
 from harness.graph import ros_arguments
 from harness.places import ROOT
+from rclpy.action import get_action_server_names_and_types_by_node
 
 POLICY = ROOT / "config" / "sros2" / "policy.xml"
 
@@ -25,11 +28,17 @@ def absolute(node, name):
     return name.replace("~", f"/{node}") if name.startswith("~") else f"/{name.lstrip('/')}"
 
 
+def controllers():
+    """Return the nodes of joints: they tell their references."""
+    nodes = [each.get("node") for each in ElementTree.parse(POLICY).iterfind(".//profile")]
+    return [node for node in nodes if f"/{node}/reference" in rules(node, "publish")]
+
+
 def test_the_file_is_what_the_script_writes(tmp_path):
     joints = [
         profile.get("node").removesuffix("_controller")
         for profile in ElementTree.parse(POLICY).iterfind(".//profile")
-        if profile.get("node").endswith("_controller")
+        if profile.get("node") in controllers()
     ]
     written = subprocess.run(
         [sys.executable, str(ROOT / "tools" / "make_policy.py"), *joints],
@@ -44,7 +53,7 @@ def test_the_file_is_what_the_script_writes(tmp_path):
 def test_only_controllers_may_command_and_only_the_robot_may_tell_states():
     nodes = [each.get("node") for each in ElementTree.parse(POLICY).iterfind(".//profile")]
     commanders = {node for node in nodes if "/joint_commands" in rules(node, "publish")}
-    assert commanders == {node for node in nodes if node.endswith("_controller")}
+    assert commanders == set(controllers())
     assert [n for n in nodes if "/joint_states" in rules(n, "publish")] == ["pybullet_bridge"]
     setters = {n for n in nodes if any("set_parameters" in s for s in rules(n, "request"))}
     assert setters == {"operator"}
@@ -67,6 +76,12 @@ def test_only_controllers_may_command_and_only_the_robot_may_tell_states():
             "trajectory_publisher",
             {"reference_file": ROOT / "config" / "experiments" / "paper.yaml"},
         ),
+        pytest.param(
+            ACTION,
+            "follow_joint_trajectory",
+            {"joints": "[arm_joint_1]"},
+            marks=needs_control_msgs,
+        ),
     ],
 )
 def test_a_node_does_nothing_that_its_enclave_forbids(harness, node, executable, parameters):
@@ -84,4 +99,7 @@ def test_a_node_does_nothing_that_its_enclave_forbids(harness, node, executable,
     if executable == "joint_controller":
         harness.wait(lambda: "/joint_commands" in names(asked[0][1]), what="its commands")
     for rule, find in asked:
-        assert names(find) <= rules(node, rule), rule
+        asked_for = {name for name in names(find) if "/_action/" not in name}
+        assert asked_for <= rules(node, rule), rule
+    actions = partial(get_action_server_names_and_types_by_node, graph)
+    harness.wait(lambda: names(actions) == rules(node, "execute"), what="its actions")

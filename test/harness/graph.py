@@ -38,6 +38,7 @@ class Harness:
         self.executor.add_node(self.node)
         self.processes = NodeGroup(environment, folder)
         self.commands = []
+        self.on_command = self.commands.append
         self.states = self.node.create_publisher(JointState, "joint_states", OFFERED)
         self.node.create_subscription(
             JointState, "joint_commands", self._on_command, OFFERED, raw=True
@@ -53,7 +54,7 @@ class Harness:
         rclpy.shutdown(context=self.context)
 
     def _on_command(self, raw):
-        self.commands.append(decode_joint_state(raw))
+        self.on_command(decode_joint_state(raw))
 
     def wait(self, condition, within=60.0, what="the condition"):
         """Spin until a condition holds."""

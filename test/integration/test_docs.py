@@ -7,15 +7,22 @@ import pytest
 from harness.places import ROOT
 
 from hpid_ros.control import LOOP_PARAMETERS
+from hpid_ros.goals import FIXED_PARAMETERS, GOAL_PARAMETERS, joint_parameters
 from hpid_ros.nodes.parts.bridge.world_parameters import OVER_THE_FILE
 
 INTERFACES = (ROOT / "docs" / "interfaces.md").read_text()
 
 
+def row_of(section, spec):
+    """Return default, range and meaning of a parameter, as a section's table has them."""
+    lines = INTERFACES.partition(f"## {section}\n")[2].partition("\n## ")[0].splitlines()
+    (row,) = [line for line in lines if line.startswith(f"| `{spec.name}` |")]
+    return tuple(cell.strip() for cell in row.split("|")[2:5])
+
+
 @pytest.mark.parametrize("spec", LOOP_PARAMETERS.values(), ids=lambda spec: spec.name)
 def test_every_parameter_is_documented_as_it_is(spec):
-    (row,) = [line for line in INTERFACES.splitlines() if line.startswith(f"| `{spec.name}` |")]
-    _, _, default, allowed, meaning, _ = (cell.strip() for cell in row.split("|"))
+    default, allowed, meaning = row_of("joint_controller", spec)
     assert meaning == spec.description
     if isinstance(spec.default, float):
         assert float(default) == spec.default
@@ -23,6 +30,25 @@ def test_every_parameter_is_documented_as_it_is(spec):
     elif spec.choices:
         assert default == spec.default
         assert re.findall(r"`(\w+)`", allowed) == list(spec.choices)
+
+
+GOALS = (*GOAL_PARAMETERS, *FIXED_PARAMETERS, *joint_parameters("JOINT"))
+
+
+@pytest.mark.parametrize("spec", GOALS, ids=lambda spec: spec.name)
+def test_every_parameter_of_goals_is_documented_as_it_is(spec):
+    row = shown(spec.default), range_of(spec), spec.description
+    assert row_of("follow_joint_trajectory", spec) == row
+
+
+def shown(value):
+    return f"{value:g}" if type(value) is float else str(value).lower()
+
+
+def range_of(spec):
+    if isinstance(spec.default, float):
+        return f"{spec.minimum:g} to {spec.maximum:g}".replace("0 to inf", "from 0")
+    return ", ".join(f"`{each}`" for each in spec.choices or ("true", "false"))
 
 
 def test_every_other_parameter_of_a_node_is_documented():

@@ -8,7 +8,7 @@ import pytest
 SLOW = {"matplotlib", "mujoco", "pinocchio", "pybullet", "scipy"}
 NODES = (
     *("joint_controller", "joint_controllers", "single_process", "pybullet_bridge"),
-    *("mujoco_bridge", "trajectory_publisher", "bag_recorder"),
+    *("mujoco_bridge", "trajectory_publisher", "bag_recorder", "follow_joint_trajectory"),
 )
 
 

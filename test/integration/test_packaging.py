@@ -13,7 +13,7 @@ from harness.places import ROOT
 EXECUTABLES = {
     *("joint_controller", "joint_controllers", "joint_command_merger"),
     *("pybullet_bridge", "mujoco_bridge"),
-    "trajectory_publisher",
+    *("trajectory_publisher", "follow_joint_trajectory"),
     *("bag_recorder", "bag_metrics", "single_process", "hpid"),
 }
 

@@ -1,0 +1,237 @@
+"""Offers the action FollowJointTrajectory over the controllers of many joints."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Sequence
+from functools import partial
+
+from rclpy.parameter import Parameter
+from rclpy.task import Future
+from sensor_msgs.msg import JointState
+
+from hpid_ros.base.errors import MessageError
+from hpid_ros.base.names import controller_name
+from hpid_ros.goals import (
+    FIXED_PARAMETERS,
+    GOAL_PARAMETERS,
+    GoalError,
+    GoalFollower,
+    GoalRequest,
+    Outcome,
+    Result,
+    joint_parameters,
+)
+from hpid_ros.nodes.parts.action.health import GoalHealth
+from hpid_ros.nodes.parts.action.parameters import GroupParameters
+from hpid_ros.nodes.parts.action.server import GoalServer, action_type
+from hpid_ros.nodes.parts.action.told import ToldTrajectories
+from hpid_ros.nodes.ros import executor
+from hpid_ros.nodes.ros.middleware import NEWEST_STATES, overridable
+from hpid_ros.nodes.ros.status import StatusPipe
+from hpid_ros.nodes.ros.steady_timer import steady_timer
+from hpid_ros.nodes.ros.usage import Usage
+from hpid_ros.wire import GroupReader, JointReader
+
+_LOOKS = 10  # for the states, in each state_timeout
+_STOOD_STILL = 0.25  # [s] without a look; an executor that is merely busy is faster
+
+
+class JointTrajectoryController(executor.ClosingNode):
+    """The shell around one :class:`~hpid_ros.goals.GoalFollower`.
+
+    Controllers follow trajectories by themselves: this node tells them, watches, and tells them to
+    stop. Without it they go on to the last point of what they were told, and hold there.
+
+    Args:
+        name: Node name, which the action's begins with.
+
+    Raises:
+        HpidError: The parameters cannot be used as a whole, or control_msgs is not installed.
+    """
+
+    def __init__(self, name: str = "joint_trajectory_controller") -> None:
+        action_type()
+        super().__init__(name)
+        self._group = GroupParameters(self)
+        self._follower = GoalFollower(self._group.settings())
+        joints = self._group.joints
+        self._health = GoalHealth(self, joints)
+        self._told = ToldTrajectories(
+            self, joints, lambda: self._follower.is_active, self._give_way
+        )
+        self._listen(joints)
+        self._server = GoalServer(self, self._begin, self._cancel, self._health.note)
+        self._silence, self._seen_ns = 0.0, self._follower.now_ns
+        self._looked_at = time.monotonic()
+        self._look_period = self._follower.settings.state_timeout / _LOOKS
+        steady_timer(self, self._look_period, self._look_for_states)
+        rate = float(self.get_parameter("action_monitor_rate").value)
+        steady_timer(self, 1.0 / rate, self._tell_feedback)
+        steady_timer(self, self._health.period, self._report)
+        self.add_on_set_parameters_callback(self._group.verdict)
+        self.add_post_set_parameters_callback(self._change)
+        StatusPipe(self).send("listening")
+
+    def _listen(self, joints: Sequence[str]) -> None:
+        self._reader = GroupReader(joints)
+        self.create_subscription(
+            JointState,
+            "joint_states",
+            self._on_state,
+            NEWEST_STATES,
+            raw=True,
+            qos_overriding_options=overridable(),
+        )
+        self._has_told = [False] * len(joints)
+        for joint, name in enumerate(joints):
+            self.create_subscription(
+                JointState,
+                f"{controller_name(name)}/reference",
+                partial(self._on_reference, joint, JointReader(name)),
+                NEWEST_STATES,
+                raw=True,
+            )
+
+    def _on_state(self, raw: bytes) -> None:
+        self._wake()
+        try:
+            stamp_ns, parts = self._reader.read(raw)
+        except MessageError as error:
+            self._health.misread_message(f"state refused: {error}")
+            return
+        if parts:
+            self._act(self._follower.take_state(stamp_ns, parts))
+
+    def _on_reference(self, joint: int, reader: JointReader, raw: bytes) -> None:
+        self._wake()
+        try:
+            sample = reader.read(raw)
+        except MessageError as error:
+            self._health.misread_message(f"reference refused: {error}")
+            return
+        if sample is not None:
+            self._has_told[joint] = True
+            self._act(self._follower.take_reference(joint, sample.stamp_ns, sample.position))
+
+    def _begin(self, request: GoalRequest) -> Result | None:
+        if not self._told.listeners():
+            raise GoalError("no controller listens to joint_trajectory")
+        begun = self._follower.begin(request)
+        self._told.tell(begun.told)
+        return begun.replaced
+
+    def _cancel(self) -> None:
+        self._act(self._follower.cancel())
+
+    def _give_way(self, joints: Sequence[str]) -> None:
+        self._act(self._follower.give_way(joints))
+
+    def _act(self, outcome: Outcome | None) -> None:
+        """Tell controllers and the client what follows from something."""
+        if outcome is None:
+            return
+        if outcome.told is not None:
+            self._told.tell(outcome.told)
+        if outcome.result is not None:
+            self._server.end(outcome.result)
+
+    def _wake(self) -> None:
+        """Notice that the process has stood still: what is waiting for it is old."""
+        now = time.monotonic()
+        stood, self._looked_at = now - self._looked_at, now
+        if stood > self._look_period + _STOOD_STILL:
+            self._follower.excuse()
+            self._health.stood_still += 1
+            self._health.fault(f"this process stood still for {stood:.3g} s")
+
+    def _look_for_states(self) -> None:
+        """Count for how long there has been no new state, while this process has run."""
+        self._wake()
+        if self._follower.now_ns != self._seen_ns:
+            self._seen_ns, self._silence = self._follower.now_ns, 0.0
+            return
+        self._silence += self._look_period
+        if self._silence > self._follower.settings.state_timeout:
+            self._act(self._follower.lapse(self._silence))
+
+    def _tell_feedback(self) -> None:
+        feedback = self._follower.feedback()
+        if feedback is not None:
+            self._server.tell(feedback, self._group.joints)
+
+    def _change(self, changes: Sequence[Parameter]) -> None:
+        self._follower.settings = self._group.settings()
+
+    def _report(self) -> None:
+        follower, told = self._follower, self._told
+        warnings = []
+        rivals = told.rivals()
+        if rivals:
+            warnings.append(f"{', '.join(sorted(rivals))} may send trajectories, too")
+        silent = [
+            joint
+            for joint, has_told in zip(self._group.joints, self._has_told, strict=True)
+            if not has_told
+        ]
+        against = follower.reason_against()
+        if not told.listeners():
+            against = against or "no controller listens to joint_trajectory"
+        elif silent:
+            names = ", ".join(f"{controller_name(joint)}/reference" for joint in silent)
+            warnings.append(f"nothing has come on {names}: whether they follow is not seen")
+        feedback = follower.feedback()
+        course = "no goal"
+        if feedback is not None:
+            course = f"following a goal for {feedback.since_start_ns * 1e-9:.3g} s"
+        self._health.report(
+            course,
+            against,
+            warnings,
+            {
+                "states that were not finite": follower.unusable,
+                "goals rejected in a flood": self._server.rejected,
+            },
+        )
+
+    def wind_down(self) -> Future | None:
+        """Stop the joints, and give every client its result."""
+        self._act(self._follower.leave("the node ends"))
+        return self._server.leave()
+
+    def leave_at_once(self) -> None:
+        """Stop the joints, if that has not been done."""
+        self._act(self._follower.leave("the node ends"))
+
+    def close(self) -> None:
+        """Wait until the last trajectory has been heard."""
+        self._server.close()
+        self._told.wait_until_heard()
+
+
+USAGE = Usage(
+    "follow_joint_trajectory",
+    "Offers the action FollowJointTrajectory over the controllers of many joints.",
+    "-p joints:=[JOINT, ...] [-r __node:=NAME]",
+    [
+        "joints",
+        "robot_description",
+        "angle_wraparound",
+        *(spec.name for spec in (*GOAL_PARAMETERS, *FIXED_PARAMETERS)),
+        *(spec.name for spec in joint_parameters("*")),
+        "status_fd",
+    ],
+    ["joint_states", "joint_trajectory", "JOINT_controller/reference"],
+    ["joint_trajectory", "/diagnostics"],
+    ["~/follow_joint_trajectory (an action)"],
+)
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the action server."""
+    return executor.run(lambda: [JointTrajectoryController()], args, USAGE)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,1 @@
+"""Parts of the action server: parameters, messages, goals of clients, health."""

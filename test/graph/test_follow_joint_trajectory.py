@@ -1,0 +1,387 @@
+"""The action over real controllers of simulated joints, asked by a plain action client."""
+
+import itertools
+import math
+import os
+import signal
+import subprocess
+import sys
+
+import pytest
+from harness.goals import (
+    ABORTED,
+    ACTION,
+    CANCELED,
+    SUCCEEDED,
+    Client,
+    Joints,
+    goal_of,
+    needs_control_msgs,
+)
+from harness.graph import ros_arguments
+from harness.health import Told
+
+pytestmark = needs_control_msgs
+
+THERE = {"shoulder": [0.4, 1.0], "elbow": [-0.2, -0.5]}
+TIMES = [0.75, 1.5]
+SLOPES = {"shoulder": [0.8, 0.0], "elbow": [-0.4, 0.0]}
+SLOW = [1.5, 3.0]
+HALF = {name: [0.5 * each for each in slopes] for name, slopes in SLOPES.items()}
+PROGRAM = (sys.executable, "-m", "hpid_ros.nodes.follow_joint_trajectory")
+INVALID_GOAL, INVALID_JOINTS, PATH, GOAL = -1, -2, -4, -5
+
+
+@pytest.fixture
+def joints(harness):
+    return Joints(harness)
+
+
+def there():
+    return goal_of(THERE, TIMES, SLOPES)
+
+
+def slowly():
+    return goal_of(THERE, SLOW, HALF)
+
+
+def steps(joints, joint, since=0.0):
+    """Return time, distance and change of velocity between references that follow each other."""
+    rows = zip(*joints.column(joint, since), strict=True)
+    return [
+        (later[0] - row[0], later[1] - row[1], later[2] - row[2])
+        for row, later in itertools.pairwise(rows)
+    ]
+
+
+def require_smooth(joints, fastest, most, since=0.0):
+    """Require that references neither jump nor accelerate more than they may."""
+    for joint in joints.joints:
+        for time, distance, change in steps(joints, joint, since):
+            assert abs(distance) <= fastest * time + 1e-9, joint
+            assert abs(change) <= most * time + 1e-9, joint
+
+
+def come_to_rest(joints, within=5.0):
+    """Run until all references rest, and return the instant."""
+    joints.run(
+        lambda: all(rows and rows[-1][2] == 0.0 for rows in joints.references.values()),
+        within=30.0,
+        what="the references to rest",
+    )
+    return joints.now
+
+
+def test_a_goal_is_reached_with_feedback_in_the_order_of_the_joints(joints):
+    joints.start(constraints__elbow__goal=0.01, constraints__shoulder__goal=0.01)
+    client = Client(joints)
+    swapped = {name: THERE[name] for name in ("elbow", "shoulder")}
+    status = client.follow(goal_of(swapped, TIMES, SLOPES))
+    assert status == (SUCCEEDED, 0, "goal reached")
+    assert joints.position == pytest.approx({"shoulder": 1.0, "elbow": -0.5}, abs=0.01)
+    assert len(client.feedback) > 10
+    for each in client.feedback:
+        assert each.joint_names == ["shoulder", "elbow"]
+        for field in ("positions", "velocities"):
+            wanted, actual, error = (
+                getattr(point, field) for point in (each.desired, each.actual, each.error)
+            )
+            assert list(error) == pytest.approx(
+                [a - b for a, b in zip(wanted, actual, strict=True)], abs=1e-12
+            )
+    assert client.feedback[-1].desired.positions[0] > 0.8
+    require_smooth(joints, 1.5, 6.0)
+
+
+def test_a_cancelled_goal_decelerates_within_its_limit_and_holds(joints):
+    limits = {f"constraints__{name}__max_deceleration_on_cancel": 2.0 for name in joints.joints}
+    joints.start(**limits)
+    client = Client(joints)
+    handle = client.send(there())
+    joints.run(lambda: joints.references["shoulder"][-1][2] > 0.6, what="the joints to move")
+    begun = joints.now
+    assert client.cancel(handle)[:2] == (CANCELED, 0)
+    come_to_rest(joints)
+    stopped = [changes for changes in steps(joints, "shoulder", begun + 0.1) if changes[2]]
+    assert stopped
+    assert all(change >= -2.0 * time - 1e-9 for time, _, change in stopped)
+    assert joints.references["shoulder"][-1][1] < 0.95
+    at = {name: rows[-1][1] for name, rows in joints.references.items()}
+    joints.run_for(0.5)
+    assert {name: rows[-1][1] for name, rows in joints.references.items()} == at
+    assert joints.position == pytest.approx(at, abs=0.01)
+
+
+def test_a_blocked_joint_aborts_the_goal_and_all_joints_hold_with_effort(joints):
+    joints.start(constraints__elbow__trajectory=0.1)
+    client = Client(joints)
+    handle = client.send(there())
+    joints.run(lambda: joints.position["elbow"] < -0.05, what="the elbow to move")
+    joints.blocked = {"elbow"}
+    status, code, text = client.result(handle)
+    assert (status, code) == (ABORTED, PATH)
+    assert text.startswith("elbow is 0.1")
+    come_to_rest(joints)
+    held = joints.position["elbow"]
+    assert joints.references["elbow"][-1][1] == pytest.approx(held, abs=0.02)
+    joints.blocked = set()
+    joints.position["elbow"] += 0.05
+    joints.run(lambda: abs(joints.effort["elbow"]) > 1.0, what="effort against a push")
+    joints.run(lambda: abs(joints.position["elbow"] - held) < 0.02, what="the elbow to return")
+
+
+def test_a_goal_that_is_replaced_half_way_leaves_no_jump(joints):
+    joints.start()
+    client = Client(joints)
+    first = client.send(there())
+    joints.run(lambda: joints.references["shoulder"][-1][2] > 0.6, what="the joints to move")
+    back = {"shoulder": [0.0], "elbow": [0.3]}
+    second = client.send(goal_of(back, [2.0], {"shoulder": [0.0], "elbow": [0.0]}))
+    assert client.result(first) == (ABORTED, INVALID_GOAL, "replaced by a new goal")
+    assert client.result(second) == (SUCCEEDED, 0, "goal reached")
+    assert joints.position == pytest.approx({"shoulder": 0.0, "elbow": 0.3}, abs=0.02)
+    require_smooth(joints, 1.5, 6.0)
+
+
+def test_a_partial_goal_moves_its_joints_where_the_parameter_allows_it(joints):
+    joints.start()
+    client = Client(joints)
+    partial = goal_of({"elbow": [0.3]}, [0.5], {"elbow": [0.0]})
+    status, code, text = client.follow(partial)
+    assert (status, code) == (ABORTED, INVALID_JOINTS)
+    assert text.startswith("the goal lacks shoulder")
+    assert joints.harness.set_parameters(ACTION, allow_partial_joints_goal=True)[0]
+    assert client.follow(partial)[0] == SUCCEEDED
+    assert joints.references["elbow"][-1][1] == 0.3
+    assert {row[1] for row in joints.references["shoulder"]} == {0.0}
+
+
+def test_goals_that_cannot_be_followed_say_why_and_move_nothing(joints):
+    from control_msgs.msg import JointTolerance
+
+    joints.start()
+    client = Client(joints)
+    wrong = {"shoulder": [1.0], "wrist": [1.0]}
+    whole = {"shoulder": [1.0], "elbow": [1.0]}
+    bad = JointTolerance(name="elbow", position=-0.5)
+    for goal, code, line in (
+        (goal_of({}, []), INVALID_JOINTS, "must name each of its joints once, not []"),
+        (goal_of(whole, []), INVALID_GOAL, "at least one point"),
+        (goal_of(wrong, [1.0]), INVALID_JOINTS, "unknown joint 'wrist'"),
+        (goal_of({**whole, "elbow": [math.nan]}, [1.0]), INVALID_GOAL, "not nan for 'elbow'"),
+        (goal_of({**THERE}, [1.0, 1.0]), INVALID_GOAL, "times must increase"),
+        (goal_of(THERE, TIMES, {**SLOPES, "elbow": [0, 1]}), INVALID_GOAL, "must be at rest"),
+        (goal_of(whole, [1.0], path_tolerance=[bad]), INVALID_GOAL, "0 for the default or -1"),
+    ):
+        status, actual, text = client.follow(goal)
+        assert (status, actual) == (ABORTED, code), text
+        assert line in text
+    assert all(row[1:] == (0.0, 0.0) for row in joints.references["shoulder"])
+    assert client.follow(there())[0] == SUCCEEDED
+
+
+CLIENT = """
+import sys, rclpy
+from builtin_interfaces.msg import Duration
+from control_msgs.action import FollowJointTrajectory as F
+from rclpy.action import ActionClient
+from trajectory_msgs.msg import JointTrajectoryPoint as P
+rclpy.init()
+node = rclpy.create_node("client")
+client = ActionClient(node, F, "joint_trajectory_controller/follow_joint_trajectory")
+client.wait_for_server()
+goal = F.Goal()
+goal.trajectory.joint_names = ["shoulder", "elbow"]
+end = P(positions=[0.5, 0.5], velocities=[0.0, 0.0], time_from_start=Duration(sec=2))
+goal.trajectory.points = [end]
+sent = client.send_goal_async(goal)
+rclpy.spin_until_future_complete(node, sent)
+result = sent.result().get_result_async()
+rclpy.spin_until_future_complete(node, result)
+"""
+
+
+def test_a_goal_outlives_its_client(joints):
+    told = Told(joints.harness, ACTION)
+    joints.start()
+    client = subprocess.Popen([sys.executable, "-c", CLIENT], env=joints.harness.environment)
+    try:
+        joints.run(lambda: joints.position["elbow"] > 0.1, what="the joints to move")
+    finally:
+        client.kill()
+        client.wait()
+    joints.run(lambda: told.says(goals_reached="1"), what="the goal to be reached")
+    assert joints.position == pytest.approx({"shoulder": 0.5, "elbow": 0.5}, abs=0.01)
+    assert Client(joints).follow(there())[0] == SUCCEEDED
+
+
+def test_a_controller_that_dies_aborts_the_goal_and_the_others_stop(joints):
+    processes = joints.start(composed=False)
+    client = Client(joints)
+    handle = client.send(slowly())
+    joints.run(lambda: joints.position["shoulder"] > 0.1, what="the joints to move")
+    joints.alive = {"shoulder"}
+    joints.effort["elbow"] = 0.0
+    joints.blocked = {"elbow"}
+    os.kill(processes.elbow.process.pid, signal.SIGKILL)
+    status, code, text = client.result(handle)
+    assert (status, code) == (ABORTED, INVALID_GOAL)
+    assert text.startswith("the controller of elbow has told no reference for ")
+    joints.run(lambda: joints.references["shoulder"][-1][2] == 0.0, what="the shoulder to stop")
+    assert joints.references["shoulder"][-1][1] < 0.9
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_server_that_is_ended_stops_the_joints_and_tells_its_client(joints, number):
+    processes = joints.start()
+    client = Client(joints)
+    handle = client.send(slowly())
+    joints.run(lambda: joints.position["shoulder"] > 0.1, what="the joints to move")
+    os.kill(processes.action.process.pid, number)
+    assert client.result(handle) == (ABORTED, INVALID_GOAL, "the node ends")
+    joints.run(lambda: processes.action.process.poll() is not None, what="the process to end")
+    assert processes.action.process.returncode == 0
+    come_to_rest(joints)
+    assert joints.references["shoulder"][-1][1] < 0.9
+    require_smooth(joints, 1.5, 6.0)
+
+
+def test_a_server_that_stands_still_leaves_the_joints_on_their_way_to_rest(joints):
+    told = Told(joints.harness, ACTION)
+    processes = joints.start(constraints__elbow__goal=0.01)
+    client = Client(joints)
+    handle = client.send(slowly())
+    joints.run(lambda: joints.position["shoulder"] > 0.1, what="the joints to move")
+    os.kill(processes.action.process.pid, signal.SIGSTOP)
+    joints.run(lambda: joints.position["shoulder"] > 0.9, what="the joints to go on")
+    os.kill(processes.action.process.pid, signal.SIGCONT)
+    assert client.result(handle) == (SUCCEEDED, 0, "goal reached")
+    joints.run(lambda: told.says(times_stood_still="1"), what="the report")
+    require_smooth(joints, 1.5, 6.0)
+
+
+def test_states_that_stop_abort_the_goal_and_joints_hold_where_they_are_found(joints):
+    joints.start()
+    client = Client(joints)
+    handle = client.send(slowly())
+    joints.run(lambda: joints.position["shoulder"] > 0.1, what="the joints to move")
+    joints.is_paused = True
+    status, code, text = client.result(handle)
+    assert (status, code) == (ABORTED, INVALID_GOAL)
+    assert text.startswith("there was no new state for 0.")
+    status, _, text = client.follow(there())
+    assert (status, "there has been no new state" in text) == (ABORTED, True)
+    joints.is_paused = False
+    come_to_rest(joints)
+    assert joints.references["shoulder"][-1][1] < 0.9
+    assert client.follow(there())[0] == SUCCEEDED
+
+
+def test_of_a_flood_of_goals_the_last_one_is_followed_and_each_has_its_result(joints):
+    joints.start(constraints__shoulder__goal=0.01)
+    client = Client(joints)
+    sent = [client.send(there()) for _ in range(50)]
+    joints.run(lambda: all(each.ended.done() for each in sent), what="all results")
+    results = [each.ended.result() for each in sent]
+    assert [each.status for each in results].count(SUCCEEDED) == 1
+    others = [each.result.error_string for each in results if each.status != SUCCEEDED]
+    assert set(others) <= {"replaced by a new goal", "replaced by a new goal before it began"}
+    assert joints.position == pytest.approx({"shoulder": 1.0, "elbow": -0.5}, abs=0.02)
+    require_smooth(joints, 2.0, 10.0)
+
+
+def test_of_two_servers_of_the_same_joints_the_first_gives_way(joints):
+    told = Told(joints.harness, ACTION)
+    joints.start()
+    joints.start_action("other", joints="[elbow, shoulder]")
+    client, other = Client(joints), Client(joints, "other")
+    joints.run(
+        lambda: "/other may send trajectories, too" in told.newest().get("message", ""),
+        what="the warning",
+    )
+    first = client.send(slowly())
+    joints.run(lambda: joints.position["shoulder"] > 0.1, what="the joints to move")
+    back = {"shoulder": [0.0], "elbow": [0.3]}
+    second = other.send(goal_of(back, [1.5], {"shoulder": [0.0], "elbow": [0.0]}))
+    line = "another node has sent a trajectory for shoulder, elbow"
+    assert client.result(first) == (ABORTED, INVALID_GOAL, line)
+    assert other.result(second) == (SUCCEEDED, 0, "goal reached")
+    assert joints.position == pytest.approx({"shoulder": 0.0, "elbow": 0.3}, abs=0.02)
+
+
+def test_a_setpoint_to_one_of_the_joints_ends_the_goal(joints):
+    from std_msgs.msg import Float64
+
+    joints.start(constraints__elbow__trajectory=0.0)
+    setpoint = joints.harness.node.create_publisher(Float64, "elbow_controller/setpoint", 1)
+    joints.harness.wait(lambda: setpoint.get_subscription_count() > 0)
+    client = Client(joints)
+    handle = client.send(slowly())
+    joints.run(lambda: joints.position["shoulder"] > 0.1, what="the joints to move")
+    setpoint.publish(Float64(data=0.2))
+    status, code, text = client.result(handle)
+    assert (status, code) == (ABORTED, INVALID_GOAL)
+    assert text.startswith("the reference of elbow's controller is at 0.2 rad")
+
+
+def test_without_controllers_no_goal_is_followed(joints):
+    told = Told(joints.harness, ACTION)
+    joints.alive = set()
+    joints.start_action()
+    line = "no controller listens to joint_trajectory"
+    joints.run(lambda: told.newest().get("message", "").endswith(line), what="the report")
+    status, code, text = Client(joints).follow(there())
+    assert (status, code, text) == (ABORTED, INVALID_GOAL, line)
+
+
+def test_parameters_have_descriptions_and_a_bad_set_leaves_no_trace(joints):
+    from rcl_interfaces.srv import DescribeParameters
+
+    joints.start()
+    node, harness = joints.harness.node, joints.harness
+    client = node.create_client(DescribeParameters, f"{ACTION}/describe_parameters")
+    harness.wait(client.service_is_ready, what="the service")
+    names = ["constraints.elbow.goal", "constraints.goal_time", "joints", "state_timeout"]
+    asked = client.call_async(DescribeParameters.Request(names=names))
+    harness.wait(asked.done, what="the descriptions")
+    goal, late, fixed, timeout = asked.result().descriptors
+    assert "[rad]" in goal.description
+    assert not goal.floating_point_range
+    assert "[s]" in late.description
+    assert [each.read_only for each in (fixed, timeout, goal)] == [True, True, False]
+    is_set, reason = harness.set_parameters(
+        ACTION, constraints__elbow__goal=0.001, constraints__shoulder__goal=-1.0
+    )
+    assert (is_set, "constraints.shoulder.goal must lie in" in reason) == (False, True)
+    is_set, reason = harness.set_parameters(ACTION, state_timeout=0.3)
+    assert (is_set, "read-only" in reason) == (False, True)
+    assert harness.set_parameters(
+        ACTION, constraints__elbow__goal=1e-9, constraints__goal_time=0.2
+    )[0]
+    status, code, text = Client(joints).follow(there())
+    assert (status, code) == (ABORTED, GOAL)
+    assert "rad from its reference, its tolerance is 1e-09 rad" in text
+
+
+@pytest.mark.parametrize(
+    ("parameters", "line"),
+    [
+        ({}, "must name each joint once, not []"),
+        ({"joints": "[elbow, elbow]"}, "must name each joint once, not ['elbow', 'elbow']"),
+        ({"joints": "[elbow]", "angle_wraparound": "[wrist]"}, "angle_wraparound: unknown joint"),
+        ({"joints": "[elbow]", "state_timeout": 100.0}, "Parameter state_timeout out of range"),
+        ({"joints": "[elbow]", "robot_description": "none.urdf"}, "none.urdf"),
+        ({"joints": "[elbow]", "constraints__wrist__goal": 1.0}, "unknown parameter"),
+    ],
+)
+def test_parameters_that_cannot_be_used_are_one_line(harness, parameters, line):
+    ended = subprocess.run(
+        [*PROGRAM, "--ros-args", *ros_arguments(**parameters)],
+        env=harness.environment,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert ended.returncode == 2
+    assert line in ended.stderr
+    assert len(ended.stderr.strip().splitlines()) == 1

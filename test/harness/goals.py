@@ -1,0 +1,218 @@
+"""Clients of FollowJointTrajectory, and joints whose controllers are real processes."""
+
+import time
+from importlib.util import find_spec
+from types import SimpleNamespace
+
+import pytest
+from builtin_interfaces.msg import Duration
+from diagnostic_msgs.msg import DiagnosticStatus
+from sensor_msgs.msg import JointState
+from trajectory_msgs.msg import JointTrajectoryPoint
+
+from harness.graph import ros_arguments
+from harness.health import Told
+from hpid_ros.base.names import controller_name
+from hpid_ros.wire import JointStateTemplate, decode_joint_state
+
+ACTION = "joint_trajectory_controller"
+JOINTS = ("shoulder", "elbow")
+PERIOD = 0.005  # [s] between states
+ASKS_AGAIN = 0.05  # [s] of the wall clock
+GAINS = {"law": "pid", "gains__p": 100.0, "gains__i": 100.0, "gains__d": 20.0}
+needs_control_msgs = pytest.mark.skipif(
+    find_spec("control_msgs") is None, reason="control_msgs is not installed"
+)
+
+ABORTED, CANCELED, SUCCEEDED = 6, 5, 4  # action_msgs/msg/GoalStatus
+
+
+def goal_of(positions, times, velocities=None, **other):
+    """Return a goal: positions by joint, one for each of the times in [s]; velocities likewise."""
+    from control_msgs.action import FollowJointTrajectory
+
+    goal = FollowJointTrajectory.Goal(**other)
+    fill_trajectory(goal.trajectory, positions, times, velocities)
+    return goal
+
+
+def fill_trajectory(trajectory, positions, times, velocities=None):
+    trajectory.joint_names = list(positions)
+    for index, seconds in enumerate(times):
+        point = JointTrajectoryPoint(positions=[float(each[index]) for each in positions.values()])
+        if velocities is not None:
+            point.velocities = [float(velocities[name][index]) for name in positions]
+        whole = int(seconds)
+        point.time_from_start = Duration(sec=whole, nanosec=round((seconds - whole) * 1e9))
+        trajectory.points.append(point)
+
+
+class Joints:
+    """Joints of inertia 1, one state after the other, each answered by all controllers that live.
+
+    No faster than the wall clock: what passes between processes takes its time there.
+
+    Attributes:
+        blocked: Joints that do not move.
+        alive: Joints whose commands each state waits for.
+        references: By joint: stamps [s], positions and velocities that its controller told.
+    """
+
+    def __init__(self, harness, joints=JOINTS):
+        self.harness, self.joints = harness, joints
+        self.position, self.velocity = dict.fromkeys(joints, 0.0), dict.fromkeys(joints, 0.0)
+        self.effort = dict.fromkeys(joints, 0.0)
+        self.blocked, self.alive, self.is_paused = set(), set(joints), False
+        self.references = {joint: [] for joint in joints}
+        self._count, self._answers = 0, {}
+        self._template = JointStateTemplate(joints, position=True, velocity=True)
+        self._begun, self._asked = 0.0, 0.0
+        node = harness.node
+        harness.on_command = self._on_command
+        for joint in joints:
+            node.create_subscription(
+                JointState,
+                f"{controller_name(joint)}/reference",
+                lambda raw, joint=joint: self._on_reference(joint, raw),
+                100,
+                raw=True,
+            )
+
+    @property
+    def now(self):
+        """The stamp of the newest state in [s]."""
+        return self._count * PERIOD
+
+    def start(self, *, composed=True, action=ACTION, **parameters):
+        """Start the controllers and an action server, and wait until goals can be followed."""
+        arguments = ros_arguments(
+            state_clock="simulated", certify=False, introspection_rate=-1.0, **GAINS
+        )
+        arguments += ros_arguments(control_period=PERIOD)
+        names = f"[{', '.join(self.joints)}]"
+        start, processes = self.harness.processes.start, {}
+        if composed:
+            arguments += ["-p", f"joints:={names}"]
+            started = start("controllers", "joint_controllers", arguments, is_renamed=False)
+            processes["controllers"] = started
+        else:
+            for joint in self.joints:
+                name = controller_name(joint)
+                own = [*arguments, *ros_arguments(joint=joint)]
+                processes[joint] = start(name, "joint_controller", own)
+        processes["action"] = self.start_action(action, **parameters)
+        states = self.harness.states
+        self.harness.wait(
+            lambda: states.get_subscription_count() > len(self.joints), what="all to listen"
+        )
+        told = Told(self.harness, action)
+        ready = (DiagnosticStatus.OK, DiagnosticStatus.WARN)
+        self.run(lambda: told.newest().get("level") in ready, what="the action to be ready")
+        return SimpleNamespace(**processes)
+
+    def start_action(self, name=ACTION, **parameters):
+        """Start an action server."""
+        parameters.setdefault("joints", f"[{', '.join(self.joints)}]")
+        return self.harness.processes.start(
+            name, "follow_joint_trajectory", ros_arguments(**parameters)
+        )
+
+    def run(self, condition, within=20.0, what="the condition"):
+        """Let states follow each other until a condition holds."""
+        self._begun = time.monotonic() - self.now
+        deadline = time.monotonic() + within
+        while not condition():
+            self._step()
+            due = self._begun + self.now - time.monotonic()  # of the next state
+            self.harness.executor.spin_once(timeout_sec=min(max(due, 0.001), 0.02))
+            assert time.monotonic() < deadline, f"waited {within} s in vain for {what}"
+
+    def run_for(self, seconds):
+        """Let so much time pass for the joints."""
+        end = self.now + seconds
+        self.run(lambda: self.now >= end, what=f"{seconds} s of states")
+
+    def column(self, joint, since=0.0):
+        """Return stamps, positions and velocities of a joint's references."""
+        rows = [row for row in self.references[joint] if row[0] >= since]
+        return zip(*rows, strict=True)
+
+    def _step(self):
+        if self.is_paused:
+            return
+        answered = self._answers.get(self._count, {})
+        late = time.monotonic() - self._begun - self.now
+        if late < 0.0:
+            return
+        if self._count and not self.alive <= answered.keys():
+            if late > self._asked + ASKS_AGAIN:
+                self._asked = late
+                self._publish()  # somebody is new, or has lost it; a repeat changes nothing
+            return
+        for joint in self.joints:
+            if joint in answered:
+                self.effort[joint] = answered[joint]
+            if joint in self.blocked:
+                self.velocity[joint] = 0.0
+                continue
+            self.velocity[joint] += PERIOD * self.effort[joint]
+            self.position[joint] += PERIOD * self.velocity[joint]
+        self._answers.pop(self._count, None)
+        self._count, self._asked = self._count + 1, 0.0
+        self._publish()
+
+    def _publish(self):
+        self.harness.states.publish(
+            self._template.encode(
+                round(self._count * PERIOD * 1e9),
+                position=list(self.position.values()),
+                velocity=list(self.velocity.values()),
+            )
+        )
+
+    def _on_command(self, command):
+        count = round(command.stamp_ns * 1e-9 / PERIOD)
+        self._answers.setdefault(count, {})[command.names[0]] = command.effort[0]
+
+    def _on_reference(self, joint, raw):
+        told = decode_joint_state(raw)
+        self.references[joint].append((told.stamp_ns * 1e-9, told.position[0], told.velocity[0]))
+
+
+class Client:
+    """A client of the action in the test's own node."""
+
+    def __init__(self, joints, name=ACTION):
+        from control_msgs.action import FollowJointTrajectory
+        from rclpy.action import ActionClient
+
+        self._joints, self.feedback = joints, []
+        self._client = ActionClient(
+            joints.harness.node, FollowJointTrajectory, f"{name}/follow_joint_trajectory"
+        )
+        joints.run(self._client.server_is_ready, what="the action server")
+
+    def send(self, goal):
+        """Send a goal and return its handle, at once in the future of its result."""
+        sent = self._client.send_goal_async(goal, lambda each: self.feedback.append(each.feedback))
+        self._joints.run(sent.done, what="the answer to a goal")
+        handle = sent.result()
+        handle.ended = handle.get_result_async() if handle.accepted else None
+        return handle
+
+    def result(self, handle):
+        """Return status, error code and text of a goal once it has ended."""
+        self._joints.run(handle.ended.done, what="the result")
+        ended = handle.ended.result()
+        return ended.status, ended.result.error_code, ended.result.error_string
+
+    def follow(self, goal):
+        """Send a goal and return how it ended."""
+        return self.result(self.send(goal))
+
+    def cancel(self, handle):
+        """Cancel a goal and return how it ended."""
+        asked = handle.cancel_goal_async()
+        self._joints.run(asked.done, what="the answer to a cancel")
+        assert asked.result().goals_canceling
+        return self.result(handle)
