@@ -139,6 +139,7 @@ def _become(request, files):
     """Make this process what Popen would have made of it."""
     os.setsid()
     signal.signal(signal.SIGINT, signal.default_int_handler)
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)  # also where the suite runs under nohup
     Beginning(signal.Signals(request["beginning"][0]), request["beginning"][1])()
     spare = [os.dup(file) for file in files]
     above = max([*spare, *request["numbers"]]) + 1
