@@ -22,6 +22,8 @@ _LIFECYCLE = (
     *("change_state", "get_state", "get_available_states", "get_available_transitions"),
     "get_transition_graph",
 )
+_BRIDGES = ("pybullet_bridge", "mujoco_bridge")
+_BRIDGE_SERVICES = ("pause", "step", "reset", "grip")
 _POSES = (
     *("odom", "base_pose_ground_truth", "wheel_slip", "ee_pose"),
     *("brick_poses", "grip_events"),
@@ -62,13 +64,13 @@ def policy(joints: Iterable[str]) -> ElementTree.Element:
         reply=(f"~/{service}" for service in _LIFECYCLE),
         request=("/effort_controller/get_parameters",),
     )
-    profile = _profile(enclaves, "robot", "pybullet_bridge")
-    _allow(
-        profile,
-        publish=("joint_states", "clock", *_POSES, "/diagnostics"),
-        subscribe=("joint_commands", "~/wrench"),
-        reply=("~/pause", "~/step", "~/reset", "~/grip"),
-    )
+    for profile in _profiles(enclaves, "robot", _BRIDGES):
+        _allow(
+            profile,
+            publish=("joint_states", "clock", *_POSES, "/diagnostics"),
+            subscribe=("joint_commands", "~/wrench"),
+            reply=(f"~/{service}" for service in _BRIDGE_SERVICES),
+        )
     profile = _profile(enclaves, "reference", "trajectory_publisher")
     _allow(profile, publish=("joint_trajectory",), subscribe=("joint_states",))
     profile = _profile(enclaves, "goals", ACTION_SERVER)
@@ -90,14 +92,17 @@ def policy(joints: Iterable[str]) -> ElementTree.Element:
     _allow(profile, call=(f"/{ACTION_SERVER}/follow_joint_trajectory",))
     _allow(
         profile,
-        publish=(*(f"/{name}/setpoint" for name in controllers), "/pybullet_bridge/wrench"),
+        publish=(
+            *(f"/{name}/setpoint" for name in controllers),
+            *(f"/{name}/wrench" for name in _BRIDGES),
+        ),
         subscribe=("/diagnostics", *_RECORDED),
         request=[
             f"/{name}/{each}"
             for name in (*controllers, _MERGER)
             for each in (*_PARAMETERS, *_LIFECYCLE)
         ]
-        + [f"/pybullet_bridge/{each}" for each in ("pause", "step", "reset", "grip")],
+        + [f"/{name}/{each}" for name in _BRIDGES for each in _BRIDGE_SERVICES],
     )
     ElementTree.indent(root)
     return root
@@ -111,16 +116,25 @@ def _claims(joint: str) -> list[str]:
 
 def _profile(enclaves: ElementTree.Element, name: str, node: str) -> ElementTree.Element:
     """Add an enclave of one node, with what every node has."""
-    enclave = ElementTree.SubElement(enclaves, "enclave", path=f"/hpid/{name}")
-    profiles = ElementTree.SubElement(enclave, "profiles")
-    profile = ElementTree.SubElement(profiles, "profile", ns="/", node=node)
-    _allow(
-        profile,
-        publish=("/rosout", "/parameter_events"),
-        subscribe=("/parameter_events", "/clock"),
-        reply=(*(f"~/{service}" for service in _PARAMETERS), "~/get_type_description"),
-    )
+    (profile,) = _profiles(enclaves, name, [node])
     return profile
+
+
+def _profiles(
+    enclaves: ElementTree.Element, name: str, nodes: Iterable[str]
+) -> list[ElementTree.Element]:
+    """Add an enclave of nodes that stand in for each other, with what every node has."""
+    enclave = ElementTree.SubElement(enclaves, "enclave", path=f"/hpid/{name}")
+    parent = ElementTree.SubElement(enclave, "profiles")
+    profiles = [ElementTree.SubElement(parent, "profile", ns="/", node=node) for node in nodes]
+    for profile in profiles:
+        _allow(
+            profile,
+            publish=("/rosout", "/parameter_events"),
+            subscribe=("/parameter_events", "/clock"),
+            reply=(*(f"~/{service}" for service in _PARAMETERS), "~/get_type_description"),
+        )
+    return profiles
 
 
 def _allow(profile: ElementTree.Element, **rules: Iterable[str]) -> None:

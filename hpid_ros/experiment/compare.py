@@ -68,10 +68,16 @@ def run_controller(
     if label not in experiment.controllers:
         raise ExperimentError(unknown_name("controller", label, experiment.controllers))
     with ResultFolder.create(output, force=force, inputs=experiment.inputs) as folder:
+        _tell_engine(experiment, progress)
         if options.is_realtime and is_tried:
             progress.phase(label, "trying what the machine can hold")
             progress.note(run_trial(experiment, label, options).line)
         return _run(experiment, label, folder, progress, options)
+
+
+def _tell_engine(experiment: Experiment, progress: Progress) -> None:
+    if experiment.engine_note:
+        progress.note(experiment.engine_note)
 
 
 def _run(
@@ -132,6 +138,7 @@ def compare(
         HpidError: The folder is in the way, a run failed, or a bag cannot be read.
     """
     with ResultFolder.create(output, force=force, inputs=experiment.inputs) as folder:
+        _tell_engine(experiment, progress)
         result, reports = _compare(experiment, folder, progress, in_process, has_figures)
     return Compared(result, tuple(reports), folder)
 

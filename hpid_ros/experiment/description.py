@@ -18,7 +18,7 @@ from hpid_ros.documents.yaml_files import Document, load_document
 from hpid_ros.experiment.controllers import controllers_from, judged_from, models_of
 from hpid_ros.planning import BrickPlan, planned_reference
 from hpid_ros.robot.description import RobotDescription
-from hpid_ros.simulation.settings import WorldSettings
+from hpid_ros.simulation.settings import ENGINES, WorldSettings
 from hpid_ros.simulation.world_file import read_world
 from hpid_ros.trajectory import JointTrajectory
 
@@ -41,6 +41,7 @@ class Experiment:
         judged: The joints that studies and searches look at, in the world's order.
         plan: The brick task behind the reference; None for any other kind.
         files: The files that it was read from: its own, and those that it extends.
+        is_engine_chosen: Whether the file, or who read it, says who computes the physics.
     """
 
     name: str
@@ -55,6 +56,15 @@ class Experiment:
     judged: tuple[str, ...]
     plan: BrickPlan | None = None
     files: tuple[Path, ...] = ()
+    is_engine_chosen: bool = True
+
+    @property
+    def engine_note(self) -> str:
+        """Who computes the physics, in a line, where nobody chose and it is not the usual one."""
+        engine = self.world.engine
+        if self.is_engine_chosen or engine == ENGINES[0]:
+            return ""
+        return f"{engine} computes the physics: PyBullet is not installed (pip install pybullet)"
 
     @property
     def periods(self) -> int:
@@ -159,6 +169,7 @@ def _experiment(document: Document, root: Section) -> Experiment:
         plan=reference.plan,
         controllers=controllers_from(root, world),
         judged=judged_from(root, world.joints),
+        is_engine_chosen=root.section("simulation", {}).values.get("engine") is not None,
     )
 
 

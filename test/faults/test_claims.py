@@ -409,7 +409,7 @@ def test_a_robot_follows_one_of_two_that_claim_nothing_and_names_both(harness, f
         "command_timeout": 5.0,  # a busy machine is no reason to change
         "wait_for_subscribers": 2,
     }
-    harness.processes.start("pybullet_bridge", "pybullet_bridge", ros_arguments(**bridge))
+    harness.processes.start("mujoco_bridge", "mujoco_bridge", ros_arguments(**bridge))
     limits = {"u_clamp_max": 1.0, "u_clamp_min": 0.5}
     start(harness, "twin", joint="arm_joint_6", claim="none", **limits)
     harness.wait(lambda: len(efforts) > 20, what="the first at work")
@@ -428,7 +428,7 @@ def test_a_robot_follows_one_of_two_that_claim_nothing_and_names_both(harness, f
             status
             for report in reports
             for status in report.status
-            if status.name == "/pybullet_bridge" and "commanded twice" in status.message
+            if status.name == "/mujoco_bridge" and "commanded twice" in status.message
         ]
 
     harness.wait(told, what="the bridge to tell")

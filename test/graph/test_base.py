@@ -388,7 +388,7 @@ def started(harness, **parameters):
         wait_for_subscribers=0,
         **parameters,
     )
-    harness.processes.start("pybullet_bridge", "pybullet_bridge", arguments)
+    harness.processes.start("mujoco_bridge", "mujoco_bridge", arguments)
     harness.wait(lambda: "odom" in listener.last, what="odometry")
     return listener
 
@@ -428,7 +428,7 @@ def test_a_live_bridge_tells_odometry_truth_and_slip(harness, tmp_path):
     assert slip.header.frame_id == "base_footprint"
     figures = listener.figures()
     assert {"slip of the left wheel [m]", "slip of the axle, sideways, recent [m]"} <= set(figures)
-    client = harness.node.create_client(Trigger, "pybullet_bridge/reset")
+    client = harness.node.create_client(Trigger, "mujoco_bridge/reset")
     harness.wait(client.service_is_ready, what="the service")
     client.call_async(Trigger.Request())
     harness.wait(lambda: listener.x("odom") < 0.05, what="odometry to start again")
@@ -456,6 +456,6 @@ def test_a_live_bridge_without_a_base_tells_the_truth(harness):
 )
 def test_a_bridge_refuses_a_bad_base_in_one_line(harness, tmp_path, base, line):
     arguments = ros_arguments(world_file=world_file(tmp_path, **base))
-    node = harness.processes.start("bridge", "pybullet_bridge", arguments)
+    node = harness.processes.start("bridge", "mujoco_bridge", arguments)
     assert node.process.wait(timeout=60) == 2
     assert line in node.last_words()

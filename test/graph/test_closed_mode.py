@@ -118,7 +118,7 @@ def test_another_user_of_this_machine_finds_nobody(harness, controller, faults, 
     assert all(abs(command.effort[0]) != 99.0 for command in harness.commands)
 
 
-@pytest.mark.parametrize("node", ["pybullet_bridge", "joint_controller -p joint:=a"])
+@pytest.mark.parametrize("node", ["mujoco_bridge", "joint_controller -p joint:=a"])
 def test_security_that_is_asked_for_and_missing_is_said(harness, tmp_path, node):
     """With these wheels the variable alone changes nothing: it must not lull anybody."""
     environment = {**os.environ, "ROS_SECURITY_ENABLE": "true"}

@@ -128,8 +128,8 @@ def test_a_forger_beside_a_controller_is_named_and_not_obeyed(harness, faults):
         ros_arguments(joint="arm_joint_6", gains__p=1.0, u_clamp_max=1.0, u_clamp_min=-1.0),
     )
     harness.processes.start(
-        "pybullet_bridge",
-        "pybullet_bridge",
+        "mujoco_bridge",
+        "mujoco_bridge",
         ros_arguments(
             mode="realtime",
             joints="[arm_joint_6]",
@@ -157,7 +157,7 @@ def test_a_forger_beside_a_controller_is_named_and_not_obeyed(harness, faults):
                 status
                 for report in reports
                 for status in report.status
-                if status.name == "/pybullet_bridge" and "commanded twice" in status.message
+                if status.name == "/mujoco_bridge" and "commanded twice" in status.message
             ),
             None,
         )

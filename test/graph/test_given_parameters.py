@@ -13,6 +13,7 @@ from importlib.util import find_spec
 import pytest
 import yaml
 from harness.bags import small_log, write_bag
+from harness.engines import BRIDGE, INSTALLED, needs_bullet
 from harness.fork_server import run_node
 from harness.graph import ros_arguments
 from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters
@@ -29,8 +30,8 @@ from hpid_ros.tuning.controller_files import settings_from_parameters
 T = Parameter.Type
 MS = 1_000_000
 EXECUTABLES = (
-    *("joint_controller", "joint_controllers", "single_process", "pybullet_bridge"),
-    *("mujoco_bridge", "joint_command_merger"),
+    *("joint_controller", "joint_controllers", "single_process", "joint_command_merger"),
+    *(f"{engine}_bridge" for engine in INSTALLED),
     *("trajectory_publisher", "bag_recorder", "bag_metrics"),
 )
 ACTION = "follow_joint_trajectory"
@@ -159,7 +160,7 @@ class Graph:
                 "/many/joint_command_merger",
             ],
             "single_process": [
-                *("/one/single_process", "/one/pybullet_bridge", "/one/joint_controllers"),
+                *("/one/single_process", f"/one/{BRIDGE}", "/one/joint_controllers"),
                 *("/one/arm_joint_1_controller", "/one/bag_recorder"),
             ],
             **{f"{name}": [f"/{name}"] for name in EXECUTABLES[3:]},
@@ -275,9 +276,9 @@ def test_every_executable_starts_from_its_dump_and_takes_it_back(harness, tmp_pa
 @pytest.mark.parametrize(
     ("executable", "document", "said"),
     [
-        ("pybullet_bridge", {"pybullet_bridge": {"seed": 1}}, "/**/pybullet_bridge in it stands"),
+        ("mujoco_bridge", {"mujoco_bridge": {"seed": 1}}, "/**/mujoco_bridge in it stands"),
         (
-            "pybullet_bridge",
+            "mujoco_bridge",
             {"/**/sim": {"seed": 1}},
             "or robot_description must be given",
         ),
@@ -351,6 +352,7 @@ class Robot:
         return self.end is not None
 
 
+@needs_bullet
 @pytest.mark.timeout(200)
 def test_two_robots_side_by_side_are_two_robots(harness, experiment_file, tmp_path):
     from nav_msgs.msg import Odometry

@@ -50,10 +50,10 @@ def test_a_person_grips_lets_go_and_begins_anew(harness, tmp_path):
         control_rate=100.0,
         wait_for_subscribers=0,
     )
-    harness.processes.start("pybullet_bridge", "pybullet_bridge", arguments)
-    grip = node.create_client(SetBool, "pybullet_bridge/grip")
-    hold = node.create_client(SetBool, "pybullet_bridge/pause")
-    reset = node.create_client(Trigger, "pybullet_bridge/reset")
+    harness.processes.start("mujoco_bridge", "mujoco_bridge", arguments)
+    grip = node.create_client(SetBool, "mujoco_bridge/grip")
+    hold = node.create_client(SetBool, "mujoco_bridge/pause")
+    reset = node.create_client(Trigger, "mujoco_bridge/reset")
     harness.wait(lambda: grip.service_is_ready() and poses, what="the bridge and its bricks")
 
     def call(client, request):

@@ -67,7 +67,7 @@ def test_a_paced_robot_acts_on_answers_to_earlier_states(harness):
     commands = harness.node.create_publisher(JointState, "joint_commands", OFFERED)
     parameters = {"mode": "realtime", "joints": "[arm_joint_6]", "control_rate": 100.0}
     arguments = ros_arguments(fixed_base=True, wait_for_subscribers=1, **parameters)
-    harness.processes.start("bridge", "pybullet_bridge", arguments)
+    harness.processes.start("bridge", "mujoco_bridge", arguments)
     harness.wait(lambda: len(efforts) > 10, what="states of the bridge")
     command = JointStateTemplate(["arm_joint_6"], effort=True).encode(0, effort=[0.125])
 
@@ -125,8 +125,8 @@ def test_what_a_latched_publisher_sends_to_both_subscriptions_is_taken_once():
         ("joint_controller", ["-p", "joint:=a", "-p", "introspection_rate:=.nan"], "not nan"),
         ("joint_controllers", ["-p", "joints:=[a b]"], "'a b_controller'"),
         ("joint_controllers", ["-p", "joints:=[a]", "-p", "gain.p:=1.0"], "'gains.p'"),
-        ("pybullet_bridge", ["-p", "duration:=.nan"], "duration must lie in"),
-        ("pybullet_bridge", ["-p", "wrench_duration:=.nan"], "wrench_duration must lie in"),
+        ("mujoco_bridge", ["-p", "duration:=.nan"], "duration must lie in"),
+        ("mujoco_bridge", ["-p", "wrench_duration:=.nan"], "wrench_duration must lie in"),
         ("bag_recorder", ["-p", "bag:=new", "-p", "topics:=[a b]"], "'a b'"),
         ("bag_recorder", ["-p", "bag:=new", "-p", "topics:=[a, a]"], "each topic once"),
     ],

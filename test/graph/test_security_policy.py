@@ -11,6 +11,8 @@ from harness.graph import ros_arguments
 from harness.places import ROOT
 from rclpy.action import get_action_server_names_and_types_by_node
 
+from hpid_ros.simulation.settings import ENGINES
+
 POLICY = ROOT / "config" / "sros2" / "policy.xml"
 
 
@@ -54,7 +56,8 @@ def test_only_controllers_may_command_and_only_the_robot_may_tell_states():
     nodes = [each.get("node") for each in ElementTree.parse(POLICY).iterfind(".//profile")]
     commanders = {node for node in nodes if "/joint_commands" in rules(node, "publish")}
     assert commanders == set(controllers())
-    assert [n for n in nodes if "/joint_states" in rules(n, "publish")] == ["pybullet_bridge"]
+    robots = [node for node in nodes if "/joint_states" in rules(node, "publish")]
+    assert robots == [f"{engine}_bridge" for engine in ENGINES]
     setters = {n for n in nodes if any("set_parameters" in s for s in rules(n, "request"))}
     assert setters == {"operator"}
 
@@ -70,7 +73,7 @@ def test_only_controllers_may_command_and_only_the_robot_may_tell_states():
             {"joints": "[elbow]", "command_interface": "joint_state"},
         ),
         ("arm_joint_1_controller", "joint_controller", {"joint": "arm_joint_1"}),
-        ("pybullet_bridge", "pybullet_bridge", {"fixed_base": True}),
+        ("mujoco_bridge", "mujoco_bridge", {"fixed_base": True}),
         (
             "trajectory_publisher",
             "trajectory_publisher",

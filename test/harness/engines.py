@@ -3,6 +3,7 @@
 import pytest
 
 from hpid_ros.simulation.settings import ENGINES, default_engine, installed_engines
+from hpid_ros.studies.study_plan import is_robot_installed
 
 INSTALLED = installed_engines()
 HAS_BULLET = ENGINES[0] in INSTALLED
@@ -11,6 +12,15 @@ NO_BULLET = "PyBullet is not installed"
 
 needs_bullet = pytest.mark.skipif(not HAS_BULLET, reason=NO_BULLET)
 """For tests of PyBullet, of both engines, and of the robots that its package carries."""
+
+
+def shipped(paths):
+    """Return experiment files as parameters; those whose robot is PyBullet's need it."""
+    return [
+        pytest.param(path, id=path.stem, marks=[] if is_robot_installed(path) else [needs_bullet])
+        for path in paths
+    ]
+
 
 ENGINE = default_engine()
 """The engine of tests that need one and care not which."""

@@ -136,7 +136,7 @@ def test_the_file_has_every_field_and_keeps_what_was_not_measured_again(tmp_path
     assert entry["spread"] == {"ours": [4.0, 6.0], "reference": [2.0, 2.0], "ratio": [2.0, 3.0]}
     assert entry["met"] is True
     assert document["machine"]["cores"] >= 1
-    assert {"python", "hpid_ros", "numpy", "pybullet"} <= set(document["versions"])
+    assert {"python", "hpid_ros", "numpy", "mujoco"} <= set(document["versions"])
     assert os.uname().nodename not in file.read_text()
 
 

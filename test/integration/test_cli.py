@@ -7,7 +7,7 @@ import sys
 
 import pytest
 import yaml
-from harness.engines import needs_bullet
+from harness.engines import needs_bullet, shipped
 
 from hpid_ros.base.resources import share_folder
 from hpid_ros.cli.commands import BAD_INPUT, DONE, UNREAD
@@ -94,10 +94,17 @@ def test_without_pybullet_one_line_says_who_computes(
     experiment_file, tmp_path, monkeypatch, capsys
 ):
     monkeypatch.setitem(sys.modules, "pybullet", None)
-    options = ["--vary", "mu=0.1", "--seeds", "1", "--jobs", "1", "-o", str(tmp_path / "r")]
-    assert main(["sweep", str(experiment_file(duration=0.02)), *options]) == DONE
+    options = ["--vary", "mu=0.1", "--seeds", "1", "--jobs", "1", "-o"]
+    unsaid = str(experiment_file(duration=0.02, simulation={"physics_steps": 1}))
+    assert main(["sweep", unsaid, *options, str(tmp_path / "r")]) == DONE
     line, _ = capsys.readouterr().err.splitlines()
     assert line.startswith("hpid: mujoco computes the physics: PyBullet is not installed")
+    assert load_experiment(unsaid).engine_note == line.removeprefix("hpid: ")
+    for chosen in (load_experiment(experiment_file()), load_experiment(unsaid, "mujoco")):
+        assert chosen.engine_note == ""
+    # What cannot run is one line, whoever would have computed it.
+    assert main(["sweep", unsaid, *options, str(tmp_path / "r")]) == BAD_INPUT
+    assert len(capsys.readouterr().err.splitlines()) == 1
 
 
 def test_the_default_experiment_is_the_papers():
@@ -201,13 +208,11 @@ def test_in_process_needs_no_ros(experiment_file, tmp_path):
     assert ended.returncode == DONE, ended.stderr.decode()
 
 
-def test_every_shipped_experiment_is_valid():
-    from hpid_ros.experiment.description import load_experiment
-
-    files = sorted((share_folder() / "config" / "experiments").glob("*.yaml"))
-    assert files
-    for file in files:
-        assert yaml.safe_load(file.read_text())["name"] == load_experiment(file).name
+@pytest.mark.parametrize(
+    "file", shipped(sorted((share_folder() / "config" / "experiments").glob("*.yaml")))
+)
+def test_every_shipped_experiment_is_valid(file):
+    assert yaml.safe_load(file.read_text())["name"] == load_experiment(file).name
 
 
 def test_a_reader_that_has_read_enough_is_no_error():

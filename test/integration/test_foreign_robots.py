@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from harness.engines import HAS_BULLET, needs_bullet
 
 from hpid_ros.base.errors import ExperimentError, RobotDescriptionError
 from hpid_ros.base.resources import (
@@ -27,9 +28,11 @@ from hpid_ros.robot import RobotDescription
 from hpid_ros.robot.amendments import JointAmendment, amended
 from hpid_ros.robot.dynamics import Dynamics
 from hpid_ros.simulation import World, WorldSettings
-from hpid_ros.simulation.bullet.connection import pybullet
-from hpid_ros.simulation.bullet.model import bullet_urdf
 from hpid_ros.studies.batch import RunTask, WorldKeeper, simulate
+
+if HAS_BULLET:
+    from hpid_ros.simulation.bullet.connection import pybullet
+    from hpid_ros.simulation.bullet.model import bullet_urdf
 
 EXPERIMENTS = share_folder() / "config" / "experiments"
 IIWA = "package://pybullet_data/kuka_iiwa/model.urdf"
@@ -63,6 +66,7 @@ def short(name: str, tmp_path: Path, duration: float = 0.2, **robot_changes: obj
 # --- where things are
 
 
+@needs_bullet
 def test_robots_of_python_packages_are_found_without_importing_them():
     code = (
         f"import sys; from hpid_ros.base.resources import find_resource; find_resource({IIWA!r});"
@@ -93,11 +97,11 @@ def test_robots_of_ament_packages_are_found(tmp_path: Path, monkeypatch: pytest.
     ("name", "says"),
     [
         ("package://nope_description/a.urdf", "no ament or Python package nope_description"),
-        ("package://pybullet_data/none.urdf", "pybullet_data)"),
+        pytest.param("package://pybullet_data/none.urdf", "pybullet_data)", marks=needs_bullet),
         ("package://hpid_ros/none.urdf", "there is no file package://hpid_ros/none.urdf"),
         ("package://../a.urdf", "no ament or Python package .."),
         ("package://config/experiments/paper.yaml", "no ament or Python package config"),
-        ("pybullet_data/none.urdf", "pybullet_data)"),
+        pytest.param("pybullet_data/none.urdf", "pybullet_data)", marks=needs_bullet),
     ],
 )
 def test_a_missing_robot_is_one_line_that_says_where_was_looked(name: str, says: str):
@@ -110,6 +114,7 @@ def test_a_missing_robot_is_one_line_that_says_where_was_looked(name: str, says:
 # --- the models, against each other
 
 
+@needs_bullet
 @pytest.mark.parametrize("name", URDFS)
 def test_pinocchio_and_bullet_agree_on_mass_and_gravity(name: str):
     description = robot(name)
@@ -138,6 +143,7 @@ def test_pinocchio_and_bullet_agree_on_mass_and_gravity(name: str):
         pybullet.disconnect(client)
 
 
+@needs_bullet
 @pytest.mark.parametrize("name", NAMES)
 def test_the_simulated_robot_accelerates_as_the_model_with_rotors_says(name: str, tmp_path: Path):
     document = yaml.safe_load((EXPERIMENTS / f"{name}.yaml").read_text())
@@ -169,6 +175,7 @@ def test_the_simulated_robot_accelerates_as_the_model_with_rotors_says(name: str
 # --- what is known better than the URDF says
 
 
+@needs_bullet
 def test_amendments_reach_everyone_who_reads_the_robot():
     arm = amended(
         robot(IIWA),
@@ -219,17 +226,15 @@ def slider() -> str:
 
 
 @pytest.mark.parametrize(
-    ("free", "tip"),
+    ("name", "tip"),
     [
-        (robot(IIWA), "lbr_iiwa_link_7"),
-        (robot(PANDA), "panda_leftfinger"),
-        (RobotDescription.load(slider()), "d"),
+        pytest.param(IIWA, "lbr_iiwa_link_7", id="iiwa", marks=needs_bullet),
+        pytest.param(PANDA, "panda_leftfinger", id="panda", marks=needs_bullet),
+        pytest.param(None, "d", id="slider"),
     ],
-    ids=["iiwa", "panda", "slider"],
 )
-def test_a_held_joint_stands_where_it_would_stand_if_it_moved_there(
-    free: RobotDescription, tip: str
-):
+def test_a_held_joint_stands_where_it_would_stand_if_it_moved_there(name: str | None, tip: str):
+    free = robot(name) if name else RobotDescription.load(slider())
     there = pose(free, seed=3)
     held = {joint: there[joint] for joint in list(free.joints)[2::2]}
     stiff = amended(free, {}, {}, held)
@@ -252,6 +257,7 @@ def test_a_held_joint_stands_where_it_would_stand_if_it_moved_there(
     assert np.allclose(*masses, rtol=0.0, atol=1e-12)
 
 
+@needs_bullet
 def test_an_amended_robot_means_the_same_on_every_machine():
     experiment = load_experiment(EXPERIMENTS / "panda.yaml")
     text = str(experiment.world.robot_description)
@@ -260,6 +266,7 @@ def test_an_amended_robot_means_the_same_on_every_machine():
     assert "panda_finger_joint1" not in RobotDescription.load(text).joints
 
 
+@needs_bullet
 @pytest.mark.parametrize(
     ("changes", "says"),
     [
@@ -352,6 +359,7 @@ def test_without_its_meshes_a_robot_cannot_stand_but_hang(
     assert mesh in warning.getMessage()
 
 
+@needs_bullet
 @pytest.mark.parametrize("name", URDFS)
 def test_on_a_fixed_base_meshes_change_no_number(name: str):
     there = robot(name)
@@ -365,6 +373,7 @@ def test_on_a_fixed_base_meshes_change_no_number(name: str):
     assert runs[0] == runs[1]
 
 
+@needs_bullet
 def test_what_nobody_sees_is_not_loaded():
     arm = robot(PANDA)
     assert "<visual" not in bullet_urdf(arm)
@@ -374,6 +383,7 @@ def test_what_nobody_sees_is_not_loaded():
 # --- the experiments
 
 
+@needs_bullet
 @pytest.mark.parametrize("name", NAMES)
 def test_gains_keep_to_the_rule_that_the_file_states(name: str):
     experiment = load_experiment(EXPERIMENTS / f"{name}.yaml")
@@ -389,6 +399,7 @@ def test_gains_keep_to_the_rule_that_the_file_states(name: str):
         assert settings.inertia == pytest.approx(inertia, rel=0.01)
 
 
+@needs_bullet
 @pytest.mark.parametrize("name", NAMES)
 def test_the_baseline_settles_within_the_limits_of_the_arm(name: str):
     experiment = load_experiment(EXPERIMENTS / f"{name}.yaml")
@@ -405,6 +416,7 @@ def test_the_baseline_settles_within_the_limits_of_the_arm(name: str):
         assert speed < joint.velocity
 
 
+@needs_bullet
 @pytest.mark.parametrize("name", NAMES)
 def test_a_short_run_is_finite_and_the_same_after_a_reset(name: str, tmp_path: Path):
     experiment = load_experiment(short(name, tmp_path))
@@ -421,6 +433,7 @@ def test_a_short_run_is_finite_and_the_same_after_a_reset(name: str, tmp_path: P
             assert np.array_equal(one.effort, other.effort)
 
 
+@needs_bullet
 @pytest.mark.parametrize("engine", ["pybullet", "mujoco"])
 def test_the_graph_gives_what_one_process_gives(tmp_path: Path, engine: str):
     from hpid_ros.experiment.compare import compare
@@ -451,6 +464,7 @@ def test_the_graph_gives_what_one_process_gives(tmp_path: Path, engine: str):
 # --- the commands
 
 
+@needs_bullet
 def test_hpid_robot_says_what_the_urdf_lacks(capsys: pytest.CaptureFixture[str]):
     assert main(["robot", PANDA, "--poses", "2", "--json"]) == 0
     said = json.loads(capsys.readouterr().out)
@@ -471,6 +485,7 @@ def test_hpid_robot_says_what_the_urdf_lacks(capsys: pytest.CaptureFixture[str])
     assert better["joints"]["panda_joint7"]["inertia"] == pytest.approx(0.2122, rel=1e-3)
 
 
+@needs_bullet
 def test_hpid_robot_saves_a_robot_that_loads_from_anywhere(tmp_path: Path, capsys):
     saved = tmp_path / "arm.urdf"
     file = str(EXPERIMENTS / "iiwa.yaml")
@@ -503,6 +518,7 @@ def test_hpid_robot_refuses_in_one_line(urdf: str, says: str, tmp_path: Path, ca
     assert error.count("\n") == 1
 
 
+@needs_bullet
 def test_predictions_start_where_the_experiment_does():
     from hpid_ros.tuning.prediction import predict
 
@@ -521,6 +537,7 @@ def test_predictions_start_where_the_experiment_does():
     assert all(each.itae < 0.02 for each in run.joints.values())
 
 
+@needs_bullet
 def test_an_upgraded_file_keeps_the_model_of_the_robot():
     from hpid_ros.tuning.controller_files import settings_from_parameters
     from hpid_ros.tuning.upgrade import Upgrade
@@ -535,6 +552,7 @@ def test_an_upgraded_file_keeps_the_model_of_the_robot():
     assert model.compensation == "gravity"
 
 
+@needs_bullet
 def test_check_gains_knows_the_inertias_of_an_experiments_robot(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):

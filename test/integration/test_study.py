@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import pytest
 import yaml
-from harness.engines import needs_bullet
+from harness.engines import needs_bullet, shipped
 from harness.places import ROOT
 from hypothesis import given
 from hypothesis import strategies as st
@@ -105,7 +105,7 @@ def test_the_last_second_is_the_last_second(files):
     assert last < max(abs(error) for error in series.error.tolist())
 
 
-@pytest.mark.parametrize("path", sorted(EXPERIMENTS.glob("*.yaml")), ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", shipped(sorted(EXPERIMENTS.glob("*.yaml"))))
 def test_every_experiment_runs_and_no_two_seeds_are_alike(path):
     (entry,) = plan_study([path], seeds=3).entries
     baseline = short_task(entry)

@@ -430,7 +430,7 @@ def test_what_is_saved_depends_on_the_sweep_alone(experiment_file, tmp_path, cap
     assert saved["sha256"] == experiment.digest
     assert saved["seeds"] == [1, 2]
     assert saved["runs"] == {"planned": 6, "made": 6}
-    assert {"hpid_ros", "pybullet", "numpy"} <= set(saved["versions"])
+    assert {"hpid_ros", "mujoco", "numpy"} <= set(saved["versions"])
     runs = list(csv.DictReader((tmp_path / "one" / "sweep.csv").read_text().splitlines()))
     assert [(run["mu"], run["seed"]) for run in runs] == [
         *(("", "1"), ("", "2"), ("-0.2", "1"), ("-0.2", "2"), ("0.1", "1"), ("0.1", "2")),

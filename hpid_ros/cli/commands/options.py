@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import math
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from datetime import datetime
@@ -65,20 +65,15 @@ def chosen_engines(options: argparse.Namespace) -> tuple[str | None, ...]:
     return engines
 
 
-def tell_engine(engines: Sequence[str | None]) -> None:
+def tell_engine(experiments: Iterable[Experiment]) -> None:
     """Say who computes the physics where nobody chose and PyBullet is not installed.
 
     Args:
-        engines: From :func:`chosen_engines`.
+        experiments: What is about to run.
     """
-    from hpid_ros.simulation.settings import ENGINES, default_engine
-
-    if None in engines and (engine := default_engine()) != ENGINES[0]:
-        print(
-            f"hpid: {engine} computes the physics: PyBullet is not installed "
-            "(pip install pybullet)",
-            file=sys.stderr,
-        )
+    for note in dict.fromkeys(each.engine_note for each in experiments):
+        if note:
+            print(f"hpid: {note}", file=sys.stderr)
 
 
 def named_experiment(file: str | None, engine: str | None = None) -> Experiment:
@@ -109,10 +104,9 @@ def experiment_to_run(options: argparse.Namespace) -> Experiment:
         raise SettingError(
             f"engine both is for hpid compare and hpid study; this command takes {known}"
         )
-    (engine,) = engines = chosen_engines(options)
+    (engine,) = chosen_engines(options)
     experiment = named_experiment(options.experiment, engine)
     require_engine(experiment.world.engine)
-    tell_engine(engines)
     return experiment
 
 

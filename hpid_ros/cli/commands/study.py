@@ -75,10 +75,10 @@ def run(options: argparse.Namespace) -> int:
     engines = chosen_engines(options)
     files = options.experiments or _shipped_files()
     plan = plan_study(files, joints=options.joint, seeds=options.seeds, engines=engines)
-    tell_engine(engines)
     path = output_folder(options, "study")
     inputs = [file for entry in plan.entries for file in entry.experiment.inputs]
     folder = study_folder(path, force=options.force, resume=options.resume, inputs=inputs)
+    tell_engine(entry.experiment for entry in plan.entries)
     told = TextConsole(stderr=True)
     with telling_where(told, folder, "what was run"):
         runs = len(plan.tasks()) - len(kept_records(plan, folder))

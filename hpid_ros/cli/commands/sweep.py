@@ -17,6 +17,7 @@ from hpid_ros.cli.commands.options import (
     experiment_to_run,
     output_folder,
     run_progress,
+    tell_engine,
     telling_where,
 )
 
@@ -81,6 +82,7 @@ def run(options: argparse.Namespace) -> int:
     )
     path = output_folder(options, f"{experiment.name}-sweep")
     folder = ResultFolder.create(path, force=options.force, inputs=experiment.inputs)
+    tell_engine([experiment])
     told = TextConsole(stderr=True)
     with telling_where(told, folder, "what was run"):
         with folder, run_progress(told, len(sweep.tasks())) as ended:

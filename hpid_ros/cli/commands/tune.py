@@ -18,6 +18,7 @@ from hpid_ros.cli.commands.options import (
     experiment_to_run,
     output_folder,
     progress,
+    tell_engine,
     telling_where,
 )
 
@@ -111,6 +112,7 @@ def run(options: argparse.Namespace) -> int:
     plan = _plan(options)
     path = output_folder(options, f"{plan.experiment.name}-tune-{options.law}")
     folder = ResultFolder.create(path, force=options.force, inputs=plan.experiment.inputs)
+    tell_engine([plan.experiment])
     told = TextConsole(stderr=True)
     with telling_where(told, folder, "what was found"):
         with folder, progress(told, "points", plan.total) as advanced:

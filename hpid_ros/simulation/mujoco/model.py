@@ -10,9 +10,11 @@ their product counts. Nothing of the robot touches itself.
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, NamedTuple
 from xml.etree import ElementTree
 
@@ -25,6 +27,8 @@ from hpid_ros.robot.description import JointDescription, RobotDescription
 from hpid_ros.robot.meshes import find_mesh, mesh_places
 from hpid_ros.simulation.settings import WorldSettings
 from hpid_ros.simulation.world.workpieces import Brick, Support
+
+_logger = logging.getLogger(__name__)
 
 GROUND = "__ground"
 NEGLIGIBLE_MASS = 1e-6  # [kg]
@@ -110,12 +114,29 @@ def build_model(settings: WorldSettings, description: RobotDescription) -> Mujoc
     touches = _Contacts(spec, settings)
     if is_touched:
         touches.build(robot)
+    else:
+        _tell_missing(root, description.folder)
     try:
         model = spec.compile()
     except ValueError as error:
         line = " ".join(str(error).split())
         raise RobotDescriptionError(f"MuJoCo cannot load the robot description: {line}") from None
     return _indexed(model, description, settings, robot, touches)
+
+
+def _tell_missing(root: ElementTree.Element, folder: Path | None) -> None:
+    """Say which collision meshes are not there; a robot that nothing touches needs none."""
+    missing = [
+        f"{name} of link {link.get('name')!r} ({mesh_places(name, folder)})"
+        for link in root.findall("link")
+        for mesh in link.findall("collision/geometry/mesh")
+        if find_mesh(name := mesh.get("filename", ""), folder) is None
+    ]
+    if missing:
+        _logger.warning(
+            "%d collision mesh(es) missing: %s; nothing touches the robot, it goes without",
+            *(len(missing), missing[0]),
+        )
 
 
 def _spec(settings: WorldSettings) -> Any:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-import pybullet
 import pytest
 from harness.places import URDF
+from scipy.spatial.transform import Rotation
 
 from hpid_ros.base.errors import RobotDescriptionError, SettingError
 from hpid_ros.robot import RobotDescription
@@ -57,7 +57,7 @@ def test_poses_are_those_of_the_simulated_robot(arm):
         with World(settings) as world:
             there, root = world.link_pose("payload"), world.base_pose()
         pose = arm.pose(positions)
-        rotation = np.reshape(pybullet.getMatrixFromQuaternion(there.orientation), (3, 3))
+        rotation = Rotation.from_quat(there.orientation).as_matrix()
         assert pose.position == pytest.approx(np.subtract(there.position, root.position), abs=1e-6)
         assert pose.rotation == pytest.approx(rotation, abs=1e-6)
 

@@ -10,6 +10,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from harness.engines import needs_bullet
 from harness.places import URDF
 
 from hpid_ros.robot import RobotDescription
@@ -109,11 +110,14 @@ def test_only_primitives_are_drawn_so_that_nothing_must_be_found():
 @pytest.mark.parametrize(
     "load",
     [
-        "import pybullet as b; b.connect(b.DIRECT);"
-        "b.loadURDF({0!r}, flags=b.URDF_USE_INERTIA_FROM_FILE)",
-        "import pinocchio; pinocchio.buildModelFromUrdf({0!r})",
+        pytest.param(
+            "import pybullet as b; b.connect(b.DIRECT);"
+            "b.loadURDF({0!r}, flags=b.URDF_USE_INERTIA_FROM_FILE)",
+            id="pybullet",
+            marks=needs_bullet,
+        ),
+        pytest.param("import pinocchio; pinocchio.buildModelFromUrdf({0!r})", id="pinocchio"),
     ],
-    ids=["pybullet", "pinocchio"],
 )
 def test_parsers_have_nothing_to_complain_about(load: str):
     done = subprocess.run(

@@ -1,10 +1,10 @@
-"""Tests of a world run in every engine."""
+"""Tests of a world run in every engine that is installed."""
 
 from dataclasses import replace
 
 import pytest
+from harness.engines import INSTALLED
 
-from hpid_ros.simulation.settings import ENGINES
 from hpid_ros.simulation.world import world
 
 WORLDS = ("test_world", "test_drives", "test_disturbances", "test_gripper", "test_sensors")
@@ -24,4 +24,4 @@ def engine(request, monkeypatch):
 
 def pytest_generate_tests(metafunc):
     if metafunc.module.__name__.rpartition(".")[2] in WORLDS:
-        metafunc.parametrize("engine", ENGINES, indirect=True)
+        metafunc.parametrize("engine", INSTALLED, indirect=True)

@@ -7,7 +7,6 @@ import re
 from dataclasses import replace
 
 import numpy as np
-import pybullet
 import pytest
 from harness.places import URDF
 
@@ -144,6 +143,8 @@ def pull_at(world, brick, force):
         physics._data.xfrc_applied[body, :3] = force
         physics._is_pushed = True
         return
+    import pybullet
+
     pybullet.applyExternalForce(
         *(physics._scene.bricks[0], -1, force, brick.position, pybullet.WORLD_FRAME),
         physicsClientId=physics._client,

@@ -8,6 +8,7 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 import pytest
+from harness.engines import needs_bullet
 from harness.places import URDF
 
 from hpid_ros.base.errors import RobotDescriptionError, RunError
@@ -22,6 +23,7 @@ JOINTS = tuple(ROBOT.joints)
 WHEELS = ("wheel_left_joint", "wheel_right_joint")
 SETTINGS = WorldSettings(URDF, JOINTS, engine="mujoco")
 OTHERS = ("pybullet_data/kuka_iiwa/model.urdf", "pybullet_data/franka_panda/panda.urdf")
+ROBOTS = (str(URDF), *(pytest.param(each, marks=needs_bullet) for each in OTHERS))
 
 
 def pose(description, seed):
@@ -38,7 +40,7 @@ def built(description):
     return found, mujoco.MjData(found.model)
 
 
-@pytest.mark.parametrize("source", [str(URDF), *OTHERS])
+@pytest.mark.parametrize("source", ROBOTS)
 def test_mass_matrix_gravity_and_frames_are_pinocchios(source):
     from hpid_ros.base.resources import find_resource
 
@@ -96,6 +98,7 @@ def test_a_robot_without_friction_at_its_balls_slides_on_them():
     assert np.allclose(model.pair_friction[wheels][:, :2], 0.9)
 
 
+@needs_bullet
 def test_both_engines_make_the_same_motion():
     """A swing of the arm on the standing base, whose contacts both engines solve in their way."""
     ends = {}

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 import yaml
+from harness.engines import shipped
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -174,7 +175,7 @@ def test_a_wheel_accelerates_the_robot_that_rolls_on_it():
     assert found["wheel_left_joint"] == pytest.approx(by_hand, rel=0.01)
 
 
-@pytest.mark.parametrize("path", EXPERIMENTS, ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", shipped(EXPERIMENTS))
 def test_the_baseline_of_every_experiment_follows_one_published_rule(path):
     """One rule and one closed-loop time for all joints, on inertias that are the robot's."""
     experiment = load_experiment(path)
