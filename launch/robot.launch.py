@@ -4,6 +4,7 @@ ros2 launch hpid_ros robot.launch.py [experiment:=FILE] [controller:=hPID] [mode
                                      [composed:=false] [bag:=FOLDER] [namespace:=NAME]
                                      [engine:=mujoco]
 
+Where robot_state_publisher is installed it runs, too, so that RViz and Foxglove show the robot.
 Two robots side by side are two launches with a namespace each.
 """
 
@@ -11,6 +12,7 @@ import os
 import tempfile
 from pathlib import Path
 
+from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
 from launch import LaunchDescription
 from launch.actions import (
     DeclareLaunchArgument,
@@ -29,6 +31,9 @@ from hpid_ros.experiment.description import load_experiment
 from hpid_ros.experiment.graph.nodes import bridge_name, write_run_files
 from hpid_ros.experiment.in_process import recorded_topics
 from hpid_ros.nodes.ros.process import LAUNCH
+from hpid_ros.robot.description import RobotDescription
+
+STATE_PUBLISHER = "robot_state_publisher"
 
 ARGUMENTS = {
     "controller": ("", None, "label under compare in the experiment file; the last one if empty"),
@@ -78,6 +83,8 @@ def nodes(context):
     folder = Path(tempfile.mkdtemp(prefix="hpid_ros_"))
     settings = experiment.controllers[label]
     controllers, bridge = map(str, write_run_files(folder, experiment, settings))
+    is_shown = is_installed(STATE_PUBLISHER)
+    listeners = len(experiment.world.joints) + bool(value["bag"]) + is_shown
     started = [
         Node(
             package="hpid_ros",
@@ -100,7 +107,7 @@ def nodes(context):
                     # The robot would fall while its controllers are still starting, and a bag
                     # without its beginning cannot be compared. The publisher of the reference
                     # listens, too, until the motion has begun.
-                    "wait_for_subscribers": len(experiment.world.joints) + bool(value["bag"]) + 1,
+                    "wait_for_subscribers": listeners + 1,
                     "wait_for_publishers": len(experiment.world.joints),
                 },
             ],
@@ -145,7 +152,31 @@ def nodes(context):
                 parameters=[{"bag": value["bag"], "topics": recorded_topics(experiment.world)}],
             )
         )
+    if is_shown:
+        started.append(
+            Node(
+                package=STATE_PUBLISHER,
+                executable=STATE_PUBLISHER,
+                namespace=namespace,
+                parameters=[
+                    {
+                        "robot_description": RobotDescription.load(
+                            experiment.world.robot_description
+                        ).xml,
+                        "frame_prefix": f"{namespace}/" if namespace else "",
+                    }
+                ],
+            )
+        )
     return [SetEnvironmentVariable(LAUNCH, str(os.getpid())), *failures(), *started]
+
+
+def is_installed(package):
+    try:
+        get_package_share_directory(package)
+    except PackageNotFoundError:
+        return False
+    return True
 
 
 def failures():

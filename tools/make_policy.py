@@ -67,7 +67,7 @@ def policy(joints: Iterable[str]) -> ElementTree.Element:
     for profile in _profiles(enclaves, "robot", _BRIDGES):
         _allow(
             profile,
-            publish=("joint_states", "clock", *_POSES, "/diagnostics"),
+            publish=("joint_states", "robot_description", "clock", *_POSES, "/diagnostics"),
             subscribe=("joint_commands", "~/wrench"),
             reply=(f"~/{service}" for service in _BRIDGE_SERVICES),
         )

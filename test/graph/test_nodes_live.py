@@ -1,9 +1,12 @@
 """What users do to running nodes: late commands, volatile publishers, bad command lines."""
 
 import pytest
+from harness.engines import ENGINE
 from harness.fork_server import run_node
 from harness.graph import ros_arguments
+from harness.places import URDF
 from sensor_msgs.msg import JointState
+from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory
 
 from hpid_ros.nodes.parts.bridge.commanders import HeldCommands
@@ -77,6 +80,16 @@ def test_a_paced_robot_acts_on_answers_to_earlier_states(harness):
 
     harness.wait(acts, what="the commanded effort")
     harness.wait(lambda: efforts[-1] == 0.0, what="the command to be too old")
+
+
+def test_whoever_comes_late_still_gets_the_robot_s_description(harness):
+    arguments = ros_arguments(mode="realtime", fixed_base=True, wait_for_subscribers=100)
+    harness.processes.start("bridge", f"{ENGINE}_bridge", arguments)
+    harness.wait(lambda: harness.node.count_publishers("robot_description"), what="the bridge")
+    found = []
+    harness.node.create_subscription(String, "robot_description", found.append, LATCHED)
+    harness.wait(lambda: found, what="the description")
+    assert found[0].data == URDF.read_text()
 
 
 @pytest.mark.parametrize("profile", [RARE, LATCHED], ids=["volatile", "latched"])

@@ -10,9 +10,10 @@ from geometry_msgs.msg import PoseArray, PoseStamped, Vector3Stamped
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
+from std_msgs.msg import String
 from std_srvs.srv import SetBool
 
-from hpid_ros.nodes.ros.middleware import OFFERED, RARE
+from hpid_ros.nodes.ros.middleware import LATCHED, OFFERED, RARE
 from hpid_ros.nodes.ros.parameters import read_number, read_only
 from hpid_ros.simulation.base import REPORT_RATE
 from hpid_ros.simulation.reports import CLOCK, KINDS, Reports, grip_words
@@ -33,6 +34,7 @@ _MESSAGES: dict[str, Any] = {
 class BridgeReports:
     """Publishes what is told of base and task, at a rate of simulated time.
 
+    The URDF is latched on ``robot_description``, where RViz and Foxglove look for it.
     Among bricks the service ``~/grip`` closes or opens the gripper.
 
     Args:
@@ -65,6 +67,9 @@ class BridgeReports:
             )
             for topic in self._reports.topics
         }
+        node.create_publisher(String, "robot_description", LATCHED).publish(
+            String(data=world.description.xml)
+        )
         self.figures = self._reports.figures
         if world.gripper is not None:
             node.create_service(SetBool, "~/grip", self._on_grip)
