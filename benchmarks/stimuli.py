@@ -69,6 +69,7 @@ class Felt:
             the two commands: on a busy machine the reference moves on meanwhile.
         to_zero: Time until the effort was zero in [s]; NaN if it never was.
         note: What else was seen.
+        late: How late the driver was at worst in [s]: what it saw then is this machine's doing.
     """
 
     before: float
@@ -76,6 +77,7 @@ class Felt:
     sudden: float
     to_zero: float = math.nan
     note: str = ""
+    late: float = 0.0
 
 
 @dataclass
@@ -92,6 +94,7 @@ class Driver:
     reported: Callable[[float], float] = field(default=lambda position: position)
     is_told: bool = True
     is_braked: bool = False
+    late: float = 0.0
 
     def __post_init__(self) -> None:
         self._template = JointStateTemplate([JOINT], position=True, velocity=True)
@@ -137,6 +140,7 @@ class Driver:
         while (left := self._due - time.monotonic()) > 0.0:
             self.executor.spin_once(timeout_sec=left)
         now = time.monotonic()
+        self.late = max(self.late, now - self._due)
         # A late period is a long one; while a flood is sent the joint stands still.
         dt, self._lived = min(now - self._lived, 10 * _PERIOD), now
         if self.is_braked or not self.commands:
@@ -198,6 +202,7 @@ class Driver:
             max((step - PACE * dt for step, dt in steps), default=0.0),
             zero,
             note,
+            self.late,
         )
 
 
