@@ -28,7 +28,7 @@ _WAITS_AT_MOST = 3600  # [s] for the start of a goal
 
 @dataclass(frozen=True, eq=False)
 class GoalRequest:
-    """A goal that is a trajectory, whoever may follow it; made by :meth:`checked`.
+    """A goal that is a trajectory, whoever may follow it.
 
     Attributes:
         names: Its joints, each once.

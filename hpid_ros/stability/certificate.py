@@ -163,8 +163,10 @@ def _norm_to_mapping(norm: Norm) -> dict[str, Any]:
             "error_weight": norm.error_weight,
             "rate_weight": norm.rate_weight,
         }
-    shape = [list(row) for row in norm.shape]
-    return {"type": "canonical", "degree": norm.degree, "shape": shape}
+    if isinstance(norm, CanonicalNorm):
+        shape = [list(row) for row in norm.shape]
+        return {"type": "canonical", "degree": norm.degree, "shape": shape}
+    raise SettingError(f"a certificate of a {type(norm).__name__} cannot be saved")
 
 
 def _norm_from_mapping(mapping: Mapping[str, Any]) -> Norm:
