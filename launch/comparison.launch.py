@@ -9,6 +9,8 @@ from launch.conditions import IfCondition, UnlessCondition
 from launch.substitutions import EqualsSubstitution, LaunchConfiguration, PathJoinSubstitution
 from launch_ros.substitutions import ExecutableInPackage, FindPackageShare
 
+from hpid_ros.nodes.ros.launching import failures
+
 
 def generate_launch_description():
     hpid = ExecutableInPackage(package="hpid_ros", executable="hpid")
@@ -28,6 +30,7 @@ def generate_launch_description():
                 default_value="",
                 description="new result folder; results/NAME-TIME if empty",
             ),
+            *failures(),
             ExecuteProcess(cmd=command, output="screen", condition=IfCondition(is_default)),
             ExecuteProcess(
                 cmd=[*command, "--output", output],

@@ -17,11 +17,9 @@ from launch import LaunchDescription
 from launch.actions import (
     DeclareLaunchArgument,
     OpaqueFunction,
-    RegisterEventHandler,
     SetEnvironmentVariable,
     Shutdown,
 )
-from launch.event_handlers import OnProcessExit, OnProcessIO
 from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
 from launch_ros.actions import Node
 from launch_ros.substitutions import FindPackageShare
@@ -30,6 +28,7 @@ from hpid_ros.base.names import controller_name
 from hpid_ros.experiment.description import load_experiment
 from hpid_ros.experiment.graph.nodes import bridge_name, write_run_files
 from hpid_ros.experiment.in_process import recorded_topics
+from hpid_ros.nodes.ros.launching import failures
 from hpid_ros.nodes.ros.process import LAUNCH
 from hpid_ros.robot.description import RobotDescription
 
@@ -177,28 +176,3 @@ def is_installed(package):
     except PackageNotFoundError:
         return False
     return True
-
-
-def failures():
-    """End the launch with the reason, and not with 0, when a process ends with an error.
-
-    One that a signal ended, as somebody who tries out what becomes of the others may do, is none.
-    """
-    last_words = {}
-
-    def note(event):
-        lines = event.text.decode(errors="replace").strip().splitlines()
-        if lines:
-            last_words[event.pid] = lines[-1]
-
-    def ended(event, context):
-        if event.returncode > 0 and not context.is_shutdown:
-            reason = last_words.get(event.pid, "it said nothing")
-            raise RuntimeError(
-                f"{event.process_name} ended with exit code {event.returncode}: {reason}"
-            )
-
-    return [
-        RegisterEventHandler(OnProcessIO(on_stderr=note)),
-        RegisterEventHandler(OnProcessExit(on_exit=ended)),
-    ]

@@ -7,9 +7,7 @@ controller and the merger have one each.
 """
 
 import os
-from pathlib import Path
 
-import yaml
 from launch import LaunchDescription
 from launch.actions import (
     DeclareLaunchArgument,
@@ -20,7 +18,10 @@ from launch.actions import (
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
+from hpid_ros.base.errors import SettingError
 from hpid_ros.base.names import controller_name, node_sections
+from hpid_ros.documents.yaml_files import load_yaml
+from hpid_ros.nodes.ros.launching import failures
 from hpid_ros.nodes.ros.process import LAUNCH
 
 
@@ -42,7 +43,7 @@ def generate_launch_description():
 
 def joints_of(file):
     """Return the joints that the section of joint_controllers names."""
-    sections = node_sections(yaml.safe_load(Path(file).read_text()))
+    sections = node_sections(load_yaml(file, SettingError))
     for name, values in sections.items():
         if name.rpartition("/")[2] == "joint_controllers" and values.get("joints"):
             return list(values["joints"])
@@ -55,7 +56,7 @@ def nodes(context):
         for name in ("params_file", "composed", "namespace")
     }
     file, namespace = value["params_file"], value["namespace"].strip("/")
-    here = SetEnvironmentVariable(LAUNCH, str(os.getpid()))
+    first = [SetEnvironmentVariable(LAUNCH, str(os.getpid())), *failures()]
     if value["composed"] == "true":
         # Without a name: a name would be given to every node of the process.
         arguments = ["--params-file", file, "-p", "merge:=true"]
@@ -66,7 +67,7 @@ def nodes(context):
             ros_arguments=arguments,
             on_exit=Shutdown(),
         )
-        return [here, composed]
+        return [*first, composed]
     controllers = [
         Node(
             package="hpid_ros",
@@ -84,4 +85,4 @@ def nodes(context):
         parameters=[file],
         on_exit=Shutdown(),
     )
-    return [here, *controllers, merger]
+    return [*first, *controllers, merger]

@@ -1,4 +1,4 @@
-"""The launch file of the open graph, where ROS's own launch is installed."""
+"""The launch files, where ROS's own launch is installed."""
 
 import os
 import shutil
@@ -97,3 +97,24 @@ def test_a_launch_whose_processes_fail_ends_with_their_reason(
     (line,) = [line for line in lines if "Caught exception in launch" in line]
     assert "ended with exit code 2" in line
     assert "exists already" in line
+
+
+@pytest.mark.parametrize(
+    ("file", "given"),
+    [
+        ("comparison.launch.py", "experiment:={}"),
+        ("ros2_control.launch.py", "params_file:={}"),
+    ],
+)
+def test_a_launch_whose_processes_refuse_what_they_are_given_ends_with_that(
+    launch, tmp_path, file, given
+):
+    (tmp_path / "bad.yaml").write_text(
+        "/**/joint_controllers: {ros__parameters: {joints: [elbow], merge: true}}\n"
+        "/**/elbow_controller: {ros__parameters: {joint: elbow, mu: -3.0}}\n"
+    )
+    process = launch(given.format(tmp_path / "bad.yaml"), file=file)
+    assert process.wait(120) == 1
+    lines = (tmp_path / "launch.log").read_text().splitlines()
+    (line,) = [line for line in lines if "Caught exception in launch" in line]
+    assert "ended with exit code 2: " in line

@@ -48,6 +48,7 @@ ALLOWED["nodes"] = BELOW_EXPERIMENTS
 ALLOWED["cli"] = BELOW_EXPERIMENTS | {"experiment", "studies"}
 ONLY_IN = {
     "rclpy": {"nodes"},
+    "launch": {"nodes"},
     "pybullet": {"simulation"},
     "mujoco": {"simulation"},
     "pinocchio": {"robot", "compensation"},
