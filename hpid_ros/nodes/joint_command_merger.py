@@ -234,8 +234,8 @@ class JointCommandMerger(ManagedNode):
         self._told = self._waiting
         if self._is_unheard:
             self._health.fault(self._told)
-        elif self._told:
-            self.get_logger().info(self._told)
+        else:
+            self.get_logger().info(self._told or f"merging: {', '.join(self._receiver.joints)}")
         self._report()
 
     def _tell_silences(self, merger: CommandMerger) -> None:

@@ -187,6 +187,11 @@ MODELLED = {
     [
         ("joint_controller", {}, "the parameter joint must name the joint"),
         ("joint_controller", {"joint": "a", "gain.p": 1.0}, "did you mean 'gains.p'"),
+        (
+            "joint_controller",
+            {"joint": "a", "mu": 1.0},
+            "joint_controller: Parameter mu out of range",
+        ),
         ("joint_controller", {"joint": "a", "mu": 0.5}, "Max: 0.4999, value: 0.5"),
         ("joint_controller", {"joint": "a", "gains.p": ".nan"}, "gains.p"),
         ("joint_controller", {"joint": "a", "gains.p": "much"}, "gains.p must be a double"),

@@ -127,7 +127,7 @@ class ClosingNode(Node):
         try:
             return list(super().declare_parameters(namespace, parameters, ignore_override))
         except InvalidParameterValueException as error:
-            raise SettingError(f"{self.get_name()}: {_input_error(error)}") from None
+            raise SettingError(f"{self.get_name()}: {_reason(error)}") from None
 
     def create_publisher(self, kind: Any, topic: str, qos: Any, **options: Any) -> Publisher:
         """Create a publisher, as rclpy does; overrides change no profile but its own."""
@@ -364,6 +364,13 @@ def _require_known_parameters(nodes: Sequence[Node]) -> None:
 def _input_error(error: Exception) -> str:
     """Return one line for an error of parameters or names."""
     return " ".join(str(error).split()).rstrip(" ^")
+
+
+def _reason(error: InvalidParameterValueException) -> str:
+    """Return what is wrong with a value, without what rclpy writes around it."""
+    line = _input_error(error)
+    reason, _, name = line.partition("Reason: ")[2].rpartition(": ")
+    return reason if name and name in reason else line
 
 
 def _ros_error(error: Exception) -> str:
