@@ -26,6 +26,7 @@ from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from rosbags.rosbag2.storage_mcap import McapWriter, PendingChunk
 
 from hpid_ros.base.errors import BagError
+from hpid_ros.base.interrupts import uninterrupted
 
 if TYPE_CHECKING:
     from rosbags.interfaces import Connection
@@ -98,9 +99,15 @@ class FlushingMcapWriter(McapWriter):
     def close_chunk(self) -> None:
         """Write the pending chunk and hand it to the operating system.
 
+        An interrupt waits until it is there as a whole: nothing behind half a chunk can be read.
+
         Raises:
             OSError: It could not be written; its messages are gone, the file is as before.
         """
+        with uninterrupted():
+            self._close_chunk()
+
+    def _close_chunk(self) -> None:
         pending, chunk_count = self.chunk, len(self.chunks)
         self.bio.flush()
         start = self.bio.tell()

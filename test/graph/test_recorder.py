@@ -204,6 +204,7 @@ def flood(harness):
         process.communicate()
 
 
+@pytest.mark.alone  # a freeze that lasts longer than DDS's lease is another story
 def test_a_recorder_that_was_frozen_tells_what_it_missed(harness, tmp_path, faults, flood):
     """Everything that was sent is recorded or told, to the message, wherever one looks."""
     recorder = record(harness, tmp_path / "bag")

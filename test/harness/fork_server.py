@@ -12,6 +12,7 @@ import gc
 import importlib
 import json
 import os
+import resource
 import signal
 import socket
 import subprocess
@@ -24,6 +25,7 @@ from hpid_ros.nodes.ros import status
 _PR_SET_CHILD_SUBREAPER = 36
 _LIBC = ctypes.CDLL(None)
 _NODES = "hpid_ros.nodes."
+_ENDING = (signal.SIGHUP, signal.SIGINT, signal.SIGQUIT, signal.SIGTERM)
 _LARGEST = 1 << 18  # [byte], of a request
 
 
@@ -51,6 +53,8 @@ class ForkedPopen(subprocess.Popen):
             "module": args[2],
             "arguments": args[3:],
             "environment": env,
+            "ignored": [int(each) for each in _ENDING if signal.getsignal(each) == signal.SIG_IGN],
+            "core": resource.getrlimit(resource.RLIMIT_CORE),
             "folder": cwd and str(cwd),
             "beginning": [int(preexec_fn.parting), preexec_fn.is_batch],
             "numbers": [0, 1, 2, *pass_fds],
@@ -138,9 +142,12 @@ def _serve(channel):
 def _become(request, files):
     """Make this process what Popen would have made of it."""
     os.setsid()
-    signal.signal(signal.SIGINT, signal.default_int_handler)
-    signal.signal(signal.SIGHUP, signal.SIG_DFL)  # also where the suite runs under nohup
+    for number in _ENDING:  # as exec leaves them: ignored ones stay so
+        is_ignored = int(number) in request["ignored"]
+        usual = signal.default_int_handler if number == signal.SIGINT else signal.SIG_DFL
+        signal.signal(number, signal.SIG_IGN if is_ignored else usual)
     Beginning(signal.Signals(request["beginning"][0]), request["beginning"][1])()
+    resource.setrlimit(resource.RLIMIT_CORE, tuple(request["core"]))
     spare = [os.dup(file) for file in files]
     above = max([*spare, *request["numbers"]]) + 1
     spare = [os.dup2(file, above + index) for index, file in enumerate(spare)]

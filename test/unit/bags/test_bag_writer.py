@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import math
+import os
+import signal
 import struct
 import subprocess
 import sys
 import tempfile
+import zlib
 from pathlib import Path
 
 import pytest
@@ -20,6 +23,7 @@ from rosbags.rosbag2.storage_mcap import McapWriter
 
 from hpid_ros.bags import BagReader, BagTopic, BagWriter, TopicQos
 from hpid_ros.base.errors import BagError, ResultExistsError
+from hpid_ros.base.interrupts import heed_interrupts
 from hpid_ros.wire.joint_state import JointStateTemplate
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
@@ -45,6 +49,29 @@ messages = st.lists(
         st.sampled_from(["/a", "/b"]), st.integers(0, 2**62), st.binary(min_size=1, max_size=40)
     )
 )
+
+
+def test_an_interrupt_in_the_middle_of_a_chunk_waits_for_its_end(tmp_path, monkeypatch):
+    checksum = zlib.crc32
+
+    def interrupted(data):
+        os.kill(os.getpid(), signal.SIGTERM)
+        return checksum(data)
+
+    before = {each: signal.getsignal(each) for each in (signal.SIGINT, signal.SIGTERM)}
+    heed_interrupts()
+    bag = BagWriter(tmp_path / "bag")
+    bag.write(add_joint_commands(bag), MS, COMMAND.encode(MS, effort=[1.0]))
+    try:
+        with monkeypatch.context() as patched:
+            patched.setattr(zlib, "crc32", interrupted)
+            with pytest.raises(KeyboardInterrupt):
+                bag.flush()
+    finally:
+        bag.close()
+        for number, handler in before.items():
+            signal.signal(number, handler)
+    assert len(read_raw(tmp_path / "bag")) == 1
 
 
 @given(messages)
