@@ -4,11 +4,11 @@ import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import pytest
 from builtin_interfaces.msg import Duration
 from harness.graph import ros_arguments
+from harness.health import is_stopped
 from rclpy.serialization import serialize_message
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
@@ -80,11 +80,6 @@ class Robot:
             return condition()
 
         self._harness.wait(holds, what=what)
-
-
-def is_stopped(process):
-    status = Path(f"/proc/{process.pid}/stat").read_text()
-    return status.rpartition(")")[2].split()[0] == "T"
 
 
 STUCK = """

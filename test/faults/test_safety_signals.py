@@ -2,10 +2,10 @@
 
 import resource
 import signal
-from pathlib import Path
 
 import pytest
 from harness.graph import ros_arguments
+from harness.health import is_stopped
 
 from hpid_ros.wire import JointStateTemplate
 
@@ -81,11 +81,6 @@ class Arm:
         """Go on telling states, and tell whether the last commands of joints are zero."""
         self._go_on()
         return all(self.efforts(joint)[-1] == 0.0 for joint in joints)
-
-
-def is_stopped(process):
-    status = Path(f"/proc/{process.pid}/stat").read_text()
-    return status.rpartition(")")[2].split()[0] == "T"
 
 
 @pytest.mark.usefixtures("as_from_a_terminal")

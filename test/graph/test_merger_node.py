@@ -7,7 +7,7 @@ from contextlib import contextmanager
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from harness.graph import ros_arguments
-from harness.health import Told, change, state
+from harness.health import Told, change, is_stopped, state
 from harness.ros2_control import NAME, Ros2Control
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64, Float64MultiArray
@@ -423,6 +423,7 @@ def test_a_process_that_is_stopped_leaves_with_zeros_and_comes_back_from_there(h
     command.until(EFFORTS, lambda: control.controller.received, "the first command")
     process.send_signal(signal.SIGTSTP)
     command.until(EFFORTS, lambda: set(control.efforts().values()) == {0.0}, "zeros")
+    command.until(EFFORTS, lambda: is_stopped(process), "it to stop")  # or SIGCONT is lost
     process.send_signal(signal.SIGCONT)
     command.until(EFFORTS, lambda: control.efforts() == EFFORTS, "the efforts")
 

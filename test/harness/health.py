@@ -1,5 +1,7 @@
 """A controller's ``/diagnostics`` and services."""
 
+from pathlib import Path
+
 from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
@@ -57,3 +59,8 @@ def change(harness, label, node=NAME):
 def state(harness, node=NAME):
     """Return the name of the lifecycle's state."""
     return call(harness, GetState, "get_state", GetState.Request(), node).current_state.label
+
+
+def is_stopped(process):
+    status = Path(f"/proc/{process.pid}/stat").read_text()
+    return status.rpartition(")")[2].split()[0] == "T"
