@@ -17,8 +17,10 @@ from harness.engines import BRIDGE, INSTALLED, needs_bullet
 from harness.fork_server import run_node
 from harness.graph import ros_arguments
 from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters
+from rclpy.node import NodeNameNonExistentError
 from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.parameter_client import AsyncParameterClient
+from std_msgs.msg import Float64MultiArray
 
 from hpid_ros.base.errors import SettingError
 from hpid_ros.base.names import is_for, node_sections
@@ -126,6 +128,9 @@ class Graph:
 
     def __init__(self, harness, folder):
         self._harness, self._folder = harness, folder
+        harness.node.create_subscription(  # its controllers wait for whoever hears the merger
+            Float64MultiArray, "/many/joint_command_merger/commands", lambda _: None, 1
+        )
         robot = {"initial_positions": [0.1] + 7 * [0.0]}
         self.arguments = {
             "joint_controller": ros_arguments(joint="elbow", gains__p=60, norm__floor=5e-5),
@@ -176,11 +181,26 @@ class Graph:
         }
 
     def dump(self, node):
-        """Return a node's parameters as ``ros2 param dump`` writes them."""
+        """Return a node's parameters as ``ros2 param dump`` writes them, once it has them all.
+
+        A controller's services are there before its subscription, which brings parameters along.
+        """
+        if node.endswith("controller"):
+            self._harness.wait(lambda: self._hears_states(node), what=f"{node} to listen")
         names = sorted(self._call(node, ListParameters, "list_parameters").result.names)
         values = self._call(node, GetParameters, "get_parameters", names=names).values
         assert len(values) == len(names)
         return dict(zip(names, map(parameter_value_to_python, values), strict=True))
+
+    def _hears_states(self, node):
+        namespace, _, name = node.rpartition("/")
+        try:
+            topics = self._harness.node.get_subscriber_names_and_types_by_node(
+                name, namespace or "/"
+            )
+        except NodeNameNonExistentError:
+            return False
+        return f"{namespace}/joint_states" in dict(topics)
 
     def load(self, node, file):
         """Do what ``ros2 param load`` does, and return what was refused."""
