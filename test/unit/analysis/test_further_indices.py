@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
+from scipy import signal
 
 from hpid_ros.analysis.indices.effort import (
     PLATEAU,
@@ -220,6 +221,17 @@ def test_chatter_is_the_rms_of_what_lies_above_the_cutoff_and_nothing_below(freq
     both = chatter(joint(effort=slow + fast), 20.0)
     assert both == pytest.approx(0.8 / math.sqrt(2.0), rel=0.01)
     assert chatter(joint(effort=slow), 20.0) < 1e-3
+
+
+@pytest.mark.parametrize("rate", [100.0, 101.0])
+@pytest.mark.parametrize("size", [16, 99, 101, 250, 60_000])
+def test_the_spectrum_is_that_of_scipy(rate, size):
+    """An even and an odd window, less than one, and more than are transformed at once."""
+    x = np.random.default_rng(size).normal(1.0, 2.0, size)
+    found = spectrum(np.arange(size) / rate, x)
+    frequency, density = signal.welch(x, rate, nperseg=min(size, int(rate)))
+    np.testing.assert_allclose(found.frequency, frequency, rtol=1e-12)
+    np.testing.assert_allclose(found.density, density, rtol=1e-9, atol=1e-15)
 
 
 def test_the_spectrum_holds_the_whole_power():
