@@ -13,10 +13,9 @@ from typing import NamedTuple
 
 from hpid_ros.base.units import NANOSECONDS, SECONDS_PER_NANOSECOND
 from hpid_ros.goals.active_goal import ActiveGoal, Error, Feedback
-from hpid_ros.goals.references import AGREES_WITHIN, GroupReferences
+from hpid_ros.goals.joints import AGREES_WITHIN, GroupReferences, GroupStates
 from hpid_ros.goals.results import GoalError, Result, ResultCode
 from hpid_ros.goals.settings import GroupSettings
-from hpid_ros.goals.states import GroupStates
 from hpid_ros.goals.stopping import LEAD_NS, Braking, coast_down, return_to, stop_together
 from hpid_ros.goals.trajectories import GoalRequest, GroupTrajectory, for_all_joints
 from hpid_ros.trajectory import Knot

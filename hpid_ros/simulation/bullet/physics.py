@@ -8,12 +8,12 @@ from hpid_ros.robot.description import RobotDescription
 from hpid_ros.simulation.bullet.boxes import box_pose
 from hpid_ros.simulation.bullet.connection import connected, disconnect, pybullet
 from hpid_ros.simulation.bullet.model import bullet_urdf
-from hpid_ros.simulation.bullet.poses import ROOT, centre_of_mass, link_pose, root_twist
 from hpid_ros.simulation.bullet.scene import Scene, build_scene
 from hpid_ros.simulation.poses import Pose, Twist
 from hpid_ros.simulation.settings import WorldSettings
 from hpid_ros.simulation.world.physics import Vector
 
+_ROOT = -1  # Bullet's index of a robot's root link
 _UNYIELDING = 1e5  # [N], far beyond any grip: the constraint itself never gives way
 
 
@@ -98,8 +98,8 @@ class BulletPhysics:
     def push(self, link: str, force: Vector, torque: Vector) -> None:
         """Push a link in the next step."""
         client, body, index = self._client, self._scene.body, self._scene.links[link]
-        origin = link_pose(client, body, index).position
-        centre = centre_of_mass(client, body, index)
+        origin = _link_pose(client, body, index).position
+        centre = _centre_of_mass(client, body, index)
         x, y, z = (a - b for a, b in zip(origin, centre, strict=True))
         fx, fy, fz = force
         tx, ty, tz = torque
@@ -120,15 +120,15 @@ class BulletPhysics:
 
     def link_pose(self, link: str) -> Pose:
         """Return the pose of a link's frame."""
-        return link_pose(self._client, self._scene.body, self._scene.links[link])
+        return _link_pose(self._client, self._scene.body, self._scene.links[link])
 
     def root_pose(self) -> Pose:
         """Return the pose of the root link's frame."""
-        return link_pose(self._client, self._scene.body, ROOT)
+        return _link_pose(self._client, self._scene.body, _ROOT)
 
     def root_twist(self) -> Twist:
         """Return the velocity of the root link's frame, in that frame."""
-        return root_twist(self._client, self._scene.body)
+        return _root_twist(self._client, self._scene.body)
 
     def brick_pose(self, index: int) -> Pose:
         """Return the pose of a brick's centre."""
@@ -194,3 +194,43 @@ class BulletPhysics:
         """Disconnect from PyBullet."""
         client, self._client = self._client, -1
         disconnect(client)
+
+
+def _link_pose(client: int, body: int, index: int) -> Pose:
+    """Return the pose of a link's URDF frame.
+
+    Args:
+        client: PyBullet's client.
+        body: The robot.
+        index: Bullet's index of the link; -1 is the root.
+    """
+    if index != _ROOT:
+        state = pybullet.getLinkState(body, index, physicsClientId=client)
+        return Pose(state[4], state[5])
+    # Of the root Bullet gives the principal frame at the centre of mass.
+    centre = pybullet.getBasePositionAndOrientation(body, physicsClientId=client)
+    inertial = pybullet.getDynamicsInfo(body, _ROOT, physicsClientId=client)[3:5]
+    frame = pybullet.invertTransform(*inertial, physicsClientId=client)
+    return Pose(*pybullet.multiplyTransforms(*centre, *frame, physicsClientId=client))
+
+
+def _centre_of_mass(client: int, body: int, index: int) -> tuple[float, float, float]:
+    """Return a link's centre of mass in the world, in [m]."""
+    if index == _ROOT:
+        return pybullet.getBasePositionAndOrientation(body, physicsClientId=client)[0]
+    return pybullet.getLinkState(body, index, physicsClientId=client)[0]
+
+
+def _root_twist(client: int, body: int) -> Twist:
+    """Return the velocity of the root link's frame."""
+    origin, orientation = _link_pose(client, body, _ROOT)
+    centre = _centre_of_mass(client, body, _ROOT)
+    (vx, vy, vz), angular = pybullet.getBaseVelocity(body, physicsClientId=client)
+    wx, wy, wz = angular
+    x, y, z = (a - b for a, b in zip(origin, centre, strict=True))
+    linear = (vx + wy * z - wz * y, vy + wz * x - wx * z, vz + wx * y - wy * x)
+    _, inverse = pybullet.invertTransform((0.0, 0.0, 0.0), orientation, physicsClientId=client)
+    return Twist(
+        pybullet.rotateVector(inverse, linear, physicsClientId=client),
+        pybullet.rotateVector(inverse, angular, physicsClientId=client),
+    )
