@@ -163,3 +163,46 @@ def test_all_joints_of_a_process_are_left_before_any_node_waits():
         "closed second",
     ]
     assert ended.returncode == 1
+
+
+STANDS_STILL = """
+import atexit, ctypes, sys, threading
+from hpid_ros.nodes.ros import executor, process
+
+class Brief(executor.ClosingNode):
+    def close(self):
+        print("closed")
+
+    def destroy_node(self):
+        {destroying}
+
+def make():
+    node = Brief("brief")
+    node.create_timer(0.0, node.request_stop)
+    return [node]
+
+process._TORN_DOWN_WITHIN = {within}
+libc = ctypes.CDLL(None)
+libc.on_exit(libc.pause, None)
+atexit.register(threading.Event().wait)
+sys.exit(executor.run(make))
+"""
+
+
+@pytest.mark.parametrize(
+    ("destroying", "within", "code", "said"),
+    [
+        ("super().destroy_node()", 60.0, 0, ""),
+        ("threading.Event().wait()", 0.2, 1, "in destroy_node"),
+    ],
+)
+@pytest.mark.usefixtures("harness")  # for its domain
+def test_a_closed_process_ends_whatever_would_stand_still(destroying, within, code, said):
+    """What Python and a library do at their ends does not count; the middleware has some time."""
+    program = STANDS_STILL.format(destroying=destroying, within=within)
+    ended = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, timeout=60
+    )
+    assert ended.returncode == code
+    assert said in ended.stderr
+    assert ended.stdout == "closed\n"

@@ -158,7 +158,10 @@ def test_a_parameter_of_the_command_line_reaches_every_composed_controller(harne
     harness.processes.start(
         "joint_controllers",
         "joint_controllers",
-        [*ros_arguments(law="pid", gains__p=10.0), "-p", "joints:=[elbow, wrist]"],
+        [
+            *ros_arguments(law="pid", gains__p=10.0, state_watchdog=False),
+            *("-p", "joints:=[elbow, wrist]"),
+        ],
     )
     harness.wait(lambda: harness.states.get_subscription_count() == 2, what="both controllers")
     harness.ask(0, 0.5)

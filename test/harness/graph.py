@@ -66,9 +66,11 @@ class Harness:
     def start_controller(self, name="elbow_controller", joint="elbow", **parameters):
         """Start a controller and wait until it listens to the states.
 
-        Its clock is that of the test, which stands still while the test does something else.
+        Its clock is that of the test, which stands still while the test does something else. Only
+        with a timeout of its own does the controller look for how long, by the time of the wall.
         """
         parameters.setdefault("state_clock", "simulated")
+        parameters.setdefault("state_watchdog", "state_timeout" in parameters)
         process = self.processes.start(
             name, "joint_controller", ros_arguments(joint=joint, **parameters)
         )

@@ -42,7 +42,12 @@ from hpid_ros.base.errors import ClaimError, HpidError, SettingError, unknown_na
 from hpid_ros.base.foreign_text import shown
 from hpid_ros.nodes.ros.given_parameters import ParameterSources, as_declared
 from hpid_ros.nodes.ros.middleware import load_profile
-from hpid_ros.nodes.ros.process import end_with_the_launch, warn_if_unprotected
+from hpid_ros.nodes.ros.process import (
+    end,
+    end_in_time,
+    end_with_the_launch,
+    warn_if_unprotected,
+)
 from hpid_ros.nodes.ros.rclpy_internals import given_parameters
 from hpid_ros.nodes.ros.services import declared_names, guard_services
 from hpid_ros.nodes.ros.supervisor import Supervisor
@@ -228,10 +233,10 @@ def run(
         usage: What ``--help`` prints; nothing is started then.
 
     Returns:
-        The exit code: 0 for help and after SIGINT, SIGTERM and SIGHUP, 1 when a callback raised
-        or a joint is another's, 2 when arguments or parameters cannot be used. Whatever it is,
-        every node has been closed while the graph was there. After another signal the process
-        ends by it, and this never returns.
+        The exit code where nothing was started: 0 for help, 2 when arguments cannot be used. Else
+        the process ends here, with 0 after SIGINT, SIGTERM and SIGHUP, 1 when a callback raised
+        or a joint is another's, 2 when parameters cannot be used, and by the signal after another
+        one. Whatever it is, every node has been closed while the graph was there.
     """
     command_line = list(sys.argv if args is None else args)
     try:
@@ -247,14 +252,17 @@ def run(
         rclpy.init(args=command_line, signal_handler_options=SignalHandlerOptions.NO)
     except (RuntimeError, ValueError) as error:
         return _refuse(_ros_error(error))
+    code = FAILED
     try:
         with Supervisor() as supervisor:
             code = _run_in_context(make_nodes, command_line, supervisor)
-    finally:
         rclpy.try_shutdown()
-    if supervisor.ends_by is not None:
-        _end_by(supervisor.ends_by)
-    return code
+        if supervisor.ends_by is not None:
+            _end_by(supervisor.ends_by)
+    except Exception:
+        traceback.print_exc()
+    finally:
+        end(code)
 
 
 def _end_by(number: int) -> None:
@@ -305,6 +313,10 @@ def _run_in_context(
         is_closed = [_done(node.leave_at_once) for node in nodes]
         supervisor.are_left = True
         is_closed += [_done(node.close) for node in nodes]
+        end_in_time()
+        _done(executor.shutdown)
+        for node in nodes:
+            _done(node.destroy_node)
     return supervisor.code or int(not all(is_closed))
 
 
