@@ -14,12 +14,12 @@ from hpid_ros.analysis import Comparison, RunIndices
 from hpid_ros.analysis.quantities import ANGLE_UNITS, Quantity, find_quantities
 from hpid_ros.analysis.units import with_angles_in
 from hpid_ros.bags import BagSelection, parse_command_topics
-from hpid_ros.base.errors import HpidError, SettingError, unknown_name
+from hpid_ros.base.errors import HpidError, SettingError
 from hpid_ros.metrics import Measured, Measuring, measure, measure_all
 from hpid_ros.metrics.sources import Source
 from hpid_ros.nodes.ros import executor
 from hpid_ros.nodes.ros.middleware import LATCHED
-from hpid_ros.nodes.ros.parameters import read_only
+from hpid_ros.nodes.ros.parameters import read_choice, read_only
 from hpid_ros.nodes.ros.status import StatusPipe
 from hpid_ros.nodes.ros.steady_timer import steady_timer
 from hpid_ros.nodes.ros.usage import Usage
@@ -131,16 +131,10 @@ class BagMetrics(executor.ClosingNode):
         )
 
     def _read_format(self) -> None:
-        self._format = str(
-            read_only(self, "format", "table", f"Of the output: {', '.join(FORMATS)}")
-        )
-        if self._format not in FORMATS:
-            raise SettingError(f"format: {unknown_name('format', self._format, FORMATS)}")
-        self._units = str(read_only(self, "units", "rad", "Of angles: rad, deg"))
-        if self._units not in ANGLE_UNITS:
-            raise SettingError(
-                f"units: {unknown_name('unit of angles', self._units, ANGLE_UNITS)}"
-            )
+        text = f"Of the output: {', '.join(FORMATS)}"
+        self._format = read_choice(self, "format", "table", text, FORMATS)
+        text = f"Of angles: {', '.join(ANGLE_UNITS)}"
+        self._units = read_choice(self, "units", "rad", text, ANGLE_UNITS)
         names = str(
             read_only(self, "indices", "paper", "Comma-separated: paper, step, all, or keys")
         )

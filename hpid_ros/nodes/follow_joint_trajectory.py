@@ -28,7 +28,7 @@ from hpid_ros.nodes.parts.action.parameters import GroupParameters
 from hpid_ros.nodes.parts.action.server import GoalServer, action_type
 from hpid_ros.nodes.parts.action.told import ToldTrajectories
 from hpid_ros.nodes.ros import executor
-from hpid_ros.nodes.ros.middleware import NEWEST_STATES, overridable
+from hpid_ros.nodes.ros.middleware import NEWEST_STATES, subscribe_raw
 from hpid_ros.nodes.ros.status import StatusPipe
 from hpid_ros.nodes.ros.steady_timer import steady_timer
 from hpid_ros.nodes.ros.usage import Usage
@@ -76,14 +76,7 @@ class JointTrajectoryController(executor.ClosingNode):
 
     def _listen(self, joints: Sequence[str]) -> None:
         self._reader = GroupReader(joints)
-        self.create_subscription(
-            JointState,
-            "joint_states",
-            self._on_state,
-            NEWEST_STATES,
-            raw=True,
-            qos_overriding_options=overridable(),
-        )
+        subscribe_raw(self, "joint_states", self._on_state, NEWEST_STATES)
         self._has_told = [False] * len(joints)
         for joint, name in enumerate(joints):
             self.create_subscription(

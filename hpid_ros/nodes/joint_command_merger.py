@@ -9,7 +9,6 @@ from typing import Any
 
 from rclpy.node import Node
 from rclpy.timer import Timer
-from sensor_msgs.msg import JointState
 
 from hpid_ros.base.errors import ClaimError, MessageError, SettingError
 from hpid_ros.base.names import ALL_JOINTS
@@ -24,7 +23,7 @@ from hpid_ros.nodes.parts.merger.parameters import read_parameters
 from hpid_ros.nodes.parts.merger.receiver import ReceiverWatch
 from hpid_ros.nodes.parts.merger.stream import MergedCommands, MergedStream
 from hpid_ros.nodes.ros import executor
-from hpid_ros.nodes.ros.middleware import ALL_COMMANDS, overridable
+from hpid_ros.nodes.ros.middleware import ALL_COMMANDS, subscribe_raw
 from hpid_ros.nodes.ros.process import schedule
 from hpid_ros.nodes.ros.status import StatusPipe
 from hpid_ros.nodes.ros.steady_timer import steady_timer
@@ -194,14 +193,7 @@ class JointCommandMerger(ManagedNode):
         needed = sum(not joint.may_be_missing for joint in merger.settings.joints)
         if self.count_publishers("joint_commands") < needed:
             return
-        self._commands = self.create_subscription(
-            JointState,
-            "joint_commands",
-            self._on_command,
-            ALL_COMMANDS,
-            raw=True,
-            qos_overriding_options=overridable(),
-        )
+        self._commands = subscribe_raw(self, "joint_commands", self._on_command, ALL_COMMANDS)
         self._status.send("listening")
 
     def _on_command(self, raw: bytes) -> None:

@@ -13,7 +13,6 @@ from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.task import Future
-from sensor_msgs.msg import JointState
 
 from hpid_ros.base.errors import ClaimError, MessageError
 from hpid_ros.control import JointLoop
@@ -21,7 +20,7 @@ from hpid_ros.control.reference import Motion
 from hpid_ros.control.settings.table import PARAMETERS
 from hpid_ros.control.supervision import SupervisedLoop
 from hpid_ros.nodes.parts.controller.certification import Certification
-from hpid_ros.nodes.parts.controller.commands import SINKS, CommandSink, joint_commands, sender_of
+from hpid_ros.nodes.parts.controller.commands import SINKS, Commands, CommandSink, sender_of
 from hpid_ros.nodes.parts.controller.health import ControllerHealth, LoopTiming
 from hpid_ros.nodes.parts.controller.introspection import Introspection
 from hpid_ros.nodes.parts.controller.joint_claim import JointClaim, claims_joint
@@ -32,8 +31,8 @@ from hpid_ros.nodes.parts.controller.settings import ControllerSettings, concern
 from hpid_ros.nodes.parts.controller.stop import ControllerStop
 from hpid_ros.nodes.parts.controller.watchdog import StateWatchdog
 from hpid_ros.nodes.ros import executor
-from hpid_ros.nodes.ros.middleware import NEWEST_STATES, overridable
-from hpid_ros.nodes.ros.parameters import read_only
+from hpid_ros.nodes.ros.middleware import NEWEST_STATES, subscribe_raw
+from hpid_ros.nodes.ros.parameters import read_choice, read_only
 from hpid_ros.nodes.ros.process import schedule
 from hpid_ros.nodes.ros.status import StatusPipe
 from hpid_ros.nodes.ros.steady_timer import steady_timer
@@ -71,12 +70,8 @@ class JointController(ManagedNode):
         self._loop = JointLoop(self._tuning.with_changes())
         self.joint = self._loop.settings.joint
         self._reader = JointReader(self.joint)
-        interface = read_only(
-            self,
-            "command_interface",
-            "joint_state",
-            f"Message of the commands: {', '.join(sinks)}",
-        )
+        text = f"Message of the commands: {', '.join(sinks)}"
+        make_sink = sinks[read_choice(self, "command_interface", "joint_state", text, sinks)]
         self._model = model_compensation(self, self._loop.settings, self._tuning.robot)
         self._listeners = read_only(
             self, "wait_for_command_subscribers", 1, "Subscribers that commands must have first"
@@ -86,7 +81,7 @@ class JointController(ManagedNode):
         )
         is_claiming = claims_joint(self)
         sender = sender_of(self, is_claiming)
-        self._commands = joint_commands(self, self.joint, str(interface), sender, sinks)
+        self._commands = Commands(make_sink(self, self.joint, sender))
         topic = self._commands.publisher.topic_name
         self._claim = JointClaim(self, is_claiming, self.joint, topic, self._lose)
         self._introspection = Introspection(self, self.joint, self._model is not None)
@@ -189,14 +184,7 @@ class JointController(ManagedNode):
         if not self._claim.settle() or self._waits_for():
             return
         self.is_starting = False
-        self._states = self.create_subscription(
-            JointState,
-            "joint_states",
-            self._on_state,
-            NEWEST_STATES,
-            raw=True,
-            qos_overriding_options=overridable(),
-        )
+        self._states = subscribe_raw(self, "joint_states", self._on_state, NEWEST_STATES)
         self._watchdog.watch(self._loop.settings.timing.state_timeout)
         self._status.send("listening")
 

@@ -5,12 +5,11 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 
-from hpid_ros.base.errors import SettingError, unknown_name
 from hpid_ros.nodes import joint_controllers
 from hpid_ros.nodes.bag_recorder import BagRecorder
 from hpid_ros.nodes.parts.bridge.bridge import RobotBridge
 from hpid_ros.nodes.ros import executor
-from hpid_ros.nodes.ros.parameters import read_only
+from hpid_ros.nodes.ros.parameters import read_choice, read_only
 from hpid_ros.nodes.ros.usage import Usage
 from hpid_ros.simulation.settings import ENGINES, default_engine
 
@@ -23,10 +22,8 @@ class SingleProcess(executor.ClosingNode):
         self.records: bool = read_only(
             self, "record", False, "Run bag_recorder in this process too, with its parameters"
         )
-        choices = ", ".join(ENGINES)
-        self.engine = str(read_only(self, "engine", default_engine(), f"Of the bridge: {choices}"))
-        if self.engine not in ENGINES:
-            raise SettingError(unknown_name("engine", self.engine, ENGINES))
+        text = f"Of the bridge: {', '.join(ENGINES)}"
+        self.engine = read_choice(self, "engine", default_engine(), text, ENGINES)
 
 
 def make_nodes() -> list[executor.ClosingNode]:

@@ -11,14 +11,13 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 
-from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory as JointTrajectoryMessage
 
 from hpid_ros.base.errors import MessageError, SettingError, TrajectoryError
 from hpid_ros.base.resources import find_resource
 from hpid_ros.documents.yaml_files import load_document
 from hpid_ros.nodes.ros import executor
-from hpid_ros.nodes.ros.middleware import LATCHED, NEWEST_STATES, overridable
+from hpid_ros.nodes.ros.middleware import LATCHED, NEWEST_STATES, subscribe_raw
 from hpid_ros.nodes.ros.parameters import read_only
 from hpid_ros.nodes.ros.status import StatusPipe
 from hpid_ros.nodes.ros.steady_timer import steady_timer
@@ -59,14 +58,7 @@ class TrajectoryPublisher(executor.ClosingNode):
             JointTrajectoryMessage, "joint_trajectory", LATCHED
         )
         self._publisher.publish(to_message(trajectory))
-        self._states = self.create_subscription(
-            JointState,
-            "joint_states",
-            self._on_state,
-            NEWEST_STATES,
-            raw=True,
-            qos_overriding_options=overridable(),
-        )
+        self._states = subscribe_raw(self, "joint_states", self._on_state, NEWEST_STATES)
         self._status = StatusPipe(self)
         self._status.send("published")
         self.get_logger().info(

@@ -11,7 +11,9 @@ from __future__ import annotations
 
 import contextlib
 import os
+from collections.abc import Callable
 
+from rclpy.node import Node
 from rclpy.qos import (
     DurabilityPolicy,
     HistoryPolicy,
@@ -20,6 +22,8 @@ from rclpy.qos import (
     ReliabilityPolicy,
 )
 from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.subscription import Subscription
+from sensor_msgs.msg import JointState
 
 from hpid_ros.base.names import PROFILE_FILES
 from hpid_ros.base.resources import ResourceError, find_resource
@@ -76,6 +80,22 @@ def overridable() -> QoSOverridingOptions:
     """
     kinds = QoSPolicyKind
     return QoSOverridingOptions((kinds.HISTORY, kinds.DEPTH, kinds.RELIABILITY, kinds.LIFESPAN))
+
+
+def subscribe_raw(
+    node: Node, topic: str, callback: Callable[[bytes], None], profile: QoSProfile
+) -> Subscription:
+    """Subscribe to joint states or commands as bytes, with a profile that can be overridden.
+
+    Args:
+        node: The node.
+        topic: Name of the topic.
+        callback: Called with each message as it came, in CDR.
+        profile: The profile where nothing overrides it.
+    """
+    return node.create_subscription(
+        JointState, topic, callback, profile, raw=True, qos_overriding_options=overridable()
+    )
 
 
 def load_profile() -> None:

@@ -72,6 +72,31 @@ def read_only(node: Node, name: str, default: object, description: str) -> Any:
     return parameter.value
 
 
+def read_choice(
+    node: Node, name: str, default: str, description: str, choices: Iterable[str]
+) -> str:
+    """Declare one text of a few, fixed when the node starts, and return it.
+
+    Args:
+        node: The node that gets it.
+        name: Its name.
+        default: Its default.
+        description: What it is.
+        choices: What it may be.
+
+    Raises:
+        SettingError: It is none of them.
+    """
+    allowed = ", ".join(choices)
+    descriptor = ParameterDescriptor(
+        description=description, read_only=True, additional_constraints=f"one of: {allowed}"
+    )
+    value = str(node.declare_parameter(name, default, descriptor).value)
+    if value not in allowed.split(", "):
+        raise SettingError(f"{name} must be one of {allowed}, not {value!r}")
+    return value
+
+
 def read_number(
     node: Node, name: str, default: float, description: str, limits: tuple[float, float]
 ) -> float:

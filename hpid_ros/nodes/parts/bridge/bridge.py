@@ -16,7 +16,7 @@ from hpid_ros.nodes.parts.bridge.reports import BridgeReports
 from hpid_ros.nodes.parts.bridge.services import BridgeServices
 from hpid_ros.nodes.parts.bridge.world_parameters import read_world_file
 from hpid_ros.nodes.ros import executor
-from hpid_ros.nodes.ros.middleware import ALL_COMMANDS, OFFERED, overridable
+from hpid_ros.nodes.ros.middleware import ALL_COMMANDS, OFFERED, overridable, subscribe_raw
 from hpid_ros.nodes.ros.parameters import read_only
 from hpid_ros.nodes.ros.process import schedule
 from hpid_ros.nodes.ros.status import ERROR, OK, WARN, Diagnostics, StatusPipe
@@ -74,14 +74,7 @@ class RobotBridge(executor.ClosingNode):
         self._states = self.create_publisher(
             JointState, "joint_states", OFFERED, qos_overriding_options=overridable()
         )
-        self.create_subscription(
-            JointState,
-            "joint_commands",
-            self._on_command,
-            ALL_COMMANDS,
-            raw=True,
-            qos_overriding_options=overridable(),
-        )
+        subscribe_raw(self, "joint_commands", self._on_command, ALL_COMMANDS)
         prefix = str(
             read_only(self, "frame_prefix", "", "Before each frame's name, e.g. of two robots")
         )

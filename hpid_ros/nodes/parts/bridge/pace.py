@@ -10,9 +10,8 @@ from typing import Any
 from rclpy.node import Node
 
 from hpid_ros.base.durations import Durations
-from hpid_ros.base.errors import SettingError
 from hpid_ros.base.units import NANOSECONDS
-from hpid_ros.nodes.ros.parameters import read_number, read_only
+from hpid_ros.nodes.ros.parameters import read_choice, read_number, read_only
 
 
 class BridgeTiming:
@@ -132,9 +131,7 @@ def read_pace(node: Node, joints: int, answer_timeout: float) -> Pace:
     Raises:
         SettingError: A value is out of range.
     """
-    mode = read_only(node, "mode", "lockstep", f"Pace of the states: {', '.join(MODES)}")
-    if mode not in MODES:
-        raise SettingError(f"mode must be one of {', '.join(MODES)}, not {mode!r}")
+    mode = read_choice(node, "mode", "lockstep", f"Pace of the states: {', '.join(MODES)}", MODES)
     everyone = joints if mode == "lockstep" else 0
 
     def positive(name: str, default: float, description: str) -> float:

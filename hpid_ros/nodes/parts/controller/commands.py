@@ -15,7 +15,6 @@ from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64, Float64MultiArray
 
-from hpid_ros.base.errors import SettingError
 from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.nodes.ros.middleware import NEWEST_COMMAND, OFFERED, overridable
 from hpid_ros.wire import JointStateTemplate
@@ -234,29 +233,3 @@ SINKS: Mapping[str, Callable[[Node, str, str], CommandSink]] = {
     "float64": Float64Commands,
 }
 """By the names of ``command_interface``: what makes a sink of a node, its joint and its sender."""
-
-
-def joint_commands(
-    node: Node,
-    joint: str,
-    interface: str,
-    sender: str,
-    sinks: Mapping[str, Callable[[Node, str, str], CommandSink]] = SINKS,
-) -> Commands:
-    """Return the commands of a joint, by the name of their interface.
-
-    Args:
-        node: The node that publishes.
-        joint: The joint.
-        interface: The name of one of the sinks.
-        sender: From :func:`sender_of`.
-        sinks: Those that there are.
-
-    Raises:
-        SettingError: There is no such interface.
-    """
-    if interface not in sinks:
-        raise SettingError(
-            f"command_interface must be one of {', '.join(sinks)}, not {interface!r}"
-        )
-    return Commands(sinks[interface](node, joint, sender))

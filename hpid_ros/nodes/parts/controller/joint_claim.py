@@ -17,11 +17,11 @@ from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from rclpy.node import Node
 from rclpy.timer import Timer
 
-from hpid_ros.base.errors import ClaimError, SettingError
+from hpid_ros.base.errors import ClaimError
 from hpid_ros.base.names import claim_topic
 from hpid_ros.nodes.parts.controller.claims import LEASE, Claim, ClaimState, HeardClaims, HostLock
 from hpid_ros.nodes.ros.middleware import LATCHED, has_shared_memory_alone
-from hpid_ros.nodes.ros.parameters import read_only
+from hpid_ros.nodes.ros.parameters import read_choice
 from hpid_ros.nodes.ros.steady_timer import steady_timer
 
 SCOPES = ("joint", "none")
@@ -41,16 +41,15 @@ def claims_joint(node: Node) -> bool:
     Raises:
         SettingError: There is no such scope.
     """
-    scope = read_only(
+    scope = read_choice(
         node,
         "claim",
         "joint",
         "What an active controller claims for itself alone: joint, or none: then several may "
         "command one joint, and nobody says so but the bridge",
+        SCOPES,
     )
-    if scope not in SCOPES:
-        raise SettingError(f"claim must be one of {', '.join(SCOPES)}, not {scope!r}")
-    return bool(scope == "joint")
+    return scope == "joint"
 
 
 class JointClaim:

@@ -9,10 +9,9 @@ from rclpy.node import Node
 from rclpy.task import Future
 from rclpy.timer import Timer
 
-from hpid_ros.base.errors import SettingError
 from hpid_ros.control.supervision import SupervisedLoop
 from hpid_ros.nodes.parts.controller.commands import Commands
-from hpid_ros.nodes.ros.parameters import read_number, read_only
+from hpid_ros.nodes.ros.parameters import read_choice, read_number
 from hpid_ros.nodes.ros.steady_timer import steady_timer
 
 STOPS = ("zero", "damping")
@@ -37,11 +36,8 @@ class ControllerStop:
     def __init__(
         self, node: Node, joint: SupervisedLoop, commands: Commands, finish: Callable[[], None]
     ) -> None:
-        kind = read_only(
-            node, "stop", "zero", f"How the joint is left: {', '.join(STOPS)} for stop_duration"
-        )
-        if kind not in STOPS:
-            raise SettingError(f"stop must be one of {', '.join(STOPS)}, not {kind!r}")
+        text = f"How the joint is left: {', '.join(STOPS)} for stop_duration"
+        kind = read_choice(node, "stop", "zero", text, STOPS)
         duration = read_number(
             node, "stop_duration", 0.5, "Of the damping stop [s]", (0.0, _LONGEST)
         )

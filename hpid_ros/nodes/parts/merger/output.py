@@ -97,10 +97,6 @@ class GroupOutput:
         is_guarded: bool,
         matched: Callable[[], None],
     ) -> None:
-        if interface not in INTERFACES:
-            raise SettingError(
-                f"command_interface must be one of {', '.join(INTERFACES)}, not {interface!r}"
-            )
         self._interface, self._sender = INTERFACES[interface], sender
         self._template: Template | None = None
         self._count = 0

@@ -12,7 +12,7 @@ from hpid_ros.base.errors import SettingError
 from hpid_ros.merging import MergerSettings
 from hpid_ros.merging.settings import LARGEST_EFFORT, LONGEST_TIMEOUT, joints_of
 from hpid_ros.nodes.parts.merger.output import ARRAY, INTERFACES
-from hpid_ros.nodes.ros.parameters import read_number, read_only
+from hpid_ros.nodes.ros.parameters import read_choice, read_number, read_only
 from hpid_ros.nodes.ros.rclpy_internals import given_parameters
 
 _LEAST_TIMEOUT = 1e-3  # [s]
@@ -103,13 +103,12 @@ def read_parameters(node: Node, joints: Sequence[str]) -> MergerParameters:
         joints=order,
         controller=controller,
         manager=_full_name(node, manager) or f"{controller.rpartition('/')[0]}/controller_manager",
-        interface=str(
-            read_only(
-                node,
-                "command_interface",
-                ARRAY,
-                f"Message of the merged commands: {', '.join(INTERFACES)}",
-            )
+        interface=read_choice(
+            node,
+            "command_interface",
+            ARRAY,
+            f"Message of the merged commands: {', '.join(INTERFACES)}",
+            INTERFACES,
         ),
         straggler_wait=read_number(
             node,
