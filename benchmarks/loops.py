@@ -1,4 +1,7 @@
-"""The closed loop on the graph against the transport's floor and against plain rclpy."""
+"""The closed loop on the graph against the transport's floor and against plain rclpy.
+
+MuJoCo simulates the robot, one step in a period, where the name of a figure says nothing else.
+"""
 
 from __future__ import annotations
 
@@ -13,8 +16,10 @@ from benchmarks.tracking import tracking
 from hpid_ros.experiment.description import Experiment
 from hpid_ros.experiment.graph.options import GraphOptions
 from hpid_ros.experiment.progress import NoProgress
+from hpid_ros.simulation.settings import installed_engines
 
 LABEL = "hPID"
+ENGINE = "mujoco"
 
 _SECONDS = {"each": 4.0, "composed": 9.0, "single": 9.0}  # of simulated time
 _SECONDS_QUICK = {"each": 2.0, "composed": 4.0, "single": 6.0}
@@ -38,11 +43,12 @@ def groups(quick: bool) -> tuple[Group, ...]:
 
 def _in_processes(quick: bool) -> Group:
     seconds = (_SECONDS_QUICK if quick else _SECONDS)["each"]
+    bare, recorded = GraphOptions(is_recorded=False), GraphOptions(is_recorded=True)
     contenders: dict[str, Measure] = {
         "floor": _floor("each", quick, is_timing=True),
-        "ours": _ours(tracking(1, seconds), GraphOptions(is_recorded=False)),
-        "ours, 4 physics steps": _ours(tracking(4, seconds), GraphOptions(is_recorded=False)),
-        "ours, recorded": _ours(tracking(1, seconds), GraphOptions(is_recorded=True)),
+        "ours": _ours(tracking(1, seconds, ENGINE), bare),
+        "ours, 4 physics steps": _ours(tracking(4, seconds, ENGINE), bare),
+        "ours, recorded": _ours(tracking(1, seconds, ENGINE), recorded),
         "floor and physics": _floor("each", quick, has_physics=True),
         "naive": lambda: run_naive(0.5 * seconds),
     }
@@ -54,7 +60,8 @@ def _in_processes(quick: bool) -> Group:
             Figure("loop.processes", rate, Source("ours", "rate"), floor, against,
                    (Bound("ratio", least=0.75),)),
             Figure("loop.processes.physics", rate, Source("ours", "rate"),
-                   Source("floor and physics", "rate"), f"{against}, that steps the robot too"),
+                   Source("floor and physics", "rate"), f"{against}, that steps the robot too",
+                   (Bound("ratio", least=0.9),)),
             Figure("loop.processes.steps4", rate, Source("ours, 4 physics steps", "rate"), floor,
                    against),
             Figure("loop.recorded", rate, Source("ours, recorded", "rate"), floor, against,
@@ -63,8 +70,27 @@ def _in_processes(quick: bool) -> Group:
                    "plain rclpy, 9 processes", (Bound("ratio", least=4.0),)),
             Figure("latency.processes", "us", Source("ours", "latency"),
                    Source("floor", "latency"), against),
+            *_with_bullet(contenders, seconds, floor, against),
         ),
     )  # fmt: skip
+
+
+def _with_bullet(
+    contenders: dict[str, Measure], seconds: float, floor: Source, against: str
+) -> list[Figure]:
+    """Add the closed loop with PyBullet, the default where it is installed, and its figures."""
+    if "pybullet" not in installed_engines():
+        return []
+    figures = []
+    for steps in (1, 4):
+        name = f"ours, PyBullet, {steps} physics steps"
+        experiment = tracking(steps, seconds, "pybullet")
+        contenders[name] = _ours(experiment, GraphOptions(is_recorded=False))
+        figures.append(
+            Figure(f"loop.processes.pybullet.steps{steps}", "cycles/s", Source(name, "rate"),
+                   floor, against)
+        )  # fmt: skip
+    return figures
 
 
 def _composed(quick: bool, processes: str, name: str, bounds: tuple[Bound, ...]) -> Group:
@@ -77,7 +103,7 @@ def _composed(quick: bool, processes: str, name: str, bounds: tuple[Bound, ...])
     contenders: dict[str, Measure] = {
         floor.contender: _floor(processes, quick),
         loaded.contender: _floor(processes, quick, has_physics=True),
-        ours.contender: _ours(tracking(1, seconds), options),
+        ours.contender: _ours(tracking(1, seconds, ENGINE), options),
     }
     with_physics = f"{against}, that steps the robot too"
     return Group(
@@ -96,7 +122,7 @@ def _jitter(seconds: float) -> Group:
     def measure() -> Mapping[str, float]:
         stolen = _stolen_time()
         options = GraphOptions(is_recorded=False, is_realtime=True)
-        timing = timing_of(run_checked(tracking(1, seconds), LABEL, options, NoProgress()))
+        timing = timing_of(run_checked(tracking(1, seconds, ENGINE), LABEL, options, NoProgress()))
         worst = max(timing.joints.values(), key=lambda joint: joint.period.p99)
         return {
             "p99": worst.period.p99,

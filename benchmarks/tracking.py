@@ -9,14 +9,19 @@ from hpid_ros.base.resources import find_resource
 from hpid_ros.experiment.description import Experiment, load_experiment
 
 
-def tracking(physics_steps: int | None = None, duration: float | None = None) -> Experiment:
+def tracking(
+    physics_steps: int | None = None, duration: float | None = None, engine: str = ""
+) -> Experiment:
     """Return the experiment of tracking.yaml.
 
     Args:
         physics_steps: Physics steps in one control period; None for the file's own.
         duration: Stamp of the last state in [s]; None for the file's own.
+        engine: The physics engine; that of the file if empty.
     """
     experiment = _load()
+    if engine:
+        experiment = replace(experiment, world=replace(experiment.world, engine=engine))
     if physics_steps is not None:
         experiment = replace(
             experiment, world=replace(experiment.world, physics_steps=physics_steps)

@@ -158,8 +158,8 @@ def physics() -> Callable[[], None]:
     from benchmarks.tracking import tracking
     from hpid_ros.simulation.world.world import World
 
-    experiment = tracking(physics_steps=1)
-    efforts, _ = recorded_efforts(experiment, experiment.periods)
+    experiment = tracking(physics_steps=1, engine="mujoco")
+    efforts = recorded_efforts(experiment, experiment.periods)
     world, recorded = World(experiment.world), iter(efforts)
 
     def advance() -> None:

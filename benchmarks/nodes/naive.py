@@ -169,7 +169,7 @@ def main() -> int:
             executor.spin()
             del pid
         else:
-            with World(tracking(physics_steps=1).world) as world:
+            with World(tracking(physics_steps=1, engine="mujoco").world) as world:
                 _simulate(node, executor, world, options.seconds)
     except (KeyboardInterrupt, ExternalShutdownException):
         pass

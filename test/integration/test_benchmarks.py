@@ -13,6 +13,8 @@ from harness.places import ROOT
 
 pytest.importorskip("simple_pid", reason="the extra bench is not installed")
 
+from harness.engines import INSTALLED
+
 from benchmarks import __main__ as command
 from benchmarks import results
 from benchmarks.engine import group as engine_group
@@ -25,8 +27,8 @@ from hpid_ros.base.errors import RunError
 
 DEMANDED = {
     *("loop.processes", "loop.composed", "loop.single_process", "law.hpid", "law.pid"),
-    *("joint_loop.step", "in_process.rate", "bridge.step", "recorder.rate", "latency.processes"),
-    *("loop.recorded", "loop.naive", "loop.jitter", "idle.cpu"),
+    *("joint_loop.step", "in_process.period.mujoco", "bridge.step.mujoco", "recorder.rate"),
+    *("loop.recorded", "loop.naive", "loop.jitter", "idle.cpu", "latency.processes"),
 }
 RATIO = Bound("ratio", least=2.0)
 
@@ -162,9 +164,11 @@ def test_unusable_arguments_are_one_line_and_code_2(arguments, capsys):
     assert arguments[0] in line or "--rounds" in line
 
 
-def test_bare_pybullet_makes_the_same_motion_as_the_engine():
+@pytest.mark.parametrize("engine", INSTALLED)
+def test_a_bare_engine_makes_the_same_motion_as_the_loop(engine):
     """The contender raises if its motion differs in one bit."""
-    (found,) = figures_of(engine_group(quick=True), {"bridge.step.steps1"}, 1, lambda line: None)
+    name = f"bridge.step.{engine}.steps1"
+    (found,) = figures_of(engine_group(quick=True), {name}, 1, lambda line: None)
     assert isinstance(found, Outcome), found
 
 

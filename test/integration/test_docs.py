@@ -54,7 +54,9 @@ def range_of(spec):
 def test_every_other_parameter_of_a_node_is_documented():
     declared = set()
     for path in (ROOT / "hpid_ros" / "nodes").rglob("*.py"):
-        pattern = r'(?:read_only|read_number|read_choice|positive)\(\s*(?:(?:self|node),\s*)?"(\w+)"'
+        pattern = (
+            r'(?:read_only|read_number|read_choice|positive)\(\s*(?:(?:self|node),\s*)?"(\w+)"'
+        )
         declared |= set(re.findall(pattern, path.read_text()))
     declared |= set(OVER_THE_FILE)
     assert {"command_interface", "bag", "mode", "command_timeout", "seed"} <= declared

@@ -44,6 +44,10 @@ mujoco.set_mju_user_warning(_note)
 class MujocoPhysics:
     """:class:`~hpid_ros.simulation.world.physics.Physics` in MuJoCo.
 
+    Attributes:
+        model: MuJoCo's own ``MjModel``.
+        data: Its ``MjData``.
+
     Args:
         settings: Settings of the world.
         description: The robot.
@@ -56,15 +60,15 @@ class MujocoPhysics:
     def __init__(self, settings: WorldSettings, description: RobotDescription) -> None:
         self._settings, self._description = settings, description
         self._built = build_model(settings, description)
-        self._model: Any = self._built.model
-        self._data: Any = mujoco.MjData(self._model)
+        self.model: Any = self._built.model
+        self.data: Any = mujoco.MjData(self.model)
         self._positions = np.array([self._built.positions[name] for name in settings.joints])
         self._velocities = np.array([self._built.velocities[name] for name in settings.joints])
         self._payload = self._built.links.get(settings.payload_link)
         if self._payload is not None:
             self._bare = (
-                float(self._model.body_mass[self._payload]),
-                self._model.body_inertia[self._payload].copy(),
+                float(self.model.body_mass[self._payload]),
+                self.model.body_inertia[self._payload].copy(),
             )
         self._root = self._built.links[description.root]
         self._held: int | None = None
@@ -77,7 +81,7 @@ class MujocoPhysics:
 
     def joint_states(self) -> Sequence[tuple[float, float]]:
         """Return position and velocity of each driven joint."""
-        data = self._data
+        data = self.data
         positions, velocities = data.qpos[self._positions], data.qvel[self._velocities]
         return list(zip(positions.tolist(), velocities.tolist(), strict=True))
 
@@ -87,9 +91,9 @@ class MujocoPhysics:
         Raises:
             RunError: The simulation is unstable; MuJoCo would start it anew without a word.
         """
-        data = self._data
+        data = self.data
         data.qfrc_applied[self._velocities] = torques
-        mujoco.mj_step(self._model, data, steps)
+        mujoco.mj_step(self.model, data, steps)
         if _failures:
             line = _failures[0]
             _failures.clear()
@@ -103,27 +107,27 @@ class MujocoPhysics:
 
     def set_damping(self, damping: Sequence[float]) -> None:
         """Set the viscous friction of each driven joint."""
-        self._model.dof_damping[self._velocities] = damping
+        self.model.dof_damping[self._velocities] = damping
 
     def brake(self, forces: Sequence[float]) -> None:
         """Set the Coulomb friction of each driven joint: a constraint with a largest force."""
-        self._model.dof_frictionloss[self._velocities] = forces
+        self.model.dof_frictionloss[self._velocities] = forces
 
     def push(self, link: str, force: Vector, torque: Vector) -> None:
         """Push a link in the next step."""
         self._follow()
         body = self._built.links[link]
-        arm = self._data.xpos[body] - self._data.xipos[body]
-        self._data.xfrc_applied[body, :3] += force
-        self._data.xfrc_applied[body, 3:] += np.asarray(torque) + np.cross(arm, force)
+        arm = self.data.xpos[body] - self.data.xipos[body]
+        self.data.xfrc_applied[body, :3] += force
+        self.data.xfrc_applied[body, 3:] += np.asarray(torque) + np.cross(arm, force)
         self._is_pushed = True
 
     def load(self, mass: float) -> None:
         """Put a solid cube at the payload link's centre of mass."""
         body = self._payload
         own_mass, own_moments = self._bare
-        self._model.body_mass[body] = own_mass + mass
-        self._model.body_inertia[body] = own_moments + mass * PAYLOAD_EDGE**2 / 6.0
+        self.model.body_mass[body] = own_mass + mass
+        self.model.body_inertia[body] = own_moments + mass * PAYLOAD_EDGE**2 / 6.0
         self._renew()
 
     def link_pose(self, link: str) -> Pose:
@@ -139,9 +143,9 @@ class MujocoPhysics:
         if self._settings.fixed_base:
             return Twist((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
         self._follow()
-        at = self._model.body_dofadr[self._root]
-        linear, angular = self._data.qvel[at : at + 3], self._data.qvel[at + 3 : at + 6]
-        turn = self._data.xmat[self._root].reshape(3, 3)
+        at = self.model.body_dofadr[self._root]
+        linear, angular = self.data.qvel[at : at + 3], self.data.qvel[at + 3 : at + 6]
+        turn = self.data.xmat[self._root].reshape(3, 3)
         return Twist(_vector(turn.T @ linear), _vector(angular))
 
     def brick_pose(self, index: int) -> Pose:
@@ -151,7 +155,7 @@ class MujocoPhysics:
     def hold(self, index: int) -> None:
         """Fix a brick to the hand as it lies there."""
         self._follow()
-        weld, model, data = self._built.welds[index], self._model, self._data
+        weld, model, data = self._built.welds[index], self.model, self.data
         hand = self._built.links[self._settings.workplace.gripper.link]
         brick = self._built.bricks[index]
         inverse, turn, place = np.empty(4), np.empty(4), np.empty(3)
@@ -166,26 +170,26 @@ class MujocoPhysics:
     def release(self) -> None:
         """Let go of the brick that is held."""
         if self._held is not None:
-            self._data.eq_active[self._held] = 0
+            self.data.eq_active[self._held] = 0
         self._held = None
 
     def grip_force(self) -> Vector:
         """Return the force between hand and held brick in the last step."""
-        data = self._data
+        data = self.data
         is_equality = data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY
         rows = np.flatnonzero(is_equality & (data.efc_id == self._held))
         return _vector(data.efc_force[rows[:3]])
 
     def keep(self) -> None:
         """Take the present state as the one at time 0."""
-        data = self._data
+        data = self.data
         self._start = data.qpos.copy(), data.qvel.copy(), data.qacc_warmstart.copy()
-        self._constants = {name: getattr(self._model, name).copy() for name in _KEPT}
+        self._constants = {name: getattr(self.model, name).copy() for name in _KEPT}
 
     def restart(self) -> None:
         """Go back to time 0."""
         for name, values in self._constants.items():
-            getattr(self._model, name)[:] = values
+            getattr(self.model, name)[:] = values
         self._renew()
         self._begin(*self._start)
 
@@ -193,30 +197,30 @@ class MujocoPhysics:
         """Free the engine."""
         if self._viewer is not None:
             self._viewer.close()
-        self._viewer = self._data = None
+        self._viewer = self.data = None
 
     def _begin(self, positions: Numbers, velocities: Numbers, warm: Numbers) -> None:
-        data = self._data
-        mujoco.mj_resetData(self._model, data)
+        data = self.data
+        mujoco.mj_resetData(self.model, data)
         data.qpos[:], data.qvel[:], data.qacc_warmstart[:] = positions, velocities, warm
         self._held, self._is_pushed, self._is_current = None, False, False
 
     def _renew(self) -> None:
         """Bring the constants of the model up to date with its masses."""
-        mujoco.mj_setConst(self._model, mujoco.MjData(self._model))
-        soften(self._model, self._built.touches)
+        mujoco.mj_setConst(self.model, mujoco.MjData(self.model))
+        soften(self.model, self._built.touches)
 
     def _follow(self) -> None:
         """Bring the poses up to date with the positions; a step leaves those of its beginning."""
         if not self._is_current:
-            mujoco.mj_kinematics(self._model, self._data)
-            mujoco.mj_comPos(self._model, self._data)
+            mujoco.mj_kinematics(self.model, self.data)
+            mujoco.mj_comPos(self.model, self.data)
             self._is_current = True
 
     def _pose(self, body: int) -> Pose:
         self._follow()
-        w, x, y, z = self._data.xquat[body].tolist()
-        return Pose(_vector(self._data.xpos[body]), (x, y, z, w))
+        w, x, y, z = self.data.xquat[body].tolist()
+        return Pose(_vector(self.data.xpos[body]), (x, y, z, w))
 
     def _place(self) -> None:
         """Put everything where it is at time 0."""
@@ -224,8 +228,8 @@ class MujocoPhysics:
         start = settings.start(self._description)
         if settings.payload_mass:
             self.load(settings.payload_mass)
-        nothing = np.zeros(self._model.nv)
-        positions = self._model.qpos0.copy()
+        nothing = np.zeros(self.model.nv)
+        positions = self.model.qpos0.copy()
         for name, position in start.items():
             positions[built.positions[name]] = position
         self._begin(positions, nothing, nothing)
@@ -235,8 +239,8 @@ class MujocoPhysics:
             self._put_on_ground()
         self._settle()
         for name, position in start.items():
-            self._data.qpos[built.positions[name]] = position
-        self._begin(self._data.qpos.copy(), nothing, nothing)
+            self.data.qpos[built.positions[name]] = position
+        self._begin(self.data.qpos.copy(), nothing, nothing)
         for brick, body in zip(settings.workplace.bricks, built.bricks, strict=True):
             moved = math.dist(self._pose(body).position, brick.position)
             if not moved <= STAYING:
@@ -248,31 +252,31 @@ class MujocoPhysics:
 
     def _put_on_ground(self) -> None:
         """Set the robot down so that its lowest point touches the ground."""
-        mujoco.mj_kinematics(self._model, self._data)
-        ground = mujoco.mj_name2id(self._model, mujoco.mjtObj.mjOBJ_GEOM, "__ground")
+        mujoco.mj_kinematics(self.model, self.data)
+        ground = mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_GEOM, "__ground")
         gaps = [
-            mujoco.mj_geomDistance(self._model, self._data, shape, ground, _FAR, None)
+            mujoco.mj_geomDistance(self.model, self.data, shape, ground, _FAR, None)
             for shape in self._built.shapes
         ]
         if gaps:
-            at = self._model.jnt_qposadr[self._model.body_jntadr[self._root]]
-            self._data.qpos[at + 2] -= min(gaps)
+            at = self.model.jnt_qposadr[self.model.body_jntadr[self._root]]
+            self.data.qpos[at + 2] -= min(gaps)
             self._is_current = False
 
     def _settle(self) -> None:
         """Let the robot sink into its tyres with every joint locked."""
-        model, joints = self._model, list(self._built.velocities.values())
+        model, joints = self.model, list(self._built.velocities.values())
         free = model.dof_frictionloss[joints].copy()
         model.dof_frictionloss[joints] = _LOCK
         for _ in range(max(1, round(SETTLING_TIME / self._settings.physics_period))):
-            mujoco.mj_step(model, self._data)
+            mujoco.mj_step(model, self.data)
         model.dof_frictionloss[joints] = free
         self._is_current = False
 
     def _show(self) -> None:
         import mujoco.viewer
 
-        self._viewer = mujoco.viewer.launch_passive(self._model, self._data)
+        self._viewer = mujoco.viewer.launch_passive(self.model, self.data)
 
 
 def _vector(values: Numbers) -> Vector:
