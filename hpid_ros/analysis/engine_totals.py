@@ -10,7 +10,7 @@ from hpid_ros.analysis.comparison import ratio
 from hpid_ros.analysis.folding import median_and_quartiles
 from hpid_ros.analysis.quantities import Quantity
 
-Numbers = Mapping[int, float]
+BySeed = Mapping[int, float]
 """A number of each run, by its seed."""
 
 
@@ -30,8 +30,8 @@ class EngineTotal:
     experiment: str
     controller: str
     quantity: Quantity
-    values: Mapping[str, Numbers]
-    ratios: Mapping[str, Numbers] = field(default_factory=dict)
+    values: Mapping[str, BySeed]
+    ratios: Mapping[str, BySeed] = field(default_factory=dict)
 
     @property
     def distances(self) -> list[float]:
@@ -78,7 +78,7 @@ def engine_mapping(totals: Iterable[EngineTotal]) -> dict[str, object]:
     return {**found}
 
 
-def _medians(numbers: Mapping[str, Numbers]) -> dict[str, float | None]:
+def _medians(numbers: Mapping[str, BySeed]) -> dict[str, float | None]:
     return {engine: _plain(median(list(each.values()))) for engine, each in numbers.items()}
 
 

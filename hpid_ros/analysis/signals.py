@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpid_ros.analysis.quantities import Data
+from hpid_ros.base.arrays import Numbers
 from hpid_ros.recordings.series import JointSeries, RunSeries, seconds_since
 
 
@@ -17,7 +18,7 @@ class Signal(NamedTuple):
     """One signal: integer stamps in [ns], (N,), and its values at them, (N,)."""
 
     stamps_ns: NDArray[np.int64]
-    values: NDArray[np.float64]
+    values: Numbers
 
 
 NO_SIGNAL = Signal(np.empty(0, dtype=np.int64), np.empty(0))

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from hpid_ros.bags.columns.storage import Storage
 from hpid_ros.bags.message_types import jazzy_types
 from hpid_ros.bags.run.topics import find_topic
+from hpid_ros.base.arrays import Numbers
 from hpid_ros.base.errors import BagError
 from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.wire.reports import ODOMETRY, POSES, STATUSES, VECTOR, Status
@@ -53,9 +54,6 @@ def messages_on(bag: Path, topic: str, kind: str) -> list[Any]:
                     line = f"{where}: a message on {name} is no {kind}: {error!r}"
                     raise BagError(line) from error
     return found
-
-
-Numbers = NDArray[np.float64]
 
 
 class PlanarColumns(NamedTuple):

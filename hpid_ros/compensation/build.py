@@ -19,9 +19,9 @@ from functools import lru_cache
 from typing import NamedTuple, Protocol
 
 import numpy as np
-import numpy.typing as npt
 from scipy.linalg import lapack
 
+from hpid_ros.base.arrays import Numbers
 from hpid_ros.base.errors import RobotDescriptionError, SettingError
 from hpid_ros.base.resources import find_resource
 from hpid_ros.compensation.coupling import Coupling, Settling, coupling
@@ -32,9 +32,6 @@ from hpid_ros.control import LoopSettings
 from hpid_ros.control.settings.model import ModelSettings
 from hpid_ros.robot.description import RobotDescription
 from hpid_ros.robot.differential_drive import DifferentialDrive
-
-Vector = npt.NDArray[np.float64]
-Matrix = npt.NDArray[np.float64]
 
 
 class State(Protocol):
@@ -62,9 +59,9 @@ class _Solved(NamedTuple):
         efforts: In [N m].
     """
 
-    factor: Matrix
-    bias: Vector
-    efforts: Vector
+    factor: Numbers
+    bias: Numbers
+    efforts: Numbers
 
 
 class GravityShare:

@@ -7,16 +7,13 @@ from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import pinocchio
 
+from hpid_ros.base.arrays import Numbers
 from hpid_ros.base.errors import RobotDescriptionError
 from hpid_ros.robot.description import RobotDescription
 from hpid_ros.robot.differential_drive import DifferentialDrive
 from hpid_ros.robot.dynamics import PAYLOAD_LINK, build_model, velocity_index
-
-Vector = npt.NDArray[np.float64]
-Matrix = npt.NDArray[np.float64]
 
 _PLANAR = 3  # velocities of a planar root: forward, sideways, turning, in its own frame
 
@@ -29,8 +26,8 @@ class Equations(NamedTuple):
         bias: h: Coriolis, centrifugal, gravity and viscous friction, in [N m], (n,).
     """
 
-    mass: Matrix
-    bias: Vector
+    mass: Numbers
+    bias: Numbers
 
 
 class JointSpace:
@@ -118,7 +115,7 @@ class JointSpace:
             )
         return Equations(mass, bias + self._damping * rates)
 
-    def gravity(self, positions: Sequence[float]) -> Vector:
+    def gravity(self, positions: Sequence[float]) -> Numbers:
         """Return the efforts that hold the joints against gravity, in [N m].
 
         Args:
@@ -127,7 +124,7 @@ class JointSpace:
         torques = pinocchio.computeGeneralizedGravity(self._model, self._data, self._at(positions))
         return torques if self._rolling is None else self._rolling.T @ torques
 
-    def _at(self, positions: Sequence[float]) -> Vector:
+    def _at(self, positions: Sequence[float]) -> Numbers:
         """Return Pinocchio's configuration; a continuous joint's is cosine and sine."""
         configuration = self._configuration
         for (place, is_turning), position in zip(self._places, positions, strict=True):
@@ -138,7 +135,7 @@ class JointSpace:
                 configuration[place] = position
         return configuration
 
-    def _no_slip(self, drive: DifferentialDrive) -> Matrix:
+    def _no_slip(self, drive: DifferentialDrive) -> Numbers:
         """Return S: the model's velocities for unit rates of the joints."""
         self.description.select(drive.joints)
         matrix = np.zeros((self._model.nv, len(self.joints)))

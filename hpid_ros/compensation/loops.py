@@ -114,9 +114,6 @@ class Compensator:
         return ModelTerm(gain, effort, self._follows)
 
 
-Vector = Sequence[float]
-
-
 class CompensatedLoops:
     """Answers one state after the other as the controllers' nodes would.
 
@@ -145,9 +142,9 @@ class CompensatedLoops:
     def step(
         self,
         stamp_ns: int,
-        positions: Vector,
-        velocities: Vector | None,
-        efforts: Vector,
+        positions: Sequence[float],
+        velocities: Sequence[float] | None,
+        efforts: Sequence[float],
     ) -> list[float]:
         """Take one state and return the efforts that answer it, in [N m].
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from hpid_ros.analysis import Comparison
-from hpid_ros.analysis.engine_totals import EngineTotal, Numbers, engine_mapping
+from hpid_ros.analysis.engine_totals import BySeed, EngineTotal, engine_mapping
 from hpid_ros.analysis.quantities import PAPER, Quantity
 from hpid_ros.base.errors import ExperimentError, unknown_name
 from hpid_ros.experiment.description import Experiment
@@ -205,7 +205,7 @@ def _engine_totals(results: Mapping[str, Result]) -> tuple[EngineTotal, ...]:
     first = next(iter(results.values()))
     name, seed = first.experiment.name, first.experiment.seed
 
-    def in_each(number: Callable[[Comparison], float]) -> dict[str, Numbers]:
+    def in_each(number: Callable[[Comparison], float]) -> dict[str, BySeed]:
         return {engine: {seed: number(each.comparison)} for engine, each in results.items()}
 
     def total(label: str, quantity: Quantity) -> EngineTotal:

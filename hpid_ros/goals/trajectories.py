@@ -7,19 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hpid_ros.base.arrays import Numbers
 from hpid_ros.base.errors import TrajectoryError, unknown_name
 from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.goals.results import GoalError, ResultCode
 from hpid_ros.goals.settings import GroupSettings
 from hpid_ros.goals.tolerances import AskedTolerance, Tolerances
 from hpid_ros.trajectory import Column
-from hpid_ros.trajectory.joint_trajectory import (
-    Integers,
-    Numbers,
-    Point,
-    checked_column,
-    require_arrays,
-)
+from hpid_ros.trajectory.joint_trajectory import Integers, Point, checked_column, require_arrays
 from hpid_ros.wire import MOST_MIXED_POINTS, MOST_POINTS
 
 _AT_REST = 1.2e-7  # [rad/s, m/s], float32's epsilon, as JTC takes it

@@ -16,14 +16,13 @@ import numpy.typing as npt
 
 from hpid_ros.analysis.indices.task import EndEffectorFigures, EndEffectorPath, PoseDeviation
 from hpid_ros.bags.messages import PoseColumns
+from hpid_ros.base.arrays import Numbers
 from hpid_ros.base.errors import BagError, RobotDescriptionError
 from hpid_ros.recordings.series import JointSeries, RunSeries
 from hpid_ros.robot.description import RobotDescription
 from hpid_ros.robot.differential_drive import DifferentialDrive
 from hpid_ros.robot.kinematics import Kinematics, LinkPoses, axis_rotations, rotation_angles
 from hpid_ros.robot.odometry import integrated
-
-Numbers = npt.NDArray[np.float64]
 
 _BLOCK = 50_000  # instants at a time: memory stays small for recordings of hours
 _UP = np.array([0.0, 0.0, 1.0])

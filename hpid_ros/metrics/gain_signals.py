@@ -5,16 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hpid_ros.analysis.signals import GainSignals, Signal
+from hpid_ros.base.arrays import Numbers
 from hpid_ros.control import LoopSettings
 from hpid_ros.control.homogeneous_pid import HomogeneousPid
 from hpid_ros.control.settings.assembly import make_law, make_norm
 from hpid_ros.recordings.series import JointSeries, RunSeries
 from hpid_ros.stability.closed_loop import norm_values
-
-Array = NDArray[np.float64]
 
 
 def gain_signals(
@@ -51,7 +49,7 @@ def _signals(series: JointSeries, settings: LoopSettings) -> GainSignals:
     return GainSignals(Signal(stamps, values), Signal(stamps, multiplier))
 
 
-def _error_rate(series: JointSeries, settings: LoopSettings) -> Array:
+def _error_rate(series: JointSeries, settings: LoopSettings) -> Numbers:
     t = series.time
     if t.size < 2:
         return np.zeros_like(t)
@@ -61,11 +59,11 @@ def _error_rate(series: JointSeries, settings: LoopSettings) -> Array:
     period = float(np.median(steps))
     share = period / (settings.velocity.filter_time_constant + period)
     difference = np.append(0.0, np.diff(series.position) / steps)
-    velocity: Array = lfilter([share], [1.0, share - 1.0], difference)
+    velocity: Numbers = lfilter([share], [1.0, share - 1.0], difference)
     return _reference_rate(series.reference, steps) - velocity
 
 
-def _reference_rate(reference: Array, steps: Array) -> Array:
+def _reference_rate(reference: Numbers, steps: Numbers) -> Numbers:
     """Return the rate of a reference; a jump from rest to rest has none."""
     moves = np.diff(reference)
     before, after = np.append(0.0, moves[:-1]), np.append(moves[1:], 0.0)

@@ -20,6 +20,7 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
+from hpid_ros.base.arrays import Numbers
 from hpid_ros.base.errors import TrajectoryError
 from hpid_ros.base.units import SECONDS_PER_NANOSECOND
 from hpid_ros.planning.motion import ArmMotion, BaseMotion, PlanePose
@@ -73,8 +74,6 @@ def check_limits(trajectory: JointTrajectory, description: RobotDescription) -> 
                 )
 
 
-Vector = npt.NDArray[np.float64]
-
 _QUARTERS = 4
 _DOWN = np.diag([1.0, -1.0, -1.0])  # a hand whose z points down and whose x points ahead
 
@@ -113,7 +112,7 @@ class _Planner:
     """Puts a task together brick by brick."""
 
     def __init__(
-        self, robot: TaskRobot, arm: Kinematics, folded: Vector, options: PlanOptions
+        self, robot: TaskRobot, arm: Kinematics, folded: Numbers, options: PlanOptions
     ) -> None:
         self._robot, self._arm, self._folded, self._options = robot, arm, folded, options
         start = [robot.initial_positions.get(joint, 0.0) for joint in arm.joints]
@@ -233,7 +232,7 @@ class _Planner:
     def _note(self, phase: str, goal: BrickGoal, pose: LinkPose) -> None:
         self.poses.append(TaskPose(self._arm_motion.time_ns, phase, goal.name, pose))
 
-    def _solve(self, hand: LinkPose, station: PlanePose, start: Vector) -> Vector:
+    def _solve(self, hand: LinkPose, station: PlanePose, start: Numbers) -> Numbers:
         return self._arm.solve(_seen_from(station, hand), start)
 
     def _hand(self, where: Placement, quarter: int, height: float) -> LinkPose:
@@ -249,7 +248,7 @@ def _seen_from(station: PlanePose, pose: LinkPose) -> LinkPose:
     return LinkPose(back @ (pose.position - [x, y, 0.0]), back @ pose.rotation)
 
 
-def about_z(angle: float) -> Vector:
+def about_z(angle: float) -> Numbers:
     """Return the rotation matrix of a turn about z.
 
     Args:

@@ -9,14 +9,13 @@ import numpy as np
 import numpy.typing as npt
 from scipy.interpolate import make_interp_spline
 
+from hpid_ros.base.arrays import Numbers
 from hpid_ros.base.errors import TrajectoryError
 from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.robot.differential_drive import DifferentialDrive
 from hpid_ros.robot.kinematics import Kinematics, LinkPose
 from hpid_ros.trajectory import JointTrajectory, TrajectoryPoint
 from hpid_ros.trajectory.base_path import BACKWARD, FORWARD, base_path
-
-Vector = npt.NDArray[np.float64]
 
 PEAK = 1.875  # largest speed of a minimum-jerk motion over its mean speed
 _SHORTEST_REACH = 0.2  # [s]
@@ -37,9 +36,9 @@ class MotionRow(NamedTuple):
     """
 
     time_ns: int
-    positions: Vector
-    velocities: Vector
-    accelerations: Vector
+    positions: Numbers
+    velocities: Numbers
+    accelerations: Numbers
 
 
 class ArmMotion:
@@ -62,7 +61,7 @@ class ArmMotion:
         self._rows = [self._at_rest(np.asarray(start, dtype=float))]
 
     @property
-    def positions(self) -> Vector:
+    def positions(self) -> Numbers:
         """Where the arm stands at the end, in [rad]."""
         return self._rows[-1].positions
 
@@ -76,7 +75,7 @@ class ArmMotion:
             self.time_ns += _whole(seconds)
             self._rows.append(self._at_rest(self.positions))
 
-    def move(self, target: Vector) -> None:
+    def move(self, target: Numbers) -> None:
         """Move every joint with least jerk.
 
         Args:
@@ -130,7 +129,7 @@ class ArmMotion:
         )
         return JointTrajectory(self._arm.joints, points)
 
-    def _add_spline(self, times_ns: list[int], solutions: list[Vector]) -> None:
+    def _add_spline(self, times_ns: list[int], solutions: list[Numbers]) -> None:
         """Go smoothly through solutions, at rest at both ends.
 
         A spline of fifth degree with its knots at the solutions is, between two of them, the one
@@ -147,7 +146,7 @@ class ArmMotion:
         self.time_ns += times_ns[-1]
         self._rows.append(self._at_rest(solutions[-1]))
 
-    def _at_rest(self, positions: Vector) -> MotionRow:
+    def _at_rest(self, positions: Numbers) -> MotionRow:
         still = np.zeros_like(positions)
         return MotionRow(self.time_ns, positions, still, still)
 

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from hpid_ros.base.arrays import Numbers
 from hpid_ros.base.errors import HpidError
 from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.recordings.quality import RecordingQuality
@@ -42,10 +43,10 @@ class JointSeries:
 
     joint: str
     state_stamps_ns: NDArray[np.int64]
-    position: NDArray[np.float64]
-    reference: NDArray[np.float64]
+    position: Numbers
+    reference: Numbers
     command_stamps_ns: NDArray[np.int64]
-    effort: NDArray[np.float64]
+    effort: Numbers
 
     def __post_init__(self) -> None:
         if not self.joint:
@@ -68,17 +69,17 @@ class JointSeries:
         return self.effort.size > 0
 
     @property
-    def time(self) -> NDArray[np.float64]:
+    def time(self) -> Numbers:
         """Time of each state since the first state, (N,), in [s]."""
         return seconds_since(self.state_stamps_ns, int(self.state_stamps_ns[0]))
 
     @property
-    def command_time(self) -> NDArray[np.float64]:
+    def command_time(self) -> Numbers:
         """Time of the state that each command answers since the first state, (M,), in [s]."""
         return seconds_since(self.command_stamps_ns, int(self.state_stamps_ns[0]))
 
     @property
-    def error(self) -> NDArray[np.float64]:
+    def error(self) -> Numbers:
         """Reference minus measured position, (N,), in [rad].
 
         Raises:
@@ -110,7 +111,7 @@ class JointSeries:
             )
         return stamps
 
-    def _samples(self, name: str, length: int) -> NDArray[np.float64]:
+    def _samples(self, name: str, length: int) -> Numbers:
         samples = _own(getattr(self, name), np.float64)
         where = f"joint {self.joint!r}: {name}"
         if name == "reference" and samples.shape == (0,):
@@ -227,7 +228,7 @@ def _own(values: ArrayLike, kind: type[np.generic]) -> NDArray[Any]:
     return np.array(values, dtype=kind)
 
 
-def seconds_since(stamps_ns: NDArray[np.int64], origin_ns: int) -> NDArray[np.float64]:
+def seconds_since(stamps_ns: NDArray[np.int64], origin_ns: int) -> Numbers:
     """Return stamps as seconds since an origin; exact differences, rounded once.
 
     Args:
@@ -257,7 +258,7 @@ def complete_run(
     label: str,
     joints: Sequence[str],
     stamps_ns: NDArray[np.int64],
-    columns: Iterable[NDArray[np.float64]],
+    columns: Iterable[Numbers],
 ) -> RunSeries:
     """Return the series of a run without losses.
 

@@ -15,15 +15,13 @@ from dataclasses import dataclass
 from xml.etree import ElementTree
 
 import numpy as np
-import numpy.typing as npt
 
+from hpid_ros.base.arrays import Numbers
 from hpid_ros.base.errors import RobotDescriptionError, SettingError
 from hpid_ros.base.resources import package_uri
 from hpid_ros.documents.records import Record, quantity
 from hpid_ros.robot.description import DRAKE_NAMESPACE, JointDescription, RobotDescription
 from hpid_ros.robot.meshes import find_mesh
-
-Matrix = npt.NDArray[np.float64]
 
 _MOVING_ONLY = ("axis", "limit", "dynamics", "mimic", "calibration", "safety_controller")
 
@@ -67,7 +65,7 @@ def hold(element: ElementTree.Element, joint: JointDescription, position: float)
             element.remove(child)
 
 
-def _text(numbers: Matrix) -> str:
+def _text(numbers: Numbers) -> str:
     return " ".join(repr(float(number)) for number in numbers)
 
 

@@ -15,12 +15,12 @@ from dataclasses import dataclass
 from typing import NamedTuple
 from xml.etree import ElementTree
 
+from hpid_ros.base.arrays import Vector
 from hpid_ros.base.errors import RobotDescriptionError, SettingError
 from hpid_ros.robot.description import RobotDescription
 
 _ALIGNED = 0.01  # [rad], also for those who write 1.57 for a quarter of a turn
 
-Vector = tuple[float, float, float]
 Rows = tuple[Vector, Vector, Vector]
 _NO_TURN: Rows = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 

@@ -7,9 +7,9 @@ from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import pinocchio
 
+from hpid_ros.base.arrays import Numbers
 from hpid_ros.base.errors import RobotDescriptionError, SettingError, unknown_name
 from hpid_ros.robot.description import JointDescription, RobotDescription
 from hpid_ros.robot.differential_drive import DifferentialDrive
@@ -81,9 +81,6 @@ def velocity_index(model: pinocchio.Model, joint: str) -> int:
     return int(model.joints[model.getJointId(joint)].idx_v)
 
 
-Vector = npt.NDArray[np.float64]
-
-
 class InertiaRange(NamedTuple):
     """What one joint's motor has to accelerate, over the poses of a robot, in [kg m^2].
 
@@ -137,7 +134,7 @@ class Dynamics:
         )
         self._data = self._model.createData()
 
-    def mass_matrix(self, names: Iterable[str], positions: Mapping[str, float]) -> Vector:
+    def mass_matrix(self, names: Iterable[str], positions: Mapping[str, float]) -> Numbers:
         """Return the joints' block of the mass matrix, rotors included, in [kg m^2].
 
         Args:
@@ -233,13 +230,13 @@ class Dynamics:
         torques = pinocchio.computeGeneralizedGravity(self._model, self._data, configuration)
         return {name: float(torques[row]) for name, row in zip(wanted, rows, strict=True)}
 
-    def _mass(self, positions: Mapping[str, float]) -> Vector:
+    def _mass(self, positions: Mapping[str, float]) -> Numbers:
         """Return the whole mass matrix; Pinocchio fills the upper triangle only."""
         mass = pinocchio.crba(self._model, self._data, self._configuration(positions))
         upper = np.triu(mass)
         return upper + np.triu(mass, 1).T
 
-    def _configuration(self, positions: Mapping[str, float]) -> Vector:
+    def _configuration(self, positions: Mapping[str, float]) -> Numbers:
         """Return Pinocchio's configuration; a continuous joint's is cosine and sine."""
         motion = np.zeros(self._model.nv)
         for name, position in positions.items():

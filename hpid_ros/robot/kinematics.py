@@ -22,10 +22,9 @@ import numpy as np
 import numpy.typing as npt
 import pinocchio
 
+from hpid_ros.base.arrays import Numbers
 from hpid_ros.base.errors import HpidError, RobotDescriptionError, SettingError
 from hpid_ros.robot.description import RobotDescription
-
-Array = npt.NDArray[np.float64]
 
 
 class LinkPose(NamedTuple):
@@ -36,8 +35,8 @@ class LinkPose(NamedTuple):
         rotation: Its axes as columns, a rotation matrix of shape (3, 3).
     """
 
-    position: Array
-    rotation: Array
+    position: Numbers
+    rotation: Numbers
 
 
 class LinkPoses(NamedTuple):
@@ -48,8 +47,8 @@ class LinkPoses(NamedTuple):
         rotations: Axes as columns, shape (n, 3, 3).
     """
 
-    positions: Array
-    rotations: Array
+    positions: Numbers
+    rotations: Numbers
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,9 +64,9 @@ class ChainJoint:
         still: Its position where ``column`` is None, in [rad].
     """
 
-    rotation: Array
-    origin: Array
-    axis: Array
+    rotation: Numbers
+    origin: Numbers
+    axis: Numbers
     is_prismatic: bool
     column: int | None
     still: float
@@ -84,10 +83,10 @@ class SerialChain:
     """
 
     joints: tuple[ChainJoint, ...]
-    tip_rotation: Array
-    tip_origin: Array
+    tip_rotation: Numbers
+    tip_origin: Numbers
 
-    def poses(self, positions: Array) -> LinkPoses:
+    def poses(self, positions: Numbers) -> LinkPoses:
         """Return the tip in the root's frame.
 
         Args:
@@ -109,7 +108,7 @@ class SerialChain:
         return LinkPoses(origins + rotations @ self.tip_origin, rotations @ self.tip_rotation)
 
 
-def axis_rotations(axis: Array, angles: Array) -> Array:
+def axis_rotations(axis: Numbers, angles: Numbers) -> Numbers:
     """Return rotations about one axis, by Rodrigues' formula.
 
     SciPy's rotations agree to 1e-15, and not to the last bit, which is in the numbers of a
@@ -128,7 +127,7 @@ def axis_rotations(axis: Array, angles: Array) -> Array:
     return np.asarray(np.eye(3) + sines * cross + (1.0 - cosines) * (cross @ cross))
 
 
-def rotation_angles(rotations: Array, others: Array) -> Array:
+def rotation_angles(rotations: Numbers, others: Numbers) -> Numbers:
     """Return the angles of the rotations that lead from some to others.
 
     Exact also for small angles, where the arc cosine of the trace is not.
@@ -144,8 +143,6 @@ def rotation_angles(rotations: Array, others: Array) -> Array:
     chord = np.linalg.norm(rotations - others, axis=(1, 2)) / (2.0 * np.sqrt(2.0))
     return np.asarray(2.0 * np.arcsin(np.minimum(chord, 1.0)))
 
-
-Vector = npt.NDArray[np.float64]
 
 CLOSE_ENOUGH = 1e-7  # norm of the pose error [m, rad] of a solution
 STARTS = 24  # the given one, and those that are drawn
@@ -225,7 +222,7 @@ class Kinematics:
         placement = self._placement(self._checked(positions))
         return LinkPose(placement.translation.copy(), placement.rotation.copy())
 
-    def jacobian(self, positions: npt.ArrayLike) -> Vector:
+    def jacobian(self, positions: npt.ArrayLike) -> Numbers:
         """Return the velocity of the link for each joint's velocity.
 
         Args:
@@ -248,7 +245,7 @@ class Kinematics:
         """
         return self._links.poses(np.asarray(positions, dtype=float))
 
-    def solve(self, target: LinkPose, start: npt.ArrayLike) -> Vector:
+    def solve(self, target: LinkPose, start: npt.ArrayLike) -> Numbers:
         """Return positions within the limits that put the link at a pose.
 
         Of several solutions it is, as a rule, one near the start.
@@ -294,32 +291,32 @@ class Kinematics:
             f"{metres:.3f} m and {angle:.3f} rad away"
         )
 
-    def _error(self, positions: Vector, wanted: pinocchio.SE3) -> Vector:
+    def _error(self, positions: Numbers, wanted: pinocchio.SE3) -> Numbers:
         """Return the twist that leads from the link to the wanted pose in one unit of time."""
         twist = pinocchio.log6(self._placement(positions).actInv(wanted)).vector
         return np.asarray(twist)
 
-    def _error_jacobian(self, positions: Vector, wanted: pinocchio.SE3) -> Vector:
+    def _error_jacobian(self, positions: Numbers, wanted: pinocchio.SE3) -> Numbers:
         columns = self._jacobian(positions, pinocchio.LOCAL)
         apart = wanted.actInv(self._placement(positions))
         return np.asarray(-pinocchio.Jlog6(apart) @ columns)
 
-    def _placement(self, positions: Vector) -> pinocchio.SE3:
+    def _placement(self, positions: Numbers) -> pinocchio.SE3:
         pinocchio.forwardKinematics(self._model, self._data, self._configuration(positions))
         return pinocchio.updateFramePlacement(self._model, self._data, self._frame)
 
-    def _jacobian(self, positions: Vector, frame: pinocchio.ReferenceFrame) -> Vector:
+    def _jacobian(self, positions: Numbers, frame: pinocchio.ReferenceFrame) -> Numbers:
         whole = pinocchio.computeFrameJacobian(
             self._model, self._data, self._configuration(positions), self._frame, frame
         )
         return np.asarray(whole[:, self._rows])
 
-    def _configuration(self, positions: Vector) -> Vector:
+    def _configuration(self, positions: Numbers) -> Numbers:
         """Return Pinocchio's configuration; a continuous joint's is cosine and sine."""
         self._motion[self._rows] = positions
         return np.asarray(pinocchio.integrate(self._model, self._neutral, self._motion))
 
-    def _checked(self, positions: npt.ArrayLike) -> Vector:
+    def _checked(self, positions: npt.ArrayLike) -> Numbers:
         values = np.asarray(positions, dtype=float)
         if values.shape != (len(self.joints),) or not np.isfinite(values).all():
             raise SettingError(

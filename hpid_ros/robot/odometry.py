@@ -17,14 +17,12 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hpid_ros.base.arrays import Numbers
 from hpid_ros.robot.differential_drive import BaseTwist, DifferentialDrive
 
 WHEEL_ERROR = 1e-4
 """Variance of a wheel's travel for each metre of it, in [m^2/m]: 1 cm after a metre."""
-
-Numbers = NDArray[np.float64]
 
 
 class PlanarPose(NamedTuple):

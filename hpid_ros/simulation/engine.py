@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from hpid_ros.base.arrays import Numbers
 from hpid_ros.compensation.loops import CompensatedLoops, Compensator
 from hpid_ros.control import JointLoop
 from hpid_ros.simulation.world.world import World
@@ -78,9 +79,9 @@ class Recording(NamedTuple):
     """
 
     stamps_ns: NDArray[np.int64]
-    positions: NDArray[np.float64]
-    references: NDArray[np.float64]
-    efforts: NDArray[np.float64]
+    positions: Numbers
+    references: Numbers
+    efforts: Numbers
 
 
 def record_run(

@@ -13,10 +13,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hpid_ros.base.arrays import Numbers
 from hpid_ros.base.errors import GainError
 from hpid_ros.control.gains import Gains
 from hpid_ros.stability.certificate import Certificate, CertifiedSpan, Norm
-from hpid_ros.stability.closed_loop import Array, closed_loop_field
+from hpid_ros.stability.closed_loop import closed_loop_field
 
 _ANGLES_EVEN = 240
 _ANGLES_NEAR_AXES = 48  # in each quadrant
@@ -114,7 +115,7 @@ def span_margins(gains: Gains, span: CertifiedSpan, norm: Norm) -> Margins:
         return Margins(-np.inf, monotonicity, -np.inf)
     sphere = _Sphere(shape, degree)
 
-    def rates(angles: Array, depths: Array) -> tuple[Array, Array]:
+    def rates(angles: Numbers, depths: Numbers) -> tuple[Numbers, Numbers]:
         states = sphere.states(angles, depths)
         field = closed_loop_field(gains, norm, states, span.inertia)
         inward = np.einsum("...i,...i->...", states @ shape, field)
@@ -141,14 +142,14 @@ class _Sphere:
     from 0 on the rim to 1 close to the pole, along the dilation.
     """
 
-    def __init__(self, shape: Array, degree: float) -> None:
+    def __init__(self, shape: Numbers, degree: float) -> None:
         self._shape, self._degree = shape, degree
         schur = shape[:2, :2] - np.outer(shape[:2, 2], shape[2, :2]) / shape[2, 2]
         self._schur, self._to_circle = schur, np.linalg.cholesky(schur).T
         slowest = min(1.0 + 2.0 * degree, 1.0 - degree)
         self._depth = min(_NEGLIGIBLE / slowest, _DEEPEST)
 
-    def angles(self) -> Array:
+    def angles(self) -> Numbers:
         """Return angles all around in [rad], even and closely spaced at e = 0 and de = 0."""
         even = np.linspace(-np.pi, np.pi, _ANGLES_EVEN, endpoint=False)
         tangents = np.geomspace(_LEAST_TANGENT, 1.0 / _LEAST_TANGENT, _ANGLES_NEAR_AXES)
@@ -158,7 +159,7 @@ class _Sphere:
         x, y = self._to_circle @ (np.stack([np.cos(plane), np.sin(plane)]) / sides[:, None])
         return np.unique(np.concatenate([even, np.arctan2(y, x)]))
 
-    def states(self, angles: Array, depths: Array) -> Array:
+    def states(self, angles: Numbers, depths: Numbers) -> Numbers:
         """Return the points of the sphere at these angles [rad] and depths in [0, 1]."""
         circle = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
         rim = circle @ np.linalg.inv(self._to_circle).T
@@ -173,7 +174,7 @@ class _Sphere:
 
 
 def _largest(
-    angles: Array, function: Callable[[Array, Array], tuple[Array, Array]]
+    angles: Numbers, function: Callable[[Numbers, Numbers], tuple[Numbers, Numbers]]
 ) -> tuple[float, float]:
     """Return the largest values over all angles and depths, looking closer where one is large."""
     depths = np.linspace(0.0, 1.0, _DEPTHS)
@@ -181,7 +182,7 @@ def _largest(
     steps = np.maximum(gaps, np.roll(gaps, 1))
     first, second = function(angles[:, None], depths[None, :])
 
-    def zoomed(values: Array, which: int) -> float:
+    def zoomed(values: Numbers, which: int) -> float:
         worst = np.argpartition(values, -_WORST, None)[-_WORST:]
         rows, columns = np.unravel_index(worst, values.shape)
         angle, depth = angles[rows], depths[columns]
@@ -200,8 +201,8 @@ def _largest(
     return zoomed(first, 0), zoomed(second, 1)
 
 
-def _around(centres: Array, widths: Array) -> Array:
-    spread: Array = centres[:, None] + widths[:, None] * np.linspace(-1.0, 1.0, _ZOOM)
+def _around(centres: Numbers, widths: Numbers) -> Numbers:
+    spread: Numbers = centres[:, None] + widths[:, None] * np.linspace(-1.0, 1.0, _ZOOM)
     return spread
 
 

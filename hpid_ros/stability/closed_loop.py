@@ -10,13 +10,13 @@ integral does not yet compensate of the disturbance, d = (p - I) / inertia in [r
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from hpid_ros.base.arrays import Numbers
 from hpid_ros.base.errors import NormError
 from hpid_ros.control.gains import Gains
 from hpid_ros.control.norms import CanonicalNorm, WeightedNorm
 
-Array = NDArray[np.float64]
 Norm = WeightedNorm | CanonicalNorm
 
 _NEWTON_STEPS = 60
@@ -36,7 +36,7 @@ def require_known_norm(norm: object) -> None:
         )
 
 
-def norm_values(norm: Norm, errors: ArrayLike, rates: ArrayLike) -> Array:
+def norm_values(norm: Norm, errors: ArrayLike, rates: ArrayLike) -> Numbers:
     """Return the norm of many points.
 
     Args:
@@ -54,7 +54,7 @@ def norm_values(norm: Norm, errors: ArrayLike, rates: ArrayLike) -> Array:
     e, de = np.broadcast_arrays(np.asarray(errors, float), np.asarray(rates, float))
     if isinstance(norm, WeightedNorm):
         power = np.abs(e) ** (1.0 / (1.0 - norm.degree))
-        weighted: Array = norm.error_weight * power + norm.rate_weight * np.abs(de)
+        weighted: Numbers = norm.error_weight * power + norm.rate_weight * np.abs(de)
         return weighted
     (p11, p12), (_, p22) = norm.shape
     return canonical_values(norm.degree, (p11, p12, p22), e, de)
@@ -62,11 +62,11 @@ def norm_values(norm: Norm, errors: ArrayLike, rates: ArrayLike) -> Array:
 
 def canonical_values(
     degree: float,
-    shape: tuple[float | Array, float | Array, float | Array],
-    e: Array,
-    de: Array,
+    shape: tuple[float | Numbers, float | Numbers, float | Numbers],
+    e: Numbers,
+    de: Numbers,
     tolerance: float = _TOLERANCE,
-) -> Array:
+) -> Numbers:
     """Return the canonical norm of many points.
 
     Newton's method in s = ln n on all points at once. The function is strictly monotone with
@@ -112,11 +112,11 @@ def canonical_values(
         s = after
         if not moved.any():
             break
-    norms: Array = np.where(is_zero, 0.0, np.exp(scale + s))
+    norms: Numbers = np.where(is_zero, 0.0, np.exp(scale + s))
     return norms
 
 
-def unit_curve(norm: Norm, count: int) -> Array:
+def unit_curve(norm: Norm, count: int) -> Numbers:
     """Return points on the curve norm = 1, closely spaced near the axes.
 
     Args:
@@ -124,7 +124,7 @@ def unit_curve(norm: Norm, count: int) -> Array:
         count: Points in each of the four quadrants; the axes are among them.
 
     Returns:
-        Array of shape (4 count, 2): error in [rad] and error rate in [rad/s].
+        An array of shape (4 count, 2): error in [rad] and error rate in [rad/s].
 
     Raises:
         NormError: The norm is neither weighted nor canonical.
@@ -147,7 +147,7 @@ def unit_curve(norm: Norm, count: int) -> Array:
         + 2.0 * p12 * direction[:, 0] * direction[:, 1]
         + p22 * direction[:, 1] ** 2
     )
-    points: Array = direction / np.sqrt(square)[:, None]
+    points: Numbers = direction / np.sqrt(square)[:, None]
     return points
 
 
@@ -161,7 +161,9 @@ def effective_gains(gains: Gains, inertia: float) -> Gains:
     return Gains(gains.p / inertia, gains.i / inertia, gains.d / inertia)
 
 
-def closed_loop_field(gains: Gains, norm: Norm, states: ArrayLike, inertia: float = 1.0) -> Array:
+def closed_loop_field(
+    gains: Gains, norm: Norm, states: ArrayLike, inertia: float = 1.0
+) -> Numbers:
     r"""Return the time derivative of the closed loop at many states.
 
     .. math::
@@ -174,11 +176,11 @@ def closed_loop_field(gains: Gains, norm: Norm, states: ArrayLike, inertia: floa
     Args:
         gains: The gains.
         norm: The norm; its degree is the law's. Neither floor nor cap.
-        states: Array of shape (..., 3).
+        states: Numbers of shape (..., 3).
         inertia: What one unit of effort accelerates, in [kg m^2].
 
     Returns:
-        Array of the shape of ``states``, in [rad/s], [rad/s^2], [rad/s^3].
+        An array of the shape of ``states``, in [rad/s], [rad/s^2], [rad/s^3].
     """
     x = np.asarray(states, float)
     error, rate, disturbance = x[..., 0], x[..., 1], x[..., 2]
@@ -194,20 +196,20 @@ def closed_loop_field(gains: Gains, norm: Norm, states: ArrayLike, inertia: floa
     )
 
 
-def dilated(degree: float, states: ArrayLike, s: ArrayLike) -> Array:
+def dilated(degree: float, states: ArrayLike, s: ArrayLike) -> Numbers:
     r"""Return :math:`\mathrm{diag}(e^{(1-\mu)s}, e^{s}, e^{(1+\mu)s})\,x` for many states.
 
     Args:
         degree: Homogeneity degree mu.
-        states: Array of shape (..., 3).
+        states: Numbers of shape (..., 3).
         s: Logarithms of the dilation, of a shape that broadcasts with ``states[..., 0]``.
     """
     exponents = np.array([1.0 - degree, 1.0, 1.0 + degree])
-    moved: Array = np.exp(np.multiply.outer(np.asarray(s, float), exponents)) * states
+    moved: Numbers = np.exp(np.multiply.outer(np.asarray(s, float), exponents)) * states
     return moved
 
 
-def state_norm(shape: ArrayLike, degree: float, states: ArrayLike) -> Array:
+def state_norm(shape: ArrayLike, degree: float, states: ArrayLike) -> Numbers:
     """Return the canonical homogeneous norm of states of the closed loop, by bisection.
 
     The n > 0 that brings the state, dilated by -ln n, onto the sphere x'Px = 1. A certificate's
@@ -216,7 +218,7 @@ def state_norm(shape: ArrayLike, degree: float, states: ArrayLike) -> Array:
     Args:
         shape: The 3x3 matrix P, positive definite, for which the dilation is monotone.
         degree: Homogeneity degree mu.
-        states: Array of shape (..., 3), none of them zero.
+        states: Numbers of shape (..., 3), none of them zero.
     """
     x, p = np.asarray(states, float), np.asarray(shape, float)
     exponents = np.array([1.0 - degree, 1.0, 1.0 + degree])
@@ -229,5 +231,5 @@ def state_norm(shape: ArrayLike, degree: float, states: ArrayLike) -> Array:
         y = dilated(degree, unit, -middle)
         is_outside = np.einsum("...i,ij,...j->...", y, p, y) > 1.0
         low, high = np.where(is_outside, middle, low), np.where(is_outside, high, middle)
-    norms: Array = np.exp(scale + 0.5 * (low + high))
+    norms: Numbers = np.exp(scale + 0.5 * (low + high))
     return norms

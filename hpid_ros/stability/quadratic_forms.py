@@ -20,8 +20,9 @@ from itertools import product
 
 import numpy as np
 
+from hpid_ros.base.arrays import Numbers
 from hpid_ros.control.gains import Gains
-from hpid_ros.stability.closed_loop import Array, Norm
+from hpid_ros.stability.closed_loop import Norm
 from hpid_ros.stability.sphere_grid import LEAST_MONOTONICITY, SphereGrid, growth_rates, time_unit
 
 _FEASIBLE = 1e-9
@@ -30,8 +31,8 @@ _TINY = 1e-12
 
 
 def least_maximum(
-    values: Array, slopes: Array, losses: Array, spare: Array, radius: float
-) -> Array | None:
+    values: Numbers, slopes: Numbers, losses: Numbers, spare: Numbers, radius: float
+) -> Numbers | None:
     """Return the x in the box that makes the largest linear function least.
 
     Args:
@@ -42,7 +43,7 @@ def least_maximum(
         radius: Half of the box's side.
 
     Returns:
-        Array of shape (n,); None if the arithmetic fails, which it may where slopes differ by
+        An array of shape (n,); None if the arithmetic fails, which it may where slopes differ by
         many orders of magnitude.
     """
     rows, n = slopes.shape
@@ -68,7 +69,7 @@ def least_maximum(
         excess = matrix @ point - bounds
         enters = int(excess.argmax())
         if excess[enters] <= _FEASIBLE * (1.0 + abs(bounds[enters])):
-            best: Array = np.clip(point[:n], -radius, radius)
+            best: Numbers = np.clip(point[:n], -radius, radius)
             return best
         multipliers = target @ inverse
         change = matrix[enters] @ inverse
@@ -93,7 +94,7 @@ _ACTIVE = 200  # points that a linear program looks at
 _STRETCH = np.tril_indices(3)
 
 
-def scaled_loop(gains: Gains) -> Array:
+def scaled_loop(gains: Gains) -> Numbers:
     """Return the linear loop's matrix on (e, de/dt, p - I), in units of ki^(1/3).
 
     Args:
@@ -105,7 +106,7 @@ def scaled_loop(gains: Gains) -> Array:
     )
 
 
-def lyapunov_solution(loop: Array, cost: Sequence[float]) -> Array:
+def lyapunov_solution(loop: Numbers, cost: Sequence[float]) -> Numbers:
     """Return the P that solves A'P + PA = -diag(cost).
 
     Args:
@@ -115,11 +116,11 @@ def lyapunov_solution(loop: Array, cost: Sequence[float]) -> Array:
     eye = np.eye(3)
     equations = np.kron(loop.T, eye) + np.kron(eye, loop.T)
     shape = np.linalg.solve(equations, -np.diag(cost).ravel()).reshape(3, 3)
-    symmetric: Array = 0.5 * (shape + shape.T)
+    symmetric: Numbers = 0.5 * (shape + shape.T)
     return symmetric
 
 
-def first_shapes(gains: Gains, norm: Norm) -> Array:
+def first_shapes(gains: Gains, norm: Norm) -> Numbers:
     """Return the shapes that a search starts from: sixteen at each of nine scales.
 
     The costs reach from units of the integral action to units of the oscillation sqrt(kp), which
@@ -131,7 +132,7 @@ def first_shapes(gains: Gains, norm: Norm) -> Array:
         norm: The law's norm at degree zero.
 
     Returns:
-        Array of shape (scales, solutions, 3, 3).
+        An array of shape (scales, solutions, 3, 3).
     """
     loop, unit = scaled_loop(gains), time_unit(gains)
     slowness = min(1.0, unit / gains.p**0.5)
@@ -147,7 +148,7 @@ def first_shapes(gains: Gains, norm: Norm) -> Array:
     return np.multiply.outer(_SCALES, np.stack(solutions))
 
 
-def worst_rates(grids: Sequence[SphereGrid], shapes: Array) -> Array:
+def worst_rates(grids: Sequence[SphereGrid], shapes: Numbers) -> Numbers:
     """Return the largest x'P f(x) on the sphere over several degrees, for many shapes at once.
 
     Args:
@@ -166,19 +167,19 @@ def worst_rates(grids: Sequence[SphereGrid], shapes: Array) -> Array:
     return rates
 
 
-def worst_rate(grids: Sequence[SphereGrid], shape: Array) -> float:
+def worst_rate(grids: Sequence[SphereGrid], shape: Numbers) -> float:
     """Return the largest x'P f(x) on the sphere over several degrees; see :func:`worst_rates`."""
     return float(worst_rates(grids, shape[None])[0])
 
 
 def improved(
     grids: Sequence[SphereGrid],
-    shape: Array,
+    shape: Numbers,
     *,
     enough: float = -np.inf,
     relative: bool = False,
     steps: int = 40,
-) -> Array:
+) -> Numbers:
     """Return a shape nearby with a lower worst rate.
 
     The worst rate is the largest of many smooth functions of P. Each step linearises them in a
@@ -214,8 +215,8 @@ def improved(
 
 
 def _best_move(
-    grids: Sequence[SphereGrid], shape: Array, values: Array, radius: float, relative: bool
-) -> Array:
+    grids: Sequence[SphereGrid], shape: Numbers, values: Numbers, radius: float, relative: bool
+) -> Numbers:
     """Return the move within the radius that lowers the linearised maximum most."""
     active = np.argpartition(values, -_ACTIVE)[-_ACTIVE:]
     spare = _spare_monotonicity(grids, shape)
@@ -226,15 +227,15 @@ def _best_move(
     return np.zeros(6) if move is None else move
 
 
-def _spare_monotonicity(grids: Sequence[SphereGrid], shapes: Array) -> Array:
+def _spare_monotonicity(grids: Sequence[SphereGrid], shapes: Numbers) -> Numbers:
     return _growth_rates(grids, shapes)[..., 0] - LEAST_MONOTONICITY
 
 
-def _growth_rates(grids: Sequence[SphereGrid], shapes: Array) -> Array:
+def _growth_rates(grids: Sequence[SphereGrid], shapes: Numbers) -> Numbers:
     return growth_rates(shapes, [grid.degree for grid in grids])
 
 
-def _values(grids: Sequence[SphereGrid], shapes: Array, relative: bool) -> Array:
+def _values(grids: Sequence[SphereGrid], shapes: Numbers, relative: bool) -> Numbers:
     """Return the rates at all points of shapes (..., 3, 3); infinite where one is not allowed."""
     growth = _growth_rates(grids, shapes)
     rates = [grid.rates(shapes) for grid in grids]
@@ -245,11 +246,11 @@ def _values(grids: Sequence[SphereGrid], shapes: Array, relative: bool) -> Array
     return values
 
 
-def _stretched(shape: Array, parameters: Array) -> Array:
+def _stretched(shape: Numbers, parameters: Numbers) -> Numbers:
     """Return L T T' L' for P = L L' and a lower triangular T near one, exp on its diagonal."""
     stretch = np.zeros((3, 3))
     stretch[_STRETCH] = parameters
     stretch[np.diag_indices(3)] = np.exp(np.diag(stretch))
     factor = np.linalg.cholesky(shape) @ stretch
-    result: Array = factor @ factor.T
+    result: Numbers = factor @ factor.T
     return result

@@ -11,10 +11,11 @@ from itertools import chain
 
 import numpy as np
 
+from hpid_ros.base.arrays import Numbers
 from hpid_ros.base.errors import GainError, NormError
 from hpid_ros.control.gains import Gains
 from hpid_ros.stability.certificate import CertifiedSpan
-from hpid_ros.stability.closed_loop import Array, Norm, effective_gains, require_known_norm
+from hpid_ros.stability.closed_loop import Norm, effective_gains, require_known_norm
 from hpid_ros.stability.quadratic_forms import (
     first_shapes,
     improved,
@@ -127,7 +128,7 @@ class CertificateSearch:
         """
         here, width = 0.0, _WIDEST_SPAN
         spans: list[CertifiedSpan] = []
-        shape: Array | None = None
+        shape: Numbers | None = None
         while abs(here) < outermost and width >= 0.5 * tolerance:
             there = direction * round(min(abs(here) + width, outermost), 12)
             ends = sorted((here, there))
@@ -166,8 +167,8 @@ class CertificateSearch:
         return self._accepted((degree,), faster) or span
 
     def _find(
-        self, degrees: tuple[float, ...], near: Array | None, others: Sequence[Array] = ()
-    ) -> tuple[Array, CertifiedSpan] | None:
+        self, degrees: tuple[float, ...], near: Numbers | None, others: Sequence[Numbers] = ()
+    ) -> tuple[Numbers, CertifiedSpan] | None:
         """Return a shape that is accepted at all of these degrees, or None."""
         ends = (degrees[0], degrees[-1])[: len(degrees)]
         try:
@@ -181,8 +182,8 @@ class CertificateSearch:
         return None
 
     def _candidates(
-        self, coarse: list[SphereGrid], ends: tuple[float, ...], near: Array | None
-    ) -> Iterator[Array]:
+        self, coarse: list[SphereGrid], ends: tuple[float, ...], near: Numbers | None
+    ) -> Iterator[Numbers]:
         """Yield shapes worth a look on the fine grid, the cheapest first."""
         enough = -_AMPLE * self._margin
         # A narrower span is asked for after a wider one failed, and is close to what is known.
@@ -195,8 +196,8 @@ class CertificateSearch:
                 yield improved(self._grids(ends, _MEDIUM), shape, enough=enough)
 
     def _starts(
-        self, grids: list[SphereGrid], near: Array | None, is_widest: bool
-    ) -> Iterator[Array]:
+        self, grids: list[SphereGrid], near: Numbers | None, is_widest: bool
+    ) -> Iterator[Numbers]:
         if near is not None:
             yield near
         # The best shape of each scale: from scales that are far apart, the search ends in
@@ -208,7 +209,7 @@ class CertificateSearch:
         order = np.argsort(rates.min(axis=1), kind="stable")
         yield from best[order[: _REFINED if is_widest else 1]]
 
-    def _accepted(self, degrees: tuple[float, ...], shape: Array) -> CertifiedSpan | None:
+    def _accepted(self, degrees: tuple[float, ...], shape: Numbers) -> CertifiedSpan | None:
         """Return the span that a shape certifies on the fine grid, or None."""
         coarse = worst_rate(self._grids(degrees, _COARSE), shape)
         if coarse > -self._margin:
@@ -228,21 +229,21 @@ class CertificateSearch:
             rate=-worst * unit,
         )
 
-    def _on_fine_grid(self, degree: float, shape: Array) -> float:
+    def _on_fine_grid(self, degree: float, shape: Numbers) -> float:
         """Return the worst rate; spans that follow each other share a degree, and often a P."""
         key = degree, shape.tobytes()
         if key not in self._seen:
             self._seen[key] = worst_rate(self._grids((degree,), _FINE), shape)
         return self._seen[key]
 
-    def _units(self) -> Array:
+    def _units(self) -> Numbers:
         """Return what turns a P in [rad], [s] into one in units of ki^(1/3)."""
         scales = time_unit(self._effective) ** np.arange(3.0)
-        units: Array = np.multiply.outer(scales, scales)
+        units: Numbers = np.multiply.outer(scales, scales)
         return units
 
-    def _in_units(self, span: CertifiedSpan) -> Array:
-        shape: Array = np.array(span.shape) * self._units()
+    def _in_units(self, span: CertifiedSpan) -> Numbers:
+        shape: Numbers = np.array(span.shape) * self._units()
         return shape
 
     def _grids(self, degrees: tuple[float, ...], size: tuple[int, int]) -> list[SphereGrid]:

@@ -14,8 +14,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from hpid_ros.base.arrays import Numbers
 from hpid_ros.control.gains import Gains
-from hpid_ros.stability.closed_loop import Array, Norm, canonical_values, norm_values, unit_curve
+from hpid_ros.stability.closed_loop import Norm, canonical_values, norm_values, unit_curve
 
 LEAST_MONOTONICITY = 0.05
 """Least eigenvalue of the dilation's generator, relative to P, that is accepted."""
@@ -34,7 +35,7 @@ def time_unit(gains: Gains) -> float:
     return float(gains.i ** (1.0 / 3.0))
 
 
-def monotonicity(shape: Array, degree: float) -> float:
+def monotonicity(shape: Numbers, degree: float) -> float:
     r"""Return the least growth rate of the P-norm along the dilation.
 
     It is :math:`\tfrac12\lambda_{min}(P^{-1/2}(PG + GP)P^{-1/2})` with
@@ -48,7 +49,7 @@ def monotonicity(shape: Array, degree: float) -> float:
     return float(growth_rates(shape, [degree])[0, 0])
 
 
-def growth_rates(shapes: Array, degrees: Sequence[float]) -> Array:
+def growth_rates(shapes: Numbers, degrees: Sequence[float]) -> Numbers:
     """Return the least and the largest growth rate of the P-norm along the dilation.
 
     Args:
@@ -117,21 +118,21 @@ class SphereGrid:
         """How many points there are, the pole included."""
         return int(2 * self._error.size * self._lines.shape[1]) + 1
 
-    def rates(self, shapes: Array) -> Array:
+    def rates(self, shapes: Numbers) -> Numbers:
         """Return x'P f(x) at every point of x'P x = 1, in units of ki^(1/3); negative is good.
 
         Args:
             shapes: Positive definite P for which the dilation is monotone, of shape (..., 3, 3).
 
         Returns:
-            Array of shape (..., size); the last one is the pole, where error and error rate
+            An array of shape (..., size); the last one is the pole, where error and error rate
             are 0.
         """
         rates = self._away_from_pole(*self._factors(shapes))
         pole = shapes[..., 1, 2, None] / shapes[..., 2, 2, None]
         return np.concatenate([rates.reshape(*shapes.shape[:-2], -1), pole], axis=-1)
 
-    def largest_rates(self, shapes: Array) -> Array:
+    def largest_rates(self, shapes: Numbers) -> Numbers:
         """Return the largest of :meth:`rates` of each shape, of shape (...).
 
         Some directions at a time: what a processor has at hand is read faster than it is
@@ -147,7 +148,7 @@ class SphereGrid:
             largest = np.maximum(largest, rates.max(axis=(-2, -1)))
         return np.asarray(largest)
 
-    def _factors(self, shapes: Array) -> tuple[Array, Array, Array, Array, Array]:
+    def _factors(self, shapes: Numbers) -> tuple[Numbers, Numbers, Numbers, Numbers, Numbers]:
         """Return the directions' factors of q, A and B, and p23 and p33."""
         p13, p23, p33 = (shapes[..., k, 2, None] for k in range(3))
         a13, a23 = p13 / p33, p23 / p33
@@ -174,21 +175,23 @@ class SphereGrid:
         return square, flat, steep, p23[..., None], p33[..., None]
 
     def _away_from_pole(
-        self, square: Array, flat: Array, steep: Array, p23: Array, p33: Array
-    ) -> Array:
+        self, square: Numbers, flat: Numbers, steep: Numbers, p23: Numbers, p33: Numbers
+    ) -> Numbers:
         # In place: the arrays are large, and new memory costs more than the arithmetic.
         height = square @ self._squares[:3]
         np.subtract(1.0, height, out=height)
         np.maximum(height, 0.0, out=height)
         height /= p33
         np.sqrt(height, out=height)
-        rates: Array = steep @ self._lines
+        rates: Numbers = steep @ self._lines
         rates += p23 * height
         rates *= height
         rates += flat @ self._squares
         return rates
 
-    def _rim(self, s11: Array, s12: Array, s22: Array) -> tuple[Array, Array, Array, Array]:
+    def _rim(
+        self, s11: Numbers, s12: Numbers, s22: Numbers
+    ) -> tuple[Numbers, Numbers, Numbers, Numbers]:
         """Return e, de/dt, (a lam^2 e + b lam de/dt) and lam^3 e on the spheres' rims."""
         mu = self.degree
         norms = canonical_values(mu, (s11, s12, s22), self._error, self._rate, _TOLERANCE_OF_RIM)
@@ -204,7 +207,7 @@ class SphereGrid:
         return error, rate, pull, multiplier**3 * error
 
 
-def _depths(slowest: float, count: int) -> Array:
+def _depths(slowest: float, count: int) -> Numbers:
     """Return depths below the rim in ln n, from 0 to where the slowest power of n vanishes.
 
     Dense at the rim, where the third coordinate is a square root, and even in the logarithm

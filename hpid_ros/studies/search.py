@@ -8,9 +8,9 @@ from contextlib import closing
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hpid_ros.analysis import RunIndices
+from hpid_ros.base.arrays import Numbers
 from hpid_ros.base.errors import HpidError, RunError, SettingError
 from hpid_ros.control import LoopSettings
 from hpid_ros.experiment.description import Experiment
@@ -184,7 +184,7 @@ class Search:
         first = qmc.LatinHypercube(count, seed=self.plan.search_seed).random(population)
         first[0] = [each.share(each.start) for each in space.parameters]
 
-        def costs(shares: NDArray[np.float64]) -> NDArray[np.float64]:
+        def costs(shares: Numbers) -> Numbers:
             return np.array([each.cost for each in self._evaluated(space, stage, shares.T)])
 
         if rest:  # so that all points that were asked for are used
@@ -202,9 +202,7 @@ class Search:
             seed=self.plan.search_seed,
         )
 
-    def _evaluated(
-        self, space: SearchSpace, stage: str, shares: NDArray[np.float64]
-    ) -> list[Evaluation]:
+    def _evaluated(self, space: SearchSpace, stage: str, shares: Numbers) -> list[Evaluation]:
         """Return the evaluations of points, given as shares of the way along each direction."""
         points = [self._point(space, stage, k, row) for k, row in enumerate(shares)]
         judged = {k: point for k, point in enumerate(points) if not point.loops}
@@ -225,9 +223,7 @@ class Search:
             self.evaluations += [judged[place] for place in sorted(judged)]
         return [judged[place] for place in range(len(points))]
 
-    def _point(
-        self, space: SearchSpace, stage: str, place: int, shares: NDArray[np.float64]
-    ) -> Evaluation:
+    def _point(self, space: SearchSpace, stage: str, place: int, shares: Numbers) -> Evaluation:
         """Return a point that has not been run, or why it will not be."""
         pairs = zip(space.parameters, shares.tolist(), strict=True)
         values = {each.name: each.value(share) for each, share in pairs}

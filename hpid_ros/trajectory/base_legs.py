@@ -18,12 +18,10 @@ from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hpid_ros.base.arrays import Numbers
 from hpid_ros.base.units import SECONDS_PER_NANOSECOND
 from hpid_ros.trajectory.spline import Knot, segment
-
-Numbers = NDArray[np.float64]
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(10)
 _FINE = np.linspace(0.0, 1.0, 257)  # of a curve, to count its windings

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hpid_ros.base.arrays import Numbers
 from hpid_ros.base.errors import TrajectoryError
 from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.trajectory.base_legs import DrivenLeg, Leg, PathPose, TimeLaw, Turn, leg_knots
@@ -22,8 +22,6 @@ _SAME_PLACE = 1e-9  # [m]
 _SHORTEST_NS = 1_000_000  # of a leg
 _LOOKS = np.linspace(0.0, 1.0, 513)  # at a leg's limits
 _SHARPEST = 50.0  # [1/m], a radius of 2 cm: what is sharper is better turned in place
-
-Numbers = NDArray[np.float64]
 
 
 class BasePath:

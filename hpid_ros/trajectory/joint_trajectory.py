@@ -17,6 +17,7 @@ from typing import NamedTuple, overload
 import numpy as np
 from numpy.typing import NDArray
 
+from hpid_ros.base.arrays import Numbers
 from hpid_ros.base.errors import TrajectoryError, unknown_name
 from hpid_ros.trajectory.spline import Column, Knot
 
@@ -159,7 +160,6 @@ def _require_point(joint_names: Sequence[str], index: int, point: TrajectoryPoin
                 )
 
 
-Numbers = NDArray[np.float64]
 Integers = NDArray[np.int64]
 Point = tuple[int, tuple[float, ...], tuple[float, ...], tuple[float, ...]]
 

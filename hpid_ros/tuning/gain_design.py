@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq, minimize_scalar
 
+from hpid_ros.base.arrays import Numbers
 from hpid_ros.base.errors import GainError, SettingError, unknown_name
 from hpid_ros.control import Gains, LoopSettings
 from hpid_ros.control.gains import require_hurwitz
@@ -20,8 +21,6 @@ from hpid_ros.tuning.rules import RULES
 
 _DECADES = 4.0
 _POINTS = 4001
-
-Array = NDArray[np.float64]
 
 
 class RobustnessMargins(NamedTuple):
@@ -51,9 +50,9 @@ class _Loop:
         self._gains, self._inertia = gains, inertia
         self.delay, self._filter_time = delay, filter_time
         middle = math.log10(gains.d / inertia)
-        self.frequencies: Array = np.logspace(middle - _DECADES, middle + _DECADES, _POINTS)
+        self.frequencies: Numbers = np.logspace(middle - _DECADES, middle + _DECADES, _POINTS)
 
-    def response(self, frequency: float | Array) -> NDArray[np.complex128]:
+    def response(self, frequency: float | Numbers) -> NDArray[np.complex128]:
         """Return L(jw)."""
         s = 1j * np.asarray(frequency)
         derivative = self._gains.d * s / (self._filter_time * s + 1.0)
@@ -63,11 +62,11 @@ class _Loop:
         )
         return values
 
-    def gain(self, frequency: float | Array) -> Array:
+    def gain(self, frequency: float | Numbers) -> Numbers:
         """Return the logarithm of the gain."""
         return np.asarray(np.log(np.abs(self.response(frequency))))
 
-    def phase(self, frequency: float | Array) -> Array:
+    def phase(self, frequency: float | Numbers) -> Numbers:
         """Return the phase beyond -180 degrees in [rad]: positive is what may be lost.
 
         Continuous in the frequency, since each factor's angle is: i - p w^2 + j d' w with the
@@ -119,7 +118,7 @@ def loop_margins(
     )
 
 
-def _roots(function: Callable[[float | Array], Array], frequencies: Array) -> list[float]:
+def _roots(function: Callable[[float | Numbers], Numbers], frequencies: Numbers) -> list[float]:
     """Return where a function of the frequency changes its sign."""
     values = function(frequencies)
     changes = np.flatnonzero(np.sign(values[1:]) != np.sign(values[:-1]))

@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from hpid_ros.base.arrays import Numbers
 from hpid_ros.base.errors import MessageError
 from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.wire.cdr import ENCAPSULATION, Cursor, Writer, require_nanoseconds
@@ -50,9 +51,9 @@ class TrajectoryArrays(NamedTuple):
     stamp_ns: int
     names: tuple[str, ...]
     times_ns: NDArray[np.int64]
-    positions: NDArray[np.float64]
-    velocities: NDArray[np.float64]
-    accelerations: NDArray[np.float64]
+    positions: Numbers
+    velocities: Numbers
+    accelerations: Numbers
 
     @property
     def lengths(self) -> NDArray[np.int64]:
@@ -83,11 +84,11 @@ class MixedTrajectory(NamedTuple):
     stamp_ns: int
     names: tuple[str, ...]
     times_ns: NDArray[np.int64]
-    positions: NDArray[np.float64]
-    velocities: NDArray[np.float64]
-    accelerations: NDArray[np.float64]
+    positions: Numbers
+    velocities: Numbers
+    accelerations: Numbers
     lengths: NDArray[np.int64]
-    body: NDArray[np.float64]
+    body: Numbers
     starts: NDArray[np.int64]
 
     def point(self, index: int) -> Point:
@@ -287,7 +288,7 @@ def encode_trajectory(
     stamp_ns: int,
     names: Sequence[str],
     times_ns: NDArray[np.int64],
-    derivatives: tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]],
+    derivatives: tuple[Numbers, Numbers, Numbers],
 ) -> bytes:
     """Serialise a JointTrajectory, little endian.
 
@@ -325,7 +326,7 @@ def encode_trajectory(
 def _as_records(
     head: bytes,
     times_ns: NDArray[np.int64],
-    derivatives: Sequence[NDArray[np.float64]],
+    derivatives: Sequence[Numbers],
     lengths: tuple[int, ...],
 ) -> bytes:
     """Return a message whose points have one layout, behind what stands before them."""

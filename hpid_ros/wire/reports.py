@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
+from hpid_ros.base.arrays import Vector
 from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.wire.cdr import Writer
 
@@ -15,7 +16,6 @@ POSE = "geometry_msgs/msg/PoseStamped"
 POSES = "geometry_msgs/msg/PoseArray"
 STATUSES = "diagnostic_msgs/msg/DiagnosticArray"
 
-Vector = tuple[float, float, float]
 PoseValues = tuple[Vector, tuple[float, float, float, float]]
 """Position in [m] and quaternion x, y, z, w."""
 

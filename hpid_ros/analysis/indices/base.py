@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Numbers = NDArray[np.float64]
+from hpid_ros.base.arrays import Numbers
 
 SLIP_SHARE = 0.01
 """Slip that is worth a line: more than this share of the way."""

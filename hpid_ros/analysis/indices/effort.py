@@ -11,6 +11,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from hpid_ros.analysis.indices.integrals import exact_sum, exact_sum_of_blocks
+from hpid_ros.base.arrays import Numbers
 from hpid_ros.recordings.series import JointSeries
 
 SEGMENT = 1.0
@@ -48,8 +49,8 @@ class Spectrum(NamedTuple):
         ends_at_half_rate: Whether the last frequency is half the sampling rate.
     """
 
-    frequency: NDArray[np.float64]
-    density: NDArray[np.float64]
+    frequency: Numbers
+    density: Numbers
     ends_at_half_rate: bool
 
 
@@ -98,7 +99,7 @@ def energy(series: JointSeries) -> float | None:
         return None
     ends = np.append(series.command_time, max(t[-1], series.command_time[-1]))
 
-    def work() -> Iterator[NDArray[np.float64]]:
+    def work() -> Iterator[Numbers]:
         for first in range(0, effort.size, BLOCK):
             held = effort[first : first + BLOCK]
             position = np.interp(ends[first : first + held.size + 1], t, series.position)
@@ -107,7 +108,7 @@ def energy(series: JointSeries) -> float | None:
     return exact_sum_of_blocks(work())
 
 
-def spectrum(t: NDArray[np.float64], x: NDArray[np.float64]) -> Spectrum | None:
+def spectrum(t: Numbers, x: Numbers) -> Spectrum | None:
     """Return a signal's power spectral density by Welch's method.
 
     Hann windows of one second that overlap by half, each without its mean. Where the time
@@ -150,7 +151,7 @@ def amplitude_density(series: JointSeries) -> Spectrum | None:
     return found._replace(frequency=found.frequency[shown], density=np.sqrt(found.density[shown]))
 
 
-def _evenly_spaced(t: NDArray[np.float64], x: NDArray[np.float64]) -> NDArray[np.float64]:
+def _evenly_spaced(t: Numbers, x: Numbers) -> Numbers:
     """Return samples one period apart: those there are, and what bridges the gaps."""
     steps = np.diff(t)
     period = float(np.median(steps))
@@ -162,7 +163,7 @@ def _evenly_spaced(t: NDArray[np.float64], x: NDArray[np.float64]) -> NDArray[np
     return np.interp(np.arange(places[-1] + 1.0), places, x)
 
 
-def _mean_of_windows(x: NDArray[np.float64], rate: float, length: int) -> Spectrum:
+def _mean_of_windows(x: Numbers, rate: float, length: int) -> Spectrum:
     """Return Welch's mean over all windows, a few hundred at a time: hours fit into memory."""
     step = length - length // 2
     window = 0.5 - 0.5 * np.cos(2.0 * np.pi * np.arange(length) / length)  # periodic, of Hann

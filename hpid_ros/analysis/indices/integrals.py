@@ -17,8 +17,9 @@ import math
 from collections.abc import Callable, Iterable, Iterator
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from hpid_ros.base.arrays import Numbers
 from hpid_ros.recordings.series import SeriesError, require_finite
 
 # One block stays in the first cache, and so many leading parts of 53 - 15 bits add up exactly.
@@ -29,7 +30,7 @@ _LARGEST_EXPONENT = 1000  # beyond, the power of two that splits would overflow
 _LEAST_EXPONENT = -900  # below, the parts would be subnormal
 
 
-def exact_sum(values: NDArray[np.float64]) -> float:
+def exact_sum(values: Numbers) -> float:
     """Return the sum of finite numbers, rounded once; it depends on no order of them.
 
     Args:
@@ -38,7 +39,7 @@ def exact_sum(values: NDArray[np.float64]) -> float:
     return exact_sum_of_blocks([values])
 
 
-def exact_sum_of_blocks(blocks: Iterable[NDArray[np.float64]]) -> float:
+def exact_sum_of_blocks(blocks: Iterable[Numbers]) -> float:
     """Return the sum of all numbers of some arrays, rounded once.
 
     The sum of a long array that is computed block by block is never there as a whole.
@@ -56,7 +57,7 @@ def exact_sum_of_blocks(blocks: Iterable[NDArray[np.float64]]) -> float:
     return math.fsum(parts)
 
 
-def _append_exact_parts(block: NDArray[np.float64], parts: list[float]) -> None:
+def _append_exact_parts(block: Numbers, parts: list[float]) -> None:
     """Append numbers whose exact sum is the block's."""
     rest = block
     while True:
@@ -73,7 +74,6 @@ def _append_exact_parts(block: NDArray[np.float64], parts: list[float]) -> None:
         rest = rest - leading
 
 
-_Array = NDArray[np.float64]
 _INTEGRAND_BLOCK = 1 << 16  # samples of an integrand that are in memory at once
 
 
@@ -187,11 +187,11 @@ def root_mean_square(t: ArrayLike, x: ArrayLike) -> float:
     return math.sqrt(_trapezoid(times, samples, lambda t, x: np.square(x)) / span)
 
 
-def _trapezoid(t: _Array, x: _Array, integrand: Callable[[_Array, _Array], _Array]) -> float:
+def _trapezoid(t: Numbers, x: Numbers, integrand: Callable[[Numbers, Numbers], Numbers]) -> float:
     """Integrate a function of time and samples; only a block of it is ever in memory."""
 
     # numpy's own rule changed its name between 1.26 and 2, and sums in an order of its own.
-    def areas() -> Iterator[_Array]:
+    def areas() -> Iterator[Numbers]:
         for times, samples in zip(_blocks(t), _blocks(x), strict=True):
             y = integrand(times, samples)
             yield 0.5 * np.diff(times) * (y[1:] + y[:-1])
@@ -199,13 +199,13 @@ def _trapezoid(t: _Array, x: _Array, integrand: Callable[[_Array, _Array], _Arra
     return exact_sum_of_blocks(areas())
 
 
-def _blocks(x: _Array) -> Iterator[_Array]:
+def _blocks(x: Numbers) -> Iterator[Numbers]:
     """Yield pieces of a line; each begins with the last sample of the one before."""
     for first in range(0, max(x.size - 1, 1), _INTEGRAND_BLOCK):
         yield x[first : first + _INTEGRAND_BLOCK + 1]
 
 
-def _lines(t: ArrayLike, x: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _lines(t: ArrayLike, x: ArrayLike) -> tuple[Numbers, Numbers]:
     times, samples = _line("t", t), _line("x", x)
     if times.size != samples.size:
         raise SeriesError(f"t and x must be of one length, got {times.size} and {samples.size}")
@@ -214,7 +214,7 @@ def _lines(t: ArrayLike, x: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.
     return times, samples
 
 
-def _line(name: str, values: ArrayLike) -> NDArray[np.float64]:
+def _line(name: str, values: ArrayLike) -> Numbers:
     line = np.asarray(values, dtype=np.float64)
     if line.ndim != 1:
         raise SeriesError(f"{name} must be one-dimensional, got shape {line.shape}")

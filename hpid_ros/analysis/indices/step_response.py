@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpid_ros.analysis.indices.integrals import exact_sum
+from hpid_ros.base.arrays import Numbers
 from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.recordings.series import JointSeries
 
@@ -93,9 +94,7 @@ def find_steps(series: JointSeries) -> list[Step]:
     return [step for step in steps if abs(step.height) >= least]
 
 
-def _holds(
-    reference: NDArray[np.float64], stamps_ns: NDArray[np.int64]
-) -> Iterator[tuple[int, int]]:
+def _holds(reference: Numbers, stamps_ns: NDArray[np.int64]) -> Iterator[tuple[int, int]]:
     """Yield first sample and end of every stretch of one value that lasts long enough.
 
     Made for hours of motion, in which nearly every sample is another: beside one flag for each
@@ -138,11 +137,11 @@ def step_response(series: JointSeries, step: Step) -> StepResponse:
     )
 
 
-def _range(values: NDArray[np.float64]) -> float:
+def _range(values: Numbers) -> float:
     return float(values.max() - values.min())
 
 
-def _first_crossing(t: NDArray[np.float64], x: NDArray[np.float64], level: float) -> float:
+def _first_crossing(t: Numbers, x: Numbers, level: float) -> float:
     """Return when x first reaches a level, on straight lines between samples, in [s]."""
     reached = np.flatnonzero(x >= level)
     if not reached.size:
@@ -154,7 +153,7 @@ def _first_crossing(t: NDArray[np.float64], x: NDArray[np.float64], level: float
     return float(t[k - 1] + share * (t[k] - t[k - 1]))
 
 
-def _settling_time(t: NDArray[np.float64], progress: NDArray[np.float64]) -> float:
+def _settling_time(t: Numbers, progress: Numbers) -> float:
     """Return the time after which progress stays near one, on straight lines, in [s]."""
     deviation = np.abs(progress - 1.0)
     outside = np.flatnonzero(deviation > SETTLED_WITHIN)

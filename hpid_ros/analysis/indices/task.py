@@ -6,11 +6,9 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hpid_ros.base.arrays import Numbers
 from hpid_ros.recordings.series import SeriesError
-
-Numbers = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 Bytes = NDArray[np.uint8]
 Integers = NDArray[np.int64]
-Numbers = NDArray[np.float64]
 
 SLACK = 64
 """Bytes of a buffer before its first and after its last message, so that rows may reach out."""

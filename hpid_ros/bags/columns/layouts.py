@@ -18,7 +18,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hpid_ros.bags.columns.batches import WORD, Integers, Numbers, Words
+from hpid_ros.bags.columns.batches import WORD, Integers, Words
+from hpid_ros.base.arrays import Numbers
 from hpid_ros.base.errors import MessageError
 from hpid_ros.base.units import NANOSECONDS
 

@@ -8,8 +8,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hpid_ros.bags.columns.batches import Integers, Numbers, Words
+from hpid_ros.bags.columns.batches import Integers, Words
 from hpid_ros.bags.columns.layouts import Layout
+from hpid_ros.base.arrays import Numbers
 
 _FIRST_CAPACITY = 1 << 12
 _GROWTH = 1.2

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hpid_ros.bags.columns.batches import Integers, Numbers
+from hpid_ros.bags.columns.batches import Integers
 from hpid_ros.bags.columns.samples import JointSamples
 from hpid_ros.bags.run.recording import RecordedRun
 from hpid_ros.bags.run.references import (
@@ -22,6 +22,7 @@ from hpid_ros.bags.run.references import (
 )
 from hpid_ros.bags.run.stamps import Ordered, carried, finite, ordered, stamp_quality
 from hpid_ros.bags.selection import BagSelection
+from hpid_ros.base.arrays import Numbers
 from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.recordings.quality import HOLD, MEASURED, NO_EFFORT, NONE, DataQuality, StampQuality
 from hpid_ros.recordings.series import JointSeries, Losses, SeriesError

@@ -7,8 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hpid_ros.bags.columns.batches import Integers, Numbers
+from hpid_ros.bags.columns.batches import Integers
 from hpid_ros.bags.columns.samples import JointSamples
+from hpid_ros.base.arrays import Numbers
 from hpid_ros.base.units import SECONDS_PER_NANOSECOND
 from hpid_ros.trajectory import Column, Knot, ReferenceSample, SplineReference
 from hpid_ros.trajectory.spline import segment

@@ -6,8 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hpid_ros.bags.columns.batches import Integers, Numbers
+from hpid_ros.bags.columns.batches import Integers
 from hpid_ros.bags.columns.samples import JointSamples
+from hpid_ros.base.arrays import Numbers
 from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.recordings.quality import StampQuality
 

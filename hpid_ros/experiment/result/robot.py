@@ -18,6 +18,7 @@ from hpid_ros.analysis.indices.task import (
     task_notes,
 )
 from hpid_ros.bags.messages import read_planar, read_poses, read_statuses, read_vectors
+from hpid_ros.base.arrays import Numbers
 from hpid_ros.experiment.description import Experiment
 from hpid_ros.metrics.end_effector import EndEffector, TaskFrame, moving_joints
 from hpid_ros.planning import BrickGoal
@@ -38,8 +39,6 @@ from hpid_ros.simulation.world.gripper import (
     MISSED,
 )
 from hpid_ros.wire.reports import POSE, Status
-
-Numbers = NDArray[np.float64]
 
 
 def base_results(

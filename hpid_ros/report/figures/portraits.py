@@ -10,10 +10,10 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
-from numpy.typing import NDArray
 
 from hpid_ros.analysis.indices.effort import amplitude_density
 from hpid_ros.analysis.indices.run import DEFAULT_CUTOFF
+from hpid_ros.base.arrays import Numbers
 from hpid_ros.base.foreign_text import figure_text
 from hpid_ros.recordings.series import JointSeries, RunSeries
 from hpid_ros.report.figures.panels import (
@@ -47,8 +47,8 @@ class PhaseCurve(NamedTuple):
     no joint has moved.
     """
 
-    error: NDArray[np.float64]
-    rate: NDArray[np.float64]
+    error: Numbers
+    rate: Numbers
 
 
 def phase_curve(series: JointSeries, points: int) -> PhaseCurve:
@@ -77,7 +77,7 @@ def phase_curve(series: JointSeries, points: int) -> PhaseCurve:
     return PhaseCurve(smooth, rate)
 
 
-def _jumps(reference: NDArray[np.float64]) -> list[int]:
+def _jumps(reference: Numbers) -> list[int]:
     """Return the first samples after the jumps of a reference."""
     moved = np.abs(np.diff(reference))
     beside = np.zeros_like(moved)
@@ -87,9 +87,7 @@ def _jumps(reference: NDArray[np.float64]) -> list[int]:
     return [int(at) + 1 for at in np.flatnonzero(found)]
 
 
-def _fitted(
-    t: NDArray[np.float64], error: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _fitted(t: Numbers, error: Numbers) -> tuple[Numbers, Numbers]:
     """Return an error and its rate, each smoothed over :data:`RATE_WINDOW`."""
     if error.size < 4 or t[-1] <= t[0]:
         return error, np.full_like(error, np.nan)

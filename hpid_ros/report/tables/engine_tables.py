@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
-from hpid_ros.analysis.engine_totals import EngineTotal, Numbers, median
+from hpid_ros.analysis.engine_totals import BySeed, EngineTotal, median
 from hpid_ros.analysis.quantities import PAPER
 from hpid_ros.base.foreign_text import csv_text
 from hpid_ros.report.tables.grid import Grid
@@ -121,7 +121,7 @@ def _row(total: EngineTotal, *, is_repeated: bool) -> tuple[str, ...]:
     )
 
 
-def _only(seed: int, numbers: Numbers) -> Numbers:
+def _only(seed: int, numbers: BySeed) -> BySeed:
     return {seed: numbers[seed]} if seed in numbers else {}
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from hpid_ros.base.arrays import Vector
 from hpid_ros.robot.description import RobotDescription
 from hpid_ros.simulation.bullet.boxes import box_pose
 from hpid_ros.simulation.bullet.connection import connected, disconnect, pybullet
@@ -11,7 +12,6 @@ from hpid_ros.simulation.bullet.model import bullet_urdf
 from hpid_ros.simulation.bullet.scene import Scene, build_scene
 from hpid_ros.simulation.poses import Pose, Twist
 from hpid_ros.simulation.settings import WorldSettings
-from hpid_ros.simulation.world.physics import Vector
 
 _ROOT = -1  # Bullet's index of a robot's root link
 _UNYIELDING = 1e5  # [N], far beyond any grip: the constraint itself never gives way

@@ -20,8 +20,8 @@ from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+from hpid_ros.base.arrays import Numbers
 from hpid_ros.base.errors import RobotDescriptionError
 from hpid_ros.robot.description import JointDescription, RobotDescription
 from hpid_ros.robot.meshes import find_mesh, mesh_places
@@ -43,8 +43,6 @@ _FRICTION_SOLIMP = (0.9999, 0.9999, 0.001, 0.5, 2.0)
 _HARD_SOLIMP = (0.98, 0.999, 1e-4, 0.5, 2.0)
 _SHORTEST = 2.0
 """Steps in the shortest time constant that the solver follows: what is to stick has that one."""
-
-Matrix = NDArray[np.float64]
 
 
 class Touch(NamedTuple):
@@ -451,7 +449,7 @@ def _weld(brick: Brick) -> str:
     return f"__hold_{brick.name}"
 
 
-def _origin(element: ElementTree.Element) -> tuple[tuple[float, ...], NDArray[np.float64]]:
+def _origin(element: ElementTree.Element) -> tuple[tuple[float, ...], Numbers]:
     """Return the place of an element's frame, and its quaternion w, x, y, z."""
     turn = np.array([1.0, 0.0, 0.0, 0.0])
     origin = element.find("origin")

@@ -8,25 +8,19 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+from hpid_ros.base.arrays import Numbers, Vector
 from hpid_ros.base.errors import RunError, SettingError
 from hpid_ros.robot.description import RobotDescription
 from hpid_ros.simulation.mujoco.model import build_model, soften
 from hpid_ros.simulation.poses import Pose, Twist
 from hpid_ros.simulation.settings import WorldSettings
-from hpid_ros.simulation.world.physics import (
-    PAYLOAD_EDGE,
-    SETTLING_TIME,
-    STAYING,
-    Vector,
-)
+from hpid_ros.simulation.world.physics import PAYLOAD_EDGE, SETTLING_TIME, STAYING
 
 _LOCK = 1e6  # [N m]
 _FAR = 1e3  # [m]
 _KEPT = ("body_mass", "body_inertia", "dof_damping", "dof_frictionloss")
 
-Numbers = NDArray[np.float64]
 
 _failures: list[str] = []
 _BENIGN = "Linesearch"  # a step of the solver that it repairs itself

@@ -6,11 +6,10 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from hpid_ros.base.arrays import Vector
 from hpid_ros.base.errors import SettingError
 from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.documents.records import Record, quantity
-
-Vector = tuple[float, float, float]
 
 LONGEST = 1e5
 """Of a schedule, in [s]: a day and more."""

@@ -21,15 +21,13 @@ from itertools import permutations, product
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from hpid_ros.base.arrays import Numbers
 from hpid_ros.simulation.poses import Pose
 from hpid_ros.simulation.settings import WorldSettings
 from hpid_ros.simulation.world.physics import Physics
 from hpid_ros.simulation.world.workpieces import Brick, GripperSettings, Workplace
 from hpid_ros.wire.reports import Status
-
-Matrix = npt.NDArray[np.float64]
 
 _ROTATIONS = [
     rotation
@@ -89,11 +87,11 @@ def misfit(fit: Fit, gripper: GripperSettings) -> str:
     return ""
 
 
-def _matrix(quaternion: Sequence[float]) -> Matrix:
+def _matrix(quaternion: Sequence[float]) -> Numbers:
     """Return a quaternion x, y, z, w as a rotation matrix."""
     from scipy.spatial.transform import Rotation  # slow to import, for a world without bricks
 
-    matrix: Matrix = Rotation.from_quat(quaternion).as_matrix()
+    matrix: Numbers = Rotation.from_quat(quaternion).as_matrix()
     return matrix
 
 

@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Protocol
 
+from hpid_ros.base.arrays import Vector
 from hpid_ros.simulation.poses import Pose, Twist
-
-Vector = tuple[float, float, float]
 
 SETTLING_TIME = 0.25  # [s]
 STAYING = 0.005  # [m], how far a brick may be from where it is put when it has settled

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
+from hpid_ros.base.arrays import Vector
 from hpid_ros.robot.description import RobotDescription
 from hpid_ros.simulation.settings import WorldSettings
 from hpid_ros.simulation.world.disturbances import Event, PayloadChange, require_mass, vector
-from hpid_ros.simulation.world.physics import Physics, Vector
+from hpid_ros.simulation.world.physics import Physics
 
 
 class Pulse(NamedTuple):

@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from hpid_ros.base.arrays import Vector
 from hpid_ros.base.errors import SettingError
 from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.documents.records import Record, quantity
-from hpid_ros.simulation.world.disturbances import LONGEST, Vector
+from hpid_ros.simulation.world.disturbances import LONGEST
 
 LARGEST = 100.0
 """Edge of a box and distance from the origin, in [m]."""

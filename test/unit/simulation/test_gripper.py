@@ -140,7 +140,7 @@ def pull_at(world, brick, force):
     physics = world._physics
     if isinstance(physics, MujocoPhysics):
         (body,) = physics._built.bricks
-        physics._data.xfrc_applied[body, :3] = force
+        physics.data.xfrc_applied[body, :3] = force
         physics._is_pushed = True
         return
     import pybullet

@@ -71,7 +71,7 @@ def test_the_robot_sinks_into_its_tyres_by_its_weight_over_their_stiffness():
     stiffness = 2.0 * 1e5 + 4.0 * 5e4  # of wheels and balls, in [N/m]
     for payload in (0.0, 2.0):
         with World(replace(SETTINGS, payload_mass=payload)) as world:
-            mass = sum(world._physics._model.body_mass[list(world._physics._built.links.values())])
+            mass = sum(world._physics.model.body_mass[list(world._physics._built.links.values())])
             height = world.base_pose().position[2]
         assert height == pytest.approx(-mass * 9.81 / stiffness, rel=1e-3)
 

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Duration, Time
-from numpy.typing import NDArray
 from trajectory_msgs.msg import JointTrajectoryPoint
 
+from hpid_ros.base.arrays import Numbers
 from hpid_ros.base.units import NANOSECONDS, SECONDS_PER_NANOSECOND
 from hpid_ros.goals import AskedTolerance, Feedback, GoalError, GoalRequest
 from hpid_ros.wire import MOST_POINTS
@@ -58,7 +58,7 @@ def _nanoseconds(time: Any) -> int:
     return int(time.sec) * NANOSECONDS + int(time.nanosec)
 
 
-def _values(rows: Sequence[Sequence[float]], joints: int) -> NDArray[np.float64]:
+def _values(rows: Sequence[Sequence[float]], joints: int) -> Numbers:
     """Return the numbers of each point; NaN where it has not one for each joint."""
     if rows and all(len(row) == joints for row in rows):
         return np.array(rows, np.float64).reshape(len(rows), joints)
