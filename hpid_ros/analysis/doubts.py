@@ -16,6 +16,8 @@ SHARE_OF_RANGE = 0.1
 """So is one below this share of the reference's range."""
 SELDOM = 0.1
 """A joint follows if its error is small for at least this share of its motion."""
+MOVED = 0.05
+"""A joint whose position ranges over more than this has moved, in [rad]."""
 
 
 def unfollowed(run: RunSeries) -> dict[str, float]:
@@ -99,6 +101,16 @@ def _lines(run: RunSeries) -> Iterator[str]:
     if received:
         streams = " and ".join(f"{stream}s" for stream in received)
         yield f"run {run.label!r}: {streams} have their receive time, not a stamp of their own"
+    idle = [
+        series.joint
+        for series in run.joints
+        if series.effort.size and not series.effort.any() and np.ptp(series.position) > MOVED
+    ]
+    if idle:
+        yield (
+            f"run {run.label!r}: every effort of {', '.join(idle)} is 0, and the joint moved: "
+            "nobody commanded it, or its driver fills in what it does not measure"
+        )
     yield from unfollowed_lines([run])
 
 

@@ -29,6 +29,9 @@ class RobotState(NamedTuple):
     efforts: Sequence[float]
 
 
+_WITHOUT_EFFORTS = 1.0  # [s]
+
+
 class RobotStates:
     """Makes of measured states what a model can use, or holds the last one for a while.
 
@@ -81,6 +84,7 @@ class RobotStates:
             unwrapper.reset()
         self._stamp_ns = _NO_TIME
         self._state: RobotState | None = None
+        self._without_efforts = 0.0
 
     def retune(self, settings: LoopSettings) -> None:
         """Go by other settings of the loop from the next state on.
@@ -138,11 +142,20 @@ class RobotStates:
             for source, position, rate in zip(self._velocities, positions, rates, strict=True)
         ]
         seen = self._no_efforts if efforts is None or not self._needs_efforts else efforts
+        self._without_efforts = 0.0 if any(seen) else self._without_efforts + dt
         if before is not None and self._time_constant:
             share = dt / (self._time_constant + dt)
             seen = [a + share * (b - a) for a, b in zip(before.efforts, seen, strict=True)]
         self._state = RobotState(positions, found, seen)
         return self._state
+
+    @property
+    def lacks_efforts(self) -> bool:
+        """Whether those that the model needs have all been exactly 0 for a while.
+
+        Drivers fill in zeros for what they do not measure.
+        """
+        return self._needs_efforts and self._without_efforts > _WITHOUT_EFFORTS
 
     def hold(self, stamp_ns: int, reason: str) -> RobotState | None:
         """Return the last usable state in place of one that is not, if it is recent.

@@ -19,7 +19,10 @@ from hpid_ros.control.settings.assembly import (
     make_velocity_source,
 )
 from hpid_ros.control.settings.loop import LoopSettings
-from hpid_ros.control.velocity import VelocitySource
+from hpid_ros.control.velocity import MeasuredVelocity, VelocitySource
+
+MOVED_AT_ZERO = 0.05
+"""A joint that has come so far without a velocity has a driver that measures none, in [rad]."""
 
 
 class JointLoop:
@@ -162,6 +165,26 @@ class JointLoop:
             return not self._timing.is_simulated
         return self._state is LoopState.FAULT
 
+    @property
+    def velocity_origin(self) -> str:
+        """Where the velocity of the last sample came from, in words."""
+        source = self.settings.velocity.source
+        if isinstance(self._velocity, MeasuredVelocity) and not self._velocity.is_reported:
+            return "filtered, the states have none"
+        return source
+
+    @property
+    def velocity_doubt(self) -> str:
+        """What speaks against the velocities of the states, in words; empty if nothing does."""
+        source = self._velocity
+        if isinstance(source, MeasuredVelocity) and source.moved_at_zero > MOVED_AT_ZERO:
+            return (
+                f"the velocities of the states are all 0, and the joint has moved by "
+                f"{source.moved_at_zero:.2g} rad: nothing damps it; velocity_source filtered "
+                "does without them"
+            )
+        return ""
+
     def damping_stop(self, duration: float) -> DampingStop:
         """Return what damps the joint from now on in this loop's place.
 
@@ -202,7 +225,10 @@ class JointLoop:
             -LARGEST_POSITION <= position <= LARGEST_POSITION
             and (velocity is None or -LARGEST_POSITION <= velocity <= LARGEST_POSITION)
         ):
-            return self.reject(stamp_ns, f"position {position} rad, velocity {velocity} rad/s")
+            reason = f"position {position} rad, velocity {velocity} rad/s"
+            if -LARGEST_POSITION <= position <= LARGEST_POSITION:
+                reason += "; velocity_source filtered does without velocities"
+            return self.reject(stamp_ns, reason)
         if self._before_jump is not None:
             before_ns = self._settle_jump(stamp_ns)
         since = 0.0 if before_ns is None else (stamp_ns - before_ns) * SECONDS_PER_NANOSECOND

@@ -126,21 +126,43 @@ class FilteredVelocity:
         self._velocity = 0.0
 
 
+_FEW_ZEROS = 10  # a driver that is quantised, or asked at rest, tells as many
+
+
 class MeasuredVelocity:
     """The robot's own velocity, or the filtered difference in samples that report none.
+
+    Attributes:
+        is_reported: Whether the last sample had a velocity.
+        moved_at_zero: How far the joint has come while every velocity that was reported was
+            exactly 0, in [rad], over ten samples and more: drivers fill in zeros for what they do
+            not measure.
 
     Args:
         time_constant: Of the filter for samples without a velocity, in [s].
     """
 
-    __slots__ = ("_fallback",)
+    __slots__ = ("_fallback", "_zero_since", "_zeros", "is_reported", "moved_at_zero")
 
     def __init__(self, time_constant: float) -> None:
         self._fallback = FilteredVelocity(time_constant)
+        self._zero_since, self._zeros = 0.0, 0
+        self.moved_at_zero = 0.0
+        self.is_reported = True
 
     def update(self, position: float, velocity: float | None, dt: float) -> float:
         """Return the measured velocity in [rad/s], or an estimate where there is none."""
         estimate = self._fallback.update(position, velocity, dt)
+        if velocity == 0.0:
+            if not self._zeros or dt <= 0.0:
+                self._zero_since, self._zeros = position, 0
+            self._zeros += 1
+            if self._zeros > _FEW_ZEROS:
+                moved = abs(position - self._zero_since)
+                self.moved_at_zero = max(moved, self.moved_at_zero)
+        elif self._zeros:
+            self._zeros, self.moved_at_zero = 0, 0.0
+        self.is_reported = velocity is not None
         return estimate if velocity is None else velocity
 
     def take_over(self, position: float, velocity: float) -> None:
@@ -150,6 +172,7 @@ class MeasuredVelocity:
     def reset(self) -> None:
         """Forget the past of the estimate."""
         self._fallback.reset()
+        self._zeros, self.moved_at_zero = 0, 0.0
 
 
 class HomogeneousDifferentiator:

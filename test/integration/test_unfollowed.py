@@ -59,6 +59,23 @@ def test_a_joint_that_follows_late_or_with_an_offset_is_not_named(reference, pos
     assert not list(unfollowed_lines([run]))
 
 
+def test_a_joint_that_moves_though_all_of_its_efforts_are_zero_is_named():
+    def lines(**efforts):
+        joints = []
+        for name, effort in efforts.items():
+            stamps = np.round(TIME * 1e9).astype(np.int64)
+            position = MOVE if name.startswith("moved") else np.zeros_like(TIME)
+            joints.append(JointSeries(name, stamps, position, position, stamps, effort))
+        return [
+            line for line in quality_lines(RunSeries("PID", tuple(joints))) if "effort" in line
+        ]
+
+    none, some = np.zeros_like(TIME), np.where(TIME > 3.99, 0.1, 0.0)
+    (line,) = lines(moved_idle=none, moved_driven=some, rested_idle=none)
+    assert "every effort of moved_idle is 0" in line
+    assert lines(moved_driven=some, rested_idle=none) == []
+
+
 def test_a_comparison_names_the_joint_below_the_table_and_in_the_result(experiment_file, tmp_path):
     experiment = load_experiment(experiment_file())
 

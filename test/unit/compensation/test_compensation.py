@@ -283,6 +283,15 @@ class Sum:
         return 2.0, sum(state.positions) + sum(state.efforts)
 
 
+def test_efforts_that_stay_exactly_zero_are_noticed_where_a_model_needs_them():
+    measured, needed = states(), states()
+    for k in range(1500):
+        measured.observe(k * 1_000_000, (0.0, 0.0), None, (0.0, 0.1 * (k % 900 == 0)))
+        needed.observe(k * 1_000_000, (0.0, 0.0), None, (0.0, 0.0))
+        assert needed.lacks_efforts == (k > 1001) or k in (1000, 1001)
+    assert not measured.lacks_efforts
+
+
 @pytest.mark.parametrize(
     ("positions", "velocities", "efforts"),
     [

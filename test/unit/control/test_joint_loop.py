@@ -44,6 +44,56 @@ def test_loop_brings_a_loaded_joint_to_its_setpoint(law, mu):
     assert loop.counts.samples == 20_000
 
 
+def test_velocities_that_are_zero_while_the_joint_moves_are_doubted():
+    """What a driver that measures none may fill in; a quantised one shows some now and then."""
+    loop = JointLoop(settings(velocity_source="measured"))
+
+    def go_on(count, position, velocity):
+        for _ in range(count):
+            go_on.stamp_ns += MS
+            position += 1e-3
+            loop.step(go_on.stamp_ns, position, velocity)
+        return position
+
+    go_on.stamp_ns = 0
+    position = go_on(40, 0.0, 0.0)
+    assert loop.velocity_doubt == ""
+    position = go_on(20, position, 0.0)
+    assert "all 0, and the joint has moved by 0.05" in loop.velocity_doubt
+    assert "velocity_source filtered" in loop.velocity_doubt
+    position = go_on(1, position, 1e-6)
+    assert loop.velocity_doubt == ""
+    loop.reset()
+    for k in range(5000):  # at rest, seen by a noisy encoder
+        loop.step(go_on.stamp_ns + k * MS, position + 0.01 * math.sin(k), 0.0)
+    assert loop.velocity_doubt == ""
+
+
+@pytest.mark.parametrize(
+    ("source", "velocity", "origin"),
+    [
+        ("measured", 1.0, "measured"),
+        ("measured", None, "filtered, the states have none"),
+        ("filtered", None, "filtered"),
+        ("homogeneous_differentiator", 1.0, "homogeneous_differentiator"),
+    ],
+)
+def test_a_loop_tells_where_its_velocity_comes_from(source, velocity, origin):
+    loop = JointLoop(settings(velocity_source=source))
+    loop.step(0, 0.0, velocity)
+    assert loop.velocity_origin == origin
+    assert loop.velocity_doubt == ""
+
+
+def test_a_velocity_that_is_no_number_is_told_with_what_does_without():
+    loop = JointLoop(settings(velocity_source="measured"))
+    loop.step(0, 0.0, math.nan)
+    assert loop.state is LoopState.FAULT
+    assert "velocity nan rad/s; velocity_source filtered does without" in loop.last_fault
+    loop.step(MS, math.nan, math.nan)
+    assert "velocity_source" not in loop.last_fault
+
+
 def test_a_loop_without_a_reference_holds_its_first_position():
     loop = JointLoop(settings())
     assert loop.state is LoopState.WAITING

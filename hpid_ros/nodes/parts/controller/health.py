@@ -159,7 +159,12 @@ class ControllerHealth:
         loop, counts = self._loop, self._loop.counts
         is_active = lifecycle == "active"
         message, level = loop.state.value, OK
-        warning = self._certification.warning or self._slowness() or self._model_fault()
+        warning = (
+            self._certification.warning
+            or loop.velocity_doubt
+            or self._slowness()
+            or self._model_fault()
+        )
         if not is_active:
             message, level = (f"{lifecycle}: {refusal}", WARN) if refusal else (lifecycle, OK)
         elif loop.state in _ON_FALLBACK:
@@ -174,6 +179,7 @@ class ControllerHealth:
                 "claim": claim,
                 "law": loop.settings.law,
                 "degree mu": loop.settings.mu,
+                "velocity": loop.velocity_origin,
                 "certified degrees": self._certification.degrees,
                 "samples": counts.samples,
                 "gaps": counts.gaps,
@@ -205,7 +211,11 @@ class ControllerHealth:
         if self._model is None:
             return ""
         held, self._held = self._held, self._model.held
-        return f"model terms are held: {self._model.fault}" if self._held > held else ""
+        if self._held > held:
+            return f"model terms are held: {self._model.fault}"
+        if self._model.lacks_efforts and self._loop.effort:
+            return "the efforts of the states are all 0: the model has nothing to go by"
+        return ""
 
     def _slowness(self) -> str:
         """Return a warning when most states of the last report seem lost."""

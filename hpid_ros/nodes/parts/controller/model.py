@@ -82,6 +82,11 @@ class ModelCompensation:
         return self._compensator.states.last_fault
 
     @property
+    def lacks_efforts(self) -> bool:
+        """Whether the efforts that the model needs have all been exactly 0 for a while."""
+        return self._compensator.states.lacks_efforts
+
+    @property
     def held(self) -> int:
         """States that were answered with the term of an earlier one."""
         return self._compensator.states.held
