@@ -142,13 +142,15 @@ def test_no_network_socket_is_opened_in_the_closed_mode(harness):
     assert network_sockets(process.pid) == set()
 
 
+def descriptions(harness):
+    request = DescribeParameters.Request(names=list(LOOP_PARAMETERS))
+    name = "elbow_controller/describe_parameters"
+    return harness.call(DescribeParameters, name, request).descriptors
+
+
 def test_parameters_are_described_with_their_ranges(harness):
     harness.start_controller(law="pid", **GAINS)
-    client = harness.node.create_client(DescribeParameters, "elbow_controller/describe_parameters")
-    harness.wait(client.service_is_ready, what="the parameter services")
-    future = client.call_async(DescribeParameters.Request(names=list(LOOP_PARAMETERS)))
-    harness.wait(future.done, what="the descriptions")
-    for described in future.result().descriptors:
+    for described in descriptions(harness):
         spec = LOOP_PARAMETERS[described.name]
         assert described.description == spec.description
         if isinstance(spec.default, float):
@@ -159,11 +161,7 @@ def test_parameters_are_described_with_their_ranges(harness):
 def test_a_slider_moves_from_end_to_end_without_a_refusal(harness):
     """rqt and Foxglove draw a slider where there is a range, else a field for a number."""
     harness.start_controller(law="hpid", **GAINS)
-    client = harness.node.create_client(DescribeParameters, "elbow_controller/describe_parameters")
-    harness.wait(client.service_is_ready, what="the parameter services")
-    future = client.call_async(DescribeParameters.Request(names=list(LOOP_PARAMETERS)))
-    harness.wait(future.done, what="the descriptions")
-    ranges = {each.name: each.floating_point_range for each in future.result().descriptors}
+    ranges = {each.name: each.floating_point_range for each in descriptions(harness)}
     sliders = {name: found[0] for name, found in ranges.items() if found}
     assert set(sliders) == {"mu"}
     for name, bounds in sliders.items():

@@ -338,13 +338,11 @@ def test_parameters_have_descriptions_and_a_bad_set_leaves_no_trace(joints):
     from rcl_interfaces.srv import DescribeParameters
 
     joints.start()
-    node, harness = joints.harness.node, joints.harness
-    client = node.create_client(DescribeParameters, f"{ACTION}/describe_parameters")
-    harness.wait(client.service_is_ready, what="the service")
+    harness = joints.harness
     names = ["constraints.elbow.goal", "constraints.goal_time", "joints", "state_timeout"]
-    asked = client.call_async(DescribeParameters.Request(names=names))
-    harness.wait(asked.done, what="the descriptions")
-    goal, late, fixed, timeout = asked.result().descriptors
+    request = DescribeParameters.Request(names=names)
+    asked = harness.call(DescribeParameters, f"{ACTION}/describe_parameters", request)
+    goal, late, fixed, timeout = asked.descriptors
     assert "[rad]" in goal.description
     assert not goal.floating_point_range
     assert "[s]" in late.description

@@ -16,10 +16,13 @@ from harness.bags import small_log, write_bag
 from harness.engines import BRIDGE, INSTALLED, needs_bullet
 from harness.fork_server import run_node
 from harness.graph import ros_arguments
-from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters
+from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters, SetParameters
 from rclpy.node import NodeNameNonExistentError
-from rclpy.parameter import Parameter, parameter_value_to_python
-from rclpy.parameter_client import AsyncParameterClient
+from rclpy.parameter import (
+    Parameter,
+    parameter_dict_from_yaml_file,
+    parameter_value_to_python,
+)
 from std_msgs.msg import Float64MultiArray
 
 from hpid_ros.base.errors import SettingError
@@ -203,11 +206,12 @@ class Graph:
         return f"{namespace}/joint_states" in dict(topics)
 
     def load(self, node, file):
-        """Do what ``ros2 param load`` does, and return what was refused."""
-        client = AsyncParameterClient(self._harness.node, node)
-        future = client.load_parameter_file(str(file), use_wildcard=True)
-        self._harness.wait(future.done, within=60.0, what=f"{node} to load its dump")
-        return [result.reason for result in future.result().results if not result.successful]
+        """Do what ``ros2 param load`` does, and return the reasons of what was refused."""
+        parameters = parameter_dict_from_yaml_file(str(file), use_wildcard=True).values()
+        results = self._call(
+            node, SetParameters, "set_parameters", parameters=list(parameters)
+        ).results
+        return [result.reason for result in results if not result.successful]
 
     def are_fixed(self, node, names):
         found = self._call(node, DescribeParameters, "describe_parameters", names=names)
@@ -217,11 +221,7 @@ class Graph:
         return self._harness.set_parameters(node, atomically=False, **values)
 
     def _call(self, node, kind, name, **request):
-        client = self._harness.node.create_client(kind, f"{node}/{name}")
-        self._harness.wait(client.service_is_ready, within=60.0, what=node)
-        future = client.call_async(kind.Request(**request))
-        self._harness.wait(future.done, within=60.0, what=f"{name} of {node}")
-        return future.result()
+        return self._harness.call(kind, f"{node}/{name}", kind.Request(**request))
 
 
 def nested(values):

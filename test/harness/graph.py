@@ -13,6 +13,7 @@ from hpid_ros.experiment.graph.processes import NodeGroup
 from hpid_ros.nodes.ros.middleware import OFFERED
 from hpid_ros.wire import JointStateTemplate, decode_joint_state
 
+_ANSWERED_WITHIN = 5.0  # [s]
 _VALUES = {
     bool: (ParameterType.PARAMETER_BOOL, "bool_value"),
     float: (ParameterType.PARAMETER_DOUBLE, "double_value"),
@@ -99,21 +100,34 @@ class Harness:
         self.wait(is_answered, what=f"the answer to {stamp_ns}")
         return next(each.effort[0] for each in self.commands if each.stamp_ns == stamp_ns)
 
+    def call(self, kind, name, request, again=True):
+        """Call a service and return its answer.
+
+        On a busy machine a server may not have found the client yet when it answers, and then
+        nobody gets the answer: what does no harm twice is asked again.
+        """
+        client = self.node.create_client(kind, name)
+        self.wait(client.service_is_ready, what=f"the service {name}")
+        futures = []
+
+        def is_answered():
+            if not futures or (again and time.monotonic() > is_answered.until):
+                futures.append(client.call_async(request))
+                is_answered.until = time.monotonic() + _ANSWERED_WITHIN
+            return any(future.done() for future in futures)
+
+        self.wait(is_answered, what=f"the answer of {name}")
+        self.node.destroy_client(client)
+        return next(future.result() for future in futures if future.done())
+
     def set_parameters(self, node, atomically=True, **values):
         """Set parameters of a node as a whole and return (successful, reason)."""
         service = SetParametersAtomically if atomically else SetParameters
         name = "set_parameters_atomically" if atomically else "set_parameters"
-        client = self.node.create_client(service, f"{node}/{name}")
-        self.wait(client.service_is_ready, what=f"{node} to take parameters")
-        future = client.call_async(
-            service.Request(
-                parameters=[
-                    _parameter(key.replace("__", "."), value) for key, value in values.items()
-                ]
-            )
+        request = service.Request(
+            parameters=[_parameter(key.replace("__", "."), value) for key, value in values.items()]
         )
-        self.wait(future.done, what="the answer to a set of parameters")
-        answer = future.result()
+        answer = self.call(service, f"{node}/{name}", request)
         result = answer.result if atomically else answer.results[0]
         return result.successful, result.reason
 

@@ -42,12 +42,7 @@ class Told:
 
 def call(harness, service, name, request, node=NAME):
     """Call one of the controller's services and return the answer."""
-    client = harness.node.create_client(service, f"{node}/{name}")
-    harness.wait(client.service_is_ready, what=f"the service {name}")
-    future = client.call_async(request)
-    harness.wait(future.done, what=f"the answer of {name}")
-    harness.node.destroy_client(client)
-    return future.result()
+    return harness.call(service, f"{node}/{name}", request, again=service is not ChangeState)
 
 
 def change(harness, label, node=NAME):
