@@ -174,18 +174,13 @@ class JointController(ManagedNode):
         self._timing.interrupt()
 
     def _start_when_ready(self) -> None:
-        if self._readiness is None:
-            return
-        if self._states is not None:
-            if self._loop.stamp_ns is not None:
-                self._readiness.cancel()
-                self._health.begun()
+        if self._readiness is None or self._states is not None:
             return
         if not self._claim.settle() or self._waits_for():
             return
+        self._readiness.cancel()
         self.is_starting = False
         self._states = subscribe_raw(self, "joint_states", self._on_state, NEWEST_STATES)
-        self._watchdog.watch(self._loop.settings.timing.state_timeout)
         self._status.send("listening")
 
     def _waits_for(self) -> str:
@@ -215,8 +210,18 @@ class JointController(ManagedNode):
         by_model = None if model is None else partial(model.answer, self._loop, sample, raw)
         effort = self._supervised.answer(*sample, began_ns, by_model)
         self._commands.send(sample.stamp_ns, effort)
+        if self._readiness is not None:
+            self._begun()
         self._timing.note(began_ns, time.perf_counter_ns())
         self._introspection.sample(sample.stamp_ns, self._loop)
+
+    def _begun(self) -> None:
+        """Look for silences from the first state on; from a usable one on all is in force."""
+        self._watchdog.watch(self._loop.settings.timing.state_timeout)
+        if self._loop.stamp_ns is not None:
+            self.destroy_timer(self._readiness)
+            self._readiness = None
+            self._health.begun()
 
     def _lapsed(self, silence: float, effort: float) -> None:
         """Tell of a silence; :meth:`look` gives the effort, whatever this thread does."""
