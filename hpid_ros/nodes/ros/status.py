@@ -69,7 +69,10 @@ ERROR = DiagnosticStatus.ERROR
 
 
 class Diagnostics:
-    """Publishes a node's status.
+    """Publishes a node's status, and notes what has gone wrong.
+
+    Attributes:
+        last_fault: One line for what was wrong last; ``"none"`` if nothing has been.
 
     Args:
         node: The node.
@@ -80,6 +83,12 @@ class Diagnostics:
         self._node = node
         self._hardware_id = hardware_id
         self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", RARE)
+        self.last_fault = "none"
+
+    def fault(self, line: str) -> None:
+        """Note one line for something that could not be used, or has gone wrong; it is logged."""
+        self.last_fault = line
+        self._node.get_logger().warning(line, throttle_duration_sec=1.0)
 
     def publish(self, level: bytes, message: str, values: Mapping[str, object]) -> None:
         """Publish one status.

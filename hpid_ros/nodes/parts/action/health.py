@@ -16,6 +16,7 @@ class GoalHealth:
 
     Attributes:
         period: Time between two reports in [s].
+        fault: Notes one line for what could not be used, or has gone wrong.
         misread: Bytes that were no state of the joints, or no reference.
         stood_still: How often the process had not run for a while.
 
@@ -29,9 +30,10 @@ class GoalHealth:
     def __init__(self, node: Node, joints: Sequence[str]) -> None:
         self._node = node
         self._diagnostics = Diagnostics(node, ", ".join(joints))
+        self.fault = self._diagnostics.fault
         self._counts: Counter[str] = Counter()
         self.misread = self.stood_still = 0
-        self._last_fault = self._last_result = ""
+        self._last_result = ""
 
     def note(self, result: Result) -> None:
         """Note how a goal ended, and log it where it did not succeed."""
@@ -43,11 +45,6 @@ class GoalHealth:
             return
         self._last_result = f"{result.code.name.lower()}: {result.text}"
         logger.warning(f"goal ended: {self._last_result}", throttle_duration_sec=0.1)
-
-    def fault(self, line: str) -> None:
-        """Note one line for something that could not be used."""
-        self._last_fault = line
-        self._node.get_logger().warning(line, throttle_duration_sec=1.0)
 
     def misread_message(self, line: str) -> None:
         """Note bytes that could not be read."""
@@ -81,6 +78,6 @@ class GoalHealth:
                 "refused messages": self.misread,
                 "times stood still": self.stood_still,
                 **values,
-                "last fault": self._last_fault or "none",
+                "last fault": self._diagnostics.last_fault,
             },
         )

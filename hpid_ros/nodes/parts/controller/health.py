@@ -76,6 +76,7 @@ class ControllerHealth:
 
     Attributes:
         period: Time between two reports in [s].
+        fault: Notes one line for what could not be used, or has gone wrong.
         foreign: States that were about other joints.
         misread: Bytes that were no state of this joint.
 
@@ -100,10 +101,10 @@ class ControllerHealth:
         self._node, self._loop, self._model = node, loop, model
         self._certification, self._timing = certification, timing
         self._diagnostics = Diagnostics(node, loop.settings.joint)
+        self.fault = self._diagnostics.fault
         self.foreign = self.misread = 0
         self._references = self._requests = 0
         self._missed = self._held = 0
-        self._last_fault = ""
         self.scheduling = ""
 
     def begun(self) -> None:
@@ -126,11 +127,6 @@ class ControllerHealth:
             f"{'within ' + ', '.join(within) if within else 'no limits'}; "
             f"{loop.state.value}: {loop.reference[0]:.6g} rad"
         )
-
-    def fault(self, line: str) -> None:
-        """Note one line for something that could not be used."""
-        self._last_fault = line
-        self._node.get_logger().warning(line, throttle_duration_sec=1.0)
 
     def misread_state(self, line: str) -> None:
         """Note bytes that were no state of this joint."""
@@ -201,7 +197,7 @@ class ControllerHealth:
                 **self._timing.recent(),
                 **(self._model.readings() if self._model else {"compensation": "none"}),
                 "scheduling": self.scheduling,
-                "last fault": self._last_fault or "none",
+                "last fault": self._diagnostics.last_fault,
                 "last irregular state": loop.last_fault or "none",
             },
         )

@@ -44,6 +44,7 @@ class MergerHealth:
 
     Attributes:
         period: Time between two reports in [s].
+        fault: Notes one line for what could not be used, or has gone wrong.
         misread: Bytes that were no command.
         delays: From the first answer of a round to its message, in [ns].
 
@@ -55,20 +56,15 @@ class MergerHealth:
     period = 1.0
 
     def __init__(self, node: Node, topic: str) -> None:
-        self._node, self._topic = node, topic
+        self._topic = topic
         self._diagnostics = Diagnostics(node, topic)
+        self.fault = self._diagnostics.fault
         self.misread = 0
         self.delays = Durations()
         self._requests = 0
-        self._last_fault = ""
         self._before: dict[str, tuple[int, int]] = {}  # late and invalid, by joint
         self._sent_before = 0
         self.scheduling = ""
-
-    def fault(self, line: str) -> None:
-        """Note one line for something that could not be used, or has gone wrong."""
-        self._last_fault = line
-        self._node.get_logger().warning(line, throttle_duration_sec=1.0)
 
     def misread_command(self, line: str) -> None:
         """Note bytes that were no command."""
@@ -103,7 +99,7 @@ class MergerHealth:
                 "misread commands": self.misread,
                 "refused requests": self._requests,
                 "scheduling": self.scheduling,
-                "last fault": self._last_fault or "none",
+                "last fault": self._diagnostics.last_fault,
             },
         )
 
