@@ -39,6 +39,9 @@ def main(args: Sequence[str] | None = None) -> int:
     """
     options = _parser().parse_args(args)
     heed_interrupts()
+    # No command renders; MuJoCo would ask another process for the version of a library that does,
+    # in each worker, and an interrupt at that time has that process write a traceback.
+    os.environ.setdefault("MUJOCO_GL", "disable")
     with guarded_output():
         return _run(options)
 

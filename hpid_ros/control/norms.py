@@ -227,11 +227,15 @@ class NormFamily:
             degree: Homogeneity degree mu, in (-0.5, 0.5).
 
         Raises:
-            NormError: The degree is out of range, or a number is not positive and finite.
+            NormError: The degree is out of range, a number is not positive and finite, or nothing
+                is known of a norm of this type.
         """
         if self.type == "weighted":
             return WeightedNorm.scaled(degree, self.error_scale, self.rate_weight)
-        return CanonicalNorm(degree, ((self.error_scale**-2, 0.0), (0.0, self.rate_weight**2)))
+        if self.type == "canonical":
+            shape = ((self.error_scale**-2, 0.0), (0.0, self.rate_weight**2))
+            return CanonicalNorm(degree, shape)
+        raise NormError(f"there is no norm of type {self.type!r}")
 
 
 def require_floor(floor: float, cap: float) -> None:

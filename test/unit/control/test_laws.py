@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 
 from hpid_ros.base.errors import GainError, NormError
 from hpid_ros.control import CanonicalNorm, Gains, HomogeneousPid, Pid, WeightedNorm
+from hpid_ros.control.norms import NormFamily
 
 DEGREES = st.floats(-0.49, 0.49)
 SIGNALS = st.lists(
@@ -15,6 +16,11 @@ SIGNALS = st.lists(
 )
 GAINS = st.builds(Gains, *[st.floats(0.0, 100.0)] * 3)
 POINTS = st.tuples(st.floats(0.01, 10.0), st.floats(-10.0, -0.01))
+
+
+def test_a_norm_that_nobody_has_written_is_no_other_one():
+    with pytest.raises(NormError, match="no norm of type 'taxicab'"):
+        NormFamily("taxicab", 1.0, 1.0)(0.1)
 
 
 def test_reference_value_of_the_law():
