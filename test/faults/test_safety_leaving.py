@@ -165,6 +165,25 @@ def test_all_joints_of_a_process_are_left_before_any_node_waits():
     assert ended.returncode == 1
 
 
+@pytest.mark.usefixtures("harness")  # for its domain
+@pytest.mark.parametrize("place", ["executor._make_executor", "executor.rclpy.try_shutdown"])
+def test_what_fails_around_the_nodes_is_one_line_and_exit_code_one(place):
+    program = (
+        "import sys\nfrom hpid_ros.nodes.ros import executor\n"
+        f"def fail(*_): raise RuntimeError('out of order')\n{place} = fail\n"
+        "class Brief(executor.ClosingNode):\n    pass\n"
+        "def make():\n    node = Brief('brief')\n"
+        "    node.create_timer(0.0, node.request_stop)\n    return [node]\n"
+        "sys.exit(executor.run(make))\n"
+    )
+    ended = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, timeout=60
+    )
+    assert ended.returncode == 1
+    (line,) = ended.stderr.splitlines()
+    assert line.startswith("RuntimeError: out of order (")
+
+
 STANDS_STILL = """
 import atexit, ctypes, sys, threading
 from hpid_ros.nodes.ros import executor, process

@@ -256,11 +256,12 @@ def run(
     try:
         with Supervisor() as supervisor:
             code = _run_in_context(make_nodes, command_line, supervisor)
+        end_in_time()  # from here, and where no node was made
         rclpy.try_shutdown()
         if supervisor.ends_by is not None:
             _end_by(supervisor.ends_by)
-    except Exception:
-        traceback.print_exc()
+    except Exception as error:
+        code = _fail(error)
     finally:
         end(code)
 
