@@ -28,10 +28,10 @@ from hpid_ros.nodes.parts.controller.lifecycle import ManagedNode
 from hpid_ros.nodes.parts.controller.model import model_compensation
 from hpid_ros.nodes.parts.controller.references import ControllerReferences
 from hpid_ros.nodes.parts.controller.settings import ControllerSettings, concern_the_loop
+from hpid_ros.nodes.parts.controller.states import OwnStates, StateSource
 from hpid_ros.nodes.parts.controller.stop import ControllerStop
 from hpid_ros.nodes.parts.controller.watchdog import StateWatchdog
 from hpid_ros.nodes.ros import executor
-from hpid_ros.nodes.ros.middleware import NEWEST_STATES, subscribe_raw
 from hpid_ros.nodes.ros.parameters import read_choice, read_only
 from hpid_ros.nodes.ros.process import schedule
 from hpid_ros.nodes.ros.status import StatusPipe
@@ -53,6 +53,7 @@ class JointController(ManagedNode):
     Args:
         name: Node name.
         sinks: Where its commands may go, by the names of ``command_interface``.
+        states: Makes of the controller what gives it its states.
         options: Passed on to ``rclpy.node.Node``.
 
     Raises:
@@ -63,6 +64,7 @@ class JointController(ManagedNode):
         self,
         name: str = "joint_controller",
         sinks: Mapping[str, Callable[[Node, str, str], CommandSink]] = SINKS,
+        states: Callable[[Node], StateSource] = OwnStates,
         **options: Any,
     ) -> None:
         super().__init__(name, **options)
@@ -94,7 +96,8 @@ class JointController(ManagedNode):
         self._health = ControllerHealth(
             self, self._loop, self._certification, self._timing, self._model
         )
-        self._states: Any = None
+        self._states = states(self)
+        self._is_listening = False
         self._readiness: Any = None
         self._references: ControllerReferences | None = None
         steady_timer(self, self._health.period, self._report)
@@ -134,6 +137,7 @@ class JointController(ManagedNode):
         self._claim.take()
         self._stop_listening()
         self._supervised.begin()
+        self._states.expect()
         self._readiness = steady_timer(self, _READINESS_PERIOD, self._start_when_ready)
 
     def leave(self) -> None:
@@ -162,25 +166,26 @@ class JointController(ManagedNode):
         self._watchdog.stop()
         if self._readiness is not None:
             self.destroy_timer(self._readiness)
-        if self._states is not None:
-            self.destroy_subscription(self._states)
+        self._states.leave()
         if self._needs_reference:
             self._loop.reset()
         else:
             self._loop.release()
         if self._model is not None:
             self._model.reset()
-        self._readiness = self._states = None
+        self._readiness = None
+        self._is_listening = False
         self._timing.interrupt()
 
     def _start_when_ready(self) -> None:
-        if self._readiness is None or self._states is not None:
+        if self._readiness is None or self._is_listening:
             return
         if not self._claim.settle() or self._waits_for():
             return
         self._readiness.cancel()
         self.is_starting = False
-        self._states = subscribe_raw(self, "joint_states", self._on_state, NEWEST_STATES)
+        self._is_listening = True
+        self._states.listen(self._on_state)
         self._status.send("listening")
 
     def _waits_for(self) -> str:
@@ -196,7 +201,7 @@ class JointController(ManagedNode):
     def _on_state(self, raw: bytes) -> None:
         began_ns = time.perf_counter_ns()
         self._supervised.catch_up(began_ns)
-        if self._states is None:  # it was on its way when the joint was left
+        if not self._is_listening:  # it was on its way when the joint was left
             return
         try:
             sample = self._reader.read(raw)
@@ -244,7 +249,7 @@ class JointController(ManagedNode):
         self._loop.retune(settings)
         if self._model is not None:
             self._model.retune(settings)
-        if self._states is not None and self.is_active:
+        if self._is_listening and self.is_active:
             self._watchdog.watch(settings.timing.state_timeout)
         self._certification.accept(settings)
 
@@ -253,7 +258,7 @@ class JointController(ManagedNode):
         self._health.refused_request(line)
 
     def _report(self) -> None:
-        waiting = self._waits_for() if self._states is None else ""
+        waiting = "" if self._is_listening else self._waits_for()
         self._health.report(self.lifecycle, waiting, self._claim.text, self._claim.refusal)
 
     def wind_down(self) -> Future | None:

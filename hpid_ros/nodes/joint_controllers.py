@@ -13,6 +13,7 @@ from hpid_ros.base.names import controller_name
 from hpid_ros.nodes.joint_command_merger import JointCommandMerger
 from hpid_ros.nodes.joint_controller import JointController
 from hpid_ros.nodes.parts.controller.commands import SINKS
+from hpid_ros.nodes.parts.controller.states import OwnStates, SharedStates
 from hpid_ros.nodes.ros import executor
 from hpid_ros.nodes.ros.parameters import read_only
 from hpid_ros.nodes.ros.usage import Usage
@@ -22,7 +23,7 @@ MERGED = "merged"
 
 
 class Composition(executor.ClosingNode):
-    """Says which joints are controlled in this process, and whether their commands are merged."""
+    """Says which joints are controlled in this process, and what they have in common."""
 
     def __init__(self) -> None:
         super().__init__("joint_controllers")
@@ -41,6 +42,13 @@ class Composition(executor.ClosingNode):
             False,
             "Publish one message for all joints, as joint_command_merger, with its parameters",
         )
+        self.shares_states: bool = read_only(
+            self,
+            "share_states",
+            False,
+            "Read each state once for all joints, which begin together; "
+            "whoever counts subscribers of the states sees one",
+        )
 
 
 def make_nodes() -> list[executor.ClosingNode]:
@@ -57,10 +65,12 @@ def make_nodes() -> list[executor.ClosingNode]:
     if not joints or len(set(joints)) != len(joints):
         raise SettingError(f"the parameter joints must name each joint once, not {joints}")
     merger = JointCommandMerger(joints=joints, is_composed=True) if composition.merges else None
+    states = SharedStates(composition).of if composition.shares_states else OwnStates
     controllers = [
         JointController(
             controller_name(joint),
             SINKS if merger is None else {MERGED: merger.sink},
+            states,
             parameter_overrides=[
                 Parameter("joint", value=joint),
                 *([] if merger is None else [Parameter("command_interface", value=MERGED)]),
@@ -78,7 +88,7 @@ USAGE = Usage(
     "parameters, topics and services joint_controller --help tells; with merge also a node "
     "joint_command_merger, as its --help tells.",
     "-p joints:=[JOINT, ...] --params-file FILE",
-    ["joints", "merge"],
+    ["joints", "merge", "share_states"],
 )
 
 

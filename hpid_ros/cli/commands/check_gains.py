@@ -253,7 +253,7 @@ def _running() -> dict[str, LoopSettings]:
     from hpid_ros.tuning.controller_files import settings_from_parameters
 
     reader = subprocess.run(
-        [sys.executable, "-m", "hpid_ros.nodes.parts.controller.parameter_reader"],
+        [sys.executable, "-m", "hpid_ros.nodes.parts.parameter_reader"],
         capture_output=True,
         text=True,
         check=False,

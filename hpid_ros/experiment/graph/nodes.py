@@ -187,6 +187,8 @@ class GraphNodes:
         )
         of_all = _parameters(realtime_priority=self._options.realtime_priority)
         controllers, bridge = self.controller_arguments(), self.bridge_arguments() + of_all
+        if self._are_states_shared:
+            controllers += _parameters(share_states=True)
         if self._options.processes == "single":
             of_recorder += _parameters(
                 record=self._options.is_recorded, engine=self._experiment.world.engine
@@ -201,6 +203,11 @@ class GraphNodes:
             names = [controller_name(each.joint) for each in settings]
             nodes += [group.start(name, "joint_controller", controllers) for name in names]
         return [*nodes, group.start(self._executable, self._executable, bridge)]
+
+    @property
+    def _are_states_shared(self) -> bool:
+        """Whether all controllers are in one process, and read each state once."""
+        return self._options.processes != "each"
 
     def controller_arguments(self) -> list[str]:
         """Return the ROS arguments of a controller of the run, also for one that starts late."""
@@ -221,13 +228,14 @@ class GraphNodes:
     def bridge_arguments(self) -> list[str]:
         """Return the ROS arguments of the bridge."""
         joints = len(self._experiment.world.joints)
+        listeners = 1 if self._are_states_shared else joints
         return [
             *("--params-file", str(self._folder / "bridge.yaml")),
             *_parameters(
                 mode="realtime" if self._options.is_realtime else "lockstep",
                 exit_when_done=False,
                 # The controllers, the recorder, and the publisher of the reference.
-                wait_for_subscribers=joints + self._options.is_recorded + 1,
+                wait_for_subscribers=listeners + self._options.is_recorded + 1,
                 wait_for_publishers=joints,
                 report_rate=REPORT_RATE if task_topics(self._experiment.world) else 0.0,
             ),
