@@ -17,6 +17,7 @@ from hpid_ros.control.settings.assembly import (
     largest_step,
     make_unwrapper,
     make_velocity_source,
+    turn_of_references,
 )
 from hpid_ros.control.settings.loop import LoopSettings
 from hpid_ros.control.velocity import MeasuredVelocity, VelocitySource
@@ -61,7 +62,8 @@ class JointLoop:
         self._timing = settings.timing
         self._hears_velocity = settings.velocity.is_measured
         self._step_max, self._speed_max = largest_step(settings)
-        self._following.turn = math.tau if settings.motion.angle_wraparound else 0.0
+        self._following.turn = turn_of_references(settings)
+        self._following.lost_turn = max(settings.encoder.wrap, 0.0)
 
     def follow(self, motion: Motion) -> None:
         """Follow a motion from the next sample on; a reset starts it anew.
@@ -97,7 +99,10 @@ class JointLoop:
             if not is_new:
                 self._velocity.take_over(self._position, self._rate)
         if settings.encoder.wrap != before.encoder.wrap:
-            self._unwrapper = make_unwrapper(settings.encoder)
+            if self._unwrapper is None:
+                self._unwrapper = make_unwrapper(settings.encoder)
+            else:
+                self._unwrapper.begin_anew_after(max(settings.encoder.wrap, 0.0) or math.inf)
         self._law.retune(settings, None if is_new else (self._position, self._rate))
         self.settings = settings
         self._adopt(settings)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
@@ -12,6 +13,8 @@ from hpid_ros.control.limits import MotionLimits
 
 LARGEST_POSITION = 1e9
 """Positions, velocities and references beyond this [rad, rad/s] are no joint's."""
+
+_HALF = 1e-9  # of a turn: as much more than half of one is half of one
 
 
 class Reference(Protocol):
@@ -148,16 +151,18 @@ class Following:
         velocity: Its velocity in [rad/s].
         turn: A motion that is taken up may be told as many turns away as bring it nearest to
             the reference, in [rad]; 0 takes it as it is told.
+        lost_turn: The same of the first motion after a restart, if it is under way: the
+            position begins anew after so much, and the turns until now were not counted.
     """
 
     __slots__ = (
-        *("_glide_end_ns", "_pending", "_reference"),
-        *("motion", "position", "turn", "velocity"),
+        *("_glide_end_ns", "_is_first", "_pending", "_reference"),
+        *("lost_turn", "motion", "position", "turn", "velocity"),
     )
 
     def __init__(self) -> None:
         self.motion: Motion | None = None
-        self.turn = 0.0
+        self.turn = self.lost_turn = 0.0
         self.restart()
 
     @property
@@ -174,6 +179,7 @@ class Following:
         self._pending = self.motion
         self._reference: Reference | None = None
         self._glide_end_ns: int | None = None
+        self._is_first = True
         self.position = self.velocity = 0.0
 
     def stand(self, position: float) -> None:
@@ -196,7 +202,8 @@ class Following:
         onto = self._onto()
         self.stand(position)
         if self.motion is not None and self._pending is None:
-            onto = _turned(onto, self._turns_to(onto.sample(stamp_ns)[0]))
+            away = self.position - onto.sample(stamp_ns)[0]
+            onto = _turned(onto, whole_turns(away, self.turn))
             self._glide(onto, stamp_ns, position, 0.0, duration)
 
     def sample(
@@ -230,16 +237,16 @@ class Following:
         before = self._reference
         assert before is not None
         self._pending = None
-        offset = self._turns_to(motion.target(stamp_ns)) if self.turn else 0.0
+        is_under_way, turn = motion.is_under_way(stamp_ns), self.turn
+        if self._is_first and is_under_way:
+            turn = turn or self.lost_turn
+        self._is_first = False
+        offset = whole_turns(self.position - motion.target(stamp_ns), turn) if turn else 0.0
         onto = _turned(motion.start(stamp_ns, self.position - offset, self.velocity), offset)
         self._reference, self._glide_end_ns = onto, None
-        if motion.is_under_way(stamp_ns):
+        if is_under_way:
             position, velocity = before.sample(stamp_ns)[:2]
             self._glide(onto, stamp_ns, position, velocity, duration)
-
-    def _turns_to(self, target: float) -> float:
-        """Return the whole turns from a target to the reference, in [rad]."""
-        return self.turn * round((self.position - target) / self.turn) if self.turn else 0.0
 
     def _onto(self) -> Reference:
         """Return the reference that is followed in the end."""
@@ -255,6 +262,22 @@ class Following:
         if duration > 0.0 and tuple(onto.sample(stamp_ns)[:2]) != (position, velocity):
             glide = Glide(onto, stamp_ns, position, velocity, duration)
             self._reference, self._glide_end_ns = glide, glide.end_ns
+
+
+def whole_turns(away: float, turn: float) -> float:
+    """Return the whole turns that are in a distance, so that what is left is half of one at most.
+
+    Where just half a turn is left it leads the way that was told, as ``wraparound_joint`` of
+    joint_trajectory_controller has it.
+
+    Args:
+        away: From a target to where the joint should be now, in [rad].
+        turn: In [rad]; 0 for none.
+    """
+    if not turn:
+        return 0.0
+    turns = away / turn
+    return math.copysign(turn * max(math.ceil(abs(turns) - 0.5 - _HALF), 0), turns)
 
 
 def _turned(onto: Reference, offset: float) -> Reference:

@@ -24,9 +24,17 @@ class Unwrapper:
     __slots__ = ("_before", "_has_wrapped", "_largest", "_offset", "_turn")
 
     def __init__(self, turn: float) -> None:
+        self.begin_anew_after(turn)
+        self.reset()
+
+    def begin_anew_after(self, turn: float) -> None:
+        """Go by another turn from the next position on; those before stay what they were.
+
+        Args:
+            turn: By how much the encoder wraps around, in [rad], positive; inf if it does not.
+        """
         self._turn = turn
         self._largest = turn * (1.0 + _ROUNDING)
-        self.reset()
 
     def reset(self) -> None:
         """Forget the past: the next position is taken as it is."""

@@ -116,7 +116,8 @@ class GoalFollower:
                 self._references.stand(joint, self._states.positions[joint])
         standing = [self._references.look(joint, now_ns) for joint in joints]
         rest = [self._rest(joint, *standing[joint][:2]) for joint in joints]
-        told = for_all_joints(request, settings.joints, start_ns, now_ns, standing, rest)
+        nearest = self._references.nearest(request, start_ns, now_ns)
+        told = for_all_joints(nearest, settings.joints, start_ns, now_ns, standing, rest)
         replaced = None
         if self._active is not None:
             replaced = Result(ResultCode.INVALID_GOAL, "replaced by a new goal")
@@ -216,9 +217,10 @@ class GoalFollower:
             self._references.stand(joint, position)
             return None
         there, velocity, _ = self._references.look(joint, stamp_ns)
-        off = self._difference(joint, position, there)
         if self._active is not None:
+            off = self._difference(joint, position, there)
             return self._watch(self._active, joint, stamp_ns, position, off)
+        off = position - there  # whole turns count: the next goal begins where references are
         if abs(off) > AGREES_WITHIN or (off and velocity == 0.0):
             self._references.stand(joint, position)
         return None
@@ -316,14 +318,23 @@ class GoalFollower:
         states = self._states
         if states.lack():
             return None
-        self._is_hold_due = False
+        self._is_hold_due, now_ns = False, self._now()
         knots = {}
         for joint, braking in enumerate(self._brakings()):
-            position, velocity = states.positions[joint], states.velocities[joint]
+            position, velocity = self._measured(joint, now_ns), states.velocities[joint]
             self._references.stand(joint, position)
             ahead = position + velocity * LEAD_NS * SECONDS_PER_NANOSECOND
             knots[joint] = coast_down(position, velocity, (ahead, velocity), braking)
         return Outcome(None, self._stop(knots))
+
+    def _measured(self, joint: int, now_ns: int) -> float:
+        """Return where a joint is, in the turn in which its reference is if that is known."""
+        position = self._states.positions[joint]
+        is_endless = self.settings.facts[joint].is_endless
+        if not is_endless or not self._references.is_standing(joint):
+            return position
+        there = self._references.look(joint, now_ns)[0]
+        return there - self._difference(joint, there, position)
 
     def _end(
         self,

@@ -11,12 +11,14 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from copy import copy
+from dataclasses import replace
 
 from hpid_ros.base.units import NANOSECONDS, SECONDS_PER_NANOSECOND
-from hpid_ros.control.reference import LARGEST_POSITION, Following
+from hpid_ros.control.reference import LARGEST_POSITION, Following, whole_turns
 from hpid_ros.control.velocity import MeasuredVelocity, Unwrapper
 from hpid_ros.goals.settings import GroupSettings
-from hpid_ros.goals.trajectories import GroupTrajectory
+from hpid_ros.goals.trajectories import GoalRequest, GroupTrajectory
+from hpid_ros.trajectory.joint_trajectory import checked_column
 from hpid_ros.wire import JointPart
 
 AGREES_WITHIN = 0.01
@@ -145,6 +147,33 @@ class GroupReferences:
     def is_standing(self, joint: int) -> bool:
         """Tell whether it is known where a joint's reference is."""
         return self._following[joint].is_standing
+
+    def nearest(self, request: GoalRequest, start_ns: int, now_ns: int) -> GoalRequest:
+        """Return a goal as whole turns away as its joints are that take the shorter way to it.
+
+        Its points keep their differences: turns within it are turns that are meant.
+
+        Args:
+            request: The goal; its joints must be standing.
+            start_ns: When it starts in [ns].
+            now_ns: The control clock in [ns].
+        """
+        away = [self._turns_to(at, request, start_ns, now_ns) for at in range(len(request.names))]
+        if not any(away):
+            return request
+        positions, velocities, accelerations = request.derivatives
+        return replace(request, derivatives=(positions + away, velocities, accelerations))
+
+    def _turns_to(self, at: int, request: GoalRequest, start_ns: int, now_ns: int) -> float:
+        """Return the turns between a joint of a goal and where its reference is, in [rad]."""
+        joint = self._joints.index(request.names[at])
+        turn = self._following[joint].turn
+        if not turn:
+            return 0.0
+        column = checked_column(
+            request.names[at], at, start_ns, request.times_ns, request.derivatives
+        )
+        return whole_turns(self.look(joint, now_ns)[0] - column.target(now_ns), turn)
 
     def follow(self, trajectory: GroupTrajectory, now_ns: int) -> None:
         """Let the joints of a trajectory follow it from now on; they must be standing.

@@ -122,7 +122,7 @@ class JointFacts(NamedTuple):
         lower: Lowest position in [rad]; -inf for none.
         upper: Highest position in [rad]; inf for none.
         is_endless: Whether it turns without end, so that whole turns are no error.
-        takes_shorter_way: Whether its controller has ``angle_wraparound``.
+        takes_shorter_way: Whether goals lead it the shorter way round to their first point.
         unit: Of its position, ``rad`` or ``m``.
     """
 
@@ -133,22 +133,30 @@ class JointFacts(NamedTuple):
     unit: str = "rad"
 
 
-def require_joints(joints: Sequence[str], wrapping: Sequence[str] = ()) -> None:
+def require_joints(
+    joints: Sequence[str], wrapping: Sequence[str] = (), counting: Sequence[str] = ()
+) -> None:
     """Refuse names that make no group.
 
     Args:
         joints: The joints of the group.
         wrapping: Those whose controllers have ``angle_wraparound``.
+        counting: Those whose controllers have ``multi_turn``.
 
     Raises:
-        SettingError: No joint, a joint twice or without a name, or one that is none of the group.
+        SettingError: No joint, a joint twice or without a name, one that is none of the group, or
+            one that is said to take the shorter way round and not to take it.
     """
     if not joints or len(set(joints)) != len(joints) or "" in joints:
         raise SettingError(f"the parameter joints must name each joint once, not {list(joints)}")
+    for parameter, named in (("angle_wraparound", wrapping), ("multi_turn", counting)):
+        for joint in named:
+            if joint not in joints:
+                line = unknown_name("joint", joint, joints)
+                raise SettingError(f"the parameter {parameter}: {line}")
     for joint in wrapping:
-        if joint not in joints:
-            line = unknown_name("joint", joint, joints)
-            raise SettingError(f"the parameter angle_wraparound: {line}")
+        if joint in counting:
+            raise SettingError(f"{joint} is in angle_wraparound and in multi_turn: take one")
 
 
 @dataclass(frozen=True)

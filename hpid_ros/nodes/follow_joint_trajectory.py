@@ -211,6 +211,7 @@ USAGE = Usage(
         "joints",
         "robot_description",
         "angle_wraparound",
+        "multi_turn",
         *(spec.name for spec in (*GOAL_PARAMETERS, *FIXED_PARAMETERS)),
         *(spec.name for spec in joint_parameters("*")),
         "status_fd",

@@ -367,6 +367,7 @@ def test_parameters_have_descriptions_and_a_bad_set_leaves_no_trace(joints):
         ({}, "must name each joint once, not []"),
         ({"joints": "[elbow, elbow]"}, "must name each joint once, not ['elbow', 'elbow']"),
         ({"joints": "[elbow]", "angle_wraparound": "[wrist]"}, "angle_wraparound: unknown joint"),
+        ({"joints": "[elbow]", "multi_turn": "[wrist]"}, "multi_turn: unknown joint"),
         (
             {"joints": "[elbow]", "state_timeout": 100.0},
             "state_timeout must lie in [0.01, 10], not",

@@ -1,5 +1,6 @@
 """A group of joints without ROS: loops, bodies, and messages that take their time."""
 
+import math
 import random
 
 import numpy as np
@@ -37,7 +38,8 @@ class SimulatedGroup:
     """Joints of inertia 1 with their loops and one follower, all at 1 kHz.
 
     Whatever is told comes to each loop after a delay of its own, and states may come to the
-    follower late, too.
+    follower late, too. The encoders of some begin anew after a turn; their loops know it, and
+    have parameters of their own.
 
     Attributes:
         results: How goals have ended, in their order.
@@ -45,8 +47,16 @@ class SimulatedGroup:
     """
 
     def __init__(
-        self, joints=("shoulder", "elbow"), facts=None, seed=0, most_delay=5, start_ns=0, **values
+        self,
+        joints=("shoulder", "elbow"),
+        facts=None,
+        seed=0,
+        most_delay=5,
+        start_ns=0,
+        wraps=None,
+        **values,
     ):
+        self.wraps = wraps or {}
         self.settings = GroupSettings.from_parameters(joints, facts or {}, values)
         self.follower = GoalFollower(self.settings)
         self.loops = [
@@ -55,6 +65,7 @@ class SimulatedGroup:
                 law="pid",
                 **{"gains.p": 300.0, "gains.i": 1000.0, "gains.d": 30.0},
                 velocity_source="measured",
+                **({"encoder_wrap": math.tau, **self.wraps[joint]} if joint in self.wraps else {}),
             )
             for joint in joints
         ]
@@ -109,9 +120,12 @@ class SimulatedGroup:
         parts = []
         for joint, loop in enumerate(self.loops):
             q, v = self.position[joint], self.velocity[joint]
+            if self.settings.joints[joint] in self.wraps:
+                q = math.remainder(q, math.tau)
             parts.append(JointPart(joint, q, v))
             effort = loop.step(self.stamp_ns, q, v)
-            self.log[joint].append((self.stamp_ns, *loop.reference, q, effort))
+            place = self.position[joint]
+            self.log[joint].append((self.stamp_ns, *loop.reference, place, effort))
             if joint in self.blocked:
                 self.velocity[joint] = 0.0
                 continue

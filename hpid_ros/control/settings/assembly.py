@@ -56,6 +56,17 @@ def make_unwrapper(settings: EncoderSettings) -> Unwrapper | None:
     return Unwrapper(settings.wrap) if settings.wrap > 0.0 else None
 
 
+def turn_of_references(settings: LoopSettings) -> float:
+    """Return by what new references may be moved to be the nearest, in [rad]; 0 by nothing.
+
+    What an encoder cannot tell apart no reference means to tell apart, unless it is said so.
+    """
+    motion, wrap = settings.motion, settings.encoder.wrap
+    if motion.angle_wraparound:
+        return math.tau
+    return 0.0 if motion.multi_turn or motion.has_stop else max(wrap, 0.0)
+
+
 def make_anti_windup(settings: LoopSettings) -> AntiWindup:
     """Return the anti-windup strategy."""
     integral = settings.integral

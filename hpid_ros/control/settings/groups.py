@@ -199,10 +199,11 @@ class MotionSettings(ParameterRecord):
         velocity_max: In [rad/s]; 1e6 is none.
         soft_stop: How the stops are approached.
         angle_wraparound: Whether each new reference is reached the shorter way round.
+        multi_turn: Whether it never is, also where the encoder begins anew.
 
     Raises:
         SettingError: As for :class:`ParameterRecord`, the stops are the wrong way round, or the
-            way round may lead through one.
+            way round may lead through one, or shall be taken and not be taken.
     """
 
     position_max: float = parameter("position_max")
@@ -210,11 +211,17 @@ class MotionSettings(ParameterRecord):
     velocity_max: float = parameter("velocity_max")
     soft_stop: SoftStop = field(default_factory=SoftStop)
     angle_wraparound: bool = parameter("angle_wraparound")
+    multi_turn: bool = parameter("multi_turn")
 
     def __post_init__(self) -> None:
         super().__post_init__()
         _require_order("position", self.position_min, self.position_max)
-        if self.angle_wraparound and (self.lower > -math.inf or self.upper < math.inf):
+        if self.angle_wraparound and self.multi_turn:
+            raise SettingError(
+                "angle_wraparound takes the shorter way round to every reference, and multi_turn "
+                "to none: set one of them"
+            )
+        if self.angle_wraparound and self.has_stop:
             raise SettingError(
                 "angle_wraparound takes the shorter way round, and that may lead through a stop: "
                 "it is not for joints with position_min or position_max"
@@ -229,6 +236,11 @@ class MotionSettings(ParameterRecord):
     def upper(self) -> float:
         """Highest position in [rad]; inf for none."""
         return self.position_max if self.position_max < LARGEST_MOTION else math.inf
+
+    @property
+    def has_stop(self) -> bool:
+        """Whether the joint must not pass some position."""
+        return self.lower > -math.inf or self.upper < math.inf
 
     @property
     def fastest(self) -> float:

@@ -211,7 +211,14 @@ _TABLE = (
     ParameterSpec(
         "angle_wraparound",
         False,
-        "Take the shorter way round to each new reference; for joints that turn without end",
+        "Take the shorter way round to each new reference, also where the encoder counts its "
+        "turns; for joints that turn without end",
+    ),
+    ParameterSpec(
+        "multi_turn",
+        False,
+        "References mean what they say, whole turns included; otherwise, where the encoder begins "
+        "anew (encoder_wrap) and there is no stop, the shorter way round leads to each new one",
     ),
     ParameterSpec(
         "position_step_max",

@@ -235,7 +235,7 @@ OTHERS = {
     **{"position_max": 9.0, "position_min": -9.0, "velocity_max": 4.0, "soft_stop.margin": 0.1},
     **{"soft_stop.k_position": 5.0, "soft_stop.k_velocity": 5.0, "takeover_time": 1.0},
     **{"fallback_effort": 1.0, "state_timeout": 0.2, "control_period": 0.002},
-    **{"encoder_resolution": 1e-3, "norm.effort_scale": 30.0},
+    **{"encoder_resolution": 1e-3, "norm.effort_scale": 30.0, "multi_turn": True},
 }
 
 

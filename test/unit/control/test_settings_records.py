@@ -42,6 +42,7 @@ OTHERS = {
 }
 IN_EFFORT = {"norm.effort_scale": 3.0}  # not beside scales of the joint's own
 STOPS = {"position_max": 2.0, "position_min": -3.0}  # not where angles wrap around
+TURNS = {"multi_turn": True}  # nor this
 SCALES = ("norm.error_scale", "norm.rate_weight")
 GROUPS = [
     *(NormSettings, EffortLimits, IntegralLimits, MotionSettings, SoftStop, Timing),
@@ -78,7 +79,7 @@ def test_every_choice_of_a_parameter_is_one_of_its_fields_and_the_other_way_roun
 @pytest.mark.parametrize("name", PARAMETERS)
 def test_a_parameter_has_a_place_of_its_own(name):
     """It can be changed alone, nothing else changes with it, and it comes back."""
-    value = {**OTHERS, **STOPS, **IN_EFFORT}[name]
+    value = {**OTHERS, **STOPS, **TURNS, **IN_EFFORT}[name]
     assert value != PARAMETERS[name].default
     beside = {"inertia": 0.2, "gains.p": 20.0, "gains.d": 3.0} | (
         {"model.left_wheel": "L", "model.right_wheel": "R"} if "wheel" in name else {}
@@ -93,7 +94,7 @@ def test_all_parameters_together_survive_the_round_trip():
     own_scales = {name: PARAMETERS[name].default for name in SCALES}
     for values in (
         {**OTHERS, **IN_EFFORT, **own_scales},
-        {**OTHERS, **STOPS, "angle_wraparound": False},
+        {**OTHERS, **STOPS, **TURNS, "angle_wraparound": False},
         OTHERS,
     ):
         found = LoopSettings.from_parameters(values)
@@ -135,6 +136,7 @@ def test_whole_numbers_become_floats():
         ),
         ({"position_min": 2.0, "position_max": 1.0}, r"^position_min = 2.0 must not exceed posit"),
         ({"position_max": 1.0, "angle_wraparound": True}, "^angle_wraparound takes the shorter"),
+        ({"angle_wraparound": True, "multi_turn": True}, "^angle_wraparound takes the shorter"),
         ({"control_period": 0.1}, "^state_timeout = 0.1 s must be at least 1.5 times"),
         ({"discretization": "semi_implicit"}, "needs the inertia"),
         ({"model.left_wheel": "l"}, "needs model.left_wheel and model.right_wheel"),

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from hpid_ros.base.errors import SettingError
 from hpid_ros.control import Gains, JointLoop
-from hpid_ros.control.reference import Setpoint
+from hpid_ros.control.reference import Setpoint, whole_turns
 from hpid_ros.control.velocity import Unwrapper
 from hpid_ros.trajectory import Column, Knot
 
@@ -89,14 +89,108 @@ def test_without_it_a_turn_is_a_jump_and_not_a_full_effort():
     assert max(abs(effort - before) for effort in efforts) < 1.1 * 20.0  # the derivative term
 
 
-@pytest.mark.parametrize(("told", "leads"), [(6.0, 6.0 - math.tau), (3.0, 3.0), (-4.0, 2.283)])
-def test_the_shorter_way_round_is_taken_where_it_is_asked_for(told, leads):
-    for wraparound in (False, True):
-        loop = JointLoop(settings(angle_wraparound=wraparound))
-        loop.step(0, 0.0, 0.0)
-        loop.follow(Setpoint(told))
-        loop.step(MS, 0.0, 0.0)
-        assert loop.reference[0] == pytest.approx(leads if wraparound else told, abs=1e-3)
+WRAPS, COUNTS = math.tau, 0.0
+
+
+@pytest.mark.parametrize("told", [6.0, 3.0, -4.0, 20.0])
+@pytest.mark.parametrize(
+    ("parameters", "takes_shorter_way"),
+    [
+        ({"encoder_wrap": COUNTS}, False),
+        ({"encoder_wrap": -1.0}, False),
+        ({"encoder_wrap": COUNTS, "multi_turn": True}, False),
+        ({"encoder_wrap": WRAPS, "multi_turn": True}, False),
+        ({"encoder_wrap": WRAPS, "position_max": 30.0}, False),
+        ({"encoder_wrap": WRAPS}, True),
+        ({"encoder_wrap": COUNTS, "angle_wraparound": True}, True),
+        ({"encoder_wrap": WRAPS, "angle_wraparound": True}, True),
+    ],
+)
+def test_the_shorter_way_round_is_taken_where_the_encoder_wraps_or_it_is_asked_for(
+    told, parameters, takes_shorter_way
+):
+    loop = JointLoop(settings(**parameters))
+    loop.step(0, 0.0, 0.0)
+    loop.follow(Setpoint(told))
+    loop.step(MS, 0.0, 0.0)
+    leads = math.remainder(told, math.tau) if takes_shorter_way else told
+    assert loop.reference[0] == pytest.approx(leads, abs=1e-12)
+
+
+def test_from_one_side_of_pi_to_the_other_it_is_not_far():
+    """At 3.1 rad, asked for -3.1: 0.08 rad through pi, and not 6.2 back."""
+    loop = JointLoop(settings(encoder_wrap=math.tau))
+    loop.step(0, 3.1, 0.0)
+    loop.follow(Setpoint(-3.1))
+    loop.step(MS, 3.1, 0.0)
+    assert loop.reference[0] == pytest.approx(math.tau - 3.1)
+    loop.follow(Column("j", (Knot(SECOND, 3.1), Knot(2 * SECOND, -3.1))))  # a whole turn, told so
+    for k in range(2, 2100):
+        loop.step(k * MS, 3.1, 0.0)
+    assert loop.reference[0] == pytest.approx(-3.1)
+
+
+@given(st.floats(-100.0, 100.0), st.floats(-100.0, 100.0))
+def test_no_more_than_half_a_turn_is_left_and_half_a_turn_leads_as_it_was_told(here, told):
+    away = here - told
+    left = away - whole_turns(away, math.tau)
+    assert abs(left) <= math.pi * (1.0 + 1e-8)
+    assert abs(left) == pytest.approx(abs(math.remainder(away, math.tau)), abs=1e-7)
+    for halves in (-3, -1, 1, 3):
+        there = here + halves * math.pi
+        left = here - there - whole_turns(here - there, math.tau)
+        assert left == pytest.approx(math.copysign(math.pi, -halves), abs=1e-6)
+
+
+def travelled(changes, at=1500, lasts=3000):
+    """Return efforts of a wheel that turns, while its parameters are changed on the way."""
+    values = {"encoder_wrap": math.tau, "gains": Gains(100.0, 50.0, 20.0)}
+    loop = JointLoop(settings(**values))
+    loop.follow(Column("j", (Knot(0, 0.0, 3.0), Knot(20 * SECOND, 60.0, 3.0)), stamp_ns=1))
+    efforts = []
+    for k in range(lasts):
+        if k == at:
+            loop.retune(settings(**{**values, **changes}))
+        place = 3e-3 * k + 0.05 * math.sin(0.01 * k)
+        counts = k >= at and changes.get("encoder_wrap") == 0.0
+        turn = math.tau * round(3e-3 * at / math.tau) if counts else 0.0
+        seen = place - turn if counts else math.remainder(place, math.tau)
+        efforts.append(loop.step(k * MS, seen, 3.0 + 0.5 * math.cos(0.01 * k)))
+    return efforts, loop.counts
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"multi_turn": True},
+        {"angle_wraparound": True},
+        {"position_min": -1e3},
+        {"encoder_wrap": math.tau * (1.0 + 1e-9)},
+        {"encoder_wrap": 0.0},  # the driver, too, counts from there on
+    ],
+)
+def test_what_becomes_of_turns_changes_on_the_way_without_a_kick(changes):
+    plain, _ = travelled({})
+    efforts, counts = travelled(changes)
+    assert efforts == pytest.approx(plain, abs=1e-4)
+    assert counts.jumps == counts.takeovers == 0
+
+
+@pytest.mark.parametrize("multi_turn", [False, True])
+def test_a_controller_that_is_started_again_joins_a_motion_in_the_turn_that_it_is_in(multi_turn):
+    loop = JointLoop(settings(encoder_wrap=math.tau, multi_turn=multi_turn))
+    loop.follow(Column("j", (Knot(0, 0.0, 3.0), Knot(20 * SECOND, 60.0, 3.0)), stamp_ns=1))
+    errors = []
+    for k in range(7000, 9000):  # its reference is at 21 rad by now
+        loop.step(k * MS, math.remainder(3e-3 * k, math.tau), 3.0)
+        errors.append(abs(loop.error))
+    assert errors[0] == 0.0
+    assert max(errors) < 0.3  # the glide begins at rest
+    assert max(errors[600:]) < 1e-8  # of a stamp of 1 ns
+    loop.follow(Setpoint(0.0))
+    loop.step(9000 * MS, math.remainder(27.0, math.tau), 3.0)
+    turns = 3 if multi_turn else 4
+    assert abs(loop.error) == pytest.approx(27.0 - turns * math.tau)
 
 
 def test_a_trajectory_is_taken_whole_turns_away_and_runs_on_as_it_is():
@@ -119,3 +213,5 @@ def test_a_trajectory_is_taken_whole_turns_away_and_runs_on_as_it_is():
 def test_the_shorter_way_is_not_for_joints_with_stops():
     with pytest.raises(SettingError, match="may lead through a stop"):
         settings(angle_wraparound=True, position_max=2.0)
+    with pytest.raises(SettingError, match="set one of them"):
+        settings(angle_wraparound=True, multi_turn=True)

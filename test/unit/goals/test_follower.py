@@ -406,6 +406,66 @@ def test_an_endless_joint_is_where_it_should_be_whole_turns_away():
     assert group.position[0] == pytest.approx(7.0, abs=2e-3)
 
 
+def wheel(at, multi_turn=False, **values):
+    """Return a group of which one joint is a wheel whose encoder begins anew after a turn."""
+    facts = {"shoulder": JointFacts(is_endless=True, takes_shorter_way=not multi_turn)}
+    group = SimulatedGroup(facts=facts, wraps={"shoulder": {"multi_turn": multi_turn}}, **values)
+    group.position[0] = at
+    group.run(0.2)
+    return group
+
+
+def path(*positions):
+    there = {"shoulder": positions, "elbow": np.linspace(0.0, 0.2, len(positions))}
+    return goal(there, np.arange(1, len(positions) + 1) * 0.7, at_rest(there))
+
+
+@pytest.mark.parametrize(
+    ("at", "positions", "multi_turn", "ends"),
+    [
+        (3.1, [-3.1], False, 2 * np.pi - 3.1),  # 0.08 rad through pi
+        (3.1, [-3.1], True, -3.1),  # 6.2 rad back
+        (0.0, [7.0], False, 7.0 - 2 * np.pi),
+        (0.0, [7.0], True, 7.0),
+        (3.1, [-3.1, 3.1], False, 2 * np.pi + 3.1),  # its points keep their differences
+        (3.1, [-3.1, -8.0], False, 2 * np.pi - 8.0),
+    ],
+)
+def test_a_goal_leads_a_wheel_the_shorter_way_to_its_first_point_unless_turns_are_meant(
+    at, positions, multi_turn, ends
+):
+    limits = {"constraints.shoulder.trajectory": 0.5, "constraints.shoulder.goal": 2e-3}
+    group = wheel(at, multi_turn, **limits)
+    group.begin(path(*positions))
+    group.run(5.0, until=lambda: group.results)
+    assert group.results == [(ResultCode.SUCCESSFUL, "goal reached")]
+    assert group.position[0] == pytest.approx(ends, abs=5e-3)
+    _, reference, _, position, _ = group.logged(0)
+    assert max(np.abs(np.diff(reference))) < 0.03
+    way = [at, *(np.array(positions) + ends - positions[-1])]
+    assert min(position) > min(way) - 0.5
+    assert max(position) < max(way) + 0.5
+
+
+@pytest.mark.parametrize("multi_turn", [False, True])
+def test_a_wheel_that_is_turns_away_stops_where_it_is_and_starts_from_there(multi_turn):
+    group = wheel(0.0, multi_turn, **{"constraints.shoulder.goal": 2e-3})
+    group.begin(path(5.0, 10.0, 15.0, 20.0))
+    group.run(1.9)
+    lost = group.position[0]
+    group.note(group.follower.lapse(1.0))  # states were away: it is told to hold where it is
+    group.run(2.0)
+    assert group.results[0].code is ResultCode.INVALID_GOAL
+    held = group.position[0]
+    assert lost > 7.0
+    assert held == pytest.approx(lost, abs=3.0)  # and not whole turns back
+    assert group.velocity[0] == pytest.approx(0.0, abs=0.01)
+    group.begin(path(held + 0.5 if multi_turn else held + 0.5 - 4 * np.pi))
+    group.run(3.0, until=lambda: len(group.results) > 1)
+    assert group.results[1].code is ResultCode.SUCCESSFUL
+    assert group.position[0] == pytest.approx(held + 0.5, abs=5e-3)
+
+
 def test_leaving_ends_the_goal_and_stops():
     group = started()
     group.run(0.5)

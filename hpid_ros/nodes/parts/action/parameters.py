@@ -47,6 +47,7 @@ class GroupParameters:
         wrapping = read_only(
             node, "angle_wraparound", names, "Joints whose controllers have angle_wraparound"
         )
+        counting = read_only(node, "multi_turn", names, "Joints whose controllers have multi_turn")
         source = read_only(
             node,
             "robot_description",
@@ -54,7 +55,7 @@ class GroupParameters:
             "URDF of the robot, XML text or path: positions in which joints stop, and which of "
             "them turn without end",
         )
-        self._facts = joint_facts(self.joints, str(source), wrapping or ())
+        self._facts = joint_facts(self.joints, str(source), wrapping or (), counting or ())
         specs = (*GOAL_PARAMETERS, *chain(*map(joint_parameters, self.joints)))
         self._names = [spec.name for spec in (*FIXED_PARAMETERS, *specs)]
         declare(node, FIXED_PARAMETERS, read_only=[spec.name for spec in FIXED_PARAMETERS])
@@ -88,27 +89,30 @@ class GroupParameters:
 
 
 def joint_facts(
-    joints: Sequence[str], source: str, wrapping: Sequence[str]
+    joints: Sequence[str], source: str, wrapping: Sequence[str], counting: Sequence[str]
 ) -> dict[str, JointFacts]:
     """Return what is known of joints.
 
     Args:
         joints: Their names.
         source: URDF, XML text or a path; empty for none.
-        wrapping: Joints whose controllers take the shorter way.
+        wrapping: Joints whose controllers have ``angle_wraparound``.
+        counting: Joints whose controllers have ``multi_turn``.
 
     Raises:
         HpidError: The robot cannot be found or read, or a joint is none of these.
     """
-    require_joints(joints, wrapping)
+    require_joints(joints, wrapping, counting)
     facts = {joint: JointFacts() for joint in joints}
     if source:
         path = source if source.lstrip().startswith("<") else str(find_resource(source))
         for joint in RobotDescription.load(path).select(joints):
+            is_endless = joint.type == "continuous"
             facts[joint.name] = JointFacts(
                 joint.lower,
                 joint.upper,
-                is_endless=joint.type == "continuous",
+                is_endless,
+                takes_shorter_way=is_endless and joint.name not in counting,
                 unit="m" if joint.type == "prismatic" else "rad",
             )
     for name in wrapping:
