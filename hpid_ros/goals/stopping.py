@@ -60,9 +60,9 @@ def coast_down(
         With positions and velocities; times from now in [ns].
     """
     now, then = _inside(Knot(0, position, velocity), braking), Knot(LEAD_NS, *later)
-    if _inside(then, braking) == then and _stopping_distance(then, braking) <= _room(
-        then, braking
-    ):
+    was_inside = now.position == position  # else it does not go on from where it was
+    may_go_on = was_inside and _inside(then, braking) == then
+    if may_go_on and _stopping_distance(then, braking) <= _room(then, braking):
         return [now, *_brake(then, braking)]
     return _brake(now, braking)
 

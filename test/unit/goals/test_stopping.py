@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from hpid_ros.goals.stopping import LEAD_NS, Braking, coast_down, return_to, stop_together
@@ -77,6 +77,7 @@ def test_no_stop_passes_a_position_limit(room, velocity, deceleration, accelerat
 
 
 @given(st.floats(0.0, 1.0), SPEEDS, DECELERATIONS)
+@example(beyond=0.125, velocity=-2.5, deceleration=1.0)
 def test_a_joint_beyond_a_limit_is_told_to_be_at_it(beyond, velocity, deceleration):
     knots = coasting(1.0 + beyond, velocity, Braking(deceleration, 0.5, upper=1.0))
     assert path(knots)[0].max() <= 1.0 + 1e-12
