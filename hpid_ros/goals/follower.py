@@ -108,6 +108,7 @@ class GoalFollower:
         against = self.reason_against()
         if against:
             raise GoalError(against)
+        request.require_positions(settings, self._states.positions)
         now_ns = self._now()
         start_ns = request.start(now_ns)
         joints = range(len(settings.joints))

@@ -18,6 +18,7 @@ from hpid_ros.trajectory.joint_trajectory import Integers, Point, checked_column
 from hpid_ros.wire import MOST_MIXED_POINTS, MOST_POINTS
 
 _AT_REST = 1.2e-7  # [rad/s, m/s], float32's epsilon, as JTC takes it
+_ROUNDED = 1e-6  # [rad, m]; limits are written with few digits, and planned with more
 _WAITS_AT_MOST = 3600  # [s] for the start of a goal
 
 
@@ -105,6 +106,33 @@ class GoalRequest:
         return settings.tolerances.asked(
             self.path_tolerance, self.goal_tolerance, self.goal_time_tolerance
         )
+
+    def require_positions(self, settings: GroupSettings, positions: Sequence[float]) -> None:
+        """Refuse what leads a joint beyond the positions that the robot's description allows.
+
+        A joint that is beyond them may be led back: points may be as far out as it is.
+
+        Args:
+            settings: Of the group, with these joints.
+            positions: Where all joints of the group are, in [rad] or [m].
+
+        Raises:
+            GoalError: A point is beyond a limit of one of its joints.
+        """
+        for at, name in enumerate(self.names):
+            joint = settings.joints.index(name)
+            facts, here = settings.facts[joint], positions[joint]
+            path = self.derivatives[0][:, at]
+            low = min(facts.lower - _ROUNDED, here)
+            high = max(facts.upper + _ROUNDED, here)
+            beyond = np.flatnonzero((path < low) | (path > high))
+            if len(beyond):
+                point = int(beyond[0])
+                value, unit = float(path[point]), facts.unit
+                raise GoalError(
+                    f"point {point} leads {name} to {value:g} {unit}, its limits are "
+                    f"{facts.lower:g} and {facts.upper:g} {unit}"
+                )
 
     def start(self, now_ns: int) -> int:
         """Return the instant at which the goal starts, in [ns].

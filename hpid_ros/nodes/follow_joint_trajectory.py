@@ -35,6 +35,7 @@ from hpid_ros.nodes.ros.usage import Usage
 from hpid_ros.wire import GroupReader, JointReader
 
 _LOOKS = 10  # for the states, in each state_timeout
+_UNHEARD = "no controller listens to joint_trajectory"
 _STOOD_STILL = 0.25  # [s] without a look; an executor that is merely busy is faster
 
 
@@ -63,6 +64,7 @@ class JointTrajectoryController(executor.ClosingNode):
         )
         self._listen(joints)
         self._server = GoalServer(self, self._begin, self._cancel, self._health.note)
+        self._is_ready = False
         self._silence, self._seen_ns = 0.0, self._follower.now_ns
         self._looked_at = time.monotonic()
         self._look_period = self._follower.settings.state_timeout / _LOOKS
@@ -110,7 +112,7 @@ class JointTrajectoryController(executor.ClosingNode):
 
     def _begin(self, request: GoalRequest) -> Result | None:
         if not self._told.listeners():
-            raise GoalError("no controller listens to joint_trajectory")
+            raise GoalError(_UNHEARD)
         begun = self._follower.begin(request)
         self._told.tell(begun.told)
         return begun.replaced
@@ -142,12 +144,27 @@ class JointTrajectoryController(executor.ClosingNode):
     def _look_for_states(self) -> None:
         """Count for how long there has been no new state, while this process has run."""
         self._wake()
+        self._say_when_ready()
         if self._follower.now_ns != self._seen_ns:
             self._seen_ns, self._silence = self._follower.now_ns, 0.0
             return
         self._silence += self._look_period
         if self._silence > self._follower.settings.state_timeout:
             self._act(self._follower.lapse(self._silence))
+
+    def _against(self) -> str:
+        """Return why no goal can be followed now, in words; nothing if one can be."""
+        if not self._told.listeners():
+            return self._follower.reason_against() or _UNHEARD
+        return self._follower.reason_against()
+
+    def _say_when_ready(self) -> None:
+        """Log once that goals can be followed, with the joints."""
+        if self._is_ready or self._against():
+            return
+        self._is_ready = True
+        joints = ", ".join(self._group.joints)
+        self.get_logger().info(f"ready for goals on {self._server.name}: {joints}")
 
     def _tell_feedback(self) -> None:
         feedback = self._follower.feedback()
@@ -168,10 +185,8 @@ class JointTrajectoryController(executor.ClosingNode):
             for joint, has_told in zip(self._group.joints, self._has_told, strict=True)
             if not has_told
         ]
-        against = follower.reason_against()
-        if not told.listeners():
-            against = against or "no controller listens to joint_trajectory"
-        elif silent:
+        against = self._against()
+        if told.listeners() and silent:
             names = ", ".join(f"{controller_name(joint)}/reference" for joint in silent)
             warnings.append(f"nothing has come on {names}: whether they follow is not seen")
         feedback = follower.feedback()

@@ -73,8 +73,10 @@ def come_to_rest(joints, within=5.0):
 
 
 def test_a_goal_is_reached_with_feedback_in_the_order_of_the_joints(joints):
-    joints.start(constraints__elbow__goal=0.01, constraints__shoulder__goal=0.01)
+    started = joints.start(constraints__elbow__goal=0.01, constraints__shoulder__goal=0.01)
     client = Client(joints)
+    ready = f"ready for goals on /{ACTION}/follow_joint_trajectory: shoulder, elbow"
+    assert started.action.log.read_text().count(ready) == 1
     swapped = {name: THERE[name] for name in ("elbow", "shoulder")}
     status = client.follow(goal_of(swapped, TIMES, SLOPES))
     assert status == (SUCCEEDED, 0, "goal reached")
@@ -332,6 +334,26 @@ def test_without_controllers_no_goal_is_followed(joints):
     joints.run(lambda: told.newest().get("message", "").endswith(line), what="the report")
     status, code, text = Client(joints).follow(there())
     assert (status, code, text) == (ABORTED, INVALID_GOAL, line)
+
+
+ARM = """<robot name="arm"><link name="a"/><link name="b"/><link name="c"/>
+<joint name="shoulder" type="revolute"><parent link="a"/><child link="b"/>
+<limit lower="-2" upper="2" effort="50" velocity="5"/></joint>
+<joint name="elbow" type="prismatic"><parent link="b"/><child link="c"/>
+<limit lower="-0.4" upper="0.4" effort="50" velocity="5"/></joint></robot>"""
+
+
+def test_a_goal_beyond_the_robots_limits_is_refused_and_names_joint_value_and_limit(
+    joints, tmp_path
+):
+    (tmp_path / "arm.urdf").write_text(ARM)
+    joints.start(robot_description=tmp_path / "arm.urdf")
+    client = Client(joints)
+    status, code, text = client.follow(there())
+    assert (status, code) == (ABORTED, INVALID_GOAL)
+    assert text == "point 1 leads elbow to -0.5 m, its limits are -0.4 and 0.4 m"
+    near = {**THERE, "elbow": [-0.2, -0.4]}
+    assert client.follow(goal_of(near, TIMES))[:2] == (SUCCEEDED, 0)
 
 
 def test_parameters_have_descriptions_and_a_bad_set_leaves_no_trace(joints):

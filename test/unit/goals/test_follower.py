@@ -1,5 +1,7 @@
 """The course of goals over loops that get their messages late: reached, ended, stopped."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from harness.groups import MS, SECOND, SimulatedGroup, at_rest, goal
@@ -152,10 +154,12 @@ def test_a_stop_never_passes_a_position_limit(at, room):
     group.begin(request)
     group.run(at)
     upper = group.loops[0].reference[0] + room
-    limited = SimulatedGroup(("shoulder",), {"shoulder": JointFacts(upper=upper)}, **most)
+    limited = SimulatedGroup(("shoulder",), **most)
     limited.run(0.2)
     limited.begin(request)
     limited.run(at)
+    # No goal leads beyond a limit; this one does, once it is under way.
+    limited.follower.settings = replace(limited.settings, facts=(JointFacts(upper=upper),))
     limited.cancel()
     (told,) = limited.told[1:]
     assert told.derivatives[0].max() <= upper
@@ -464,6 +468,45 @@ def test_a_wheel_that_is_turns_away_stops_where_it_is_and_starts_from_there(mult
     group.run(3.0, until=lambda: len(group.results) > 1)
     assert group.results[1].code is ResultCode.SUCCESSFUL
     assert group.position[0] == pytest.approx(held + 0.5, abs=5e-3)
+
+
+def test_a_goal_beyond_a_limit_is_refused_and_the_one_before_it_goes_on():
+    facts = {"shoulder": JointFacts(lower=-0.5, upper=1.0), "elbow": JointFacts(-0.6, unit="m")}
+    group = SimulatedGroup(facts=facts)
+    group.run(0.2)
+    group.begin(moving())
+    group.run(0.3)
+    for joint, places, line in (
+        (
+            "shoulder",
+            [0.2, 1.1, 0.3],
+            "point 1 leads shoulder to 1.1 rad, its limits",
+        ),
+        (
+            "elbow",
+            [0.2, 0.1, -0.7],
+            "point 2 leads elbow to -0.7 m, its limits are -0.6 and inf",
+        ),
+    ):
+        there = {**THERE, joint: places}
+        with pytest.raises(GoalError, match=f"^{line}") as refused:
+            group.begin(goal(there, TIMES, at_rest(there)))
+        assert refused.value.code is ResultCode.INVALID_GOAL
+    group.run(3.0, until=lambda: group.results)
+    assert group.results[0].code is ResultCode.SUCCESSFUL
+
+
+def test_a_joint_beyond_a_limit_may_be_led_back():
+    group = SimulatedGroup(facts={"shoulder": JointFacts(upper=1.0), "elbow": JointFacts()})
+    group.position[0] = 1.2
+    group.run(0.2)
+    back = {"shoulder": [1.2, 1.1, 0.9], "elbow": [0.0, 0.0, 0.0]}
+    group.begin(goal(back, TIMES, at_rest(back)))
+    further = {**back, "shoulder": [1.2, 1.3, 0.9]}
+    with pytest.raises(GoalError, match=r"point 1 leads shoulder to 1\.3 rad"):
+        group.begin(goal(further, TIMES, at_rest(further)))
+    group.run(3.0, until=lambda: group.results)
+    assert group.results[0].code is ResultCode.SUCCESSFUL
 
 
 def test_leaving_ends_the_goal_and_stops():

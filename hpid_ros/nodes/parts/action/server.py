@@ -24,6 +24,7 @@ from hpid_ros.nodes.parts.action.messages import fill_feedback, request_of
 from hpid_ros.nodes.ros.executor import ClosingNode
 from hpid_ros.nodes.ros.steady_timer import steady_timer
 
+_ACTION = "~/follow_joint_trajectory"
 _RESULTS_KEPT = 10  # [s], rcl_action's own default; rclpy's is a quarter of an hour
 _HEARD_WITHIN = 0.25  # [s] for the last results: nobody acknowledges the answer of a service
 _POINTS_AT_ONCE = 200_000  # of all goals that are kept; a point costs about a kilobyte
@@ -92,10 +93,12 @@ class GoalServer:
         self._left: Future | None = None
         self._kept: deque[tuple[float, int]] = deque()
         self.rejected = 0
+        self.name = node.resolve_topic_name(_ACTION)
+        """Full name of the action."""
         self._server = _DeferredServer(
             node,
             self._type,
-            "~/follow_joint_trajectory",
+            _ACTION,
             lambda _: self._type.Result(),
             goal_callback=self._answer,
             handle_accepted_callback=self._accept,
