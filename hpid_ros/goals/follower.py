@@ -70,7 +70,8 @@ class GoalFollower:
         self._heard_ns: list[int | None] = [None] * len(settings.joints)
         self._active: ActiveGoal | None = None
         self._silence = 0.0  # [s] of the wall clock; 0 while states come
-        self._has_told = self._is_hold_due = self._is_excused = False
+        self._excuse = 0.0  # [s]; 0 while nothing is to be excused
+        self._has_told = self._is_hold_due = False
         self._excused_until_ns = 0
 
     @property
@@ -172,12 +173,16 @@ class GoalFollower:
         line = f"there was no new state for {silence:.3g} s"
         return Outcome(Result(ResultCode.INVALID_GOAL, line), None)
 
-    def excuse(self) -> None:
+    def excuse(self, stood: float) -> None:
         """Note that nobody called for a while: what came meanwhile comes late, and not in order.
 
-        Until states and references had time to come, none of them is missed.
+        Until states and references had time to come, none of them is missed. The first state that
+        comes may still be one from before.
+
+        Args:
+            stood: How long that was in [s].
         """
-        self._is_excused = True
+        self._excuse = max(stood, self._excuse)
 
     def take_state(self, stamp_ns: int, parts: Sequence[JointPart]) -> Outcome | None:
         """Take the joints of one state.
@@ -192,10 +197,10 @@ class GoalFollower:
         if not taken:
             return None
         self._silence = 0.0
-        if self._is_excused:
+        if self._excuse:
             patience = max(self.settings.state_timeout, self.settings.reference_timeout)
-            self._excused_until_ns = stamp_ns + round(patience * NANOSECONDS)
-            self._is_excused = False
+            self._excused_until_ns = stamp_ns + round((self._excuse + patience) * NANOSECONDS)
+            self._excuse = 0.0
         if self._is_hold_due:
             return self._hold()
         if self._active is None:

@@ -137,7 +137,7 @@ class JointTrajectoryController(executor.ClosingNode):
         now = time.monotonic()
         stood, self._looked_at = now - self._looked_at, now
         if stood > self._look_period + _STOOD_STILL:
-            self._follower.excuse()
+            self._follower.excuse(stood)
             self._health.stood_still += 1
             self._health.fault(f"this process stood still for {stood:.3g} s")
 

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from hpid_ros.control.reference import Setpoint
 from hpid_ros.goals import AskedTolerance, GoalError, JointFacts, ResultCode
+from hpid_ros.wire import JointPart
 
 THERE = {"shoulder": [0.0, 0.4, 1.0], "elbow": [0.0, -0.3, -0.5]}
 TIMES = [0.0, 0.5, 1.0]
@@ -564,10 +565,13 @@ def test_what_came_while_nobody_called_is_not_missed_but_what_stays_away_is(
     slow = {name: [0.0, path[-1]] for name, path in THERE.items()}
     group.begin(goal(slow, [0.0, 3.0], at_rest(slow)))
     group.run(0.5)
+    before, before_ns = list(zip(group.position, group.velocity, strict=True)), group.stamp_ns
     group.seen, group.mute = lambda parts: [], {0, 1}
     group.run(0.7)
     if is_excused:
-        group.follower.excuse()
+        group.follower.excuse(0.7)
+        old = [JointPart(joint, *at) for joint, at in enumerate(before)]
+        group.note(group.follower.take_state(before_ns + MS, old))  # one that was on its way
     del group.seen
     group.run(0.1)  # a state comes before the references do
     group.mute = dead
