@@ -78,7 +78,8 @@ class JointTrajectoryController(executor.ClosingNode):
 
     def _listen(self, joints: Sequence[str]) -> None:
         self._reader = GroupReader(joints)
-        subscribe_raw(self, "joint_states", self._on_state, NEWEST_STATES)
+        for topic in self._group.state_topics:
+            subscribe_raw(self, topic, self._on_state, NEWEST_STATES)
         self._has_told = [False] * len(joints)
         for joint, name in enumerate(joints):
             self.create_subscription(
@@ -227,11 +228,12 @@ USAGE = Usage(
         "robot_description",
         "angle_wraparound",
         "multi_turn",
+        "state_topics",
         *(spec.name for spec in (*GOAL_PARAMETERS, *FIXED_PARAMETERS)),
         *(spec.name for spec in joint_parameters("*")),
         "status_fd",
     ],
-    ["joint_states", "joint_trajectory", "JOINT_controller/reference"],
+    ["joint_states (or state_topics)", "joint_trajectory", "JOINT_controller/reference"],
     ["joint_trajectory", "/diagnostics"],
     ["~/follow_joint_trajectory (an action)"],
 )

@@ -336,6 +336,22 @@ def test_without_controllers_no_goal_is_followed(joints):
     assert (status, code, text) == (ABORTED, INVALID_GOAL, line)
 
 
+def test_joints_whose_states_are_on_two_topics_follow_one_goal(harness):
+    """Each controller of a process is told its topic by a remap, the action by a parameter."""
+    apart = "/gripper/joint_states"
+    joints = Joints(harness, apart={"elbow": apart})
+    joints.start(
+        state_topics=f"[joint_states, {apart}]",
+        constraints__elbow__goal=0.01,
+        constraints__shoulder__goal=0.01,
+    )
+    client = Client(joints)
+    assert client.follow(there()) == (SUCCEEDED, 0, "goal reached")
+    assert joints.position == pytest.approx({"shoulder": 1.0, "elbow": -0.5}, abs=0.02)
+    assert [len(each.actual.positions) for each in client.feedback[-1:]] == [2]
+    require_smooth(joints, 1.5, 6.0)
+
+
 ARM = """<robot name="arm"><link name="a"/><link name="b"/><link name="c"/>
 <joint name="shoulder" type="revolute"><parent link="a"/><child link="b"/>
 <limit lower="-2" upper="2" effort="50" velocity="5"/></joint>
@@ -390,6 +406,7 @@ def test_parameters_have_descriptions_and_a_bad_set_leaves_no_trace(joints):
         ({"joints": "[elbow, elbow]"}, "must name each joint once, not ['elbow', 'elbow']"),
         ({"joints": "[elbow]", "angle_wraparound": "[wrist]"}, "angle_wraparound: unknown joint"),
         ({"joints": "[elbow]", "multi_turn": "[wrist]"}, "multi_turn: unknown joint"),
+        ({"joints": "[elbow]", "state_topics": "[a, b, a]"}, "must name each topic once, not ["),
         (
             {"joints": "[elbow]", "state_timeout": 100.0},
             "state_timeout must lie in [0.01, 10], not",

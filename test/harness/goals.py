@@ -13,6 +13,7 @@ from trajectory_msgs.msg import JointTrajectoryPoint
 from harness.graph import ros_arguments
 from harness.health import Told
 from hpid_ros.base.names import controller_name
+from hpid_ros.nodes.ros.middleware import OFFERED
 from hpid_ros.wire import JointStateTemplate, decode_joint_state
 
 ACTION = "joint_trajectory_controller"
@@ -55,19 +56,24 @@ class Joints:
     Attributes:
         blocked: Joints that do not move.
         alive: Joints whose commands each state waits for.
+        apart: Topics of the states of joints that have one of their own.
         references: By joint: stamps [s], positions and velocities that its controller told.
     """
 
-    def __init__(self, harness, joints=JOINTS):
-        self.harness, self.joints = harness, joints
+    def __init__(self, harness, joints=JOINTS, apart=None):
+        self.harness, self.joints, self.apart = harness, joints, apart or {}
         self.position, self.velocity = dict.fromkeys(joints, 0.0), dict.fromkeys(joints, 0.0)
         self.effort = dict.fromkeys(joints, 0.0)
         self.blocked, self.alive, self.is_paused = set(), set(joints), False
         self.references = {joint: [] for joint in joints}
         self._count, self._answers = 0, {}
-        self._template = JointStateTemplate(joints, position=True, velocity=True)
         self._begun, self._asked = 0.0, 0.0
         node = harness.node
+        together = [joint for joint in joints if joint not in self.apart]
+        self._publishers = [(harness.states, *_layout(together))] + [
+            (node.create_publisher(JointState, topic, OFFERED), *_layout([joint]))
+            for joint, topic in self.apart.items()
+        ]
         harness.on_command = self._on_command
         for joint in joints:
             node.create_subscription(
@@ -93,6 +99,8 @@ class Joints:
         start, processes = self.harness.processes.start, {}
         if composed:
             arguments += ["-p", f"joints:={names}"]
+            for joint, topic in self.apart.items():
+                arguments += ["-r", f"{controller_name(joint)}:joint_states:={topic}"]
             started = start("controllers", "joint_controllers", arguments, is_renamed=False)
             processes["controllers"] = started
         else:
@@ -101,9 +109,12 @@ class Joints:
                 own = [*arguments, *ros_arguments(joint=joint)]
                 processes[joint] = start(name, "joint_controller", own)
         processes["action"] = self.start_action(action, **parameters)
-        states = self.harness.states
         self.harness.wait(
-            lambda: states.get_subscription_count() > len(self.joints), what="all to listen"
+            lambda: all(
+                publisher.get_subscription_count() > len(names)
+                for publisher, names, _ in self._publishers
+            ),
+            what="all to listen",
         )
         told = Told(self.harness, action)
         ready = (DiagnosticStatus.OK, DiagnosticStatus.WARN)
@@ -162,13 +173,14 @@ class Joints:
         self._publish()
 
     def _publish(self):
-        self.harness.states.publish(
-            self._template.encode(
-                round(self._count * PERIOD * 1e9),
-                position=list(self.position.values()),
-                velocity=list(self.velocity.values()),
+        for publisher, names, template in self._publishers:
+            publisher.publish(
+                template.encode(
+                    round(self._count * PERIOD * 1e9),
+                    position=[self.position[name] for name in names],
+                    velocity=[self.velocity[name] for name in names],
+                )
             )
-        )
 
     def _on_command(self, command):
         count = round(command.stamp_ns * 1e-9 / PERIOD)
@@ -177,6 +189,10 @@ class Joints:
     def _on_reference(self, joint, raw):
         told = decode_joint_state(raw)
         self.references[joint].append((told.stamp_ns * 1e-9, told.position[0], told.velocity[0]))
+
+
+def _layout(joints):
+    return joints, JointStateTemplate(joints, position=True, velocity=True)
 
 
 class Client:

@@ -471,6 +471,30 @@ def test_a_wheel_that_is_turns_away_stops_where_it_is_and_starts_from_there(mult
     assert group.position[0] == pytest.approx(held + 0.5, abs=5e-3)
 
 
+def test_joints_may_have_states_of_their_own_at_other_rates_and_stamps():
+    """As where a gripper tells its states on a topic of its own."""
+    group = SimulatedGroup(**{"constraints.elbow.goal": 2e-3, "constraints.elbow.trajectory": 0.1})
+    late = 300_000  # [ns]; its stamps are never those of the others
+
+    def apart(parts):
+        if group.stamp_ns % (20 * MS) == 0:
+            group.note(group.follower.take_state(group.stamp_ns - late, parts[1:]))
+        return parts[:1]
+
+    group.seen = apart
+    group.run(0.2)
+    group.begin(moving())
+    group.run(3.0, until=lambda: group.results)
+    assert group.results == [(ResultCode.SUCCESSFUL, "goal reached")]
+    assert group.position == pytest.approx([1.0, -0.5], abs=5e-3)
+    group.begin(goal({name: [0.0] for name in THERE}, [2.0]))
+    group.run(0.2)
+    group.seen = lambda parts: parts[:1]  # the other topic falls silent
+    group.run(1.0, until=lambda: len(group.results) > 1)
+    assert group.results[1].code is ResultCode.INVALID_GOAL
+    assert group.results[1].text.startswith("elbow has had no state for 0.5")
+
+
 def test_a_goal_beyond_a_limit_is_refused_and_the_one_before_it_goes_on():
     facts = {"shoulder": JointFacts(lower=-0.5, upper=1.0), "elbow": JointFacts(-0.6, unit="m")}
     group = SimulatedGroup(facts=facts)

@@ -389,3 +389,29 @@ def test_a_joint_with_a_fallback_may_be_missing_and_others_have_zero():
     a, b = joints_of(["a", "b"], 0.1, {"a": 0.2}, {"b": 3.0})
     assert (a.timeout, a.fallback, a.may_be_missing) == (0.2, 0.0, False)
     assert (b.timeout, b.fallback, b.may_be_missing) == (0.1, 3.0, True)
+
+
+@pytest.mark.parametrize("ratio", [1, 2, 10])
+def test_joints_whose_states_are_on_two_topics_wait_for_each_other_within_the_share_alone(ratio):
+    """The stamps of a gripper are never those of the arm: every command is sent soon after it."""
+    robot, came = Robot(), {}
+    for k in range(400):
+        stamp_ns = (k + 1) * PERIOD
+        for joint in NAMES[:2]:
+            robot.take(joint, stamp_ns, float(k))
+            came[joint, float(k)] = robot.now
+            robot.wait(100_000)
+        if k % ratio == 0:
+            robot.take("wrist", stamp_ns - 700_000, float(k))
+            came["wrist", float(k)] = robot.now
+        robot.wait(PERIOD - 200_000)
+    first_sent = {}
+    for time_ns, merged in robot.sent:
+        for joint, effort in zip(NAMES, merged.efforts, strict=True):
+            first_sent.setdefault((joint, effort), time_ns)
+    begun = max(came[joint, 0.0] for joint in NAMES)
+    for key, time_ns in came.items():
+        if time_ns > begun and key in first_sent:
+            assert first_sent[key] - time_ns <= 0.5 * PERIOD
+    assert len(first_sent) >= len(came) - len(NAMES)
+    assert not robot.merger.silences

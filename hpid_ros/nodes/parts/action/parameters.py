@@ -9,7 +9,7 @@ from rcl_interfaces.msg import SetParametersResult
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from hpid_ros.base.errors import HpidError
+from hpid_ros.base.errors import HpidError, SettingError
 from hpid_ros.base.resources import find_resource
 from hpid_ros.goals import (
     FIXED_PARAMETERS,
@@ -28,6 +28,7 @@ class GroupParameters:
 
     Attributes:
         joints: Names of the joints.
+        state_topics: Topics that hold their states.
 
     Args:
         node: The node; it gets the parameters.
@@ -48,6 +49,15 @@ class GroupParameters:
             node, "angle_wraparound", names, "Joints whose controllers have angle_wraparound"
         )
         counting = read_only(node, "multi_turn", names, "Joints whose controllers have multi_turn")
+        self.state_topics = tuple(
+            read_only(node, "state_topics", names, "Topics that hold the states of the joints")
+            or ("joint_states",)
+        )
+        if len(set(self.state_topics)) < len(self.state_topics) or "" in self.state_topics:
+            raise SettingError(
+                f"the parameter state_topics must name each topic once, not "
+                f"{list(self.state_topics)}"
+            )
         source = read_only(
             node,
             "robot_description",
