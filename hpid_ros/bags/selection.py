@@ -56,7 +56,8 @@ class BagSelection:
             None.
         namespace: Only topics below this namespace, for instance ``"/left"``: which of several
             robots.
-        states: Topic of the states (``sensor_msgs/JointState``).
+        states: Topics of the states (``sensor_msgs/JointState``), each joint on one of them; a
+            single name is one topic.
         commands: Topic of the efforts: ``sensor_msgs/JointState`` or
             ``control_msgs/JointTrajectoryControllerState`` (its output). The topic of the states
             gives their measured efforts, which are taken, too, where nothing else carries any.
@@ -80,7 +81,7 @@ class BagSelection:
 
     joints: Sequence[str] | None = None
     namespace: str | None = None
-    states: str | None = None
+    states: str | Sequence[str] | None = None
     commands: str | None = None
     command_topics: Mapping[str, CommandTopic] = field(default_factory=dict)
     reference: Reference = "auto"
@@ -94,8 +95,13 @@ class BagSelection:
             if not self.joints or len(set(self.joints)) < len(self.joints):
                 raise SettingError(f"joints must name each joint once, got {list(self.joints)}")
         object.__setattr__(self, "command_topics", dict(self.command_topics))
+        if isinstance(self.states, str):
+            object.__setattr__(self, "states", (self.states,))
+        elif self.states is not None:
+            object.__setattr__(self, "states", tuple(self.states))
         for name in ("namespace", "states", "commands", "reference"):
-            if getattr(self, name) == "":
+            value = getattr(self, name)
+            if value == "" or (name == "states" and value is not None and not all(value or [""])):
                 raise SettingError(f"{name} must not be an empty text")
         if self.clock not in CLOCKS:
             raise SettingError(unknown_name("clock", self.clock, CLOCKS))

@@ -80,7 +80,7 @@ class JointRun:
     def __init__(self, recording: RecordedRun, joint: str, selection: BagSelection) -> None:
         self._recording, self._joint, self._selection = recording, joint, selection
         self._clock = clock = selection.clock
-        taken = recording.states.take(joint)
+        taken = recording.take_states(joint)
         if taken is None:
             raise SeriesError(f"joint {joint!r}: no state carries its position")
         samples, not_finite = finite(taken)
@@ -165,7 +165,7 @@ class JointRun:
         is_asked_for = self._selection.commands is not None
         if not len(samples.values) or not (is_asked_for or samples.values.any()):
             state = "not a number" if not len(samples.values) else "zero"
-            topic = self._recording.choice.states
+            topic = " and ".join(self._recording.choice.states)
             self._no_effort = f"the efforts that {topic} measured are {state} throughout"
             return _EMPTY
         return ordered(self._times(samples), samples.values, not_finite)

@@ -137,7 +137,7 @@ def _require_messages(where: str, recording: RecordedRun) -> None:
     for logged in recording.trajectories:
         counts[logged.topic] += 1
     choice = recording.choice
-    missing = [] if counts[choice.states] else [choice.states]
+    missing = [topic for topic in choice.states if not counts[topic]]
     commands = (*choice.commands, *(each.topic for each in choice.command_topics.values()))
     if not choice.is_measured and commands and not any(counts[topic] for topic in commands):
         missing.append(commands[0])
@@ -168,7 +168,7 @@ def _joints(where: str, recording: RecordedRun, selection: BagSelection) -> Sequ
         choice = recording.choice
         commands = sorted({*choice.commands, *(c.topic for c in choice.command_topics.values())})
         raise BagError(
-            f"{where}: no joint of {choice.states} is commanded on "
+            f"{where}: no joint of {', '.join(choice.states)} is commanded on "
             f"{', '.join(commands) or 'any topic'} or has a reference; joints: "
             f"{', '.join(known)} (--command-topic JOINT=TOPIC[INDEX] says whose efforts are where)"
         )

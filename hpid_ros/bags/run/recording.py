@@ -7,9 +7,11 @@ from typing import NamedTuple
 
 from hpid_ros.bags.columns.batches import TopicBatch
 from hpid_ros.bags.columns.layouts import CONTROLLER_STATE, FLOAT64, JOINT_STATE
+from hpid_ros.bags.columns.samples import JointSamples
 from hpid_ros.bags.columns.streams import JointStream
 from hpid_ros.bags.run.topics import TopicChoice
 from hpid_ros.base.errors import BagError, MessageError, TrajectoryError
+from hpid_ros.recordings.series import SeriesError
 from hpid_ros.trajectory import Column
 from hpid_ros.trajectory.joint_trajectory import checked_column, require_arrays
 from hpid_ros.wire import decode_trajectory
@@ -60,7 +62,7 @@ class RecordedRun:
 
     Attributes:
         choice: The topics.
-        states: Positions.
+        states: Positions, by topic.
         commands: Efforts with stamps, by topic.
         floats: Efforts without stamps, by topic.
         setpoints: By topic.
@@ -79,7 +81,9 @@ class RecordedRun:
         self.choice = choice
         self.notes: list[str] = []
         self.trajectories: list[LoggedTrajectory] = []
-        self.states = JointStream(JOINT_STATE, "position", joints)
+        self.states = {
+            topic: JointStream(JOINT_STATE, "position", joints) for topic in choice.states
+        }
         self.commands = {
             topic: JointStream(types[topic], "effort", joints, keeps_order=has_order)
             for topic in choice.commands
@@ -105,8 +109,7 @@ class RecordedRun:
 
     def streams(self) -> Iterator[tuple[str, JointStream]]:
         """Yield topic and stream of everything but trajectories."""
-        yield self.choice.states, self.states
-        for streams in (self.commands, self.floats, self.setpoints, self.sampled):
+        for streams in (self.states, self.commands, self.floats, self.setpoints, self.sampled):
             yield from streams.items()
 
     def add(self, batch: TopicBatch) -> None:
@@ -149,7 +152,21 @@ class RecordedRun:
 
     def known_joints(self) -> list[str]:
         """Return the joints that states name, in their order."""
-        return list(self.states.names)
+        return list(dict.fromkeys(name for each in self.states.values() for name in each.names))
+
+    def take_states(self, joint: str) -> JointSamples | None:
+        """Return one joint's positions and forget them; None if there are none.
+
+        Raises:
+            SeriesError: Two topics have the joint.
+        """
+        topics = [topic for topic, stream in self.states.items() if joint in stream.joints()]
+        if len(topics) > 1:
+            raise SeriesError(
+                f"joint {joint!r}: its states are on {' and on '.join(topics)}, but must be on "
+                f"one of the topics (--states)"
+            )
+        return self.states[topics[0]].take(joint) if topics else None
 
     def concerned_joints(self) -> list[str]:
         """Return those that are commanded or have a reference, in the order of the states."""

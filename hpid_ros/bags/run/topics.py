@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -114,7 +114,7 @@ class TopicChoice:
     """The topics of a run.
 
     Attributes:
-        states: Of the states.
+        states: Of the states; each joint is on one of them.
         commands: Of stamped commands, JointState or JointTrajectoryControllerState.
         command_topics: Where single joints' commands without stamps are, by joint.
         references: Of the references.
@@ -124,7 +124,7 @@ class TopicChoice:
         in_doubt: Topics that may carry efforts, or something else.
     """
 
-    states: str
+    states: tuple[str, ...]
     commands: tuple[str, ...] = ()
     command_topics: Mapping[str, CommandTopic] = field(default_factory=dict)
     references: ReferenceTopics = NO_REFERENCES
@@ -137,7 +137,7 @@ class TopicChoice:
         """Return the same with the efforts that the states measured, and no others."""
         return replace(
             self,
-            commands=(self.states,),
+            commands=self.states,
             command_topics={},
             is_measured=True,
             may_be_measured=False,
@@ -149,7 +149,7 @@ class TopicChoice:
         references = self.references
         return frozenset(
             (
-                self.states,
+                *self.states,
                 *self.commands,
                 *(each.topic for each in self.command_topics.values()),
                 *references.trajectory,
@@ -188,7 +188,7 @@ class _Chooser:
 
     def choice(self) -> TopicChoice:
         states = self.states()
-        self.near = namespace_of(states)
+        self.near = _common([namespace_of(topic) for topic in states])
         explicit = {
             joint: each._replace(topic=self.named(each.topic, _FLOATS))
             for joint, each in self.selection.command_topics.items()
@@ -202,7 +202,7 @@ class _Chooser:
             command_topics=topics,
             references=self.references(),
             has_commands=asked != NO_COMMANDS,
-            is_measured=commands == (states,),
+            is_measured=commands == states,
             may_be_measured=asked is None and not explicit,
             in_doubt=self.in_doubt({*commands, *(each.topic for each in topics.values())}),
         )
@@ -228,9 +228,10 @@ class _Chooser:
             )
         return found[0]
 
-    def states(self) -> str:
+    def states(self) -> tuple[str, ...]:
         if self.selection.states is not None:
-            return self.named(self.selection.states, (JOINT_STATE,))
+            found = [self.named(name, (JOINT_STATE,)) for name in self.selection.states]
+            return tuple(dict.fromkeys(found))
         candidates = self.of_type(JOINT_STATE)
         found = matching("joint_states", candidates)
         if not found:
@@ -239,23 +240,26 @@ class _Chooser:
             raise BagError(
                 f"{self.where}: no topic of states ({JOINT_STATE}); topics: {self.listed()}"
             )
-        return self.one("the states", found, "--states")
+        return (self.one("the states", found, "--states, several times for one robot's"),)
 
     def listed(self) -> str:
         return _listed(self.types)
 
     def commands(
-        self, states: str, has_explicit: bool
+        self, states: tuple[str, ...], has_explicit: bool
     ) -> tuple[tuple[str, ...], dict[str, CommandTopic]]:
         """Return topics with stamps, and those of single joints without; none if there is none."""
         asked = self.selection.commands
         if asked == NO_COMMANDS:
             return (), {}
         if asked not in (None, EFFORT_COMMANDS):
-            return (self.named(asked, (JOINT_STATE, CONTROLLER_STATE)),), {}
+            named = self.named(asked, (JOINT_STATE, CONTROLLER_STATE))
+            return (states if named in states else (named,)), {}
         candidates = self.of_type(JOINT_STATE)
         here = f"{self.near}/joint_commands"
         found = [here] if here in candidates else matching("joint_commands", candidates)
+        if found and asked is None and len(states) > 1:  # as its states, so its commands
+            return tuple(name for name in found if is_below(name, self.near)), {}
         if found and asked is None:
             return (self.one("the commands", found, "--commands"),), {}
         wanted: tuple[str, ...] = _EFFORTS_OF_A_JOINT
@@ -277,7 +281,7 @@ class _Chooser:
         reports = tuple(self.below(CONTROLLER_STATE))
         if floats or reports or has_explicit:
             return reports, floats
-        found = [name for name in candidates if name != states and _may_be_commands(name)]
+        found = [name for name in candidates if name not in states and _may_be_commands(name)]
         return (self.one("the commands", found, "--commands"),) if found else (), {}
 
     def in_doubt(self, taken: Collection[str]) -> tuple[str, ...]:
@@ -326,6 +330,17 @@ class _Chooser:
         if kind == JOINT_STATE:
             return ReferenceTopics(sampled=(topic,))
         return ReferenceTopics(controller_state=(topic,))
+
+
+def _common(namespaces: Sequence[str]) -> str:
+    """Return the namespace that others share: ``/robot`` of ``/robot/arm`` and ``/robot/hand``."""
+    parts = [namespace.split("/") for namespace in namespaces]
+    shared = []
+    for level in zip(*parts, strict=False):
+        if len(set(level)) > 1:
+            break
+        shared.append(level[0])
+    return "/".join(shared)
 
 
 def _is_of_a_controller(topic: str) -> bool:

@@ -173,6 +173,34 @@ def test_of_two_robots_one_is_chosen_by_its_namespace_or_both_are_named(tmp_path
         read(path, namespace="middle")
 
 
+@pytest.mark.parametrize("commands", ["/joint_commands", "/arm/joint_commands"])
+def test_joints_whose_states_are_on_two_topics_make_one_run(tmp_path, commands):
+    """The arm's states and the gripper's have their own stamps, and so have their commands."""
+    topics = {"a": "/arm/joint_states", "f": "/gripper/joint_states"}
+    answers = {"a": commands, "f": commands.replace("arm", "gripper")}
+    log = []
+    for at, joint in enumerate(topics):
+        for k in range(5):
+            stamp_ns = (k + 1) * 10 * MS + at * 3 * MS
+            _, _, place = state(stamp_ns, **{joint: k + 100.0 * at})
+            _, _, effort = command(stamp_ns, **{joint: 10.0 * k + at})
+            log += [(topics[joint], stamp_ns, place), (answers[joint], stamp_ns + 1, effort)]
+    types = dict.fromkeys((*topics.values(), *answers.values()), JOINT_STATE)
+    path = write(tmp_path / "bag", types, in_order(log))
+    with pytest.raises(BagError, match="could be any of /arm/joint_states, /gripper/joint_states"):
+        read_run(path, "run")
+    run = read(path, states=list(topics.values()), reference="hold")
+    assert run.joint_names == ("a", "f")
+    for at, series in enumerate(run.joints):
+        assert series.position.tolist() == [k + 100.0 * at for k in range(5)]
+        assert series.effort.tolist() == [10.0 * k + at for k in range(5)]
+        assert run.losses[series.joint] == Losses(0, 0)
+    both = [*log, ("/gripper/joint_states", 70 * MS, state(70 * MS, a=1.0)[2])]
+    path = write(tmp_path / "doubled", types, in_order(both))
+    with pytest.raises(BagError, match="'a': its states are on /arm/joint_states and on /gripper"):
+        read(path, states=list(topics.values()))
+
+
 def test_topics_are_found_by_type_when_nobody_has_the_usual_name(tmp_path):
     types = {"/robot/measured": JOINT_STATE, "/robot/wanted": JOINT_STATE, "/terms": JOINT_STATE}
     log = in_order(states(topic="/robot/measured") + commands(topic="/robot/wanted"))

@@ -71,7 +71,12 @@ def _add_inputs(parser: Any) -> None:
 def _add_selection(group: Any) -> None:
     group.add_argument("--joints", nargs="+", metavar="JOINT", help="only these joints")
     group.add_argument("--namespace", metavar="NAME", help="which of several robots")
-    group.add_argument("--states", metavar="TOPIC", help="of the joint states")
+    group.add_argument(
+        "--states",
+        action="append",
+        metavar="TOPIC",
+        help="of the joint states; once for each topic of one robot",
+    )
     group.add_argument(
         "--commands",
         metavar="TOPIC",
