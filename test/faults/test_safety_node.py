@@ -80,7 +80,8 @@ def test_every_transition_can_be_asked_for_and_a_wrong_one_is_refused(harness, f
     assert change(harness, "shutdown")
     harness.wait(lambda: harness.commands[-1].effort == (0.0,), what="a last command of zero")
     assert state(harness) == "finalized"
-    harness.wait(lambda: told.says(refused_requests="4"), what="the refusals to be told")
+    assert not harness.set_parameters(NAME, mu=0.7)[0]
+    harness.wait(lambda: told.says(refused_requests="5"), what="the refusals to be told")
     assert process.poll() is None
     faults.count("lifecycle transitions refused", 4)
 

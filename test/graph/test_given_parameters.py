@@ -28,7 +28,7 @@ from std_msgs.msg import Float64MultiArray
 from hpid_ros.base.errors import SettingError
 from hpid_ros.base.names import is_for, node_sections
 from hpid_ros.base.resources import share_folder
-from hpid_ros.nodes.ros.given_parameters import as_declared
+from hpid_ros.nodes.ros.given_parameters import as_declared, require_known
 from hpid_ros.nodes.ros.process import LAUNCH
 from hpid_ros.tuning.controller_files import settings_from_parameters
 
@@ -113,6 +113,44 @@ def test_controllers_are_found_in_files_for_any_namespace():
     ):
         found = settings_from_parameters(document, "file")
         assert {name: each.gains.p for name, each in found.items()} == {"elbow_controller": 2.0}
+
+
+CONTROLLER = {"gains.p", "gains.d", "joint"}
+COMPOSED = {"joint_controllers": {"joints"}, "elbow": CONTROLLER, "merger": {"straggler_wait"}}
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"elbow": {"gains.p"}, "merger": {"straggler_wait"}}, None),
+        ({name: {"gains.p"} for name in COMPOSED}, None),  # of the command line: to all nodes
+        ({"elbow": {"qos_overrides./joint_commands.publisher.depth"}}, None),
+        (
+            {"elbow": {"gains.dd"}},
+            "elbow: unknown parameter 'gains.dd'; did you mean 'gains.d'?",
+        ),
+        (
+            {name: {"stragler_wait"} for name in COMPOSED},
+            "joint_controllers: unknown parameter 'stragler_wait'; did you mean 'straggler_wait'?",
+        ),
+        (
+            {"elbow": {"straggler_wait"}},
+            "elbow: it has no parameter 'straggler_wait', merger has",
+        ),
+        (
+            {"merger": {"xyz"}},
+            "merger: unknown parameter 'xyz'; --help lists those that there are",
+        ),
+    ],
+)
+def test_a_parameter_that_no_node_has_to_which_it_was_given_is_one_line_of_that_node(given, said):
+    nodes = [(name, given.get(name, set()), has) for name, has in COMPOSED.items()]
+    if said is None:
+        require_known(nodes)
+        return
+    with pytest.raises(SettingError) as refused:
+        require_known(nodes)
+    assert str(refused.value) == said
 
 
 @pytest.mark.parametrize("name", [*EXECUTABLES, ACTION])

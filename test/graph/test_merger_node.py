@@ -445,6 +445,16 @@ def test_a_second_merger_of_the_same_topic_is_refused_and_others_on_it_are_named
     command.until(EFFORTS, lambda: says(told, line), "the intruder")
 
 
+def test_refused_sets_of_parameters_and_transitions_are_counted(harness, told):
+    start_merger(harness, controller=None, joints=str(ORDER), command_interface="joint_state")
+    for values in ({"command_timeout": 0.2}, {"comand_timeout": 0.2}):
+        is_set, reason = harness.set_parameters(MERGER, **values)
+        assert (is_set, "command_timeout" in reason) == (False, True)
+    assert harness.set_parameters(MERGER, command_timeout=0.5)[0]  # as it is
+    assert not change(harness, "configure", MERGER)
+    harness.wait(lambda: told.says(refused_requests="3"), WITHIN, "the count")
+
+
 def test_a_merger_that_is_not_active_does_not_listen(harness, control):
     control.load(ORDER)
     start_merger(harness, autostart=False)

@@ -38,9 +38,9 @@ from rclpy.subscription import Subscription
 from rclpy.task import Future
 from rclpy.utilities import remove_ros_args
 
-from hpid_ros.base.errors import ClaimError, HpidError, SettingError, unknown_name
+from hpid_ros.base.errors import ClaimError, HpidError, SettingError
 from hpid_ros.base.foreign_text import shown
-from hpid_ros.nodes.ros.given_parameters import ParameterSources, as_declared
+from hpid_ros.nodes.ros.given_parameters import ParameterSources, as_declared, require_known
 from hpid_ros.nodes.ros.middleware import load_profile
 from hpid_ros.nodes.ros.process import (
     end,
@@ -282,7 +282,12 @@ def _run_in_context(
     try:
         ClosingNode.sources = ParameterSources(command_line)
         nodes = make_nodes()
-        _require_known_parameters(nodes)
+        require_known(
+            [
+                (each.get_name(), set(given_parameters(each)), declared_names(each))
+                for each in nodes
+            ]
+        )
         for line in ClosingNode.sources.without(nodes):
             nodes[0].get_logger().warning(line)
         warn_if_unprotected(nodes[0])  # one of them speaks for the process
@@ -358,20 +363,6 @@ def _make_executor() -> Executor:
         )
         return SingleThreadedExecutor()
     return EventsExecutor()
-
-
-def _require_known_parameters(nodes: Sequence[Node]) -> None:
-    """Refuse parameters that were given and that no node of the process has.
-
-    rclpy ignores them silently, and a mistyped gain would be a gain of zero. What is given on
-    the command line goes to every node of a process, so it is enough that one of them has it.
-    """
-    everywhere = {name for node in nodes for name in declared_names(node)}
-    for node in nodes:
-        for name in given_parameters(node):
-            if name not in everywhere and not name.startswith("qos_overrides."):
-                known = [p for p in everywhere if not p.startswith("qos_overrides.")]
-                raise SettingError(f"{node.get_name()}: {unknown_name('parameter', name, known)}")
 
 
 def _input_error(error: Exception) -> str:

@@ -11,17 +11,18 @@ word: the node would run with its defaults, and a bridge would simulate another 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from pathlib import Path
 
 import yaml
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from hpid_ros.base.errors import SettingError
+from hpid_ros.base.errors import SettingError, unknown_name
 from hpid_ros.base.names import ANYWHERE, is_for, node_sections
 
 _Type = Parameter.Type
+_OVERRIDES = "qos_overrides."
 _UNSET = ("null", "~", "None")
 _WORDS = {
     _Type.BOOL: "true or false",
@@ -74,6 +75,40 @@ def is_same(present: Parameter, change: Parameter) -> bool:
         change: Of the declared type.
     """
     return bool(present.get_parameter_value() == change.get_parameter_value())
+
+
+def require_known(nodes: Sequence[tuple[str, Collection[str], Collection[str]]]) -> None:
+    """Refuse parameters that were given to nodes of which none has them.
+
+    rclpy ignores them silently, and a mistyped gain would be a gain of zero. What is given on
+    the command line goes to every node of a process, so it is enough that one of them has it;
+    what is in a node's own section of a file that node must have.
+
+    Args:
+        nodes: Name of each node of the process, the parameters that it was given, and those that
+            it has.
+
+    Raises:
+        SettingError: There is such a parameter; the line names the first of these nodes, and what
+            is nearest.
+    """
+    for first, given, _ in nodes:
+        for name in given:
+            if name.startswith(_OVERRIDES):
+                continue
+            own = {each for _, got, has in nodes if name in got for each in has}
+            if name in own:
+                continue
+            elsewhere = [node for node, _, has in nodes if name in has]
+            line = f"it has no parameter {name!r}, {elsewhere[0]} has" if elsewhere else ""
+            raise SettingError(f"{first}: {line or _unknown_parameter(name, own)}")
+
+
+def _unknown_parameter(name: str, known: Iterable[str]) -> str:
+    """Return the line for a parameter that does not exist: what is nearest is enough."""
+    names = [each for each in known if not each.startswith(_OVERRIDES)]
+    line, _, _ = unknown_name("parameter", name, names).partition(" known: ")
+    return line if "did you mean" in line else f"{line} --help lists those that there are"
 
 
 def _numbers(given: Parameter, kind: Parameter.Type) -> Parameter:

@@ -34,7 +34,7 @@ def guard_services(node: Node, fault: Callable[[str], None]) -> None:
 
     Args:
         node: The node, with all of its services.
-        fault: Called with one line for a request that raised.
+        fault: Called with one line for a request that raised, or was refused.
     """
     own = {
         "set_parameters": _whole_sets(node, fault),
@@ -78,10 +78,11 @@ def _whole_sets(node: Node, fault: Callable[[str], None]) -> ServiceCallback:
         free = [
             change for _, change in changes if not node.describe_parameter(change.name).read_only
         ]
-        whole = _set(node, free, fault)
+        whole = _set(node, free)
         for index, change in changes:
-            results[index] = whole if change in free else _set(node, [change], fault)
+            results[index] = whole if change in free else _set(node, [change])
         response.results = results
+        _tell_refusal(results, fault)
         return response
 
     return call
@@ -90,9 +91,10 @@ def _whole_sets(node: Node, fault: Callable[[str], None]) -> ServiceCallback:
 def _atomic_sets(node: Node, fault: Callable[[str], None]) -> ServiceCallback:
     def call(request: Any, response: Any) -> Any:
         try:
-            response.result = _set(node, _changes(node, request.parameters), fault)
+            response.result = _set(node, _changes(node, request.parameters))
         except (ValueError, TypeError) as error:
             response.result = _refused(str(error))
+        _tell_refusal([response.result], fault)
         return response
 
     return call
@@ -125,18 +127,21 @@ def _all_values(node: Node) -> ServiceCallback:
     return call
 
 
-def _set(
-    node: Node, changes: list[Parameter], fault: Callable[[str], None]
-) -> SetParametersResult:
+def _tell_refusal(results: Sequence[SetParametersResult], fault: Callable[[str], None]) -> None:
+    """Tell once of a request of which something was refused."""
+    reasons = dict.fromkeys(each.reason for each in results if not each.successful)
+    if reasons:
+        fault(f"set of parameters refused: {'; '.join(reasons)}")
+
+
+def _set(node: Node, changes: list[Parameter]) -> SetParametersResult:
     """Set parameters as a whole; whatever that meets is the reason of a refusal."""
     if not changes:
         return SetParametersResult(successful=True)
     try:
         result = node.set_parameters_atomically(changes)
     except Exception as error:  # whatever a value from outside can bring about
-        line = f"{type(error).__name__}: {' '.join(str(error).split())}"
-        fault(f"set of parameters refused: {line}")
-        return _refused(line)
+        return _refused(f"{type(error).__name__}: {' '.join(str(error).split())}")
     return result if result.successful or result.reason else _refused("")
 
 
