@@ -94,7 +94,12 @@ class JointController(ManagedNode):
         self._watchdog = StateWatchdog(self, self._supervised)
         self._stopping = ControllerStop(self, self._supervised, self._commands, self._left)
         self._health = ControllerHealth(
-            self, self._loop, self._certification, self._timing, self._model
+            self,
+            self._loop,
+            self._certification,
+            self._timing,
+            self._model,
+            is_slide=self._tuning.is_slide,
         )
         self._states = states(self)
         self._is_listening = False
@@ -230,7 +235,8 @@ class JointController(ManagedNode):
 
     def _lapsed(self, silence: float, effort: float) -> None:
         """Tell of a silence; :meth:`look` gives the effort, whatever this thread does."""
-        self._health.fault(f"no new state for {silence:.3g} s: the effort is {effort:g} N m")
+        unit = self._health.unit("N m")
+        self._health.fault(f"no new state for {silence:.3g} s: the effort is {effort:g} {unit}")
         self._report()
 
     def _cut(self) -> None:

@@ -57,6 +57,11 @@ class JointDescription:
     gear_ratio: float = 1.0
 
     @property
+    def is_slide(self) -> bool:
+        """Whether it slides: its units are m and N."""
+        return self.type == "prismatic"
+
+    @property
     def reflected_inertia(self) -> float:
         """Rotor inertia as the joint feels it, Jr N^2, in [kg m^2]."""
         return self.rotor_inertia * self.gear_ratio**2

@@ -8,6 +8,7 @@ from typing import NamedTuple
 from xml.etree import ElementTree
 
 from hpid_ros.base.errors import RobotDescriptionError
+from hpid_ros.base.units import of_slide
 from hpid_ros.robot.amendments import is_possible, principal_moments
 from hpid_ros.robot.description import JointDescription, RobotDescription
 from hpid_ros.robot.meshes import find_mesh, mesh_places
@@ -59,7 +60,8 @@ def _joints(description: RobotDescription, robot: ElementTree.Element) -> Iterat
         if len(joints) >= _ALIKE and len(set(values.values())) == 1:
             value = next(iter(values.values()))
             if 0.0 < value < float("inf"):
-                text = f"{quantity} {value:g} {unit} for every joint: a placeholder?"
+                units = {of_slide(unit) if joint.is_slide else unit: None for joint in joints}
+                text = f"{quantity} {value:g} {' or '.join(units)} for every joint: a placeholder?"
                 yield Remark(tuple(values), text)
     mimics = [each for each in robot.findall("joint") if each.find("mimic") is not None]
     names = tuple(joint.get("name", "") for joint in mimics)

@@ -9,6 +9,7 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from harness.fork_server import run_node
 from harness.graph import ros_arguments
+from harness.health import NAME, Told
 from harness.loops import pure_loop
 from rcl_interfaces.srv import DescribeParameters
 from std_msgs.msg import Float64
@@ -287,3 +288,26 @@ def test_impossible_scheduling_is_one_line(harness, arguments, said):
     harness.wait(lambda: process.process.poll() is not None, what="the controller to refuse")
     assert process.process.returncode == 2
     assert said in process.last_words()
+
+
+LIFT = """<robot name="lift"><link name="base"/><link name="car"/>
+<joint name="elbow" type="prismatic"><parent link="base"/><child link="car"/>
+<limit lower="-1" upper="2" effort="40" velocity="0.5"/></joint></robot>"""
+
+
+def test_a_joint_that_slides_has_its_units_everywhere(harness, tmp_path):
+    (tmp_path / "lift.urdf").write_text(LIFT)
+    told = Told(harness)
+    process = harness.start_controller(
+        law="pid", robot_description=tmp_path / "lift.urdf", gains__p=10.0
+    )
+    harness.ask(0, 0.25)
+    harness.wait(lambda: "error [m]" in told.newest(), what="the health")
+    assert {"effort [N]", "integral term [N]"} <= told.newest().keys()
+    log = process.log.read_text()
+    assert "within [-40, 40] N, [-1, 2] m, [-0.5, 0.5] m/s; holding its position: 0.25 m" in log
+    names = ["gains.p", "gains.d", "position_max", "u_clamp_max", "inertia"]
+    request = DescribeParameters.Request(names=names)
+    asked = harness.call(DescribeParameters, f"{NAME}/describe_parameters", request)
+    for each, unit in zip(asked.descriptors, ["N/m", "N s/m", "m", "N", "kg"], strict=True):
+        assert f"[{unit}]" in each.description

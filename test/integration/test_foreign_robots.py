@@ -225,6 +225,14 @@ def slider() -> str:
     return f'<robot name="slider">{links}{joints}</robot>'
 
 
+def test_hpid_robot_names_the_joints_that_slide_and_their_units(tmp_path, capsys):
+    (tmp_path / "slider.urdf").write_text(slider())
+    assert main(["robot", str(tmp_path / "slider.urdf")]) == 0
+    assert "cd slides: m and m/s, N, N s/m and kg, where" in " ".join(
+        capsys.readouterr().out.split()
+    )
+
+
 @pytest.mark.parametrize(
     ("name", "tip"),
     [

@@ -23,6 +23,7 @@ _CAPTION = (
     "in the initial pose, and over the joints' ranges. Gravity: effort that holds the initial "
     "pose."
 )
+_OF_SLIDES = "m and m/s, N, N s/m and kg, where joints that turn have rad, N m, kg m²"
 _SHOWN = 3  # names in a remark
 
 
@@ -61,6 +62,12 @@ def run(options: argparse.Namespace) -> int:
         console = output_console()
         console.print(_table(robot.description.name, facts))
         console.print(_CAPTION, style="dim", highlight=False)
+        slides = tuple(joint.name for joint in robot.description.joints.values() if joint.is_slide)
+        if slides:
+            verb = "slides" if len(slides) == 1 else "slide"
+            console.print(
+                f"{_listed(slides)} {verb}: {_OF_SLIDES}", highlight=False, soft_wrap=True
+            )
         for each in remarks:
             console.print(f"{_listed(each.names)}: {each.text}", highlight=False, soft_wrap=True)
     if options.save:

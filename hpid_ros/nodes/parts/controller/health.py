@@ -7,6 +7,7 @@ from typing import Any
 from rclpy.node import Node
 
 from hpid_ros.base.durations import Durations
+from hpid_ros.base.units import of_slide
 from hpid_ros.control import JointLoop
 from hpid_ros.control.loop_state import LoopState
 from hpid_ros.nodes.parts.controller.certification import Certification
@@ -86,6 +87,7 @@ class ControllerHealth:
         certification: Its certificate.
         timing: Its timing.
         model: Its model; None without a compensation.
+        is_slide: Whether the joint slides: its units are m and N.
     """
 
     period = 1.0
@@ -97,8 +99,11 @@ class ControllerHealth:
         certification: Certification,
         timing: LoopTiming,
         model: ModelCompensation | None = None,
+        *,
+        is_slide: bool = False,
     ) -> None:
         self._node, self._loop, self._model = node, loop, model
+        self._is_slide = is_slide
         self._certification, self._timing = certification, timing
         self._diagnostics = Diagnostics(node, loop.settings.joint)
         self.fault = self._diagnostics.fault
@@ -106,6 +111,10 @@ class ControllerHealth:
         self._references = self._requests = 0
         self._missed = self._held = 0
         self.scheduling = ""
+
+    def unit(self, text: str) -> str:
+        """Return a text with the units of the joint in place of a turning one's."""
+        return of_slide(text) if self._is_slide else text
 
     def begun(self) -> None:
         """Say once, after the first state, what is in force."""
@@ -118,14 +127,14 @@ class ControllerHealth:
             "rad/s": (-motion.velocity_max, motion.velocity_max),
         }
         within = [
-            f"[{low:g}, {high:g}] {unit}"
+            f"[{low:g}, {high:g}] {self.unit(unit)}"
             for unit, (low, high) in limits.items()
             if max(-low, high) < _NO_LIMIT
         ]
         self._node.get_logger().info(
             f"active: joint {settings.joint}, {settings.law}{degree}, "
             f"{'within ' + ', '.join(within) if within else 'no limits'}; "
-            f"{loop.state.value}: {loop.reference[0]:.6g} rad"
+            f"{loop.state.value}: {loop.reference[0]:.6g} {self.unit('rad')}"
         )
 
     def misread_state(self, line: str) -> None:
@@ -191,14 +200,14 @@ class ControllerHealth:
                 "states of other joints": self.foreign,
                 "refused references": self._references,
                 "refused requests": self._requests,
-                "effort [N m]": loop.effort,
-                "integral term [N m]": loop.integral,
-                "error [rad]": loop.error,
+                self.unit("effort [N m]"): loop.effort,
+                self.unit("integral term [N m]"): loop.integral,
+                self.unit("error [rad]"): loop.error,
                 **self._timing.recent(),
                 **(self._model.readings() if self._model else {"compensation": "none"}),
                 "scheduling": self.scheduling,
                 "last fault": self._diagnostics.last_fault,
-                "last irregular state": loop.last_fault or "none",
+                "last irregular state": self.unit(loop.last_fault) or "none",
             },
         )
 

@@ -12,6 +12,7 @@ from rclpy.parameter import Parameter
 
 from hpid_ros.base.errors import HpidError
 from hpid_ros.base.resources import find_resource
+from hpid_ros.base.units import of_slide
 from hpid_ros.control import LOOP_PARAMETERS, LoopSettings
 from hpid_ros.control.settings.table import MODEL_PARAMETERS, PARAMETERS, Value
 from hpid_ros.nodes.ros.parameters import declare, read_only
@@ -28,6 +29,7 @@ class RobotLimits:
         upper: Highest position in [rad].
         velocity: Largest absolute velocity in [rad/s].
         is_continuous: Whether the joint turns without end.
+        is_slide: Whether it slides: "rad" reads "m" then, and "N m" reads "N".
     """
 
     effort: float = math.inf
@@ -35,6 +37,7 @@ class RobotLimits:
     upper: float = math.inf
     velocity: float = math.inf
     is_continuous: bool = False
+    is_slide: bool = False
 
     def within(self, settings: LoopSettings) -> LoopSettings:
         """Return the settings within these limits.
@@ -98,8 +101,14 @@ def robot_limits(node: Node, source: str) -> RobotLimits:
         source = str(find_resource(source))
     (found,) = RobotDescription.load(source).select([joint])
     velocity = found.velocity if found.velocity > 0.0 else math.inf
-    is_continuous = found.type == "continuous"
-    return RobotLimits(found.effort, found.lower, found.upper, velocity, is_continuous)
+    return RobotLimits(
+        found.effort,
+        found.lower,
+        found.upper,
+        velocity,
+        is_continuous=found.type == "continuous",
+        is_slide=found.type == "prismatic",
+    )
 
 
 class ControllerSettings:
@@ -107,6 +116,7 @@ class ControllerSettings:
 
     Attributes:
         robot: The parameter ``robot_description``: XML text or a path, empty for none.
+        is_slide: Whether it has the joint as prismatic.
 
     Args:
         node: The controller; it gets the parameters of its loop, of its model and of its robot.
@@ -117,9 +127,14 @@ class ControllerSettings:
 
     def __init__(self, node: Node) -> None:
         self._node = node
-        declare(node, PARAMETERS.values(), read_only=["joint", *MODEL_PARAMETERS])
+        declare(node, [PARAMETERS["joint"]], read_only=["joint"])
         self.robot = robot_source(node)
         self._limits = robot_limits(node, self.robot)
+        self.is_slide = self._limits.is_slide
+        specs = [spec for name, spec in PARAMETERS.items() if name != "joint"]
+        if self.is_slide:
+            specs = [replace(spec, description=of_slide(spec.description)) for spec in specs]
+        declare(node, specs, read_only=MODEL_PARAMETERS)
         self._last: tuple[Mapping[str, Value], LoopSettings] | None = None
 
     def with_changes(self, changes: Sequence[Parameter] = ()) -> LoopSettings:
