@@ -50,7 +50,7 @@ def policy(joints: Iterable[str]) -> ElementTree.Element:
             profile,
             publish=(
                 *("joint_commands", "~/commands", "~/command", "~/reference", "~/terms"),
-                *("~/transition_event", "/diagnostics"),
+                *("~/estimate", "~/transition_event", "/diagnostics"),
                 *_claims(joint),
             ),
             subscribe=("joint_states", "joint_trajectory", "~/setpoint", *_claims(joint)),

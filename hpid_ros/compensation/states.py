@@ -7,10 +7,10 @@ from collections.abc import Collection, Sequence
 from typing import NamedTuple
 
 from hpid_ros.base.units import SECONDS_PER_NANOSECOND
+from hpid_ros.control.estimation.velocity import Unwrapper
 from hpid_ros.control.reference import LARGEST_POSITION
 from hpid_ros.control.settings.assembly import make_velocity_source
 from hpid_ros.control.settings.loop import LoopSettings
-from hpid_ros.control.velocity import Unwrapper
 
 _NO_TIME = -1  # before every stamp of a usable state
 

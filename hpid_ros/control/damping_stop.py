@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from hpid_ros.base.units import SECONDS_PER_NANOSECOND
+from hpid_ros.control.estimation.velocity import VelocitySource
 from hpid_ros.control.limits import MotionLimits
 from hpid_ros.control.reference import LARGEST_POSITION
-from hpid_ros.control.velocity import VelocitySource
 
 
 class DampingStop:

@@ -9,6 +9,12 @@ from typing import NamedTuple
 from hpid_ros.base.errors import SettingError
 from hpid_ros.base.units import SECONDS_PER_NANOSECOND
 from hpid_ros.control.damping_stop import DampingStop
+from hpid_ros.control.estimation.observer import Observer
+from hpid_ros.control.estimation.velocity import (
+    FilteredVelocity,
+    MeasuredVelocity,
+    VelocitySource,
+)
 from hpid_ros.control.limited_law import LimitedLaw, ModelTerm
 from hpid_ros.control.loop_state import LoopClock, LoopCounts, LoopState
 from hpid_ros.control.pid import Terms
@@ -17,10 +23,12 @@ from hpid_ros.control.settings.assembly import (
     largest_step,
     make_unwrapper,
     make_velocity_source,
+    observer_figures,
     turn_of_references,
 )
 from hpid_ros.control.settings.loop import LoopSettings
-from hpid_ros.control.velocity import MeasuredVelocity, VelocitySource
+
+_NO_MODEL = ModelTerm(1.0, 0.0)
 
 MOVED_AT_ZERO = 0.05
 """A joint that has come so far without a velocity has a driver that measures none, in [rad]."""
@@ -44,6 +52,13 @@ class JointLoop:
         settings: Checked settings.
     """
 
+    _velocity: VelocitySource
+    _observer: Observer | None
+    _position: float
+    _rate: float
+    _error: float
+    _fed: float  # effort of the last sample against the observer's disturbance, in [N m]
+
     def __init__(self, settings: LoopSettings) -> None:
         self.settings = settings
         self.counts = LoopCounts()
@@ -51,7 +66,7 @@ class JointLoop:
         """What was last wrong with a state, in words."""
         self._following = Following()
         self._law = LimitedLaw(settings, self.counts)
-        self._velocity = make_velocity_source(settings.velocity)
+        self._use_velocity_source(settings)
         self._unwrapper = make_unwrapper(settings.encoder)
         self._clock = LoopClock(self.counts)
         self._adopt(settings)
@@ -94,20 +109,70 @@ class JointLoop:
         if settings.model != before.model:
             raise SettingError("compensation and its model cannot change while the loop runs")
         is_new = self._clock.stamp_ns is None
-        if settings.velocity.in_use != before.velocity.in_use:
-            self._velocity = make_velocity_source(settings.velocity)
-            if not is_new:
-                self._velocity.take_over(self._position, self._rate)
+        self._retune_velocity(settings, is_new)
         if settings.encoder.wrap != before.encoder.wrap:
             if self._unwrapper is None:
                 self._unwrapper = make_unwrapper(settings.encoder)
             else:
                 self._unwrapper.begin_anew_after(max(settings.encoder.wrap, 0.0) or math.inf)
         self._law.retune(settings, None if is_new else (self._position, self._rate))
+        fed = self._fed
+        self._fed = self._against_disturbance(settings)
+        if fed != self._fed:
+            self._law.take_from_model(fed - self._fed)
         self.settings = settings
         self._adopt(settings)
         if self.is_on_fallback:
             self._law.give(settings.effort.fallback)
+
+    def _use_velocity_source(self, settings: LoopSettings) -> None:
+        figures = observer_figures(settings)
+        if figures is not None:
+            self._velocity = self._observer = Observer(figures)
+        else:
+            self._velocity = make_velocity_source(settings.velocity)
+            self._observer = None
+
+    def _retune_velocity(self, settings: LoopSettings, is_new: bool) -> None:
+        """Go by other settings; what is estimated is carried over."""
+        figures = observer_figures(settings)
+        if figures is not None and self._observer is not None:
+            if figures != self._observer.figures:
+                self._send()
+                self._observer.retune(figures)
+        elif (
+            figures is not None
+            or self._observer is not None
+            or settings.velocity.in_use != self.settings.velocity.in_use
+        ):
+            self._use_velocity_source(settings)
+            if not is_new:
+                self._send()
+                self._velocity.take_over(self._position, self._rate)
+
+    def _send(self) -> None:
+        """Tell the observer, if there is one, what acts on the joint from the last sample on."""
+        if self._observer is not None:
+            law = self._law
+            self._observer.send(law.driving_effort + self._fed / law.gain)
+
+    def _observe(
+        self, observer: Observer, position: float, dt: float, model: ModelTerm | None
+    ) -> ModelTerm | None:
+        """Let the observer take a sample, and return the model's term with what it feeds."""
+        self._send()
+        observer.update(position, None, dt)
+        if not self.settings.observer.feed_disturbance:
+            return model
+        alone = model or _NO_MODEL
+        self._fed = -alone.gain * observer.effort
+        return alone._replace(effort=alone.effort + self._fed)
+
+    def _against_disturbance(self, settings: LoopSettings) -> float:
+        """Return the effort against the disturbance that is fed forward now, in [N m]."""
+        if self._observer is None or not settings.observer.feed_disturbance:
+            return 0.0
+        return -self._law.gain * self._observer.effort
 
     def reset(self) -> None:
         """Forget integral, velocity and time; start the motion anew with the next state."""
@@ -117,7 +182,7 @@ class JointLoop:
             self._unwrapper.reset()
         self._following.restart()
         self._clock.restart()
-        self._position = self._rate = self._error = 0.0
+        self._position = self._rate = self._error = self._fed = 0.0
         self._state = LoopState.WAITING
         self._is_takeover_due = False
         self._before_jump: _BeforeJump | None = None
@@ -176,7 +241,13 @@ class JointLoop:
         source = self.settings.velocity.source
         if isinstance(self._velocity, MeasuredVelocity) and not self._velocity.is_reported:
             return "filtered, the states have none"
+        if self._lacks_inertia:
+            return "filtered, the inertia is unknown"
         return source
+
+    @property
+    def _lacks_inertia(self) -> bool:
+        return self.settings.velocity.source == "observer" and self._observer is None
 
     @property
     def velocity_doubt(self) -> str:
@@ -188,7 +259,20 @@ class JointLoop:
                 f"{source.moved_at_zero:.2g} rad: nothing damps it; velocity_source filtered "
                 "does without them"
             )
+        if self._lacks_inertia:
+            return (
+                "velocity_source observer needs the parameter inertia, which is unknown: "
+                "differences of the position are filtered in its place"
+            )
         return ""
+
+    @property
+    def estimate(self) -> tuple[float, float, float] | None:
+        """Position [rad], velocity [rad/s] and disturbing effort [N m] by the observer, if any."""
+        observer = self._observer
+        if observer is None:
+            return None
+        return observer.position, observer.velocity, self._law.gain * observer.effort
 
     def damping_stop(self, duration: float) -> DampingStop:
         """Return what damps the joint from now on in this loop's place.
@@ -197,6 +281,9 @@ class JointLoop:
             duration: In [s], positive.
         """
         velocity = self._velocity
+        if self._observer is not None:  # it knows the efforts of the loop, not those of the stop
+            velocity = FilteredVelocity(self.settings.velocity.filter_time_constant)
+            velocity.take_over(self._position, self._rate)
         return self._law.damping_stop(velocity, self._hears_velocity, self.stamp_ns, duration)
 
     def step(
@@ -256,18 +343,25 @@ class JointLoop:
         is_takeover = False
         if self._is_takeover_due or not following.is_standing:
             is_takeover = self._begin(stamp_ns, position)
+        observer = self._observer
+        if observer is None:
+            speed = self._velocity.update(position, velocity, dt)
+            seen = position
+        else:
+            model = self._observe(observer, position, dt, model)
+            seen, speed = observer.position, observer.velocity
+        self._rate = speed
         wanted, rate, acceleration = following.sample(stamp_ns, timing.takeover_time, law.limits)
         if is_takeover:
             law.take_over(model, acceleration, is_still_damped=is_next)
         self._state = LoopState.HOLDING if following.motion is None else LoopState.FOLLOWING
-        self._rate = speed = self._velocity.update(position, velocity, dt)
-        self._error = error = wanted - position
+        self._error = error = wanted - seen
         try:
             effort = law.update(error, rate - speed, position, speed, elapsed, model, acceleration)
         except ArithmeticError as fault:
             self.last_fault = str(fault)
             self._velocity.reset()
-            clock.skip(stamp_ns)
+            self._skip(stamp_ns)
             return self._fault()
         clock.take(stamp_ns, since, timing)
         self.counts.samples += 1
@@ -289,8 +383,19 @@ class JointLoop:
             self.counts.repeats += 1
             return self._law.effort
         self.last_fault = reason
-        clock.skip(stamp_ns)
+        self._skip(stamp_ns)
         return self._fault()
+
+    def _skip(self, stamp_ns: int) -> None:
+        """Pass over a state that cannot be used; the observer goes on under the effort sent."""
+        clock, observer = self._clock, self._observer
+        if observer is not None and clock.stamp_ns is not None:
+            last_ns = clock.stamp_ns if clock.unusable_ns is None else clock.unusable_ns
+            since = (stamp_ns - last_ns) * SECONDS_PER_NANOSECOND
+            if 0.0 < since <= self._timing.state_timeout:
+                self._send()
+                observer.coast(since)
+        clock.skip(stamp_ns)
 
     def _fault(self) -> float:
         self.counts.rejected += 1
@@ -349,7 +454,7 @@ class JointLoop:
             return self.reject(stamp_ns, step)
         self.last_fault = step
         self.counts.rejected += 1
-        self._clock.skip(stamp_ns)
+        self._skip(stamp_ns)
         return self._law.effort
 
     def _begin(self, stamp_ns: int, position: float) -> bool:
@@ -398,7 +503,7 @@ class JointLoop:
 
     @property
     def error(self) -> float:
-        """Reference minus measured position of the last sample in [rad]."""
+        """Reference minus position of the last sample in [rad]; an observer's, if there is one."""
         return self._error
 
     @property
@@ -450,6 +555,7 @@ class _BeforeJump(NamedTuple):
         loop._following = self.following
         if told is not self.following.motion:
             loop._following.follow(told)
-        loop._velocity = self.velocity
+        loop._velocity = velocity = self.velocity
+        loop._observer = velocity if isinstance(velocity, Observer) else None
         loop._law.restore_integral(self.integral)
         loop.counts.takeovers = self.takeovers

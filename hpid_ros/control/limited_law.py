@@ -6,12 +6,12 @@ import math
 from typing import NamedTuple
 
 from hpid_ros.control.damping_stop import DampingStop
+from hpid_ros.control.estimation.velocity import VelocitySource
 from hpid_ros.control.limits import MotionLimits
 from hpid_ros.control.loop_state import LoopCounts
 from hpid_ros.control.pid import Terms
 from hpid_ros.control.settings.assembly import make_anti_windup, make_law, make_motion_limits
 from hpid_ros.control.settings.loop import LoopSettings
-from hpid_ros.control.velocity import VelocitySource
 
 
 class ModelTerm(NamedTuple):
@@ -58,6 +58,7 @@ class LimitedLaw:
         "_is_given",
         "_law",
         "_model_effort",
+        "_offset",
         "effort",
         "limits",
     )
@@ -126,6 +127,28 @@ class LimitedLaw:
         self._law = law
         self.give(effort)
 
+    @property
+    def gain(self) -> float:
+        """What the last sample's model multiplied the law's output by; 1 without a model."""
+        return self._gain
+
+    @property
+    def driving_effort(self) -> float:
+        """The effort in force without the model's own, in the law's units."""
+        return (self.effort - self._offset) / self._gain
+
+    def take_from_model(self, effort: float) -> None:
+        """Let the integral term give what a model's effort has given until now.
+
+        Args:
+            effort: In [N m]; the integral term stays within ``i_clamp``.
+        """
+        least, most = self._integral_clamp
+        integral = self._law.integral + effort / self._gain
+        self._law.restore_integral(min(max(integral, least), most))
+        self._model_effort -= effort
+        self._offset -= effort
+
     def give(self, effort: float) -> None:
         """Note the effort that is in force for another reason than the law's last sample.
 
@@ -138,7 +161,7 @@ class LimitedLaw:
         """Forget the integral, and be without effort."""
         self._law.reset()
         self.give(0.0)
-        self._gain, self._model_effort = 1.0, 0.0
+        self._gain, self._model_effort, self._offset = 1.0, 0.0, 0.0
 
     def take_over(
         self, model: ModelTerm | None, acceleration: float, *, is_still_damped: bool
@@ -202,7 +225,7 @@ class LimitedLaw:
             wanted = math.inf
         if model is not None:
             self._gain = gain = model.gain
-            added = model.effort
+            self._offset = added = model.effort
             if model.follows_acceleration:
                 added += gain * acceleration
             self._model_effort = added

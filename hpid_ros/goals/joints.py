@@ -14,8 +14,8 @@ from copy import copy
 from dataclasses import replace
 
 from hpid_ros.base.units import NANOSECONDS, SECONDS_PER_NANOSECOND
+from hpid_ros.control.estimation.velocity import MeasuredVelocity, Unwrapper
 from hpid_ros.control.reference import LARGEST_POSITION, Following, whole_turns
-from hpid_ros.control.velocity import MeasuredVelocity, Unwrapper
 from hpid_ros.goals.settings import GroupSettings
 from hpid_ros.goals.trajectories import GoalRequest, GroupTrajectory
 from hpid_ros.trajectory.joint_trajectory import checked_column

@@ -115,6 +115,8 @@ class JointController(ManagedNode):
         """Configure: listen to references."""
         self._stopping.end()
         self._loop.release()
+        if self._loop.velocity_doubt:
+            self.get_logger().warning(self._loop.velocity_doubt)
         self._references = ControllerReferences(
             self,
             self.joint,
@@ -323,7 +325,13 @@ USAGE = Usage(
     "-p joint:=JOINT",
     [*PARAMETERS, *OWN_PARAMETERS],
     ["joint_states", "joint_trajectory", "~/setpoint"],
-    ["joint_commands (or ~/commands, ~/command)", "~/reference", "~/terms", "/diagnostics"],
+    [
+        "joint_commands (or ~/commands, ~/command)",
+        "~/reference",
+        "~/terms",
+        "~/estimate",
+        "/diagnostics",
+    ],
     ["~/change_state and the others of a managed node"],
 )
 

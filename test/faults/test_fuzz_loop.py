@@ -42,9 +42,11 @@ def goes_to(loop, target, stamp_ns):
     return loop.state is LoopState.FOLLOWING and abs(position - target) < 2e-3
 
 
-@pytest.mark.parametrize("source", ["measured", "filtered", "homogeneous_differentiator"])
+@pytest.mark.parametrize(
+    "source", ["measured", "filtered", "homogeneous_differentiator", "observer"]
+)
 def test_a_hundred_thousand_messages_and_the_joint_still_goes_where_it_should(source, faults):
-    loop = JointLoop(settings(velocity_source=source))
+    loop = JointLoop(settings(velocity_source=source, inertia=1.0))
     reader = JointReader("elbow")
     fuzzer = StateFuzzer("elbow", seed=1)
     seen = refused = 0
@@ -161,7 +163,9 @@ LAW["velocity_max"] = 20.0
 FASTEST, HARDEST = 1.0, 10.0  # [rad/s, rad/s^2], of the joint and of what it follows
 FALLBACK = 0.5
 BESIDE_THE_LAW = {
-    "velocity_source": st.sampled_from(["measured", "filtered", "homogeneous_differentiator"]),
+    "velocity_source": st.sampled_from(
+        ["measured", "filtered", "homogeneous_differentiator", "observer"]
+    ),
     "velocity_filter_time_constant": st.floats(0.001, 0.02),
     "acceleration_bound": st.floats(20.0, 200.0),
     "state_timeout": st.floats(0.02, 0.3),

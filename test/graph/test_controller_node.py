@@ -12,6 +12,7 @@ from harness.graph import ros_arguments
 from harness.health import NAME, Told
 from harness.loops import pure_loop
 from rcl_interfaces.srv import DescribeParameters
+from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 from trajectory_msgs.msg import JointTrajectory
 
@@ -37,6 +38,34 @@ def test_node_answers_exactly_as_the_pure_loop(harness):
     twin = pure_loop(law="hpid", mu=-0.2, **GAINS)
     for state in states(50):
         assert harness.ask(*state) == twin.step(*state)
+
+
+def test_an_observers_estimate_is_published_and_a_lack_of_inertia_is_told(harness):
+    estimates, reports = [], []
+    name = "/elbow_controller/estimate"
+    harness.node.create_subscription(JointState, name, estimates.append, RARE)
+    harness.node.create_subscription(
+        DiagnosticArray, "/diagnostics", lambda each: reports.extend(each.status), RARE
+    )
+    values = {"law": "pid", "velocity_source": "observer", "velocity_filter_time_constant": 0.01}
+    harness.start_controller(introspection_rate=-1.0, **values, **GAINS)
+    twin = pure_loop(**values, **GAINS)
+    for state in states(20):
+        assert harness.ask(*state) == twin.step(*state)
+    assert not estimates
+    harness.wait(
+        lambda: any("needs the parameter inertia" in each.message for each in reports),
+        what="the warning",
+    )
+    assert harness.set_parameters("elbow_controller", inertia=0.5) == (True, "")
+    twin.retune(twin.settings.with_parameters({"inertia": 0.5}))
+    for state in states(60, start=20):
+        assert harness.ask(*state) == twin.step(*state)
+    last = 59 * MS
+    harness.wait(lambda: estimates and estimates[-1].header.stamp.nanosec == last, what="it")
+    seen = estimates[-1]
+    assert list(seen.name) == ["elbow"]
+    assert (seen.position[0], seen.velocity[0], seen.effort[0]) == twin.estimate
 
 
 def test_a_set_is_in_force_as_a_whole_from_the_next_sample_on(harness):

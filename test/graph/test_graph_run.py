@@ -47,6 +47,24 @@ def test_graph_and_in_process_engine_agree_to_the_last_bit(experiment_file, tmp_
         assert np.array_equal(one.effort, other.effort)
 
 
+def test_an_observer_knows_the_same_efforts_on_the_graph_and_in_the_engine(
+    experiment_file, tmp_path
+):
+    """What was sent, noise and all: to the last bit, with the disturbance fed forward."""
+    observer = {"degree": -0.2, "feed_disturbance": True}
+    law = {"law": "hpid", "mu": -0.1, "velocity_source": "observer", "observer": observer}
+    changes = {"compare": {"hPID": law}, "sensors__noise": 2e-4}
+    experiment = load_experiment(experiment_file(duration=0.2, **changes))
+    results = [
+        run_compare(experiment, tmp_path / name, in_process=name == "engine", has_figures=False)
+        for name in ("graph", "engine")
+    ]
+    graph, engine = (read_run(each.folder.bag("hPID"), "run").joints for each in results)
+    for one, other in zip(graph, engine, strict=True):
+        assert np.array_equal(one.position, other.position)
+        assert np.array_equal(one.effort, other.effort)
+
+
 def test_result_folder_is_whole(experiment_file, tmp_path):
     experiment = load_experiment(experiment_file())
     folder = run_compare(experiment, tmp_path / "result").folder.path

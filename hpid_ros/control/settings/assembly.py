@@ -4,6 +4,14 @@ from __future__ import annotations
 
 import math
 
+from hpid_ros.control.estimation.observer import ObserverFigures
+from hpid_ros.control.estimation.velocity import (
+    FilteredVelocity,
+    HomogeneousDifferentiator,
+    MeasuredVelocity,
+    Unwrapper,
+    VelocitySource,
+)
 from hpid_ros.control.homogeneous_pid import HomogeneousPid, SemiImplicitHomogeneousPid
 from hpid_ros.control.limits import AntiWindup, LimitFigures, MotionLimits, anti_windup
 from hpid_ros.control.norms import CanonicalNorm, WeightedNorm
@@ -11,15 +19,11 @@ from hpid_ros.control.pid import Pid
 from hpid_ros.control.settings.groups import EncoderSettings, VelocitySettings
 from hpid_ros.control.settings.loop import LoopSettings
 from hpid_ros.control.settings.table import LARGEST_MOTION
-from hpid_ros.control.velocity import (
-    FilteredVelocity,
-    HomogeneousDifferentiator,
-    MeasuredVelocity,
-    Unwrapper,
-    VelocitySource,
-)
 
 _ALLOWANCE = 0.1  # [rad], for noise and coarse encoders
+_OBSERVER_LEAD = 4.0  # of the observer's bandwidth over d / inertia
+_SLOWEST, _FASTEST = 1.0, 1e4  # [1/s], bandwidths chosen for an observer
+_INNOVATION_SCALE = 1e-3  # [rad], where the encoder's step is unknown
 _K_POSITION = 10.0  # [1/s], of a soft stop where the gains say nothing
 
 
@@ -42,11 +46,26 @@ def make_law(settings: LoopSettings) -> Pid | HomogeneousPid:
     )
 
 
+def observer_figures(settings: LoopSettings) -> ObserverFigures | None:
+    """Return what the observer goes by; None where there is none, or the inertia is unknown."""
+    inertia, wanted = settings.plant_inertia, settings.observer
+    if settings.velocity.source != "observer" or not inertia:
+        return None
+    chosen = min(max(_OBSERVER_LEAD * settings.gains.d / inertia, _SLOWEST), _FASTEST)
+    return ObserverFigures(
+        inertia,
+        wanted.bandwidth or chosen,
+        settings.timing.control_period,
+        wanted.degree,
+        wanted.innovation_scale or settings.encoder.resolution or _INNOVATION_SCALE,
+    )
+
+
 def make_velocity_source(settings: VelocitySettings) -> VelocitySource:
-    """Return the velocity source, without a past."""
+    """Return the velocity source, without a past; for an observer what does without inertia."""
     if settings.source == "homogeneous_differentiator":
         return HomogeneousDifferentiator(settings.acceleration_bound)
-    if settings.source == "filtered":
+    if settings.source in ("filtered", "observer"):
         return FilteredVelocity(settings.filter_time_constant)
     return MeasuredVelocity(settings.filter_time_constant)
 

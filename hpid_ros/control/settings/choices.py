@@ -16,8 +16,8 @@ Discretization = Literal["explicit", "semi_implicit"]
 AntiWindupStrategy = Literal["none", "conditional_integration", "back_calculation"]
 """What the integral does while the effort is limited, as in control_toolbox."""
 
-VelocitySourceName = Literal["measured", "filtered", "homogeneous_differentiator"]
-"""Where a velocity comes from, see :mod:`hpid_ros.control.velocity`."""
+VelocitySourceName = Literal["measured", "filtered", "homogeneous_differentiator", "observer"]
+"""Where a velocity comes from, see :mod:`hpid_ros.control.estimation`."""
 
 StateClock = Literal["wall", "simulated"]
 """What stamps the states; a simulated clock can be paused."""

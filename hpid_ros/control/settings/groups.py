@@ -160,6 +160,24 @@ class VelocitySettings(ParameterRecord):
 
 
 @dataclass(frozen=True)
+class ObserverSettings(ParameterRecord):
+    """The observer, where the velocity comes from one.
+
+    Attributes:
+        bandwidth: In [1/s]; 0 chooses it.
+        degree: Homogeneity degree; 0 is linear.
+        innovation_scale: Innovation at which the degree leaves the bandwidth as it is, in [rad];
+            0 chooses it.
+        feed_disturbance: Whether the effort against the estimated disturbance is added.
+    """
+
+    bandwidth: float = parameter("observer.bandwidth")
+    degree: float = parameter("observer.degree")
+    innovation_scale: float = parameter("observer.innovation_scale")
+    feed_disturbance: bool = parameter("observer.feed_disturbance")
+
+
+@dataclass(frozen=True)
 class EncoderSettings(ParameterRecord):
     """What is known of the encoder, and which of its positions are believed.
 

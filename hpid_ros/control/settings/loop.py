@@ -16,6 +16,7 @@ from hpid_ros.control.settings.groups import (
     IntegralLimits,
     MotionSettings,
     NormSettings,
+    ObserverSettings,
     Timing,
     VelocitySettings,
 )
@@ -45,6 +46,7 @@ class LoopSettings(ParameterRecord):
         effort: The efforts that may be given.
         integral: What keeps the integral from winding up.
         velocity: Where the velocity comes from.
+        observer: The observer, where it comes from one.
         encoder: What is known of the encoder.
         motion: How far and how fast the joint may move.
         timing: The times between states.
@@ -66,6 +68,7 @@ class LoopSettings(ParameterRecord):
     effort: EffortLimits = field(default_factory=EffortLimits)
     integral: IntegralLimits = field(default_factory=IntegralLimits)
     velocity: VelocitySettings = field(default_factory=VelocitySettings)
+    observer: ObserverSettings = field(default_factory=ObserverSettings)
     encoder: EncoderSettings = field(default_factory=EncoderSettings)
     motion: MotionSettings = field(default_factory=MotionSettings)
     timing: Timing = field(default_factory=Timing)

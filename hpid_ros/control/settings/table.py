@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import get_args
 
 from hpid_ros.base.errors import SettingError
+from hpid_ros.control.estimation.observer import LARGEST_DEGREE, LEAST_DEGREE
 from hpid_ros.control.settings.choices import (
     AntiWindupStrategy,
     Compensation,
@@ -180,7 +181,8 @@ _TABLE = (
         "velocity_source",
         "measured",
         "Where the velocity comes from: the message (filtered differences where it has none), "
-        "always filtered differences of the position, or Levant's differentiator",
+        "always filtered differences of the position, Levant's differentiator, or an observer "
+        "(needs inertia), which gives the position, too",
         choices=get_args(VelocitySourceName),
     ),
     ParameterSpec(
@@ -192,6 +194,35 @@ _TABLE = (
         "Acceleration that the joint does not exceed, for homogeneous_differentiator [rad/s^2]",
         1e-3,
         1e6,
+    ),
+    ParameterSpec(
+        "observer.bandwidth",
+        0.0,
+        "Of the observer [1/s]; 0 chooses 4 gains.d / inertia",
+        0.0,
+        1e4,
+    ),
+    ParameterSpec(
+        "observer.degree",
+        0.0,
+        "Homogeneity degree of the observer: 0 is linear, negative is tighter at small "
+        "innovations, positive calmer",
+        LEAST_DEGREE,
+        LARGEST_DEGREE,
+        slider=(LEAST_DEGREE, LARGEST_DEGREE),
+    ),
+    ParameterSpec(
+        "observer.innovation_scale",
+        0.0,
+        "Innovation at which the degree leaves the bandwidth as it is [rad]; 0 chooses "
+        "encoder_resolution, or 0.001 where that is unknown",
+        0.0,
+        1e3,
+    ),
+    ParameterSpec(
+        "observer.feed_disturbance",
+        False,
+        "Add the effort against the disturbance that the observer estimates",
     ),
     ParameterSpec(
         "discretization",

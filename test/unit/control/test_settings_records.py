@@ -14,6 +14,7 @@ from hpid_ros.control.settings.groups import (
     IntegralLimits,
     MotionSettings,
     NormSettings,
+    ObserverSettings,
     SoftStop,
     Timing,
 )
@@ -38,6 +39,8 @@ OTHERS = {
     **{"model.payload": 2.0, "model.payload_link": "hook", "model.mass_scale": 1.1},
     **{"model.locked_joints": "a,b", "model.left_wheel": "l", "model.right_wheel": "r"},
     **{"model.wheel_radius": 0.1, "model.wheel_separation": 0.4},
+    **{"observer.bandwidth": 90.0, "observer.degree": -0.1},
+    **{"observer.innovation_scale": 1e-3, "observer.feed_disturbance": True},
     "model.effort_filter_time_constant": 0.02,
 }
 IN_EFFORT = {"norm.effort_scale": 3.0}  # not beside scales of the joint's own
@@ -46,7 +49,7 @@ TURNS = {"multi_turn": True}  # nor this
 SCALES = ("norm.error_scale", "norm.rate_weight")
 GROUPS = [
     *(NormSettings, EffortLimits, IntegralLimits, MotionSettings, SoftStop, Timing),
-    ModelSettings,
+    *(ObserverSettings, ModelSettings),
 ]
 
 

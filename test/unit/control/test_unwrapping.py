@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from hpid_ros.base.errors import SettingError
 from hpid_ros.control import Gains, JointLoop
+from hpid_ros.control.estimation.velocity import Unwrapper
 from hpid_ros.control.reference import Setpoint, whole_turns
-from hpid_ros.control.velocity import Unwrapper
 from hpid_ros.trajectory import Column, Knot
 
 MS = 1_000_000
@@ -62,10 +62,13 @@ def test_what_was_not_seen_is_no_turn_unless_the_encoder_has_wrapped_before():
 
 
 @pytest.mark.parametrize("low", [math.pi, 0.0])
-@pytest.mark.parametrize("source", ["measured", "filtered", "homogeneous_differentiator"])
+@pytest.mark.parametrize(
+    "source", ["measured", "filtered", "homogeneous_differentiator", "observer"]
+)
 def test_a_wheel_goes_round_without_a_kick(source, low):
-    loop = JointLoop(settings(encoder_wrap=math.tau, velocity_source=source))
-    twin = JointLoop(settings(encoder_wrap=0.0, velocity_source=source))
+    values = {"velocity_source": source, "inertia": 1.0}
+    loop = JointLoop(settings(encoder_wrap=math.tau, **values))
+    twin = JointLoop(settings(encoder_wrap=0.0, **values))
     knots = (Knot(0, 1.0, 3.0), Knot(10 * SECOND, 31.0, 3.0))
     for each in (loop, twin):
         each.follow(Column("j", knots, stamp_ns=1))

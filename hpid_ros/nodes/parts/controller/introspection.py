@@ -1,4 +1,4 @@
-"""Introspection of a running loop: ``~/reference`` and ``~/terms``."""
+"""Introspection of a running loop: ``~/reference``, ``~/terms`` and ``~/estimate``."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from hpid_ros.wire import JointStateTemplate
 
 
 class Introspection:
-    """Publishes the sampled reference and the law's terms at a limited rate.
+    """Publishes the reference, the law's terms and the observer's estimate at a limited rate.
 
     Args:
         node: The controller's node; it gets the parameter ``introspection_rate``.
@@ -29,7 +29,7 @@ class Introspection:
             node,
             "introspection_rate",
             20.0,
-            "Rate of ~/reference and ~/terms [Hz]; 0 is off, negative is every sample",
+            "Rate of ~/reference, ~/terms and ~/estimate [Hz]; 0 is off, negative is every sample",
             (-1e6, 1e6),
         )
         self._period_ns = round(NANOSECONDS / rate) if rate > 0.0 else 0
@@ -40,6 +40,10 @@ class Introspection:
             return
         self._reference = node.create_publisher(JointState, "~/reference", RARE)
         self._terms = node.create_publisher(JointState, "~/terms", RARE)
+        self._estimate = node.create_publisher(JointState, "~/estimate", RARE)
+        self._estimate_template = JointStateTemplate(
+            [joint], position=True, velocity=True, effort=True
+        )
         self._reference_template = JointStateTemplate([joint], position=True, velocity=True)
         names = ["p", "i", "d", *(["model"] if has_model else [])]
         self._terms_template = JointStateTemplate(names, effort=True)
@@ -62,3 +66,11 @@ class Introspection:
         )
         terms = (*loop.terms, loop.model_effort) if self._has_model else loop.terms
         self._terms.publish(self._terms_template.encode(stamp_ns, effort=terms))
+        estimate = loop.estimate
+        if estimate is not None:
+            place, rate, disturbance = estimate
+            self._estimate.publish(
+                self._estimate_template.encode(
+                    stamp_ns, position=(place,), velocity=(rate,), effort=(disturbance,)
+                )
+            )

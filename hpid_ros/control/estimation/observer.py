@@ -1,0 +1,282 @@
+r"""An observer: position, velocity and disturbance of a joint whose inertia is known.
+
+The joint is taken for a double integrator with a disturbance that changes slowly,
+
+.. math:: \ddot q = a + w, \qquad \dot w = 0
+
+with a the acceleration that the effort sent gives the joint's inertia, and w all the rest:
+gravity, friction, other joints, a wrong inertia. This is the extended state observer: its state
+is (q, dq/dt, w).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from hpid_ros.base.errors import SettingError
+
+LEAST_DEGREE, LARGEST_DEGREE = -0.33, 0.5
+"""Between them an observer of three states is homogeneous and continuous: above -1/3."""
+
+_LEAST_MEMORY = 1e-3  # of what is kept from one sample to the next, however long that takes
+_SPAN = 4.0  # by which the degree may raise or lower the bandwidth
+
+
+class ObserverFigures(NamedTuple):
+    """What an observer goes by.
+
+    Attributes:
+        inertia: What one unit of effort accelerates, in [kg m^2], positive.
+        bandwidth: Of the observer, in [1/s], positive.
+        period: Nominal time between two samples, in [s], positive.
+        degree: Homogeneity degree; 0 is the linear observer.
+        innovation_scale: Innovation at which the bandwidth is ``bandwidth`` whatever the degree,
+            in [rad], positive.
+    """
+
+    inertia: float
+    bandwidth: float
+    period: float
+    degree: float = 0.0
+    innovation_scale: float = 1e-3
+
+
+class Observer:
+    r"""Extended state observer, by least squares whose memory fades.
+
+    From sample to sample the double integrator is followed exactly, as for an effort that is held
+    between them. What the measured position differs from it, the innovation e, corrects the state
+    so that the squared differences of all samples, each weighed by
+    :math:`\theta = e^{-\omega T}` for every period T that has passed since, are least:
+
+    .. math::
+        P^- = F P F' / \theta, \qquad k = P^- C' / (1 + C P^- C'), \qquad P = (I - k C) P^-
+
+    At a constant period the gains are those of the observer with three equal poles at
+    :math:`\theta`, ``bandwidth`` in continuous time. The error decays by :math:`\theta` or more in
+    each sample in the norm :math:`x' P^{-1} x`, for every sequence of periods and bandwidths:
+    jitter, lost samples and what the degree does to the bandwidth cannot make it unstable.
+
+    With a degree other than 0 the bandwidth is multiplied by :math:`|\bar e / e_0|^{degree}`,
+    between 1/4 and 4, where :math:`\bar e` is the innovation behind a low-pass of the time
+    constant 1/bandwidth: the linear gains under the dilation of the innovation, with weights
+    1, 1 + degree, 1 + 2 degree. A negative degree tightens close to the truth, and lets more noise
+    through; a positive one is calm there.
+
+    Source: bandwidth as the parameter of an extended state observer, Z. Gao, "Scaling and
+    bandwidth-parameterization based controller tuning", ACC 2003; gains under a dilation of the
+    innovation, A. Polyakov, HCS Toolbox for MATLAB, "Homogeneous Observer"; why a prefilter,
+    X. Ping, K. Zimenko, A. Polyakov, D. Efimov, "Filtering Homogeneous Observer for MIMO System",
+    arXiv:2401.03135 (2024).
+
+    Attributes:
+        position: Estimate after the last sample, in [rad].
+        velocity: In [rad/s].
+        disturbance: w, in [rad/s^2].
+
+    Args:
+        figures: What it goes by.
+
+    Raises:
+        SettingError: A figure is out of its range.
+    """
+
+    __slots__ = (
+        "_acceleration",
+        "_coasted",
+        "_covariance",
+        "_figures",
+        "_has_begun",
+        "_innovation",
+        "disturbance",
+        "position",
+        "velocity",
+    )
+
+    position: float
+    velocity: float
+    disturbance: float
+    _covariance: tuple[float, float, float, float, float, float]
+    _innovation: float
+    _coasted: float
+    _has_begun: bool
+
+    def __init__(self, figures: ObserverFigures) -> None:
+        _check(figures)
+        self._figures = figures
+        self._acceleration = 0.0
+        self.reset()
+
+    @property
+    def figures(self) -> ObserverFigures:
+        """What it goes by."""
+        return self._figures
+
+    @property
+    def effort(self) -> float:
+        """The disturbance as an effort on the inertia, in [N m]; positive drives the joint up."""
+        return self._figures.inertia * self.disturbance
+
+    def retune(self, figures: ObserverFigures) -> None:
+        """Go by other figures from the next sample on; the estimates stay.
+
+        Args:
+            figures: The figures.
+
+        Raises:
+            SettingError: A figure is out of its range.
+        """
+        _check(figures)
+        # The effort sent gives another acceleration, and the joint moves on as before.
+        before = self._acceleration
+        self._acceleration *= self._figures.inertia / figures.inertia
+        self.disturbance += before - self._acceleration
+        self._figures = figures
+        self._restart_covariance()
+
+    def send(self, effort: float) -> None:
+        """Note what acts on the joint from the last sample on.
+
+        Args:
+            effort: In units of the inertia: what was sent after all limits, in [N m], without
+                what a model meant for the joint's own forces.
+        """
+        self._acceleration = effort / self._figures.inertia
+
+    def coast(self, dt: float) -> None:
+        """Go on without a measurement, under the effort sent.
+
+        Args:
+            dt: For so long, in [s]; the next sample's ``dt`` includes it.
+        """
+        if self._has_begun:
+            self._follow(dt)
+            self._coasted += dt
+
+    def _follow(self, dt: float) -> None:
+        acceleration = self._acceleration + self.disturbance
+        self.position += dt * (self.velocity + 0.5 * dt * acceleration)
+        self.velocity += dt * acceleration
+
+    def update(self, position: float, velocity: float | None, dt: float) -> float:
+        """Return the velocity in [rad/s]; the measured one is not used.
+
+        Args:
+            position: Measured, in [rad].
+            velocity: Measured, in [rad/s].
+            dt: Time since the last sample in [s]; 0 for the first one.
+        """
+        if not self._has_begun:
+            self.take_over(position, self.velocity)
+            return self.velocity
+        if dt <= 0.0:
+            return self.velocity
+        self._follow(max(dt - self._coasted, 0.0))
+        self._coasted = 0.0
+        innovation = position - self.position
+        k_position, k_velocity, k_disturbance = self._gains(innovation, dt)
+        bandwidth = self._figures.bandwidth
+        self.position += k_position * innovation
+        self.velocity += k_velocity * bandwidth * innovation
+        self.disturbance += k_disturbance * bandwidth * bandwidth * innovation
+        return self.velocity
+
+    def _gains(self, innovation: float, dt: float) -> tuple[float, float, float]:
+        """Take a sample into the covariance, and return what it makes of the gains.
+
+        Both are in units of the bandwidth: of position, velocity / w and disturbance / w^2.
+        """
+        t = self._figures.bandwidth * dt
+        fading = t * self._multiplier(innovation, t) if self._figures.degree else t
+        growth = 1.0 / max(math.exp(-fading), _LEAST_MEMORY)
+        xx, xv, xw, vv, vw, ww = self._covariance
+        half = 0.5 * t * t
+        xw_ahead = xw + t * vw + half * ww
+        vw_ahead = vw + t * ww
+        xv_ahead = xv + t * vv + half * vw + t * xw_ahead
+        xx_ahead = xx + t * xv + half * xw + t * (xv + t * vv + half * vw) + half * xw_ahead
+        vv_ahead = vv + t * vw + t * vw_ahead
+        share = growth / (1.0 + growth * xx_ahead)
+        k, kv, kw = share * xx_ahead, share * xv_ahead, share * xw_ahead
+        vv = growth * (vv_ahead - kv * xv_ahead)
+        ww = growth * (ww - kw * xw_ahead)
+        if vv > 0.0 and ww > 0.0:
+            vw = growth * (vw_ahead - kv * xw_ahead)
+            self._covariance = k, kv, kw, vv, vw, ww
+        else:  # rounding, where periods differ by many orders of magnitude
+            self._restart_covariance()
+            k, kv, kw, *_ = self._covariance
+        return k, kv, kw
+
+    def _restart_covariance(self) -> None:
+        """Begin with what endless sampling at the nominal period ends at."""
+        self._covariance = _stationary(self._figures.bandwidth * self._figures.period)
+
+    def _multiplier(self, innovation: float, t: float) -> float:
+        """Return what the degree makes of the bandwidth, by the prefiltered innovation."""
+        self._innovation += t / (1.0 + t) * (innovation - self._innovation)
+        _, _, _, degree, scale = self._figures
+        size = min(max(abs(self._innovation) / scale, 1e-30), 1e30)
+        return min(max(float(size**degree), 1.0 / _SPAN), _SPAN)
+
+    def take_over(self, position: float, velocity: float) -> None:
+        """Go on from where another source stands, as if all that acts were in balance.
+
+        Args:
+            position: Of the last sample in [rad].
+            velocity: Of the last sample in [rad/s].
+        """
+        self.position, self.velocity = position, velocity
+        self.disturbance = -self._acceleration
+        self._has_begun = True
+
+    def reset(self) -> None:
+        """Forget the past: the next sample is the first one, at rest and in balance."""
+        self.position = self.velocity = self.disturbance = 0.0
+        self._innovation = self._coasted = 0.0
+        self._has_begun = False
+        self._restart_covariance()
+
+
+def _check(figures: ObserverFigures) -> None:
+    for name in ("inertia", "bandwidth", "period", "innovation_scale"):
+        value = getattr(figures, name)
+        if not (math.isfinite(value) and value > 0.0):
+            raise SettingError(f"the observer's {name} must be positive and finite, not {value}")
+    if not LEAST_DEGREE <= figures.degree <= LARGEST_DEGREE:
+        raise SettingError(
+            f"the observer's degree must lie in [{LEAST_DEGREE:g}, {LARGEST_DEGREE:g}], "
+            f"not {figures.degree}"
+        )
+
+
+_Covariance = tuple[float, float, float, float, float, float]
+
+
+def _stationary(t: float) -> _Covariance:
+    r"""Return the covariance that endless sampling at one period ends at.
+
+    It is the inverse of :math:`\sum_j \theta^j c_j' c_j` with
+    :math:`c_j = (1, -j t, j^2 t^2 / 2)`.
+
+    Args:
+        t: Bandwidth times period.
+    """
+    theta = max(math.exp(-t), _LEAST_MEMORY)
+    rest = -math.expm1(-t) if theta > _LEAST_MEMORY else 1.0 - theta
+    s0 = 1.0 / rest
+    s1 = theta / rest**2
+    s2 = theta * (1.0 + theta) / rest**3
+    s3 = theta * (1.0 + theta * (4.0 + theta)) / rest**4
+    s4 = theta * (1.0 + theta * (11.0 + theta * (11.0 + theta))) / rest**5
+    a, b, c = s0, -s1 * t, 0.5 * s2 * t**2
+    d, e, f = s2 * t**2, -0.5 * s3 * t**3, 0.25 * s4 * t**4
+    xx, xv, xw = d * f - e * e, c * e - b * f, b * e - c * d
+    scale = 1.0 / (a * xx + b * xv + c * xw)
+    return (
+        *(scale * xx, scale * xv, scale * xw),
+        scale * (a * f - c * c),
+        scale * (b * c - a * e),
+        scale * (a * d - b * b),
+    )
