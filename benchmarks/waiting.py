@@ -14,8 +14,8 @@ from hpid_ros.base.errors import RunError
 from hpid_ros.base.interrupts import raise_if_interrupted
 from hpid_ros.base.names import controller_name
 from hpid_ros.experiment.graph.isolation import closed_environment, own_domain
-from hpid_ros.experiment.graph.nodes import controllers_document, write_document
 from hpid_ros.experiment.graph.processes import NodeGroup, NodeProcess
+from hpid_ros.experiment.parameter_files import controllers_document, write_document
 
 LABEL = "hPID"
 

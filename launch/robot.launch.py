@@ -148,7 +148,14 @@ def nodes(context):
                 executable="bag_recorder",
                 namespace=namespace,
                 on_exit=Shutdown(),
-                parameters=[{"bag": value["bag"], "topics": recorded_topics(experiment.world)}],
+                parameters=[
+                    {
+                        "bag": value["bag"],
+                        # What was retuned, too: hpid replay computes every command anew.
+                        "topics": ["/parameter_events", *recorded_topics(experiment.world)],
+                        "controllers_file": controllers,
+                    }
+                ],
             )
         )
     if is_shown:

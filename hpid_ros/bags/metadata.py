@@ -104,3 +104,7 @@ def time_stood_still(metadata: Mapping[str, str]) -> float:
     except ValueError:
         return 0.0
     return seconds if math.isfinite(seconds) and seconds > 0.0 else 0.0
+
+
+PARAMETERS = "hpid_ros/controllers"
+"""Name of the entry with the parameters of the controllers as they began: a ROS parameter file."""

@@ -19,7 +19,6 @@ from hpid_ros.cli.commands import (
     check_gains,
     compare,
     gains,
-    repair,
     robot,
     run,
     schema,
@@ -29,6 +28,7 @@ from hpid_ros.cli.commands import (
     upgrade,
 )
 from hpid_ros.cli.commands.metrics import command as metrics
+from hpid_ros.cli.commands.recordings import repair, replay
 
 
 def main(args: Sequence[str] | None = None) -> int:
@@ -73,7 +73,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"hpid_ros {__version__}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     for each in (
-        *(compare, run, sweep, study, metrics, repair),
+        *(compare, run, sweep, study, metrics, replay, repair),
         *(gains, check_gains, tune, upgrade, robot, schema),
     ):
         each.add(commands)

@@ -6,11 +6,13 @@ import time
 from pathlib import Path
 
 from hpid_ros.bags.message_types import JOINT_STATE, JOINT_TRAJECTORY, encode_joint_trajectory
+from hpid_ros.bags.metadata import PARAMETERS
 from hpid_ros.bags.writer import BagWriter, TopicQos
 from hpid_ros.base.interrupts import raise_if_interrupted
 from hpid_ros.compensation.build import compensators
 from hpid_ros.control import JointLoop
 from hpid_ros.experiment.description import Experiment
+from hpid_ros.experiment.parameter_files import controllers_text
 from hpid_ros.experiment.progress import Progress, RunReport
 from hpid_ros.simulation.base import REPORT_RATE
 from hpid_ros.simulation.engine import Sample, run_in_process
@@ -52,9 +54,11 @@ def run_without_ros(
     loops = [JointLoop(each) for each in settings]
     for loop in loops:
         loop.follow(experiment.trajectory.column(loop.settings.joint))
-    models = compensators(settings, str(experiment.world.robot_description))
+    robot = str(experiment.world.robot_description)
+    models = compensators(settings, robot)
     progress.phase(label, "running in this process")
-    with World(experiment.world) as world, BagWriter(bag) as writer:
+    metadata = {PARAMETERS: controllers_text(settings, robot)}
+    with World(experiment.world) as world, BagWriter(bag, metadata=metadata) as writer:
         recorder = _Recorder(writer, world, experiment, label, progress)
         begin = time.monotonic()
         run_in_process(world, loops, experiment.periods, recorder.observe, models)

@@ -10,18 +10,12 @@ from typing import Any
 import numpy as np
 
 from hpid_ros.bags.columns.storage import Storage
-from hpid_ros.bags.message_types import JOINT_STATE, jazzy_types
+from hpid_ros.bags.message_types import JOINT_STATE
+from hpid_ros.bags.parameter_events import ParameterChange, parameter_changes
 from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.control import LOOP_PARAMETERS
 from hpid_ros.recordings.series import Retune
 
-PARAMETER_EVENTS = "rcl_interfaces/msg/ParameterEvent"
-_FIELDS = (
-    *("", "bool_value", "integer_value", "double_value", "string_value"),
-    *("byte_array_value", "bool_array_value", "integer_array_value", "double_array_value"),
-    "string_array_value",
-)
-"""Fields of a ParameterValue by its type."""
 _HEADER = 12
 """Bytes of an encapsulation header and a stamp."""
 
@@ -39,26 +33,18 @@ def read_retunes(path: Path) -> tuple[Retune, ...]:
     """
     with Storage(path) as bag:
         topics = bag.topics()
-        events = [name for name, topic in topics.items() if topic.type == PARAMETER_EVENTS]
         states = [name for name, topic in topics.items() if topic.type == JOINT_STATE]
         states = [name for name in states if name.endswith("joint_states")]
-        if not events or not states:
-            return ()
-        told = [
-            (int(batch.places[k]), batch.raw(k))
-            for batch in bag.batches(frozenset(events), _untold)
-            for k in range(len(batch.starts))
-        ]
+        told = parameter_changes(bag) if states else []
         if not told:
             return ()
-        told.sort()
-        stamps = _stamps_before([place for place, _ in told], bag, states[0])
+        stamps = _stamps_before([each.place for each in told], bag, states[0])
     pairs = zip(told, stamps, strict=True)
     return tuple(
         retune
-        for (_, raw), stamp_ns in pairs
+        for each, stamp_ns in pairs
         if stamp_ns is not None
-        for retune in _retunes(raw, stamp_ns)
+        for retune in _retunes(each, stamp_ns)
     )
 
 
@@ -85,21 +71,17 @@ def _header_stamp_ns(raw: bytes) -> int:
     return int(seconds) * NANOSECONDS + int(nanoseconds)
 
 
-def _retunes(raw: bytes, stamp_ns: int) -> Iterator[Retune]:
-    try:
-        event: Any = jazzy_types().deserialize_cdr(raw, PARAMETER_EVENTS)
-    except Exception:  # whatever rosbags' generated code trips over: no event, no mark in a figure
-        return
+def _retunes(told: ParameterChange, stamp_ns: int) -> Iterator[Retune]:
     changes = [
-        f"{parameter.name} = {_value(parameter.value)}"
-        for parameter in event.changed_parameters
-        if parameter.name in LOOP_PARAMETERS
+        f"{name} = {_shown(value)}"
+        for name, value in told.changed.items()
+        if name in LOOP_PARAMETERS
     ]
     if changes:
-        yield Retune(stamp_ns, str(event.node), ", ".join(changes))
+        yield Retune(stamp_ns, told.node, ", ".join(changes))
 
 
-def _value(value: Any) -> str:
-    field = _FIELDS[value.type] if value.type < len(_FIELDS) else ""
-    content = getattr(value, field) if field else "unset"
-    return f"{content:g}" if isinstance(content, float) else str(content)
+def _shown(value: Any) -> str:
+    if value is None:
+        return "unset"
+    return f"{value:g}" if isinstance(value, float) else str(value)

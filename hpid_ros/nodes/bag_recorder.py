@@ -14,29 +14,34 @@ import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from pathlib import Path
 from typing import Any
 
+import yaml
 from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 from rclpy.validate_topic_name import validate_topic_name
 
-from hpid_ros.bags.metadata import missed_entries
+from hpid_ros.bags.metadata import PARAMETERS, missed_entries
 from hpid_ros.bags.writer import BagTopic, BagWriter, TopicQos
 from hpid_ros.base.errors import BagError, HpidError, SettingError
+from hpid_ros.documents.yaml_files import load_yaml
 from hpid_ros.nodes.ros import executor
 from hpid_ros.nodes.ros.middleware import OFFERED
 from hpid_ros.nodes.ros.parameters import read_only
 from hpid_ros.nodes.ros.status import ERROR, OK, WARN, Diagnostics, StatusPipe
 from hpid_ros.nodes.ros.steady_timer import steady_timer
 from hpid_ros.nodes.ros.usage import Usage
+from hpid_ros.tuning.controller_files import settings_from_parameters
 
 _LOOK_PERIOD = 0.02  # [s]
 _REPORT_PERIOD = 0.05  # [s]
 _DIAGNOSTICS_PERIOD = 1.0  # [s]
 _LATCHED_WITHIN = 2.0  # [s] for a latched message; its topic may have none
 _STANDSTILL = 2.0  # [s] between two reports: well below the lease after which nobody counts
-_DEFAULT_TOPICS = ["joint_trajectory", "joint_commands", "joint_states"]
+_DEFAULT_TOPICS = ["/parameter_events", "joint_trajectory", "joint_commands", "joint_states"]
 _MESSAGE_TYPE = re.compile(r"([A-Za-z]\w*)/msg/([A-Za-z]\w*)", re.ASCII)
 
 
@@ -68,7 +73,7 @@ class BagRecorder(executor.ClosingNode):
         self._waiting = [self.resolve_topic_name(topic) for topic in topics]
         if len(set(self._waiting)) != len(self._waiting):
             raise SettingError(f"topics must name each topic once, not {', '.join(topics)}")
-        self._writer = BagWriter(path)
+        self._writer = BagWriter(path, metadata=_controllers(self))
         self._failure = ""
         self._missed: dict[str, int] = {}
         self._latched: list[str] = []
@@ -220,6 +225,27 @@ class BagRecorder(executor.ClosingNode):
         self._status.send("closed", counts=counts, missed=_positive(self._missed))
 
 
+def _controllers(node: Node) -> dict[str, str]:
+    """Return the entry of the bag's metadata that keeps the controllers' parameters.
+
+    Raises:
+        SettingError: The file cannot be read, or holds no controllers.
+    """
+    file = str(
+        read_only(
+            node,
+            "controllers_file",
+            "",
+            "Parameter file of the controllers, kept in the bag so that hpid replay finds it",
+        )
+    )
+    if not file:
+        return {}
+    document = load_yaml(Path(file), SettingError)
+    settings_from_parameters(document, file)
+    return {PARAMETERS: yaml.safe_dump(document, sort_keys=False)}
+
+
 def _positive(missed: Mapping[str, int]) -> dict[str, int]:
     return {topic: count for topic, count in missed.items() if count}
 
@@ -266,7 +292,7 @@ USAGE = Usage(
     "bag_recorder",
     "Records topics into a new MCAP bag.",
     "-p bag:=FOLDER",
-    ["bag", "topics", "status_fd"],
+    ["bag", "topics", "controllers_file", "status_fd"],
     ["those of the parameter topics"],
 )
 

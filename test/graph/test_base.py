@@ -24,8 +24,8 @@ from hpid_ros.bags import read_run
 from hpid_ros.bags.messages import read_planar, read_vectors
 from hpid_ros.base.errors import BagError, ExperimentError, SettingError
 from hpid_ros.experiment.description import load_experiment
-from hpid_ros.experiment.graph.nodes import write_document
 from hpid_ros.experiment.in_process import run_without_ros
+from hpid_ros.experiment.parameter_files import write_document
 from hpid_ros.experiment.progress import NoProgress
 from hpid_ros.experiment.result.result import compute
 from hpid_ros.nodes.ros.middleware import OFFERED

@@ -18,9 +18,9 @@ from hpid_ros.cli.main import main
 from hpid_ros.documents.sections import Section
 from hpid_ros.documents.yaml_files import load_yaml
 from hpid_ros.experiment.description import load_experiment
-from hpid_ros.experiment.graph.nodes import write_document
 from hpid_ros.experiment.graph.run import run_on_graph
 from hpid_ros.experiment.in_process import run_without_ros
+from hpid_ros.experiment.parameter_files import write_document
 from hpid_ros.experiment.progress import NoProgress, RunReport
 from hpid_ros.experiment.result.folder import ResultFolder
 from hpid_ros.experiment.result.result import compute, save

@@ -35,6 +35,8 @@ def test_processes_change_nothing_of_the_numbers(experiment_file, tmp_path, caps
             assert joint["period"]["samples"] == 300
             assert 0 < joint["compute"]["median"] <= joint["compute"]["maximum"]
             assert 0 < joint["latency"]["median"] <= joint["latency"]["maximum"]
+        assert main(["replay", str(folder / "bags" / "hPID")]) == 0
+        assert "every one of 2 408 commands is the law's" in capsys.readouterr().out
         runs[form] = read_run(folder / "bags" / "hPID", "hPID").joints
     for form in ("composed", "single"):
         for one, other in zip(runs["each"], runs[form], strict=True):

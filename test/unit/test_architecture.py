@@ -40,6 +40,9 @@ ALLOWED = {
         *("analysis", "compensation", "control", "documents", "recordings", "robot"),
         *("simulation", "stability", "trajectory"),
     },
+    "replay": {
+        *("bags", "compensation", "control", "documents", "robot", "tuning", "wire"),
+    },
 }
 BELOW_EXPERIMENTS = set(ALLOWED)
 ALLOWED["experiment"] = BELOW_EXPERIMENTS

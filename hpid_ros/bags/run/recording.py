@@ -35,8 +35,11 @@ class LoggedTrajectory(NamedTuple):
     column: Callable[[str, int], Column]
 
 
-def _decoded(raw: bytes) -> tuple[Mapping[str, int], Callable[[str, int], Column]]:
+def decoded_trajectory(raw: bytes) -> tuple[Mapping[str, int], Callable[[str, int], Column]]:
     """Return the joints of a serialised trajectory and what gives their columns.
+
+    Args:
+        raw: The message.
 
     Raises:
         MessageError: The bytes are no trajectory.
@@ -130,7 +133,7 @@ class RecordedRun:
         for index in range(len(batch.starts)):
             log_time_ns, place = int(batch.log_times_ns[index]), int(batch.places[index])
             try:
-                decoded = _decoded(batch.raw(index))
+                decoded = decoded_trajectory(batch.raw(index))
             except TrajectoryError as error:
                 self.notes.append(f"a trajectory is left out, as controllers refuse it: {error}")
                 continue

@@ -1,18 +1,12 @@
-"""The nodes of an experiment on the graph: their processes and their parameter files.
-
-The same files serve the nodes on a real robot: ``ros2 run hpid_ros joint_controllers --ros-args
---params-file controllers.yaml``, in whatever namespace.
-"""
+"""The nodes of an experiment on the graph: their processes and their parameters."""
 
 from __future__ import annotations
 
-import itertools
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
-
-import yaml
 
 from hpid_ros.base.errors import ExperimentError
 from hpid_ros.base.names import ANYWHERE, controller_name
@@ -21,30 +15,11 @@ from hpid_ros.experiment.description import Experiment
 from hpid_ros.experiment.graph.options import GraphOptions
 from hpid_ros.experiment.graph.processes import NodeGroup, NodeProcess
 from hpid_ros.experiment.in_process import recorded_topics
+from hpid_ros.experiment.parameter_files import controllers_document, write_document
 from hpid_ros.simulation.base import REPORT_RATE
 from hpid_ros.simulation.settings import WorldSettings
 from hpid_ros.simulation.world.gripper import task_topics
 from hpid_ros.simulation.world_file import world_mapping
-
-
-def controllers_document(settings: Sequence[LoopSettings], robot: str = "") -> dict[str, Any]:
-    """Return the parameters of all controllers, and of their composition in one process.
-
-    Args:
-        settings: One for each joint.
-        robot: The robot's URDF, for controllers whose model has no other.
-    """
-    document: dict[str, Any] = {
-        f"{ANYWHERE}joint_controllers": {
-            "ros__parameters": {"joints": [each.joint for each in settings]}
-        }
-    }
-    for each in settings:
-        values = each.to_parameters()
-        if each.model.is_on and not each.model.description:
-            values["model.description"] = robot
-        document[f"{ANYWHERE}{controller_name(each.joint)}"] = {"ros__parameters": _nested(values)}
-    return document
 
 
 def bridge_document(experiment: Experiment, world_file: Path) -> dict[str, Any]:
@@ -89,47 +64,6 @@ def write_run_files(
     robot = str(experiment.world.robot_description)
     write_document(controllers, controllers_document(settings, robot))
     return controllers, bridge
-
-
-def write_document(path: Path, document: Mapping[str, Any]) -> None:
-    """Write a YAML file; the text of a robot gets a file of its own beside it."""
-    values = _with_robots_beside(document, path.resolve().parent)
-    path.write_text(yaml.safe_dump(values, sort_keys=False), encoding="utf-8")
-
-
-def _with_robots_beside(values: Mapping[str, Any], folder: Path) -> dict[str, Any]:
-    """Return parameters in which a URDF's text has become the path of a file with that text."""
-    result: dict[str, Any] = {}
-    for name, value in values.items():
-        if isinstance(value, Mapping):
-            value = _with_robots_beside(value, folder)
-        elif isinstance(value, str) and value.startswith("<robot"):
-            value = str(_robot_file(value, folder))
-        result[name] = value
-    return result
-
-
-def _robot_file(text: str, folder: Path) -> Path:
-    """Return the file with this text; it is written where it is not there yet."""
-    for number in itertools.count(1):
-        path = folder / ("robot.urdf" if number == 1 else f"robot_{number}.urdf")
-        if not path.exists():
-            path.write_text(text, encoding="utf-8")
-        if path.read_text(encoding="utf-8") == text:
-            break
-    return path
-
-
-def _nested(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return dotted names as nested mappings, the form that ``ros2 param dump`` gives."""
-    nested: dict[str, Any] = {}
-    for name, value in values.items():
-        *path, last = name.split(".")
-        inner = nested
-        for part in path:
-            inner = inner.setdefault(part, {})
-        inner[last] = value
-    return nested
 
 
 _NODE_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]{0,200}")
@@ -183,7 +117,9 @@ class GraphNodes:
         nodes = [group.start(REFERENCE, REFERENCE, reference)]
         topics = self.topics
         of_recorder = (
-            _parameters(bag=self._bag, topics=topics) if self._options.is_recorded else []
+            _parameters(bag=self._bag, topics=topics, controllers_file=self._kept(settings))
+            if self._options.is_recorded
+            else []
         )
         of_all = _parameters(realtime_priority=self._options.realtime_priority)
         controllers, bridge = self.controller_arguments(), self.bridge_arguments() + of_all
@@ -203,6 +139,18 @@ class GraphNodes:
             names = [controller_name(each.joint) for each in settings]
             nodes += [group.start(name, "joint_controller", controllers) for name in names]
         return [*nodes, group.start(self._executable, self._executable, bridge)]
+
+    def _kept(self, settings: Sequence[LoopSettings]) -> Path:
+        """Write the parameters that the bag keeps: with all that is given on the command line."""
+        file = self._folder / "recorded_controllers.yaml"
+        kept = [
+            replace(each, timing=replace(each.timing, state_clock="simulated"))
+            for each in settings
+        ]
+        write_document(
+            file, controllers_document(kept, str(self._experiment.world.robot_description))
+        )
+        return file
 
     @property
     def _are_states_shared(self) -> bool:

@@ -17,7 +17,7 @@ from hpid_ros.control.loop_state import LoopState
 from hpid_ros.control.reference import Setpoint
 from hpid_ros.control.settings.assembly import soft_stop_gains
 from hpid_ros.experiment.description import load_experiment
-from hpid_ros.experiment.graph.nodes import controllers_document
+from hpid_ros.experiment.parameter_files import controllers_document
 from hpid_ros.stability.gain_check import inertia_of, judge
 from hpid_ros.studies.batch import RunTask, WorldKeeper, simulated_indices
 from hpid_ros.trajectory import Column, Knot

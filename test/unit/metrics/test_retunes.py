@@ -5,9 +5,10 @@ import pytest
 
 from hpid_ros.bags import BagWriter
 from hpid_ros.bags.message_types import jazzy_types
+from hpid_ros.bags.parameter_events import PARAMETER_EVENTS
 from hpid_ros.cli.commands import DONE
 from hpid_ros.cli.main import main
-from hpid_ros.metrics.retunes import PARAMETER_EVENTS, read_retunes
+from hpid_ros.metrics.retunes import read_retunes
 from hpid_ros.wire import JointStateTemplate
 
 JOINT_STATE = "sensor_msgs/msg/JointState"

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
 
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.node import Node
@@ -14,54 +12,10 @@ from hpid_ros.base.errors import HpidError
 from hpid_ros.base.resources import find_resource
 from hpid_ros.base.units import of_slide
 from hpid_ros.control import LOOP_PARAMETERS, LoopSettings
+from hpid_ros.control.settings.robot_limits import RobotLimits
 from hpid_ros.control.settings.table import MODEL_PARAMETERS, PARAMETERS, Value
 from hpid_ros.nodes.ros.parameters import declare, read_only
 from hpid_ros.robot.description import RobotDescription
-
-
-@dataclass(frozen=True)
-class RobotLimits:
-    """What the robot's description allows a joint; it holds beside the parameters.
-
-    Attributes:
-        effort: Largest absolute effort in [N m].
-        lower: Lowest position in [rad].
-        upper: Highest position in [rad].
-        velocity: Largest absolute velocity in [rad/s].
-        is_continuous: Whether the joint turns without end.
-        is_slide: Whether it slides: "rad" reads "m" then, and "N m" reads "N".
-    """
-
-    effort: float = math.inf
-    lower: float = -math.inf
-    upper: float = math.inf
-    velocity: float = math.inf
-    is_continuous: bool = False
-    is_slide: bool = False
-
-    def within(self, settings: LoopSettings) -> LoopSettings:
-        """Return the settings within these limits.
-
-        Raises:
-            SettingError: The positions that the settings allow are none that the robot allows.
-        """
-        effort, motion, encoder = settings.effort, settings.motion, settings.encoder
-        wraps = self.is_continuous and encoder.wrap < 0.0
-        return replace(
-            settings,
-            effort=replace(
-                effort,
-                u_clamp_max=max(min(effort.u_clamp_max, self.effort), -self.effort),
-                u_clamp_min=min(max(effort.u_clamp_min, -self.effort), self.effort),
-            ),
-            motion=replace(
-                motion,
-                position_max=min(motion.position_max, self.upper),
-                position_min=max(motion.position_min, self.lower),
-                velocity_max=min(motion.velocity_max, self.velocity),
-            ),
-            encoder=replace(encoder, wrap=math.tau if wraps else encoder.wrap),
-        )
 
 
 def robot_source(node: Node) -> str:
@@ -100,15 +54,7 @@ def robot_limits(node: Node, source: str) -> RobotLimits:
     if not source.lstrip().startswith("<"):
         source = str(find_resource(source))
     (found,) = RobotDescription.load(source).select([joint])
-    velocity = found.velocity if found.velocity > 0.0 else math.inf
-    return RobotLimits(
-        found.effort,
-        found.lower,
-        found.upper,
-        velocity,
-        is_continuous=found.type == "continuous",
-        is_slide=found.type == "prismatic",
-    )
+    return RobotLimits.of(found)
 
 
 class ControllerSettings:

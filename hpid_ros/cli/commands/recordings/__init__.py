@@ -1,0 +1,1 @@
+"""Commands that take a recording as it is."""

@@ -1,0 +1,91 @@
+"""What a robot's description allows a joint, beside the parameters of its controller."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+from hpid_ros.control.settings.loop import LoopSettings
+
+
+class DescribedJoint(Protocol):
+    """A joint as a robot's description has it: limits, and whether it turns without end."""
+
+    @property
+    def type(self) -> str:
+        """As in URDF."""
+
+    @property
+    def effort(self) -> float:
+        """Largest absolute effort in [N m]."""
+
+    @property
+    def lower(self) -> float:
+        """Lowest position in [rad]."""
+
+    @property
+    def upper(self) -> float:
+        """Highest position in [rad]."""
+
+    @property
+    def velocity(self) -> float:
+        """Largest absolute velocity in [rad/s]; not positive where there is none."""
+
+
+@dataclass(frozen=True)
+class RobotLimits:
+    """What the robot's description allows a joint; it holds beside the parameters.
+
+    Attributes:
+        effort: Largest absolute effort in [N m].
+        lower: Lowest position in [rad].
+        upper: Highest position in [rad].
+        velocity: Largest absolute velocity in [rad/s].
+        is_continuous: Whether the joint turns without end.
+        is_slide: Whether it slides: "rad" reads "m" then, and "N m" reads "N".
+    """
+
+    effort: float = math.inf
+    lower: float = -math.inf
+    upper: float = math.inf
+    velocity: float = math.inf
+    is_continuous: bool = False
+    is_slide: bool = False
+
+    @classmethod
+    def of(cls, joint: DescribedJoint) -> RobotLimits:
+        """Return those of a joint. A velocity of 0 is none, as many URDFs write it."""
+        velocity = joint.velocity if joint.velocity > 0.0 else math.inf
+        return cls(
+            joint.effort,
+            joint.lower,
+            joint.upper,
+            velocity,
+            is_continuous=joint.type == "continuous",
+            is_slide=joint.type == "prismatic",
+        )
+
+    def within(self, settings: LoopSettings) -> LoopSettings:
+        """Return the settings within these limits.
+
+        Raises:
+            SettingError: The positions that the settings allow are none that the robot allows.
+        """
+        effort, motion, encoder = settings.effort, settings.motion, settings.encoder
+        wraps = self.is_continuous and encoder.wrap < 0.0
+        return replace(
+            settings,
+            effort=replace(
+                effort,
+                u_clamp_max=max(min(effort.u_clamp_max, self.effort), -self.effort),
+                u_clamp_min=min(max(effort.u_clamp_min, -self.effort), self.effort),
+            ),
+            motion=replace(
+                motion,
+                position_max=min(motion.position_max, self.upper),
+                position_min=max(motion.position_min, self.lower),
+                velocity_max=min(motion.velocity_max, self.velocity),
+            ),
+            encoder=replace(encoder, wrap=math.tau if wraps else encoder.wrap),
+        )

@@ -1,0 +1,309 @@
+"""One joint's recording, computed anew: the same loop gets the same states and instructions.
+
+What a recording cannot tell is found by trying. A controller heard a motion or a change of its
+parameters some states before or after the recorder did; it may not have heard a state that the
+recorder has, or was stopped unnoticed. Every possibility is a branch with a loop of its own, which
+ends where its effort is not the recorded one while another's is. So a replay that agrees is a
+proof, whatever was assumed; one that does not tells where the last possibility ended.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Iterator, Sequence
+from copy import deepcopy
+from dataclasses import dataclass, fields, is_dataclass
+from typing import Any, NamedTuple
+
+from hpid_ros.base.errors import HpidError
+from hpid_ros.base.units import NANOSECONDS
+from hpid_ros.control import JointLoop
+from hpid_ros.replay.record import Instruction, JointRecord, RecordedCommand, RecordedState
+from hpid_ros.replay.verdict import Difference, JointVerdict
+
+_APART = 50
+"""States by which a controller may have heard something earlier or later than the recorder."""
+_BRANCHES_AT_MOST = 64
+_SETTLED_AFTER = 4 * _APART  # states without a choice, after which the likeliest branch is taken
+_TRIED_UNANSWERED = 3  # states without a command, one after the other, that may have been heard
+_SHOWN_AT_MOST = 100  # differences
+_CONTEXT = 1.0  # [s] within which something that happened may be the reason of a difference
+
+
+class _Command(NamedTuple):
+    effort: float
+    sender: str
+
+
+class _Branch:
+    """One possible course of the controller.
+
+    Args:
+        loop: Its loop.
+        heard: How many of the instructions it has heard.
+        cost: How unlikely it is: the states between when it heard something and the recorder did.
+    """
+
+    __slots__ = ("cost", "effort", "heard", "loop", "notes")
+
+    def __init__(self, loop: JointLoop, heard: int, cost: float, notes: tuple[str, ...]) -> None:
+        self.loop, self.heard, self.cost, self.notes = loop, heard, cost, notes
+        self.effort = math.nan
+
+    def copy(self, cost: float = 0.0, note: str = "") -> _Branch:
+        """Return a branch that goes its own way from here on."""
+        notes = (*self.notes, note) if note else self.notes
+        return _Branch(_copied(self.loop), self.heard, self.cost + cost, notes)
+
+
+def _copied(loop: JointLoop) -> JointLoop:
+    """Return a loop that shares nothing that changes."""
+    memo: dict[int, Any] = {}
+    _keep(loop.settings, memo)
+    return deepcopy(loop, memo)
+
+
+def _keep(record: object, memo: dict[int, Any]) -> None:
+    """Have a copy share a frozen record and all that is in it."""
+    memo[id(record)] = record
+    if is_dataclass(record):
+        for each in fields(record):
+            value = getattr(record, each.name)
+            if is_dataclass(value):
+                _keep(value, memo)
+
+
+@dataclass
+class _Counts:
+    equal: int = 0
+    different: int = 0
+    unanswered: int = 0
+    zeros: int = 0
+    fallbacks: int = 0
+    foreign: int = 0
+
+
+def replay_joint(record: JointRecord) -> JointVerdict:
+    """Compute every command of one joint anew, and compare it to the last bit.
+
+    Args:
+        record: What was recorded.
+    """
+    return _Replay(record).verdict()
+
+
+class _Replay:
+    def __init__(self, record: JointRecord) -> None:
+        self._record = record
+        self._counts = _Counts()
+        self._differences: list[Difference] = []
+        self._stretch: Difference | None = None
+        self._happened: tuple[int, str] = (record.begin_ns, "")
+        self._senders = tuple(dict.fromkeys(each.sender for each in record.commands))
+        self._sender = self._senders[0] if self._senders else ""
+        stamps = {each.stamp_ns for each in record.states}
+        self._answers: dict[int, list[_Command]] = {}
+        self._beside: dict[int, list[_Command]] = {}
+        self._without_state = 0
+        for command in record.commands:
+            self._sort(command, stamps)
+        self._nominal = _nominal(record.states, record.instructions)
+        self._branches = [_Branch(JointLoop(record.settings), 0, 0.0, ())]
+        self._undecided = self._passed_over = 0
+        self._is_left = False
+        self._log_time_ns: int | None = None
+
+    def _sort(self, command: RecordedCommand, stamps: set[int]) -> None:
+        """Put a command to the state that it answers, or beside which it was given."""
+        entry = _Command(command.effort, command.sender)
+        stamp_ns = command.stamp_ns
+        if stamp_ns in stamps:
+            self._answers.setdefault(stamp_ns, []).append(entry)
+            return
+        near = next((each for each in (stamp_ns - 1, stamp_ns + 1) if each in stamps), None)
+        if near is None:
+            self._without_state += 1
+        else:
+            self._beside.setdefault(near, []).append(entry)
+
+    def verdict(self) -> JointVerdict:
+        has_begun = False
+        for index, state in enumerate(self._record.states):
+            has_begun = has_begun or state.stamp_ns in self._answers
+            if has_begun:
+                self._take(index, state)
+        self._agree()
+        counts, notes = self._counts, dict.fromkeys(self._branches[0].notes)
+        return JointVerdict(
+            self._record.settings.joint,
+            equal=counts.equal,
+            different=counts.different,
+            differences=tuple(self._differences),
+            unanswered=counts.unanswered,
+            without_state=self._without_state,
+            zeros=counts.zeros,
+            fallbacks=counts.fallbacks,
+            foreign=counts.foreign,
+            senders=tuple(each for each in self._senders if each),
+            notes=tuple(notes),
+        )
+
+    def _take(self, index: int, state: RecordedState) -> None:
+        commands = self._answers.get(state.stamp_ns)
+        own = None
+        if commands:
+            own = next((each for each in commands if each.sender == self._sender), None)
+            if own is not None:
+                commands.remove(own)
+        if own is None:
+            self._pass_over(index, state)
+        else:
+            self._passed_over = 0
+            self._compare(index, state, own.effort)
+        self._after(state, commands or [])
+        self._log_time_ns = state.log_time_ns
+
+    def _pass_over(self, index: int, state: RecordedState) -> None:
+        """Take a state that nothing answers: it was not heard, or the command was lost."""
+        self._counts.unanswered += 1
+        if self._is_left:
+            return
+        self._happened = state.stamp_ns, "a state that no command answers"
+        self._passed_over += 1
+        if self._passed_over > _TRIED_UNANSWERED:  # it listens no more
+            return
+        heard = []
+        for branch in self._expanded(index):
+            each = branch.copy(1.0)
+            state.answer(each.loop)
+            heard.append(each)
+        self._keep([*self._branches, *heard])
+
+    def _compare(self, index: int, state: RecordedState, recorded: float) -> None:
+        if self._is_left:
+            self._is_left = False
+            for branch in self._branches:
+                branch.loop.release()
+                branch.heard = max(branch.heard, self._heard_before(index))
+        branches = self._expanded(index)
+        silence = state.log_time_ns - (self._log_time_ns or state.log_time_ns)
+        timeout = self._branches[0].loop.settings.timing.state_timeout
+        if silence > timeout * NANOSECONDS and self._branches[0].loop.stamp_ns is not None:
+            text = "the controller was stopped, or busy, for longer than state_timeout"
+            woken = [branch.copy(2.0, text) for branch in branches]
+            for branch in woken:
+                branch.loop.wake()
+            branches += woken
+        for branch in branches:
+            branch.effort = state.answer(branch.loop)
+        equal = [branch for branch in branches if _is_same(branch.effort, recorded)]
+        if equal:
+            self._counts.equal += 1
+            self._agree()
+            self._keep(equal)
+            return
+        self._differ(state, recorded, branches[0].effort)
+        self._keep(branches[:1])
+
+    def _differ(self, state: RecordedState, recorded: float, computed: float) -> None:
+        """Note a difference, or that one goes on."""
+        self._counts.different += 1
+        stamp_ns = state.stamp_ns
+        if self._stretch is not None:
+            commands = self._stretch.commands + 1
+            self._stretch = self._stretch._replace(last_ns=stamp_ns, commands=commands)
+            return
+        happened_ns, text = self._happened
+        since = (stamp_ns - happened_ns) / NANOSECONDS
+        reason = f"{text}, {since:.3f} s before" if text and since <= _CONTEXT else ""
+        time = (stamp_ns - self._record.begin_ns) / NANOSECONDS
+        self._stretch = Difference(stamp_ns, stamp_ns, time, 1, recorded, computed, reason)
+
+    def _agree(self) -> None:
+        """Note that differences, if there were any, have ended."""
+        if self._stretch is not None and len(self._differences) < _SHOWN_AT_MOST:
+            self._differences.append(self._stretch)
+        self._stretch = None
+
+    def _after(self, state: RecordedState, others: Sequence[_Command]) -> None:
+        """Take what was commanded beside the answer: repeats, a last zero, a fallback."""
+        for command in others:
+            if command.sender != self._sender:
+                self._counts.foreign += 1
+                self._happened = state.stamp_ns, f"a command by {command.sender or 'another'}"
+            elif command.effort == 0.0:
+                self._counts.zeros += 1
+                self._is_left = True
+                self._happened = state.stamp_ns, "the joint was left"
+            else:
+                self._differ(state, command.effort, self._branches[0].effort)
+        for command in self._beside.get(state.stamp_ns, ()):
+            self._counts.fallbacks += 1
+            self._happened = state.stamp_ns, f"{command.effort:g} N m that answers no state"
+            for branch in self._branches:
+                if not branch.loop.is_on_fallback:
+                    branch.loop.lapse()
+
+    def _heard_before(self, index: int) -> int:
+        return sum(nominal <= index for nominal in self._nominal)
+
+    def _expanded(self, index: int) -> list[_Branch]:
+        """Return all branches, with those that hear something before this state."""
+        branches: list[_Branch] = []
+        for branch in self._branches:
+            branches += self._hearing(branch, index)
+        return sorted(branches, key=lambda each: each.cost)
+
+    def _hearing(self, branch: _Branch, index: int) -> Iterator[_Branch]:
+        """Yield a branch, unless it must have heard more by now, and those that have."""
+        while branch.heard < len(self._nominal):
+            late = index - self._nominal[branch.heard]
+            if late < -_APART:
+                break
+            instruction = self._record.instructions[branch.heard]
+            if late >= _APART:
+                self._tell(branch, instruction)
+                continue
+            waiting = branch.copy(1.0 if late >= 0 else 0.0)
+            branch.cost += max(-late, 0)
+            self._tell(branch, instruction)
+            yield waiting
+        yield branch
+
+    def _tell(self, branch: _Branch, instruction: Instruction) -> None:
+        branch.heard += 1
+        what, loop = instruction.what, branch.loop
+        if callable(what):
+            try:
+                loop.retune(what(loop.settings))
+            except HpidError as error:
+                branch.notes = (*branch.notes, f"{instruction.text} was left out: {error}")
+        else:
+            loop.follow(what)
+        stamp_ns = loop.stamp_ns
+        if stamp_ns is not None and stamp_ns >= self._happened[0]:
+            self._happened = stamp_ns, instruction.text
+
+    def _keep(self, branches: list[_Branch]) -> None:
+        """Go on with the likeliest branches; with one where a choice has no effect."""
+        branches.sort(key=lambda each: each.cost)
+        self._undecided = self._undecided + 1 if len(branches) > 1 else 0
+        if self._undecided > _SETTLED_AFTER:
+            branches, self._undecided = branches[:1], 0
+        self._branches = branches[:_BRANCHES_AT_MOST]
+
+
+def _nominal(states: Sequence[RecordedState], instructions: Sequence[Instruction]) -> list[int]:
+    """Return for each instruction the first state that was recorded after it."""
+    found, index = [], 0
+    for each in instructions:
+        while index < len(states) and states[index].place < each.place:
+            index += 1
+        found.append(index)
+    return found
+
+
+def _is_same(one: float, other: float) -> bool:
+    """Tell whether two numbers are the same bits."""
+    return struct.pack("<d", one) == struct.pack("<d", other)
