@@ -39,6 +39,7 @@ class JointVerdict:
         differences: The same, one after the other taken together; the first ones of many.
         unanswered: States without a command since the controller began.
         without_state: Commands that answer a state which is not in the recording.
+        outside: Commands that answer states before the first or after the last one recorded.
         zeros: Commands of zero with which the joint was left.
         fallbacks: Commands that answer no state: a fallback effort, or zero while stopped.
         foreign: Commands by somebody else than who sent the first.
@@ -52,6 +53,7 @@ class JointVerdict:
     differences: tuple[Difference, ...] = ()
     unanswered: int = 0
     without_state: int = 0
+    outside: int = 0
     zeros: int = 0
     fallbacks: int = 0
     foreign: int = 0

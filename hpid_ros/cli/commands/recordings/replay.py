@@ -103,14 +103,12 @@ def _told(verdict: JointVerdict) -> Iterator[str]:
     if len(verdict.differences) > _SHOWN:
         yield f"  and later {len(verdict.differences) - _SHOWN} times more"
     beside = {
-        "without an answer": verdict.unanswered,
-        "that answer a state which was not recorded": verdict.without_state,
-        "by another sender": verdict.foreign,
+        "states without an answer": verdict.unanswered,
+        "commands that answer a state which was not recorded": verdict.without_state,
+        "commands before the first state or after the last": verdict.outside,
+        "commands by another sender": verdict.foreign,
     }
-    for what, count in beside.items():
-        kind = "states" if what.startswith("without") else "commands"
-        if count:
-            yield f"  {_count(count)} {kind} {what}"
+    yield from (f"  {_count(count)} {what}" for what, count in beside.items() if count)
     if verdict.foreign:
         yield f"  senders: {', '.join(verdict.senders)}"
     if verdict.fallbacks:
