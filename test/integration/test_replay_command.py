@@ -15,7 +15,7 @@ from hpid_ros.wire import JointStateTemplate, decode_joint_state
 def bag(experiment_file, tmp_path):
     """The bag of a short run in this process."""
     folder = tmp_path / "result"
-    options = ["--in-process", "--no-figures", "--controller", "hPID", "--output", str(folder)]
+    options = ["--in-process", "--no-figures", "--output", str(folder)]
     assert main(["compare", str(experiment_file()), *options]) == 0
     return folder / "bags" / "hPID"
 
