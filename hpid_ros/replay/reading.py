@@ -236,7 +236,8 @@ class _Collector:
         self._efforts = EffortReader()
         self._events = event_reader()
         setpoints = {topic: joint for joint, topic in choice.references.setpoint.items()}
-        self._takes: dict[str, Callable[[TopicBatch], None]] = {choice.states: self._take_states}
+        self._takes: dict[str, Callable[[TopicBatch], None]] = {}
+        self._takes |= dict.fromkeys(choice.states, self._take_states)
         self._takes |= dict.fromkeys(commands, self._take_commands)
         self._takes |= dict.fromkeys(choice.references.trajectory, self._take_trajectories)
         self._takes |= {

@@ -48,7 +48,12 @@ def add(commands: Any) -> None:
     )
     add_joints(parser, "a joint to compute anew; may be repeated (all)")
     parser.add_argument("--namespace", help="only topics below this namespace")
-    parser.add_argument("--states", metavar="TOPIC", help="topic of the states")
+    parser.add_argument(
+        "--states",
+        action="append",
+        metavar="TOPIC",
+        help="topic of the states; once for each topic of one robot",
+    )
     parser.add_argument("--commands", metavar="TOPIC", help="topic of the commands")
     parser.set_defaults(command=run)
 

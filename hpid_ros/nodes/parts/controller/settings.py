@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.node import Node
