@@ -108,7 +108,7 @@ def test_without_pybullet_one_line_says_who_computes(
 
 
 def test_the_default_experiment_is_the_papers():
-    from hpid_ros.cli.commands.options import DEFAULT_EXPERIMENT
+    from hpid_ros.cli.options import DEFAULT_EXPERIMENT
     from hpid_ros.experiment.description import load_experiment
 
     experiment = load_experiment(share_folder() / DEFAULT_EXPERIMENT)

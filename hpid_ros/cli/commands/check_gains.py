@@ -15,7 +15,8 @@ from rich.text import Text
 
 from hpid_ros.base.errors import RunError, SettingError
 from hpid_ros.cli.commands import DONE, FAILED
-from hpid_ros.cli.commands.options import add_robot_options, inertias_from
+from hpid_ros.cli.loops import loop_file
+from hpid_ros.cli.options import add_robot_options, inertias_from
 from hpid_ros.control.norms import GOOD_SAMPLING_MARGIN
 from hpid_ros.report.tables.wide_table import TableColumn, WideTable
 from hpid_ros.stability.bounds import LARGEST_SAMPLING_MARGIN, LARGEST_SAMPLING_MARGIN_LATE
@@ -142,7 +143,7 @@ def add(commands: Any) -> None:
 def run(options: argparse.Namespace) -> int:
     """Check the gains and print the verdicts."""
     from hpid_ros.base.console import TextConsole
-    from hpid_ros.cli.commands.options import joint_progress
+    from hpid_ros.cli.options import joint_progress
     from hpid_ros.cli.terminal import output_console
     from hpid_ros.stability.gain_check import check_gains, inertia_of
     from hpid_ros.stability.saved_certificates import saved_certificates
@@ -178,7 +179,7 @@ def _settling(options: argparse.Namespace, loops: Mapping[str, LoopSettings]) ->
     decoupled = [each for each in loops.values() if each.model.is_decoupling]
     if not decoupled:
         return []
-    from hpid_ros.cli.commands.options import load_robot
+    from hpid_ros.cli.options import load_robot
     from hpid_ros.compensation.coupling import settling_of
 
     is_experiment = options.file and any(" " in name for name in loops)  # LABEL JOINT
@@ -232,20 +233,18 @@ def _loops(options: argparse.Namespace) -> ParameterFile:
 
 
 def _from_file(path: Path) -> ParameterFile:
-    from hpid_ros.documents.yaml_files import load_document
-    from hpid_ros.experiment.description import load_experiment
-    from hpid_ros.tuning.controller_files import ParameterFile, parameters_from
+    from hpid_ros.tuning.controller_files import ParameterFile
 
-    document = load_document(path, SettingError).values
-    if isinstance(document, Mapping) and "compare" in document:
-        experiment = load_experiment(path)
-        loops = {
-            f"{label} {each.joint}": each
-            for label, settings in experiment.controllers.items()
-            for each in settings
-        }
-        return ParameterFile(loops, {})
-    return parameters_from(document, str(path))
+    found = loop_file(path)
+    if found.parameters is not None:
+        return found.parameters
+    assert found.experiment is not None
+    loops = {
+        f"{label} {each.joint}": each
+        for label, settings in found.experiment.controllers.items()
+        for each in settings
+    }
+    return ParameterFile(loops, {})
 
 
 def _running() -> dict[str, LoopSettings]:

@@ -6,7 +6,7 @@ import argparse
 from typing import TYPE_CHECKING, Any
 
 from hpid_ros.cli.commands import DONE
-from hpid_ros.cli.commands.options import (
+from hpid_ros.cli.options import (
     BOTH,
     add_engine,
     add_experiment,

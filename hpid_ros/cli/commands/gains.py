@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 from hpid_ros.base.errors import SettingError
 from hpid_ros.cli.commands import DONE, FAILED
-from hpid_ros.cli.commands.options import add_experiment, named_experiment
+from hpid_ros.cli.loops import first_homogeneous
+from hpid_ros.cli.options import add_experiment, named_experiment
 
 if TYPE_CHECKING:
     from hpid_ros.control import LoopSettings
-    from hpid_ros.experiment.description import Experiment
 
 _RULES = ("simc", "pole-placement")
 
@@ -52,7 +52,7 @@ def add(commands: Any) -> None:
 def run(options: argparse.Namespace) -> int:
     """Compute the gains and print them."""
     from hpid_ros.base.console import TextConsole
-    from hpid_ros.cli.commands.options import joint_progress
+    from hpid_ros.cli.options import joint_progress
     from hpid_ros.control import Gains, LoopSettings
     from hpid_ros.tuning.gain_design import design, yaml_text
 
@@ -79,12 +79,5 @@ def _of_experiment(file: str | None) -> tuple[dict[str, LoopSettings], Mapping[s
     from hpid_ros.experiment.inertias import initial_inertias
 
     experiment = named_experiment(file)
-    loops = _first_homogeneous(experiment)
+    loops = first_homogeneous(experiment)
     return {each.joint: each for each in loops}, initial_inertias(experiment, loops)
-
-
-def _first_homogeneous(experiment: Experiment) -> tuple[LoopSettings, ...]:
-    """Return the loops of the first homogeneous controller, or else of the first."""
-    controllers = list(experiment.controllers.values())
-    homogeneous = [each for each in controllers if any(loop.law == "hpid" for loop in each)]
-    return (homogeneous or controllers)[0]

@@ -6,7 +6,7 @@ import argparse
 from typing import Any
 
 from hpid_ros.cli.commands import DONE
-from hpid_ros.cli.commands.options import (
+from hpid_ros.cli.options import (
     add_engine,
     add_experiment,
     add_output,

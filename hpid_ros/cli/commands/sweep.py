@@ -7,7 +7,7 @@ import sys
 from typing import TYPE_CHECKING, Any
 
 from hpid_ros.cli.commands import DONE, FAILED
-from hpid_ros.cli.commands.options import (
+from hpid_ros.cli.options import (
     add_engine,
     add_experiment,
     add_jobs,

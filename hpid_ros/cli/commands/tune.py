@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from hpid_ros.base.errors import SettingError
 from hpid_ros.base.names import require_label
 from hpid_ros.cli.commands import DONE, FAILED
-from hpid_ros.cli.commands.options import (
+from hpid_ros.cli.options import (
     add_engine,
     add_experiment,
     add_jobs,

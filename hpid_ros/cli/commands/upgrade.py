@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from hpid_ros.base.errors import HpidError, SettingError
 from hpid_ros.base.output_files import refuse_output, write_file
 from hpid_ros.cli.commands import DONE, FAILED
-from hpid_ros.cli.commands.options import add_robot_options, inertias_from, load_robot
+from hpid_ros.cli.options import add_robot_options, inertias_from, load_robot
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -120,7 +120,7 @@ def _proposals(
     Raises:
         SettingError: There is nothing for any joint.
     """
-    from hpid_ros.cli.commands.options import joint_progress
+    from hpid_ros.cli.options import joint_progress
     from hpid_ros.stability.gain_check import inertia_of
     from hpid_ros.tuning.inertias import visited_poses
     from hpid_ros.tuning.upgrade import Candidate, loop_statistics, upgrades
