@@ -26,7 +26,7 @@ INSTALL_REQUIRES = [
     "rich>=13.7,<16",
     "PyYAML>=6.0,<7",
     "joblib>=1.4,<2",  # batches over processes
-    # The report's markup, every text in it escaped; Ubuntu 24.04 has 3.1.2.
+    # The report's markup, every text in it escaped, and exported C; Ubuntu 24.04 has 3.1.2.
     "Jinja2>=3.1.2,<4",
 ]
 
@@ -96,7 +96,12 @@ setup(
         *folder("launch"),
         *folder("urdf"),
     ],
-    package_data={PACKAGE: ["py.typed", "report/html/assets/*", "report/html/templates/*"]},
+    package_data={
+        PACKAGE: [
+            *("py.typed", "report/html/assets/*", "report/html/templates/*"),
+            "export/templates/*",
+        ]
+    },
     python_requires=">=3.10",
     install_requires=["setuptools", *INSTALL_REQUIRES],
     extras_require=EXTRAS,

@@ -18,6 +18,7 @@ from hpid_ros.cli.commands import (
     UNREAD,
     check_gains,
     compare,
+    export,
     gains,
     robot,
     run,
@@ -74,7 +75,7 @@ def _parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     for each in (
         *(compare, run, sweep, study, metrics, replay, repair),
-        *(gains, check_gains, tune, upgrade, robot, schema),
+        *(gains, check_gains, tune, upgrade, export, robot, schema),
     ):
         each.add(commands)
     return parser

@@ -87,7 +87,8 @@ def test_a_wheel_holds_every_file_and_command(source, tmp_path):
         entry_points = archive.read(entries).decode()
     for path in ("config/experiments/paper.yaml", "urdf/mobile_manipulator.urdf", "package.xml"):
         assert any(name.endswith(f"data/share/hpid_ros/{path}") for name in names)
-    for file in ("py.typed", "report/html/assets/chart.js", "report/html/templates/page.html"):
+    of_report = ("report/html/assets/chart.js", "report/html/templates/page.html")
+    for file in ("py.typed", *of_report, "export/templates/loop.c", "export/templates/loop.h"):
         assert f"hpid_ros/{file}" in names
     assert all(f"{name} = hpid_ros." in entry_points for name in EXECUTABLES)
 

@@ -28,6 +28,7 @@ ALLOWED = {
     "trajectory": {"documents"},
     "robot": {"documents"},
     "stability": {"control"},
+    "export": {"control"},
     "compensation": {"control", "robot"},
     "goals": {"control", "trajectory", "wire"},
     "planning": {"documents", "robot", "trajectory"},
@@ -57,7 +58,7 @@ ONLY_IN = {
     "pinocchio": {"robot", "compensation"},
     "rosbags": {"bags"},
     "matplotlib": {"report"},
-    "jinja2": {"report"},
+    "jinja2": {"report", "export"},
 }
 PURE = {"control", "goals", "merging", "trajectory", "wire", "recordings"}
 PURE_LIBRARIES = {"numpy", "scipy"}

@@ -1,0 +1,1 @@
+"""A joint's loop as source of another language: settings in, texts out, without files."""

@@ -1,0 +1,134 @@
+"""hpid export: parameter files and experiments become C that compiles and agrees with Python."""
+
+import re
+import subprocess
+
+import pytest
+import yaml
+from harness.c_loops import compile_c
+from harness.places import ROOT
+
+from hpid_ros.cli.commands import BAD_INPUT, DONE
+from hpid_ros.cli.main import main
+
+GAINS = {"gains": {"p": 39.6, "i": 132.0, "d": 3.96}, "mu": -0.2, "inertia": 0.132}
+FIRMWARE = """
+#include <stdint.h>
+#include "hpid_elbow.h"
+extern double target_position, target_velocity;
+hpid_elbow_real encoder_velocity(void);
+hpid_elbow_real encoder_position(void);
+void drive_torque(hpid_elbow_real effort);
+int64_t timer_ns(void);
+void control_start(void);
+void control_interrupt(void);
+"""
+
+
+@pytest.fixture
+def controllers(tmp_path):
+    """Return a function that writes a parameter file of an elbow and a wrist."""
+
+    def write(**wrist):
+        document = {
+            f"/**/{joint}_controller": {"ros__parameters": {"joint": joint, **GAINS, **more}}
+            for joint, more in {"elbow": {}, "wrist": wrist}.items()
+        }
+        file = tmp_path / "controllers.yaml"
+        file.write_text(yaml.safe_dump(document))
+        return file
+
+    return write
+
+
+def files_of(*joints):
+    ends = (".h", ".c", "_golden.h", "_test.c")
+    return sorted(f"hpid_{joint}{end}" for joint in joints for end in ends)
+
+
+def test_each_joint_of_a_parameter_file_becomes_c_that_answers_as_python(
+    controllers, tmp_path, capsys
+):
+    folder = tmp_path / "firmware"
+    assert main(["export", "--c", str(controllers(mu=0.1)), "-o", str(folder)]) == DONE
+    assert sorted(each.name for each in folder.iterdir()) == files_of("elbow", "wrist")
+    assert f"written: {folder}" in capsys.readouterr().out
+    assert ".mu = REAL(-0.2)" in (folder / "hpid_elbow.c").read_text()
+    assert ".mu = REAL(0.1)" in (folder / "hpid_wrist.c").read_text()
+    assert "controllers.yaml" in (folder / "hpid_wrist.h").read_text()
+    program = compile_c(folder, ["hpid_wrist.c", "hpid_wrist_test.c"])
+    ended = subprocess.run([program], capture_output=True, text=True, check=False)
+    assert ended.returncode == 0
+    assert "largest deviation 0 N m" in ended.stdout
+
+
+def test_the_firmware_of_the_documentation_compiles(controllers, tmp_path):
+    assert main(["export", "--c", str(controllers()), "-o", str(tmp_path)]) == DONE
+    page = (ROOT / "docs" / "export.md").read_text()
+    (example,) = re.findall(r"```c\n(.*?)```", page, re.DOTALL)
+    (tmp_path / "firmware.c").write_text(FIRMWARE + example)
+    compile_c(tmp_path, ["firmware.c"], "-c", output="firmware.o")
+
+
+def test_files_in_the_way_are_replaced_only_when_asked(controllers, tmp_path, capsys):
+    folder = tmp_path / "firmware"
+    folder.mkdir()
+    (folder / "main.c").write_text("mine")
+    (folder / "hpid_wrist.c").write_text("mine, too")
+    arguments = ["export", "--c", str(controllers()), "-o", str(folder)]
+    assert main(arguments) == BAD_INPUT
+    assert "hpid_wrist.c exists" in capsys.readouterr().err
+    assert not (folder / "hpid_elbow.c").exists()
+    assert main([*arguments, "--joint", "elbow"]) == DONE
+    assert main([*arguments, "--force", "--precision", "single"]) == DONE
+    assert (folder / "main.c").read_text() == "mine"
+    assert "_SINGLE 1" in (folder / "hpid_wrist.h").read_text()
+
+
+def test_an_experiment_has_a_controller_of_whom_it_is(experiment_file, tmp_path, capsys):
+    file = experiment_file()
+    labels = list(yaml.safe_load(file.read_text())["compare"])
+    for label, law in (("PID", "PID"), (None, "HPID")):
+        folder = tmp_path / law
+        named = [] if label is None else ["--controller", label]
+        arguments = ["export", "--c", str(file), "--joint", "arm_joint_1", "-o", str(folder)]
+        assert main([*arguments, *named]) == DONE
+        text = (folder / "hpid_arm_joint_1.c").read_text()
+        assert f"_LAW_{law}," in text
+    assert "PID" in labels
+    assert main([*arguments, "--controller", "X", "--force"]) == BAD_INPUT
+    assert "unknown controller 'X'" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("wrist", "more", "line"),
+    [
+        ({}, ["--joint", "knee"], "unknown joint 'knee'"),
+        ({}, ["--controller", "PID"], "--controller is for experiments"),
+        ({"compensation": "gravity"}, [], "wrist: compensation = gravity cannot be exported"),
+        ({"mu": 0.7}, [], "mu must lie in"),
+        ({"mu": 0.49999999999}, ["--precision", "single"], "wrist: in single precision"),
+        ({"joint": "El-bow"}, ["--joint", "El-bow", "--joint", "elbow"], None),
+    ],
+)
+def test_what_cannot_be_exported_is_one_line_and_no_file(
+    controllers, tmp_path, capsys, wrist, more, line
+):
+    folder = tmp_path / "firmware"
+    code = main(["export", "--c", str(controllers(**wrist)), "-o", str(folder), *more])
+    told = capsys.readouterr().err
+    if line is None:  # hpid_El_bow is none of hpid_elbow
+        assert code == DONE
+        return
+    assert code == BAD_INPUT
+    assert line in told
+    assert told.count("\n") == 1
+    assert not folder.exists()
+
+
+def test_a_missing_file_and_a_folder_that_is_none_are_refused(controllers, tmp_path, capsys):
+    assert main(["export", "--c", str(tmp_path / "no.yaml"), "-o", str(tmp_path)]) == BAD_INPUT
+    assert "no.yaml: no such file" in capsys.readouterr().err
+    file = controllers()
+    assert main(["export", "--c", str(file), "-o", str(file)]) == BAD_INPUT
+    assert "is no folder" in capsys.readouterr().err
