@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hpid_ros.cli.commands import DONE, FAILED
-from hpid_ros.cli.commands.options import add_joints
+from hpid_ros.cli.options import add_joints
 
 if TYPE_CHECKING:
     from hpid_ros.replay import Difference, JointVerdict
@@ -63,7 +63,7 @@ def run(options: argparse.Namespace) -> int:
     from hpid_ros.bags.selection import BagSelection
     from hpid_ros.base.console import TextConsole
     from hpid_ros.base.interrupts import raise_if_interrupted
-    from hpid_ros.cli.commands.options import joint_progress
+    from hpid_ros.cli.options import joint_progress
     from hpid_ros.cli.terminal import output_console
     from hpid_ros.replay import replay_joint
     from hpid_ros.replay.reading import read_records
