@@ -176,7 +176,7 @@ class _Robot:
 
     def build(self) -> None:
         root = self._description.root
-        body = self._spec.worldbody.add_body(name=root)
+        body = self._spec.worldbody.add_body(name=_link(root))
         if not self._is_fixed:
             body.add_freejoint(name=f"{root}__free")
         self.rigid[root] = root
@@ -191,7 +191,7 @@ class _Robot:
         child = element.find("child")
         name = "" if child is None else child.get("link", "")
         position, turn = _origin(element)
-        body = parent.add_body(name=name, pos=position, quat=turn)
+        body = parent.add_body(name=_link(name), pos=position, quat=turn)
         joint = self._description.joints.get(element.get("name", ""))
         self.rigid[name] = self.rigid[above] if joint is None else name
         if joint is not None:
@@ -203,13 +203,12 @@ class _Robot:
         """Give a body its inertia and its shapes."""
         link = self._links[name]
         inertial = link.find("inertial")
-        if inertial is None:
-            if moves:
-                body.mass, body.inertia = NEGLIGIBLE_MASS, (NEGLIGIBLE_INERTIA,) * 3
-                body.explicitinertial = True
-        else:
-            mass, centre, moments = _inertial(inertial)
+        mass, centre, moments = (0.0, (), ()) if inertial is None else _inertial(inertial)
+        if mass or any(moments):
             body.mass, body.ipos, body.fullinertia = mass, centre, moments
+            body.explicitinertial = True
+        elif moves:
+            body.mass, body.inertia = NEGLIGIBLE_MASS, (NEGLIGIBLE_INERTIA,) * 3
             body.explicitinertial = True
         if self._is_touched:
             for number, shape in enumerate(link.findall("collision")):
@@ -328,7 +327,7 @@ class _Contacts:
                 name=_weld(brick),
                 type=mujoco.mjtEq.mjEQ_WELD,
                 objtype=mujoco.mjtObj.mjOBJ_BODY,
-                name1=workplace.gripper.link,
+                name1=_link(workplace.gripper.link),
                 name2=_body(brick),
                 active=False,
                 solref=(_SHORTEST * settings.physics_period, 1.0),
@@ -411,7 +410,7 @@ def _indexed(
         model,
         {name: int(model.jnt_qposadr[each]) for name, each in joints.items()},
         {name: int(model.jnt_dofadr[each]) for name, each in joints.items()},
-        {name: index(kinds.mjOBJ_BODY, name) for name in description.links},
+        {name: index(kinds.mjOBJ_BODY, _link(name)) for name in description.links},
         tuple(index(kinds.mjOBJ_BODY, _body(brick)) for brick in bricks),
         tuple(index(kinds.mjOBJ_EQUALITY, _weld(brick)) for brick in bricks),
         tuple(contacts.of(model)),
@@ -439,6 +438,11 @@ def _lower_ground(model: Any, ground: int, built: MujocoModel, settings: WorldSe
         model.geom_pos[ground, 2] = -sink
         model.geom_sameframe[ground] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE  # heed its position
         model.pair_margin[touching] = sink
+
+
+def _link(name: str) -> str:
+    """Return the name of a link's body: MuJoCo has a ``world`` of its own, as many URDFs have."""
+    return "__link_world" if name == "world" else name
 
 
 def _body(box: Support) -> str:

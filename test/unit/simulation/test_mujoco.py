@@ -67,6 +67,24 @@ def test_mass_matrix_gravity_and_frames_are_pinocchios(source):
         assert np.allclose(data.xpos[found.links[tip]], expected, rtol=0.0, atol=1e-12)
 
 
+WORLD = """<robot name="arm"><link name="world"/><link name="upper"><inertial><mass value="1"/>
+<origin xyz="0 0 -0.5"/><inertia ixx="0.1" iyy="0.1" izz="0.1"/></inertial></link>
+<joint name="shoulder" type="revolute"><parent link="world"/><child link="upper"/>
+<axis xyz="0 1 0"/><limit lower="-2" upper="2" effort="10" velocity="3"/></joint>
+<link name="tool"><inertial><mass value="0"/><inertia ixx="0" iyy="0" izz="0"/></inertial></link>
+<joint name="flange" type="fixed"><parent link="upper"/><child link="tool"/></joint></robot>"""
+
+
+def test_a_link_may_be_called_world_and_a_mere_frame_may_say_so_with_zeros():
+    """As the URDF of the UR5 has both; MuJoCo has a body ``world`` itself, and none of no mass."""
+    description = RobotDescription.load(WORLD)
+    found, data = built(description)
+    data.qpos[found.positions["shoulder"]] = math.pi / 2.0
+    mujoco.mj_forward(found.model, data)
+    assert data.qfrc_bias[found.velocities["shoulder"]] == pytest.approx(0.5 * 9.81, abs=0.01)
+    assert found.links["world"] != 0 != found.links["upper"]
+
+
 def test_the_robot_sinks_into_its_tyres_by_its_weight_over_their_stiffness():
     stiffness = 2.0 * 1e5 + 4.0 * 5e4  # of wheels and balls, in [N/m]
     for payload in (0.0, 2.0):
