@@ -10,6 +10,7 @@ a joint without commands no torque. Without arguments it shows its frames. The p
 
 import contextlib
 import math
+import signal
 import socket
 import struct
 import sys
@@ -17,7 +18,7 @@ import threading
 import time
 
 import rclpy
-from rclpy.executors import ExternalShutdownException
+from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 
 FRAME = struct.Struct("=IB3x8s")  # of SocketCAN: identifier, length, data
@@ -55,8 +56,8 @@ def drive(bus, joints):
                 push(name, 0.0)
 
     def spin():
-        with contextlib.suppress(ExternalShutdownException):
-            rclpy.spin(node)
+        while not ending.is_set():
+            rclpy.spin_once(node, timeout_sec=TIMEOUT / 4)
 
     def read():
         identifier, _, data = FRAME.unpack(bus.recv(FRAME.size))
@@ -78,16 +79,22 @@ def drive(bus, joints):
     for number, _ in joints.values():
         bus.send(frame(number, MODES, "<ii", 1, 1))  # torque, as it comes
         bus.send(frame(number, STATE, "<I", CLOSED_LOOP))
-    threading.Thread(target=spin, daemon=True).start()
+    ending = threading.Event()
+    for each in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(each, lambda *_: ending.set())
+    spinning = threading.Thread(target=spin)
+    spinning.start()
     try:
-        while rclpy.ok():
+        while not ending.is_set():
             with contextlib.suppress(TimeoutError):
                 read()
-    except KeyboardInterrupt:
-        pass
-    for number, _ in joints.values():
-        bus.send(frame(number, TORQUE, "<f", 0.0))
-        bus.send(frame(number, STATE, "<I", IDLE))
+    finally:
+        ending.set()
+        spinning.join()
+        for number, _ in joints.values():
+            bus.send(frame(number, TORQUE, "<f", 0.0))
+            bus.send(frame(number, STATE, "<I", IDLE))
+    node.destroy_node()
 
 
 def main(interface, *wanted):
@@ -95,8 +102,9 @@ def main(interface, *wanted):
     pairs = [(name, each.split(":")) for name, each in (text.split("=") for text in wanted)]
     bus = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
     bus.bind((interface,))
-    rclpy.init()
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)  # the motors are left first
     drive(bus, {name: (int(number), float(gear)) for name, (number, gear) in pairs})
+    rclpy.shutdown()
 
 
 if __name__ == "__main__" and len(sys.argv) > 2:

@@ -24,8 +24,10 @@ FRAME = struct.Struct("=IB3x8s")
 HEARTBEAT, STATE, ESTIMATES, MODES, TORQUE = 0x01, 0x07, 0x09, 0x0B, 0x0E
 CLOSED_LOOP, IDLE = 8, 1
 PROGRAM = (
-    "import runpy, socket, rclpy; example = runpy.run_path({example!r}); rclpy.init(); "
-    "example['drive'](socket.socket(fileno={fileno}), {joints!r})"
+    "import runpy, socket, rclpy; from rclpy.signals import SignalHandlerOptions; "
+    "example = runpy.run_path({example!r}); "
+    "rclpy.init(signal_handler_options=SignalHandlerOptions.NO); "
+    "example['drive'](socket.socket(fileno={fileno}), {joints!r}); rclpy.shutdown()"
 )
 
 
