@@ -532,6 +532,7 @@ class _BeforeJump(NamedTuple):
     """What a loop was before a stamp that may be wrong."""
 
     stamp_ns: int
+    settings: LoopSettings
     following: Following
     velocity: VelocitySource
     integral: float
@@ -543,6 +544,7 @@ class _BeforeJump(NamedTuple):
         assert stamp_ns is not None
         return cls(
             stamp_ns,
+            loop.settings,
             copy(loop._following),
             deepcopy(loop._velocity),
             loop._law.own_integral,
@@ -555,7 +557,8 @@ class _BeforeJump(NamedTuple):
         loop._following = self.following
         if told is not self.following.motion:
             loop._following.follow(told)
-        loop._velocity = velocity = self.velocity
-        loop._observer = velocity if isinstance(velocity, Observer) else None
+        if loop.settings is self.settings:  # else the source is another, or goes by other figures
+            loop._velocity = velocity = self.velocity
+            loop._observer = velocity if isinstance(velocity, Observer) else None
         loop._law.restore_integral(self.integral)
         loop.counts.takeovers = self.takeovers

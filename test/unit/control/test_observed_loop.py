@@ -195,3 +195,13 @@ def test_its_bandwidth_follows_the_gains_unless_it_is_given():
     for d, given_, expected in ((20.0, 0.0, 160.0), (10.0, 0.0, 80.0), (10.0, 33.0, 33.0)):
         loop = loop_of(gains__d=d, observer__bandwidth=given_)
         assert loop._observer.figures.bandwidth == expected
+
+
+def test_a_source_that_was_changed_beside_a_stray_stamp_stays_changed():
+    loop, joint = loop_of(), Joint()
+    drive(loop, joint, 50)
+    loop.step(joint.stamp_ns + 10_000 * MS, joint.position)  # from the future
+    loop.retune(loop_of(velocity_source="filtered").settings)
+    drive(loop, joint, 5)
+    assert loop.counts.takeovers == 0  # the stray stamp has left nothing behind
+    assert loop.estimate is None
