@@ -285,7 +285,7 @@ class JointCommandMerger(ManagedNode):
 
     def look(self) -> float:
         """Send the fallbacks of joints that have fallen silent, and what else is due."""
-        return self._stream.look()
+        return min(self._stream.look(), self._claim.keep())
 
     def hold(self) -> None:
         """Leave all joints without effort while the process is stopped."""

@@ -283,9 +283,9 @@ class JointController(ManagedNode):
             self._stopping.now()
 
     def look(self) -> float:
-        """Give the effort that states have not come for."""
+        """Give the effort that states have not come for, and say that the joint is held."""
         self._commands.fall_back(self._supervised.effort_in_silence, self._watchdog.is_silent)
-        return self._watchdog.within()
+        return min(self._watchdog.within(), self._claim.keep())
 
     def hold(self) -> None:
         """Leave the joint without effort while the process is stopped."""

@@ -4,14 +4,18 @@ import signal
 import subprocess
 import sys
 import time
+from itertools import pairwise
 
 import pytest
 from builtin_interfaces.msg import Duration
+from diagnostic_msgs.msg import DiagnosticStatus
 from harness.graph import ros_arguments
 from harness.health import is_stopped
 from rclpy.serialization import serialize_message
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
+from hpid_ros.base.names import claim_topic
+from hpid_ros.nodes.parts.controller.claims import LEASE
 from hpid_ros.nodes.ros.middleware import LATCHED, OFFERED
 from hpid_ros.wire import JointStateTemplate
 
@@ -134,6 +138,36 @@ def test_no_callback_delays_fallback_zero_and_end(harness, faults, waits, second
         finally:
             process.kill()
     faults.count("callbacks that do not return")
+
+
+def test_whoever_gives_efforts_while_its_callback_is_stuck_holds_its_joint(harness, faults):
+    """For another host its claim does not end: nobody else may become active."""
+    command = [sys.executable, "-c", STUCK.format(waits="time.sleep(60.0)"), "--ros-args"]
+    command += ros_arguments(**PARAMETERS)
+    heard = []
+    harness.node.create_subscription(
+        DiagnosticStatus,
+        claim_topic("/joint_commands", "elbow"),
+        lambda message: heard.append((time.monotonic(), message.message)),
+        LATCHED,
+    )
+    reference = harness.node.create_publisher(JointTrajectory, "joint_trajectory", LATCHED)
+    with subprocess.Popen(command, stderr=subprocess.DEVNULL) as process:
+        try:
+            robot = Robot(harness)
+            robot.wait(lambda: robot.answered_at > 0.0, "an answer")
+            reference.publish(trajectory(60.0))
+            robot.wait(lambda: robot.fell_back_at > robot.answered_at, "the fallback effort")
+            stuck_at = time.monotonic()
+            robot.wait(lambda: time.monotonic() > stuck_at + 2.0 * LEASE, "two leases")
+        finally:
+            process.kill()
+    told = [at for at, state in heard if at > stuck_at and state == "held"]
+    assert told
+    silences = [later - earlier for earlier, later in pairwise([stuck_at, *told])]
+    assert max(silences) < LEASE
+    assert time.monotonic() - told[-1] < LEASE
+    faults.count("claims told while a callback is stuck", len(told))
 
 
 def test_a_flood_of_trajectories_delays_neither_fallback_nor_zero(harness, faults):

@@ -7,8 +7,10 @@ the joint. Neither does anything when a state comes.
 
 from __future__ import annotations
 
+import math
 import os
 import socket
+import threading
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -20,6 +22,7 @@ from rclpy.timer import Timer
 from hpid_ros.base.errors import ClaimError
 from hpid_ros.base.names import claim_topic
 from hpid_ros.nodes.parts.controller.claims import LEASE, Claim, ClaimState, HeardClaims, HostLock
+from hpid_ros.nodes.ros.executor import ClosingNode
 from hpid_ros.nodes.ros.middleware import LATCHED, has_shared_memory_alone
 from hpid_ros.nodes.ros.parameters import read_choice
 from hpid_ros.nodes.ros.steady_timer import steady_timer
@@ -27,6 +30,8 @@ from hpid_ros.nodes.ros.steady_timer import steady_timer
 SCOPES = ("joint", "none")
 
 _BEAT = 0.25  # [s]; six of them are a lease
+_OVERDUE = 0.75  # [s] since the claim was last told, after which the supervisor's thread tells it
+_LOCK_WITHIN = 0.2  # [s]; whoever holds it longer is stuck in the middleware, as we would be
 _SETTLES_WITHIN = 0.5  # [s]; a holder on a network that is found at all has answered by then
 _CLOCK = getattr(time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC)  # goes on while a host sleeps
 _STARTED_NS = time.time_ns()  # one for all joints of a process: all of them win, or none
@@ -67,7 +72,7 @@ class JointClaim:
 
     def __init__(
         self,
-        node: Node,
+        node: ClosingNode,
         is_claiming: bool,
         joint: str,
         commands: str,
@@ -99,6 +104,7 @@ class JointClaim:
         self._others = HeardClaims()
         self._listening_since: float | None = None
         self._told = 0.0
+        self._telling = threading.Lock()
         topic = claim_topic(commands, joint)
         self._publisher = node.create_publisher(DiagnosticStatus, topic, LATCHED)
         node.create_subscription(DiagnosticStatus, topic, self._on_claim, LATCHED)
@@ -136,9 +142,9 @@ class JointClaim:
         self._listening_since = None
         # In the closed mode nobody else is there to be listened to.
         state = ClaimState.HELD if self._is_closed else ClaimState.WISHED
-        self._mine = self._claim.become(state)
+        self._mine = self._claim
         self._timer = steady_timer(self._node, _BEAT, self._beat)
-        self._tell()
+        self._become(state)
 
     def settle(self) -> bool:
         """Hold the joint once others have had the time to say that it is theirs.
@@ -151,17 +157,14 @@ class JointClaim:
             if self._listening_since is None:  # the first call while messages are taken
                 self._listening_since = now
             if now - self._listening_since >= _SETTLES_WITHIN:
-                self._mine = self._mine.become(ClaimState.HELD)
-                self._tell()
+                self._become(ClaimState.HELD)
         return self.is_settled
 
     def release(self) -> None:
         """Give the joint back, if it was claimed."""
         if self._mine is None:
             return
-        self._mine = self._mine.become(ClaimState.RELEASED)
-        self._tell()
-        self._mine = None
+        self._become(ClaimState.RELEASED)
         if self._timer is not None:
             self._node.destroy_timer(self._timer)
             self._timer = None
@@ -176,7 +179,8 @@ class JointClaim:
             return
         self._begin_anew_if_lapsed()
         self.settle()
-        self._tell()
+        with self._telling:
+            self._tell()
 
     def _begin_anew_if_lapsed(self) -> None:
         """Wish again after having stood still: for the others the claim has ended."""
@@ -184,8 +188,8 @@ class JointClaim:
             return
         self._listening_since = None
         if self._mine.state is ClaimState.HELD:
-            self._mine = self._claim = replace(self._claim, since_ns=time.time_ns())
-        self._tell()
+            self._claim = replace(self._claim, since_ns=time.time_ns())
+        self._become(ClaimState.WISHED)
 
     def _on_claim(self, message: DiagnosticStatus) -> None:
         try:
@@ -209,7 +213,36 @@ class JointClaim:
             was_held = self._mine.state is ClaimState.HELD
             self._lose(self._refused(_named(claim)), was_held)
 
+    def keep(self) -> float:
+        """Tell a held claim where the executor does not, and return when to look again, in [s].
+
+        On any thread: whoever gives efforts while the executor is busy or stuck holds its joint.
+        """
+        if not self._is_claiming or not self._telling.acquire(timeout=_LOCK_WITHIN):
+            return _OVERDUE if self._is_claiming else math.inf
+        try:
+            mine, silence = self._mine, _now() - self._told
+            if mine is None or mine.state is not ClaimState.HELD or silence > LEASE:
+                return math.inf  # not held, or held no more: the executor begins anew
+            if silence < _OVERDUE:
+                return _OVERDUE - silence
+            self._tell()
+            return _OVERDUE
+        finally:
+            self._telling.release()
+
+    def _become(self, state: ClaimState) -> None:
+        """Go over to another state, and tell it."""
+        with self._telling:
+            self._mine = self._claim.become(state)
+            self._tell()
+            if state is ClaimState.RELEASED:
+                self._mine = None
+        if state is ClaimState.HELD and self._node.supervisor is not None:
+            self._node.supervisor.look_anew()
+
     def _tell(self) -> None:
+        """Tell how it stands; only to be called by who has the lock."""
         assert self._mine is not None
         self._publisher.publish(to_message(self._mine))
         self._told = _now()
