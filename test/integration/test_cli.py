@@ -229,3 +229,17 @@ def test_a_reader_that_has_read_enough_is_no_error():
     finally:
         command.kill()
         command.communicate()
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        *("", "compare", "run", "sweep", "study", "metrics", "replay", "repair", "gains"),
+        *("check-gains", "tune", "upgrade", "export", "robot", "schema"),
+    ],
+)
+def test_help_fits_a_terminal_of_80_columns(command, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    with pytest.raises(SystemExit):
+        main([*command.split(), "--help"])
+    assert max(map(len, capsys.readouterr().out.splitlines())) <= 80

@@ -12,7 +12,8 @@ _EXAMPLES = """\
 examples:
   hpid schema > experiment.schema.json
 
-An editor with a YAML language server completes and checks a file whose first line is
+An editor with a YAML language server completes and checks a file whose first
+line is
   # yaml-language-server: $schema=experiment.schema.json
 """
 
@@ -22,8 +23,8 @@ def add(commands: Any) -> None:
     parser = commands.add_parser(
         "schema",
         help="print the JSON Schema of experiment files, for editors",
-        description="Print the JSON Schema (draft 2020-12) with which editors complete and check "
-        "experiment files.",
+        description="Print the JSON Schema (draft 2020-12) with which editors complete and\n"
+        "check experiment files.",
         epilog=_EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )

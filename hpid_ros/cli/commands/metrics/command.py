@@ -184,8 +184,8 @@ def add(commands: Any) -> None:
     parser = commands.add_parser(
         "metrics",
         help="compute the indices of recorded bags and compare them",
-        description="Compute performance indices of recordings, the first the baseline; tables, "
-        "figures and a report. docs/indices.md defines every number.",
+        description="Compute performance indices of recordings, the first the baseline;\n"
+        "tables, figures and a report. docs/indices.md defines every number.",
         epilog=EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )

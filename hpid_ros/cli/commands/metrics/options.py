@@ -17,14 +17,14 @@ if TYPE_CHECKING:
 EXAMPLES = """\
 examples:
   hpid metrics my_bag                                  one recording
-  hpid metrics pid_bag hpid_bag --labels PID hPID      the second against the first
-  hpid metrics --group PID pid_* --group hPID hpid_*   repeats: medians and quartiles
-  hpid metrics my_bag --indices step,rmse --units deg  other indices, angles in degrees
-  hpid metrics my_bag --reference my_motion.yaml       no reference in the bag: it is given
+  hpid metrics pid_bag hpid_bag --labels PID hPID      second against first
+  hpid metrics --group PID pid_* --group hPID hpid_*   repeats: medians
+  hpid metrics my_bag --indices step,rmse --units deg  other indices, degrees
+  hpid metrics my_bag --reference my_motion.yaml       none in the bag: given
   hpid metrics my_bag --command-topic elbow=/group_controller/commands[2]
   hpid metrics a_bag b_bag --save ab.json --report ab.html
-  hpid metrics my_bag --robot my_robot.urdf            and how far its hand was off
-  hpid metrics ab.json results/mine/result.json        saved numbers instead of bags
+  hpid metrics my_bag --robot my_robot.urdf            how far off its hand was
+  hpid metrics ab.json results/mine/result.json        saved numbers, no bags
 """
 
 

@@ -18,8 +18,8 @@ examples:
   hpid repair my_bag                  the readable part into my_bag_repaired
   hpid repair my_bag.mcap -o saved    of one file that lost its folder
 
-The old bag is never changed. Exit codes: 0 a bag was written (what was lost is listed), 2 nothing
-could be read or written.
+The old bag is never changed. Exit codes: 0 a bag was written (what was lost is
+listed), 2 nothing could be read or written.
 """
 
 
@@ -28,7 +28,7 @@ def add(commands: Any) -> None:
     parser = commands.add_parser(
         "repair",
         help="save what can be read of a bag that was cut off or damaged",
-        description="Write every message that can be read into a new bag, with its index and "
+        description="Write every message that can be read into a new bag, with its index and\n"
         "metadata.yaml, and say what was saved and what was lost.",
         epilog=_EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,

@@ -15,15 +15,17 @@ if TYPE_CHECKING:
 
 _EXAMPLES = """\
 examples:
-  hpid replay results/paper-.../bags/hPID      a bag of hpid compare or hpid run
-  hpid replay my_bag --params controllers.yaml a bag of ros2 bag record; the file is
-                                               what the controllers were started with
+  hpid replay results/mine/bags/hPID    a bag of hpid compare or hpid run
+  hpid replay my_bag --params controllers.yaml
+                                        a bag of ros2 bag record; the file is
+                                        what the controllers were started with
 
-A bag must hold the states, the commands with the stamps of the states that they answer
-(joint_commands), and what the controllers were told: joint_trajectory, ~/setpoint, and
-/parameter_events if anything was retuned.
+A bag must hold the states, the commands with the stamps of the states that they
+answer (joint_commands), and what the controllers were told: joint_trajectory,
+~/setpoint, and /parameter_events if anything was retuned.
 
-Exit codes: 0 every command is the law's, 1 one is not, 2 the input cannot be used.
+Exit codes: 0 every command is the law's, 1 one is not, 2 the input cannot be
+used.
 """
 _SHOWN = 5
 
@@ -33,8 +35,9 @@ def add(commands: Any) -> None:
     parser = commands.add_parser(
         "replay",
         help="compute every command of a recording anew, and compare to the last bit",
-        description="Feed the recorded states, references and parameter changes to the same "
-        "control loops, and say whether every command is theirs, or where and how it is not.",
+        description="Feed the recorded states, references and parameter changes to the same\n"
+        "control loops, and say whether every command is theirs, or where and how it\n"
+        "is not.",
         epilog=_EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
