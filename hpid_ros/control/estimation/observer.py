@@ -64,11 +64,9 @@ class Observer:
     1, 1 + degree, 1 + 2 degree. A negative degree tightens close to the truth, and lets more noise
     through; a positive one is calm there.
 
-    Source: bandwidth as the parameter of an extended state observer, Z. Gao, "Scaling and
-    bandwidth-parameterization based controller tuning", ACC 2003; gains under a dilation of the
-    innovation, A. Polyakov, HCS Toolbox for MATLAB, "Homogeneous Observer"; why a prefilter,
-    X. Ping, K. Zimenko, A. Polyakov, D. Efimov, "Filtering Homogeneous Observer for MIMO System",
-    arXiv:2401.03135 (2024).
+    Source: gains under a dilation of the innovation, A. Polyakov, HCS Toolbox for MATLAB,
+    "Homogeneous Observer"; why a prefilter, X. Ping, K. Zimenko, A. Polyakov, D. Efimov,
+    "Filtering Homogeneous Observer for MIMO System", arXiv:2401.03135 (2024), read in extracts.
 
     Attributes:
         position: Estimate after the last sample, in [rad].
