@@ -5,6 +5,7 @@ For topics of a few messages; what comes a thousand times a second is read as co
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -176,6 +177,40 @@ def read_statuses(bag: Path, topic: str) -> list[Status]:
         for message in messages_on(bag, topic, STATUSES)
         for status in message.status
     ]
+
+
+TEXT = "std_msgs/msg/String"
+_DESCRIPTION = "robot_description"
+
+
+def read_robot_descriptions(bag: Path, namespace: str | None = None) -> list[tuple[str, str]]:
+    """Return the last text on each topic ``robot_description``, with the topic; often none.
+
+    Args:
+        bag: The bag.
+        namespace: Only the topic right below it; of every robot if None.
+
+    Raises:
+        BagError: The bag cannot be read.
+    """
+    only = (
+        None if namespace is None else f"/{namespace.strip('/')}/{_DESCRIPTION}".replace("//", "/")
+    )
+    found: dict[str, str] = {}
+    with Storage(bag) as storage:
+        topics = frozenset(
+            name
+            for name, info in storage.topics().items()
+            if info.type == TEXT
+            and name.rpartition("/")[2] == _DESCRIPTION
+            and only in (None, name)
+        )
+        for batch in storage.batches(topics, lambda share: None) if topics else ():
+            for index in range(len(batch.starts)):
+                with suppress(Exception):  # whatever rosbags' generated code trips over
+                    message: Any = jazzy_types().deserialize_cdr(batch.raw(index), TEXT)
+                    found[batch.topic] = str(message.data)
+    return sorted(found.items())
 
 
 def _numbers(pose: Any) -> tuple[float, ...]:

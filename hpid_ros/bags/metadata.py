@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -104,6 +104,36 @@ def time_stood_still(metadata: Mapping[str, str]) -> float:
     except ValueError:
         return 0.0
     return seconds if math.isfinite(seconds) and seconds > 0.0 else 0.0
+
+
+SLIDES = "hpid_ros/slides"
+"""Name of the entry with the joints that slide, whose units are m and N: JSON, a list."""
+
+
+def slides_entry(slides: Collection[str]) -> dict[str, str]:
+    """Return the entry for the metadata; none where no joint slides.
+
+    Args:
+        slides: Names of joints.
+    """
+    return {SLIDES: json.dumps(sorted(slides))} if slides else {}
+
+
+def recorded_slides(metadata: Mapping[str, object]) -> frozenset[str]:
+    """Return the joints that a bag's recorder knew to slide.
+
+    Args:
+        metadata: As for :func:`missed_messages`.
+    """
+    try:
+        entry = json.loads(str(metadata.get(SLIDES, "[]")))
+    except (ValueError, RecursionError):
+        return frozenset()
+    return frozenset(filter(_is_text, entry)) if isinstance(entry, list) else frozenset()
+
+
+def _is_text(value: object) -> bool:
+    return isinstance(value, str)
 
 
 PARAMETERS = "hpid_ros/controllers"

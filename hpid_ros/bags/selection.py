@@ -74,6 +74,8 @@ class BagSelection:
         clock: One of :data:`CLOCKS`. Commands without a stamp have their receive time in either.
         start: Begin of the window, seconds since the first state of any joint, in [s].
         end: End of the window (inclusive), likewise.
+        separates_runs: Whether stamps that go back by a second or more begin another run, which
+            then follows the one before after a gap; else all are put in the order of their stamps.
 
     Raises:
         SettingError: An unknown clock, an empty or reversed window, an empty name.
@@ -88,6 +90,7 @@ class BagSelection:
     clock: str = "header"
     start: float | None = None
     end: float | None = None
+    separates_runs: bool = False
 
     def __post_init__(self) -> None:
         if self.joints is not None:

@@ -109,7 +109,7 @@ class Compensator:
             self.states.last_fault = str(error)
             return None
         if not (0.0 < gain < math.inf and math.isfinite(effort)):
-            self.states.last_fault = f"the model gave {effort} N m and a gain of {gain}"
+            self.states.last_fault = f"the model gave an effort of {effort} and a gain of {gain}"
             return None
         return ModelTerm(gain, effort, self._follows)
 

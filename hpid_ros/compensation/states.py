@@ -180,14 +180,14 @@ class RobotStates:
     ) -> str:
         """Return what makes a state unusable, in words; empty if nothing."""
         if not _are_possible(positions):
-            return f"positions of the model: {self._worst(positions)} rad"
+            return f"positions of the model: {self._worst(positions)}"
         if velocities is not None and not _are_possible(velocities):
-            return f"velocities of the model: {self._worst(velocities)} rad/s"
+            return f"velocities of the model: {self._worst(velocities)}"
         if self._needs_efforts:
             if efforts is None:
                 return "the states have no efforts, which decoupling needs"
             if not _are_possible(efforts):
-                return f"efforts of the model: {self._worst(efforts)} N m"
+                return f"efforts of the model: {self._worst(efforts)}"
         return ""
 
     def _worst(self, values: Sequence[float]) -> str:

@@ -3,35 +3,26 @@
 from __future__ import annotations
 
 import math
-from copy import copy, deepcopy
+from copy import copy
 from typing import NamedTuple
 
 from hpid_ros.base.errors import SettingError
 from hpid_ros.base.units import SECONDS_PER_NANOSECOND
 from hpid_ros.control.damping_stop import DampingStop
-from hpid_ros.control.estimation.observer import Observer
-from hpid_ros.control.estimation.velocity import (
-    FilteredVelocity,
-    MeasuredVelocity,
-    VelocitySource,
-)
+from hpid_ros.control.estimation.estimation import Estimation
+from hpid_ros.control.estimation.velocity import VelocitySource
 from hpid_ros.control.limited_law import LimitedLaw, ModelTerm
 from hpid_ros.control.loop_state import LoopClock, LoopCounts, LoopState
 from hpid_ros.control.pid import Terms
 from hpid_ros.control.reference import LARGEST_POSITION, Following, Motion
+from hpid_ros.control.reference.feedforward import Feedforward
 from hpid_ros.control.settings.assembly import (
+    feedforward_figures,
     largest_step,
     make_unwrapper,
-    make_velocity_source,
-    observer_figures,
     turn_of_references,
 )
 from hpid_ros.control.settings.loop import LoopSettings
-
-_NO_MODEL = ModelTerm(1.0, 0.0)
-
-MOVED_AT_ZERO = 0.05
-"""A joint that has come so far without a velocity has a driver that measures none, in [rad]."""
 
 
 class JointLoop:
@@ -52,12 +43,8 @@ class JointLoop:
         settings: Checked settings.
     """
 
-    _velocity: VelocitySource
-    _observer: Observer | None
     _position: float
-    _rate: float
     _error: float
-    _fed: float  # effort of the last sample against the observer's disturbance, in [N m]
 
     def __init__(self, settings: LoopSettings) -> None:
         self.settings = settings
@@ -66,7 +53,8 @@ class JointLoop:
         """What was last wrong with a state, in words."""
         self._following = Following()
         self._law = LimitedLaw(settings, self.counts)
-        self._use_velocity_source(settings)
+        self._estimation = Estimation(settings, self._law)
+        self._feedforward = Feedforward(feedforward_figures(settings))
         self._unwrapper = make_unwrapper(settings.encoder)
         self._clock = LoopClock(self.counts)
         self._adopt(settings)
@@ -109,80 +97,35 @@ class JointLoop:
         if settings.model != before.model:
             raise SettingError("compensation and its model cannot change while the loop runs")
         is_new = self._clock.stamp_ns is None
-        self._retune_velocity(settings, is_new)
+        self._estimation.retune(settings, None if is_new else self._position)
         if settings.encoder.wrap != before.encoder.wrap:
             if self._unwrapper is None:
                 self._unwrapper = make_unwrapper(settings.encoder)
             else:
                 self._unwrapper.begin_anew_after(max(settings.encoder.wrap, 0.0) or math.inf)
-        self._law.retune(settings, None if is_new else (self._position, self._rate))
-        fed = self._fed
-        self._fed = self._against_disturbance(settings)
-        if fed != self._fed:
-            self._law.take_from_model(fed - self._fed)
+        self._law.retune(settings, None if is_new else (self._position, self.velocity))
+        self._estimation.feed_anew()
+        following = self._following
+        change = self._feedforward.retune(
+            feedforward_figures(settings), following.velocity, following.acceleration
+        )
+        if change:
+            self._hand_over(change, self._clock.stamp_ns or 0, settings)
         self.settings = settings
         self._adopt(settings)
         if self.is_on_fallback:
             self._law.give(settings.effort.fallback)
 
-    def _use_velocity_source(self, settings: LoopSettings) -> None:
-        figures = observer_figures(settings)
-        if figures is not None:
-            self._velocity = self._observer = Observer(figures)
-        else:
-            self._velocity = make_velocity_source(settings.velocity)
-            self._observer = None
-
-    def _retune_velocity(self, settings: LoopSettings, is_new: bool) -> None:
-        """Go by other settings; what is estimated is carried over."""
-        figures = observer_figures(settings)
-        if figures is not None and self._observer is not None:
-            if figures != self._observer.figures:
-                self._send()
-                self._observer.retune(figures)
-        elif (
-            figures is not None
-            or self._observer is not None
-            or settings.velocity.in_use != self.settings.velocity.in_use
-        ):
-            self._use_velocity_source(settings)
-            if not is_new:
-                self._send()
-                self._velocity.take_over(self._position, self._rate)
-
-    def _send(self) -> None:
-        """Tell the observer, if there is one, what acts on the joint from the last sample on."""
-        if self._observer is not None:
-            law = self._law
-            self._observer.send(law.driving_effort + self._fed / law.gain)
-
-    def _observe(
-        self, observer: Observer, position: float, dt: float, model: ModelTerm | None
-    ) -> ModelTerm | None:
-        """Let the observer take a sample, and return the model's term with what it feeds."""
-        self._send()
-        observer.update(position, None, dt)
-        if not self.settings.observer.feed_disturbance:
-            return model
-        alone = model or _NO_MODEL
-        self._fed = -alone.gain * observer.effort
-        return alone._replace(effort=alone.effort + self._fed)
-
-    def _against_disturbance(self, settings: LoopSettings) -> float:
-        """Return the effort against the disturbance that is fed forward now, in [N m]."""
-        if self._observer is None or not settings.observer.feed_disturbance:
-            return 0.0
-        return -self._law.gain * self._observer.effort
-
     def reset(self) -> None:
         """Forget integral, velocity and time; start the motion anew with the next state."""
         self._law.reset()
-        self._velocity.reset()
+        self._estimation.reset()
+        self._feedforward.reset()
         if self._unwrapper is not None:
             self._unwrapper.reset()
         self._following.restart()
         self._clock.restart()
-        self._position = self._rate = self._error = self._fed = 0.0
+        self._position = self._error = 0.0
         self._state = LoopState.WAITING
         self._is_takeover_due = False
         self._before_jump: _BeforeJump | None = None
@@ -238,41 +181,17 @@ class JointLoop:
     @property
     def velocity_origin(self) -> str:
         """Where the velocity of the last sample came from, in words."""
-        source = self.settings.velocity.source
-        if isinstance(self._velocity, MeasuredVelocity) and not self._velocity.is_reported:
-            return "filtered, the states have none"
-        if self._lacks_inertia:
-            return "filtered, the inertia is unknown"
-        return source
-
-    @property
-    def _lacks_inertia(self) -> bool:
-        return self.settings.velocity.source == "observer" and self._observer is None
+        return self._estimation.origin
 
     @property
     def velocity_doubt(self) -> str:
         """What speaks against the velocities of the states, in words; empty if nothing does."""
-        source = self._velocity
-        if isinstance(source, MeasuredVelocity) and source.moved_at_zero > MOVED_AT_ZERO:
-            return (
-                f"the velocities of the states are all 0, and the joint has moved by "
-                f"{source.moved_at_zero:.2g} rad: nothing damps it; velocity_source filtered "
-                "does without them"
-            )
-        if self._lacks_inertia:
-            return (
-                "velocity_source observer needs the parameter inertia, which is unknown: "
-                "differences of the position are filtered in its place"
-            )
-        return ""
+        return self._estimation.doubt
 
     @property
     def estimate(self) -> tuple[float, float, float] | None:
         """Position [rad], velocity [rad/s] and disturbing effort [N m] by the observer, if any."""
-        observer = self._observer
-        if observer is None:
-            return None
-        return observer.position, observer.velocity, self._law.gain * observer.effort
+        return self._estimation.disturbed
 
     def damping_stop(self, duration: float) -> DampingStop:
         """Return what damps the joint from now on in this loop's place.
@@ -280,10 +199,7 @@ class JointLoop:
         Args:
             duration: In [s], positive.
         """
-        velocity = self._velocity
-        if self._observer is not None:  # it knows the efforts of the loop, not those of the stop
-            velocity = FilteredVelocity(self.settings.velocity.filter_time_constant)
-            velocity.take_over(self._position, self._rate)
+        velocity = self._estimation.source_of_stop(self._position)
         return self._law.damping_stop(velocity, self._hears_velocity, self.stamp_ns, duration)
 
     def step(
@@ -343,29 +259,46 @@ class JointLoop:
         is_takeover = False
         if self._is_takeover_due or not following.is_standing:
             is_takeover = self._begin(stamp_ns, position)
-        observer = self._observer
-        if observer is None:
-            speed = self._velocity.update(position, velocity, dt)
-            seen = position
-        else:
-            model = self._observe(observer, position, dt, model)
-            seen, speed = observer.position, observer.velocity
-        self._rate = speed
+        estimation = self._estimation
+        model = estimation.update(position, velocity, dt, model)
+        speed = estimation.velocity
         wanted, rate, acceleration = following.sample(stamp_ns, timing.takeover_time, law.limits)
+        forward, ahead = self._feedforward, 0.0
+        if forward.is_active or following.gives_effort:
+            ahead = self._feed_forward(stamp_ns, is_takeover=is_takeover)
         if is_takeover:
-            law.take_over(model, acceleration, is_still_damped=is_next)
+            law.take_over(model, acceleration, ahead, is_still_damped=is_next)
         self._state = LoopState.HOLDING if following.motion is None else LoopState.FOLLOWING
-        self._error = error = wanted - seen
+        self._error = error = wanted - estimation.position
         try:
-            effort = law.update(error, rate - speed, position, speed, elapsed, model, acceleration)
+            effort = law.update(
+                error, rate - speed, position, speed, elapsed, model, acceleration, ahead
+            )
         except ArithmeticError as fault:
             self.last_fault = str(fault)
-            self._velocity.reset()
+            self._estimation.restart()
             self._skip(stamp_ns)
             return self._fault()
         clock.take(stamp_ns, since, timing)
         self.counts.samples += 1
         return effort
+
+    def _feed_forward(self, stamp_ns: int, *, is_takeover: bool) -> float:
+        """Return the effort that the reference of this sample needs, in [N m]."""
+        forward, following = self._feedforward, self._following
+        planned = following.effort(stamp_ns)
+        if is_takeover:
+            forward.reset()
+        elif following.has_turned:
+            self._hand_over(forward.change_by(planned), stamp_ns, self.settings)
+        following.has_turned = False
+        return forward.update(stamp_ns, following.velocity, following.acceleration, planned)
+
+    def _hand_over(self, change: float, stamp_ns: int, settings: LoopSettings) -> None:
+        """Let the effort stay what it is although what is fed forward changes, in [N m]."""
+        left = self._law.give_up(change)
+        if left:
+            self._feedforward.keep(-left, stamp_ns, settings.timing.takeover_time)
 
     def reject(self, stamp_ns: int, reason: str) -> float:
         """Answer a state that cannot be used.
@@ -388,13 +321,12 @@ class JointLoop:
 
     def _skip(self, stamp_ns: int) -> None:
         """Pass over a state that cannot be used; the observer goes on under the effort sent."""
-        clock, observer = self._clock, self._observer
-        if observer is not None and clock.stamp_ns is not None:
+        clock = self._clock
+        if clock.stamp_ns is not None:
             last_ns = clock.stamp_ns if clock.unusable_ns is None else clock.unusable_ns
             since = (stamp_ns - last_ns) * SECONDS_PER_NANOSECOND
             if 0.0 < since <= self._timing.state_timeout:
-                self._send()
-                observer.coast(since)
+                self._estimation.coast(since)
         clock.skip(stamp_ns)
 
     def _fault(self) -> float:
@@ -465,7 +397,7 @@ class JointLoop:
         self._is_takeover_due = False
         if is_takeover:
             self.counts.takeovers += 1
-            self._velocity.reset()
+            self._estimation.restart()
             self._following.take_over(stamp_ns, position, self._timing.takeover_time)
         else:
             self._following.stand(position)
@@ -490,6 +422,11 @@ class JointLoop:
     def model_effort(self) -> float:
         """What a model added in the last sample, in [N m], before the limits; 0 without one."""
         return self._law.model_effort
+
+    @property
+    def feedforward_effort(self) -> float:
+        """What was fed forward for the reference in the last sample, in [N m]."""
+        return self._feedforward.effort
 
     @property
     def integral(self) -> float:
@@ -519,7 +456,7 @@ class JointLoop:
     @property
     def velocity(self) -> float:
         """The velocity that the last sample used, in [rad/s]."""
-        return self._rate
+        return self._estimation.velocity
 
     @property
     def braked(self) -> int:
@@ -534,6 +471,7 @@ class _BeforeJump(NamedTuple):
     stamp_ns: int
     settings: LoopSettings
     following: Following
+    feedforward: Feedforward
     velocity: VelocitySource
     integral: float
     takeovers: int
@@ -546,7 +484,8 @@ class _BeforeJump(NamedTuple):
             stamp_ns,
             loop.settings,
             copy(loop._following),
-            deepcopy(loop._velocity),
+            copy(loop._feedforward),
+            loop._estimation.copy_of_source(),
             loop._law.own_integral,
             loop.counts.takeovers,
         )
@@ -558,7 +497,7 @@ class _BeforeJump(NamedTuple):
         if told is not self.following.motion:
             loop._following.follow(told)
         if loop.settings is self.settings:  # else the source is another, or goes by other figures
-            loop._velocity = velocity = self.velocity
-            loop._observer = velocity if isinstance(velocity, Observer) else None
+            loop._estimation.put_back(self.velocity)
+            loop._feedforward = self.feedforward
         loop._law.restore_integral(self.integral)
         loop.counts.takeovers = self.takeovers

@@ -49,11 +49,13 @@ class LimitedLaw:
     """
 
     __slots__ = (
+        "_ahead",
         "_anti_windup",
         "_clamp",
         "_counts",
         "_damping",
         "_gain",
+        "_has_integral",
         "_integral_clamp",
         "_is_given",
         "_law",
@@ -76,7 +78,7 @@ class LimitedLaw:
         effort, integral = settings.effort, settings.integral
         self._clamp = effort.u_clamp_min, effort.u_clamp_max
         self._integral_clamp = integral.i_clamp_min, integral.i_clamp_max
-        self._damping = settings.gains.d
+        self._damping, self._has_integral = settings.gains.d, settings.gains.i > 0.0
         self._anti_windup, self.limits = make_anti_windup(settings), limits
 
     @property
@@ -149,6 +151,23 @@ class LimitedLaw:
         self._model_effort -= effort
         self._offset -= effort
 
+    def give_up(self, effort: float) -> float:
+        """Let the integral term give less, for what gives so much more from now on.
+
+        Args:
+            effort: In [N m].
+
+        Returns:
+            What it cannot give up, in [N m]: an integral with ``gains.i`` 0 stays as it is, and
+            no other leaves ``i_clamp``.
+        """
+        before = self._law.integral
+        if self._has_integral:
+            least, most = self._integral_clamp
+            wanted = before - effort / self._gain
+            self._law.restore_integral(min(max(wanted, min(least, before)), max(most, before)))
+        return effort + self._gain * (self._law.integral - before)
+
     def give(self, effort: float) -> None:
         """Note the effort that is in force for another reason than the law's last sample.
 
@@ -161,16 +180,22 @@ class LimitedLaw:
         """Forget the integral, and be without effort."""
         self._law.reset()
         self.give(0.0)
-        self._gain, self._model_effort, self._offset = 1.0, 0.0, 0.0
+        self._gain, self._model_effort, self._offset, self._ahead = 1.0, 0.0, 0.0, 0.0
 
     def take_over(
-        self, model: ModelTerm | None, acceleration: float, *, is_still_damped: bool
+        self,
+        model: ModelTerm | None,
+        acceleration: float,
+        ahead: float = 0.0,
+        *,
+        is_still_damped: bool,
     ) -> None:
         """Begin anew with the effort in force: the integral becomes what it needs.
 
         Args:
             model: The model's term of the sample to come; None without a model.
             acceleration: The reference's, in [rad/s^2].
+            ahead: What is fed forward in the sample to come, in [N m].
             is_still_damped: The joint has been in control until now, so the derivative term of
                 the sample to come takes the place of the last one. It is left out: of two
                 takeovers in a row the damping would be in the integral twice.
@@ -179,8 +204,9 @@ class LimitedLaw:
         integral = self.effort
         if is_still_damped and not self._is_given:
             terms = self.terms
-            rest = terms.p + terms.i + self._model_effort
+            rest = terms.p + terms.i + self._model_effort + self._ahead
             integral = min(max(rest, least), most)
+        integral -= ahead
         if model is not None:
             integral = (integral - model.effort) / model.gain
             if model.follows_acceleration:
@@ -198,6 +224,7 @@ class LimitedLaw:
         dt: float,
         model: ModelTerm | None = None,
         acceleration: float = 0.0,
+        ahead: float = 0.0,
     ) -> float:
         """Take one sample.
 
@@ -209,6 +236,7 @@ class LimitedLaw:
             dt: Time since the last sample in [s].
             model: The model's term; None without a model.
             acceleration: The reference's, in [rad/s^2].
+            ahead: What is fed forward, in [N m].
 
         Returns:
             The effort in [N m], within the limits.
@@ -230,6 +258,9 @@ class LimitedLaw:
                 added += gain * acceleration
             self._model_effort = added
             wanted = gain * wanted + added
+        self._ahead = ahead
+        if ahead:
+            wanted += ahead
         after = law.integral
         if not (math.isfinite(wanted) and math.isfinite(after)):
             law.restore_integral(before)

@@ -52,6 +52,15 @@ class GivenReference:
         """Return position, velocity and no acceleration."""
         return self.position, self.velocity, 0.0
 
+    @property
+    def gives_effort(self) -> bool:
+        """Return False."""
+        return False
+
+    def effort(self, stamp_ns: int) -> float:
+        """Return 0."""
+        return 0.0
+
 
 class GivenLoop:
     """Python's loop, called as the exported one: with the reference of each state.

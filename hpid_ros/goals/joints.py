@@ -161,8 +161,8 @@ class GroupReferences:
         away = [self._turns_to(at, request, start_ns, now_ns) for at in range(len(request.names))]
         if not any(away):
             return request
-        positions, velocities, accelerations = request.derivatives
-        return replace(request, derivatives=(positions + away, velocities, accelerations))
+        arrays = request.arrays
+        return replace(request, arrays=arrays._replace(positions=arrays.positions + away))
 
     def _turns_to(self, at: int, request: GoalRequest, start_ns: int, now_ns: int) -> float:
         """Return the turns between a joint of a goal and where its reference is, in [rad]."""
@@ -170,9 +170,7 @@ class GroupReferences:
         turn = self._following[joint].turn
         if not turn:
             return 0.0
-        column = checked_column(
-            request.names[at], at, start_ns, request.times_ns, request.derivatives
-        )
+        column = checked_column(request.names[at], at, start_ns, request.times_ns, request.arrays)
         return whole_turns(self.look(joint, now_ns)[0] - column.target(now_ns), turn)
 
     def follow(self, trajectory: GroupTrajectory, now_ns: int) -> None:

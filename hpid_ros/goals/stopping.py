@@ -17,6 +17,7 @@ import numpy as np
 from hpid_ros.base.units import NANOSECONDS, SECONDS_PER_NANOSECOND
 from hpid_ros.goals.trajectories import GroupTrajectory
 from hpid_ros.trajectory import Column, Knot
+from hpid_ros.trajectory.joint_trajectory import PointArrays
 
 LEAD_NS = NANOSECONDS // 20
 """Time until controllers have taken a stop up; as long joints go on as they did, in [ns]."""
@@ -148,7 +149,8 @@ def stop_together(
             positions[row, joint], velocities[row, joint] = sample
     none = np.full_like(positions, np.nan)
     times_ns = np.array(times, dtype=np.int64)
-    return GroupTrajectory(tuple(names), stamp_ns, times_ns, (positions, velocities, none))
+    arrays = PointArrays(positions, velocities, none, none)
+    return GroupTrajectory(tuple(names), stamp_ns, times_ns, arrays)
 
 
 def _inside(knot: Knot, braking: Braking) -> Knot:

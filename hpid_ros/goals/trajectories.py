@@ -7,16 +7,22 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hpid_ros.base.arrays import Numbers
 from hpid_ros.base.errors import TrajectoryError, unknown_name
 from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.goals.results import GoalError, ResultCode
 from hpid_ros.goals.settings import GroupSettings
 from hpid_ros.goals.tolerances import AskedTolerance, Tolerances
 from hpid_ros.trajectory import Column
-from hpid_ros.trajectory.joint_trajectory import Integers, Point, checked_column, require_arrays
+from hpid_ros.trajectory.joint_trajectory import (
+    Integers,
+    Point,
+    PointArrays,
+    checked_column,
+    require_arrays,
+)
 from hpid_ros.wire import MOST_MIXED_POINTS, MOST_POINTS
 
+_EFFORTS = PointArrays._fields.index("efforts")
 _AT_REST = 1.2e-7  # [rad/s, m/s], float32's epsilon, as JTC takes it
 _ROUNDED = 1e-6  # [rad, m]; limits are written with few digits, and planned with more
 _WAITS_AT_MOST = 3600  # [s] for the start of a goal
@@ -30,8 +36,8 @@ class GoalRequest:
         names: Its joints, each once.
         stamp_ns: When it starts in [ns]; 0 means now.
         times_ns: Time from start of each point in [ns], shape (points,).
-        derivatives: Positions, velocities and accelerations, each of shape (points, joints); a
-            row of NaN where a point has none.
+        arrays: The numbers of the points, each of shape (points, joints); a row of NaN where a
+            point has none.
         path_tolerance: What it asks for while it lasts.
         goal_tolerance: What it asks for at its end.
         goal_time_tolerance: In [s]; 0 is the default, -1 waits for ever.
@@ -40,7 +46,7 @@ class GoalRequest:
     names: tuple[str, ...]
     stamp_ns: int
     times_ns: Integers
-    derivatives: tuple[Numbers, Numbers, Numbers]
+    arrays: PointArrays
     path_tolerance: tuple[AskedTolerance, ...] = ()
     goal_tolerance: tuple[AskedTolerance, ...] = ()
     goal_time_tolerance: float = 0.0
@@ -49,7 +55,7 @@ class GoalRequest:
         """Refuse what is no trajectory.
 
         Args:
-            lengths: Numbers that each point has in each array, shape (points, 3).
+            lengths: Numbers that each point has in each array, shape (points, 4).
             point: Returns one point as it came.
 
         Raises:
@@ -67,9 +73,7 @@ class GoalRequest:
             differing = " whose points differ in their arrays" if is_mixed else ""
             raise GoalError(f"a goal{differing} may have {most} points, not {len(self.times_ns)}")
         try:
-            require_arrays(
-                self.names, self.stamp_ns, self.times_ns, self.derivatives, lengths, point
-            )
+            require_arrays(self.names, self.stamp_ns, self.times_ns, self.arrays, lengths, point)
         except TrajectoryError as error:
             raise GoalError(str(error)) from None
 
@@ -94,7 +98,7 @@ class GoalRequest:
                 f"allow_partial_joints_goal is true",
                 ResultCode.INVALID_JOINTS,
             )
-        last = self.derivatives[1][-1]
+        last = self.arrays.velocities[-1]
         if not settings.allows_final_velocity:
             for joint, velocity in zip(self.names, last.tolist(), strict=True):
                 if abs(velocity) > _AT_REST:  # NaN, where there is none, is not
@@ -122,7 +126,7 @@ class GoalRequest:
         for at, name in enumerate(self.names):
             joint = settings.joints.index(name)
             facts, here = settings.facts[joint], positions[joint]
-            path = self.derivatives[0][:, at]
+            path = self.arrays.positions[:, at]
             low = min(facts.lower - _ROUNDED, here)
             high = max(facts.upper + _ROUNDED, here)
             beyond = np.flatnonzero((path < low) | (path > high))
@@ -175,14 +179,14 @@ class GroupTrajectory:
         names: The joints.
         stamp_ns: When it starts in [ns]; never 0.
         times_ns: Time from start of each point in [ns], shape (points,).
-        derivatives: Positions, velocities and accelerations, each of shape (points, joints); a
-            row of NaN where a point has none.
+        arrays: The numbers of the points, each of shape (points, joints); a row of NaN where a
+            point has none.
     """
 
     names: tuple[str, ...]
     stamp_ns: int
     times_ns: Integers
-    derivatives: tuple[Numbers, Numbers, Numbers]
+    arrays: PointArrays
 
     @property
     def end_ns(self) -> int:
@@ -196,7 +200,7 @@ class GroupTrajectory:
             joint: Its place among the names.
         """
         name = self.names[joint]
-        return checked_column(name, joint, self.stamp_ns, self.times_ns, self.derivatives)
+        return checked_column(name, joint, self.stamp_ns, self.times_ns, self.arrays)
 
 
 def for_all_joints(
@@ -223,20 +227,22 @@ def for_all_joints(
     """
     named = [joints.index(name) for name in request.names]
     times_ns = request.times_ns
-    derivatives = []
-    for order, given in enumerate(request.derivatives):
+    arrays = []
+    for order, given in enumerate(request.arrays):
         values = np.zeros((len(times_ns), len(joints)))
         values[:] = rest if order == 0 else 0.0
         values[:, named] = given
         values[np.isnan(given[:, 0])] = np.nan
-        derivatives.append(values)
+        arrays.append(values)
     before_ns = max(now_ns - 1, 0) - start_ns
     if times_ns[0] > before_ns:
         times_ns = np.concatenate([[before_ns], times_ns])
-        for order, values in enumerate(derivatives):
-            first = np.array(rest if order == 0 else [0.0] * len(joints))
-            first[named] = [standing[joint][order] for joint in named]
-            first[np.isnan(values[0])] = np.nan
-            derivatives[order] = np.vstack([first, values])
-    p, v, a = derivatives
-    return GroupTrajectory(tuple(joints), start_ns, times_ns, (p, v, a))
+        for order, values in enumerate(arrays):
+            if order == _EFFORTS:  # until its own first point as there, as a spline has it
+                first = values[0]
+            else:
+                first = np.array(rest if order == 0 else [0.0] * len(joints))
+                first[named] = [standing[joint][order] for joint in named]
+                first[np.isnan(values[0])] = np.nan
+            arrays[order] = np.vstack([first, values])
+    return GroupTrajectory(tuple(joints), start_ns, times_ns, PointArrays(*arrays))

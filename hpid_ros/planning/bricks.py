@@ -61,16 +61,17 @@ def check_limits(trajectory: JointTrajectory, description: RobotDescription) -> 
             position = np.polynomial.polynomial.polyval(t, c)
             rate = np.polynomial.polynomial.polyval(t, np.polynomial.polynomial.polyder(c))
             at = f"{joint.name} at {start.time_ns * SECONDS_PER_NANOSECOND:.3f} s"
+            unit = "m" if joint.is_slide else "rad"
             if position.min() < joint.lower - _SLACK or position.max() > joint.upper + _SLACK:
                 raise TrajectoryError(
-                    f"{at} would be at {position.min():.4g} to {position.max():.4g} rad, its "
-                    f"limits are {joint.lower:g} and {joint.upper:g} rad"
+                    f"{at} would be at {position.min():.4g} to {position.max():.4g} {unit}, "
+                    f"its limits are {joint.lower:g} and {joint.upper:g} {unit}"
                 )
             fastest = float(np.abs(rate).max())
             if fastest > joint.velocity + _SLACK:
                 raise TrajectoryError(
-                    f"{at} would turn at {fastest:.4g} rad/s, its limit is "
-                    f"{joint.velocity:g} rad/s: lower arm_speed, line_speed or drive_speed"
+                    f"{at} would move at {fastest:.4g} {unit}/s, its limit is "
+                    f"{joint.velocity:g} {unit}/s: lower arm_speed, line_speed or drive_speed"
                 )
 
 

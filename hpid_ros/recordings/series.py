@@ -6,8 +6,8 @@ was slow on the wall clock is the same run.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -36,6 +36,7 @@ class JointSeries:
         command_stamps_ns: Stamps of the states that the commands answer, (M,), strictly
             increasing, in [ns]. M = 0 is a joint whose controller never answered.
         effort: Effort of each command, or as it was measured, (M,), in [N m].
+        is_slide: Whether the joint is known to slide: "rad" reads "m" then, and "N m" reads "N".
 
     Raises:
         SeriesError: If a length differs, a value is not finite, or stamps do not increase.
@@ -47,6 +48,7 @@ class JointSeries:
     reference: Numbers
     command_stamps_ns: NDArray[np.int64]
     effort: Numbers
+    is_slide: bool = False
 
     def __post_init__(self) -> None:
         if not self.joint:
@@ -205,6 +207,22 @@ class RunSeries:
         return tuple(series.joint for series in self.joints)
 
     @property
+    def slides(self) -> frozenset[str]:
+        """Names of the joints that are known to slide."""
+        return frozenset(series.joint for series in self.joints if series.is_slide)
+
+    def with_slides(self, slides: Collection[str]) -> RunSeries:
+        """Return the run with these joints known to slide, and no others.
+
+        Args:
+            slides: Names of joints; what the run does not have is passed over.
+        """
+        if self.slides == frozenset(slides).intersection(self.joint_names):
+            return self
+        marked = (replace(each, is_slide=each.joint in slides) for each in self.joints)
+        return replace(self, joints=tuple(marked))
+
+    @property
     def start_ns(self) -> int:
         """Stamp of the first state of any joint, in [ns]."""
         return min(int(series.state_stamps_ns[0]) for series in self.joints)
@@ -259,6 +277,7 @@ def complete_run(
     joints: Sequence[str],
     stamps_ns: NDArray[np.int64],
     columns: Iterable[Numbers],
+    slides: Collection[str] = (),
 ) -> RunSeries:
     """Return the series of a run without losses.
 
@@ -267,6 +286,7 @@ def complete_run(
         joints: Names of the K joints.
         stamps_ns: Stamps of all states and commands, (N,), in [ns].
         columns: Positions [rad], references [rad] and efforts [N m], each (N, K).
+        slides: Names of the joints that slide.
 
     Raises:
         SeriesError: As for :class:`RunSeries` and :class:`JointSeries`.
@@ -276,7 +296,8 @@ def complete_run(
         label,
         tuple(
             JointSeries(
-                joint, stamps_ns, positions[:, k], references[:, k], stamps_ns, efforts[:, k]
+                *(joint, stamps_ns, positions[:, k], references[:, k], stamps_ns, efforts[:, k]),
+                is_slide=joint in slides,
             )
             for k, joint in enumerate(joints)
         ),

@@ -13,7 +13,7 @@ import yaml
 from hpid_ros.bags.columns.batches import TopicBatch
 from hpid_ros.bags.columns.storage import Storage
 from hpid_ros.bags.message_types import JOINT_STATE
-from hpid_ros.bags.metadata import PARAMETERS
+from hpid_ros.bags.metadata import PARAMETERS, recorded_slides
 from hpid_ros.bags.parameter_events import (
     PARAMETER_EVENTS,
     Told,
@@ -161,7 +161,13 @@ def read_records(
         for joint in wanted:
             if joint not in controllers:
                 raise SettingError(unknown_name("joint", joint, controllers))
-        collected = _Collector(choice, commands, types, [controllers[each] for each in wanted])
+        collected = _Collector(
+            choice,
+            commands,
+            types,
+            [controllers[each] for each in wanted],
+            recorded_slides(bag.custom_data),
+        )
         for batch in bag.batches(collected.topics, progress):
             collected.take(batch)
         unreadable = list(bag.unreadable)
@@ -223,7 +229,9 @@ class _Collector:
         commands: Sequence[str],
         types: Mapping[str, str],
         controllers: Sequence[Controller],
+        slides: frozenset[str],
     ) -> None:
+        self._slides = slides
         self._joints = {
             each.settings.joint: _Joint(each, JointReader(each.settings.joint), _model(each))
             for each in controllers
@@ -272,7 +280,11 @@ class _Collector:
                 sorted(each.commands, key=_place),
                 sorted(each.instructions, key=_place),
                 min(begins, default=0),
+                self._is_slide(each.controller),
             )
+
+    def _is_slide(self, controller: Controller) -> bool:
+        return controller.limits.is_slide or controller.settings.joint in self._slides
 
     def _take_states(self, batch: TopicBatch) -> None:
         log_times, places = batch.log_times_ns.tolist(), batch.places.tolist()

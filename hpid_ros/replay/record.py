@@ -71,6 +71,7 @@ class JointRecord:
         commands: The commands.
         instructions: What the controller was told.
         begin_ns: Stamp from which times are counted, in [ns].
+        is_slide: Whether the joint slides: its efforts are in [N].
     """
 
     settings: LoopSettings
@@ -78,3 +79,4 @@ class JointRecord:
     commands: Sequence[RecordedCommand]
     instructions: Sequence[Instruction]
     begin_ns: int
+    is_slide: bool = False

@@ -95,7 +95,7 @@ def replay_joint(record: JointRecord) -> JointVerdict:
     Args:
         record: What was recorded.
     """
-    verdict = JointVerdict(record.settings.joint)
+    verdict = JointVerdict(record.settings.joint, is_slide=record.is_slide)
     for apart in _APART:
         found = _Replay(record, apart).verdict()
         if found.equal >= verdict.equal:
@@ -167,6 +167,7 @@ class _Replay:
             foreign=counts.foreign,
             senders=tuple(each for each in self._senders if each),
             notes=tuple(notes),
+            is_slide=self._record.is_slide,
         )
 
     def _take(self, index: int, state: RecordedState) -> None:
@@ -260,7 +261,8 @@ class _Replay:
                 self._differ(state, command.effort, self._branches[0].effort)
         for command in self._beside.get(state.stamp_ns, ()):
             self._counts.fallbacks += 1
-            self._happened = state.stamp_ns, f"{command.effort:g} N m that answers no state"
+            unit = "N" if self._record.is_slide else "N m"
+            self._happened = state.stamp_ns, f"{command.effort:g} {unit} that answers no state"
             for branch in self._branches:
                 if not branch.loop.is_on_fallback:
                     branch.loop.lapse()

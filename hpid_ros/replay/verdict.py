@@ -45,6 +45,7 @@ class JointVerdict:
         foreign: Commands by somebody else than who sent the first.
         senders: Who sent commands, as far as they say.
         notes: What had to be assumed, in words.
+        is_slide: Whether the joint slides: its efforts are in [N].
     """
 
     joint: str
@@ -59,6 +60,7 @@ class JointVerdict:
     foreign: int = 0
     senders: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
+    is_slide: bool = False
 
     @property
     def is_the_law(self) -> bool:

@@ -209,6 +209,11 @@ class RobotDescription:
     folder: Path | None = None
 
     @property
+    def slides(self) -> frozenset[str]:
+        """Names of the joints that slide: their units are m and N."""
+        return frozenset(name for name, joint in self.joints.items() if joint.is_slide)
+
+    @property
     def last_link(self) -> str:
         """Name of the last link in the file: of an arm, as a rule, its tip."""
         return self.links[-1]

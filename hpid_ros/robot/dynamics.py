@@ -5,16 +5,57 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 from typing import NamedTuple
+from xml.etree import ElementTree
 
 import numpy as np
 import pinocchio
 
 from hpid_ros.base.arrays import Numbers
 from hpid_ros.base.errors import RobotDescriptionError, SettingError, unknown_name
-from hpid_ros.robot.description import JointDescription, RobotDescription
+from hpid_ros.robot.description import MOVING_TYPES, JointDescription, RobotDescription
 from hpid_ros.robot.differential_drive import DifferentialDrive
 
 PAYLOAD_LINK = "payload"
+
+
+def bare_model(
+    description: RobotDescription, root: pinocchio.JointModel | None = None
+) -> pinocchio.Model:
+    """Build the model that a URDF describes.
+
+    Args:
+        description: The robot; its joints may be without limits.
+        root: The joint that carries the root link; None holds it in place.
+
+    Raises:
+        RobotDescriptionError: Pinocchio cannot build a model of the URDF.
+    """
+    xml = _with_limits(description.xml)
+    try:
+        return pinocchio.buildModelFromXML(xml, *(() if root is None else (root,)))
+    except (ValueError, RuntimeError) as error:
+        reason = " ".join(str(error).split())
+        raise RobotDescriptionError(f"Pinocchio cannot read the robot: {reason}") from error
+
+
+def _with_limits(xml: str) -> str:
+    """Return a URDF whose joints have limits of effort and velocity, 0 where they had none.
+
+    The parser refuses joints without, and their model's dynamics do not look at them.
+    """
+    robot = ElementTree.fromstring(xml)
+    is_whole = True
+    for joint in robot.findall("joint"):
+        if joint.get("type") not in MOVING_TYPES:
+            continue
+        limit = joint.find("limit")
+        if limit is None:
+            limit = ElementTree.SubElement(joint, "limit")
+        for name in ("effort", "velocity"):
+            if limit.get(name) is None:
+                limit.set(name, "0")
+                is_whole = False
+    return xml if is_whole else ElementTree.tostring(robot, encoding="unicode")
 
 
 def build_model(
@@ -48,11 +89,7 @@ def build_model(
         raise SettingError(f"payload_mass {payload_mass!r} must be a finite number >= 0 [kg]")
     if not (math.isfinite(mass_scale) and mass_scale > 0.0):
         raise SettingError(f"mass_scale {mass_scale!r} must be a positive number")
-    try:
-        model = pinocchio.buildModelFromXML(description.xml, *(() if root is None else (root,)))
-    except (ValueError, RuntimeError) as error:
-        reason = " ".join(str(error).split())
-        raise RobotDescriptionError(f"Pinocchio cannot read the robot: {reason}") from error
+    model = bare_model(description, root)
     held = [joint.name for joint in description.select(locked)]
     if held:
         indices = [model.getJointId(name) for name in held]

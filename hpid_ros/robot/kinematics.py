@@ -25,6 +25,7 @@ import pinocchio
 from hpid_ros.base.arrays import Numbers
 from hpid_ros.base.errors import HpidError, RobotDescriptionError, SettingError
 from hpid_ros.robot.description import RobotDescription
+from hpid_ros.robot.dynamics import bare_model
 
 
 class LinkPose(NamedTuple):
@@ -187,11 +188,7 @@ class Kinematics:
         """
         self.description = description
         self.link = description.link(link)
-        try:
-            self._model = pinocchio.buildModelFromXML(description.xml)
-        except (ValueError, RuntimeError) as error:
-            reason = " ".join(str(error).split())
-            raise RobotDescriptionError(f"Pinocchio cannot read the robot: {reason}") from error
+        self._model = bare_model(description)
         self._data = self._model.createData()
         self._frame = self._model.getFrameId(link)
         chosen = description.select(self._chain() if joints is None else joints)

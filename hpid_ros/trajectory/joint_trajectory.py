@@ -32,12 +32,14 @@ class TrajectoryPoint(NamedTuple):
         positions: One for each joint, in [rad].
         velocities: One for each joint in [rad/s], or empty.
         accelerations: One for each joint in [rad/s^2], or empty.
+        efforts: One for each joint in [N m], or empty.
     """
 
     time_from_start_ns: int
     positions: tuple[float, ...]
     velocities: tuple[float, ...] = ()
     accelerations: tuple[float, ...] = ()
+    efforts: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -98,6 +100,7 @@ class JointTrajectory:
                 point.positions[index],
                 point.velocities[index] if point.velocities else None,
                 point.accelerations[index] if point.accelerations else None,
+                point.efforts[index] if point.efforts else None,
             )
             for point in self.points
         )
@@ -143,6 +146,7 @@ def _require_point(joint_names: Sequence[str], index: int, point: TrajectoryPoin
         ("positions", point.positions, (count,)),
         ("velocities", point.velocities, (0, count)),
         ("accelerations", point.accelerations, (0, count)),
+        ("efforts", point.efforts, (0, count)),
     )
     for name, values, lengths in arrays:
         if len(values) not in lengths:
@@ -161,7 +165,27 @@ def _require_point(joint_names: Sequence[str], index: int, point: TrajectoryPoin
 
 
 Integers = NDArray[np.int64]
-Point = tuple[int, tuple[float, ...], tuple[float, ...], tuple[float, ...]]
+Point = tuple[int, tuple[float, ...], tuple[float, ...], tuple[float, ...], tuple[float, ...]]
+"""Time from start [ns], positions, velocities, accelerations and efforts."""
+
+
+class PointArrays(NamedTuple):
+    """The numbers of all points, one row a point, one column a joint.
+
+    Where no point has any an array may be without columns, and a row of NaN is a point that has
+    none.
+
+    Attributes:
+        positions: In [rad].
+        velocities: In [rad/s].
+        accelerations: In [rad/s^2].
+        efforts: In [N m].
+    """
+
+    positions: Numbers
+    velocities: Numbers
+    accelerations: Numbers
+    efforts: Numbers
 
 
 class KnotArrays(Sequence[Knot]):
@@ -172,13 +196,24 @@ class KnotArrays(Sequence[Knot]):
         positions: In [rad].
         velocities: In [rad/s]; NaN where there is none.
         accelerations: In [rad/s^2], likewise.
+        efforts: In [N m], likewise.
     """
 
     def __init__(
-        self, times_ns: Integers, positions: Numbers, velocities: Numbers, accelerations: Numbers
+        self,
+        times_ns: Integers,
+        positions: Numbers,
+        velocities: Numbers,
+        accelerations: Numbers,
+        efforts: Numbers,
     ) -> None:
         self._times_ns, self._positions = times_ns, positions
-        self._velocities, self._accelerations = velocities, accelerations
+        self._rest = velocities, accelerations, efforts
+
+    @property
+    def gives_effort(self) -> bool:
+        """Whether every knot has an effort."""
+        return not np.isnan(self._rest[2]).any()
 
     def __len__(self) -> int:
         """Return the number of knots."""
@@ -192,12 +227,11 @@ class KnotArrays(Sequence[Knot]):
         """Return a knot, or some of them."""
         if isinstance(index, slice):
             return tuple(self[k] for k in range(*index.indices(len(self))))
-        velocity, acceleration = self._velocities[index], self._accelerations[index]
+        rest = (float(each[index]) for each in self._rest)
         return Knot(
             int(self._times_ns[index]),
             float(self._positions[index]),
-            None if velocity != velocity else float(velocity),
-            None if acceleration != acceleration else float(acceleration),
+            *(None if value != value else value for value in rest),
         )
 
     def __eq__(self, other: object) -> bool:
@@ -212,7 +246,7 @@ def column_from_arrays(
     names: Sequence[str],
     stamp_ns: int,
     times_ns: Integers,
-    derivatives: tuple[Numbers, Numbers, Numbers],
+    arrays: PointArrays,
     lengths: Integers,
     point: Callable[[int], Point],
 ) -> Column:
@@ -223,26 +257,25 @@ def column_from_arrays(
         names: All of its joints.
         stamp_ns: When it starts in [ns]; 0 means with the next state.
         times_ns: Time from start of each point in [ns].
-        derivatives: Positions, velocities and accelerations, one row a point. Only rows with one
-            number for each joint are looked at.
-        lengths: Numbers that each point has in each of them, shape (points, 3), or (1, 3) if all
+        arrays: The numbers of the points. Only rows with one for each joint are looked at.
+        lengths: Numbers that each point has in each array, shape (points, 4), or (1, 4) if all
             have the same.
         point: Returns one point as it came.
 
     Raises:
         TrajectoryError: As for ``JointTrajectory``, or it has no such joint.
     """
-    require_arrays(names, stamp_ns, times_ns, derivatives, lengths, point)
+    require_arrays(names, stamp_ns, times_ns, arrays, lengths, point)
     if joint not in names:
         raise TrajectoryError(unknown_name("joint", joint, names))
-    return checked_column(joint, list(names).index(joint), stamp_ns, times_ns, derivatives)
+    return checked_column(joint, list(names).index(joint), stamp_ns, times_ns, arrays)
 
 
 def require_arrays(
     names: Sequence[str],
     stamp_ns: int,
     times_ns: Integers,
-    derivatives: tuple[Numbers, Numbers, Numbers],
+    arrays: PointArrays,
     lengths: Integers,
     point: Callable[[int], Point],
 ) -> None:
@@ -251,7 +284,7 @@ def require_arrays(
     Raises:
         TrajectoryError: As for ``JointTrajectory``.
     """
-    for index in _suspects(len(names), times_ns, derivatives, lengths):
+    for index in _suspects(len(names), times_ns, arrays, lengths):
         _check_alone(names, stamp_ns, point, index)
     # Two points at most: the joints, the stamp, and that there is a point at all.
     _check_alone(names, stamp_ns, point, len(times_ns) - 1)
@@ -262,7 +295,7 @@ def checked_column(
     at: int,
     stamp_ns: int,
     times_ns: Integers,
-    derivatives: tuple[Numbers, Numbers, Numbers],
+    arrays: PointArrays,
 ) -> Column:
     """Return one joint's column of a trajectory that :func:`require_arrays` let pass.
 
@@ -271,17 +304,17 @@ def checked_column(
         at: Its place among the names.
         stamp_ns: When the trajectory starts in [ns].
         times_ns: Time from start of each point in [ns].
-        derivatives: As for :func:`column_from_arrays`.
+        arrays: As for :func:`column_from_arrays`.
     """
     none = np.full(len(times_ns), np.nan)
-    p, v, a = (each[:, at].copy() if each.shape[1] else none for each in derivatives)
-    return Column(joint, KnotArrays(times_ns, p, v, a), stamp_ns)
+    columns = (each[:, at].copy() if each.shape[1] else none for each in arrays)
+    return Column(joint, KnotArrays(times_ns, *columns), stamp_ns)
 
 
 def _suspects(
     joints: int,
     times_ns: Integers,
-    derivatives: tuple[Numbers, Numbers, Numbers],
+    arrays: PointArrays,
     lengths: Integers,
 ) -> list[int]:
     """Return the first points of each kind of fault, in their order."""
@@ -290,10 +323,10 @@ def _suspects(
     suspects = [0]
     wrong = np.flatnonzero(np.diff(times_ns) <= 0)
     suspects += [int(wrong[0]) + 1] if len(wrong) else []
-    odd = (lengths != joints) & ((lengths != 0) | [True, False, False])
+    odd = (lengths != joints) & ((lengths != 0) | [True, False, False, False])
     wrong = np.flatnonzero(odd.any(axis=1))
     suspects += [int(wrong[0])] if len(wrong) else []
-    for k, each in enumerate(derivatives):
+    for k, each in enumerate(arrays):
         if each.shape[1] == joints:
             bad = ~(np.abs(each) <= _LARGEST).all(axis=1) & (lengths[:, k] == joints)
             suspects += [int(np.argmax(bad))] if bad.any() else []

@@ -15,6 +15,7 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from operator import itemgetter
 from typing import NamedTuple
 
@@ -33,12 +34,14 @@ class Knot(NamedTuple):
         position: In [rad].
         velocity: In [rad/s], or None.
         acceleration: In [rad/s^2], or None.
+        effort: In [N m], or None.
     """
 
     time_ns: int
     position: float
     velocity: float | None = None
     acceleration: float | None = None
+    effort: float | None = None
 
 
 class ReferenceSample(NamedTuple):
@@ -68,6 +71,13 @@ class Column:
     joint: str
     knots: Sequence[Knot]
     stamp_ns: int = 0
+
+    @cached_property
+    def gives_effort(self) -> bool:
+        """Whether every knot has an effort; those of some are not used."""
+        if isinstance(self.knots, tuple):
+            return all(knot.effort is not None for knot in self.knots)
+        return bool(getattr(self.knots, "gives_effort", False))
 
     def start(self, now_ns: int, position: float, velocity: float = 0.0) -> SplineReference:
         """Take over at an instant.
@@ -117,12 +127,13 @@ class SplineReference:
         self._before: Knot | None = None
         if before.time_ns < first.time_ns:
             acceleration = None if first.acceleration is None else 0.0
-            self._before = before._replace(acceleration=acceleration)
+            self._before = before._replace(acceleration=acceleration, effort=first.effort)
         # Not copied: a loop takes over 50 000 knots between two samples.
         self._knots, self._start_ns = knots, start_ns
         self._index = -1
         self._from_ns = self._to_ns = 0
         self._coefficients: _Coefficients = (0.0,) * 6
+        self._effort = 0.0, 0.0  # at the segment's start [N m], and its rate [N m/s]
 
     @property
     def end_ns(self) -> int:
@@ -145,6 +156,19 @@ class SplineReference:
             2.0 * c2 + t * (6.0 * c3 + t * (12.0 * c4 + t * 20.0 * c5)),
         )
 
+    def effort(self, stamp_ns: int) -> float:
+        """Return the knots' effort at an instant, linear between them, in [N m].
+
+        Before the first knot it is the first one's, after the last the last one's.
+
+        Args:
+            stamp_ns: The control clock in [ns], in any order.
+        """
+        if not self._from_ns <= stamp_ns < self._to_ns:
+            self._enter(stamp_ns)
+        start, rate = self._effort
+        return start + rate * ((stamp_ns - self._from_ns) * SECONDS_PER_NANOSECOND)
+
     def _enter(self, stamp_ns: int) -> None:
         """Find the segment of an instant and compute its polynomial once."""
         knots, start_ns = self._knots, self._start_ns
@@ -158,12 +182,17 @@ class SplineReference:
             assert right is not None  # there is at least one knot
             self._from_ns, self._to_ns = min(stamp_ns, 0), start_ns + right.time_ns
             self._coefficients = (right.position, 0.0, 0.0, 0.0, 0.0, 0.0)
+            self._effort = right.effort or 0.0, 0.0
         elif right is None:
             self._from_ns, self._to_ns = start_ns + left.time_ns, _FOREVER
             self._coefficients = (left.position, 0.0, 0.0, 0.0, 0.0, 0.0)
+            self._effort = left.effort or 0.0, 0.0
         else:
             self._from_ns, self._to_ns = start_ns + left.time_ns, start_ns + right.time_ns
             self._coefficients = segment(left, right)
+            begin, end = left.effort or 0.0, right.effort or 0.0
+            span = (right.time_ns - left.time_ns) * SECONDS_PER_NANOSECOND
+            self._effort = begin, (end - begin) / span
 
     def _last_before(self, time_ns: int) -> int:
         """Return the index of the last knot that is not later than a time; -1 if all are."""

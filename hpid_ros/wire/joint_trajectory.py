@@ -32,8 +32,8 @@ MOST_MIXED_POINTS = 5_000
 _ARRAYS = 4  # of a point: positions, velocities, accelerations, effort
 _LEAST_POINT = 4 * _ARRAYS + 8  # [bytes]
 
-Point = tuple[int, tuple[float, ...], tuple[float, ...], tuple[float, ...]]
-"""Time from start [ns], positions [rad], velocities [rad/s] and accelerations [rad/s^2]."""
+Point = tuple[int, tuple[float, ...], tuple[float, ...], tuple[float, ...], tuple[float, ...]]
+"""Time from start [ns], positions [rad], velocities [rad/s], accelerations and efforts [N m]."""
 
 
 class TrajectoryArrays(NamedTuple):
@@ -46,6 +46,7 @@ class TrajectoryArrays(NamedTuple):
         positions: In [rad], shape (points, numbers in each point).
         velocities: In [rad/s], likewise; no columns where the message has none.
         accelerations: In [rad/s^2], likewise.
+        efforts: In [N m], likewise.
     """
 
     stamp_ns: int
@@ -54,16 +55,17 @@ class TrajectoryArrays(NamedTuple):
     positions: Numbers
     velocities: Numbers
     accelerations: Numbers
+    efforts: Numbers
 
     @property
     def lengths(self) -> NDArray[np.int64]:
-        """Numbers that points have in each array, shape (1, 3): all have the same."""
+        """Numbers that points have in each array, shape (1, 4): all have the same."""
         return np.array([[each.shape[1] for each in self[3:]]])
 
     def point(self, index: int) -> Point:
-        """Return one point as it came: its time in [ns], and its three arrays."""
-        p, v, a = (tuple(each[index].tolist()) for each in self[3:])
-        return int(self.times_ns[index]), p, v, a
+        """Return one point as it came: its time in [ns], and its four arrays."""
+        p, v, a, e = (tuple(each[index].tolist()) for each in self[3:])
+        return int(self.times_ns[index]), p, v, a, e
 
 
 class MixedTrajectory(NamedTuple):
@@ -76,9 +78,10 @@ class MixedTrajectory(NamedTuple):
         positions: In [rad], shape (points, joints); NaN where a point has not one for each joint.
         velocities: In [rad/s], likewise.
         accelerations: In [rad/s^2], likewise.
-        lengths: Numbers that each point has in each of these arrays, shape (points, 3).
+        efforts: In [N m], likewise.
+        lengths: Numbers that each point has in each of these arrays, shape (points, 4).
         body: The message behind its encapsulation header, as doubles.
-        starts: Where in the body each point's arrays lie, shape (points, 3).
+        starts: Where in the body each point's arrays lie, shape (points, 4).
     """
 
     stamp_ns: int
@@ -87,17 +90,18 @@ class MixedTrajectory(NamedTuple):
     positions: Numbers
     velocities: Numbers
     accelerations: Numbers
+    efforts: Numbers
     lengths: NDArray[np.int64]
     body: Numbers
     starts: NDArray[np.int64]
 
     def point(self, index: int) -> Point:
-        """Return one point as it came: its time in [ns], and its three arrays."""
-        p, v, a = (
+        """Return one point as it came: its time in [ns], and its four arrays."""
+        p, v, a, e = (
             tuple(self.body[start : start + length].tolist())
             for start, length in zip(self.starts[index], self.lengths[index], strict=True)
         )
-        return int(self.times_ns[index]), p, v, a
+        return int(self.times_ns[index]), p, v, a, e
 
 
 def decode_trajectory(
@@ -129,7 +133,7 @@ def decode_trajectory(
     stamp_ns = seconds * NANOSECONDS + nanoseconds
     if count == 0:
         none = np.empty((0, len(names)))
-        return TrajectoryArrays(stamp_ns, names, np.empty(0, np.int64), none, none, none)
+        return TrajectoryArrays(stamp_ns, names, np.empty(0, np.int64), none, none, none, none)
     start = cursor.offset
     lengths = tuple(len(cursor.doubles()) for _ in range(_ARRAYS))
     points = _records(raw, start, lengths, count) if raw[1] == 1 else None
@@ -138,7 +142,7 @@ def decode_trajectory(
     times_ns = _merged(points, "seconds").astype(np.int64) * NANOSECONDS
     times_ns += _merged(points, "nanoseconds").astype(np.int64)
     return TrajectoryArrays(
-        stamp_ns, names, times_ns, *(_merged(points, f"array{k}") for k in range(3))
+        stamp_ns, names, times_ns, *(_merged(points, f"array{k}") for k in range(_ARRAYS))
     )
 
 
@@ -158,15 +162,15 @@ def _mixed(
     seconds = words[ends // 4].astype(np.uint32).view(np.int32)
     times_ns = seconds.astype(np.int64) * NANOSECONDS + words[ends // 4 + 1]
     starts = starts // 8
-    derivatives = []
-    for k in range(3):
+    arrays = []
+    for k in range(_ARRAYS):
         values = np.full((count, len(names)), np.nan)
         rows = np.flatnonzero(lengths[:, k] == len(names))
         if names:
             values[rows] = body[starts[rows, k, np.newaxis] + np.arange(len(names))]
-        derivatives.append(values)
-    p, v, a = derivatives
-    return MixedTrajectory(stamp_ns, names, times_ns, p, v, a, lengths, body, starts)
+        arrays.append(values)
+    p, v, a, e = arrays
+    return MixedTrajectory(stamp_ns, names, times_ns, p, v, a, e, lengths, body, starts)
 
 
 def _places(
@@ -195,9 +199,7 @@ def _places(
         at += 8
         if at > size:
             raise _too_short(raw, at)
-    places = [
-        np.frombuffer(each, np.int64).reshape(count, _ARRAYS)[:, :3] for each in (lengths, starts)
-    ]
+    places = [np.frombuffer(each, np.int64).reshape(count, _ARRAYS) for each in (lengths, starts)]
     return places[0], places[1], np.frombuffer(ends, np.int64)
 
 
@@ -288,7 +290,7 @@ def encode_trajectory(
     stamp_ns: int,
     names: Sequence[str],
     times_ns: NDArray[np.int64],
-    derivatives: tuple[Numbers, Numbers, Numbers],
+    arrays: Sequence[Numbers],
 ) -> bytes:
     """Serialise a JointTrajectory, little endian.
 
@@ -296,8 +298,8 @@ def encode_trajectory(
         stamp_ns: ``header.stamp`` in [ns], not negative.
         names: Joint names.
         times_ns: Time from start of each point in [ns], shape (points,), at least one.
-        derivatives: Positions, velocities and accelerations, each of shape (points, joints); a
-            point whose row begins with NaN has none of them.
+        arrays: Positions, velocities, accelerations and efforts, each of shape (points, joints);
+            a point whose row begins with NaN has none of them.
     """
     writer = Writer()
     seconds, nanoseconds = divmod(stamp_ns, NANOSECONDS)
@@ -308,16 +310,15 @@ def encode_trajectory(
     for name in names:
         writer.string(name)
     writer.scalar("I", len(times_ns))
-    columns = [np.where(np.isnan(each[:, 0]), 0, len(names)) for each in derivatives]
-    lengths = np.stack([*columns, np.zeros_like(columns[0])], axis=1)  # no efforts
+    lengths = np.stack([np.where(np.isnan(each[:, 0]), 0, len(names)) for each in arrays], axis=1)
     if np.all(lengths == lengths[0]):
-        return _as_records(writer.raw, times_ns, derivatives, tuple(lengths[0].tolist()))
+        return _as_records(writer.raw, times_ns, arrays, tuple(lengths[0].tolist()))
     seconds_of, nanoseconds_of = np.divmod(times_ns, NANOSECONDS)
     for index, row in enumerate(lengths.tolist()):
         for k, length in enumerate(row):
             writer.scalar("I", length)
             if length:
-                writer.doubles(derivatives[k][index].tolist())
+                writer.doubles(arrays[k][index].tolist())
         writer.scalar("i", int(seconds_of[index]))
         writer.scalar("I", int(nanoseconds_of[index]))
     return writer.raw
@@ -326,7 +327,7 @@ def encode_trajectory(
 def _as_records(
     head: bytes,
     times_ns: NDArray[np.int64],
-    derivatives: Sequence[Numbers],
+    arrays: Sequence[Numbers],
     lengths: tuple[int, ...],
 ) -> bytes:
     """Return a message whose points have one layout, behind what stands before them."""
@@ -342,7 +343,7 @@ def _as_records(
         for k, length in enumerate(lengths):
             values[f"count{k}"] = length
             if length:
-                values[f"array{k}"] = derivatives[k][which]
+                values[f"array{k}"] = arrays[k][which]
         values["seconds"], values["nanoseconds"] = seconds[which], nanoseconds[which]
         end += len(values) * values.dtype.itemsize
     return bytes(memoryview(raw)[:end])

@@ -173,7 +173,11 @@ BESIDE_THE_LAW = {
     "position_step_max": st.floats(0.0, 0.5),
     "velocity_max": st.floats(5.0, 50.0),
     "tracking_time_constant": st.floats(0.0, 1.0),
+    "feedforward.viscous_friction": st.floats(0.0, 2.0),
+    "feedforward.coulomb_friction": st.floats(0.0, 1.0),
+    "feedforward.trajectory_effort": st.booleans(),
 }
+FRICTION_VELOCITY = 0.05  # [rad/s]
 
 
 class NothingKicks(RuleBasedStateMachine):
@@ -187,6 +191,7 @@ class NothingKicks(RuleBasedStateMachine):
     def __init__(self):
         super().__init__()
         self.values = {**LAW, "law": "pid", "fallback_effort": FALLBACK}
+        self.values["feedforward.friction_velocity"] = FRICTION_VELOCITY
         self.loop = JointLoop(LoopSettings.from_parameters(self.values))
         self.stamp_ns = 10**9
         self.position = self.velocity = 0.0
@@ -216,7 +221,9 @@ class NothingKicks(RuleBasedStateMachine):
         elif not is_back:
             is_new = self.stamp_ns - self.taken_over_ns < 200 * MS
             moved = [abs(a - b) for a, b in zip(self.loop.reference, before, strict=True)]
-            allowed = (3.0 if is_new else 0.5) + 100.0 * moved[0] + 5.0 * moved[1]
+            ahead = self.values.get("feedforward.viscous_friction", 0.0)
+            ahead += self.values.get("feedforward.coulomb_friction", 0.0) / FRICTION_VELOCITY
+            allowed = (3.0 if is_new else 0.5) + 100.0 * moved[0] + (5.0 + ahead) * moved[1]
             assert abs(effort - self.in_force) <= allowed
         self.in_force = effort
 
@@ -287,13 +294,17 @@ class NothingKicks(RuleBasedStateMachine):
         self._move(1e-3)
         self._sample(has_jumped=True)
 
-    @rule(distance=st.floats(-1.0, 1.0))
-    def follow_smoothly(self, distance):
-        """From where the reference stands, with no more than one rad/s."""
+    @rule(
+        distance=st.floats(-1.0, 1.0),
+        efforts=st.none() | st.tuples(st.floats(-5.0, 5.0), st.floats(-5.0, 5.0)),
+    )
+    def follow_smoothly(self, distance, efforts):
+        """From where the reference stands, with no more than one rad/s, planned efforts or not."""
+        first, last = efforts or (None, None)
         start_ns = self.stamp_ns + 500 * MS
         here = self.loop.reference[0]
-        knots = (Knot(0, here, 0.0, 0.0), Knot(4 * 10**9, here + distance, 0.0, 0.0))
-        self.loop.follow(Column("elbow", knots, start_ns))
+        end = Knot(4 * 10**9, here + distance, 0.0, 0.0, last)
+        self.loop.follow(Column("elbow", (Knot(0, here, 0.0, 0.0, first), end), start_ns))
 
     @rule(data=st.data(), name=st.sampled_from(sorted(BESIDE_THE_LAW)))
     def retune(self, data, name):

@@ -139,7 +139,7 @@ def test_a_node_with_a_model_answers_whole_states_and_survives_those_that_are_no
     assert ask(harness, 15 * MS) == 0.0
     assert ask(harness, 16 * MS, efforts=efforts) != 0.0
     harness.wait(lambda: terms, what="terms")
-    assert list(terms[0].name) == ["p", "i", "d", "model"]
+    assert list(terms[0].name) == ["p", "i", "d", "model", "feedforward"]
     assert sum(terms[0].effort) == pytest.approx(answer, abs=1e-9)
 
     def values():

@@ -453,7 +453,8 @@ def test_two_robots_side_by_side_are_two_robots(harness, experiment_file, tmp_pa
 def test_nodes_do_not_outlive_the_launch_that_started_them(harness, tmp_path):
     """As ``ros2 launch`` ends on SIGTERM: without a word to what it started."""
     node = [sys.executable, "-m", "hpid_ros.nodes.joint_controller", "--ros-args"]
-    node += ros_arguments(joint="elbow", gains__p=10.0)
+    clock = {"state_clock": "simulated", "state_watchdog": False}  # a busy machine is no silence
+    node += ros_arguments(joint="elbow", gains__p=10.0, **clock)
     launch = (
         "import os, subprocess, time\n"
         f"os.environ[{LAUNCH!r}] = str(os.getpid())\n"

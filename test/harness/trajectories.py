@@ -15,6 +15,7 @@ def from_message(message):
             tuple(point.positions),
             tuple(point.velocities),
             tuple(point.accelerations),
+            tuple(point.effort),
         )
         for point in message.points
     )

@@ -20,7 +20,7 @@ from hpid_ros.bags.run.references import (
     sample_setpoints,
     setpoint_events,
 )
-from hpid_ros.bags.run.stamps import Ordered, carried, finite, ordered, stamp_quality
+from hpid_ros.bags.run.stamps import Ordered, carried, finite, ordered, separated, stamp_quality
 from hpid_ros.bags.selection import BagSelection
 from hpid_ros.base.arrays import Numbers
 from hpid_ros.base.units import NANOSECONDS
@@ -138,7 +138,7 @@ class JointRun:
         times = samples.stamps_ns if self._clock == "header" else samples.log_times_ns
         if times is None:
             raise SeriesError(f"joint {self._joint!r}: its messages carry no stamps")
-        return times
+        return separated(times) if self._selection.separates_runs else times
 
     def _commands(self) -> tuple[Ordered, str, str]:
         """Return the commands in the order of their stamps, whose clock these are, their topic."""

@@ -13,7 +13,7 @@ from hpid_ros.bags.run.topics import TopicChoice
 from hpid_ros.base.errors import BagError, MessageError, TrajectoryError
 from hpid_ros.recordings.series import SeriesError
 from hpid_ros.trajectory import Column
-from hpid_ros.trajectory.joint_trajectory import checked_column, require_arrays
+from hpid_ros.trajectory.joint_trajectory import PointArrays, checked_column, require_arrays
 from hpid_ros.wire import decode_trajectory
 
 
@@ -47,11 +47,11 @@ def decoded_trajectory(raw: bytes) -> tuple[Mapping[str, int], Callable[[str, in
     """
     # A recording may hold any number of points: reading it need not keep pace with a robot.
     decoded = decode_trajectory(raw, len(raw), len(raw))
-    derivatives = decoded.positions, decoded.velocities, decoded.accelerations
+    arrays = PointArrays(*decoded[3:7])
     times_ns, stamp_ns = decoded.times_ns, decoded.stamp_ns
-    require_arrays(decoded.names, stamp_ns, times_ns, derivatives, decoded.lengths, decoded.point)
+    require_arrays(decoded.names, stamp_ns, times_ns, arrays, decoded.lengths, decoded.point)
     places = {name: index for index, name in enumerate(decoded.names)}
-    return places, lambda joint, at: checked_column(joint, at, stamp_ns, times_ns, derivatives)
+    return places, lambda joint, at: checked_column(joint, at, stamp_ns, times_ns, arrays)
 
 
 class RecordedRun:

@@ -49,6 +49,26 @@ def finite(samples: JointSamples) -> tuple[JointSamples, int]:
     return samples.picked(is_finite), int(np.count_nonzero(~is_finite))
 
 
+_RESET_NS = 1_000_000_000
+"""By which a clock that was set back goes back at least; less is disorder on the way."""
+RUN_SPACING_NS = 1_000_000_000_000_000
+"""Added to the stamps of each run after another one: longer than any run."""
+
+
+def separated(stamps_ns: Integers) -> Integers:
+    """Return stamps in which a run that began anew follows the one before.
+
+    Args:
+        stamps_ns: Stamps in the order of the log, (n,), in [ns].
+    """
+    resets = np.diff(stamps_ns) <= -_RESET_NS
+    if not resets.any():
+        return stamps_ns
+    runs = np.concatenate([[0], np.cumsum(resets)])
+    later: Integers = stamps_ns + RUN_SPACING_NS * runs
+    return later
+
+
 def ordered(stamps_ns: Integers, values: Numbers, not_finite: int) -> Ordered:
     """Put samples in the order of their stamps.
 

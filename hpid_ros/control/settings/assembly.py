@@ -16,6 +16,7 @@ from hpid_ros.control.homogeneous_pid import HomogeneousPid, SemiImplicitHomogen
 from hpid_ros.control.limits import AntiWindup, LimitFigures, MotionLimits, anti_windup
 from hpid_ros.control.norms import CanonicalNorm, WeightedNorm
 from hpid_ros.control.pid import Pid
+from hpid_ros.control.reference.feedforward import FeedforwardFigures
 from hpid_ros.control.settings.groups import EncoderSettings, VelocitySettings
 from hpid_ros.control.settings.loop import LoopSettings
 from hpid_ros.control.settings.table import LARGEST_MOTION
@@ -58,6 +59,18 @@ def observer_figures(settings: LoopSettings) -> ObserverFigures | None:
         settings.timing.control_period,
         wanted.degree,
         wanted.innovation_scale or settings.encoder.resolution or _INNOVATION_SCALE,
+    )
+
+
+def feedforward_figures(settings: LoopSettings) -> FeedforwardFigures:
+    """Return what is fed forward. With a model trajectories' efforts are not: it has them too."""
+    wanted = settings.feedforward
+    return FeedforwardFigures(
+        settings.inertia if wanted.inertia < 0.0 else wanted.inertia,
+        max(wanted.viscous_friction, 0.0),
+        max(wanted.coulomb_friction, 0.0),
+        wanted.friction_velocity,
+        wanted.trajectory_effort and not settings.model.is_on,
     )
 
 

@@ -178,6 +178,27 @@ class ObserverSettings(ParameterRecord):
 
 
 @dataclass(frozen=True)
+class FeedforwardSettings(ParameterRecord):
+    """What is added to the law's effort for the reference's sake.
+
+    Attributes:
+        inertia: Effort for the reference's acceleration, in [kg m^2]; negative takes that of the
+            loop.
+        viscous_friction: Effort for its velocity, in [N m s/rad]; negative takes that of the
+            robot's description.
+        coulomb_friction: Effort in the direction in which it moves, in [N m]; likewise.
+        friction_velocity: The velocity from which on that effort is whole, in [rad/s].
+        trajectory_effort: Whether the efforts of trajectories are added.
+    """
+
+    inertia: float = parameter("feedforward.inertia")
+    viscous_friction: float = parameter("feedforward.viscous_friction")
+    coulomb_friction: float = parameter("feedforward.coulomb_friction")
+    friction_velocity: float = parameter("feedforward.friction_velocity")
+    trajectory_effort: bool = parameter("feedforward.trajectory_effort")
+
+
+@dataclass(frozen=True)
 class EncoderSettings(ParameterRecord):
     """What is known of the encoder, and which of its positions are believed.
 

@@ -13,6 +13,7 @@ from hpid_ros.control.settings.choices import Discretization, LawName
 from hpid_ros.control.settings.groups import (
     EffortLimits,
     EncoderSettings,
+    FeedforwardSettings,
     IntegralLimits,
     MotionSettings,
     NormSettings,
@@ -47,6 +48,7 @@ class LoopSettings(ParameterRecord):
         integral: What keeps the integral from winding up.
         velocity: Where the velocity comes from.
         observer: The observer, where it comes from one.
+        feedforward: What is added for the reference's sake.
         encoder: What is known of the encoder.
         motion: How far and how fast the joint may move.
         timing: The times between states.
@@ -69,6 +71,7 @@ class LoopSettings(ParameterRecord):
     integral: IntegralLimits = field(default_factory=IntegralLimits)
     velocity: VelocitySettings = field(default_factory=VelocitySettings)
     observer: ObserverSettings = field(default_factory=ObserverSettings)
+    feedforward: FeedforwardSettings = field(default_factory=FeedforwardSettings)
     encoder: EncoderSettings = field(default_factory=EncoderSettings)
     motion: MotionSettings = field(default_factory=MotionSettings)
     timing: Timing = field(default_factory=Timing)
@@ -82,6 +85,7 @@ class LoopSettings(ParameterRecord):
         is_implicit = self.discretization == "semi_implicit"
         if is_implicit and self.plant_inertia == 0.0:
             raise SettingError("discretization semi_implicit needs the inertia, which is unknown")
+        self._require_feedforward()
         if self.plant_inertia > 0.0:
             require_hurwitz(self.gains, self.plant_inertia)
         if self._lacks_inertia:  # a model gives it later
@@ -89,6 +93,18 @@ class LoopSettings(ParameterRecord):
         self.norm_family(self.degree)
         if self.law == "hpid" or is_implicit:
             require_floor(self.norm_floor, self.norm.cap)
+
+    def _require_feedforward(self) -> None:
+        inertia = self.feedforward.inertia
+        if inertia and self.model.is_decoupling:
+            raise SettingError(
+                f"compensation decoupling feeds the inertia forward by itself: "
+                f"feedforward.inertia must be 0 with it, not {inertia:g}"
+            )
+        if inertia < 0.0 and self.inertia == 0.0:
+            raise SettingError(
+                f"feedforward.inertia = {inertia:g} takes the parameter inertia, which is unknown"
+            )
 
     @classmethod
     def from_parameters(cls, values: Mapping[str, object]) -> LoopSettings:

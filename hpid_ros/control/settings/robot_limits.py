@@ -32,6 +32,14 @@ class DescribedJoint(Protocol):
     def velocity(self) -> float:
         """Largest absolute velocity in [rad/s]; not positive where there is none."""
 
+    @property
+    def damping(self) -> float:
+        """Viscous friction in [N m s/rad]."""
+
+    @property
+    def friction(self) -> float:
+        """Coulomb friction in [N m]."""
+
 
 @dataclass(frozen=True)
 class RobotLimits:
@@ -42,6 +50,8 @@ class RobotLimits:
         lower: Lowest position in [rad].
         upper: Highest position in [rad].
         velocity: Largest absolute velocity in [rad/s].
+        damping: Its viscous friction, in [N m s/rad].
+        friction: Its Coulomb friction, in [N m].
         is_continuous: Whether the joint turns without end.
         is_slide: Whether it slides: "rad" reads "m" then, and "N m" reads "N".
     """
@@ -50,6 +60,8 @@ class RobotLimits:
     lower: float = -math.inf
     upper: float = math.inf
     velocity: float = math.inf
+    damping: float = 0.0
+    friction: float = 0.0
     is_continuous: bool = False
     is_slide: bool = False
 
@@ -62,6 +74,8 @@ class RobotLimits:
             joint.lower,
             joint.upper,
             velocity,
+            joint.damping,
+            joint.friction,
             is_continuous=joint.type == "continuous",
             is_slide=joint.type == "prismatic",
         )
@@ -73,6 +87,7 @@ class RobotLimits:
             SettingError: The positions that the settings allow are none that the robot allows.
         """
         effort, motion, encoder = settings.effort, settings.motion, settings.encoder
+        ahead = settings.feedforward
         wraps = self.is_continuous and encoder.wrap < 0.0
         return replace(
             settings,
@@ -88,4 +103,13 @@ class RobotLimits:
                 velocity_max=min(motion.velocity_max, self.velocity),
             ),
             encoder=replace(encoder, wrap=math.tau if wraps else encoder.wrap),
+            feedforward=replace(
+                ahead,
+                viscous_friction=_or_described(ahead.viscous_friction, self.damping),
+                coulomb_friction=_or_described(ahead.coulomb_friction, self.friction),
+            ),
         )
+
+
+def _or_described(friction: float, described: float) -> float:
+    return described if friction < 0.0 else friction

@@ -225,6 +225,43 @@ _TABLE = (
         "Add the effort against the disturbance that the observer estimates",
     ),
     ParameterSpec(
+        "feedforward.inertia",
+        0.0,
+        "Effort for the reference's acceleration [kg m^2]; negative takes inertia",
+        -1.0,
+        LARGEST_EFFORT,
+    ),
+    ParameterSpec(
+        "feedforward.viscous_friction",
+        0.0,
+        "Effort for the reference's velocity [N m s/rad]; negative takes the damping in "
+        "robot_description",
+        -1.0,
+        LARGEST_EFFORT,
+    ),
+    ParameterSpec(
+        "feedforward.coulomb_friction",
+        0.0,
+        "Effort in the direction in which the reference moves [N m]; negative takes the friction "
+        "in robot_description",
+        -1.0,
+        LARGEST_EFFORT,
+    ),
+    ParameterSpec(
+        "feedforward.friction_velocity",
+        0.01,
+        "Velocity of the reference from which on feedforward.coulomb_friction is given whole "
+        "[rad/s]",
+        1e-6,
+        10.0,
+    ),
+    ParameterSpec(
+        "feedforward.trajectory_effort",
+        True,
+        "Add the efforts of trajectories that have one in every point; not with a compensation, "
+        "which knows the robot's weight itself",
+    ),
+    ParameterSpec(
         "discretization",
         "explicit",
         "Step of the law: explicit, or semi_implicit for periods from 5 ms on with a weak "

@@ -8,7 +8,7 @@ from trajectory_msgs.msg import JointTrajectoryPoint
 
 from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.trajectory import Column, JointTrajectory
-from hpid_ros.trajectory.joint_trajectory import column_from_arrays
+from hpid_ros.trajectory.joint_trajectory import PointArrays, column_from_arrays
 from hpid_ros.wire import MixedTrajectory, TrajectoryArrays
 
 
@@ -32,7 +32,7 @@ def column_of(decoded: TrajectoryArrays | MixedTrajectory, joint: str) -> Column
         decoded.names,
         decoded.stamp_ns,
         decoded.times_ns,
-        (decoded.positions, decoded.velocities, decoded.accelerations),
+        PointArrays(*decoded[3:7]),
         decoded.lengths,
         decoded.point,
     )
@@ -50,6 +50,7 @@ def to_message(trajectory: JointTrajectory) -> JointTrajectoryMessage:
                 positions=point.positions,
                 velocities=point.velocities,
                 accelerations=point.accelerations,
+                effort=point.efforts,
                 time_from_start=Duration(sec=seconds, nanosec=nanoseconds),
             )
         )

@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from hpid_ros.base.units import of_slide
+from hpid_ros.base.units import of_slide, unit_over
 from hpid_ros.control.settings.table import PARAMETERS
 
 
@@ -25,6 +25,13 @@ from hpid_ros.control.settings.table import PARAMETERS
 def test_a_unit_of_a_joint_that_slides(turning, sliding):
     assert of_slide(turning) == sliding
     assert of_slide(sliding) == sliding
+
+
+def test_a_unit_over_joints_of_both_kinds_is_both_in_one_order():
+    assert unit_over("N m", [True, False]) == unit_over("N m", [False, True]) == "N m, N"
+    assert unit_over("N m", [True]) == "N"
+    assert unit_over("N m", [False, False]) == unit_over("N m", []) == "N m"
+    assert unit_over("J", [True, False]) == "J"
 
 
 def test_no_parameter_of_a_joint_that_slides_is_in_rad():

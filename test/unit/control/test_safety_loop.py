@@ -237,7 +237,9 @@ OTHERS = {
     **{"fallback_effort": 1.0, "state_timeout": 0.2, "control_period": 0.002},
     **{"encoder_resolution": 1e-3, "norm.effort_scale": 30.0, "multi_turn": True},
     **{"observer.bandwidth": 120.0, "observer.degree": -0.1, "observer.innovation_scale": 0.01},
-    "observer.feed_disturbance": True,
+    **{"observer.feed_disturbance": True, "feedforward.inertia": 0.5},
+    **{"feedforward.viscous_friction": 2.0, "feedforward.coulomb_friction": 1.0},
+    **{"feedforward.friction_velocity": 0.02, "feedforward.trajectory_effort": False},
 }
 
 

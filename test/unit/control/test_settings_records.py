@@ -11,6 +11,7 @@ from hpid_ros.base.errors import SettingError
 from hpid_ros.control import LOOP_PARAMETERS, Gains, LoopSettings
 from hpid_ros.control.settings.groups import (
     EffortLimits,
+    FeedforwardSettings,
     IntegralLimits,
     MotionSettings,
     NormSettings,
@@ -41,7 +42,9 @@ OTHERS = {
     **{"model.wheel_radius": 0.1, "model.wheel_separation": 0.4},
     **{"observer.bandwidth": 90.0, "observer.degree": -0.1},
     **{"observer.innovation_scale": 1e-3, "observer.feed_disturbance": True},
-    "model.effort_filter_time_constant": 0.02,
+    **{"feedforward.inertia": 0.4, "feedforward.viscous_friction": 0.1},
+    **{"feedforward.coulomb_friction": 0.5, "feedforward.friction_velocity": 0.02},
+    **{"feedforward.trajectory_effort": False, "model.effort_filter_time_constant": 0.02},
 }
 IN_EFFORT = {"norm.effort_scale": 3.0}  # not beside scales of the joint's own
 STOPS = {"position_max": 2.0, "position_min": -3.0}  # not where angles wrap around
@@ -49,7 +52,7 @@ TURNS = {"multi_turn": True}  # nor this
 SCALES = ("norm.error_scale", "norm.rate_weight")
 GROUPS = [
     *(NormSettings, EffortLimits, IntegralLimits, MotionSettings, SoftStop, Timing),
-    *(ObserverSettings, ModelSettings),
+    *(ObserverSettings, FeedforwardSettings, ModelSettings),
 ]
 
 

@@ -163,7 +163,7 @@ def test_a_stop_never_passes_a_position_limit(at, room):
     limited.follower.settings = replace(limited.settings, facts=(JointFacts(upper=upper),))
     limited.cancel()
     (told,) = limited.told[1:]
-    assert told.derivatives[0].max() <= upper
+    assert told.arrays[0].max() <= upper
     stop = told.column(0).start(limited.stamp_ns, 0.0)
     path = [stop.sample(told.stamp_ns + k * MS).position for k in range(3000)]
     assert max(path) <= upper + 1e-12

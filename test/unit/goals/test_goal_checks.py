@@ -17,6 +17,7 @@ from hpid_ros.goals import (
     Tolerance,
 )
 from hpid_ros.goals.trajectories import for_all_joints
+from hpid_ros.trajectory.joint_trajectory import PointArrays
 from hpid_ros.wire import MOST_MIXED_POINTS, MOST_POINTS
 
 JOINTS = ("shoulder", "elbow", "slide")
@@ -39,16 +40,16 @@ def checked(names, times, positions, velocities=None, stamp_ns=0):
     count = len(names)
     velocities = [[] for _ in times] if velocities is None else velocities
     points = [
-        (time, tuple(p), tuple(v), ())
+        (time, tuple(p), tuple(v), (), ())
         for time, p, v in zip(times, positions, velocities, strict=True)
     ]
-    lengths = np.array([[len(p), len(v), 0] for _, p, v, _ in points]).reshape(-1, 3)
-    derivatives = []
-    for rows in (positions, velocities, [[] for _ in times]):
+    lengths = np.array([[len(p), len(v), 0, 0] for _, p, v, *_ in points]).reshape(-1, 4)
+    arrays, none = [], [[] for _ in times]
+    for rows in (positions, velocities, none, none):
         whole = [row if len(row) == count else [np.nan] * count for row in rows]
-        derivatives.append(np.array(whole, dtype=float).reshape(len(times), count))
+        arrays.append(np.array(whole, dtype=float).reshape(len(times), count))
     times_ns = np.array(times, dtype=np.int64)
-    request = GoalRequest(tuple(names), stamp_ns, times_ns, tuple(derivatives))
+    request = GoalRequest(tuple(names), stamp_ns, times_ns, PointArrays(*arrays))
     request.require_trajectory(lengths, lambda index: points[index])
     return request
 
@@ -95,7 +96,7 @@ def test_a_goal_has_no_more_points_than_controllers_take(count, is_mixed, line):
 
 def test_points_may_differ_in_what_they_give():
     request = checked(["a"], [1, 2, 3], [[1], [2], [3]], [[0.5], [], [0.0]])
-    assert np.isnan(request.derivatives[1][:, 0]).tolist() == [False, True, False]
+    assert np.isnan(request.arrays[1][:, 0]).tolist() == [False, True, False]
 
 
 def test_joints_must_be_the_groups_and_all_of_them_unless_some_will_do():
@@ -178,7 +179,7 @@ def test_a_goal_is_told_to_all_joints_and_has_begun_for_each_of_them():
     told = for_all_joints(request, JOINTS, now_ns - 1, now_ns, standing, [10.0, 20.0, 30.0])
     assert (told.names, told.stamp_ns) == (JOINTS, now_ns - 1)
     assert told.times_ns.tolist() == [0, SECOND // 2, SECOND]
-    positions, velocities, accelerations = told.derivatives
+    positions, velocities, accelerations, _ = told.arrays
     assert positions.tolist() == [[10.0, 0.4, 30.0], [10.0, 1.0, 30.0], [10.0, 2.0, 30.0]]
     assert velocities.tolist() == [[0.0, 0.5, 0.0], [0.0, 0.3, 0.0], [0.0, 0.0, 0.0]]
     assert np.isnan(accelerations).all()
@@ -186,11 +187,22 @@ def test_a_goal_is_told_to_all_joints_and_has_begun_for_each_of_them():
         assert told.column(joint).is_under_way(now_ns)
 
 
+def test_efforts_of_a_goal_are_told_to_its_joints_from_its_start_on():
+    request = goal({"elbow": [1.0, 2.0]}, [0.5, 1.0], efforts={"elbow": [3.0, 5.0]})
+    standing = [(0.0, 0.0, 0.0)] * 3
+    told = for_all_joints(request, JOINTS, 4 * SECOND, 4 * SECOND, standing, [0.0] * 3)
+    elbow, slide = (told.column(k).start(4 * SECOND, 0.0) for k in (1, 2))
+    planned = [elbow.effort(round((4.0 + t) * SECOND)) for t in (0.0, 0.5, 0.75, 1.0, 2.0)]
+    assert planned == pytest.approx([3.0, 3.0, 4.0, 5.0, 5.0])
+    assert slide.effort(5 * SECOND) == 0.0
+    assert told.column(1).gives_effort
+
+
 def test_a_goal_whose_first_point_is_now_gets_none_before_it():
     request = goal({name: [1.0, 2.0] for name in JOINTS}, [0.0, 1.0])
     told = for_all_joints(request, JOINTS, 4, 5, [(0.0, 0.0, 0.0)] * 3, [0.0] * 3)
     assert told.times_ns.tolist() == [0, SECOND]
-    assert told.derivatives[0][0].tolist() == [1.0, 1.0, 1.0]
+    assert told.arrays[0][0].tolist() == [1.0, 1.0, 1.0]
 
 
 @pytest.mark.parametrize(

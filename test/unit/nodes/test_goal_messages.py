@@ -43,10 +43,11 @@ def test_a_goal_is_read_as_it_was_written():
     request = request_of(told)
     assert (request.names, request.stamp_ns) == (("shoulder", "elbow"), 7 * SECOND)
     assert request.times_ns.tolist() == [SECOND // 4, 3 * SECOND // 2]
-    positions, velocities, accelerations = request.derivatives
+    positions, velocities, accelerations, efforts = request.arrays
     assert positions.tolist() == [[0.5, 0.1], [1.0, 0.2]]
     assert velocities.tolist() == [[1.0, 0.2], [0.0, 0.0]]
     assert np.isnan(accelerations).all()
+    assert np.isnan(efforts).all()
     assert request.path_tolerance == (("elbow", 0.1, -1.0, 0.0),)
     assert request.goal_time_tolerance == -1.0
 
@@ -54,7 +55,7 @@ def test_a_goal_is_read_as_it_was_written():
 def test_points_may_differ_in_what_they_give():
     told = message(THERE, [1.0, 2.0])
     told.trajectory.points[1].velocities = [0.0, 0.0]
-    assert np.isnan(request_of(told).derivatives[1]).tolist() == [[True, True], [False, False]]
+    assert np.isnan(request_of(told).arrays[1]).tolist() == [[True, True], [False, False]]
 
 
 def test_what_is_no_trajectory_of_joints_is_refused_with_what_came():

@@ -112,6 +112,8 @@ def spoiled(index, **changes):
         (spoiled(4, velocities=[float("inf"), 0.0]), "must be finite, not inf for 'a'"),
         (spoiled(5, accelerations=[1e300, 0.0]), "within 1e+09"),
         (spoiled(2, velocities=[1.0]), "0 or 2 velocities, not 1"),
+        (spoiled(2, effort=[1.0]), "0 or 2 efforts, not 1"),
+        (spoiled(2, effort=[1.0, float("nan")]), "efforts of point 2 must be finite, not nan"),
         (spoiled(3, time_from_start=Duration(sec=0)), "times must increase"),
         (spoiled(0, time_from_start=Duration(sec=-2)), "times must increase"),
         (trajectory("ab", 0), "at least one point"),

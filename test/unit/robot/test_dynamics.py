@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+import re
 
 import numpy as np
 import pytest
@@ -111,8 +112,23 @@ def test_bad_requests_are_named():
 
 
 def test_a_robot_that_pinocchio_cannot_build_is_one_clear_line():
-    unlimited = """<robot name="r"><link name="a"/><link name="b"/>
-        <joint name="j" type="revolute"><parent link="a"/><child link="b"/></joint></robot>"""
+    misplaced = """<robot name="r"><link name="a"/><link name="b"/><joint name="j" type="revolute">
+        <parent link="a"/><child link="b"/><origin xyz="0 zero 0"/></joint></robot>"""
     with pytest.raises(RobotDescriptionError, match="Pinocchio") as caught:
-        Dynamics(RobotDescription.load(unlimited))
+        Dynamics(RobotDescription.load(misplaced))
     assert "\n" not in str(caught.value)
+
+
+def test_joints_without_limits_have_the_dynamics_of_those_with():
+    """Pinocchio's parser refuses them; a limit is nothing that the dynamics know."""
+    text = URDF.read_text()
+    bare = re.sub(r'(<limit[^>]*?) effort="[^"]*"', r"\1", text)
+    bare = re.sub(r'(<limit[^>]*?) velocity="[^"]*"', r"\1", bare)
+    assert bare.count("effort=") < text.count("effort=")
+    whole, without = (RobotDescription.load(each) for each in (text, bare))
+    assert math.isinf(without.joints["arm_joint_3"].effort)
+    pose = {"arm_joint_2": 0.4, "arm_joint_3": -0.7}
+    names = list(whole.joints)
+    assert Dynamics(without).joint_inertias(names, pose) == Dynamics(whole).joint_inertias(
+        names, pose
+    )

@@ -12,9 +12,10 @@ from trajectory_msgs.msg import JointTrajectoryPoint
 from hpid_ros.base.arrays import Numbers
 from hpid_ros.base.units import NANOSECONDS, SECONDS_PER_NANOSECOND
 from hpid_ros.goals import AskedTolerance, Feedback, GoalError, GoalRequest
+from hpid_ros.trajectory.joint_trajectory import Point, PointArrays
 from hpid_ros.wire import MOST_POINTS
 
-_ARRAYS = ("positions", "velocities", "accelerations")
+_ARRAYS = ("positions", "velocities", "accelerations", "effort")
 
 
 def request_of(goal: Any) -> GoalRequest:
@@ -35,20 +36,20 @@ def request_of(goal: Any) -> GoalRequest:
     times_ns = np.array([_nanoseconds(each.time_from_start) for each in points], np.int64)
     columns = [[getattr(each, field) for each in points] for field in _ARRAYS]
     lengths = np.array([[len(each) for each in rows] for rows in columns], np.int64).T
-    p, v, a = (_values(rows, len(names)) for rows in columns)
+    arrays = PointArrays(*(_values(rows, len(names)) for rows in columns))
     request = GoalRequest(
         names,
         _nanoseconds(trajectory.header.stamp),
         times_ns,
-        (p, v, a),
+        arrays,
         _tolerances(goal.path_tolerance),
         _tolerances(goal.goal_tolerance),
         _nanoseconds(goal.goal_time_tolerance) * SECONDS_PER_NANOSECOND,
     )
 
-    def point(index: int) -> tuple[int, tuple[float, ...], tuple[float, ...], tuple[float, ...]]:
-        p, v, a = (tuple(rows[index]) for rows in columns)
-        return int(times_ns[index]), p, v, a
+    def point(index: int) -> Point:
+        p, v, a, e = (tuple(rows[index]) for rows in columns)
+        return int(times_ns[index]), p, v, a, e
 
     request.require_trajectory(lengths, point)
     return request

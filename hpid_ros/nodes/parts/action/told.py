@@ -58,7 +58,7 @@ class ToldTrajectories:
         Args:
             told: What joints are told.
         """
-        raw = encode_trajectory(told.stamp_ns, told.names, told.times_ns, told.derivatives)
+        raw = encode_trajectory(told.stamp_ns, told.names, told.times_ns, told.arrays)
         self._own.append(raw)
         self._sent += 1
         self._publisher.publish(raw)

@@ -202,6 +202,7 @@ class ControllerHealth:
                 "refused requests": self._requests,
                 self.unit("effort [N m]"): loop.effort,
                 self.unit("integral term [N m]"): loop.integral,
+                self.unit("feedforward [N m]"): loop.feedforward_effort,
                 self.unit("error [rad]"): loop.error,
                 **self._timing.recent(),
                 **(self._model.readings() if self._model else {"compensation": "none"}),

@@ -45,7 +45,7 @@ class Introspection:
             [joint], position=True, velocity=True, effort=True
         )
         self._reference_template = JointStateTemplate([joint], position=True, velocity=True)
-        names = ["p", "i", "d", *(["model"] if has_model else [])]
+        names = ["p", "i", "d", *(["model"] if has_model else []), "feedforward"]
         self._terms_template = JointStateTemplate(names, effort=True)
 
     def sample(self, stamp_ns: int, loop: JointLoop) -> None:
@@ -64,7 +64,8 @@ class Introspection:
         self._reference.publish(
             self._reference_template.encode(stamp_ns, position=(position,), velocity=(velocity,))
         )
-        terms = (*loop.terms, loop.model_effort) if self._has_model else loop.terms
+        model = (loop.model_effort,) if self._has_model else ()
+        terms = (*loop.terms, *model, loop.feedforward_effort)
         self._terms.publish(self._terms_template.encode(stamp_ns, effort=terms))
         estimate = loop.estimate
         if estimate is not None:

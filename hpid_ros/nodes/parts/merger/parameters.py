@@ -134,7 +134,7 @@ def read_parameters(node: Node, joints: Sequence[str]) -> MergerParameters:
                 node,
                 name,
                 0.0,
-                f"Effort of {joint} while it is silent [N m]",
+                f"Effort of {joint} while it is silent [N m or N]",
                 (-LARGEST_EFFORT, LARGEST_EFFORT),
             )
             for name, joint in _given_below(node, "fallback_efforts")

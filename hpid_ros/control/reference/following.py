@@ -1,4 +1,4 @@
-"""The reference of a loop: motions, and the passage from one to the next without a jump."""
+"""Following: motions become the reference, and pass from one to the next without a jump."""
 
 from __future__ import annotations
 
@@ -23,9 +23,16 @@ class Reference(Protocol):
     def sample(self, stamp_ns: int) -> Sequence[float]:
         """Return position [rad], velocity [rad/s], acceleration [rad/s^2] at an instant [ns]."""
 
+    def effort(self, stamp_ns: int) -> float:
+        """Return the effort that was planned for an instant [ns], in [N m]; 0 if none was."""
+
 
 class Motion(Protocol):
     """What a loop can be told to do: it becomes a reference when the loop takes it over."""
+
+    @property
+    def gives_effort(self) -> bool:
+        """Whether it says which effort it needs."""
 
     def start(self, now_ns: int, position: float, velocity: float) -> Reference:
         """Take over from where the reference stands, see ``trajectory.Column.start``."""
@@ -57,6 +64,11 @@ class Setpoint:
                 f"not {self.position}"
             )
 
+    @property
+    def gives_effort(self) -> bool:
+        """Return False."""
+        return False
+
     def start(self, now_ns: int, position: float, velocity: float) -> Setpoint:
         """Return itself: a setpoint is the same at all times."""
         return self
@@ -72,6 +84,10 @@ class Setpoint:
     def sample(self, stamp_ns: int) -> tuple[float, float, float]:
         """Return the position at rest."""
         return self.position, 0.0, 0.0
+
+    def effort(self, stamp_ns: int) -> float:
+        """Return 0."""
+        return 0.0
 
 
 @dataclass(frozen=True)
@@ -90,6 +106,10 @@ class Turned:
         """Return the reference at an instant."""
         position, velocity, acceleration = self.onto.sample(stamp_ns)
         return position + self.offset, velocity, acceleration
+
+    def effort(self, stamp_ns: int) -> float:
+        """Return that of the other reference."""
+        return self.onto.effort(stamp_ns)
 
 
 class Glide:
@@ -120,6 +140,10 @@ class Glide:
         self._offset = position - target[0]
         self._carried = (velocity - target[1]) * duration
 
+    def effort(self, stamp_ns: int) -> float:
+        """Return that of the reference to end on."""
+        return self.onto.effort(stamp_ns)
+
     def sample(self, stamp_ns: int) -> tuple[float, float, float]:
         """Return the reference at an instant."""
         position, velocity, acceleration = self.onto.sample(stamp_ns)
@@ -149,15 +173,27 @@ class Following:
         motion: What is followed; None while the joint is held where it was.
         position: The reference's position of the last sample in [rad].
         velocity: Its velocity in [rad/s].
+        acceleration: Its acceleration in [rad/s^2].
         turn: A motion that is taken up may be told as many turns away as bring it nearest to
             the reference, in [rad]; 0 takes it as it is told.
+        gives_effort: Whether what is followed says which effort it needs.
+        has_turned: Whether another motion was taken up since this was last set to False.
         lost_turn: The same of the first motion after a restart, if it is under way: the
             position begins anew after so much, and the turns until now were not counted.
     """
 
     __slots__ = (
         *("_glide_end_ns", "_is_first", "_pending", "_reference"),
-        *("lost_turn", "motion", "position", "turn", "velocity"),
+        *(
+            "acceleration",
+            "gives_effort",
+            "has_turned",
+            "lost_turn",
+            "motion",
+            "position",
+            "turn",
+            "velocity",
+        ),
     )
 
     def __init__(self) -> None:
@@ -180,7 +216,8 @@ class Following:
         self._reference: Reference | None = None
         self._glide_end_ns: int | None = None
         self._is_first = True
-        self.position = self.velocity = 0.0
+        self.gives_effort = self.has_turned = False
+        self.position = self.velocity = self.acceleration = 0.0
 
     def stand(self, position: float) -> None:
         """Hold a position until there is a motion.
@@ -189,7 +226,7 @@ class Following:
             position: In [rad].
         """
         self._reference, self._glide_end_ns = Setpoint(position), None
-        self.position, self.velocity = position, 0.0
+        self.position, self.velocity, self.acceleration = position, 0.0, 0.0
 
     def take_over(self, stamp_ns: int, position: float, duration: float) -> None:
         """Start from a position again, and glide onto what is followed.
@@ -229,14 +266,25 @@ class Following:
             if inside != position:  # at a stop the reference rests
                 position, acceleration = inside, 0.0
             wanted = position, velocity, acceleration
-        self.position, self.velocity = position, velocity
+        self.position, self.velocity, self.acceleration = wanted
         return wanted
+
+    def effort(self, stamp_ns: int) -> float:
+        """Return the effort that was planned for the instant of a sample, in [N m].
+
+        Args:
+            stamp_ns: The control clock in [ns].
+        """
+        if self._reference is None or not self.gives_effort:
+            return 0.0
+        return self._reference.effort(stamp_ns)
 
     def _begin(self, motion: Motion, stamp_ns: int, duration: float) -> None:
         """Turn to a motion: from where the reference stands, or onto it if it is under way."""
         before = self._reference
         assert before is not None
         self._pending = None
+        self.gives_effort, self.has_turned = motion.gives_effort, True
         is_under_way, turn = motion.is_under_way(stamp_ns), self.turn
         if self._is_first and is_under_way:
             turn = turn or self.lost_turn

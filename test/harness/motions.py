@@ -1,0 +1,70 @@
+"""A joint's motion along a multisine, and the efforts that it needs, to the last digit."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hpid_ros.identification.records import JointRecord
+
+FREQUENCIES = np.array([0.13, 0.37, 0.71, 1.19, 1.93])  # [Hz]
+
+
+@dataclass(frozen=True)
+class Plant:
+    """What a joint is made of, SI units."""
+
+    inertia: float = 0.5
+    viscous: float = 0.8
+    coulomb: float = 0.6
+    offset: float = 0.3
+    gravity_sin: float = 0.0
+    gravity_cos: float = 0.0
+    stribeck: float = 0.0
+    stribeck_speed: float = 0.3
+    delay: float = 0.003
+
+
+def motion(time, seed=1, amplitude=0.25):
+    """Return position, velocity and acceleration at any times."""
+    phases = np.random.default_rng(seed).uniform(0.0, 2.0 * np.pi, len(FREQUENCIES))
+    rates = 2.0 * np.pi * FREQUENCIES[:, None]
+    sizes = amplitude / (1.0 + FREQUENCIES)
+    angles = rates * np.asarray(time) + phases[:, None]
+    return (
+        sizes @ np.sin(angles),
+        sizes @ (rates * np.cos(angles)),
+        -sizes @ (rates**2 * np.sin(angles)),
+    )
+
+
+def needed(plant, position, velocity, acceleration):
+    """Return the effort that a motion needs."""
+    creeping = plant.stribeck * np.exp(-((velocity / plant.stribeck_speed) ** 2))
+    return (
+        plant.inertia * acceleration
+        + plant.viscous * velocity
+        + (plant.coulomb + creeping) * np.sign(velocity)
+        + plant.offset
+        + plant.gravity_sin * np.sin(position)
+        + plant.gravity_cos * np.cos(position)
+    )
+
+
+def record(
+    plant,
+    times=None,
+    *,
+    seed=1,
+    noise=0.0,
+    effort_noise=0.0,
+    name="joint",
+    amplitude=0.25,
+    along=motion,
+):
+    """Return what is recorded: positions, and measured efforts that act after the delay."""
+    times = np.arange(0.0, 12.0, 2e-3) if times is None else times
+    chance = np.random.default_rng([seed, 7])
+    position = along(times, seed, amplitude)[0] + noise * chance.standard_normal(len(times))
+    effort = needed(plant, *along(times + plant.delay, seed, amplitude))
+    effort = effort + effort_noise * chance.standard_normal(len(times))
+    return JointRecord(name, times, position, times, effort, is_held=False)

@@ -1,0 +1,232 @@
+"""What is fed forward: the reference is met with less error, and nothing that is told jumps."""
+
+import math
+from itertools import pairwise
+
+import pytest
+from harness.loops import loop_settings, pure_loop
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hpid_ros.base.errors import SettingError
+from hpid_ros.control import ModelTerm
+from hpid_ros.control.reference import Setpoint
+from hpid_ros.control.settings.robot_limits import RobotLimits
+from hpid_ros.trajectory import Column, Knot
+
+MS, SECOND = 1_000_000, 1_000_000_000
+PID = {"law": "pid", "gains__p": 200.0, "gains__i": 500.0, "gains__d": 20.0}
+INERTIA, VISCOUS, COULOMB = 0.5, 2.0, 1.5
+MODEL = {
+    "feedforward__inertia": INERTIA,
+    "feedforward__viscous_friction": VISCOUS,
+    "feedforward__coulomb_friction": COULOMB,
+}
+
+
+class Joint:
+    """A joint with friction, or one under a load."""
+
+    def __init__(self, load=0.0):
+        self.position = self.velocity = 0.0
+        self.coulomb = 0.0 if load else COULOMB
+        self.load, self.stamp_ns = load, 0
+
+    def push(self, effort, steps=20):
+        for _ in range(steps):
+            dry = self.coulomb * math.tanh(self.velocity / 1e-3)
+            rate = (effort + self.load - VISCOUS * self.velocity - dry) / INERTIA
+            self.velocity += rate * 1e-3 / steps
+            self.position += self.velocity * 1e-3 / steps
+        self.stamp_ns += MS
+
+
+def drive(loop, joint, samples):
+    """Step the loop on the joint; return efforts and errors."""
+    efforts, errors = [], []
+    for _ in range(samples):
+        efforts.append(loop.step(joint.stamp_ns, joint.position, joint.velocity))
+        errors.append(abs(loop.error))
+        joint.push(efforts[-1])
+    return efforts, errors
+
+
+def motion(*efforts, seconds=1.0, distance=1.0):
+    """Return a quintic from 0, with these efforts, one a knot."""
+    ends = [(0.0, 0.0), (seconds, distance)]
+    knots = [
+        Knot(round(t * SECOND), q, 0.0, 0.0, effort)
+        for (t, q), effort in zip(ends, efforts or (None, None), strict=True)
+    ]
+    return Column("elbow", tuple(knots))
+
+
+def held(*efforts, begin=0, gap=100 * MS):
+    """Return a motion that rests at 0, with these efforts, one a knot."""
+    knots = (Knot(begin + k * gap, 0.0, 0.0, 0.0, effort) for k, effort in enumerate(efforts))
+    return Column("elbow", tuple(knots))
+
+
+def test_what_moves_the_joint_is_known_beforehand():
+    worst = {}
+    for name, parts in {
+        "none": {},
+        "inertia": {"feedforward__inertia": INERTIA},
+        "all": MODEL,
+    }.items():
+        loop, joint = pure_loop(**PID, **parts), Joint()
+        drive(loop, joint, 10)
+        loop.follow(motion())
+        worst[name] = max(drive(loop, joint, 1200)[1])
+    assert worst["all"] < 0.02 * worst["none"]
+    assert worst["all"] < 0.1 * worst["inertia"] < worst["none"]
+
+
+def test_planned_efforts_are_given_linearly_between_the_points():
+    loop = pure_loop(law="pid", takeover_time=0.0)
+    loop.follow(held(1.0, 3.0, -2.0, begin=50 * MS))
+    efforts = {k: loop.step(k * MS, 0.0, 0.0) for k in range(400)}
+    for k, effort in {1: 1.0, 50: 1.0, 100: 2.0, 150: 3.0, 190: 1.0, 250: -2.0, 399: -2.0}.items():
+        assert efforts[k] == pytest.approx(effort)
+        assert loop.feedforward_effort == -2.0
+
+
+def test_a_planned_weight_takes_the_place_of_the_integral_that_held_it():
+    loop, joint = pure_loop(**PID), Joint(load=-8.0)
+    loop.follow(Setpoint(0.0))
+    before = drive(loop, joint, 3000)[0][-1]
+    assert loop.integral == pytest.approx(before, abs=1e-3)
+    loop.follow(held(8.0, 8.0))
+    efforts, _ = drive(loop, joint, 300)
+    assert efforts == pytest.approx([before] * 300, abs=1e-3)
+    assert (loop.feedforward_effort, loop.integral) == (8.0, pytest.approx(before - 8.0, abs=1e-3))
+    loop.follow(held(None, None))
+    assert drive(loop, joint, 300)[0] == pytest.approx(efforts, abs=1e-3)
+    assert loop.feedforward_effort == 0.0
+
+
+def test_without_an_integral_it_fades_in():
+    loop = pure_loop(law="pid", gains__p=10.0, takeover_time=0.2)
+    efforts = [loop.step(k * MS, 0.0, 0.0) for k in range(10)]
+    loop.follow(held(4.0, 4.0))
+    efforts += [loop.step(k * MS, 0.0, 0.0) for k in range(10, 400)]
+    assert max(abs(b - a) for a, b in pairwise(efforts)) <= 4.0 / 200 + 1e-9
+    assert efforts[-1] == 4.0
+    assert loop.integral == 0.0
+
+
+def test_what_the_integral_may_not_give_up_fades_in():
+    loop = pure_loop(**PID, i_clamp_min=-1.0, i_clamp_max=1.0, takeover_time=0.2)
+    drive(loop, Joint(), 5)
+    loop.follow(held(4.0, 4.0))
+    efforts = [loop.step((10 + k) * MS, 0.0, 0.0) for k in range(400)]
+    assert max(abs(b - a) for a, b in pairwise(efforts)) <= 3.0 / 200 + 1e-6
+    assert loop.integral == -1.0
+    assert efforts[-1] == pytest.approx(3.0)
+
+
+MOTIONS = {
+    "setpoint": lambda efforts: Setpoint(0.0),
+    "weight": lambda efforts: held(*efforts),
+    "some": lambda efforts: held(*efforts, None),
+    "later": lambda efforts: held(*efforts, begin=70 * MS),
+}
+CHANGES = {
+    "feedforward.inertia": st.floats(0.0, 3.0),
+    "feedforward.coulomb_friction": st.floats(0.0, 3.0),
+    "feedforward.trajectory_effort": st.booleans(),
+    "gains.i": st.sampled_from([0.0, 100.0]),
+}
+
+
+@given(
+    st.lists(
+        st.tuples(
+            st.sampled_from([*MOTIONS, *CHANGES, "gap"]),
+            st.lists(st.floats(-5.0, 5.0), min_size=2, max_size=4),
+            st.data(),
+        ),
+        min_size=1,
+        max_size=8,
+    )
+)
+def test_where_nothing_moves_the_effort_moves_no_faster_than_its_plan(steps):
+    """The reference rests and the joint is on it: nothing that is told is a jump."""
+    loop = pure_loop(law="pid", gains__p=50.0, gains__i=100.0, gains__d=5.0, takeover_time=0.2)
+    stamp_ns, efforts = 0, []
+
+    def go(samples):
+        nonlocal stamp_ns
+        for _ in range(samples):
+            stamp_ns += MS
+            efforts.append(loop.step(stamp_ns, 0.0, 0.0))
+
+    go(5)
+    for what, planned, data in steps:
+        if what == "gap":
+            stamp_ns += 500 * MS
+        elif what in MOTIONS:
+            loop.follow(MOTIONS[what](planned))
+        else:
+            change = {what: data.draw(CHANGES[what])}
+            loop.retune(loop.settings.with_parameters(change))
+        go(60)
+    # 10 N m in 0.1 s as planned, and what is kept of some jumps of 10 N m fades in 0.2 s.
+    assert max(abs(b - a) for a, b in pairwise(efforts)) <= 0.1 + 0.05 * len(steps) + 0.05 + 1e-6
+
+
+def test_a_takeover_begins_with_the_effort_in_force():
+    loop, joint = pure_loop(**PID), Joint(load=-8.0)
+    loop.follow(held(5.0, 5.0))
+    effort = drive(loop, joint, 3000)[0][-1]
+    joint.stamp_ns += 500 * MS
+    assert drive(loop, joint, 1)[0][0] == pytest.approx(effort, abs=1e-4)
+    assert loop.counts.takeovers == 1
+    assert loop.feedforward_effort == 5.0
+
+
+def test_a_single_stamp_from_the_future_leaves_nothing_behind():
+    loop, twin = pure_loop(**PID, **MODEL), pure_loop(**PID, **MODEL)
+    for each in (loop, twin):
+        each.follow(motion(1.0, 3.0))
+        for k in range(500):
+            each.step(k * MS, 1e-3 * k, 1.0)
+    loop.step(60 * SECOND, 0.5, 1.0)
+    for k in range(500, 800):
+        assert loop.step(k * MS, 1e-3 * k, 1.0) == twin.step(k * MS, 1e-3 * k, 1.0)
+
+
+def test_efforts_of_some_points_are_none_of_the_trajectorys():
+    loop = pure_loop(law="pid", takeover_time=0.0)
+    loop.follow(held(1.0, None))
+    assert {loop.step(k * MS, 0.0, 0.0) for k in range(200)} == {0.0}
+
+
+def test_a_model_knows_the_weight_itself():
+    loop = pure_loop(law="pid", compensation="gravity", takeover_time=0.0)
+    loop.follow(held(4.0, 4.0))
+    efforts = {loop.step(k * MS, 0.0, 0.0, ModelTerm(1.0, 3.0)) for k in range(100)}
+    assert efforts == {3.0}
+
+
+def test_what_is_told_twice_is_refused_and_what_is_described_is_taken():
+    with pytest.raises(SettingError, match=r"decoupling .* must be 0 with it, not 0.5"):
+        loop_settings(compensation="decoupling", feedforward__inertia=0.5)
+    with pytest.raises(SettingError, match=r"takes the parameter inertia, which is unknown"):
+        loop_settings(feedforward__inertia=-1.0)
+    known = {"inertia": 0.3, "gains__p": 1.0, "gains__i": 0.1, "gains__d": 1.0}
+    asked = loop_settings(
+        **known,
+        feedforward__inertia=-1.0,
+        feedforward__viscous_friction=-1.0,
+        feedforward__coulomb_friction=-1.0,
+    )
+    described = RobotLimits(damping=0.25, friction=0.75).within(asked).feedforward
+    assert (described.viscous_friction, described.coulomb_friction) == (0.25, 0.75)
+    loop = pure_loop(
+        law="pid", inertia=0.3, feedforward__inertia=-1.0, gains__p=1.0, gains__i=0.1, gains__d=1.0
+    )
+    loop.follow(Column("elbow", (Knot(0, 0.0, 0.0, 2.0), Knot(SECOND, 1.0, 0.0, 0.0)), stamp_ns=1))
+    loop.step(0, 0.0, 0.0)
+    loop.step(1 * MS, 0.0, 0.0)
+    assert loop.feedforward_effort == pytest.approx(0.3 * 2.0, abs=0.02)
