@@ -14,6 +14,7 @@ from hpid_ros.nodes.parts.bridge.commanders import Commanders, HeldCommands
 from hpid_ros.nodes.parts.bridge.pace import BridgeTiming, read_pace
 from hpid_ros.nodes.parts.bridge.reports import BridgeReports
 from hpid_ros.nodes.parts.bridge.services import BridgeServices
+from hpid_ros.nodes.parts.bridge.standard_services import offer_standard_services
 from hpid_ros.nodes.parts.bridge.world_parameters import read_world_file
 from hpid_ros.nodes.ros import executor
 from hpid_ros.nodes.ros.middleware import ALL_COMMANDS, OFFERED, overridable, subscribe_raw
@@ -80,8 +81,10 @@ class RobotBridge(executor.ClosingNode):
         )
         self._reports = BridgeReports(self, self._world, prefix, pace.end_ns)
         self._simulation = BridgeServices(self, self._world, prefix, self._reset, self._resume)
+        offer_standard_services(self, self._simulation, self._world)
+        self._told = ""
         self._diagnostics = Diagnostics(self, self._world.description.name)
-        self._misread = 0
+        self._misread = self._obeyed = 0
         self._is_done = False
         self._is_started = False
         self._timing = BridgeTiming(settings.joints)
@@ -127,8 +130,9 @@ class RobotBridge(executor.ClosingNode):
         names, efforts = self._commanders.heed(names, efforts, self._reader.sender)
         if not names:
             return
+        self._obeyed += self._is_started
         if stamp_ns == self._stamp_ns:
-            self._timing.answered(names[0])
+            self._timing.answered(names)
         if self._barrier.answer(stamp_ns, names, efforts):
             self._resume()
 
@@ -202,6 +206,7 @@ class RobotBridge(executor.ClosingNode):
             event,
             states=self._world.time_ns // self._world.settings.control_period_ns + 1,
             counts={joint: vars(counts) for joint, counts in self._barrier.counts.items()},
+            commands=self._obeyed,
             foreign=self._barrier.foreign,
             reports=self._reports.counts,
             wall_time=self._timing.elapsed,
@@ -215,6 +220,12 @@ class RobotBridge(executor.ClosingNode):
             message = "paused"
         if not self._is_started:
             message = "waiting for controllers"
+        if message != self._told:
+            self._told = message
+            if silent and self._is_started:  # rclpy wants a line of its own for each severity
+                self.get_logger().warning(message)
+            else:
+                self.get_logger().info(message)
         conflict = self._commanders.conflict()
         values: dict[str, Any] = {
             "simulated time [s]": self._world.time_ns / NANOSECONDS,

@@ -40,11 +40,13 @@ class BridgeTiming:
             self._first_ns = now
         self.published_ns = now
 
-    def answered(self, joint: str) -> None:
-        """Note that a joint's answer to the last published state has come."""
-        note = self._notes.get(joint)
-        if note is not None:
-            note(time.perf_counter_ns() - self.published_ns)
+    def answered(self, joints: Sequence[str]) -> None:
+        """Note that the answers of joints to the last published state have come."""
+        delay_ns = time.perf_counter_ns() - self.published_ns
+        for joint in joints:
+            note = self._notes.get(joint)
+            if note is not None:
+                note(delay_ns)
 
     @property
     def elapsed(self) -> float:

@@ -62,6 +62,27 @@ class BridgeServices:
         """Whether time stands still but for single steps."""
         return self._is_paused
 
+    def pause(self, is_paused: bool) -> None:
+        """Let time stand still from now on, or go on.
+
+        Args:
+            is_paused: Whether it stands still.
+        """
+        self._is_paused, self._steps = is_paused, 0
+        if not is_paused:
+            self._resume()
+
+    def step(self) -> bool:
+        """Let a paused simulation go on by one control period, and tell whether it is paused."""
+        if self._is_paused:
+            self._steps += 1
+            self._resume()
+        return self._is_paused
+
+    def reset(self) -> None:
+        """Go back to time zero."""
+        self._reset()
+
     def may_advance(self) -> bool:
         """Tell whether one more control period may be simulated, and use up a single step."""
         if not self._is_paused:
@@ -72,26 +93,22 @@ class BridgeServices:
         return True
 
     def _on_pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
-        self._is_paused = request.data
-        self._steps = 0
         response.success = True
         response.message = self._told("paused" if request.data else "running")
-        if not request.data:
-            self._resume()
+        self.pause(request.data)
         return response
 
     def _on_step(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        response.success = self._is_paused
-        if not self._is_paused:
-            response.message = "not paused: call ~/pause with data: true first"
-            return response
-        self._steps += 1
-        self._resume()
-        response.message = self._told("one control period")
+        response.success = self.step()
+        response.message = (
+            self._told("one control period")
+            if response.success
+            else "not paused: call ~/pause with data: true first"
+        )
         return response
 
     def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        self._reset()
+        self.reset()
         response.success, response.message = True, self._told("reset")
         return response
 
