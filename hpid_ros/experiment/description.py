@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -76,7 +76,28 @@ class Experiment:
         """The link that the task is about: the hand among bricks, else the robot's last link."""
         if self.world.workplace.bricks:
             return self.world.workplace.gripper.link
-        return RobotDescription.load(self.world.robot_description).last_link
+        return self.description.last_link
+
+    @property
+    def description(self) -> RobotDescription:
+        """The robot, with all that the file knows better."""
+        return RobotDescription.load(self.world.robot_description)
+
+    @property
+    def slides(self) -> frozenset[str]:
+        """The driven joints that slide: their units are m and N."""
+        return self.description.slides.intersection(self.world.joints)
+
+    @property
+    def frictions(self) -> dict[str, float]:
+        """Coulomb friction of the driven joints, in [N m]."""
+        joints = self.description.joints
+        return {name: joints[name].friction for name in self.world.joints}
+
+    def are_slides(self, joints: Sequence[str]) -> tuple[bool, ...]:
+        """Return of each of these joints whether it slides."""
+        slides = self.slides
+        return tuple(joint in slides for joint in joints)
 
     @property
     def inputs(self) -> tuple[Path, ...]:
@@ -91,7 +112,7 @@ class Experiment:
         Another engine than PyBullet counts, too: it need not be named in the file.
         """
         digest = hashlib.sha256(self.text.encode())
-        digest.update(RobotDescription.load(self.world.robot_description).xml.encode())
+        digest.update(self.description.xml.encode())
         for model in models_of(self.controllers):
             digest.update(model.encode())
         if self.world.engine != "pybullet":

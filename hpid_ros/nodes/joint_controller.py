@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
@@ -20,7 +20,7 @@ from hpid_ros.control.reference import Motion
 from hpid_ros.control.settings.table import PARAMETERS
 from hpid_ros.control.supervision import SupervisedLoop
 from hpid_ros.nodes.parts.controller.certification import Certification
-from hpid_ros.nodes.parts.controller.commands import SINKS, Commands, CommandSink, sender_of
+from hpid_ros.nodes.parts.controller.commands import SINKS, Commands, Sinks, sender_of
 from hpid_ros.nodes.parts.controller.health import ControllerHealth, LoopTiming
 from hpid_ros.nodes.parts.controller.introspection import Introspection
 from hpid_ros.nodes.parts.controller.joint_claim import JointClaim, claims_joint
@@ -63,7 +63,7 @@ class JointController(ManagedNode):
     def __init__(
         self,
         name: str = "joint_controller",
-        sinks: Mapping[str, Callable[[Node, str, str], CommandSink]] = SINKS,
+        sinks: Sinks = SINKS,
         states: Callable[[Node], StateSource] = OwnStates,
         **options: Any,
     ) -> None:
@@ -102,7 +102,7 @@ class JointController(ManagedNode):
             is_slide=self._tuning.is_slide,
         )
         self._states = states(self)
-        self._is_listening = False
+        self._is_listening = self._is_silence_told = False
         self._readiness: Any = None
         self._references: ControllerReferences | None = None
         steady_timer(self, self._health.period, self._report)
@@ -237,6 +237,7 @@ class JointController(ManagedNode):
 
     def _lapsed(self, silence: float, effort: float) -> None:
         """Tell of a silence; :meth:`look` gives the effort, whatever this thread does."""
+        self._is_silence_told = True
         unit = self._health.unit("N m")
         self._health.fault(f"no new state for {silence:.3g} s: the effort is {effort:g} {unit}")
         self._report()
@@ -266,6 +267,9 @@ class JointController(ManagedNode):
         self._health.refused_request(line)
 
     def _report(self) -> None:
+        if self._is_silence_told and not self._watchdog.is_silent():
+            self._is_silence_told = False
+            self.get_logger().info("states come again: the joint is controlled")
         waiting = "" if self._is_listening else self._waits_for()
         self._health.report(self.lifecycle, waiting, self._claim.text, self._claim.refusal)
 

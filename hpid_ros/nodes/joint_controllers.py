@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
+from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.validate_node_name import validate_node_name
 
@@ -12,8 +13,8 @@ from hpid_ros.base.errors import SettingError
 from hpid_ros.base.names import controller_name
 from hpid_ros.nodes.joint_command_merger import JointCommandMerger
 from hpid_ros.nodes.joint_controller import JointController
-from hpid_ros.nodes.parts.controller.commands import SINKS
-from hpid_ros.nodes.parts.controller.states import OwnStates, SharedStates
+from hpid_ros.nodes.parts.controller.commands import JOINT_STATE, SINKS, SharedCommands, Sinks
+from hpid_ros.nodes.parts.controller.states import OwnStates, SharedStates, StateSource
 from hpid_ros.nodes.ros import executor
 from hpid_ros.nodes.ros.parameters import read_only
 from hpid_ros.nodes.ros.usage import Usage
@@ -42,12 +43,12 @@ class Composition(executor.ClosingNode):
             False,
             "Publish one message for all joints, as joint_command_merger, with its parameters",
         )
-        self.shares_states: bool = read_only(
+        self.shares_messages: bool = read_only(
             self,
-            "share_states",
+            "share_messages",
             False,
-            "Read each state once for all joints, which begin together; "
-            "whoever counts subscribers of the states sees one",
+            "Read each state once for all joints, which begin together, and answer it with one "
+            "message; whoever counts subscribers or publishers sees one",
         )
 
 
@@ -65,11 +66,18 @@ def make_nodes() -> list[executor.ClosingNode]:
     if not joints or len(set(joints)) != len(joints):
         raise SettingError(f"the parameter joints must name each joint once, not {joints}")
     merger = JointCommandMerger(joints=joints, is_composed=True) if composition.merges else None
-    states = SharedStates(composition).of if composition.shares_states else OwnStates
+    sinks: Sinks = SINKS
+    states: Callable[[Node], StateSource] = OwnStates
+    if composition.shares_messages:
+        commands = SharedCommands(composition)
+        sinks = {**SINKS, JOINT_STATE: commands.sink}
+        states = SharedStates(composition, commands.collecting).of
+    if merger is not None:
+        sinks = {MERGED: merger.sink}
     controllers = [
         JointController(
             controller_name(joint),
-            SINKS if merger is None else {MERGED: merger.sink},
+            sinks,
             states,
             parameter_overrides=[
                 Parameter("joint", value=joint),
@@ -88,7 +96,7 @@ USAGE = Usage(
     "parameters, topics and services joint_controller --help tells; with merge also a node "
     "joint_command_merger, as its --help tells.",
     "-p joints:=[JOINT, ...] --params-file FILE",
-    ["joints", "merge", "share_states"],
+    ["joints", "merge", "share_messages"],
 )
 
 

@@ -7,21 +7,22 @@ import numpy as np
 
 from harness.loops import pure_loop
 from hpid_ros.goals import GoalFollower, GoalRequest, GroupSettings
+from hpid_ros.trajectory.joint_trajectory import PointArrays
 from hpid_ros.wire import JointPart
 
 MS = 1_000_000
 SECOND = 1_000_000_000
 
 
-def goal(positions, times, velocities=None, accelerations=None, stamp_ns=0, **asked):
+def goal(positions, times, velocities=None, accelerations=None, efforts=None, stamp_ns=0, **asked):
     """Return a goal: positions by joint, one for each of the times in [s]; the rest likewise."""
     none = np.full((len(times), len(positions)), np.nan)
-    derivatives = [
+    arrays = [
         none if each is None else np.array([each[name] for name in positions], float).T
-        for each in (positions, velocities, accelerations)
+        for each in (positions, velocities, accelerations, efforts)
     ]
     times_ns = np.round(np.array(times) * SECOND).astype(np.int64)
-    return GoalRequest(tuple(positions), stamp_ns, times_ns, tuple(derivatives), **asked)
+    return GoalRequest(tuple(positions), stamp_ns, times_ns, PointArrays(*arrays), **asked)
 
 
 def at_rest(positions):

@@ -121,10 +121,13 @@ class GraphNodes:
             if self._options.is_recorded
             else []
         )
+        slides = sorted(self._experiment.slides)
+        if of_recorder and slides:
+            of_recorder += _parameters(slides=slides)
         of_all = _parameters(realtime_priority=self._options.realtime_priority)
         controllers, bridge = self.controller_arguments(), self.bridge_arguments() + of_all
-        if self._are_states_shared:
-            controllers += _parameters(share_states=True)
+        if self._are_messages_shared:
+            controllers += _parameters(share_messages=True)
         if self._options.processes == "single":
             of_recorder += _parameters(
                 record=self._options.is_recorded, engine=self._experiment.world.engine
@@ -153,8 +156,8 @@ class GraphNodes:
         return file
 
     @property
-    def _are_states_shared(self) -> bool:
-        """Whether all controllers are in one process, and read each state once."""
+    def _are_messages_shared(self) -> bool:
+        """Whether all controllers are in one process, and answer each state in one message."""
         return self._options.processes != "each"
 
     def controller_arguments(self) -> list[str]:
@@ -176,15 +179,15 @@ class GraphNodes:
     def bridge_arguments(self) -> list[str]:
         """Return the ROS arguments of the bridge."""
         joints = len(self._experiment.world.joints)
-        listeners = 1 if self._are_states_shared else joints
+        controllers = 1 if self._are_messages_shared else joints
         return [
             *("--params-file", str(self._folder / "bridge.yaml")),
             *_parameters(
                 mode="realtime" if self._options.is_realtime else "lockstep",
                 exit_when_done=False,
                 # The controllers, the recorder, and the publisher of the reference.
-                wait_for_subscribers=listeners + self._options.is_recorded + 1,
-                wait_for_publishers=joints,
+                wait_for_subscribers=controllers + self._options.is_recorded + 1,
+                wait_for_publishers=controllers,
                 report_rate=REPORT_RATE if task_topics(self._experiment.world) else 0.0,
             ),
         ]

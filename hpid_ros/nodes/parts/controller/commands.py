@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import socket
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from hashlib import sha256
 from typing import Protocol
 
 from rclpy.duration import Duration
 from rclpy.node import Node
+from rclpy.publisher import Publisher
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64, Float64MultiArray
 
@@ -19,6 +21,7 @@ from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.nodes.ros.middleware import NEWEST_COMMAND, OFFERED, overridable
 from hpid_ros.wire import JointStateTemplate
 
+_JOINT_STATE_TOPIC = "joint_commands"
 _LOCK_WITHIN = 0.2  # [s]; whoever holds it longer is stuck in the middleware, as we would be
 
 
@@ -52,6 +55,12 @@ class CommandSink(Protocol):
         """
 
 
+def _joint_state_publisher(node: Node) -> Publisher:
+    return node.create_publisher(
+        JointState, _JOINT_STATE_TOPIC, OFFERED, qos_overriding_options=overridable()
+    )
+
+
 class JointStateCommands:
     """One name and one effort in a JointState, stamped with the state that it answers.
 
@@ -65,9 +74,7 @@ class JointStateCommands:
     """
 
     def __init__(self, node: Node, joint: str, sender: str) -> None:
-        self.publisher = node.create_publisher(
-            JointState, "joint_commands", OFFERED, qos_overriding_options=overridable()
-        )
+        self.publisher = _joint_state_publisher(node)
         self._template = JointStateTemplate([joint], sender, effort=True)
 
     def send(self, stamp_ns: int, effort: float) -> None:
@@ -115,6 +122,106 @@ class Float64Commands:
         """Publish an effort in [N m]; the message has no stamp."""
         self._message.data = effort
         self.publisher.publish(self._message)
+
+
+class SharedCommands:
+    """One publisher for the controllers of a process, which answer a state in one message.
+
+    What a controller gives while a state is handed round goes out with the answers of the others;
+    what it gives at any other time, or from another thread, goes out at once, and takes the place
+    of an answer that still waits for the others.
+
+    Args:
+        node: The node that publishes.
+    """
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        self._publisher: Publisher | None = None
+        self._sender = ""
+        self._joints: list[str] = []
+        self._templates: dict[tuple[str, ...], JointStateTemplate] = {}
+        self._answers: dict[str, tuple[int, float]] = {}
+        self._collector: int | None = None  # the thread that hands a state round
+        self._lock = threading.Lock()
+
+    def sink(self, controller: Node, joint: str, sender: str) -> CommandSink:
+        """Return the sink of one controller; its own where it publishes on another topic.
+
+        Args:
+            controller: The controller.
+            joint: Its joint.
+            sender: Who it is.
+        """
+        topic = controller.resolve_topic_name(_JOINT_STATE_TOPIC)
+        if topic != self._node.resolve_topic_name(_JOINT_STATE_TOPIC):
+            return JointStateCommands(controller, joint, sender)
+        if self._publisher is None:
+            self._publisher = _joint_state_publisher(self._node)
+            self._sender = self._node.get_fully_qualified_name() + sender.removeprefix(
+                node_of(sender)
+            )
+        self._joints.append(joint)
+        return _SharedSink(self, self._publisher, joint)
+
+    @contextlib.contextmanager
+    def collecting(self) -> Iterator[None]:
+        """Publish what controllers give on this thread at the end, in one message."""
+        self._collector = threading.get_ident()
+        try:
+            yield
+        finally:
+            self._collector = None
+            with self._lock:
+                self._publish_answers()
+
+    def give(self, joint: str, stamp_ns: int, effort: float) -> None:
+        """Take one joint's effort.
+
+        Args:
+            joint: The joint.
+            stamp_ns: Stamp of the state that it answers in [ns].
+            effort: In [N m] or [N].
+        """
+        if self._collector == threading.get_ident():
+            with self._lock:
+                self._answers[joint] = stamp_ns, effort
+        elif self._lock.acquire(timeout=_LOCK_WITHIN):
+            try:
+                self._answers.pop(joint, None)
+                self._publish((joint,), stamp_ns, (effort,))
+            finally:
+                self._lock.release()
+
+    def _publish_answers(self) -> None:
+        """Publish what was collected, in the order of the sinks, whoever answered first."""
+        by_stamp: dict[int, dict[str, float]] = {}
+        for joint in self._joints:
+            if joint in self._answers:
+                stamp_ns, effort = self._answers[joint]
+                by_stamp.setdefault(stamp_ns, {})[joint] = effort
+        for stamp_ns, efforts in by_stamp.items():
+            self._publish(tuple(efforts), stamp_ns, list(efforts.values()))
+        self._answers.clear()
+
+    def _publish(self, joints: tuple[str, ...], stamp_ns: int, efforts: Sequence[float]) -> None:
+        template = self._templates.get(joints)
+        if template is None:
+            template = JointStateTemplate(joints, self._sender, effort=True)
+            self._templates[joints] = template
+        if self._publisher is not None:
+            self._publisher.publish(template.encode(stamp_ns, effort=efforts))
+
+
+class _SharedSink:
+    """One joint's part in shared commands."""
+
+    def __init__(self, commands: SharedCommands, publisher: CommandTopic, joint: str) -> None:
+        self.publisher = publisher
+        self._commands, self._joint = commands, joint
+
+    def send(self, stamp_ns: int, effort: float) -> None:
+        self._commands.give(self._joint, stamp_ns, effort)
 
 
 def sender_of(node: Node, is_alone: bool) -> str:
@@ -227,9 +334,14 @@ class Commands:
             self._lock.release()
 
 
-SINKS: Mapping[str, Callable[[Node, str, str], CommandSink]] = {
-    "joint_state": JointStateCommands,
+Sinks = Mapping[str, Callable[[Node, str, str], CommandSink]]
+"""By the names of ``command_interface``: what makes a sink of a node, its joint and its sender."""
+
+JOINT_STATE = "joint_state"
+
+SINKS: Sinks = {
+    JOINT_STATE: JointStateCommands,
     "float64_multi_array": Float64MultiArrayCommands,
     "float64": Float64Commands,
 }
-"""By the names of ``command_interface``: what makes a sink of a node, its joint and its sender."""
+"""The sinks of a controller that has its commands for itself."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 from typing import Protocol
 
 from rclpy.node import Node
@@ -63,10 +64,13 @@ class SharedStates:
 
     Args:
         node: The node that subscribes.
+        handing_round: Entered for the time in which a state is given to all.
     """
 
-    def __init__(self, node: Node) -> None:
-        self._node = node
+    def __init__(
+        self, node: Node, handing_round: Callable[[], AbstractContextManager[None]] = nullcontext
+    ) -> None:
+        self._node, self._handing_round = node, handing_round
         self._expected: set[Node] = set()
         self._takes: dict[Node, TakeState] = {}
         self._subscription: Subscription | None = None
@@ -105,9 +109,10 @@ class SharedStates:
 
     def _give(self, raw: bytes) -> None:
         takes = self._takes  # one of them may leave, or make another leave
-        for node, take in takes.items():
-            if node in self._takes:
-                take(raw)
+        with self._handing_round():
+            for node, take in takes.items():
+                if node in self._takes:
+                    take(raw)
 
 
 class _Member:

@@ -1,0 +1,162 @@
+"""Controllers of one process that read each state once and answer it with one message."""
+
+import threading
+
+from harness.graph import ros_arguments
+from harness.health import Told, change
+from rclpy.qos import qos_profile_sensor_data
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64
+
+from hpid_ros.nodes.parts.controller.commands import SharedCommands
+from hpid_ros.wire import JointStateTemplate
+
+MS = 1_000_000
+JOINTS = ("elbow", "wrist")
+
+
+def start(harness, *more):
+    """Start two controllers in one process with shared states."""
+    arguments = ros_arguments(share_messages=True, law="pid", gains__p=10.0, state_watchdog=False)
+    arguments += ["-p", "joints:=[elbow, wrist]", *more]
+    name = "joint_controllers"
+    return harness.processes.start(name, name, arguments, is_renamed=False)
+
+
+def tell(harness, stamp_ns, position):
+    """Publish one state of both joints."""
+    template = JointStateTemplate(JOINTS, position=True, velocity=True)
+    raw = template.encode(stamp_ns, position=[position] * 2, velocity=[0.0] * 2)
+    harness.states.publish(raw)
+
+
+def answers(harness, stamp_ns):
+    """Return the efforts that answer a state, by joint."""
+    given = [each for each in harness.commands if each.stamp_ns == stamp_ns]
+    return {
+        name: effort
+        for each in given
+        for name, effort in zip(each.names, each.effort, strict=True)
+    }
+
+
+def listeners(harness):
+    return harness.states.get_subscription_count()
+
+
+def test_one_subscription_serves_every_joint_whatever_the_others_do(harness):
+    start(harness)
+    harness.wait(lambda: listeners(harness) > 0, what="the process to listen")
+    tell(harness, 0, 0.5)
+    harness.wait(lambda: len(answers(harness, 0)) == 2, what="both joints")
+    assert listeners(harness) == 1
+    assert [each.names for each in harness.commands if each.stamp_ns == 0] == [JOINTS]
+    topic = harness.states.topic_name.rpartition("/")[0] + "/joint_commands"
+    assert harness.node.count_publishers(topic) == 1
+
+    assert change(harness, "deactivate", "elbow_controller")
+    harness.commands.clear()
+    tell(harness, MS, 0.25)
+    harness.wait(lambda: answers(harness, MS).get("wrist") == 2.5, what="the other joint alone")
+    assert "elbow" not in answers(harness, MS)
+
+    assert change(harness, "activate", "elbow_controller")
+    stamps = iter(range(2 * MS, 100_000 * MS, MS))
+
+    def is_answered_for_both():
+        stamp_ns = next(stamps)
+        tell(harness, stamp_ns, 0.25)
+        return any(len(answers(harness, each.stamp_ns)) == 2 for each in harness.commands[-4:])
+
+    harness.wait(is_answered_for_both, what="both joints again")
+    assert listeners(harness) == 1
+    for joint in JOINTS:
+        assert change(harness, "deactivate", f"{joint}_controller")
+    harness.wait(lambda: listeners(harness) == 0, what="nobody to listen")
+
+
+def test_no_state_is_read_before_every_joint_is_ready(harness):
+    told = Told(harness, "wrist_controller")
+    start(harness, "-p", "elbow_controller:wait_for_reference:=true")
+    harness.wait(lambda: "first state" in told.newest().get("message", ""), what="the wrist")
+    assert listeners(harness) == 0
+    setpoint = harness.node.create_publisher(Float64, "elbow_controller/setpoint", 10)
+    harness.wait(lambda: setpoint.get_subscription_count() > 0, what="the elbow")
+    setpoint.publish(Float64(data=0.5))
+    harness.wait(lambda: listeners(harness) == 1, what="the process to listen")
+    tell(harness, 0, 0.5)
+    harness.wait(lambda: len(answers(harness, 0)) == 2, what="both joints")
+
+
+def test_a_controller_with_another_topic_listens_to_that(harness):
+    start(harness, "-r", "elbow_controller:joint_states:=others")
+    others = harness.node.create_publisher(JointState, "others", qos_profile_sensor_data)
+    harness.wait(lambda: listeners(harness) == 1, what="the wrist to listen")
+    harness.wait(lambda: others.get_subscription_count() == 1, what="the elbow to listen")
+    tell(harness, 0, 0.5)
+    harness.wait(lambda: answers(harness, 0), what="the wrist")
+    assert set(answers(harness, 0)) == {"wrist"}
+
+
+def test_a_controller_with_another_topic_of_commands_publishes_there(harness):
+    start(harness, "-r", "elbow_controller:joint_commands:=others")
+    taken = []
+    harness.node.create_subscription(JointState, "others", taken.append, qos_profile_sensor_data)
+    harness.wait(lambda: listeners(harness) == 1, what="the process to listen")
+    tell(harness, 0, 0.5)
+    harness.wait(lambda: answers(harness, 0) and taken, what="both joints")
+    assert set(answers(harness, 0)) == {"wrist"}
+    assert [list(each.name) for each in taken] == [["elbow"]]
+
+
+def test_efforts_that_answer_no_state_go_out_at_once_and_end_in_zeros(harness):
+    watched = ("state_watchdog:=true", "state_timeout:=0.2", "fallback_effort:=1.5")
+    process = start(harness, *(part for each in watched for part in ("-p", each)))
+    stamps = iter(range(0, 100_000 * MS, MS))
+
+    def is_answered(position, effort):
+        tell(harness, next(stamps), position)
+        return last(harness) == dict.fromkeys(JOINTS, effort)
+
+    # The first position is the setpoint; a state may be lost, and a stall may be a silence.
+    harness.wait(lambda: is_answered(0.5, 0.0), what="both joints")
+    harness.wait(lambda: is_answered(0.25, 2.5), what="efforts")
+    harness.wait(lambda: last(harness) == dict.fromkeys(JOINTS, 1.5), what="silence")
+    assert all(each.stamp_ns % MS == 1 for each in harness.commands[-2:])
+
+    def is_answered_again():
+        tell(harness, stamp_ns := next(stamps), 0.25)
+        return len(answers(harness, stamp_ns - MS)) == 2
+
+    harness.wait(is_answered_again, what="answers again")
+    harness.commands.clear()
+    process.process.terminate()
+    harness.wait(lambda: last(harness) == dict.fromkeys(JOINTS, 0.0), what="zeros")
+
+
+def last(harness):
+    """Return the newest effort of each joint."""
+    return {
+        name: effort
+        for each in harness.commands
+        for name, effort in zip(each.names, each.effort, strict=True)
+    }
+
+
+def test_what_another_thread_gives_takes_the_place_of_an_answer_that_waits(harness):
+    commands = SharedCommands(harness.node)
+    elbow, wrist = (commands.sink(harness.node, joint, "/robot#1") for joint in JOINTS)
+    with commands.collecting():
+        elbow.send(MS, 3.0)
+        supervisor = threading.Thread(target=elbow.send, args=(MS + 1, 0.0))
+        supervisor.start()
+        supervisor.join()
+        wrist.send(MS, 4.0)
+    wrist.send(2 * MS, 5.0)
+    harness.wait(lambda: len(harness.commands) == 3, what="all that was sent")
+    sent = [(each.stamp_ns, tuple(each.names), tuple(each.effort)) for each in harness.commands]
+    assert sent == [
+        (MS + 1, ("elbow",), (0.0,)),
+        (MS, ("wrist",), (4.0,)),
+        (2 * MS, ("wrist",), (5.0,)),
+    ]
