@@ -54,8 +54,8 @@ class Comparison:
         norms: What they show of all joints alone.
 
     Raises:
-        SeriesError: If there is no run, a label occurs twice, or the runs' joints, their units
-            of angles or what was computed of them differ.
+        SeriesError: If there is no run, a label occurs twice, or the runs' joints, which of them
+            slide, their units of angles or what was computed of them differ.
     """
 
     runs: tuple[RunIndices, ...]
@@ -84,6 +84,12 @@ class Comparison:
                     f"runs {self.baseline.label!r} and {run.label!r} differ in the unit of "
                     f"angles: {self.angle_unit} and {run.angle_unit}"
                 )
+            if run.slides != self.slides:
+                unlike = sorted(run.slides ^ self.slides)
+                raise SeriesError(
+                    f"runs {self.baseline.label!r} and {run.label!r} differ in the units of "
+                    f"{', '.join(unlike)}: only one of them knows that it slides"
+                )
         for quantity in (*self.indices, *self.norms):
             for run in self.runs:
                 run.value(quantity)  # raises if it was not computed
@@ -103,13 +109,19 @@ class Comparison:
         """The unit of angles in all numbers."""
         return self.baseline.angle_unit
 
-    def unit(self, quantity: Quantity) -> str:
-        """Return the unit of a quantity in this comparison.
+    @property
+    def slides(self) -> frozenset[str]:
+        """The joints that are known to slide, in all runs."""
+        return self.baseline.slides
+
+    def unit(self, quantity: Quantity, joint: str | None = None) -> str:
+        """Return the unit of a quantity in this comparison, see :meth:`RunIndices.unit`.
 
         Args:
             quantity: Which one.
+            joint: The joint, or None for all of them.
         """
-        return quantity.unit_in(self.angle_unit)
+        return self.baseline.unit(quantity, joint)
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -383,7 +395,8 @@ def _figures(run: RunIndices) -> str:
             reasons = dict.fromkeys(run.why_undefined(quantity).values())
             figures.append(f"no {name}, as {' and '.join(reasons)}")
         else:
-            figures.append(f"{name} {value:.4g} {quantity.unit_in(run.angle_unit)}")
+            unit = run.unit(quantity)
+            figures.append(f"{name} {value:.4g} {f'[{unit}]' if ',' in unit else unit}")
     return (
         f"{run.label} alone (there is nothing to compare it with), over {_joints(run)}{duration}: "
         f"{', '.join(figures)}."

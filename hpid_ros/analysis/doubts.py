@@ -47,7 +47,10 @@ def unfollowed_lines(runs: Sequence[RunSeries]) -> Iterator[str]:
     for run in runs:
         joints = unfollowed(run)
         if joints:
-            shown = ", ".join(f"{joint} ({error:.3g} rad)" for joint, error in joints.items())
+            shown = ", ".join(
+                f"{joint} ({error:.3g} {'m' if joint in run.slides else 'rad'})"
+                for joint, error in joints.items()
+            )
             yield (
                 f"run {run.label!r}: these joints do not follow their reference, and their ratios "
                 f"say nothing of the controller: {shown}; in brackets the error that they exceed "

@@ -25,6 +25,7 @@ class EngineTotal:
         values: By engine, the one that the other is held against first.
         ratios: The same number over that of the experiment's first controller with the same
             seed in the same engine; empty for that controller itself.
+        unit: Of the number; that of joints which turn if empty.
     """
 
     experiment: str
@@ -32,6 +33,10 @@ class EngineTotal:
     quantity: Quantity
     values: Mapping[str, BySeed]
     ratios: Mapping[str, BySeed] = field(default_factory=dict)
+    unit: str = ""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "unit", self.unit or self.quantity.unit)
 
     @property
     def distances(self) -> list[float]:

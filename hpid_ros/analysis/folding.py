@@ -95,6 +95,7 @@ def _folded(label: str, runs: Sequence[RunIndices]) -> RunIndices:
         lacking={joint: merged for joint in first.joints if (merged := _lacking(runs, joint))},
         assumed={data: text for run in reversed(runs) for data, text in run.assumed.items()},
         cut=next((run.cut for run in runs if run.cut), ""),
+        slides=frozenset().union(*(run.slides for run in runs)),
     )
 
 

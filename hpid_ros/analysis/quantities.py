@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 from hpid_ros.base.errors import unknown_name
+from hpid_ros.base.units import unit_over
 from hpid_ros.recordings.series import SeriesError
 
 DEGREES_PER_RADIAN = 180.0 / math.pi
@@ -43,7 +44,7 @@ class Quantity:
     Attributes:
         key: Name of its attribute and of its entry in files.
         symbol: Short name in tables.
-        unit: Its unit, without brackets, angles in rad.
+        unit: Its unit of a joint that turns, without brackets, angles in rad.
         meaning: Plain words.
         fold: How the joints' numbers become the one for all.
         angle_power: Power of the angle's unit in the unit.
@@ -60,18 +61,19 @@ class Quantity:
     needs: Data = Data.REFERENCE
     else_undefined: str = "not defined for this run"
 
-    def unit_in(self, angle_unit: str) -> str:
-        """Return the unit with angles in rad or deg.
+    def unit_in(self, angle_unit: str, are_slides: Iterable[bool] = ()) -> str:
+        """Return the unit with angles in rad or deg, as ``deg s^2`` or ``deg s^2, m s^2``.
 
         Args:
             angle_unit: One of :data:`ANGLE_UNITS`.
+            are_slides: As for :func:`~hpid_ros.base.units.unit_over`.
 
         Raises:
             SeriesError: It is another one.
         """
         if angle_unit not in ANGLE_UNITS:
             raise SeriesError(unknown_name("unit of angles", angle_unit, ANGLE_UNITS))
-        return re.sub(r"\brad\b", angle_unit, self.unit)
+        return re.sub(r"\brad\b", angle_unit, unit_over(self.unit, are_slides))
 
 
 NO_STEP = "the reference does not step"

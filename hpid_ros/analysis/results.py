@@ -79,6 +79,8 @@ class RunIndices:
             too: a sum over some of them would not be one over all.
         assumed: What stands in for a recorded reference or commanded efforts, in words.
         cut: To which part of the recording the numbers were cut; empty if to none.
+        slides: The joints that are known to slide: in their numbers "rad" reads "m", and "N m"
+            reads "N". Totals over joints of both kinds fold numbers of unlike units.
     """
 
     label: str
@@ -93,6 +95,17 @@ class RunIndices:
     lacking: Mapping[str, Mapping[Data, str]] = field(default_factory=dict)
     assumed: Mapping[Data, str] = field(default_factory=dict)
     cut: str = ""
+    slides: frozenset[str] = frozenset()
+
+    def unit(self, quantity: Quantity, joint: str | None = None) -> str:
+        """Return the unit of one number; of all joints' where these turn and slide, both units.
+
+        Args:
+            quantity: Which one.
+            joint: The joint, or None for all of them.
+        """
+        names = self.joints if joint is None else (joint,)
+        return quantity.unit_in(self.angle_unit, (name in self.slides for name in names))
 
     def value(self, quantity: Quantity, joint: str | None = None) -> float:
         """Return one number of this run; nan where it is not defined.
@@ -136,10 +149,10 @@ class RunIndices:
 
     def as_mapping(self) -> dict[str, object]:
         """Return the numbers with their units as plain dicts, ready for JSON."""
-        units = {each.key: each.unit_in(self.angle_unit) for each in self.quantities}
         mapping: dict[str, object] = {
             "label": self.label,
-            "units": units,
+            "units": self._units(),
+            **self._of_slides(),
             "joints": {name: indices.as_mapping() for name, indices in self.joints.items()},
             "totals": self.totals.as_mapping(),
             **_for_json({quantity.key: self.value(quantity) for quantity in NORMS}),
@@ -165,6 +178,18 @@ class RunIndices:
                 for joint, quartiles in self.spread.quartiles.items()
             }
         return mapping
+
+    def _units(self, joint: str | None = None) -> dict[str, str]:
+        return {each.key: self.unit(each, joint) for each in self.quantities}
+
+    def _of_slides(self) -> dict[str, object]:
+        if not self.slides:
+            return {}
+        slides = [name for name in self.joints if name in self.slides]
+        return {
+            "slides": slides,
+            "joint_units": {name: self._units(name) for name in self.joints},
+        }
 
 
 def _for_json(values: Mapping[str, float]) -> dict[str, float | None]:

@@ -3,12 +3,21 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 from hpid_ros.analysis.conditions import Conditions
-from hpid_ros.analysis.quantities import ANGLE_UNITS, INDICES, NORMS, QUANTITIES, Data, Quantity
+from hpid_ros.analysis.quantities import (
+    ANGLE_UNITS,
+    INDICES,
+    ITAE,
+    NORMS,
+    QUANTITIES,
+    Data,
+    Quantity,
+)
 from hpid_ros.analysis.results import JointIndices, RunIndices, Spread
+from hpid_ros.base.errors import unknown_name
 from hpid_ros.recordings.series import SeriesError
 
 
@@ -43,13 +52,15 @@ def _reason(error: Exception) -> str:
 
 def _run(label: str, entry: Mapping[str, Any]) -> RunIndices:
     units = entry["units"]
-    angle_unit = _angle_unit(label, units)
+    slides = _slides(label, entry)
+    are_slides = [name in slides for name in entry["joints"]]
+    angle_unit = _angle_unit(label, units, are_slides)
     quantities = tuple(QUANTITIES[key] for key in QUANTITIES if key in units)
     for quantity in quantities:
-        if units[quantity.key] != quantity.unit_in(angle_unit):
+        unit = quantity.unit_in(angle_unit, are_slides)
+        if units[quantity.key] != unit:
             raise SeriesError(
-                f"run {label!r}: {quantity.key} is in {units[quantity.key]}, but must be in "
-                f"{quantity.unit_in(angle_unit)}"
+                f"run {label!r}: {quantity.key} is in {units[quantity.key]}, but must be in {unit}"
             )
     lacking = {
         str(joint): {Data(name): str(reason) for name, reason in reasons.items()}
@@ -74,15 +85,25 @@ def _run(label: str, entry: Mapping[str, Any]) -> RunIndices:
         lacking=lacking,
         assumed={Data(name): str(text) for name, text in entry.get("assumed", {}).items()},
         cut=str(entry.get("cut", "")),
+        slides=slides,
     )
 
 
-def _angle_unit(label: str, units: Mapping[str, str]) -> str:
-    for angle_unit in ANGLE_UNITS:
-        if units["itae"] == f"{angle_unit} s^2":
-            return angle_unit
+def _slides(label: str, entry: Mapping[str, Any]) -> frozenset[str]:
+    slides = frozenset(map(str, entry.get("slides", ())))
+    for name in sorted(slides):
+        if name not in entry["joints"]:
+            raise SeriesError(f"run {label!r}: {unknown_name('joint', name, entry['joints'])}")
+    return slides
+
+
+def _angle_unit(label: str, units: Mapping[str, str], are_slides: Sequence[bool]) -> str:
+    known = {ITAE.unit_in(angle_unit, are_slides): angle_unit for angle_unit in ANGLE_UNITS[::-1]}
+    if units["itae"] in known:
+        return known[units["itae"]]
     raise SeriesError(
-        f"run {label!r}: itae is in {units['itae']!r}, but must be in rad s^2 or deg s^2"
+        f"run {label!r}: itae is in {units['itae']!r}, but must be in "
+        f"{' or '.join(reversed(known))}"
     )
 
 

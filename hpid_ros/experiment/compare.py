@@ -22,6 +22,7 @@ from hpid_ros.experiment.result.places import ResultPlaces
 from hpid_ros.experiment.result.result import Result, compute, save, save_numbers, save_timing
 from hpid_ros.report.tables.engine_tables import engine_grids, engines_csv
 from hpid_ros.report.tables.grid import Grid, grids_text
+from hpid_ros.report.tables.numbers import slides_note
 from hpid_ros.stability.saved_certificates import certificates
 
 
@@ -160,7 +161,10 @@ class ComparedEngines:
     @property
     def grids(self) -> list[Grid]:
         """How far the engines lie apart, as tables."""
-        return engine_grids(self.totals, "Totals over all driven joints, one seed.")
+        comparison = next(iter(self.compared.values())).result.comparison
+        slides = slides_note(comparison.joint_names, comparison.slides)
+        note = f"Totals over all driven joints, one seed. {slides}"
+        return engine_grids(self.totals, note.strip())
 
 
 def compare_engines(
@@ -212,7 +216,8 @@ def _engine_totals(results: Mapping[str, Result]) -> tuple[EngineTotal, ...]:
         values = in_each(lambda comparison: comparison.run(label).value(quantity))
         ratios = in_each(lambda comparison: comparison.ratio(label, quantity))
         is_baseline = label == first.comparison.baseline.label
-        return EngineTotal(name, label, quantity, values, {} if is_baseline else ratios)
+        unit = first.comparison.unit(quantity)
+        return EngineTotal(name, label, quantity, values, {} if is_baseline else ratios, unit)
 
     return tuple(total(run.label, each) for run in first.comparison.runs for each in PAPER)
 

@@ -6,7 +6,7 @@ import time
 from pathlib import Path
 
 from hpid_ros.bags.message_types import JOINT_STATE, JOINT_TRAJECTORY, encode_joint_trajectory
-from hpid_ros.bags.metadata import PARAMETERS
+from hpid_ros.bags.metadata import PARAMETERS, slides_entry
 from hpid_ros.bags.writer import BagWriter, TopicQos
 from hpid_ros.base.interrupts import raise_if_interrupted
 from hpid_ros.compensation.build import compensators
@@ -57,7 +57,8 @@ def run_without_ros(
     robot = str(experiment.world.robot_description)
     models = compensators(settings, robot)
     progress.phase(label, "running in this process")
-    metadata = {PARAMETERS: controllers_text(settings, robot)}
+    parameters = {PARAMETERS: controllers_text(settings, robot)}
+    metadata = parameters | slides_entry(experiment.slides)
     with World(experiment.world) as world, BagWriter(bag, metadata=metadata) as writer:
         recorder = _Recorder(writer, world, experiment, label, progress)
         begin = time.monotonic()

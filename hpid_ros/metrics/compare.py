@@ -13,7 +13,7 @@ from hpid_ros.analysis.folding import fold_repeats
 from hpid_ros.analysis.indices.task import EndEffectorFigures, EndEffectorPath
 from hpid_ros.analysis.quantities import INDICES, NORMS, Data, find_quantities
 from hpid_ros.analysis.results import RunIndices
-from hpid_ros.analysis.units import with_angles_in
+from hpid_ros.analysis.units import in_units
 from hpid_ros.base.errors import SettingError, unknown_name
 from hpid_ros.metrics.measure import Measured, Measuring, measure_all
 from hpid_ros.recordings.series import RunSeries
@@ -112,7 +112,7 @@ def summary(
         *_advice(single, is_measured_a_choice=not names_commands),
         *mismatches(single),
     )
-    single = [with_angles_in(run, units) for run in single]
+    single = in_units(single, units)
     comparison = _selected(fold_repeats(single), indices, is_overall)
     _require_a_number(comparison)
     labels = [run.label for run in comparison.runs]
@@ -120,7 +120,9 @@ def summary(
     return Summary(
         comparison=comparison,
         repeats=tuple(run for run in single if comparison.run(run.label).spread),
-        series=_of_first(first_of, labels, "series"),
+        series=tuple(
+            each.with_slides(comparison.slides) for each in _of_first(first_of, labels, "series")
+        ),
         parameters={
             label: first_of[label].parameters
             for label in labels

@@ -37,12 +37,14 @@ class TaskFrame:
         link: Name of the link.
         base: Its base; None where the root does not move, or nobody knows how.
         others: Positions of joints that a recording lacks, in [rad]; the rest is at 0.
+        is_required: Whether a recording in which the link cannot be followed is an error.
     """
 
     description: RobotDescription
     link: str
     base: DifferentialDrive | None = None
     others: Mapping[str, float] = field(default_factory=dict)
+    is_required: bool = True
 
 
 def moving_joints(description: RobotDescription, link: str) -> frozenset[str]:

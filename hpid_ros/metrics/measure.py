@@ -14,11 +14,13 @@ from hpid_ros.analysis.results import RunIndices
 from hpid_ros.analysis.saved import runs_from_mapping
 from hpid_ros.bags.run.reader import read_run
 from hpid_ros.bags.selection import BagSelection
-from hpid_ros.base.errors import SettingError
+from hpid_ros.base.errors import HpidError, SettingError
 from hpid_ros.metrics.end_effector import EndEffector, TaskFrame
 from hpid_ros.metrics.retunes import read_retunes
+from hpid_ros.metrics.slides import sliding_joints
 from hpid_ros.metrics.sources import Source, expanded, labelled, load_json, saved_parameters
 from hpid_ros.recordings.series import RunSeries
+from hpid_ros.robot.description import RobotDescription
 
 ALL_JOINTS = ""
 """The name under which :attr:`Measuring.effort_limits` holds what is of no joint in particular."""
@@ -38,6 +40,8 @@ class Measuring:
         effort_limits: Effort at which a joint saturates in [N m], by joint; of all others under
             :data:`ALL_JOINTS`. Found in the efforts where none is given.
         robot: The robot whose end effector is followed; None for none.
+        description: Of the robot, for which of its joints slide; that of ``robot``, or what the
+            bag tells, if None.
         keeps_series: Whether the recordings stay in memory after their numbers are known, as
             figures and reports need them.
     """
@@ -46,7 +50,13 @@ class Measuring:
     cutoff: float = DEFAULT_CUTOFF
     effort_limits: Mapping[str, float] = field(default_factory=dict)
     robot: TaskFrame | None = None
+    description: RobotDescription | None = None
     keeps_series: bool = True
+
+    @property
+    def described(self) -> RobotDescription | None:
+        """The robot, if one was named."""
+        return self.description or (None if self.robot is None else self.robot.description)
 
     def index_settings(self, joints: Sequence[str]) -> IndexSettings:
         """Return the settings of the indices of a run with these joints.
@@ -168,21 +178,37 @@ def _of_bag(
     if cut is not None:
         selection = replace(selection, start=cut.start, end=cut.end)
     series = read_run(source.path, str(source.label), selection=selection, progress=told)
+    known = sliding_joints(source.path, how.described, selection.namespace)
+    series = series.with_slides(known.slides)
     if how.keeps_series:
         series = replace(series, retunes=read_retunes(source.path))
     numbers = run_indices(series, how.index_settings(series.joint_names))
     if cut is not None:
         numbers = replace(numbers, cut=cut.text)
-    hand = None if how.robot is None else EndEffector(how.robot, series)
+    hand, unfollowed = _end_effector(how.robot, series)
     return Measured(
         (numbers,),
         series if how.keeps_series else None,
         source.path,
         saved_parameters(source.path),
-        tuple(quality_lines(series)),
+        (*quality_lines(series), *known.doubts, *unfollowed),
         None if hand is None else hand.figures(),
         None if hand is None else hand.path(_PATH_POINTS),
     )
+
+
+def _end_effector(
+    robot: TaskFrame | None, series: RunSeries
+) -> tuple[EndEffector | None, tuple[str, ...]]:
+    """Return the end effector, or why it is not followed where nobody insists on it."""
+    if robot is None:
+        return None, ()
+    try:
+        return EndEffector(robot, series), ()
+    except HpidError as error:
+        if robot.is_required:
+            raise
+        return None, (f"the end effector is not followed: {error}",)
 
 
 def _relabelled(source: Source, runs: Sequence[RunIndices]) -> RunIndices:

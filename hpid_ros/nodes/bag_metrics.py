@@ -12,9 +12,10 @@ from rclpy.parameter import Parameter
 
 from hpid_ros.analysis import Comparison, RunIndices
 from hpid_ros.analysis.quantities import ANGLE_UNITS, Quantity, find_quantities
-from hpid_ros.analysis.units import with_angles_in
+from hpid_ros.analysis.units import in_units
 from hpid_ros.bags import BagSelection, parse_command_topics
 from hpid_ros.base.errors import HpidError, SettingError
+from hpid_ros.base.resources import find_resource
 from hpid_ros.metrics import Measured, Measuring, measure, measure_all
 from hpid_ros.metrics.sources import Source
 from hpid_ros.nodes.ros import executor
@@ -24,6 +25,7 @@ from hpid_ros.nodes.ros.status import StatusPipe
 from hpid_ros.nodes.ros.steady_timer import steady_timer
 from hpid_ros.nodes.ros.usage import Usage
 from hpid_ros.report.tables.export import FORMATS
+from hpid_ros.robot.description import RobotDescription
 
 _FINISHED = "metadata.yaml"
 """A recorder writes it last: without it a bag is still being recorded, or was cut off."""
@@ -89,7 +91,19 @@ class BagMetrics(executor.ClosingNode):
             )
         labels = read_only(self, "labels", strings, "One for each bag; folder names if left out")
         joints = read_only(self, "joints", strings, "Only these joints; all if left out")
-        self._how = Measuring(self._read_selection(joints), keeps_series=False)
+        robot = str(
+            read_only(
+                self,
+                "robot_description",
+                "",
+                "URDF that says which joints slide, in m and N; else the bags say it",
+            )
+        )
+        self._how = Measuring(
+            self._read_selection(joints),
+            description=_description(robot) if robot else None,
+            keeps_series=False,
+        )
         self._read_format()
         stays = read_only(
             self, "keep_running", False, "Stay, with the result latched on ~/indices"
@@ -160,7 +174,7 @@ class BagMetrics(executor.ClosingNode):
         runs = [run for each in measured for run in each.runs]
         if baseline is not None:
             runs.insert(0, baseline)
-        turned = tuple(with_angles_in(run, self._units) for run in runs)
+        turned = tuple(in_units(runs, self._units))
         comparison = Comparison(turned)
         if not self._paper:
             comparison = Comparison(turned, self._indices, ())
@@ -169,6 +183,12 @@ class BagMetrics(executor.ClosingNode):
         message.header.stamp = self.get_clock().now().to_msg()
         self._publisher.publish(message)
         self._status.send("reported", runs=[run.label for run in runs])
+
+
+def _description(robot: str) -> RobotDescription:
+    """Return the robot of a parameter: XML text, or the path of a file."""
+    is_text = robot.lstrip().startswith("<")
+    return RobotDescription.load(robot if is_text else find_resource(robot))
 
 
 def indices_message(comparison: Comparison) -> DiagnosticArray:
@@ -184,7 +204,7 @@ def indices_message(comparison: Comparison) -> DiagnosticArray:
             quantities = of_all if joint is None else comparison.indices
             values = [
                 KeyValue(
-                    key=f"{quantity.symbol} [{comparison.unit(quantity)}]",
+                    key=f"{quantity.symbol} [{comparison.unit(quantity, joint)}]",
                     value=_text(run, quantity, joint),
                 )
                 for quantity in quantities
@@ -207,7 +227,7 @@ USAGE = Usage(
     "-p bags:=[FOLDER, ...]",
     [
         *("bags", "watch", "labels", "joints", "format", "units", "indices", "keep_running"),
-        *("reference", "commands", "command_topics", "status_fd"),
+        *("reference", "commands", "command_topics", "robot_description", "status_fd"),
     ],
     tells=["~/indices"],
 )

@@ -6,10 +6,11 @@ import dataclasses
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from typing import Any
 
-from hpid_ros.base.errors import GainError, SettingError
+from hpid_ros.base.errors import GainError, RunError, SettingError
 from hpid_ros.control import HomogeneousPid, LoopSettings
 from hpid_ros.control.gains import is_hurwitz
 from hpid_ros.control.norms import GOOD_SAMPLING_MARGIN
@@ -24,7 +25,7 @@ from hpid_ros.stability.certificate import Certificate, DegreeInterval
 from hpid_ros.stability.degrees import Loop, certified_degrees
 from hpid_ros.stability.verdict import certify_degree
 
-_LARGEST_NORM = 2.0
+LARGEST_NORM = 2.0
 """The error at ``norm.error_scale`` while the rate adds as much: where figures are quoted."""
 
 
@@ -89,8 +90,11 @@ def check_gains(
     found = certified_degrees(loops, tell)
     if len(loops) <= 1:
         return [_verdict(*loop, each) for loop, each in zip(loops, found, strict=True)]
-    with ProcessPoolExecutor(min(len(loops), len(os.sched_getaffinity(0)))) as pool:
-        return list(pool.map(_verdict, *zip(*loops, strict=True), found))
+    try:
+        with ProcessPoolExecutor(min(len(loops), len(os.sched_getaffinity(0)))) as pool:
+            return list(pool.map(_verdict, *zip(*loops, strict=True), found))
+    except BrokenProcessPool:
+        raise RunError("a process died while gains were judged") from None
 
 
 def judge(settings: LoopSettings, inertia: tuple[float, float]) -> GainVerdict:
@@ -198,7 +202,7 @@ def _multipliers(settings: LoopSettings) -> tuple[float, float]:
     law = make_law(settings)
     if not isinstance(law, HomogeneousPid):
         return 1.0, 1.0
-    cap = min(law.norm_cap, _LARGEST_NORM)
+    cap = min(law.norm_cap, LARGEST_NORM)
     least, largest = gain_multiplier_range(
         make_norm(settings), floor=min(law.norm_floor, cap), cap=cap
     )

@@ -132,7 +132,8 @@ def simulate(task: RunTask, keeper: WorldKeeper) -> RunSeries:
         models = compensators(task.loops, str(task.world.robot_description))
         world = keeper.at_start(task.world)
         stamps_ns, *columns = record_run(world, loops, task.periods, models)
-        return complete_run(task.label, task.world.joints, stamps_ns, columns)
+        slides = world.description.slides
+        return complete_run(task.label, task.world.joints, stamps_ns, columns, slides)
     except BaseException:
         keeper.close()
         raise

@@ -12,6 +12,7 @@ import numpy as np
 from hpid_ros.analysis import RunIndices
 from hpid_ros.base.arrays import Numbers
 from hpid_ros.base.errors import HpidError, RunError, SettingError
+from hpid_ros.base.units import unit_over
 from hpid_ros.control import LoopSettings
 from hpid_ros.experiment.description import Experiment
 from hpid_ros.stability.degrees import DegreeChecker
@@ -64,7 +65,8 @@ class SearchPlan:
         search_seed: Of the search itself.
         per_joint: Whether every judged joint is refined on its own after the search.
         must_be_certified: Whether degrees that are not certified are refused.
-        settle: Largest error of the last second that is accepted, in [rad].
+        settle: Largest error of the last second that is accepted, in [rad]; of a joint that
+            slides in [m].
 
     Raises:
         SettingError: A number is out of range, or a loop's inertia is not known.
@@ -89,11 +91,17 @@ class SearchPlan:
         if self.seeds < 1:
             raise SettingError(f"seeds must be at least 1, not {self.seeds}")
         if not self.settle > 0.0:
-            raise SettingError(f"settle must be positive, not {self.settle} rad")
+            raise SettingError(f"settle must be positive, not {self.settle} {self.position_unit}")
         for each in self.space.start:
             reason = DegreeChecker().instability(each)
             if reason:
                 raise SettingError(f"{each.joint}: {reason}")
+
+    @property
+    def position_unit(self) -> str:
+        """Of the judged joints' positions: rad, m, or one of both."""
+        are_slides = self.experiment.are_slides(self.joints)
+        return unit_over("rad", are_slides).replace(", ", " or ")
 
     @property
     def training_seeds(self) -> tuple[int, ...]:
@@ -252,7 +260,8 @@ class Search:
         last = max(each.value(LAST_ERROR) for each in runs)
         judged = replace(point, ratios=ratios, last_error=last)
         if not last <= self.plan.settle:
-            return replace(judged, note=f"not settled: {last:.3g} rad in the last second")
+            unit = self.plan.position_unit
+            return replace(judged, note=f"not settled: {last:.3g} {unit} in the last second")
         return replace(judged, cost=self.plan.cost.of(ratios))
 
 

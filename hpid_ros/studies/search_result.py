@@ -151,7 +151,7 @@ class SearchResult:
         lines += [
             f"{self.label}: cost {best.cost:.4f} ({baseline}: 1), {values}{of}",
             "  ".join(f"{q.symbol} {format_ratio(best.ratios[q.key])}" for q in PAPER_QUANTITIES)
-            + f"  largest error of the last second {best.last_error:.4g} rad",
+            + f"  largest error of the last second {best.last_error:.4g} {plan.position_unit}",
         ]
         return "\n".join(lines) + "\n"
 

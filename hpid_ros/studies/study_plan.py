@@ -66,6 +66,11 @@ class StudyEntry:
         """Who computes the physics."""
         return self.experiment.world.engine
 
+    @property
+    def are_slides(self) -> tuple[bool, ...]:
+        """Of each judged joint whether it slides."""
+        return self.experiment.are_slides(self.joints)
+
     def key(self, label: str, seed: int) -> RunKey:
         """Return the name of one of its runs."""
         return RunKey(self.experiment.name, self.engine, label, seed)

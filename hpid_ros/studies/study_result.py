@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from hpid_ros.analysis.comparison import ratio
 from hpid_ros.analysis.engine_totals import EngineTotal, engine_mapping
 from hpid_ros.analysis.quantities import ITAE, Quantity
+from hpid_ros.base.units import unit_over
 from hpid_ros.experiment.result.folder import versions
 from hpid_ros.stability.degrees import DegreeChecker
 from hpid_ros.studies.batch import LAST_ERROR
@@ -78,6 +79,7 @@ class StudyResult:
                     each.engine: self.seed_ratios(each, label, quantity)
                     for each in (first, second)
                 },
+                unit_over(quantity.unit, first.are_slides),
             )
             for first, second in self.plan.pairs
             for label in first.experiment.controllers
@@ -175,12 +177,21 @@ class StudyResult:
             "engine": entry.engine,
             "duration": experiment.duration,
             "joints": list(entry.joints),
+            **self._of_slides(entry),
             "seeds": list(self.plan.seeds(entry)),
             "baseline": entry.baseline,
             "controllers": {
                 label: self._controller(entry, label) for label in experiment.controllers
             },
         }
+
+    def _of_slides(self, entry: StudyEntry) -> dict[str, object]:
+        """Return which joints slide, and the units of totals, where one does."""
+        if not any(entry.are_slides):
+            return {}
+        slides = [name for name, each in zip(entry.joints, entry.are_slides, strict=True) if each]
+        units = {q.key: unit_over(q.unit, entry.are_slides) for q in QUANTITIES}
+        return {"slides": slides, "units": units}
 
     def _controller(self, entry: StudyEntry, label: str) -> dict[str, object]:
         is_baseline = label == entry.baseline

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from hpid_ros.analysis.quantities import ITAE, OVERSHOOT, Quantity
+from hpid_ros.base.units import unit_over
 from hpid_ros.report.tables.engine_tables import engine_grids
 from hpid_ros.report.tables.grid import Grid, grids_markdown, grids_text
-from hpid_ros.report.tables.numbers import format_ratio, format_values
+from hpid_ros.report.tables.numbers import format_ratio, format_values, slides_note
 from hpid_ros.studies.batch import LAST_ERROR, PAPER_QUANTITIES
 from hpid_ros.studies.claims import CLAIMS, ClaimVerdict, verdict
 from hpid_ros.studies.study_plan import StudyEntry
@@ -76,6 +77,8 @@ def _claims(result: StudyResult, label: str) -> Grid:
 
 def _loops(result: StudyResult) -> Grid:
     rows = []
+    every = [each for entry in result.plan.entries for each in entry.are_slides]
+    heading = f"last |e| [{unit_over('rad', every)}]"
     for entry in result.plan.entries:
         for label in (entry.baseline, *entry.others):
             last = result.worst_last_error(entry, label)
@@ -86,7 +89,7 @@ def _loops(result: StudyResult) -> Grid:
     return Grid(
         "loops",
         "Settled and certified",
-        ("experiment", "controller", "last |e| [rad]", f"below {SETTLED:g}", "certified"),
+        ("experiment", "controller", heading, f"below {SETTLED:g}", "certified"),
         tuple(rows),
         "Largest error of the last second over joints and seeds. Certified: the linear law by "
         "Routh and Hurwitz, the homogeneous law at its degree, at the nominal inertia.",
@@ -105,7 +108,7 @@ def _totals(result: StudyResult, entry: StudyEntry) -> Grid:
         ]
         if any(own):
             baseline, *values = _values(own)
-            cells = [f"{quantity.symbol} [{quantity.unit}]", baseline]
+            cells = [f"{quantity.symbol} [{unit_over(quantity.unit, entry.are_slides)}]", baseline]
             for label, value in zip(entry.others, values, strict=True):
                 cells += [value, _ratio(result.ratios(entry, label, quantity))]
             rows.append(tuple(cells))
@@ -120,13 +123,14 @@ def _totals(result: StudyResult, entry: StudyEntry) -> Grid:
         tuple(headings),
         tuple(rows),
         f"Medians with quartiles over {_seeds(result)}; ratio to {entry.baseline} with the same "
-        "seed.",
+        f"seed.{_slides(entry)}",
     )
 
 
 def _joints(result: StudyResult, entry: StudyEntry) -> Grid:
     """Return every index's ratio joint by joint."""
     quantities: tuple[Quantity, ...] = PAPER_QUANTITIES
+    unit = unit_over("rad", entry.are_slides)
     rows = [
         (
             label,
@@ -140,9 +144,16 @@ def _joints(result: StudyResult, entry: StudyEntry) -> Grid:
     return Grid(
         f"joints {entry.name}",
         f"{entry.name}: ratios to {entry.baseline}, joint by joint",
-        ("controller", "joint", *(q.symbol for q in quantities), "last |e| [rad]"),
+        ("controller", "joint", *(q.symbol for q in quantities), f"last |e| [{unit}]"),
         tuple(rows),
+        _slides(entry).strip(),
     )
+
+
+def _slides(entry: StudyEntry) -> str:
+    """Return what follows a note where joints of unlike units stand beside each other."""
+    note = slides_note(entry.joints, entry.experiment.slides)
+    return f" {note}" if note else ""
 
 
 def _last(result: StudyResult, entry: StudyEntry, label: str, joint: str) -> str:

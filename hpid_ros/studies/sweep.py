@@ -269,6 +269,16 @@ class Sweep:
         """Label of the experiment's first controller, as it stands."""
         return next(iter(self.experiment.controllers))
 
+    @property
+    def are_slides(self) -> tuple[bool, ...]:
+        """Of each judged joint whether it slides."""
+        return self.experiment.are_slides(self.judged)
+
+    @property
+    def judged(self) -> tuple[str, ...]:
+        """The joints that are judged."""
+        return self.joints or self.experiment.world.joints
+
     def tasks(self) -> dict[tuple[int, int], RunTask]:
         """Return the runs by place of the row and seed; those on one robot side by side."""
         experiment = self.experiment

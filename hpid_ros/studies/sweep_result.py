@@ -13,6 +13,7 @@ import numpy as np
 from hpid_ros.analysis.comparison import ratio
 from hpid_ros.analysis.quantities import EFFORT_L2, ERROR_L2, IAVC, ITAE, IVC, Quantity
 from hpid_ros.base.foreign_text import csv_text
+from hpid_ros.base.units import unit_over
 from hpid_ros.experiment.result.folder import versions
 from hpid_ros.studies.batch import Outcome
 from hpid_ros.studies.sweep import Row, Sweep
@@ -146,7 +147,7 @@ class SweepResult:
             "seeds": list(sweep.seeds),
             "vary": {axis.name: list(axis.values) for axis in sweep.axes},
             "runs": {"planned": len(sweep.tasks()), "made": len(self.outcomes)},
-            "units": {quantity.key: quantity.unit for quantity in QUANTITIES},
+            "units": {q.key: unit_over(q.unit, sweep.are_slides) for q in QUANTITIES},
             "rows": [self._row(place, row) for place, row in enumerate(sweep.rows)],
             "parameters": {
                 label: {each.joint: dict(each.to_parameters()) for each in settings}

@@ -12,8 +12,9 @@ from rich.text import Text
 from hpid_ros.analysis.comparison import verdict
 from hpid_ros.analysis.quantities import Quantity
 from hpid_ros.base.console import plain_console
+from hpid_ros.base.units import unit_over
 from hpid_ros.experiment.result.folder import EXPERIMENT, ResultFolder
-from hpid_ros.report.tables.numbers import format_ratio, format_values
+from hpid_ros.report.tables.numbers import format_ratio, format_values, slides_note
 from hpid_ros.report.tables.table import ASCII_MARKS, MARKS, STYLES
 from hpid_ros.report.tables.wide_table import UNLIMITED_WIDTH, TableColumn, WideTable
 from hpid_ros.studies.batch import Outcome, run_batch
@@ -61,20 +62,25 @@ class SweepTable:
         texts = [None if each is None else [next(numbers) for _ in each] for each in own]
         dash = "-" if is_ascii else "–"
         return [
-            (f"{quantity.symbol} [{quantity.unit}]", _cells(t[1] if t else None for t in texts)),
+            (self._heading(quantity), _cells(t[1] if t else None for t in texts)),
             ("quartiles", _cells(f"{t[0]}{dash}{t[2]}" if t else None for t in texts)),
             ("ratio", [_ratio(each, is_ascii) for each in ratios]),
         ]
+
+    def _heading(self, quantity: Quantity) -> str:
+        return f"{quantity.symbol} [{unit_over(quantity.unit, self.result.sweep.are_slides)}]"
 
     def _legend(self) -> Text:
         sweep = self.result.sweep
         count = len(sweep.seeds)
         joints = ", ".join(sweep.joints) or f"all {len(sweep.experiment.world.joints)} joints"
-        return Text(
-            f"Medians and quartiles over {count} seed{'s' * (count > 1)}, totals over {joints}.\n"
+        note = slides_note(sweep.judged, sweep.experiment.slides)
+        lines = [
+            f"Medians and quartiles over {count} seed{'s' * (count > 1)}, totals over {joints}.",
             f"Ratio: run / {sweep.baseline} with the same seed on the same robot; median.",
-            style="dim",
-        )
+            note,
+        ]
+        return Text("\n".join(filter(None, lines)), style="dim")
 
 
 def sweep_text(result: SweepResult) -> str:

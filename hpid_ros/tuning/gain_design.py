@@ -19,6 +19,7 @@ from hpid_ros.stability.certificate import DegreeInterval
 from hpid_ros.stability.degrees import Loop, certified_degrees
 from hpid_ros.tuning.rules import RULES
 
+_LARGEST_STUCK_ERROR = 0.1  # [rad], of a joint that friction holds
 _DECADES = 4.0
 _POINTS = 4001
 
@@ -237,6 +238,24 @@ def yaml_text(designs: Mapping[str, DesignedGains], head: str) -> str:
         padding = " " * (width - len(joint) - len(row))
         lines.append(f"    {joint}: {row}{padding}  # {verdict_text(designs[joint])}")
     return "\n".join(lines) + "\n"
+
+
+def held_by_friction(joint: str, p: float, friction: float) -> str:
+    """Return one line if friction alone holds a joint far from its reference; else nothing.
+
+    Args:
+        joint: The joint.
+        p: Its proportional gain in [N m/rad].
+        friction: Its Coulomb friction in [N m].
+    """
+    error = friction / p if p > 0.0 else 0.0
+    if error <= _LARGEST_STUCK_ERROR:
+        return ""
+    return (
+        f"{joint}: its friction of {friction:g} N m holds it up to {error:.2g} rad off "
+        f"(friction / p); from there the integral alone moves it: raise the gains, or give its "
+        f"rotor_inertia first"
+    )
 
 
 def verdict_text(design: DesignedGains) -> str:

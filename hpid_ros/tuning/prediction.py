@@ -100,7 +100,8 @@ def _run(
     with World(world) as robot:
         models = compensators(settings, str(world.robot_description))
         stamps_ns, *columns = record_run(robot, loops, periods, models)
-    return run_indices(complete_run(label, world.joints, stamps_ns, columns))
+        slides = robot.description.slides
+    return run_indices(complete_run(label, world.joints, stamps_ns, columns, slides))
 
 
 def _motion(settings: LoopSettings, series: JointSeries | None, start: float) -> Column:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 from hpid_ros.base.names import ANYWHERE, controller_name
+from hpid_ros.base.units import of_slide, unit_over
 from hpid_ros.control import LoopSettings
 from hpid_ros.control.settings.table import PARAMETERS, Value
 from hpid_ros.tuning.controller_files import INERTIA_RANGES
@@ -20,6 +21,7 @@ def upgrade_text(
     loops: Sequence[Upgrade | LoopSettings],
     header: Sequence[str],
     notes: Mapping[str, Sequence[str]],
+    slides: Collection[str] = frozenset(),
 ) -> str:
     """Return the file.
 
@@ -27,26 +29,31 @@ def upgrade_text(
         loops: One for each joint: what is proposed, or the loop as it was.
         header: Lines about the whole, without the comment sign.
         notes: Further lines about a joint, by its name.
+        slides: The joints that slide: what is said of them is in m, N and kg.
     """
     settings = [each.settings if isinstance(each, Upgrade) else each for each in loops]
     joints = ", ".join(each.joint for each in settings)
     lines = [*(f"# {line}".rstrip() for line in header), ""]
     lines += [f"{ANYWHERE}joint_controllers:", "  ros__parameters:", f"    joints: [{joints}]"]
-    lines += _inertia_ranges([each for each in loops if isinstance(each, Upgrade)])
+    lines += _inertia_ranges([each for each in loops if isinstance(each, Upgrade)], slides)
     for each, own in zip(loops, settings, strict=True):
-        lines += ["", *(f"# {note}" for note in notes.get(own.joint, ()))]
-        lines += [f"{ANYWHERE}{controller_name(own.joint)}:", "  ros__parameters:"]
-        lines += _parameters(own, each.reasons if isinstance(each, Upgrade) else {})
+        said = [f"# {note}" for note in notes.get(own.joint, ())]
+        parameters = _parameters(own, each.reasons if isinstance(each, Upgrade) else {})
+        if own.joint in slides:
+            said, parameters = ([of_slide(line) for line in part] for part in (said, parameters))
+        lines += ["", *said, f"{ANYWHERE}{controller_name(own.joint)}:", "  ros__parameters:"]
+        lines += parameters
     return "\n".join(lines) + "\n"
 
 
-def _inertia_ranges(upgrades: Sequence[Upgrade]) -> list[str]:
+def _inertia_ranges(upgrades: Sequence[Upgrade], slides: Collection[str]) -> list[str]:
     """Return a section for the commands that judge gains; a controller has one inertia."""
     if not upgrades:
         return []
+    unit = unit_over("kg m^2", (each.settings.joint in slides for each in upgrades))
     lines = [
         "",
-        "# Least and largest inertia [kg m^2], read by hpid check-gains and upgrade; no node",
+        f"# Least and largest inertia [{unit}], read by hpid check-gains and upgrade; no node",
     ]
     lines += ["# has this name.", f"{ANYWHERE}{INERTIA_RANGES}:", "  ros__parameters:"]
     for each in upgrades:

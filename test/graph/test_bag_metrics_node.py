@@ -69,6 +69,27 @@ def test_the_numbers_of_its_bags_are_latched_with_their_units(harness, heard, tm
     assert float(found["first: all joints"]["RMSE [deg]"]) == pytest.approx(rmse)
 
 
+SLIDE = """<robot name="slide"><link name="a"/><link name="b"/><joint name="elbow"
+type="prismatic"><parent link="a"/><child link="b"/></joint></robot>"""
+
+
+def test_a_joint_that_slides_has_its_units_in_the_keys(harness, heard, tmp_path):
+    bag, urdf = record(tmp_path / "first"), tmp_path / "slide.urdf"
+    urdf.write_text(SLIDE)
+    start(
+        harness,
+        bags=f"[{bag}]",
+        keep_running=True,
+        indices="ivc,rmse",
+        units="deg",
+        reference="hold",
+        robot_description=urdf,
+    )
+    harness.wait(lambda: heard, what="the indices")
+    for keys in values(heard[0]).values():
+        assert set(keys) == {"IVC [N]", "RMSE [m]"}
+
+
 def test_each_bag_that_is_finished_in_a_watched_folder_is_reported(harness, heard, tmp_path):
     baseline = record(tmp_path / "baseline")
     folder = tmp_path / "recordings"

@@ -356,7 +356,7 @@ def test_what_is_read_is_never_replaced(run, result, option, inside):
         (["RESULT", "--units", "grad"], "unknown unit of angles 'grad'; did you mean 'rad'"),
         (["RESULT", "--formats", "jpg"], "unknown figure format 'jpg'"),
         (["RESULT", "--cutoff", "-1"], "the cut-off must be positive and finite, not -1.0"),
-        (["RESULT", "--effort-limit", "strong"], "must be NM or JOINT=NM, got 'strong'"),
+        (["RESULT", "--effort-limit", "strong"], "must be EFFORT or JOINT=EFFORT, got 'strong'"),
         (["RESULT", "--effort-limit", "arm_joint_9=1"], "unknown joint 'arm_joint_9'"),
         (["RESULT", "--joints", "arm_joint_9"], "unknown joint 'arm_joint_9'"),
         (["RESULT", "--save", "/proc/x.json"], "cannot write /proc/x.json"),

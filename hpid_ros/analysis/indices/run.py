@@ -138,6 +138,7 @@ def run_indices(run: RunSeries, settings: IndexSettings | None = None) -> RunInd
         conditions=conditions_of(run, settings.cutoff),
         lacking=lacking,
         assumed=_assumed(run),
+        slides=run.slides,
     )
 
 

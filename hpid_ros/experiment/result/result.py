@@ -110,7 +110,9 @@ def compute(experiment: Experiment, bags: Mapping[str, Path]) -> Result:
     Raises:
         HpidError: A bag cannot be read or lacks something.
     """
-    how = Measuring(BagSelection(joints=experiment.world.joints))
+    how = Measuring(
+        BagSelection(joints=experiment.world.joints), description=experiment.description
+    )
     measured = [measure(bag, label, how) for label, bag in bags.items()]
     runs = tuple(each.series for each in measured if each.series is not None)
     for run in runs:

@@ -34,6 +34,7 @@ from hpid_ros.report.figures.style import (
     RunStyle,
     run_styles,
 )
+from hpid_ros.report.joint_units import JointUnits
 
 # Beyond these, zeros would crowd out the digits.
 SMALLEST_PLAIN, LARGEST_PLAIN = 1e-4, 1e7
@@ -97,6 +98,7 @@ SignalOf = Callable[[RunSeries, JointSeries], Signal]
 def joint_panels(
     runs: Sequence[RunSeries],
     label: str,
+    unit: str,
     signal_of: SignalOf,
     buckets: int,
     reference_of: SignalOf | None = None,
@@ -107,7 +109,8 @@ def joint_panels(
 
     Args:
         runs: The runs, the baseline first.
-        label: Name and unit of the signal.
+        label: Name of the signal.
+        unit: Its unit where a joint turns; empty where it has none.
         signal_of: The signal of a joint of a run.
         buckets: Detail of each line, see :func:`~hpid_ros.analysis.signals.envelope`.
         reference_of: What is drawn behind the runs, from the first run.
@@ -118,7 +121,11 @@ def joint_panels(
         SeriesError: If there is no run, or the runs' joints differ.
     """
     names = joint_names(runs)
-    figure, panels = panel_grid(names, TIME_LABEL, label)
+    units = JointUnits.of(runs)
+    if unit:
+        label = f"{label} [{units.over_all(unit)}]"
+    suffixes = units.suffixes(unit) if unit else ()
+    figure, panels = panel_grid(names, TIME_LABEL, label, suffixes=suffixes)
     for name, panel in zip(names, panels, strict=True):
         series = series_of(runs, name)
         if reference_of is not None:
@@ -175,7 +182,11 @@ def single_panel(
 
 
 def panel_grid(
-    names: Sequence[str], x_label: str, y_label: str, shares_x: bool = True
+    names: Sequence[str],
+    x_label: str,
+    y_label: str,
+    shares_x: bool = True,
+    suffixes: Sequence[str] = (),
 ) -> tuple[Figure, list[Axes]]:
     """Return a figure with one titled panel for each name, and the panels.
 
@@ -184,13 +195,14 @@ def panel_grid(
         x_label: What is below all panels.
         y_label: What is beside them.
         shares_x: Whether all panels have one range of x; only the lowest are labelled then.
+        suffixes: What follows each name in the title; nothing if there are none.
     """
     rows, columns = _grid(len(names))
     figure = Figure(figsize=(WIDTH_IN, 0.8 + PANEL_HEIGHT_IN * rows), dpi=DOTS_PER_INCH)
     axes = figure.subplots(rows, columns, sharex=shares_x, squeeze=False)
     panels: list[Axes] = list(axes.flat[: len(names)])
     for k, (name, panel) in enumerate(zip(names, panels, strict=True)):
-        panel.set_title(figure_text(name))
+        panel.set_title(figure_text(name) + (suffixes[k] if suffixes else ""))
         # The last panel of each column carries the labels, also where the last row has gaps.
         panel.tick_params(labelbottom=not shares_x or k + columns >= len(names))
     for panel in axes.flat[len(names) :]:

@@ -38,6 +38,7 @@ from hpid_ros.report.figures.paths import path_figure
 from hpid_ros.report.figures.portraits import phase_panels, spectrum_panels
 from hpid_ros.report.figures.style import DOTS_PER_INCH, figure_style
 from hpid_ros.report.figures.trade_off import can_be_drawn, trade_off_figure
+from hpid_ros.report.joint_units import JointUnits
 
 # Zero has no place on a logarithmic axis.
 LEAST_NORM = 1e-6
@@ -60,7 +61,7 @@ def norm_figure(runs: Sequence[RunSeries], gains: Gains, buckets: int) -> Figure
         stamps_ns, values = gains[run.label][series.joint].norm
         return Signal(stamps_ns, np.maximum(values, LEAST_NORM))
 
-    return joint_panels(runs, "homogeneous norm", norm_of, buckets, level=None, is_log=True)
+    return joint_panels(runs, "homogeneous norm", "", norm_of, buckets, level=None, is_log=True)
 
 
 @figure_style()
@@ -71,7 +72,7 @@ def multiplier_figure(runs: Sequence[RunSeries], gains: Gains, buckets: int) -> 
         return gains[run.label][series.joint].multiplier
 
     # One is the linear PID.
-    return joint_panels(runs, "gain multiplier", multiplier_of, buckets, level=1.0)
+    return joint_panels(runs, "gain multiplier", "", multiplier_of, buckets, level=1.0)
 
 
 FORMATS = ("png", "pdf", "svg")
@@ -114,6 +115,9 @@ class DrawRuns(Protocol):
 def positions_figure(runs: Sequence[RunSeries], buckets: int = BUCKETS) -> Figure:
     """Return measured positions over the first run's reference, one panel a joint, in [rad].
 
+    Of joints that slide it is in [m], as all figures have [N] for [N m] of them; what stands over
+    joints of both kinds names both units, and the panels their own.
+
     Args:
         runs: The runs, the baseline first.
         buckets: Detail of each line, see :func:`~hpid_ros.analysis.signals.envelope`.
@@ -121,31 +125,31 @@ def positions_figure(runs: Sequence[RunSeries], buckets: int = BUCKETS) -> Figur
     Raises:
         SeriesError: If there is no run, or the runs' joints differ.
     """
-    return joint_panels(runs, "position [rad]", _position, buckets, _reference)
+    return joint_panels(runs, "position", "rad", _position, buckets, _reference)
 
 
 @figure_style()
 def efforts_figure(runs: Sequence[RunSeries], buckets: int = BUCKETS) -> Figure:
     """Return efforts, one panel a joint, in [N m]; see :func:`positions_figure`."""
-    return joint_panels(runs, "effort [N m]", _effort, buckets)
+    return joint_panels(runs, "effort", "N m", _effort, buckets)
 
 
 @figure_style()
 def errors_figure(runs: Sequence[RunSeries], buckets: int = BUCKETS) -> Figure:
     """Return reference minus position by joint, in [rad]; see :func:`positions_figure`."""
-    return joint_panels(runs, "error [rad]", _error, buckets)
+    return joint_panels(runs, "error", "rad", _error, buckets)
 
 
 @figure_style()
 def effort_norm_figure(runs: Sequence[RunSeries], buckets: int = BUCKETS) -> Figure:
     """Return the effort's norm over joints, in [N m]; see :func:`positions_figure`."""
-    return _norm_figure(runs, r"$\|u(t)\|_2$ over all joints [N m]", effort_of, EFFORT_L2, buckets)
+    return _norm_figure(runs, r"$\|u(t)\|_2$", "N m", effort_of, EFFORT_L2, buckets)
 
 
 @figure_style()
 def error_norm_figure(runs: Sequence[RunSeries], buckets: int = BUCKETS) -> Figure:
     """Return the error's norm over joints, in [rad]; see :func:`positions_figure`."""
-    return _norm_figure(runs, r"$\|e(t)\|_2$ over all joints [rad]", error_of, ERROR_L2, buckets)
+    return _norm_figure(runs, r"$\|e(t)\|_2$", "rad", error_of, ERROR_L2, buckets)
 
 
 @figure_style()
@@ -274,16 +278,22 @@ def render(figure: Figure, form: str, transparent: bool = False) -> bytes:
 
 def _norm_figure(
     runs: Sequence[RunSeries],
-    label: str,
+    symbol: str,
+    unit: str,
     signal_of: Callable[[JointSeries], Signal],
     quantity: Quantity,
     buckets: int,
 ) -> Figure:
     signals = [norm_of_run(run, signal_of) for run in runs]
     values = [run_indices(run).value(quantity) for run in runs]
-    unit = quantity.unit.replace("^0.5", "$^{0.5}$")
+    units = JointUnits.of(runs)
+    of_norm = units.over_all(quantity.unit).replace("^0.5", "$^{0.5}$")
+    of_norm = f"[{of_norm}]" if "," in of_norm else of_norm
     notes = [
-        f"no {quantity.meaning}" if math.isnan(value) else f"{quantity.meaning} {value:.4g} {unit}"
+        f"no {quantity.meaning}"
+        if math.isnan(value)
+        else f"{quantity.meaning} {value:.4g} {of_norm}"
         for value in values
     ]
+    label = f"{symbol} over all joints [{units.over_all(unit)}]"
     return single_panel(runs, label, signals, notes, buckets)

@@ -29,6 +29,7 @@ from hpid_ros.report.figures.panels import (
     styled_line,
 )
 from hpid_ros.report.figures.style import INK, run_styles
+from hpid_ros.report.joint_units import JointUnits
 
 RATE_WINDOW = 0.025
 """Time over which the error's rate is fitted, in [s]."""
@@ -114,7 +115,9 @@ def spectrum_panels(runs: Sequence[RunSeries], cutoff: float = DEFAULT_CUTOFF) -
         SeriesError: If there is no run, or the runs' joints differ.
     """
     names = joint_names(runs)
-    figure, panels = panel_grid(names, "frequency [Hz]", "effort density [N m / Hz$^{0.5}$]")
+    units, unit = JointUnits.of(runs), "N m / Hz$^{0.5}$"
+    label = f"effort density [{units.over_all(unit)}]"
+    figure, panels = panel_grid(names, "frequency [Hz]", label, suffixes=units.suffixes(unit))
     for name, panel in zip(names, panels, strict=True):
         panel.set_xscale("log")
         panel.set_yscale("log")
@@ -153,7 +156,14 @@ def phase_panels(runs: Sequence[RunSeries], points: int) -> Figure:
         SeriesError: If there is no run, or the runs' joints differ.
     """
     names = joint_names(runs)
-    figure, panels = panel_grid(names, "error [rad]", "error rate [rad/s]", shares_x=False)
+    units = JointUnits.of(runs)
+    figure, panels = panel_grid(
+        names,
+        f"error [{units.over_all('rad')}]",
+        f"error rate [{units.over_all('rad/s')}]",
+        shares_x=False,
+        suffixes=units.suffixes("rad, rad/s"),
+    )
     for name, panel in zip(names, panels, strict=True):
         panel.axhline(0.0, color=INK, linewidth=0.5)
         panel.axvline(0.0, color=INK, linewidth=0.5)

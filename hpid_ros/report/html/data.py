@@ -28,6 +28,7 @@ from hpid_ros.recordings.series import JointSeries, RunSeries, seconds_since
 from hpid_ros.report.figures.portraits import phase_curve
 from hpid_ros.report.figures.style import RUN_STYLES
 from hpid_ros.report.figures.trade_off import can_be_drawn
+from hpid_ros.report.joint_units import JointUnits
 
 PIXELS_PER_POINT = 4.0 / 3.0
 
@@ -171,6 +172,7 @@ class _Figures:
         labels = [run.label for run in comparison.runs]
         self._runs = [(labels.index(run.label), run) for run in runs]
         self._names = runs[0].joint_names
+        self._units = JointUnits.of(runs)
         self._gains = gains
         lines = (3 + 2 * bool(gains)) * len(runs) * len(self._names) + len(self._names)
         samples = min(max(SAMPLES // lines, LEAST_SAMPLES), MOST_SAMPLES)
@@ -182,15 +184,15 @@ class _Figures:
         runs = [run for _, run in self._runs]
         has_errors, has_efforts = has_any(runs, Data.REFERENCE), has_any(runs, Data.EFFORT)
         if has_errors:
-            yield self._positions("Positions and reference [rad]")
-            yield self._of_joints("errors", "Errors, reference minus position [rad]", error_of)
+            yield self._positions("Positions and reference")
+            yield self._of_joints("errors", "Errors, reference minus position", "rad", error_of)
         else:
-            yield self._positions("Positions [rad]")
+            yield self._positions("Positions")
         if has_efforts:
-            yield self._of_joints("efforts", "Efforts [N m]", effort_of)
-            yield self._norm("effort_norm", "Norm of the effort over all joints [N m]", effort_of)
+            yield self._of_joints("efforts", "Efforts", "N m", effort_of)
+            yield self._norm("effort_norm", "Norm of the effort", "N m", effort_of)
         if has_errors:
-            yield self._norm("error_norm", "Norm of the error over all joints [rad]", error_of)
+            yield self._norm("error_norm", "Norm of the error", "rad", error_of)
         if has_efforts:
             yield self._spectrum()
         if has_errors:
@@ -200,7 +202,7 @@ class _Figures:
             yield self._gain("multiplier", "Gain multiplier (1: the linear PID)", 1, level=1.0)
 
     def _positions(self, caption: str) -> Figure:
-        figure = self._of_joints("positions", caption, position_of, None)
+        figure = self._of_joints("positions", caption, "rad", position_of, None)
         first = self._runs[0][1]
         for panel, series in zip(figure["panels"], first.joints, strict=True):
             if series.has_reference:
@@ -212,10 +214,19 @@ class _Figures:
         self,
         name: str,
         caption: str,
+        unit: str,
         signal_of: Callable[[JointSeries], Signal],
         level: float | None = 0.0,
     ) -> Figure:
-        return self._time_figure(name, caption, lambda run, series: signal_of(series), level)
+        caption = f"{caption} [{self._units.over_all(unit)}]"
+        figure = self._time_figure(name, caption, lambda run, series: signal_of(series), level)
+        return self._titled(figure, unit)
+
+    def _titled(self, figure: Figure, unit: str) -> Figure:
+        """Name each panel's unit where joints turn and slide."""
+        for panel, suffix in zip(figure["panels"], self._units.suffixes(unit), strict=True):
+            panel["title"] += suffix
+        return figure
 
     def _gain(
         self, name: str, caption: str, which: int, level: float | None = None, y_log: bool = False
@@ -246,7 +257,9 @@ class _Figures:
             name, f"{caption}, over time [s]", panels, group="time", x_name="t [s]", y_log=y_log
         )
 
-    def _norm(self, name: str, caption: str, signal_of: Callable[[JointSeries], Signal]) -> Figure:
+    def _norm(
+        self, name: str, caption: str, unit: str, signal_of: Callable[[JointSeries], Signal]
+    ) -> Figure:
         lines = []
         for k, run in self._runs:
             norm = norm_of_run(run, signal_of)
@@ -257,7 +270,7 @@ class _Figures:
             "level": 0.0,
             "marks": self._marks(),
         }
-        caption += ", over time [s]"
+        caption += f" over all joints [{self._units.over_all(unit)}], over time [s]"
         return figure_data(name, caption, [panel], group="time", x_name="t [s]")
 
     def _time_line(self, k: int, run: RunSeries, signal: Signal) -> Line:
@@ -281,10 +294,12 @@ class _Figures:
                 if found is not None:
                     lines.append(line_data(k, found.frequency, found.density))
             panels.append({"title": joint, "lines": lines, "level": None, "marks": []})
-        caption = "Spectrum of the effort [N m / √Hz] over the frequency [Hz]"
-        return figure_data(
+        unit = "N m / √Hz"
+        caption = f"Spectrum of the effort [{self._units.over_all(unit)}] over the frequency [Hz]"
+        figure = figure_data(
             "spectrum", caption, panels, group="frequency", x_name="f [Hz]", x_log=True, y_log=True
         )
+        return self._titled(figure, unit)
 
     def _phase(self) -> Figure:
         panels: list[Panel] = []
@@ -294,8 +309,10 @@ class _Figures:
                 for k, run in self._runs
             ]
             panels.append({"title": joint, "lines": lines, "level": 0.0, "marks": []})
-        caption = "Phase portrait: error rate [rad/s] over error [rad]"
-        return figure_data("phase", caption, panels, is_free=True)
+        rate, error = (self._units.over_all(unit) for unit in ("rad/s", "rad"))
+        caption = f"Phase portrait: error rate [{rate}] over error [{error}]"
+        figure = figure_data("phase", caption, panels, is_free=True)
+        return self._titled(figure, "rad, rad/s")
 
 
 def _trade_off(comparison: Comparison, repeats: Sequence[RunIndices]) -> Figure:

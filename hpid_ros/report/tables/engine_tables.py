@@ -51,7 +51,7 @@ def engines_csv(totals: Sequence[EngineTotal]) -> str:
             distance = "" if pair.distance is None else pair.distance
             run = (total.experiment, total.controller, seed)
             values = (each.get(seed, "") for each in (against, own))
-            rows.append([*run, total.quantity.key, total.quantity.unit, *values, distance])
+            rows.append([*run, total.quantity.key, total.unit, *values, distance])
     return csv_text(rows)
 
 
@@ -112,7 +112,7 @@ def _row(total: EngineTotal, *, is_repeated: bool) -> tuple[str, ...]:
     values = [_NOTHING if each is None else next(texts) for each in medians]
     ratios = [median(list(total.ratios.get(engine, {}).values())) for engine in total.values]
     return (
-        f"{total.quantity.symbol} [{total.quantity.unit}]",
+        f"{total.quantity.symbol} [{total.unit}]",
         total.controller,
         *values,
         format_distance(total.distance),

@@ -80,7 +80,7 @@ def _csv_row(
     if run.spread is not None:
         quartiles = run.spread.quartiles[joint].get(quantity.key, (math.nan, math.nan))
         spread = (run.spread.repeats, *(_plain(value) for value in quartiles))
-    value, unit = _plain(run.value(quantity, joint)), comparison.unit(quantity)
+    value, unit = _plain(run.value(quantity, joint)), comparison.unit(quantity, joint)
     note = "; ".join(_notes(comparison, run, joint, quantity))
     return (run.label, scope, joint or "", quantity.key, unit, value, ratio, *spread, note)
 
@@ -228,6 +228,8 @@ def _symbol(quantity: Quantity) -> str:
 
 def _unit(unit: str) -> str:
     r"""Return a unit as LaTeX: ``rad s^2`` as ``rad\,s$^2$``."""
+    if ", " in unit:
+        return ", ".join(map(_unit, unit.split(", ")))
     powers = {"0.5": "{1/2}"}
     parts = _escape(unit.replace("^", "*")).split(" ")
     return r"\,".join(

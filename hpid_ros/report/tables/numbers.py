@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator, Sequence
 
 from hpid_ros.analysis.comparison import Comparison, enumerate_words
 from hpid_ros.analysis.quantities import Quantity
@@ -75,12 +75,37 @@ def _scientific(value: float) -> str:
 
 
 def footnotes(comparison: Comparison) -> list[str]:
-    """Return why numbers and ratios that are shown are not defined, one sentence each.
+    """Return what units mean and why numbers and ratios are not defined, one sentence each.
 
     Args:
         comparison: The comparison.
     """
-    return [*_of_numbers(comparison), *_of_ratios(comparison)]
+    return [*_of_units(comparison), *_of_numbers(comparison), *_of_ratios(comparison)]
+
+
+def slides_note(joints: Sequence[str], slides: Collection[str], angle_unit: str = "rad") -> str:
+    """Return a sentence on joints of unlike units that stand beside each other; else nothing.
+
+    Args:
+        joints: Names of those that are shown.
+        slides: Names of those that slide.
+        angle_unit: Of the joints that turn.
+    """
+    sliding = [joint for joint in joints if joint in slides]
+    if len(sliding) in (0, len(joints)):
+        return ""
+    verb = "slides" if len(sliding) == 1 else "slide"
+    return (
+        f"{enumerate_words(sliding)} {verb}, in m and N; the others are in {angle_unit} and N m. "
+        "Totals add unlike units."
+    )
+
+
+def _of_units(comparison: Comparison) -> Iterator[str]:
+    note = slides_note(comparison.joint_names, comparison.slides, comparison.angle_unit)
+    units = (comparison.unit(each) for each in (*comparison.indices, *comparison.norms))
+    if note and any("," in unit for unit in units):
+        yield note
 
 
 def _of_numbers(comparison: Comparison) -> Iterator[str]:

@@ -226,3 +226,23 @@ def test_the_command_says_when_a_delay_is_too_long(capsys):
     assert main([*options[:2], "-1", *options[3:]]) == BAD_INPUT
     assert main(["gains", "x.yaml", *options[1:]]) == BAD_INPUT
     assert len(capsys.readouterr().err.splitlines()) == 2
+
+
+def test_a_joint_that_its_friction_holds_is_named(experiment_file, capsys):
+    file = str(experiment_file())
+    command = ["gains", file, "--rule", "pole-placement", "--closed-loop-time"]
+    main([*command, "0.1"])
+    assert "friction" not in "".join(capsys.readouterr())
+    main([*command, "1.0"])
+    text, told = capsys.readouterr()
+    p = yaml.safe_load(text)["controllers"]["joints"]["arm_joint_6"]["gains"]["p"]
+    friction = (
+        RobotDescription.load(share_folder() / "urdf" / "mobile_manipulator.urdf")
+        .joints["arm_joint_6"]
+        .friction
+    )
+    line = (
+        f"arm_joint_6: its friction of {friction:g} N m holds it up to {friction / p:.2g} rad off"
+    )
+    assert line in " ".join(told.split())
+    assert f"# {line}" in text
