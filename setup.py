@@ -50,6 +50,7 @@ EXTRAS = {
         "colcon-ros>=0.5,<0.6",
         "setuptools>=71,<80",  # colcon --symlink-install needs setup.py develop
         "simple-pid>=2.0,<3",  # the benchmarks are tested too
+        "control>=0.10.2,<0.11",  # python-control: margins that are not our own
         "jsonschema>=4.10,<5",  # the schema of experiment files
         # The report in a browser, where there is one; its node runs the report's program anyway.
         "playwright>=1.40,<2",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -11,6 +12,7 @@ from hpid_ros.base.errors import SettingError
 if TYPE_CHECKING:
     from hpid_ros.control import LoopSettings
     from hpid_ros.experiment.description import Experiment
+    from hpid_ros.stability.degrees import Loop
     from hpid_ros.tuning.controller_files import ParameterFile
 
 
@@ -55,3 +57,49 @@ def first_homogeneous(experiment: Experiment) -> tuple[LoopSettings, ...]:
     controllers = list(experiment.controllers.values())
     homogeneous = [each for each in controllers if any(loop.law == "hpid" for loop in each)]
     return (homogeneous or controllers)[0]
+
+
+def named_loops(file: LoopFile) -> ParameterFile:
+    """Return every loop of a file by the name to show it under, and the inertias that it holds.
+
+    Args:
+        file: The file; of an experiment a loop's name is ``LABEL JOINT``.
+    """
+    from hpid_ros.tuning.controller_files import ParameterFile
+
+    if file.parameters is not None:
+        return file.parameters
+    assert file.experiment is not None
+    loops = {
+        f"{label} {each.joint}": each
+        for label, settings in file.experiment.controllers.items()
+        for each in settings
+    }
+    return ParameterFile(loops, {})
+
+
+def shown_name(name: str) -> str:
+    """Return a loop's name as tables have it.
+
+    Args:
+        name: Of a node, or ``LABEL JOINT``.
+    """
+    return name.strip("/").removesuffix("_controller")
+
+
+def judged_loops(options: argparse.Namespace, file: ParameterFile) -> list[Loop]:
+    """Return loops with the inertias to judge them on.
+
+    Args:
+        options: Parsed; what they say of inertias is laid over what the file says.
+        file: The loops.
+
+    Raises:
+        SettingError: The inertia of a loop is unknown, or impossible.
+    """
+    from hpid_ros.cli.robot_options import inertias_from
+    from hpid_ros.stability.gain_check import inertia_of
+
+    loops = file.loops.values()
+    known = {**file.inertias, **inertias_from(options, [each.joint for each in loops])}
+    return [(each, inertia_of(each, known.get(each.joint))) for each in loops]

@@ -16,20 +16,17 @@ from hpid_ros.cli.commands import (
     FAILED,
     INTERRUPTED,
     UNREAD,
-    check_gains,
     compare,
     export,
-    gains,
     robot,
     run,
     schema,
     study,
     sweep,
-    tune,
-    upgrade,
 )
 from hpid_ros.cli.commands.metrics import command as metrics
-from hpid_ros.cli.commands.recordings import repair, replay
+from hpid_ros.cli.commands.recordings import identify, repair, replay
+from hpid_ros.cli.commands.tuning import check_gains, gains, margins, tune, upgrade
 
 
 def main(args: Sequence[str] | None = None) -> int:
@@ -74,8 +71,8 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"hpid_ros {__version__}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     for each in (
-        *(compare, run, sweep, study, metrics, replay, repair),
-        *(gains, check_gains, tune, upgrade, export, robot, schema),
+        *(compare, run, sweep, study, metrics, identify, replay, repair),
+        *(gains, check_gains, margins, tune, upgrade, export, robot, schema),
     ):
         each.add(commands)
     return parser

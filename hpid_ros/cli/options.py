@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import argparse
-import math
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hpid_ros.base.errors import ExperimentError, HpidError, SettingError, unknown_name
+from hpid_ros.base.errors import SettingError, unknown_name
 from hpid_ros.base.resources import find_resource
 
 if TYPE_CHECKING:
@@ -20,7 +18,6 @@ if TYPE_CHECKING:
 
     from hpid_ros.experiment.description import Experiment
     from hpid_ros.experiment.result.folder import ResultFolder
-    from hpid_ros.robot.description import RobotDescription
     from hpid_ros.studies.batch import Outcome
 
 
@@ -76,6 +73,23 @@ def tell_engine(experiments: Iterable[Experiment]) -> None:
             print(f"hpid: {note}", file=sys.stderr)
 
 
+def tell_uncontrolled(experiments: Iterable[Experiment]) -> None:
+    """Say on stderr which joints have no gains: they are driven, and nothing holds them."""
+    uncontrolled = dict.fromkeys(
+        settings.joint
+        for experiment in experiments
+        for loops in experiment.controllers.values()
+        for settings in loops
+        if settings.gains.p == settings.gains.i == settings.gains.d == 0.0
+    )
+    if uncontrolled:
+        print(
+            f"hpid: {', '.join(uncontrolled)}: gains p, i and d are 0, the law gives no effort; "
+            "hpid gains computes some",
+            file=sys.stderr,
+        )
+
+
 def named_experiment(file: str | None, engine: str | None = None) -> Experiment:
     """Return the experiment of a file, or the paper's if none is named.
 
@@ -107,6 +121,7 @@ def experiment_to_run(options: argparse.Namespace) -> Experiment:
     (engine,) = chosen_engines(options)
     experiment = named_experiment(options.experiment, engine)
     require_engine(experiment.world.engine)
+    tell_uncontrolled([experiment])
     return experiment
 
 
@@ -126,169 +141,6 @@ def add_output(parser: argparse.ArgumentParser, default: str) -> None:
 def output_folder(options: argparse.Namespace, name: str) -> Path:
     """Return the folder that ``--output`` names, or ``results/NAME-TIME``."""
     return options.output or Path("results") / f"{name}-{datetime.now():%Y%m%d-%H%M%S}"
-
-
-_POSES = 200
-
-
-@dataclass(frozen=True)
-class GivenRobot:
-    """A robot that an option names.
-
-    Attributes:
-        source: Path of its URDF, or the XML text where more is known than the URDF says.
-        description: What that says.
-        fixed_base: Whether its root is held.
-        initial_positions: Where its joints stand at first, in [rad]; others at 0.
-    """
-
-    source: str
-    description: RobotDescription
-    fixed_base: bool = False
-    initial_positions: Mapping[str, float] = field(default_factory=dict)
-
-
-def load_robot(name: str) -> GivenRobot:
-    """Return the robot of a URDF, or of an experiment file.
-
-    Args:
-        name: A file that :func:`.find_resource` finds; an experiment's name
-            ends in ``.yaml`` or ``.yml``.
-
-    Raises:
-        HpidError: There is no such file, or it cannot be read.
-    """
-    from hpid_ros.base.resources import find_resource
-    from hpid_ros.robot.description import RobotDescription
-
-    file = find_resource(name)
-    if file.suffix not in (".yaml", ".yml"):
-        return GivenRobot(str(file), RobotDescription.load(file))
-    from hpid_ros.experiment.description import load_experiment
-
-    world = load_experiment(file).world
-    source = str(world.robot_description)
-    description = RobotDescription.load(source)
-    return GivenRobot(source, description, world.fixed_base, world.initial_positions)
-
-
-def add_robot_options(parser: argparse.ArgumentParser) -> None:
-    """Add ``--inertia``, ``--urdf``, ``--payload`` and ``--poses``."""
-    parser.add_argument(
-        "--inertia",
-        action="append",
-        nargs="+",
-        default=[],
-        metavar="M",
-        help="of every joint: M, or LOW HIGH; of one: JOINT=M or JOINT=LOW:HIGH, also where "
-        "--urdf says that of the others",
-    )
-    parser.add_argument(
-        "--urdf",
-        metavar="FILE",
-        help="compute inertias over the joints' ranges from this robot: a URDF, or an experiment "
-        "file (.yaml) with what it knows better",
-    )
-    parser.add_argument(
-        "--payload", type=float, default=0.0, metavar="KG", help="largest payload, with --urdf"
-    )
-    parser.add_argument(
-        "--poses",
-        type=int,
-        metavar="N",
-        help=f"sampled over the joints' ranges, with --urdf ({_POSES})",
-    )
-
-
-Range = tuple[float, float]
-
-
-def inertias_from(
-    options: argparse.Namespace,
-    joints: Sequence[str],
-    poses: Sequence[Mapping[str, float]] = (),
-) -> dict[str, Range]:
-    """Return the least and the largest inertia that the options say, by joint.
-
-    Args:
-        options: Parsed options.
-        joints: The joints asked for.
-        poses: Where the robot is known to go, in [rad]: the inertias are those of these poses,
-            unless the options want some sampled.
-
-    Returns:
-        In [kg m^2]; empty when the options say nothing.
-
-    Raises:
-        SettingError: They contradict each other, or the robot cannot be used.
-    """
-    of_all, of_one = _given(options.inertia)
-    unknown = [joint for joint in of_one if joint not in joints]
-    if unknown:
-        raise SettingError(unknown_name("joint in --inertia", unknown[0], joints))
-    if of_all and options.urdf:
-        raise SettingError(
-            "--inertia takes JOINT=M or JOINT=LOW:HIGH beside --urdf, which says that of "
-            "the others"
-        )
-    if of_all:
-        found = dict.fromkeys(joints, of_all)
-    elif options.urdf:
-        asked = [joint for joint in joints if joint not in of_one]
-        found = _of_robot(options, asked, poses) if asked else {}
-    else:
-        found = {}
-    found |= of_one
-    for joint, (low, high) in found.items():
-        if not 0.0 < low <= high < math.inf:
-            raise SettingError(
-                f"the inertia of {joint!r} must be positive and finite, its least value not above "
-                f"its largest, not {low:g} to {high:g} kg m^2"
-            )
-    return found
-
-
-def _given(inertias: Sequence[Sequence[str]]) -> tuple[Range | None, dict[str, Range]]:
-    """Return what ``--inertia`` says of all joints, and of single ones."""
-    numbers: list[float] = []
-    of_one: dict[str, Range] = {}
-    for text in (each for texts in inertias for each in texts):
-        joint, is_named, value = text.rpartition("=")
-        try:
-            found = [float(each) for each in (value.split(":") if is_named else [value])]
-        except ValueError:
-            found = []
-        if len(found) not in (1, 2) or (is_named and not joint):
-            raise SettingError(
-                f"--inertia takes M, LOW HIGH, JOINT=M or JOINT=LOW:HIGH, not {text!r}"
-            )
-        if is_named:
-            of_one[joint] = (found[0], found[-1])
-        else:
-            numbers += found
-    if len(numbers) > 2:
-        raise SettingError(
-            f"--inertia takes one number, or the least and the largest, not {len(numbers)}"
-        )
-    return ((numbers[0], numbers[-1]) if numbers else None), of_one
-
-
-def _of_robot(
-    options: argparse.Namespace, joints: Sequence[str], poses: Sequence[Mapping[str, float]]
-) -> dict[str, Range]:
-    from hpid_ros.tuning.inertias import inertia_ranges
-
-    wanted = _POSES if options.poses is None else options.poses
-    try:
-        robot = load_robot(options.urdf)
-        if poses and options.poses is None:
-            known = [{**robot.initial_positions, **pose} for pose in poses]
-            return inertia_ranges(robot.description, joints, options.payload, known)
-        return inertia_ranges(robot.description, joints, options.payload, wanted)
-    except ExperimentError:  # names the file itself
-        raise
-    except HpidError as error:
-        raise SettingError(f"{options.urdf}: {error}") from None
 
 
 def add_jobs(parser: argparse.ArgumentParser) -> None:

@@ -16,7 +16,7 @@ from hpid_ros.analysis.results import JointIndices, RunIndices
 from hpid_ros.base.errors import GainError, SettingError
 from hpid_ros.cli.commands import BAD_INPUT, DONE, FAILED
 from hpid_ros.cli.main import main
-from hpid_ros.cli.options import inertias_from
+from hpid_ros.cli.robot_options import inertias_from
 from hpid_ros.control import Gains
 from hpid_ros.control.settings.assembly import make_law
 from hpid_ros.recordings.series import JointSeries

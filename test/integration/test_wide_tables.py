@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.text import Text
 
 from hpid_ros.analysis import Comparison
-from hpid_ros.cli.commands.check_gains import GainTable
+from hpid_ros.cli.commands.tuning.check_gains import GainTable
 from hpid_ros.cli.terminal import output_console
 from hpid_ros.control import Gains, LoopSettings
 from hpid_ros.control.settings.groups import Timing

@@ -25,17 +25,19 @@ ALLOWED = {
     "merging": set(),
     "wire": set(),
     "recordings": set(),
+    "identification": set(),
     "trajectory": {"documents"},
     "robot": {"documents"},
     "stability": {"control"},
     "export": {"control"},
+    "frequency": {"control", "recordings", "stability"},
     "compensation": {"control", "robot"},
     "goals": {"control", "trajectory", "wire"},
     "planning": {"documents", "robot", "trajectory"},
     "simulation": {"compensation", "control", "documents", "planning", "robot", "wire"},
     "bags": {"documents", "recordings", "trajectory", "wire"},
     "analysis": {"recordings"},
-    "report": {"analysis", "recordings"},
+    "report": {"analysis", "frequency", "identification", "recordings"},
     "metrics": {"analysis", "bags", "control", "recordings", "robot", "stability"},
     "tuning": {
         *("analysis", "compensation", "control", "documents", "recordings", "robot"),
@@ -60,7 +62,10 @@ ONLY_IN = {
     "matplotlib": {"report"},
     "jinja2": {"report", "export"},
 }
-PURE = {"control", "goals", "merging", "trajectory", "wire", "recordings"}
+PURE = {
+    *("control", "frequency", "goals", "merging", "trajectory", "wire", "recordings"),
+    "identification",
+}
 PURE_LIBRARIES = {"numpy", "scipy"}
 # The only modules that may touch what another package keeps to itself.
 INTERNALS = {"nodes/ros/rclpy_internals.py", "bags/rosbags_internals.py"}

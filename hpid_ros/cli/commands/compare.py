@@ -15,6 +15,7 @@ from hpid_ros.cli.options import (
     experiment_to_run,
     named_experiment,
     output_folder,
+    tell_uncontrolled,
 )
 
 if TYPE_CHECKING:
@@ -77,6 +78,7 @@ def _run_in_both(options: argparse.Namespace) -> int:
 
     engines = chosen_engines(options)
     experiments = [named_experiment(options.experiment, engine) for engine in engines]
+    tell_uncontrolled(experiments)
     first = experiments[0]
     output = output_folder(options, first.name)
     console = output_console()

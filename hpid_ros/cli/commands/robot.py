@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any
 from hpid_ros.base.errors import RobotDescriptionError, SettingError
 from hpid_ros.base.output_files import refuse_output, write_file
 from hpid_ros.cli.commands import DONE
-from hpid_ros.cli.options import load_robot
+from hpid_ros.cli.robot_options import load_robot
 
 if TYPE_CHECKING:
-    from hpid_ros.cli.options import GivenRobot
+    from hpid_ros.cli.robot_options import GivenRobot
     from hpid_ros.report.tables.wide_table import WideTable
 
 _COLUMNS = ("range", "effort", "velocity", "damping", "friction", "Jr N²", "inertia", "gravity")

@@ -8,6 +8,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from hpid_ros.cli.bag_options import add_time, add_topics, bag_selection
+
 if TYPE_CHECKING:
     from hpid_ros.bags.selection import Reference
     from hpid_ros.metrics import Measuring
@@ -33,7 +35,7 @@ def add_options(parser: Any) -> None:
     _add_inputs(parser)
     _add_selection(parser.add_argument_group("what is read from the bags"))
     _add_numbers(parser.add_argument_group("numbers"))
-    _add_robot(parser.add_argument_group("end effector"))
+    _add_robot(parser.add_argument_group("the robot"))
     _add_outputs(parser.add_argument_group("output"))
 
 
@@ -70,26 +72,7 @@ def _add_inputs(parser: Any) -> None:
 
 def _add_selection(group: Any) -> None:
     group.add_argument("--joints", nargs="+", metavar="JOINT", help="only these joints")
-    group.add_argument("--namespace", metavar="NAME", help="which of several robots")
-    group.add_argument(
-        "--states",
-        action="append",
-        metavar="TOPIC",
-        help="of the joint states; once for each topic of one robot",
-    )
-    group.add_argument(
-        "--commands",
-        metavar="TOPIC",
-        help="of the efforts; effort: *_controller/commands are efforts, the topic of the states: "
-        "measured ones, none: none (found by name and type, else the measured ones)",
-    )
-    group.add_argument(
-        "--command-topic",
-        action="append",
-        default=[],
-        metavar="JOINT=TOPIC[INDEX]",
-        help="of one joint's efforts; may be given several times",
-    )
+    add_topics(group)
     group.add_argument(
         "--reference",
         default="auto",
@@ -99,11 +82,7 @@ def _add_selection(group: Any) -> None:
         "or a kind of topic: trajectory, setpoint, sampled, controller_state (auto: any of these "
         "kinds that is there)",
     )
-    group.add_argument(
-        "--clock", default="header", metavar="CLOCK", help="header or receive (header)"
-    )
-    group.add_argument("--start", type=float, metavar="S", help="seconds after the first state")
-    group.add_argument("--end", type=float, metavar="S", help="seconds after the first state")
+    add_time(group)
 
 
 def _add_numbers(group: Any) -> None:
@@ -126,8 +105,8 @@ def _add_numbers(group: Any) -> None:
         "--effort-limit",
         action="append",
         default=[],
-        metavar="[JOINT=]NM",
-        help="effort at which a joint saturates (found in its efforts)",
+        metavar="[JOINT=]EFFORT",
+        help="in N m, or N where it slides, at which a joint saturates (found in its efforts)",
     )
 
 
@@ -159,8 +138,9 @@ def _add_robot(group: Any) -> None:
     group.add_argument(
         "--robot",
         metavar="URDF",
-        help="also tell how far its end effector was from the reference, by forward kinematics; "
-        "an experiment file (.yaml) names wheels and initial positions, too",
+        help="says which joints slide, in m and N (else the bag does, if it holds "
+        "/robot_description); also tell how far its end effector was from the reference, by "
+        "forward kinematics; an experiment file (.yaml) names wheels and initial positions, too",
     )
     group.add_argument(
         "--end-effector", metavar="LINK", help="link whose pose counts, with --robot (the last)"
@@ -230,20 +210,9 @@ def measuring(options: argparse.Namespace) -> Measuring:
         HpidError: The options are no selection, an effort limit is no number, or the robot
             cannot be used.
     """
-    from hpid_ros.bags.selection import BagSelection, parse_command_topics
     from hpid_ros.metrics import Measuring
 
-    selection = BagSelection(
-        joints=options.joints,
-        namespace=options.namespace,
-        states=options.states,
-        commands=options.commands,
-        command_topics=parse_command_topics(options.command_topic),
-        reference=_reference(options.reference),
-        clock=options.clock,
-        start=options.start,
-        end=options.end,
-    )
+    selection = bag_selection(options, options.joints, _reference(options.reference))
     how = Measuring(
         selection,
         effort_limits=_effort_limits(options.effort_limit),
@@ -276,7 +245,9 @@ def _effort_limits(texts: Sequence[str]) -> dict[str, float]:
         try:
             limits[name or ALL_JOINTS] = float(number)
         except ValueError:
-            raise SettingError(f"--effort-limit must be NM or JOINT=NM, got {text!r}") from None
+            raise SettingError(
+                f"--effort-limit must be EFFORT or JOINT=EFFORT, got {text!r}"
+            ) from None
     return limits
 
 
@@ -310,4 +281,10 @@ def _task_frame(options: argparse.Namespace) -> TaskFrame | None:
         base, others, link = None, {}, description.last_link
     if options.wheels is not None:
         base = DifferentialDrive.of(description, *options.wheels)
-    return TaskFrame(description, description.link(options.end_effector or link), base, others)
+    return TaskFrame(
+        description,
+        description.link(options.end_effector or link),
+        base,
+        others,
+        is_required=options.end_effector is not None or base is not None,
+    )

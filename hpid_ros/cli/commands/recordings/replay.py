@@ -107,7 +107,7 @@ def _told(verdict: JointVerdict) -> Iterator[str]:
     else:
         yield f"{verdict.joint}: {_count(whole)} commands, every one the law's"
     for each in verdict.differences[:_SHOWN]:
-        yield f"  {_difference(each)}"
+        yield f"  {_difference(each, 'N' if verdict.is_slide else 'N m')}"
     if len(verdict.differences) > _SHOWN:
         yield f"  and later {len(verdict.differences) - _SHOWN} times more"
     beside = {
@@ -125,12 +125,12 @@ def _told(verdict: JointVerdict) -> Iterator[str]:
         yield f"  assumed: {note}"
 
 
-def _difference(each: Difference) -> str:
+def _difference(each: Difference, unit: str) -> str:
     span = f"at {each.time:.3f} s"
     if each.commands > 1:
         length = (each.last_ns - each.stamp_ns) * 1e-9
         span = f"from {each.time:.3f} s for {length:.3f} s, {_count(each.commands)} commands"
-    text = f"{span}: {each.recorded!r} N m was sent, the law answers {each.computed!r} N m"
+    text = f"{span}: {each.recorded!r} {unit} was sent, the law answers {each.computed!r} {unit}"
     return f"{text} ({each.reason})" if each.reason else text
 
 

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from hpid_ros.base.errors import SettingError
+from hpid_ros.base.units import of_slide
 from hpid_ros.cli.commands import DONE, FAILED
 from hpid_ros.cli.loops import first_homogeneous
 from hpid_ros.cli.options import add_experiment, named_experiment
@@ -54,30 +56,39 @@ def run(options: argparse.Namespace) -> int:
     from hpid_ros.base.console import TextConsole
     from hpid_ros.cli.options import joint_progress
     from hpid_ros.control import Gains, LoopSettings
-    from hpid_ros.tuning.gain_design import design, yaml_text
+    from hpid_ros.experiment.inertias import initial_inertias
+    from hpid_ros.tuning.gain_design import design, held_by_friction, yaml_text
 
     inertias: Mapping[str, float]
+    frictions: Mapping[str, float] = {}
+    slides = frozenset[str]()
     if options.inertia is not None:
         if options.experiment:
             raise SettingError("--inertia is of one joint without a robot: name no FILE with it")
         loops: dict[str, LoopSettings] = {"joint": LoopSettings("joint", Gains(0.0, 0.0, 0.0))}
         inertias = {"joint": options.inertia}
     else:
-        loops, inertias = _of_experiment(options.experiment)
+        experiment = named_experiment(options.experiment)
+        loops = {each.joint: each for each in first_homogeneous(experiment)}
+        inertias = initial_inertias(experiment, tuple(loops.values()))
+        slides, frictions = experiment.slides, experiment.frictions
     with joint_progress(TextConsole(stderr=True), "certified", len(loops)) as tell:
         designs = design(
             loops, inertias, options.rule, options.closed_loop_time, options.delay, tell
         )
+    designs |= {
+        joint: replace(each, reason=of_slide(each.reason))
+        for joint, each in designs.items()
+        if joint in slides
+    }
     head = f"{options.rule}, closed-loop time {options.closed_loop_time:g} s"
     head += f", delay {options.delay:g} s" if options.delay else ""
     print(yaml_text(designs, head), end="")
+    told = TextConsole(stderr=True)
+    for joint, friction in frictions.items():
+        line = held_by_friction(joint, designs[joint].gains.p, friction)
+        if line:
+            line = of_slide(line) if joint in slides else line
+            print(f"# {line}")
+            told.print(line, soft_wrap=True, highlight=False, markup=False)
     return FAILED if any(each.reason for each in designs.values()) else DONE
-
-
-def _of_experiment(file: str | None) -> tuple[dict[str, LoopSettings], Mapping[str, float]]:
-    """Return the loops of an experiment and their inertias, by joint."""
-    from hpid_ros.experiment.inertias import initial_inertias
-
-    experiment = named_experiment(file)
-    loops = first_homogeneous(experiment)
-    return {each.joint: each for each in loops}, initial_inertias(experiment, loops)

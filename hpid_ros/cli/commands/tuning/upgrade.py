@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 from hpid_ros.base.errors import HpidError, SettingError
 from hpid_ros.base.output_files import refuse_output, write_file
+from hpid_ros.base.units import of_slide
 from hpid_ros.cli.commands import DONE, FAILED
-from hpid_ros.cli.options import add_robot_options, inertias_from, load_robot
+from hpid_ros.cli.robot_options import add_robot_options, inertias_from, load_robot
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -73,13 +74,16 @@ def run(options: argparse.Namespace) -> int:
     recorded = _recorded(options.bag, loops)
     proposals, failures = _proposals(options, loops, file.inertias, recorded, told)
     comparison = _prediction(options, loops, proposals, recorded, told)
-    _write(options, loops, proposals, failures, comparison)
+    slides = _slides(options)
+    _write(options, loops, proposals, failures, comparison, slides)
     for loop in loops:
         joint = loop.joint
         if joint in failures:
             lines = [f"{joint}: NOT upgraded, kept as it was", str(failures[joint])]
         else:
             lines = _summary(proposals[joint])
+        if joint in slides:
+            lines = [of_slide(line) for line in lines]
         console.print(lines[0], soft_wrap=True)
         for line in lines[1:]:
             style = "red" if joint in failures else "dim"
@@ -98,6 +102,17 @@ def _summary(proposal: Upgrade) -> list[str]:
     if settings.law == "pid":
         return [f"{settings.joint}: {proposal.reasons['law']}", *proposal.remarks]
     return [f"{settings.joint}: mu {settings.mu:+.2f}", proposal.reasons["mu"], *proposal.remarks]
+
+
+def _slides(options: argparse.Namespace) -> frozenset[str]:
+    """Return the joints that slide, where the robot or the recording says so."""
+    if options.urdf:
+        return load_robot(options.urdf).description.slides
+    if options.bag is None:
+        return frozenset()
+    from hpid_ros.metrics.slides import sliding_joints
+
+    return sliding_joints(options.bag, None).slides
 
 
 def _recorded(bag: Path | None, loops: Sequence[LoopSettings]) -> tuple[JointSeries, ...]:
@@ -211,6 +226,7 @@ def _write(
     proposals: Mapping[str, Upgrade],
     failures: Mapping[str, HpidError],
     comparison: Comparison | None,
+    slides: frozenset[str],
 ) -> None:
     from hpid_ros.analysis.quantities import INDICES
     from hpid_ros.tuning.upgrade_file import upgrade_text
@@ -230,7 +246,7 @@ def _write(
             notes[joint].append(f"Predicted on the model, over the PID: {', '.join(ratios)}.")
     written = [proposals.get(loop.joint, loop) for loop in loops]
     try:
-        write_file(options.output, upgrade_text(written, header, notes))
+        write_file(options.output, upgrade_text(written, header, notes, slides))
     except OSError as error:
         reason = (error.strerror or str(error)).lower()
         raise SettingError(f"cannot write {options.output}: {reason}") from None

@@ -6,7 +6,7 @@ import argparse
 import json
 import subprocess
 import sys
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,9 +14,10 @@ from rich.console import Console, ConsoleOptions, RenderResult
 from rich.text import Text
 
 from hpid_ros.base.errors import RunError, SettingError
+from hpid_ros.base.units import of_slide, unit_over
 from hpid_ros.cli.commands import DONE, FAILED
-from hpid_ros.cli.loops import loop_file
-from hpid_ros.cli.options import add_robot_options, inertias_from
+from hpid_ros.cli.loops import judged_loops, loop_file, named_loops, shown_name
+from hpid_ros.cli.robot_options import add_robot_options, load_robot
 from hpid_ros.control.norms import GOOD_SAMPLING_MARGIN
 from hpid_ros.report.tables.wide_table import TableColumn, WideTable
 from hpid_ros.stability.bounds import LARGEST_SAMPLING_MARGIN, LARGEST_SAMPLING_MARGIN_LATE
@@ -36,10 +37,13 @@ class GainTable:
 
     Args:
         verdicts: By the name to show.
+        slides: Those of the names whose joints are known to slide.
     """
 
-    def __init__(self, verdicts: Mapping[str, GainVerdict]) -> None:
-        self._verdicts = verdicts
+    def __init__(
+        self, verdicts: Mapping[str, GainVerdict], slides: Collection[str] = frozenset()
+    ) -> None:
+        self._verdicts, self._slides = verdicts, slides
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         rows = [_cells(verdict) for verdict in self._verdicts.values()]
@@ -58,7 +62,8 @@ class GainTable:
         yield ""
         for name, verdict in self._verdicts.items():
             if verdict.reason:
-                yield Text(f"{name}: {verdict.reason}", style="red")
+                reason = of_slide(verdict.reason) if name in self._slides else verdict.reason
+                yield Text(f"{name}: {reason}", style="red")
             if verdict.sampling_margin > LARGEST_SAMPLING_MARGIN_LATE:
                 yield Text(
                     f"{name}: T kd lam / m = {verdict.sampling_margin:.2f}: the sampled loop "
@@ -76,9 +81,14 @@ class GainTable:
             "ok: certified at this mu, on a fine grid, for the unsampled loop without floor or "
             "cap; a loop may well be stable without. rho = m ki / (kp kd); T kd: T kd lam / m, "
             "without a unit; lam = n^mu up to norm 2; settles [s]: an error of error_scale to a "
-            "hundredth, at the latest; inertia m [kg m^2].",
+            f"hundredth, at the latest; inertia m [{self._unit_of_inertia()}].",
             style="dim",
         )
+
+    def _unit_of_inertia(self) -> str:
+        unit = unit_over("kg m^2", (name in self._slides for name in self._verdicts))
+        slides = [name for name in self._verdicts if name in self._slides]
+        return unit if "," not in unit else f"kg m^2; kg: {', '.join(slides)}"
 
 
 def _cells(verdict: GainVerdict) -> list[str]:
@@ -145,27 +155,29 @@ def run(options: argparse.Namespace) -> int:
     from hpid_ros.base.console import TextConsole
     from hpid_ros.cli.options import joint_progress
     from hpid_ros.cli.terminal import output_console
-    from hpid_ros.stability.gain_check import check_gains, inertia_of
+    from hpid_ros.stability.gain_check import check_gains
     from hpid_ros.stability.saved_certificates import saved_certificates
 
     if options.file:
         saved = saved_certificates(options.file)
         if saved:
             return _verify(saved, options.json)
-    loops, inertias = _loops(options)
-    joints = [settings.joint for settings in loops.values()]
-    known = {**inertias, **inertias_from(options, joints)}
-    judged = [
-        (settings, inertia_of(settings, known.get(settings.joint))) for settings in loops.values()
-    ]
+    file = _loops(options)
+    loops = file.loops
+    judged = judged_loops(options, file)
     with joint_progress(TextConsole(stderr=True), "certified", len(judged)) as tell:
         verdicts = check_gains(judged, tell)
-    names = [name.strip("/").removesuffix("_controller") for name in loops]
-    by_name = dict(zip(names, verdicts, strict=True))
+    by_name = dict(zip(map(shown_name, loops), verdicts, strict=True))
     if options.json:
         print(json.dumps({name: each.as_mapping() for name, each in by_name.items()}, indent=2))
     else:
-        output_console().print(GainTable(by_name))
+        slides = _slides(options)
+        sliding = [
+            name
+            for name, settings in zip(by_name, loops.values(), strict=True)
+            if settings.joint in slides
+        ]
+        output_console().print(GainTable(by_name, sliding))
     settling = _settling(options, loops)
     if not options.json:
         for finding in settling:
@@ -174,12 +186,19 @@ def run(options: argparse.Namespace) -> int:
     return DONE if is_settling and all(each.is_certified for each in verdicts) else FAILED
 
 
+def _slides(options: argparse.Namespace) -> frozenset[str]:
+    """Return the joints that slide, where a robot says so."""
+    if options.urdf:
+        return load_robot(options.urdf).description.slides
+    experiment = loop_file(options.file).experiment if options.file else None
+    return frozenset() if experiment is None else experiment.slides
+
+
 def _settling(options: argparse.Namespace, loops: Mapping[str, LoopSettings]) -> list[Settling]:
     """Find whether decoupled joints that use each other's last efforts settle."""
     decoupled = [each for each in loops.values() if each.model.is_decoupling]
     if not decoupled:
         return []
-    from hpid_ros.cli.options import load_robot
     from hpid_ros.compensation.coupling import settling_of
 
     is_experiment = options.file and any(" " in name for name in loops)  # LABEL JOINT
@@ -221,7 +240,7 @@ def _loops(options: argparse.Namespace) -> ParameterFile:
     if options.live:
         return ParameterFile(_running(), {})
     if options.file:
-        return _from_file(options.file)
+        return named_loops(loop_file(options.file))
     from hpid_ros.control import LoopSettings
 
     missing = [f"--{name}" for name in "pid" if getattr(options, name) is None]
@@ -230,21 +249,6 @@ def _loops(options: argparse.Namespace) -> ParameterFile:
     law = "hpid" if options.mu is not None else "pid"
     loop = LoopSettings.from_parameters({"joint": "joint", "law": law, **given})
     return ParameterFile({"joint": loop}, {})
-
-
-def _from_file(path: Path) -> ParameterFile:
-    from hpid_ros.tuning.controller_files import ParameterFile
-
-    found = loop_file(path)
-    if found.parameters is not None:
-        return found.parameters
-    assert found.experiment is not None
-    loops = {
-        f"{label} {each.joint}": each
-        for label, settings in found.experiment.controllers.items()
-        for each in settings
-    }
-    return ParameterFile(loops, {})
 
 
 def _running() -> dict[str, LoopSettings]:

@@ -85,7 +85,10 @@ def add(commands: Any) -> None:
         "error_scale, rate_weight, effort_scale, floor",
     )
     parser.add_argument(
-        "--settle", type=float, metavar="RAD", help="refuse larger errors in the last second"
+        "--settle",
+        type=float,
+        metavar="RAD",
+        help="refuse larger errors in the last second, in rad; in m where a joint slides",
     )
     parser.add_argument(
         "--uncertified", action="store_true", help="accept degrees that are not certified"

@@ -1,0 +1,332 @@
+"""How well robots are identified whose truth is known: ``python -m benchmarks.identification``.
+
+Draws friction, rotors, noise and delay for robots of the example experiments, moves their joints
+in process along multisines, all at once (identified with the URDF, which knows no rotors and no
+friction) or one after the other (without), and compares what is found with the truth. Prints a
+table in Markdown: median, 95 % point and largest of the errors, how many are within the limit, and
+how many of the 95 % intervals contain the truth.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import yaml
+
+from hpid_ros.base.resources import find_resource
+from hpid_ros.compensation.build import compensators
+from hpid_ros.control import JointLoop
+from hpid_ros.experiment.description import Experiment, load_experiment
+from hpid_ros.identification.identify import identify
+from hpid_ros.identification.records import JointRecord
+from hpid_ros.identification.results import (
+    COULOMB,
+    DELAY,
+    INERTIA,
+    VISCOUS,
+    JointIdentification,
+)
+from hpid_ros.robot.amendments import JointAmendment, amended
+from hpid_ros.robot.description import RobotDescription
+from hpid_ros.robot.dynamics import Dynamics
+from hpid_ros.robot.inverse_dynamics import InverseDynamics
+from hpid_ros.simulation.engine import Recording, record_run
+from hpid_ros.simulation.world.world import World
+from hpid_ros.trajectory import JointTrajectory, TrajectoryPoint
+
+ROBOTS = ("paper", "iiwa", "panda")
+PERIOD = 1e-3  # [s]
+_FREQUENCIES = np.array([0.11, 0.23, 0.41, 0.67, 1.03, 1.57, 2.31])  # [Hz]
+_TOGETHER, _ALONE = 20.0, 12.0  # [s], of all joints, of each
+_FADE = 1.0  # [s]
+_KNOT = 0.02  # [s]
+_NOISES = (5e-5, 4e-4)  # [rad]
+_COUNTS = 65536
+_HEADINGS = (
+    *("robot", "parameter", "numbers", "told", "median error", "95 %", "largest"),
+    *("within limit", "inside interval"),
+)
+_LIMITS: Mapping[str, float] = {INERTIA: 0.03, VISCOUS: 0.1, COULOMB: 0.1, DELAY: 0.5}
+
+
+class Truth(NamedTuple):
+    """What is drawn for one joint.
+
+    Attributes:
+        viscous: In [N m s/rad].
+        coulomb: In [N m].
+        rotor: Reflected inertia, in [kg m^2].
+        delay: In [s].
+    """
+
+    viscous: float
+    coulomb: float
+    rotor: float
+    delay: float
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """A robot drawn at random.
+
+    Attributes:
+        experiment: In which it moves.
+        bare: Its description without rotors and friction.
+        truth: By joint.
+    """
+
+    experiment: Experiment
+    bare: RobotDescription
+    truth: Mapping[str, Truth]
+
+
+class Finding(NamedTuple):
+    """One number beside its truth.
+
+    Attributes:
+        joint: Of which joint.
+        name: Of the parameter.
+        error: Relative; of a delay in control periods.
+        is_inside: Whether the interval contains the truth.
+        is_told: Whether the data are said to tell it.
+    """
+
+    joint: str
+    name: str
+    error: float
+    is_inside: bool
+    is_told: bool
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Print the table."""
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.identification", description=__doc__
+    )
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    parser.add_argument("robots", nargs="*", default=ROBOTS, metavar="ROBOT", help="(all)")
+    parser.add_argument("--seeds", type=int, default=20)
+    parser.add_argument("--engine", default="mujoco", help="(mujoco)")
+    parser.add_argument("--alone", action="store_true", help="one joint at a time, without URDF")
+    parser.add_argument("--verbose", action="store_true", help="every number that is too far off")
+    options = parser.parse_args(arguments)
+    print(f"| {' | '.join(_HEADINGS)} |")
+    print("|---|---|---|---|---|---|---|---|---|")
+    for robot in options.robots:
+        found = []
+        for seed in range(1, options.seeds + 1):
+            new = list(_findings(robot, seed, options.engine, options.alone))
+            found += new
+            if options.verbose:
+                for each in new:
+                    if not each.is_inside or abs(each.error) > _LIMITS[each.name]:
+                        print(seed, each, file=sys.stderr, flush=True)
+        for name in _LIMITS:
+            print(_row(robot, name, [each for each in found if each.name == name]), flush=True)
+    return 0
+
+
+def _row(robot: str, name: str, found: Sequence[Finding]) -> str:
+    told = [each for each in found if each.is_told]
+    errors = np.abs([each.error for each in told]) if told else np.full(1, np.nan)
+    scale, unit = (1.0, " T") if name == DELAY else (100.0, " %")
+    within = np.mean(errors <= _LIMITS[name])
+    inside = np.mean([each.is_inside for each in told]) if told else np.nan
+    middle, high, most = (scale * np.quantile(errors, each) for each in (0.5, 0.95, 1.0))
+    return (
+        f"| {robot} | {name} | {len(found)} | {len(told)} | {middle:.2g}{unit} | {high:.2g}{unit} "
+        f"| {most:.2g}{unit} | {within:.1%} | {inside:.1%} |"
+    )
+
+
+def _findings(robot: str, seed: int, engine: str, is_alone: bool) -> Iterator[Finding]:
+    """Draw a robot, move it, identify it, and yield every number beside its truth."""
+    chance = np.random.default_rng([seed, *robot.encode()])
+    drawn = draw(robot, seed, engine, chance)
+    joints = drawn.experiment.world.joints
+    arm = [name for name in joints if name in drawn.truth]
+    trajectory, windows = excitation(drawn.experiment, arm, chance, is_alone)
+    recording = move(replace(drawn.experiment, trajectory=trajectory))
+    if is_alone:
+        found = [
+            identify([record_of(recording, joints, name, window)])[0]
+            for name, window in windows.items()
+        ]
+    else:
+        body = InverseDynamics(drawn.bare, joints)
+        records = [record_of(recording, joints, name) for name in joints]
+        found = list(identify(records, body.efforts, wanted=arm))
+    for each in found:
+        yield from _beside_truth(drawn, each, is_alone)
+
+
+def draw(robot: str, seed: int, engine: str, chance: np.random.Generator) -> Drawn:
+    """Return a robot with friction, rotors, noise and delay drawn at random.
+
+    Args:
+        robot: Name of the experiment that it is from.
+        seed: Of its encoders' noise.
+        engine: Who computes the physics.
+        chance: Draws.
+    """
+    path = find_resource(f"config/experiments/{robot}.yaml")
+    plain = load_experiment(path)
+    description = RobotDescription.load(plain.world.robot_description)
+    arm = [name for name in plain.world.joints if "wheel" not in name]
+    delay = int(chance.integers(0, 4))
+    truth, amendments = {}, {}
+    for name in arm:
+        joint = description.joints[name]
+        coulomb = joint.effort * float(chance.uniform(0.005, 0.02))
+        viscous = coulomb * float(chance.uniform(0.5, 1.5))
+        rotor = joint.reflected_inertia * float(chance.uniform(0.7, 1.4))
+        truth[name] = Truth(viscous, coulomb, rotor, delay * PERIOD)
+        amendments[name] = {
+            "rotor_inertia": rotor / joint.gear_ratio**2,
+            "damping": viscous,
+            "friction": coulomb,
+        }
+    document: dict[str, Any] = {
+        "extends": str(path),
+        "duration": _TOGETHER,
+        "seed": seed,
+        "robot": {"fixed_base": True, "joints": amendments},
+        "simulation": {"engine": engine},
+        "sensors": {"noise": float(chance.uniform(*_NOISES)), "encoder_counts": _COUNTS},
+        "actuators": {"delay": delay},
+        "reference": None,
+    }
+    nothing = {name: JointAmendment(rotor_inertia=0.0, damping=0.0, friction=0.0) for name in arm}
+    return Drawn(_loaded(document, plain), amended(description, nothing, {}, {}), truth)
+
+
+def _loaded(document: Mapping[str, Any], plain: Experiment) -> Experiment:
+    values = dict(document)
+    if plain.world.base is not None:
+        values["robot"] = {**values["robot"], "base": None}
+    values.pop("reference")
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "drawn.yaml"
+        file.write_text(yaml.safe_dump(values))
+        return load_experiment(file)
+
+
+def excitation(
+    experiment: Experiment, arm: Sequence[str], chance: np.random.Generator, is_alone: bool
+) -> tuple[JointTrajectory, dict[str, tuple[float, float]]]:
+    """Return multisines of all joints, and when each of them moves if they move one by one."""
+    joints, start = experiment.world.joints, experiment.world.initial_positions
+    duration = _ALONE * len(arm) if is_alone else _TOGETHER
+    times = np.arange(0.0, duration + _KNOT / 2.0, _KNOT)
+    windows = {
+        name: (_ALONE * k, _ALONE * (k + 1)) if is_alone else (0.0, duration)
+        for k, name in enumerate(arm)
+    }
+    states = np.zeros((3, len(joints), len(times)))
+    for row, name in enumerate(joints):
+        if name in windows:
+            states[:, row] = _multisine(times, *windows[name], chance)
+        states[0, row] += start.get(name, 0.0)
+    points = tuple(
+        TrajectoryPoint(round(time * 1e9), *(tuple(each[:, k]) for each in states))
+        for k, time in enumerate(times)
+    )
+    return JointTrajectory(tuple(joints), points), windows
+
+
+def _multisine(
+    times: np.ndarray, begin: float, end: float, chance: np.random.Generator
+) -> np.ndarray:
+    """Return position, velocity and acceleration of a sum of sines that fades in and out."""
+    amplitudes = 0.12 / np.sqrt(_FREQUENCIES / _FREQUENCIES[0]) / (1.0 + _FREQUENCIES)
+    phases = chance.uniform(0.0, 2.0 * np.pi, len(_FREQUENCIES))
+    rates = 2.0 * np.pi * _FREQUENCIES[:, None]
+    angles = rates * (times - begin) + phases[:, None]
+    wave = [
+        amplitudes @ np.sin(angles),
+        amplitudes @ (rates * np.cos(angles)),
+        -amplitudes @ (rates**2 * np.sin(angles)),
+    ]
+    fade = [np.ones_like(times), np.zeros_like(times), np.zeros_like(times)]
+    for share, sign in (((times - begin) / _FADE, 1.0), ((end - times) / _FADE, -1.0)):
+        s = np.clip(share, 0.0, 1.0)
+        value = s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
+        first = sign * 30.0 * s**2 * (1.0 - s) ** 2 / _FADE
+        second = 60.0 * s * (1.0 - s) * (1.0 - 2.0 * s) / _FADE**2
+        fade = [
+            fade[0] * value,
+            fade[1] * value + fade[0] * first,
+            fade[2] * value + 2.0 * fade[1] * first + fade[0] * second,
+        ]
+    return np.stack(
+        [
+            fade[0] * wave[0],
+            fade[0] * wave[1] + fade[1] * wave[0],
+            fade[0] * wave[2] + 2.0 * fade[1] * wave[1] + fade[2] * wave[0],
+        ]
+    )
+
+
+def move(experiment: Experiment) -> Recording:
+    """Return the run of an experiment's first controller along its trajectory."""
+    settings = next(iter(experiment.controllers.values()))
+    loops = [JointLoop(each) for each in settings]
+    for loop in loops:
+        loop.follow(experiment.trajectory.column(loop.settings.joint))
+    models = compensators(settings, str(experiment.world.robot_description))
+    periods = round(experiment.trajectory.points[-1].time_from_start_ns * 1e-9 / PERIOD)
+    with World(experiment.world) as world:
+        return record_run(world, loops, periods, models)
+
+
+def record_of(
+    recording: Recording,
+    joints: Sequence[str],
+    name: str,
+    window: tuple[float, float] = (-np.inf, np.inf),
+) -> JointRecord:
+    """Return one joint of a recording."""
+    time = np.asarray(recording.stamps_ns * 1e-9, dtype=np.float64)
+    inside = (time >= window[0]) & (time <= window[1])
+    place, time = joints.index(name), time[inside]
+    position, effort = recording.positions[inside, place], recording.efforts[inside, place]
+    reference = recording.references[inside, place]
+    return JointRecord(name, time, position, time, effort, reference)
+
+
+def _beside_truth(drawn: Drawn, found: JointIdentification, is_alone: bool) -> Iterator[Finding]:
+    """Yield the numbers of one joint, each beside its truth."""
+    truth = drawn.truth[found.joint]
+    values = {VISCOUS: truth.viscous, COULOMB: truth.coulomb, DELAY: truth.delay}
+    # Positions advance by the velocity at the end of a physics step: half of one ahead of time.
+    values[DELAY] -= drawn.experiment.world.physics_period / 2.0
+    rotor, moved = truth.rotor, _moved_inertia(drawn, found.joint)
+    values[INERTIA] = moved if is_alone else rotor
+    for name, true in values.items():
+        estimate = found.estimates.get(name)
+        if estimate is None:
+            yield Finding(found.joint, name, np.nan, False, False)
+            continue
+        # What matters of a rotor is its part in what the motor moves.
+        size = {DELAY: PERIOD, INERTIA: moved}.get(name, true)
+        error = (estimate.value - true) / size
+        is_inside = estimate.low <= true <= estimate.high
+        yield Finding(found.joint, name, error, is_inside, estimate.is_told)
+
+
+def _moved_inertia(drawn: Drawn, joint: str) -> float:
+    """Return what the motor moves while the other joints are held, in [kg m^2]."""
+    start = drawn.experiment.world.initial_positions
+    dynamics = Dynamics(RobotDescription.load(drawn.experiment.world.robot_description))
+    return float(dynamics.mass_matrix([joint], start)[0, 0])
+
+
+if __name__ == "__main__":
+    sys.exit(main())

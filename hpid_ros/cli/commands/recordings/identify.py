@@ -1,0 +1,301 @@
+"""``hpid identify``: inertia, friction, load and delay of a robot's joints, from a bag."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hpid_ros.base.errors import SettingError, unknown_name
+from hpid_ros.base.output_files import refuse_output, write_file
+from hpid_ros.cli.bag_options import add_time, add_topics, bag_selection
+from hpid_ros.cli.commands import DONE, FAILED
+from hpid_ros.cli.options import add_joints
+from hpid_ros.cli.robot_options import load_robot
+
+if TYPE_CHECKING:
+    from hpid_ros.cli.robot_options import GivenRobot
+    from hpid_ros.identification.experiment_text import MovedInertia, Origin
+    from hpid_ros.identification.records import JointRecord
+    from hpid_ros.identification.results import JointIdentification
+    from hpid_ros.recordings.series import RunSeries
+
+_FORMATS = (".png", ".pdf", ".svg")
+_LABEL = "recording"
+
+
+def add(commands: Any) -> None:
+    """Add the command to the parser."""
+    parser = commands.add_parser(
+        "identify",
+        help="find inertia, friction, load and delay of joints in a bag",
+        description="Find what each joint's motor moves and what holds it back, from recorded "
+        "positions and efforts, with 95 % intervals, and say what the recording cannot tell. "
+        "With --urdf the links' masses are known, and rotors, friction and the effort's scale are "
+        "sought; without, each joint is taken for itself, as if the others were at rest.",
+        epilog="Exit code 1 if nothing could be found of any joint.",
+    )
+    parser.add_argument("bag", type=Path, metavar="BAG", help="bag folder or file")
+    parser.add_argument(
+        "--urdf",
+        metavar="FILE",
+        help="the robot: a URDF, or an experiment file (.yaml); its base stands still, and its "
+        "own rotors and friction do not count",
+    )
+    add_joints(parser, "a joint to identify; may be repeated (all)")
+    parser.add_argument(
+        "--effort-unit",
+        choices=("si", "any"),
+        default="si",
+        help="any: efforts are in a unit of their own, as of current, which the masses of --urdf "
+        "fix (si: N m and N)",
+    )
+    parser.add_argument(
+        "--cutoff", type=float, metavar="HZ", help="of the low pass (by each joint's noise)"
+    )
+    parser.add_argument(
+        "--longest-delay", type=float, default=0.1, metavar="S", help="to look for (0.1 s)"
+    )
+    read = parser.add_argument_group("what is read from the bag")
+    add_topics(read)
+    add_time(read)
+    written = parser.add_argument_group("output")
+    written.add_argument(
+        "-o",
+        "--output",
+        type=Path,
+        metavar="FILE",
+        help="what was found, as YAML that experiment files extend and that --urdf and --inertia "
+        "of other commands take",
+    )
+    written.add_argument("--json", type=Path, metavar="FILE", help="every number")
+    written.add_argument(
+        "--plot",
+        type=Path,
+        metavar="FILE",
+        help="predicted and measured efforts: png, pdf, svg",
+    )
+    written.add_argument("--force", action="store_true", help="replace files that exist")
+    parser.set_defaults(command=run)
+
+
+@dataclass(frozen=True)
+class Findings:
+    """What came of a bag.
+
+    Attributes:
+        joints: What was found of each joint.
+        sources: Where each joint's efforts are from.
+        slides: Joints that slide.
+        moved: What the motors move over the recording's poses, by joint, with a robot.
+    """
+
+    joints: tuple[JointIdentification, ...]
+    sources: Mapping[str, str]
+    slides: tuple[str, ...] = ()
+    moved: Mapping[str, MovedInertia] = field(default_factory=dict)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Identify the joints of a bag."""
+    from hpid_ros.cli.commands.recordings.identify_table import report
+    from hpid_ros.cli.terminal import output_console
+
+    _check(options)
+    robot = load_robot(options.urdf) if options.urdf else None
+    found = _found(options, robot)
+    console = output_console()
+    for part in report(found.joints, found.sources, found.slides, found.moved):
+        console.print(part, soft_wrap=isinstance(part, str), highlight=False, markup=False)
+    for path in _written(options, robot, found):
+        console.print(f"written: {path}", markup=False, soft_wrap=True, highlight=False)
+    return DONE if any(each.is_found for each in found.joints) else FAILED
+
+
+def _check(options: argparse.Namespace) -> None:
+    """Refuse what cannot be, before anything is read."""
+    if options.effort_unit == "any" and not options.urdf:
+        raise SettingError("--effort-unit any needs --urdf, whose masses fix the unit")
+    if options.plot is not None and options.plot.suffix.lower() not in _FORMATS:
+        raise SettingError(f"--plot must end in {', '.join(_FORMATS)}, not {options.plot.name!r}")
+    inputs = [options.bag, *([Path(options.urdf)] if options.urdf else [])]
+    outputs = {"-o": options.output, "--json": options.json, "--plot": options.plot}
+    named = [path.resolve() for path in outputs.values() if path is not None]
+    if len(set(named)) < len(named):
+        raise SettingError("-o, --json and --plot must name different files")
+    for option, path in outputs.items():
+        if path is not None:
+            refuse_output(path, force=options.force, inputs=inputs, option=option)
+
+
+def _found(options: argparse.Namespace, robot: GivenRobot | None) -> Findings:
+    from hpid_ros.bags import read_run
+    from hpid_ros.base.interrupts import raise_if_interrupted
+    from hpid_ros.identification.identify import Method, identify
+
+    method = Method(options.cutoff, options.longest_delay, options.effort_unit == "any")
+    # Other joints' motion counts where the robot is known, whoever is asked for.
+    asked = options.joint or None
+    selection = bag_selection(options, None if robot else asked, separates_runs=True)
+    recording = read_run(
+        options.bag, _LABEL, selection=selection, progress=lambda share: raise_if_interrupted()
+    )
+    for joint in asked or ():
+        if joint not in recording.joint_names:
+            raise SettingError(unknown_name("joint", joint, recording.joint_names))
+    records = _records(recording)
+    if robot is None:
+        return Findings(identify(records, method=method), _sources(recording))
+    joints = robot.description.joints
+    records = [each for each in records if each.joint in joints]
+    if not records:
+        raise SettingError(
+            f"{options.urdf} has none of the joints of {options.bag}: "
+            f"{', '.join(recording.joint_names)}"
+        )
+    wanted = [each.joint for each in records] if asked is None else asked
+    for joint in wanted:
+        if joint not in joints:
+            raise SettingError(f"{options.urdf}: {unknown_name('joint', joint, joints)}")
+    found = identify(records, _rigid_body(robot, records), method, wanted)
+    slides = tuple(name for name in wanted if joints[name].is_slide)
+    return Findings(found, _sources(recording), slides, _moved(robot, recording, found))
+
+
+def _sources(recording: RunSeries) -> dict[str, str]:
+    qualities = recording.quality.joints
+    return {name: qualities[name].effort for name in recording.joint_names}
+
+
+def _records(recording: RunSeries) -> list[JointRecord]:
+    """Return the recording's joints, in seconds since its first state."""
+    from hpid_ros.identification.records import JointRecord
+    from hpid_ros.recordings.quality import MEASURED
+    from hpid_ros.recordings.series import seconds_since
+
+    sources = _sources(recording)
+    return [
+        JointRecord(
+            each.joint,
+            seconds_since(each.state_stamps_ns, recording.start_ns),
+            each.position,
+            seconds_since(each.command_stamps_ns, recording.start_ns),
+            each.effort,
+            each.reference,
+            is_held=not sources[each.joint].startswith(MEASURED),
+        )
+        for each in recording.joints
+    ]
+
+
+def _rigid_body(robot: GivenRobot, records: Sequence[JointRecord]) -> Any:
+    from hpid_ros.robot.inverse_dynamics import InverseDynamics
+
+    names = [each.joint for each in records]
+    others = {name: at for name, at in robot.initial_positions.items() if name not in names}
+    return InverseDynamics(robot.description, names, others).efforts
+
+
+def _moved(
+    robot: GivenRobot, recording: RunSeries, found: Sequence[JointIdentification]
+) -> dict[str, MovedInertia]:
+    """Return what the motors move, with the rotors that were found."""
+    import numpy as np
+
+    from hpid_ros.identification.experiment_text import MovedInertia
+    from hpid_ros.identification.results import INERTIA
+    from hpid_ros.robot.amendments import JointAmendment, amended
+    from hpid_ros.robot.dynamics import Dynamics
+    from hpid_ros.tuning.inertias import visited_poses
+
+    rotors = {each.joint: each.told(INERTIA) for each in found}
+    known = {
+        name: JointAmendment(rotor_inertia=estimate.value, gear_ratio=1.0)
+        for name, estimate in rotors.items()
+        if estimate is not None
+    }
+    dynamics = Dynamics(amended(robot.description, known, {}, {}))
+    names = list(known)
+    poses = [
+        {name: at for name, at in pose.items() if name in robot.description.joints}
+        for pose in visited_poses(recording.joints)
+    ]
+    try:
+        met = [
+            dynamics.joint_inertias(names, {**robot.initial_positions, **pose}) for pose in poses
+        ]
+    except np.linalg.LinAlgError:  # a joint that moves nothing with mass, and no rotor was found
+        return {}
+    return {
+        name: MovedInertia(
+            min(each[name] for each in met),
+            math.fsum(each[name] for each in met) / len(met),
+            max(each[name] for each in met),
+        )
+        for name in names
+    }
+
+
+def _written(options: argparse.Namespace, robot: GivenRobot | None, found: Findings) -> list[Path]:
+    """Write what was asked for, and return it."""
+    from hpid_ros.cli.commands.recordings.identify_table import as_mapping
+
+    contents: dict[Path, str | bytes] = {}
+    if options.output is not None:
+        contents[options.output] = _yaml(options, robot, found)
+    if options.json is not None:
+        joints = as_mapping(found.joints, found.sources, found.slides, found.moved)
+        document = {"bag": str(options.bag), "urdf": options.urdf, "joints": joints}
+        contents[options.json] = json.dumps(document, indent=2) + "\n"
+    if options.plot is not None:
+        from hpid_ros.report.figures.identification import identification_figure, saved
+
+        form = options.plot.suffix.lower()[1:]
+        contents[options.plot] = saved(identification_figure(found.joints, found.slides), form)
+    for path, content in contents.items():
+        try:
+            write_file(path, content)
+        except OSError as error:
+            reason = (error.strerror or str(error)).lower()
+            raise SettingError(f"cannot write {path}: {reason}") from None
+    return list(contents)
+
+
+def _yaml(options: argparse.Namespace, robot: GivenRobot | None, found: Findings) -> str:
+    from hpid_ros.identification.experiment_text import experiment_text
+
+    header = [
+        f"Identified from {options.bag.name}.",
+        "An experiment says extends: and this file's name, or has these lines; check-gains and",
+        "upgrade take it as --inertia and, where it names a robot, as --urdf.",
+    ]
+    return experiment_text(
+        found.joints, found.moved, found.slides, _ratios(robot), _origin(options, robot), header
+    )
+
+
+def _ratios(robot: GivenRobot | None) -> dict[str, float]:
+    joints = {} if robot is None else robot.description.joints
+    return {name: joint.gear_ratio for name, joint in joints.items()}
+
+
+def _origin(options: argparse.Namespace, robot: GivenRobot | None) -> Origin | None:
+    from hpid_ros.base.resources import find_resource
+    from hpid_ros.identification.experiment_text import Origin
+
+    if robot is None:
+        return None
+    file = find_resource(options.urdf)
+    key = "extends" if file.suffix in (".yaml", ".yml") else "description"
+    if options.urdf.startswith("package://"):
+        return Origin(key, options.urdf)
+    try:
+        name = os.path.relpath(file.resolve(), options.output.resolve().parent)
+    except ValueError:  # on another drive
+        name = str(file.resolve())
+    return Origin(key, name)

@@ -1,0 +1,186 @@
+r"""The frequency response of a joint, measured under control from a recorded excitation.
+
+Reference r, effort u and position q of a closed loop are correlated with the reference, which
+the noise is not (joint input-output method):
+
+.. math:: \hat P = S_{rq} / S_{ru}
+
+is the joint from the effort sent to the position, hold and delay included. It is free of the bias
+that the loop gives S_uq / S_uu, and does not depend on the law that was running. What the law of a
+file makes of it is the measured open loop, :math:`\hat L = K \hat P`.
+
+Source: L. Ljung, "System Identification" (2nd ed., 1999), section 13.5; R. Pintelon and
+J. Schoukens, "System Identification: A Frequency Domain Approach" (2nd ed., 2012), section 2.6.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from scipy.signal import csd, welch
+
+from hpid_ros.base.arrays import Numbers
+from hpid_ros.base.errors import SettingError
+from hpid_ros.base.units import SECONDS_PER_NANOSECOND
+from hpid_ros.frequency.loop import FrozenLoop
+from hpid_ros.frequency.plant import Complexes
+from hpid_ros.recordings.series import JointSeries, SeriesError
+
+LEAST_COHERENCE = 0.95
+_LEAST_POWER = 1e-4  # of the reference's largest density: where it does not excite
+_SEGMENTS = 4.5  # lengths of one segment in the record, half of each overlapping the next
+_LEAST_SAMPLES, _FIRST_BIN = 64, 3  # what the window smears from frequency 0 is left out
+_LONGEST_STEP = 1.5  # of the period; beyond it a sample is missing
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredJoint:
+    """A measured frequency response, at the frequencies at which it is certain.
+
+    Attributes:
+        frequency: In [rad/s], (N,), increasing.
+        response: From the effort sent to the position, in [rad/(N m)], (N,).
+        coherence: The lesser of those of reference and effort, reference and position, (N,).
+        spread: Standard deviation of the response over its size, by the coherence, (N,).
+        candidates: How many frequencies there were.
+        period: Median time between samples, in [s].
+        duration: Of the longest stretch without a missing sample, which was used, in [s].
+    """
+
+    frequency: Numbers
+    response: Complexes
+    coherence: Numbers
+    spread: Numbers
+    candidates: int
+    period: float
+    duration: float
+
+
+def measured_joint(series: JointSeries, least_coherence: float = LEAST_COHERENCE) -> MeasuredJoint:
+    """Return a joint's frequency response from its recording.
+
+    By Welch's method: Hann windows, half overlapping, at least eight in the record.
+
+    Args:
+        series: Reference, commanded effort and position.
+        least_coherence: Frequencies of less are left out.
+
+    Raises:
+        SettingError: The coherence is out of range.
+        SeriesError: No reference or effort was recorded, it is too short, the reference does not
+            move, or nothing is certain.
+    """
+    if not 0.0 < least_coherence < 1.0:
+        raise SettingError(f"the least coherence must lie in (0, 1), not {least_coherence:g}")
+    where = f"joint {series.joint!r}"
+    if not (series.has_reference and series.has_effort):
+        lacking = "effort" if series.has_reference else "reference"
+        raise SeriesError(f"{where}: no {lacking} was recorded, hence no frequency response")
+    period, (r, u, q) = _stretch(series)
+    length = 2 ** math.floor(math.log2(max(r.size / _SEGMENTS, 1.0)))
+    if length < _LEAST_SAMPLES:
+        raise SeriesError(
+            f"{where}: {r.size} samples without a gap are too few for a frequency response; "
+            f"{math.ceil(_LEAST_SAMPLES * _SEGMENTS)} are needed"
+        )
+    if np.ptp(r) == 0.0:
+        raise SeriesError(f"{where}: its reference does not move, and excites nothing")
+    frequency, s_rr = welch(r, 1.0 / period, nperseg=length)
+    s_uu, s_qq = (welch(each, 1.0 / period, nperseg=length)[1] for each in (u, q))
+    s_ru, s_rq = (csd(r, each, 1.0 / period, nperseg=length)[1] for each in (u, q))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        squares = [np.abs(s) ** 2 / (s_rr * own) for s, own in ((s_ru, s_uu), (s_rq, s_qq))]
+        response = s_rq / s_ru
+    coherence = np.nan_to_num(np.minimum(*squares))
+    is_candidate = np.arange(frequency.size) >= _FIRST_BIN
+    is_candidate[-1] = False  # the Nyquist frequency, where everything is real
+    is_certain = is_candidate & (coherence >= least_coherence)
+    is_certain &= s_rr >= _LEAST_POWER * s_rr[is_candidate].max(initial=0.0)
+    if not is_certain.any():
+        raise SeriesError(
+            f"{where}: no frequency has a coherence of {least_coherence:g}: the reference does "
+            f"not excite the joint, or something else moves it"
+        )
+    coherence = coherence[is_certain]
+    windows = 2.0 * r.size / length - 1.0
+    return MeasuredJoint(
+        2.0 * math.pi * frequency[is_certain],
+        response[is_certain],
+        coherence,
+        np.sqrt((1.0 - coherence) / (coherence * windows)),
+        int(is_candidate.sum()),
+        period,
+        r.size * period,
+    )
+
+
+def _stretch(series: JointSeries) -> tuple[float, tuple[Numbers, Numbers, Numbers]]:
+    """Return the period, and reference, effort and position of the longest stretch of samples."""
+    stamps, states, commands = np.intersect1d(
+        series.state_stamps_ns, series.command_stamps_ns, assume_unique=True, return_indices=True
+    )
+    if stamps.size < 2:
+        raise SeriesError(f"joint {series.joint!r}: no command answers a state of the recording")
+    steps = np.diff(stamps) * SECONDS_PER_NANOSECOND
+    period = float(np.median(steps))
+    breaks = np.flatnonzero(steps > _LONGEST_STEP * period) + 1
+    edges = np.concatenate([[0], breaks, [stamps.size]])
+    k = int(np.argmax(np.diff(edges)))
+    part = slice(int(edges[k]), int(edges[k + 1]))
+    return period, (
+        series.reference[states[part]],
+        series.effort[commands[part]],
+        series.position[states[part]],
+    )
+
+
+class Distance(NamedTuple):
+    """How far a measured open loop is from a computed one.
+
+    Attributes:
+        median: Of |measured / computed - 1| over the frequencies.
+        most: What 95 % of them stay below.
+        inertia: What inertia the measured gain stands for, in [kg m^2].
+        sensitivity: The largest |S| among the measured frequencies.
+        computed_sensitivity: The largest |S| of the computed loop at the same frequencies.
+    """
+
+    median: float
+    most: float
+    inertia: float
+    sensitivity: float
+    computed_sensitivity: float
+
+
+def distance(loop: FrozenLoop, measured: MeasuredJoint) -> Distance:
+    """Compare a computed loop with a measured joint under the same controller.
+
+    Args:
+        loop: The computed loop.
+        measured: The joint.
+    """
+    computed = loop.response(measured.frequency)
+    joint = loop.joint.response(measured.frequency).position
+    found = measured_loop(loop, measured)
+    off = np.abs(found / computed - 1.0)
+    gain = math.exp(float(np.median(np.log(np.abs(measured.response / joint)))))
+    return Distance(
+        float(np.median(off)),
+        float(np.quantile(off, 0.95)),
+        loop.joint.inertia / gain,
+        float((1.0 / np.abs(1.0 + found)).max()),
+        float((1.0 / np.abs(1.0 + computed)).max()),
+    )
+
+
+def measured_loop(loop: FrozenLoop, measured: MeasuredJoint) -> Complexes:
+    """Return the open loop that a controller makes of a measured joint, (N,).
+
+    Args:
+        loop: Whose controller.
+        measured: The joint.
+    """
+    return loop.controller(measured.frequency) * measured.response

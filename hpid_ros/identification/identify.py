@@ -1,0 +1,259 @@
+"""Inertia, friction, gravity, load and delay of joints from their recorded motion and efforts."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hpid_ros.base.arrays import Numbers
+from hpid_ros.base.errors import SettingError
+from hpid_ros.identification.equation import Equation, Terms
+from hpid_ros.identification.findings import findings, nothing
+from hpid_ros.identification.kernel import Kernel
+from hpid_ros.identification.motion import Grid, Motion, joined, motion_of
+from hpid_ros.identification.records import JointRecord, halves, spans
+from hpid_ros.identification.results import JointIdentification
+
+RigidBody = Callable[[Numbers, Numbers, Numbers], Numbers]
+"""Efforts that rigid bodies need, (K, R), in [N m], for the positions, velocities and
+accelerations of K joints at R rows, each (K, R); without rotors and friction."""
+
+_CUTOFFS = (20.0, 16.0, 12.5, 10.0, 8.0, 6.3, 5.0, 4.0, 3.15, 2.5, 2.0, 1.6, 1.25, 1.0)
+_HIGHEST = 0.1  # of the sampling frequency
+_NOISE = 1e-3  # of the acceleration's variance
+_PADDING = 40  # rows between two spans, as if nothing had been recorded there
+_LEAST_ROWS = 40
+_BIN = 1.0  # [s]
+_BUSY = 0.1  # of what the joint in question travels
+_TOGETHER = 0.1  # of the time in which it moves
+_STILL = 0.02  # of the joint that moves most
+_TOO_SLOW = "its direction is hardly ever known: it should move faster, or reverse less often"
+
+
+@dataclass(frozen=True)
+class Method:
+    """How joints are identified.
+
+    Attributes:
+        cutoff: Of the low pass, in [Hz]; chosen by the noise of each joint if None.
+        longest_delay: From effort to motion, in [s].
+        has_scale: Whether efforts are taken to be in a unit of their own, which the masses of
+            the rigid bodies fix.
+
+    Raises:
+        SettingError: One is out of range.
+    """
+
+    cutoff: float | None = None
+    longest_delay: float = 0.1
+    has_scale: bool = False
+
+    def __post_init__(self) -> None:
+        if self.cutoff is not None and not 0.0 < self.cutoff < math.inf:
+            raise SettingError(f"cutoff must be above 0 Hz, not {self.cutoff:g}")
+        if not 0.0 < self.longest_delay <= 1.0:
+            raise SettingError(
+                f"longest_delay must be above 0 and at most 1 s, not {self.longest_delay:g}"
+            )
+
+
+class _Rows(NamedTuple):
+    """All rows of all spans, as seen through one kernel."""
+
+    grids: list[Grid]
+    cells: list[int]
+    motions: list[list[Motion]]  # by joint, then span
+
+
+def identify(
+    records: Sequence[JointRecord],
+    rigid_body: RigidBody | None = None,
+    method: Method | None = None,
+    wanted: Sequence[str] | None = None,
+) -> tuple[JointIdentification, ...]:
+    """Identify joints.
+
+    Without rigid bodies each joint is taken for itself: what it moves is what it would with the
+    other joints at rest.
+
+    Args:
+        records: Of each joint; with rigid bodies of all that move.
+        rigid_body: What the links need, along ``records``.
+        method: How; as usual if not given.
+        wanted: Only these joints; all if None.
+    """
+    how = method or Method()
+    moving = max((_travel(each) for each in records), default=0.0)
+    found = []
+    for place, each in enumerate(records):
+        if wanted is not None and each.joint not in wanted:
+            continue
+        if rigid_body is None:
+            alone = _identified([each], 0, None, how, moving)
+            found.append(replace(alone, remarks=_company(each, records)))
+        else:
+            found.append(_identified(records, place, rigid_body, how, moving))
+    return tuple(found)
+
+
+def _company(own: JointRecord, records: Sequence[JointRecord]) -> tuple[str, ...]:
+    """Return who moves while a joint does, whose coupling nobody knows."""
+    if len(own.time) < 2:
+        return ()
+    edges = np.arange(own.time[0], own.time[-1] + _BIN, _BIN)
+    busy = _is_busy(own, edges, _travel(own))
+    if not busy.any():
+        return ()
+    names = [
+        each.joint
+        for each in records
+        if each is not own and np.mean(_is_busy(each, edges, _travel(own))[busy]) > _TOGETHER
+    ]
+    if not names:
+        return ()
+    shown = ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
+    return (
+        f"{shown} moved at the same time: what they need and what couples them is in these "
+        "numbers, for whose intervals nothing stands; give the robot, or move one joint at a time",
+    )
+
+
+def _is_busy(record: JointRecord, edges: Numbers, travel: float) -> NDArray[np.bool_]:
+    """Tell for each piece of time whether a joint moves by a part of a travel."""
+    if len(record.time) < 2:
+        return np.zeros(len(edges), dtype=np.bool_)
+    at = np.searchsorted(record.time, edges)
+    pieces = [record.position[a:b] for a, b in zip(at, [*at[1:], len(record.time)], strict=True)]
+    moved = np.array([float(np.ptp(each)) if len(each) else 0.0 for each in pieces])
+    return np.asarray(moved > _BUSY * travel)
+
+
+def _travel(record: JointRecord) -> float:
+    return float(np.ptp(record.position)) if len(record.position) else 0.0
+
+
+def _identified(
+    records: Sequence[JointRecord],
+    place: int,
+    rigid_body: RigidBody | None,
+    how: Method,
+    moving: float,
+) -> JointIdentification:
+    own = records[place]
+    reason = _why_not(own, moving)
+    if reason:
+        return nothing(own, reason)
+    if how.cutoff is not None:
+        kernel = Kernel(min(how.cutoff, _HIGHEST / own.period))
+    else:
+        kernel = _chosen_kernel(own, how)
+    rows = _rows(records, own, kernel, how)
+    if sum(grid.rows for grid in rows.grids) < _LEAST_ROWS:
+        return nothing(own, _too_short(own, kernel))
+    rigid = None if rigid_body is None else _rigid(rows, rigid_body, place)
+    equation = Equation(
+        Terms.of(
+            rows.motions[place], rigid, lambda of: _smoothed(rows, kernel, place, of), _PADDING
+        ),
+        lambda delay: _effort(own, rows, kernel, delay),
+        period=own.period,
+        cutoff=kernel.cutoff,
+        longest_delay=how.longest_delay,
+    )
+    if equation.used_rows < _LEAST_ROWS:
+        return nothing(own, _TOO_SLOW)
+    times = joined([grid.times for grid in rows.grids], _PADDING)
+    return findings(own, equation, times, kernel.cutoff, how.has_scale)
+
+
+def _why_not(record: JointRecord, moving: float) -> str:
+    if len(record.time) < 2 or len(record.effort_time) < 2:
+        return "there are no positions, or no efforts, to look at"
+    travel = _travel(record)
+    if travel == 0.0 or travel < _STILL * moving:
+        return f"it did not move (by {travel:.2g}): it needs a motion of its own"
+    if not np.any(record.effort):
+        return "its efforts are zero throughout"
+    return ""
+
+
+def _too_short(record: JointRecord, kernel: Kernel) -> str:
+    return (
+        f"no stretch without a gap is longer than {6.0 * kernel.half_width:.2g} s, which a low "
+        f"pass of {kernel.cutoff:g} Hz needs at samples every {record.period:.2g} s"
+    )
+
+
+def _chosen_kernel(record: JointRecord, how: Method) -> Kernel:
+    """Return the highest cut-off at which noise is a small part of the acceleration."""
+    best: tuple[float, Kernel] | None = None
+    for cutoff in _CUTOFFS:
+        if cutoff > _HIGHEST / record.period and cutoff > _CUTOFFS[-1]:
+            continue
+        kernel = Kernel(min(cutoff, _HIGHEST / record.period))
+        rows = _rows([record], record, kernel, how)
+        if not rows.grids:
+            continue
+        motions = rows.motions[0]
+        acceleration = np.concatenate([each.mean[2] for each in motions])
+        noise = math.sqrt(np.mean([each.noise[2] ** 2 for each in motions]))
+        share = noise**2 / max(float(np.var(acceleration)), 1e-300)
+        if best is None or share < best[0]:
+            best = share, kernel
+        if share <= _NOISE:
+            return kernel
+    return best[1] if best is not None else Kernel(min(_CUTOFFS[0], _HIGHEST / record.period))
+
+
+def _rows(records: Sequence[JointRecord], own: JointRecord, kernel: Kernel, how: Method) -> _Rows:
+    grids: list[Grid] = []
+    counts: list[int] = []
+    motions: list[list[Motion]] = [[] for _ in records]
+    for span in spans(records, own):
+        parts = [halves(each, span, own.period) for each in records]
+        cells = [each for each in parts if each is not None]
+        if len(cells) < len(parts):
+            continue
+        grid = Grid.over(cells[0], kernel, how.longest_delay)
+        if grid is None:
+            continue
+        grids.append(grid)
+        counts.append(len(cells[0].even))
+        for joint, each in zip(motions, cells, strict=True):
+            joint.append(motion_of(each, grid, kernel))
+    return _Rows(grids, counts, motions)
+
+
+def _rigid(rows: _Rows, rigid_body: RigidBody, place: int) -> list[Numbers]:
+    """Return what rigid bodies need of one joint, of either half, for each span, (2, R)."""
+    found = []
+    for span in range(len(rows.grids)):
+        both = [
+            rigid_body(*np.stack([joint[span].halves[half] for joint in rows.motions], axis=1))
+            for half in (0, 1)
+        ]
+        found.append(np.stack([each[place] for each in both]))
+    return found
+
+
+def _smoothed(
+    rows: _Rows, kernel: Kernel, place: int, of: Callable[[Numbers], Numbers]
+) -> Numbers:
+    """Return a function of a joint's velocity, smoothed at the rows, (R,)."""
+    each = zip(rows.grids, rows.motions[place], strict=True)
+    return joined([grid.smoothed(of(motion.velocity), kernel) for grid, motion in each], _PADDING)
+
+
+def _effort(record: JointRecord, rows: _Rows, kernel: Kernel, delay: float) -> Numbers:
+    """Return the smoothed effort and its rate at the rows, (2, R), if it acts with a delay."""
+    impulse = record.impulse()
+    parts = []
+    for grid, count in zip(rows.grids, rows.cells, strict=True):
+        means = np.diff(impulse(grid.edges(count) - delay)) / grid.length
+        parts.append(np.stack([grid.smoothed(means, kernel, order) for order in (0, 1)]))
+    return joined(parts, _PADDING)

@@ -1,0 +1,197 @@
+"""One joint's positions and efforts as they were recorded, and the spans of time without a gap."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+from scipy.interpolate import CubicSpline, PPoly
+
+from hpid_ros.base.arrays import Numbers
+from hpid_ros.base.errors import SettingError
+
+_CLOSEST = 0.25  # periods: what comes sooner after a sample is not another one
+_GAP = 3.5  # periods
+_ROUNDING = 1e-6  # cells: what stamps in floating point may be off
+_LEAST_SAMPLES = 16  # of a span
+
+
+@dataclass(frozen=True, eq=False)
+class JointRecord:
+    """What is known of one joint.
+
+    Attributes:
+        joint: Its name.
+        time: When it was where, strictly increasing, (N,), in [s].
+        position: Where it was, (N,), in [rad]; in [m] where it slides.
+        effort_time: When its efforts were commanded or measured, strictly increasing, (M,), in
+            [s].
+        effort: These, (M,), in [N m]; in [N] where it slides.
+        reference: Where it was to be at these times, (N,), in [rad]; empty where nobody knows.
+        is_held: Each effort acts until the next one comes, as a command does; a measured one is
+            a sample of something that changes steadily.
+
+    Raises:
+        SettingError: Shapes differ, times do not increase, or a number is not finite.
+    """
+
+    joint: str
+    time: Numbers
+    position: Numbers
+    effort_time: Numbers
+    effort: Numbers
+    reference: Numbers = field(default_factory=lambda: np.empty(0))
+    is_held: bool = True
+
+    def __post_init__(self) -> None:
+        for times, values in (("time", "position"), ("effort_time", "effort")):
+            when, what = getattr(self, times), getattr(self, values)
+            if when.ndim != 1 or when.shape != what.shape:
+                raise SettingError(
+                    f"joint {self.joint!r}: {values} has shape {what.shape}, but its times have "
+                    f"{when.shape}"
+                )
+            if not (np.isfinite(when).all() and np.isfinite(what).all()):
+                raise SettingError(f"joint {self.joint!r}: {times} and {values} must be finite")
+            if np.any(np.diff(when) <= 0.0):
+                raise SettingError(f"joint {self.joint!r}: {times} must increase strictly")
+        if self.reference.shape not in ((0,), self.position.shape):
+            raise SettingError(
+                f"joint {self.joint!r}: reference has shape {self.reference.shape}, but its times "
+                f"have {self.time.shape}"
+            )
+
+    @property
+    def period(self) -> float:
+        """Median time between two positions, in [s]; zero for fewer than two."""
+        return float(np.median(np.diff(self.time))) if len(self.time) > 1 else 0.0
+
+    def impulse(self) -> PPoly:
+        """Return the integral of the effort over time, in [N m s]."""
+        when, what = self.effort_time, self.effort
+        if self.is_held:
+            steps = what[None, :-1]
+        else:
+            steps = np.stack([np.diff(what) / np.diff(when), what[:-1]])
+        return PPoly(steps, when).antiderivative()
+
+
+class Span(NamedTuple):
+    """A time without a gap.
+
+    Attributes:
+        begin: In [s].
+        end: In [s].
+    """
+
+    begin: float
+    end: float
+
+
+def spans(records: Sequence[JointRecord], own: JointRecord) -> list[Span]:
+    """Return the times in which every joint has positions and one has efforts, in order.
+
+    Args:
+        records: The joints whose positions are needed.
+        own: The one whose efforts are.
+    """
+    common = _without_gaps(own.effort_time)
+    seen: list[Numbers] = []
+    for record in records:
+        if not any(np.array_equal(record.time, times) for times in seen):
+            seen.append(record.time)
+            common = _overlaps(common, _without_gaps(record.time))
+    return common
+
+
+def _without_gaps(times: Numbers) -> list[Span]:
+    if len(times) < 2:
+        return []
+    steps = np.diff(times)
+    late = np.flatnonzero(steps > _GAP * np.median(steps))
+    begins = times[np.concatenate([[0], late + 1])]
+    ends = times[np.concatenate([late, [len(times) - 1]])]
+    return [Span(float(a), float(b)) for a, b in zip(begins, ends, strict=True) if b > a]
+
+
+def _overlaps(ones: Sequence[Span], others: Sequence[Span]) -> list[Span]:
+    found = []
+    for one in ones:
+        for other in others:
+            begin, end = max(one.begin, other.begin), min(one.end, other.end)
+            if begin < end:
+                found.append(Span(begin, end))
+    return found
+
+
+class Halves(NamedTuple):
+    """A joint's positions within a span, as two sets of means over cells of one length.
+
+    The one is of every second sample, the other of those between: the same motion, each with
+    noise of its own.
+
+    Attributes:
+        even: Means of the position over the cells, (K,), in [rad].
+        odd: Likewise, of the other samples, over the same cells.
+        first: Middle of the first cell, in [s].
+        reference: Likewise, of the reference; empty where nobody knows it.
+        first: Middle of the first cell, in [s].
+        length: Of a cell, in [s].
+    """
+
+    even: Numbers
+    odd: Numbers
+    reference: Numbers
+    first: float
+    length: float
+
+    @property
+    def middles(self) -> Numbers:
+        """Middles of the cells, (K,), in [s]."""
+        return np.asarray(self.first + self.length * np.arange(len(self.even)))
+
+
+def halves(record: JointRecord, span: Span, period: float) -> Halves | None:
+    """Return a joint's positions within a span; None where there are too few.
+
+    Args:
+        record: The joint.
+        span: The time.
+        period: Time between two samples that counts, in [s]; a cell is twice as long.
+    """
+    inside = slice(
+        int(np.searchsorted(record.time, span.begin)),
+        int(np.searchsorted(record.time, span.end, "right")),
+    )
+    time, position = _apart(record.time[inside], record.position[inside], _CLOSEST * period)
+    length = 2.0 * period
+    begin = span.begin + length  # both halves reach as far
+    count = int((span.end - begin) / length - 1.0 + _ROUNDING)
+    if len(time) < _LEAST_SAMPLES or count < 1:
+        return None
+    edges = begin + length * np.arange(count + 1)
+    means = []
+    for part in (slice(0, None, 2), slice(1, None, 2)):
+        integral = CubicSpline(time[part], position[part] - position[0]).antiderivative()
+        means.append(np.diff(integral(edges)) / length + position[0])
+    reference = np.empty(0)
+    if len(record.reference):
+        aim = record.reference[inside]
+        steps = np.stack([np.diff(aim) / np.diff(record.time[inside]), aim[:-1]])
+        integral = PPoly(steps, record.time[inside]).antiderivative()
+        reference = np.diff(integral(edges)) / length
+    return Halves(means[0], means[1], reference, float(edges[0] + period), length)
+
+
+def _apart(time: Numbers, values: Numbers, least: float) -> tuple[Numbers, Numbers]:
+    """Leave out samples that come too soon after the one before."""
+    if len(time) < 2 or np.diff(time).min() >= least:
+        return time, values
+    kept, last = [], -np.inf
+    for k, each in enumerate(time):
+        if each - last >= least:
+            kept.append(k)
+            last = float(each)
+    return time[kept], values[kept]

@@ -1,0 +1,188 @@
+"""``hpid identify``: from a bag to numbers that other commands take."""
+
+import json
+
+import numpy as np
+import pytest
+import yaml
+from harness.motions import Plant, motion, needed
+
+from hpid_ros.bags import BagWriter
+from hpid_ros.base.resources import share_folder
+from hpid_ros.cli.main import main
+from hpid_ros.experiment.description import load_experiment
+from hpid_ros.wire import JointStateTemplate
+
+JOINT_STATE = "sensor_msgs/msg/JointState"
+PERIOD_NS = 2_000_000
+JOINTS = ("arm_joint_4", "arm_joint_6")
+PLANT = Plant(inertia=0.05, viscous=0.2, coulomb=0.1, offset=0.02, delay=0.004)
+URDF = share_folder() / "urdf" / "mobile_manipulator.urdf"
+
+
+def write(path, runs=1, seconds=10.0, effort_in_states=False):
+    """Write a bag: the first joint moves, the other one stands still; each run begins at 1 s."""
+    times = 1.0 + np.arange(0.0, seconds, PERIOD_NS * 1e-9)
+    state = JointStateTemplate(JOINTS, position=True, effort=effort_in_states)
+    command = JointStateTemplate(JOINTS, effort=True)
+    with BagWriter(path) as bag:
+        names = ("/joint_states",) if effort_in_states else ("/joint_states", "/joint_commands")
+        topics = [bag.add_topic(name, JOINT_STATE) for name in names]
+        for run in range(runs):
+            position = motion(times, run + 1, 0.4)[0]
+            effort = needed(PLANT, *motion(times + PLANT.delay + 1e-3, run + 1, 0.4))
+            for k, time in enumerate(times):
+                stamp = round(time * 1e9)
+                log = stamp + run * 100_000_000_000
+                at, efforts = (position[k], 0.3), (effort[k], 0.5)
+                if effort_in_states:
+                    bag.write(topics[0], log, state.encode(stamp, position=at, effort=efforts))
+                else:
+                    bag.write(topics[0], log, state.encode(stamp, position=at))
+                    bag.write(topics[1], log, command.encode(stamp, effort=efforts))
+    return path
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory):
+    return write(tmp_path_factory.mktemp("identify") / "bag")
+
+
+def identify(capsys, *arguments):
+    """Return exit code, output and errors."""
+    capsys.readouterr()
+    code = main(["identify", *map(str, arguments)])
+    told = capsys.readouterr()
+    return code, told.out, told.err
+
+
+def test_a_bag_gives_numbers_and_a_still_joint_a_reason(bag, tmp_path, capsys):
+    code, out, _ = identify(capsys, bag, "--json", tmp_path / "found.json")
+    assert code == 0
+    assert "efforts: /joint_commands" in out
+    assert "nothing found: it did not move" in out
+    document = json.loads((tmp_path / "found.json").read_text())["joints"]
+    moving, still = (document[name] for name in JOINTS)
+    for name in ("inertia", "viscous", "coulomb", "offset"):
+        each = moving["estimates"][name]
+        assert each["value"] == pytest.approx(getattr(PLANT, name), rel=0.02)
+        assert each["low"] < each["value"] < each["high"]
+    assert moving["estimates"]["delay"]["value"] == pytest.approx(PLANT.delay, abs=2e-4)
+    assert moving["estimates"]["inertia"]["unit"] == "kg m^2"
+    assert still["estimates"] == {}
+    assert still["not_told"]
+
+
+def test_the_screen_holds_eighty_columns(bag, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    monkeypatch.setenv("TERM", "dumb")
+    _, out, _ = identify(capsys, bag, "--urdf", URDF)
+    table = out.split("SI units")[0]
+    assert max(map(len, table.splitlines())) <= 80
+
+
+def test_measured_efforts_are_taken_where_nothing_was_commanded(tmp_path, capsys):
+    code, out, _ = identify(capsys, write(tmp_path / "bag", effort_in_states=True))
+    assert code == 0
+    assert "efforts: measured, of /joint_states" in out
+
+
+def test_runs_after_a_reset_of_the_clock_are_all_used(tmp_path, capsys):
+    one, three = tmp_path / "1.json", tmp_path / "3.json"
+    identify(capsys, write(tmp_path / "one"), "--json", one)
+    code, _, _ = identify(capsys, write(tmp_path / "three", runs=3), "--json", three)
+    assert code == 0
+    first, all_ = (json.loads(each.read_text())["joints"][JOINTS[0]] for each in (one, three))
+    assert all_["time"] > 2.5 * first["time"]
+    assert all_["estimates"]["inertia"]["value"] == pytest.approx(PLANT.inertia, rel=0.02)
+
+
+def test_what_is_written_is_taken_by_other_commands(bag, tmp_path, capsys):
+    found = tmp_path / "identified.yaml"
+    code, out, _ = identify(capsys, bag, "--urdf", URDF, "-o", found)
+    assert code == 0
+    assert f"written: {found}" in out
+    text = found.read_text()
+    document = yaml.safe_load(text)
+    own = document["robot"]["joints"]["arm_joint_4"]
+    assert own["damping"] == pytest.approx(PLANT.viscous, rel=0.02)
+    assert own["friction"] == pytest.approx(PLANT.coulomb, rel=0.05)
+    assert "95 %" in text
+    assert own["gear_ratio"] > 1.0
+    assert 0.0 < own["rotor_inertia"] * own["gear_ratio"] ** 2 < PLANT.inertia
+    assert "arm_joint_6" not in document["robot"]["joints"]
+    inertia = document["controllers"]["joints"]["arm_joint_4"]["inertia"]
+    pid = tmp_path / "pid.yaml"
+    gains = {"p": 400.0 * inertia, "i": 500.0 * inertia, "d": 40.0 * inertia}
+    node = {"ros__parameters": {"joint": "arm_joint_4", "law": "pid", "gains": gains}}
+    pid.write_text(yaml.safe_dump({"a": node}))
+    assert main(["check-gains", str(pid), "--inertia", str(found)]) == 0
+    assert main(["check-gains", str(pid), "--urdf", str(found)]) == 0
+    assert main(["robot", str(found)]) == 0
+    upgraded = tmp_path / "up.yaml"
+    options = ["--goal", "fast", "--inertia", str(found), "-o", str(upgraded)]
+    assert main(["upgrade", str(pid), *options]) == 0
+    assert upgraded.is_file()
+
+
+def test_an_experiment_is_amended_by_what_was_found(bag, tmp_path, capsys):
+    found = tmp_path / "identified.yaml"
+    paper = share_folder() / "config" / "experiments" / "paper.yaml"
+    assert identify(capsys, bag, "--urdf", paper, "-o", found)[0] == 0
+    experiment = load_experiment(found)
+    own = yaml.safe_load(found.read_text())["controllers"]["joints"]["arm_joint_4"]["inertia"]
+    loops = {each.joint: each for each in experiment.controllers["PID"]}
+    assert loops["arm_joint_4"].inertia == own
+
+
+def test_without_a_robot_the_inertia_alone_is_taken(bag, tmp_path, capsys):
+    found = tmp_path / "identified.yaml"
+    assert identify(capsys, bag, "-o", found)[0] == 0
+    document = yaml.safe_load(found.read_text())
+    assert "rotor_inertia" not in document["robot"]["joints"]["arm_joint_4"]
+    own = document["controllers"]["joints"]["arm_joint_4"]["inertia"]
+    assert own == pytest.approx(PLANT.inertia, rel=0.02)
+    assert main(["check-gains", "--p", "1", "--i", "1", "--d", "1", "--inertia", str(URDF)]) == 2
+
+
+def test_a_picture_is_drawn(bag, tmp_path, capsys):
+    assert identify(capsys, bag, "--plot", tmp_path / "found.png")[0] == 0
+    assert (tmp_path / "found.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_nothing_that_is_there_is_replaced(bag, tmp_path, capsys):
+    there = tmp_path / "there.yaml"
+    there.write_text("mine")
+    for option in ("-o", "--json"):
+        code, _, err = identify(capsys, bag, option, there)
+        assert code == 2
+        assert "exists" in err
+        assert there.read_text() == "mine"
+    assert identify(capsys, bag, "-o", there, "--force")[0] == 0
+    assert there.read_text() != "mine"
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        (["--joint", "nope"], "unknown joint 'nope'"),
+        (["--urdf", "no.urdf"], "no.urdf"),
+        (["--plot", "x.gif"], "--plot must end in"),
+        (["--effort-unit", "any"], "needs --urdf"),
+        (["--cutoff", "0"], "cutoff must be above 0"),
+        (["--longest-delay", "7"], "longest_delay must be"),
+        (["-o", "same", "--json", "same"], "different files"),
+    ],
+)
+def test_bad_input_is_one_line(bag, capsys, options, told):
+    code, out, err = identify(capsys, bag, *options)
+    assert (code, out) == (2, "")
+    assert told in err
+    assert len(err.splitlines()) == 1
+
+
+def test_a_bag_without_motion_fails(tmp_path, capsys):
+    code, out, _ = identify(capsys, write(tmp_path / "bag"), "--joint", JOINTS[1])
+    assert code == 1
+    assert "nothing found" in out

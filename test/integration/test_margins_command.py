@@ -1,0 +1,217 @@
+"""hpid margins: from a file to a table, a document and a picture."""
+
+import json
+import os
+import re
+import struct
+
+import pytest
+import yaml
+from harness.bags import command as command_of
+from harness.bags import state as state_of
+from harness.bags import trajectory as trajectory_of
+from harness.bags import write_bag
+from harness.excitation import excited_run, multisine
+
+from hpid_ros.base.resources import share_folder
+from hpid_ros.cli.commands import BAD_INPUT, DONE, FAILED
+from hpid_ros.cli.main import main
+from hpid_ros.control import LoopSettings
+from hpid_ros.frequency import SampledJoint
+from hpid_ros.trajectory import JointTrajectory, TrajectoryPoint
+
+PAPER = str(share_folder() / "config" / "experiments" / "paper.yaml")
+PARAMETERS = {
+    "joint": "elbow",
+    "law": "hpid",
+    "mu": -0.2,
+    "gains": {"p": 21.0, "i": 52.5, "d": 2.1},
+    "inertia": 0.105,
+    "velocity_source": "filtered",
+    "norm": {"effort_scale": 3.0, "floor": 0.1, "type": "canonical"},
+}
+DECOUPLED = {"compensation": "decoupling", "gains": {"p": 200.0, "i": 500.0, "d": 20.0}}
+
+
+@pytest.fixture
+def file(tmp_path):
+    def write(**changes):
+        path = tmp_path / "controllers.yaml"
+        document = {"elbow_controller": {"ros__parameters": {**PARAMETERS, **changes}}}
+        path.write_text(yaml.safe_dump(document))
+        return str(path)
+
+    return write
+
+
+def document_of(arguments, tmp_path, code=DONE):
+    path = tmp_path / "margins.json"
+    assert main(["margins", *arguments, "--json", str(path), "--force"]) == code
+    return json.loads(path.read_text())["loops"]
+
+
+def test_both_verdicts_stand_side_by_side(file, tmp_path, capsys):
+    loops = document_of([file()], tmp_path)
+    (loop,) = loops.values()
+    out = capsys.readouterr().out
+    first, second = (out[out.index(word) :].splitlines() for word in ("loop ", "loop  certified"))
+    assert [line.split()[0] for line in first[:4]] == ["loop", "elbow", "at", "as"]
+    assert "yes stable" in second[1]
+    assert loop["is_certified"]
+    assert loop["is_stable_frozen"]
+    pid, band = loop["pid"]["worst"], loop["band"]["worst"]
+    assert band["disk"] < pid["disk"]
+    assert loop["multiplier"] == pytest.approx([2.0**-0.2, 0.1**-0.2])
+    assert loop["at_rest"]["where"]["disk"]["multiplier"] == pytest.approx(0.1**-0.2)
+    assert {each["multiplier"] for each in loop["cases"]} >= {1.0, *loop["multiplier"]}
+
+
+def test_friction_and_delay_of_an_experiment_are_in_its_margins(tmp_path):
+    loops = document_of([PAPER, "--joint", "arm_joint_1", "--controller", "PID"], tmp_path)
+    assert list(loops) == ["PID arm_joint_1"]
+    assert loops["PID arm_joint_1"]["friction"] == 0.5
+    changed = document_of(
+        [PAPER, "--joint", "arm_joint_1", "--friction", "arm_joint_1=0", "--delay", "0.004"],
+        tmp_path,
+    )
+    assert list(changed) == ["PID arm_joint_1", "hPID arm_joint_1"]
+    pid = changed["PID arm_joint_1"]
+    assert (pid["friction"], pid["delay"]) == (0.0, 0.004)
+    assert pid["pid"]["worst"]["disk"] < loops["PID arm_joint_1"]["pid"]["worst"]["disk"]
+
+
+def test_a_range_of_inertia_says_where_it_is_worst(file, tmp_path):
+    (loop,) = document_of([file(inertia=0.0), "--inertia", "0.05", "0.3"], tmp_path).values()
+    assert loop["inertia"] == [0.05, 0.3]
+    assert loop["band"]["where"]["gain"]["inertia"] == 0.05
+    assert loop["band"]["where"]["gain_reduction"]["inertia"] == 0.3
+
+
+def test_a_loop_that_sampling_breaks_is_unstable_and_has_no_margins(file, tmp_path, capsys):
+    """Certified as an unsampled loop, and broken where it is sampled: both are said."""
+    arguments = [file(control_period=0.02, norm={"floor": 1e-3, "rate_weight": 0.1})]
+    loops = document_of([*arguments, "--delay", "0.02"], tmp_path, FAILED)
+    out = capsys.readouterr().out
+    assert loops["elbow"]["band"]["worst"] is None
+    assert loops["elbow"]["band"]["unstable"]
+    assert re.search(r"elbow: frozen at lam [\d.]+ [\d.]+ \(norm .* it is unstable", out)
+    assert "UNSTABLE" in out
+    assert loops["elbow"]["is_certified"]
+
+
+@pytest.mark.parametrize("form", ["png", "pdf", "svg"])
+def test_the_picture_is_drawn_and_the_same_each_time(file, tmp_path, form):
+    path = tmp_path / f"margins.{form}"
+    arguments = ["margins", file(), "--plot", str(path)]
+    assert main(arguments) == DONE
+    first = path.read_bytes()
+    assert main([*arguments, "--force"]) == DONE
+    assert path.read_bytes() == first
+    if form == "png":
+        width, height = struct.unpack(">II", first[16:24])
+        assert (width, height) == (1500, 1350)
+    if form == "svg":
+        assert "hPID, lam frozen in [0.871, 1.58]" in first.decode()
+
+
+def test_several_loops_have_a_picture_each(tmp_path):
+    path = tmp_path / "m.svg"
+    names = ["arm_joint_1", "arm_joint_6"]
+    joints = [word for name in names for word in ("--joint", name)]
+    assert main(["margins", PAPER, *joints, "--plot", str(path)]) == DONE
+    assert sorted(each.name for each in tmp_path.iterdir()) == [
+        f"m-hPID-{name}.svg" for name in names
+    ]
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory):
+    """Eight seconds of a PID on a joint of 0.105 kg m^2 with friction, excited."""
+    flat = {k: v for k, v in PARAMETERS.items() if not isinstance(v, dict)}
+    flat |= {f"gains.{term}": value for term, value in PARAMETERS["gains"].items()}
+    settings = LoopSettings.from_parameters({**flat, "law": "pid"})
+    reference = multisine(8192, 2e-4, range(1, 500), 0.001)
+    (series,) = excited_run(settings, SampledJoint(0.105, 0.001, 0.5), reference).joints
+    stamps = [int(each) for each in series.state_stamps_ns]
+    points = tuple(
+        TrajectoryPoint(stamp, (float(x),)) for stamp, x in zip(stamps, reference, strict=True)
+    )
+    log = [trajectory_of(0, JointTrajectory(("elbow",), points))]
+    for stamp, position, effort in zip(stamps, series.position, series.effort, strict=True):
+        log += [state_of(stamp, elbow=position), command_of(stamp, elbow=effort)]
+    return write_bag(tmp_path_factory.mktemp("bag") / "excited", log)
+
+
+def test_a_recorded_excitation_lies_on_the_computed_loop(file, bag, tmp_path, capsys):
+    plot = tmp_path / "measured.svg"
+    arguments = [file(), "--friction", "0.5", "--bag", str(bag), "--plot", str(plot)]
+    (loop,) = document_of(arguments, tmp_path).values()
+    measured = loop["measured"]
+    assert measured["median"] < 0.01
+    assert measured["inertia"] == pytest.approx(0.105, rel=0.01)
+    assert len(measured["frequency"]) > 50
+    assert min(measured["coherence"]) >= 0.95
+    out = capsys.readouterr().out
+    assert re.search(r"elbow: measured at \d+ of \d+ frequencies, .* inertia of 0.105 kg m", out)
+    assert "measured" in plot.read_text()
+    # The same bag against a joint that is another one.
+    arguments = [file(inertia=0.0), "--inertia", "0.2", *arguments[1:]]
+    (other,) = document_of(arguments, tmp_path).values()
+    assert other["measured"]["median"] > 0.3
+    assert other["measured"]["inertia"] == pytest.approx(0.105, rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("changes", "arguments", "words"),
+    [
+        ({}, ["--joint", "knee"], "unknown joint 'knee'"),
+        ({}, ["--controller", "PID"], "--controller is for experiments"),
+        ({}, ["--delay", "1"], "must lie in [0, 0.2] s"),
+        ({}, ["--friction", "elbow=-1"], "--friction takes B or JOINT=B"),
+        ({}, ["--friction", "knee=1"], "unknown joint in --friction 'knee'"),
+        ({}, ["--norm-max", "0"], "largest norm must be positive"),
+        ({}, ["--plot", "m.gif"], "unknown figure format 'gif'"),
+        ({"inertia": 0.0}, [], "the inertia of 'elbow' is unknown"),
+        ({"control_period": 0.002}, ["--bag", "BAG"], "but control_period is 0.002 s"),
+        ({}, ["--bag", "BAG", "--coherence", "2"], "coherence must lie in (0, 1)"),
+        ({}, ["--bag", "none"], "none"),
+        (
+            {"compensation": "decoupling", "gains": {"p": 200.0, "i": 500.0, "d": 20.0}},
+            ["--bag", "BAG"],
+            "cannot be compared",
+        ),
+    ],
+)
+def test_bad_input_is_one_line_and_exit_code_two(file, bag, changes, arguments, words, capsys):
+    arguments = [str(bag) if each == "BAG" else each for each in arguments]
+    assert main(["margins", file(**changes), *arguments]) == BAD_INPUT
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert words in line
+
+
+def test_nothing_is_overwritten_unasked(file, tmp_path, capsys):
+    path = tmp_path / "there.json"
+    path.write_text("mine")
+    assert main(["margins", file(), "--json", str(path)]) == BAD_INPUT
+    assert "exists" in capsys.readouterr().err
+    assert path.read_text() == "mine"
+    own = file()
+    assert main(["margins", own, "--json", own, "--force"]) == BAD_INPUT
+    assert "is an input" in capsys.readouterr().err
+
+
+def test_a_reader_who_has_seen_enough_is_no_failure(file):
+    import subprocess
+    import sys
+
+    command = [sys.executable, "-m", "hpid_ros.cli.main", "margins", file()]
+    pipe = subprocess.run(
+        f"{' '.join(command)} | head -1",
+        shell=True,
+        capture_output=True,
+        text=True,
+        check=True,
+        env={**os.environ, "COLUMNS": "80"},
+    )
+    assert pipe.stdout.startswith("loop")
+    assert not pipe.stderr

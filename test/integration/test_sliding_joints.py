@@ -1,0 +1,474 @@
+"""Joints that slide: m and N wherever a number of theirs is told, and the same numbers."""
+
+import csv
+import io
+import json
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from harness.bags import JOINT_STATE, MS, TYPES, command, ramp, state, trajectory
+
+from hpid_ros.analysis.comparison import Comparison, answer
+from hpid_ros.analysis.indices.run import run_indices
+from hpid_ros.bags import BagWriter
+from hpid_ros.bags.metadata import SLIDES, recorded_slides, slides_entry
+from hpid_ros.cli.commands import BAD_INPUT, DONE
+from hpid_ros.cli.main import main
+from hpid_ros.metrics import measure
+from hpid_ros.recordings.series import RunSeries
+from hpid_ros.report.figures.plots import FIGURES
+from hpid_ros.report.html.data import figures_data
+from hpid_ros.report.tables.export import FORMATS
+
+ROBOT = """<robot name="lift">
+  <link name="base"/>
+  <link name="car"><inertial><mass value="2"/>
+    <inertia ixx="0.02" ixy="0" ixz="0" iyy="0.02" iyz="0" izz="0.02"/></inertial></link>
+  <link name="arm"><inertial><origin xyz="0.2 0 0"/><mass value="0.5"/>
+    <inertia ixx="0.01" ixy="0" ixz="0" iyy="0.01" iyz="0" izz="0.01"/></inertial></link>
+  <joint name="lift" type="prismatic"><parent link="base"/><child link="car"/>
+    <axis xyz="0 0 1"/><limit lower="-1" upper="1" effort="200" velocity="2"/></joint>
+  <joint name="turn" type="revolute"><parent link="car"/><child link="arm"/>
+    <axis xyz="0 0 1"/><limit lower="-3" upper="3" effort="20" velocity="5"/></joint>
+</robot>
+"""
+EXPERIMENT = """name: lift
+robot: {description: lift.urdf, fixed_base: true}
+simulation: {engine: mujoco}
+control: {rate: 250}
+duration: 0.4
+reference:
+  kind: step
+  times: [0.0, 0.1]
+  positions: {lift: [0.0, 0.2], turn: [0.0, 0.5]}
+controllers:
+  common: {norm: {error_scale: 0.1, rate_weight: 0.6}}
+  joints:
+    lift: {gains: {p: 400.0, i: 400.0, d: 60.0}, inertia: 2.5}
+    turn: {gains: {p: 8.0, i: 8.0, d: 1.0}, inertia: 0.03}
+compare:
+  PID: {law: pid}
+  hPID: {law: hpid, mu: -0.1}
+"""
+NOTE = "lift slides, in m and N; the others are in rad and N m. Totals add unlike units."
+
+
+@pytest.fixture(scope="module")
+def experiment(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("lift")
+    (folder / "lift.urdf").write_text(ROBOT)
+    (folder / "lift.yaml").write_text(EXPERIMENT)
+    return folder / "lift.yaml"
+
+
+@pytest.fixture(scope="module")
+def result(experiment):
+    """Return the folder of a comparison."""
+    folder = experiment.with_name("result")
+    options = ["--in-process", "--no-figures", "-o", str(folder)]
+    assert main(["compare", str(experiment), *options]) == DONE
+    return folder
+
+
+@pytest.fixture
+def run(capsys):
+    """Return a function that runs ``hpid`` and gives its exit code and streams."""
+
+    def hpid(*arguments):
+        capsys.readouterr()
+        code = main([*map(str, arguments)])
+        return code, *capsys.readouterr()
+
+    return hpid
+
+
+def rows_of(text):
+    return list(csv.DictReader(io.StringIO(text)))
+
+
+def units_of(text):
+    return {(row["joint"], row["quantity"]): row["unit"] for row in rows_of(text)}
+
+
+# Tables ----------------------------------------------------------------------------------------
+
+
+def test_a_table_names_both_units_and_which_joints_slide(run, result):
+    _, table, _ = run("metrics", result)
+    for heading in ("IVC [N m, N]", "IAVC [N m s, N s]", "ITAE [rad s^2, m s^2]"):
+        assert heading in table
+    assert "||u|| [N m s^0.5, N s^0.5]" in table
+    assert table.count(NOTE) == 1
+    assert max(map(len, table.splitlines())) <= 80
+    assert table.startswith((result / "table.txt").read_text().split("\nRatio")[0][:200])
+    _, overall, _ = run("metrics", result, "--overall", "--indices", "all", "--units", "deg")
+    for heading in ("RMSE [deg, m]", "ISE [deg^2 s, m^2 s]", "energy [J]", "rise [s]"):
+        assert heading in overall
+    assert NOTE.replace("rad", "deg") in overall
+
+
+def test_where_all_joints_slide_there_is_one_unit_and_no_note(run, result):
+    _, table, _ = run("metrics", result, "--joints", "lift")
+    assert "IVC [N] " in table
+    assert "ITAE [m s^2]" in table
+    assert not re.search(r"\brad\b|N m|slides", table)
+    _, table, _ = run("metrics", result, "--joints", "turn")
+    assert "ITAE [rad s^2]" in table
+    assert "slides" not in table
+    _, table, _ = run("metrics", result, "--indices", "rise_time,energy")
+    assert "slides" not in table  # no unit of it is another one
+
+
+def test_every_row_of_csv_has_its_own_unit(run, result):
+    _, text, _ = run("metrics", result, "--csv", "--indices", "all")
+    units = units_of(text)
+    assert units["lift", "ivc"] == "N"
+    assert units["turn", "ivc"] == "N m"
+    assert units["", "ivc"] == "N m, N"
+    assert (units["lift", "rmse"], units["turn", "rmse"]) == ("m", "rad")
+    assert units["lift", "energy"] == units["turn", "energy"] == units["", "energy"] == "J"
+    assert units_of((result / "table.csv").read_text())["lift", "itae"] == "m s^2"
+
+
+def test_latex_has_the_units_and_the_note(run, result):
+    _, text, _ = run("metrics", result, "--latex")
+    assert r"IVC [N\,m, N]" in text
+    assert r"ITAE [rad\,s$^2$, m\,s$^2$]" in text
+    assert NOTE in text
+
+
+def test_json_says_which_joints_slide_and_the_unit_of_each(run, result):
+    _, text, _ = run("metrics", result, "--json")
+    for document in (
+        json.loads(text),
+        json.loads((result / "result.json").read_text())["indices"],
+    ):
+        found = document["runs"]["hPID"]
+        assert found["slides"] == ["lift"]
+        assert found["units"]["ivc"] == "N m, N"
+        assert found["joint_units"]["lift"]["chatter"] == "N"
+        assert found["joint_units"]["turn"]["chatter"] == "N m"
+
+
+def test_a_single_run_in_words_names_both_units(result):
+    numbers = measure(result / "bags" / "PID").run
+    text = answer(Comparison((numbers,)))
+    assert re.search(r"\(IVC\) [\d.]+ \[N m, N\]", text)
+
+
+# Numbers ---------------------------------------------------------------------------------------
+
+
+def test_nothing_but_units_changes_where_a_joint_slides(result):
+    """The same arrays with and without: the same numbers, in every format."""
+    texts = []
+    for slides in ({"lift"}, ()):
+        runs = []
+        for label in ("PID", "hPID"):
+            series = measure(result / "bags" / label).series.with_slides(slides)
+            runs.append(run_indices(series))
+        comparison = Comparison(tuple(runs))
+        texts.append({name: form(comparison) for name, form in FORMATS.items()})
+        numbers = [replace(run, slides=frozenset()) for run in runs]
+        if slides:
+            known = numbers
+        assert numbers == known
+    sliding, turning = texts
+    for one, other in zip(rows_of(sliding["csv"]), rows_of(turning["csv"]), strict=True):
+        assert {**one, "unit": ""} == {**other, "unit": ""}
+    figures = [
+        re.findall(r"\d+\.\d+[=▲▼]?", re.sub(r"\[.*?\]", "", text["table"])) for text in texts
+    ]
+    assert figures[0] == figures[1]
+    documents = [json.loads(text["json"]) for text in texts]
+    for document in documents:
+        for each in document["runs"].values():
+            for key in ("units", "slides", "joint_units"):
+                each.pop(key, None)
+    assert documents[0] == documents[1]
+    assert "slides" not in turning["json"]
+    assert "joint_units" not in turning["json"]
+
+
+def test_degrees_leave_alone_what_slides(run, result):
+    of_unit = {}
+    for unit in ("rad", "deg"):
+        _, text, _ = run("metrics", result, "--csv", "--indices", "all", "--units", unit)
+        of_unit[unit] = {
+            (row["run"], row["joint"], row["quantity"]): float(row["value"])
+            for row in rows_of(text)
+            if row["value"]
+        }
+    degree = 180.0 / np.pi
+    rad, deg = of_unit["rad"], of_unit["deg"]
+    for (label, joint, key), value in rad.items():
+        if joint == "lift":
+            assert deg[label, joint, key] == value
+    for label in ("PID", "hPID"):
+        lift, turn = (rad[label, joint, "itae"] for joint in ("lift", "turn"))
+        assert deg[label, "", "itae"] == pytest.approx(lift + degree * turn, rel=1e-12)
+        lift, turn = (rad[label, joint, "error_l2"] for joint in ("lift", "turn"))
+        assert deg[label, "", "error_l2"] == pytest.approx(np.hypot(lift, degree * turn), rel=1e-9)
+        largest = max(rad[label, "lift", "error_max"], degree * rad[label, "turn", "error_max"])
+        assert deg[label, "", "error_max"] == pytest.approx(largest, rel=1e-12)
+        assert deg[label, "", "ivc"] == rad[label, "", "ivc"]
+
+
+@pytest.mark.parametrize("unit", ["rad", "deg"])
+def test_saved_numbers_keep_their_units(run, result, tmp_path, unit):
+    saved = tmp_path / "saved.json"
+    _, first, _ = run("metrics", result, "--units", unit, "--save", saved, "--csv")
+    _, again, _ = run("metrics", saved, "--units", unit, "--csv")
+    assert again == first
+    _, other, _ = run("metrics", saved, "--units", "deg", "--csv")
+    assert units_of(other)["lift", "itae"] == "m s^2"
+    assert units_of(other)["turn", "itae"] == "deg s^2"
+
+
+@pytest.mark.parametrize(
+    ("change", "line"),
+    [
+        ({"slides": ["hoist"]}, "unknown joint 'hoist'"),
+        ({"slides": 3}, "is damaged"),
+        ({"slides": []}, "itae is in 'rad s^2, m s^2', but must be in rad s^2 or deg s^2"),
+    ],
+)
+def test_saved_numbers_that_contradict_themselves_are_refused(run, result, tmp_path, change, line):
+    document = json.loads((result / "result.json").read_text())["indices"]
+    document["runs"]["PID"] |= change
+    (tmp_path / "x.json").write_text(json.dumps(document))
+    code, _, errors = run("metrics", tmp_path / "x.json")
+    assert code == BAD_INPUT
+    assert line in errors
+
+
+def test_medians_over_both_kinds_are_not_turned_into_degrees(run, result, tmp_path):
+    bag, saved = result / "bags" / "PID", tmp_path / "medians.json"
+    code, table, _ = run("metrics", "--group", "A", bag, bag, "--units", "deg", "--save", saved)
+    assert code == DONE  # single runs can be
+    assert "ITAE [deg s^2, m s^2]" in table
+    code, _, errors = run("metrics", saved)
+    assert code == BAD_INPUT
+    assert "its totals cannot be given in rad; give the single runs" in errors
+
+
+# Where it is told from -------------------------------------------------------------------------
+
+
+def foreign_bag(path, description=None, *, has_reference=True, namespace="/"):
+    """Write a bag as ``ros2 bag record`` does: no word of this package's in its metadata."""
+    log = [
+        *(state(k * MS, lift=0.001 * k, turn=0.002 * k) for k in range(100)),
+        *(command(k * MS, lift=1.0 + k % 3, turn=2.0 + k % 5) for k in range(100)),
+    ]
+    kinds = {"joint_states": JOINT_STATE, "joint_commands": JOINT_STATE}
+    if has_reference:
+        kinds["joint_trajectory"] = "trajectory_msgs/msg/JointTrajectory"
+        log += [trajectory(0, ramp(joint, t1=0.2)) for joint in ("lift", "turn")]
+    with BagWriter(path) as bag:
+        topics = {name: bag.add_topic(namespace + name, kind) for name, kind in kinds.items()}
+        if description is not None:
+            kind = "std_msgs/msg/String"
+            topic = bag.add_topic(f"{namespace}robot_description", kind)
+            bag.write(topic, 0, bytes(TYPES.serialize_cdr(TYPES.types[kind](description), kind)))
+        for name, log_time_ns, raw in sorted(log, key=lambda each: each[1]):
+            bag.write(topics[name], log_time_ns, raw)
+    return path
+
+
+def test_a_bag_of_this_package_says_it_wherever_it_lies(run, result, tmp_path):
+    import shutil
+
+    moved = tmp_path / "moved"
+    shutil.copytree(result / "bags" / "hPID", moved)
+    _, text, _ = run("metrics", moved, "--csv")
+    assert units_of(text)["lift", "ivc"] == "N"
+
+
+def test_a_latched_description_in_the_bag_says_it(run, tmp_path):
+    _, text, errors = run("metrics", foreign_bag(tmp_path / "bag", ROBOT), "--csv")
+    assert units_of(text)["lift", "ivc"] == "N"
+    assert units_of(text)["turn", "ivc"] == "N m"
+    assert "robot_description" not in errors
+
+
+def test_of_two_robots_that_of_the_namespace_says_it(run, tmp_path):
+    bag = foreign_bag(tmp_path / "bag", ROBOT, namespace="/left/")
+    _, text, _ = run("metrics", bag, "--csv", "--namespace", "left")
+    assert units_of(text)["lift", "ivc"] == "N"
+
+
+@pytest.mark.parametrize("text", ["<robot", "not a robot", "<sdf/>"])
+def test_a_description_that_cannot_be_used_is_told_and_passed_over(run, tmp_path, text):
+    code, table, errors = run("metrics", foreign_bag(tmp_path / "bag", text))
+    assert code == DONE
+    assert "IVC [N m]" in table
+    assert "/robot_description does not tell which joints slide" in " ".join(errors.split())
+
+
+def test_without_any_description_units_are_those_of_joints_that_turn(run, tmp_path):
+    code, table, errors = run("metrics", foreign_bag(tmp_path / "bag"))
+    assert code == DONE
+    assert "IVC [N m]" in table
+    assert "slide" not in table + errors
+
+
+def test_a_named_robot_says_it(run, experiment, tmp_path):
+    for robot in (experiment.with_name("lift.urdf"), experiment):
+        _, table, _ = run("metrics", foreign_bag(tmp_path / robot.suffix), "--robot", robot)
+        assert "IVC [N m, N]" in table
+        assert NOTE in table
+
+
+def test_a_named_robot_says_it_where_its_end_effector_cannot_be_followed(
+    run, experiment, tmp_path
+):
+    bag = foreign_bag(tmp_path / "bag", has_reference=False)
+    urdf = experiment.with_name("lift.urdf")
+    code, table, errors = run("metrics", bag, "--robot", urdf)
+    assert code == DONE
+    assert "IVC [N m, N]" in table
+    assert "the end effector is not followed" in errors
+    code, _, errors = run("metrics", bag, "--robot", urdf, "--end-effector", "arm")
+    assert code == BAD_INPUT
+    assert "no reference of" in errors
+
+
+def test_what_one_recording_knows_holds_for_all_beside_it(run, experiment, tmp_path):
+    silent, telling = foreign_bag(tmp_path / "a"), foreign_bag(tmp_path / "b", ROBOT)
+    saved = tmp_path / "saved.json"
+    _, text, _ = run("metrics", silent, "--units", "deg", "--save", saved, "--csv")
+    assert units_of(text)["lift", "itae"] == "deg s^2"  # nobody knew
+    _, text, _ = run("metrics", saved, telling, "--units", "deg", "--csv")
+    assert {row["unit"] for row in rows_of(text) if row["joint"] == "lift"} == {
+        "N",
+        "N s",
+        "m s^2",
+    }
+    for row in rows_of(text):
+        if row["ratio"]:
+            assert float(row["ratio"]) == pytest.approx(1.0, rel=1e-12)
+
+
+@pytest.mark.parametrize("entry", ["", "{", '"lift"', "[3]", "{}"])
+def test_damaged_metadata_says_nothing(entry):
+    assert recorded_slides({SLIDES: entry}) == frozenset()
+
+
+def test_metadata_come_back():
+    assert recorded_slides(slides_entry({"a", "b"})) == {"a", "b"}
+    assert slides_entry(()) == {}
+
+
+# Drawings --------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def series(result):
+    return [measure(result / "bags" / label, label).series for label in ("PID", "hPID")]
+
+
+@pytest.mark.parametrize(
+    ("name", "axis", "titles"),
+    [
+        ("positions", "position [rad, m]", ["lift [m]", "turn [rad]"]),
+        ("errors", "error [rad, m]", ["lift [m]", "turn [rad]"]),
+        ("efforts", "effort [N m, N]", ["lift [N]", "turn [N m]"]),
+        ("phase", "error rate [rad/s, m/s]", ["lift [m, m/s]", "turn [rad, rad/s]"]),
+    ],
+)
+def test_a_panel_has_its_joints_unit_and_a_shared_axis_both(series, name, axis, titles):
+    figure = FIGURES[name](series, 50)
+    assert figure.get_supylabel() == axis
+    assert [panel.get_title(loc="left") or panel.get_title() for panel in figure.axes] == titles
+    alike = [RunSeries(run.label, run.joints[:1]) for run in series]
+    figure = FIGURES[name](alike, 50)
+    assert figure.get_supylabel() == re.sub(r"\[.*, ", "[", axis)
+    assert (figure.axes[0].get_title(loc="left") or figure.axes[0].get_title()) == "lift"
+
+
+def test_a_norm_over_both_kinds_names_both(series):
+    figure = FIGURES["effort_norm"](series, 50)
+    assert figure.axes[0].get_ylabel().endswith("over all joints [N m, N]")
+    (legend,) = figure.legends
+    assert "[N m s$^{0.5}$, N s$^{0.5}$]" in legend.get_texts()[0].get_text()
+
+
+def test_the_report_names_the_units(series, result):
+    comparison = Comparison(tuple(run_indices(run) for run in series))
+    figures = {each["name"]: each for each in figures_data(series, comparison, (), {})}
+    assert figures["efforts"]["caption"] == "Efforts [N m, N], over time [s]"
+    assert [panel["title"] for panel in figures["efforts"]["panels"]] == ["lift [N]", "turn [N m]"]
+    assert figures["effort_norm"]["caption"].startswith(
+        "Norm of the effort over all joints [N m, N]"
+    )
+    assert "[N m / √Hz, N / √Hz]" in figures["spectrum"]["caption"]
+    page = (result / "report.html").read_text()
+    assert NOTE in page
+    assert "IVC [N m, N]" in page
+
+
+# Other commands --------------------------------------------------------------------------------
+
+
+def test_a_sweep_and_a_study_name_both_units(run, experiment, tmp_path):
+    options = ("--seeds", "1", "-j", "1", "-o")
+    code, _, _ = run("sweep", experiment, "--vary", "mu=-0.1", *options, tmp_path / "sweep")
+    assert code == DONE
+    table = (tmp_path / "sweep" / "table.txt").read_text()
+    assert "||u|| [N m s^0.5, N s^0.5]" in table
+    assert NOTE in table
+    assert json.loads((tmp_path / "sweep" / "sweep.json").read_text())["units"]["ivc"] == "N m, N"
+    run("study", experiment, *options, tmp_path / "study")
+    (table,) = (tmp_path / "study").glob("*.md")
+    assert "last \\|e\\| [rad, m]" in table.read_text()
+    assert NOTE in table.read_text()
+    document = json.loads((tmp_path / "study" / "study.json").read_text())
+    assert document["experiments"]["lift"]["slides"] == ["lift"]
+    assert document["experiments"]["lift"]["units"]["itae"] == "rad s^2, m s^2"
+
+
+def test_check_gains_names_the_unit_of_each_inertia(run, experiment):
+    code, text, told = run("check-gains", experiment)
+    assert "inertia m [kg m^2; kg: PID lift, hPID lift]" in " ".join(text.split()), (code, told)
+
+
+def test_replay_has_newtons_for_a_joint_that_slides(run, result, tmp_path):
+    import yaml
+
+    bag = result / "bags" / "PID"
+    metadata = yaml.safe_load((bag / "metadata.yaml").read_text())
+    held = metadata["rosbag2_bagfile_information"]["custom_data"]["hpid_ros/controllers"]
+    other = yaml.safe_load(held)
+    for node in other.values():
+        if "gains" in node["ros__parameters"]:
+            node["ros__parameters"]["gains"]["p"] *= 1.5
+    (tmp_path / "other.yaml").write_text(yaml.safe_dump(other))
+    _, text, _ = run("replay", bag, "--params", tmp_path / "other.yaml")
+    lift, turn = text.split("turn:")
+    assert re.search(r" N was sent, the law answers \S+ N\b(?! m)", lift)
+    assert " N m was sent" not in lift
+    assert " N m was sent" in turn
+
+
+def test_an_upgrade_is_explained_in_units_of_the_joint(run, experiment, result, tmp_path):
+    gains = {"lift": (400.0, 400.0, 60.0), "turn": (8.0, 8.0, 1.0)}
+    lines = []
+    for joint, (p, i, d) in gains.items():
+        lines += [f"{joint}_controller:", "  ros__parameters:", f"    joint: {joint}"]
+        lines += ["    law: pid", f"    gains: {{p: {p}, i: {i}, d: {d}}}"]
+    (tmp_path / "pid.yaml").write_text("\n".join(lines) + "\n")
+    upgraded = tmp_path / "up.yaml"
+    bag = ("--bag", result / "bags" / "PID", "--inertia", "lift=2.5", "turn=0.03")
+    code, text, _ = run("upgrade", tmp_path / "pid.yaml", "--goal", "smooth", *bag, "-o", upgraded)
+    assert code == DONE, text
+    inertias, lift, turn = re.split(r"/\*\*/\w+_controller:", upgraded.read_text())
+    assert "inertia [kg m^2, kg]" in inertias
+    assert "the largest velocity in the bag" in lift
+    assert not re.search(r"\brad\b|N m\b|kg m", lift)
+    assert "upper effort limit [N]" in lift
+    assert "upper effort limit [N m]" in turn
+    assert "2.5 to 2.5 kg" in text
+    assert "0.03 to 0.03 kg m^2" in text

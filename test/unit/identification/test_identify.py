@@ -1,0 +1,233 @@
+"""What is found of a joint whose truth is known."""
+
+import numpy as np
+import pytest
+from harness.motions import Plant, motion, record
+
+from hpid_ros.base.errors import SettingError
+from hpid_ros.identification.identify import Method, identify
+from hpid_ros.identification.records import JointRecord
+
+NAMES = ("inertia", "viscous", "coulomb", "offset", "delay")
+
+
+def found(*records, **options):
+    return identify(records, **options)
+
+
+def values(result):
+    return {name: each.value for name, each in result.estimates.items()}
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_without_noise_the_truth_is_found(seed):
+    plant = Plant()
+    (result,) = found(record(plant, seed=seed))
+    assert values(result) == pytest.approx({n: getattr(plant, n) for n in NAMES}, rel=2e-3)
+    assert result.explained > 0.99999
+    assert not [name for name in result.untold if name != "gravity_sin"]
+
+
+@pytest.mark.parametrize("delay", [-0.0005, 0.0, 0.0004, 0.0037, 0.05])
+def test_a_delay_is_found_between_samples(delay):
+    (result,) = found(record(Plant(delay=delay)))
+    assert result.estimates["delay"].value == pytest.approx(delay, abs=2e-5)
+
+
+def test_a_held_command_acts_half_a_period_later_than_a_sample():
+    sampled = record(Plant(delay=0.002), np.arange(0.0, 15.0, 0.004))
+    held = JointRecord("joint", sampled.time, sampled.position, sampled.time, sampled.effort)
+    (as_sample,), (as_command,) = found(sampled), found(held)
+    difference = as_sample.estimates["delay"].value - as_command.estimates["delay"].value
+    assert difference == pytest.approx(0.002, abs=1e-4)
+
+
+def test_everything_but_the_delay_scales_with_the_efforts():
+    one = record(Plant(), noise=1e-4)
+    seven = JointRecord("joint", one.time, one.position, one.time, 7.0 * one.effort, is_held=False)
+    (first,), (second,) = found(one), found(seven)
+    for name, each in first.estimates.items():
+        factor = 1.0 if name == "delay" else 7.0
+        assert second.estimates[name].value == pytest.approx(factor * each.value, rel=1e-6)
+        assert second.estimates[name].half_width == pytest.approx(
+            factor * each.half_width, rel=1e-4
+        )
+
+
+def test_when_it_was_does_not_matter():
+    one = record(Plant(), noise=1e-4)
+    later = JointRecord(
+        "joint", one.time + 4096.0, one.position, one.time + 4096.0, one.effort, is_held=False
+    )
+    (first,), (second,) = found(one), found(later)
+    assert values(second) == pytest.approx(values(first), rel=1e-5)
+
+
+def test_the_order_of_joints_does_not_matter():
+    one, two = record(Plant(), name="a"), record(Plant(inertia=0.1), name="b", seed=4)
+    forward, backward = found(one, two), found(two, one)
+    assert [each.joint for each in forward] == ["a", "b"]
+    assert values(forward[0]) == values(backward[1])
+    assert values(forward[1]) == values(backward[0])
+    (only,) = found(one, two, wanted=["b"])
+    assert values(only) == values(forward[1])
+
+
+def test_who_moves_at_the_same_time_is_named():
+    still = record(Plant(), name="c", amplitude=1e-4)
+    one, two = record(Plant(), name="a"), record(Plant(), name="b", seed=4)
+    first, _, _ = found(one, two, still)
+    (remark,) = first.remarks
+    assert remark.startswith("b moved at the same time")
+    later = np.arange(12.0, 24.0, 2e-3)
+    after = record(Plant(), later, name="b", seed=4)
+    assert found(one, after)[0].remarks == ()
+
+
+def test_with_rigid_bodies_the_order_of_joints_does_not_matter():
+    one, two = record(Plant(), name="a"), record(Plant(inertia=0.1), name="b", seed=4)
+
+    def light(q, v, a):
+        return 0.01 * a[::-1]  # each joint drags the other
+
+    forward, backward = found(one, two, rigid_body=light), found(two, one, rigid_body=light)
+    assert values(forward[0]) == pytest.approx(values(backward[1]), rel=1e-9)
+
+
+def test_rigid_bodies_are_taken_off_and_fix_the_efforts_scale():
+    plant = Plant()
+    one = record(plant)
+
+    def link(q, v, a):
+        return 0.2 * a + 0.3  # which leaves a rotor of 0.3 and no load
+
+    (result,) = found(one, rigid_body=link)
+    assert result.estimates["inertia"].value == pytest.approx(0.3, rel=2e-3)
+    assert result.estimates["offset"].value == pytest.approx(0.0, abs=1e-3)
+
+
+def test_efforts_in_a_unit_of_their_own_are_scaled_by_the_masses():
+    plant = Plant(gravity_sin=3.0, gravity_cos=1.0)
+    one = record(plant, amplitude=0.5)
+    currents = JointRecord(
+        "joint", one.time, one.position, one.time, one.effort / 2.5, is_held=False
+    )
+
+    def link(q, v, a):
+        return 0.2 * a + 3.0 * np.sin(q) + 1.0 * np.cos(q)
+
+    (result,) = found(currents, rigid_body=link, method=Method(has_scale=True))
+    assert result.estimates["effort_scale"].value == pytest.approx(2.5, rel=5e-3)
+    assert result.estimates["inertia"].value == pytest.approx(0.3, rel=2e-2)
+    assert result.estimates["coulomb"].value == pytest.approx(0.6, rel=2e-2)
+    (told,) = found(currents, rigid_body=link)
+    assert "not 1" in told.untold["effort_scale"]
+
+
+def test_a_joint_that_stands_still_gets_a_reason_and_no_number():
+    moving, times = record(Plant(), name="a"), np.arange(0.0, 12.0, 2e-3)
+    jitter = 1e-5 * np.random.default_rng(1).standard_normal(len(times))
+    still = JointRecord("b", times, 0.7 + jitter, times, np.full(len(times), 2.0))
+    frozen = JointRecord("c", times, np.full(len(times), 0.7), times, np.full(len(times), 2.0))
+    for result in found(moving, still, frozen)[1:]:
+        assert not result.is_found
+        assert "did not move" in result.untold[result.joint]
+
+
+def test_noise_alone_is_no_motion():
+    times = np.arange(0.0, 12.0, 2e-3)
+    chance = np.random.default_rng(2)
+    record_ = JointRecord(
+        "a",
+        times,
+        1e-4 * chance.standard_normal(len(times)),
+        times,
+        chance.normal(size=len(times)),
+    )
+    (result,) = found(record_)
+    assert not result.is_found
+    assert result.untold["a"]
+
+
+def test_efforts_that_have_nothing_to_do_with_the_motion_give_no_number():
+    one, other = record(Plant()), record(Plant(), seed=9)
+    mixed = JointRecord("a", one.time, one.position, one.time, other.effort, is_held=False)
+    (result,) = found(mixed)
+    assert not result.is_found
+    assert "explains only" in result.untold["a"]
+
+
+def test_coulomb_friction_needs_both_directions():
+    def onward(time, seed, amplitude):
+        position, velocity, acceleration = motion(time, seed, amplitude)
+        return position + 6.0 * np.asarray(time), velocity + 6.0, acceleration
+
+    (result,) = found(record(Plant(), along=onward))
+    assert "coulomb" not in result.estimates
+    assert "one direction only" in result.untold["coulomb"]
+    assert result.estimates["inertia"].value == pytest.approx(0.5, rel=1e-2)
+
+
+def test_gravity_is_told_from_a_load_where_the_joint_moves_far():
+    plant = Plant(gravity_sin=4.0, gravity_cos=-2.0, offset=0.5)
+    (far,) = found(record(plant, amplitude=0.8, noise=1e-5))
+    assert far.estimates["gravity_sin"].value == pytest.approx(4.0, rel=2e-2)
+    assert far.estimates["gravity_cos"].value == pytest.approx(-2.0, rel=2e-2)
+    (flat,) = found(record(Plant(), noise=1e-4))
+    assert "gravity_sin" not in flat.estimates
+    assert "constant load" in flat.untold["gravity_sin"]
+
+
+def test_stribeck_friction_is_found_where_it_is_and_only_there():
+    (creeping,) = found(record(Plant(stribeck=0.6), noise=1e-5))
+    assert creeping.estimates["stribeck"].is_positive
+    assert not [
+        seed
+        for seed in range(3)
+        if "stribeck" in found(record(Plant(), noise=1e-4, seed=seed))[0].estimates
+    ]
+
+
+def test_gaps_uneven_stamps_and_stamps_too_close_do_little():
+    chance = np.random.default_rng(3)
+    times = np.sort(np.arange(0.0, 30.0, 2e-3) + chance.uniform(-5e-4, 5e-4, 15000))
+    close = np.sort(np.concatenate([times, times[1000:1100] + 1e-6]))
+    kept = close[(close < 9.0) | (close > 9.4)]
+    (result,) = found(record(Plant(), kept, noise=1e-5))
+    truth = {n: getattr(Plant(), n) for n in NAMES}
+    assert values(result) == pytest.approx(truth, rel=2e-2)
+    assert result.time < 30.0
+
+
+def test_a_record_that_is_too_short_says_what_it_lacks():
+    (result,) = found(record(Plant(), np.arange(0.0, 0.5, 1e-3)))
+    assert "longer than" in result.untold["joint"]
+    (empty,) = found(JointRecord("joint", *(np.empty(0) for _ in range(4))))
+    assert empty.untold["joint"]
+
+
+def test_intervals_contain_the_truth_as_often_as_they_say():
+    plant = Plant()
+    hits = dict.fromkeys(NAMES, 0)
+    runs = 30
+    for seed in range(runs):
+        one = record(plant, np.arange(0.0, 8.0, 4e-3), seed=seed, noise=2e-4, effort_noise=0.3)
+        (result,) = found(one)
+        for name in NAMES:
+            each = result.estimates[name]
+            hits[name] += each.low <= getattr(plant, name) <= each.high
+    # Of 30 draws at 95 %, fewer than 24 come by chance once in 5 000 times.
+    assert min(hits.values()) >= 24
+    assert sum(hits.values()) / (runs * len(NAMES)) < 0.995
+
+
+def test_a_record_says_what_is_wrong_with_it():
+    times, ones = np.arange(3.0), np.ones(3)
+    with pytest.raises(SettingError, match="'a': effort has shape"):
+        JointRecord("a", times, ones, times, np.ones(4))
+    with pytest.raises(SettingError, match="must be finite"):
+        JointRecord("a", times, np.array([1.0, np.nan, 1.0]), times, ones)
+    with pytest.raises(SettingError, match="must increase strictly"):
+        JointRecord("a", times[::-1], ones, times, ones)
+    with pytest.raises(SettingError, match="cutoff must be above 0"):
+        Method(cutoff=-1.0)
