@@ -1,6 +1,7 @@
 # Two commands do everything on a fresh machine:
 #   make compare   set up .venv and run the paper's comparison
 #   make test      set up .venv with the test extras and run the suite
+# PYTHON=python3.12 chooses the interpreter; make install sets .venv up and runs nothing.
 # For every save:
 #   make quick     the unit tests alone
 # Before a release:
@@ -13,7 +14,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: compare test quick thorough faults bench lint clean
+.PHONY: install compare test quick thorough faults bench lint clean
 
 $(BIN)/python:
 	$(PYTHON) -m venv $(VENV)
@@ -31,6 +32,8 @@ $(VENV)/.test-installed: $(VENV)/.installed
 $(VENV)/.bench-installed: $(VENV)/.installed
 	PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet --editable ".[ros,bench]"
 	touch $@
+
+install: $(VENV)/.installed
 
 compare: $(VENV)/.installed
 	$(BIN)/hpid compare $(ARGS)

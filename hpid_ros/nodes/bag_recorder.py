@@ -20,11 +20,12 @@ from typing import Any
 import yaml
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 from rclpy.validate_topic_name import validate_topic_name
 
-from hpid_ros.bags.metadata import PARAMETERS, missed_entries
+from hpid_ros.bags.metadata import PARAMETERS, missed_entries, slides_entry
 from hpid_ros.bags.writer import BagTopic, BagWriter, TopicQos
 from hpid_ros.base.errors import BagError, HpidError, SettingError
 from hpid_ros.documents.yaml_files import load_yaml
@@ -73,7 +74,13 @@ class BagRecorder(executor.ClosingNode):
         self._waiting = [self.resolve_topic_name(topic) for topic in topics]
         if len(set(self._waiting)) != len(self._waiting):
             raise SettingError(f"topics must name each topic once, not {', '.join(topics)}")
-        self._writer = BagWriter(path, metadata=_controllers(self))
+        slides = read_only(
+            self,
+            "slides",
+            Parameter.Type.STRING_ARRAY,
+            "Joints that slide, noted in the bag so that their numbers are in m and N",
+        )
+        self._writer = BagWriter(path, metadata=_controllers(self) | slides_entry(slides or ()))
         self._failure = ""
         self._missed: dict[str, int] = {}
         self._latched: list[str] = []
@@ -292,7 +299,7 @@ USAGE = Usage(
     "bag_recorder",
     "Records topics into a new MCAP bag.",
     "-p bag:=FOLDER",
-    ["bag", "topics", "controllers_file", "status_fd"],
+    ["bag", "topics", "controllers_file", "slides", "status_fd"],
     ["those of the parameter topics"],
 )
 

@@ -17,8 +17,10 @@ from hpid_ros.bags import BagReader, BagWriter, read_run
 from hpid_ros.bags.metadata import (
     MISSED,
     STOOD_STILL,
+    custom_data,
     missed_entries,
     missed_messages,
+    recorded_slides,
     time_stood_still,
 )
 from hpid_ros.bags.repair import repair_bag
@@ -118,6 +120,16 @@ def record(harness, bag):
     )
     harness.wait(lambda: harness.states.get_subscription_count() == 1, what="the recorder")
     return recorder
+
+
+def test_which_joints_slide_is_noted_in_the_bag(harness, tmp_path):
+    bag = tmp_path / "bag"
+    arguments = ros_arguments(bag=bag, topics="[joint_states]", slides="[lift]")
+    recorder = harness.processes.start("recorder", "bag_recorder", arguments)
+    harness.wait(lambda: harness.states.get_subscription_count() == 1, what="the recorder")
+    recorder.process.terminate()
+    assert recorder.process.wait(timeout=60) == 0
+    assert recorded_slides(custom_data(bag)) == {"lift"}
 
 
 def test_states_are_asked_for_when_the_latched_reference_is_in_the_bag(harness, tmp_path):
