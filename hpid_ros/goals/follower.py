@@ -22,6 +22,7 @@ from hpid_ros.trajectory import Knot
 from hpid_ros.wire import JointPart
 
 _SETTLES_WITHIN = 0.5  # [s] beside takeover_time, for a controller to follow what it was told
+_CROSSES_WITHIN_NS = NANOSECONDS // 10  # for messages of two senders to arrive in either order
 
 CANCELLED = Result(ResultCode.SUCCESSFUL, "cancelled: the joints stop and hold")
 """The result of a goal that its client has cancelled; the code is JTC's."""
@@ -69,6 +70,7 @@ class GoalFollower:
         self._references = GroupReferences(settings)
         self._heard_ns: list[int | None] = [None] * len(settings.joints)
         self._active: ActiveGoal | None = None
+        self._began_ns = 0
         self._silence = 0.0  # [s] of the wall clock; 0 while states come
         self._excuse = 0.0  # [s]; 0 while nothing is to be excused
         self._has_told = self._is_hold_due = False
@@ -124,6 +126,7 @@ class GoalFollower:
         if self._active is not None:
             replaced = Result(ResultCode.INVALID_GOAL, "replaced by a new goal")
         self._tell(told, now_ns)
+        self._began_ns = now_ns
         errors = [self._error(joint, standing[joint]) for joint in joints]
         self._active = ActiveGoal(told, tolerances, settings, standing, errors)
         return Begun(told, replaced)
@@ -144,7 +147,8 @@ class GoalFollower:
         """End the active goal because somebody else has told its joints something; stop the rest.
 
         A joint follows what it was told last. So that is left alone, and the joints that were not
-        told anything do not go on by themselves.
+        told anything do not go on by themselves. Where both were told at once, each controller may
+        have heard them in another order: all joints of this group stop.
 
         Args:
             joints: Joints that were told something, of this group or not.
@@ -153,6 +157,9 @@ class GoalFollower:
         if self._active is None or not others:
             return Outcome(None, None)
         line = f"another node has sent a trajectory for {', '.join(others)}"
+        if self._now() - self._began_ns < _CROSSES_WITHIN_NS:
+            line += " at the same time: the joints stop"
+            return self._end(Result(ResultCode.INVALID_GOAL, line))
         left = {self.settings.joints.index(joint) for joint in others}
         for joint in left:
             position = self._references.look(joint, self._now())[0]

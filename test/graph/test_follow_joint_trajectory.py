@@ -311,6 +311,26 @@ def test_of_two_servers_of_the_same_joints_the_first_gives_way(joints):
     assert joints.position == pytest.approx({"shoulder": 0.0, "elbow": 0.3}, abs=0.02)
 
 
+def test_of_two_servers_that_are_asked_at_once_both_give_up_and_the_joints_stop(joints):
+    told = Told(joints.harness, ACTION)
+    joints.start()
+    joints.start_action("other", joints="[elbow, shoulder]")
+    client, other = Client(joints), Client(joints, "other")
+    joints.run(
+        lambda: "/other may send trajectories, too" in told.newest().get("message", ""),
+        what="the warning",
+    )
+    back = {"shoulder": [-1.0], "elbow": [0.5]}
+    first = client.send(slowly())
+    second = other.send(goal_of(back, [1.5], {"shoulder": [0.0], "elbow": [0.0]}))
+    ends = client.result(first), other.result(second)
+    assert [each[:2] for each in ends] == [(ABORTED, INVALID_GOAL)] * 2
+    assert any(each[2].endswith("at the same time: the joints stop") for each in ends)
+    come_to_rest(joints)
+    assert joints.position == pytest.approx({"shoulder": 0.0, "elbow": 0.0}, abs=0.1)
+    require_smooth(joints, 2.0, 10.0)
+
+
 def test_a_setpoint_to_one_of_the_joints_ends_the_goal(joints):
     from std_msgs.msg import Float64
 

@@ -35,7 +35,17 @@ class Estimation:
         law: Whose effort drives the joint.
     """
 
-    __slots__ = ("_fed", "_law", "_observer", "_settings", "_source", "position", "velocity")
+    __slots__ = (
+        "_fed",
+        "_law",
+        "_observer",
+        "_off",
+        "_off_for",
+        "_settings",
+        "_source",
+        "position",
+        "velocity",
+    )
 
     def __init__(self, settings: LoopSettings, law: LimitedLaw) -> None:
         self._law = law
@@ -56,11 +66,13 @@ class Estimation:
         """Forget the past."""
         self._source.reset()
         self.position = self.velocity = 0.0
+        self._off = self._off_for = 0.0  # of an observer that was left: a distance and a duration
         self._fed = 0.0  # effort of the last sample against the observer's disturbance, in [N m]
 
     def restart(self) -> None:
         """Forget the past of the velocity, not the one of the efforts."""
         self._source.reset()
+        self._off = 0.0
 
     def retune(self, settings: LoopSettings, position: float | None) -> None:
         """Go by other settings; what is estimated is carried over.
@@ -82,10 +94,22 @@ class Estimation:
             or self._observer is not None
             or settings.velocity.in_use != before.velocity.in_use
         ):
+            had_observer = self._observer is not None
             self._use_source()
             if position is not None:
-                self.send()
-                self._source.take_over(position, self.velocity)
+                self._go_on_from(position, had_observer=had_observer)
+
+    def _go_on_from(self, position: float, *, had_observer: bool) -> None:
+        """Let another source go on where the one before was; what was estimated off fades."""
+        if self._observer is not None:
+            self._off = 0.0
+            self.send()
+            self._source.take_over(self.position, self.velocity)
+            return
+        if had_observer:
+            self._off = self.position - position
+            self._off_for = self._settings.timing.takeover_time
+        self._source.take_over(position, self.velocity)
 
     def feed_anew(self) -> None:
         """Let the integral give what is fed forward no more, or take what is from now on."""
@@ -127,7 +151,7 @@ class Estimation:
         """
         observer = self._observer
         if observer is None:
-            self.position = position
+            self.position = position + self._fade(dt) if self._off else position
             self.velocity = self._source.update(position, velocity, dt)
             return model
         self.send()
@@ -138,6 +162,12 @@ class Estimation:
         alone = model or _NO_MODEL
         self._fed = -alone.gain * observer.effort
         return alone._replace(effort=alone.effort + self._fed)
+
+    def _fade(self, dt: float) -> float:
+        """Return what is left of the distance by which an observer was off, in [rad]."""
+        self._off *= max(self._off_for - dt, 0.0) / self._off_for if self._off_for else 0.0
+        self._off_for = max(self._off_for - dt, 0.0)
+        return self._off
 
     def copy_of_source(self) -> VelocitySource:
         """Return a copy of the velocity source with its past."""

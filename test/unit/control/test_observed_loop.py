@@ -112,6 +112,31 @@ def test_it_is_switched_and_retuned_in_motion_without_a_kick(name, back):
     assert max(abs(b - a) for a, b in pairwise(differences)) < 0.5
 
 
+@pytest.mark.parametrize("last", [500, 501])
+def test_what_an_observer_is_off_by_when_it_is_left_fades(last):
+    """It is left, met again half way and left anew: no effort steps; the measurement remains."""
+    loop = loop_of(gains__i=0.0, gains__d=1e-6, observer__bandwidth=50.0, takeover_time=0.1)
+    loop.follow(Setpoint(0.0))
+    filtered = {**loop.settings.to_parameters(), "velocity_source": "filtered"}
+    observed = loop.settings
+    for k in range(last):
+        effort = loop.step(k * MS, 1e-3 * (-1) ** k)
+    measured = 1e-3 * (-1) ** k
+    assert abs(effort + 200.0 * measured) > 0.1  # what a step would be
+    for settings in (type(observed).from_parameters(filtered), observed) * 2:
+        loop.retune(settings)
+        for _ in range(40):
+            k += 1
+            before, effort = effort, loop.step(k * MS, measured)
+            assert abs(effort - before) < 0.02
+    loop.retune(type(observed).from_parameters(filtered))
+    for _ in range(101):
+        k += 1
+        before, effort = effort, loop.step(k * MS, measured)
+        assert abs(effort - before) < 0.02
+    assert loop.error == -measured
+
+
 @pytest.mark.parametrize("model", [None, ModelTerm(1.0, 2.5), ModelTerm(0.3, -4.0)])
 def test_a_disturbance_is_fed_and_left_alone_again_without_a_kick(model):
     """The integral hands over what the other term gives, and takes it back."""

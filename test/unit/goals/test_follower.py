@@ -565,6 +565,21 @@ def test_a_goal_gives_way_to_another_trajectory_and_stops_only_the_joints_that_i
     assert group.results[-1].code is ResultCode.SUCCESSFUL
 
 
+def test_of_two_trajectories_at_the_same_time_none_is_followed():
+    group = started(allow_partial_joints_goal=True)
+    group.run(0.09)
+    group.loops[1].follow(Setpoint(0.7))  # this one heard the other last
+    group.note(group.follower.give_way(["elbow"]))
+    (result,) = group.results
+    assert result.code is ResultCode.INVALID_GOAL
+    assert result.text.endswith("for elbow at the same time: the joints stop")
+    assert set(group.told[-1].names) == {"shoulder", "elbow"}
+    group.run(1.5)
+    assert [loop.reference[1] for loop in group.loops] == [0.0, 0.0]
+    ends = [loop.reference[0] for loop in group.loops]
+    assert ends == pytest.approx([0.0, 0.0], abs=0.3)  # neither 1.0, where the goal led, nor 0.7
+
+
 def test_trajectories_of_other_joints_and_without_a_goal_are_nobodys_business():
     group = started()
     assert group.follower.give_way(["of another robot"]) == (None, None)
