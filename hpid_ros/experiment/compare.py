@@ -16,6 +16,7 @@ from hpid_ros.experiment.graph.options import GraphOptions
 from hpid_ros.experiment.graph.run import run_on_graph
 from hpid_ros.experiment.graph.trial import run_trial
 from hpid_ros.experiment.in_process import run_without_ros
+from hpid_ros.experiment.parameter_files import write_run_files
 from hpid_ros.experiment.progress import NamedProgress, Progress, RunReport
 from hpid_ros.experiment.result.folder import EXPERIMENT, ResultFolder
 from hpid_ros.experiment.result.places import ResultPlaces
@@ -232,11 +233,12 @@ def _compare(
     folder.write(EXPERIMENT, experiment.text)
     reports = []
     for label in experiment.controllers:
-        bag = folder.bag(label)
+        bag, nodes = folder.bag(label), folder.nodes(label)
         if in_process:
+            # For who then starts the same controllers on a graph.
+            write_run_files(nodes, experiment, experiment.controllers[label])
             reports.append(run_without_ros(experiment, label, bag, progress))
         else:
-            nodes = folder.nodes(label)
             reports.append(run_on_graph(experiment, label, bag, nodes, progress))
         progress.advanced(label, experiment.duration)
     progress.phase("", "computing and drawing")

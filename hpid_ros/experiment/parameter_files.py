@@ -15,6 +15,9 @@ import yaml
 
 from hpid_ros.base.names import ANYWHERE, controller_name
 from hpid_ros.control import LoopSettings
+from hpid_ros.experiment.description import Experiment
+from hpid_ros.simulation.settings import WorldSettings
+from hpid_ros.simulation.world_file import world_mapping
 
 
 def controllers_document(settings: Sequence[LoopSettings], robot: str = "") -> dict[str, Any]:
@@ -45,6 +48,50 @@ def controllers_text(settings: Sequence[LoopSettings], robot: str = "") -> str:
         robot: The robot's URDF, for controllers whose model has no other.
     """
     return str(yaml.safe_dump(controllers_document(settings, robot), sort_keys=False))
+
+
+def bridge_document(experiment: Experiment, world_file: Path) -> dict[str, Any]:
+    """Return the parameters of the bridge.
+
+    Args:
+        experiment: The experiment.
+        world_file: Where its world is described.
+    """
+    return {
+        f"{ANYWHERE}{bridge_name(experiment.world)}": {
+            "ros__parameters": {
+                "world_file": str(world_file.resolve()),
+                "duration": experiment.duration,
+                "answer_timeout": experiment.answer_timeout,
+                "ee_link": experiment.end_effector,
+            }
+        }
+    }
+
+
+def bridge_name(world: WorldSettings) -> str:
+    """Return the executable, and the node, that simulates a world."""
+    return f"{world.engine}_bridge"
+
+
+def write_run_files(
+    folder: Path, experiment: Experiment, settings: Sequence[LoopSettings]
+) -> tuple[Path, Path]:
+    """Write the parameter files of controllers and bridge, and the world's, and return the first.
+
+    Args:
+        folder: Where they are written: ``controllers.yaml``, ``bridge.yaml``, ``world.yaml``.
+        experiment: The experiment.
+        settings: Of each of its controllers.
+    """
+    controllers, bridge, world = (
+        folder / f"{name}.yaml" for name in ("controllers", "bridge", "world")
+    )
+    write_document(world, world_mapping(experiment.world))
+    write_document(bridge, bridge_document(experiment, world))
+    robot = str(experiment.world.robot_description)
+    write_document(controllers, controllers_document(settings, robot))
+    return controllers, bridge
 
 
 def write_document(path: Path, document: Mapping[str, Any]) -> None:

@@ -372,7 +372,7 @@ class Robot:
     """One of two robots: a bridge, its controllers and its reference in a namespace."""
 
     def __init__(self, harness, name, experiment, folder):
-        from hpid_ros.experiment.graph.nodes import write_run_files
+        from hpid_ros.experiment.parameter_files import write_run_files
 
         folder.mkdir()
         write_run_files(folder, experiment, experiment.controllers["PID"])

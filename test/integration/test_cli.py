@@ -35,6 +35,11 @@ def test_in_process_comparison_prints_the_table_and_leaves_the_result(
     bags = [str(folder / "bags" / label) for label in ("PID", "hPID")]
     assert main(["metrics", *bags, "--format", "json"]) == DONE
     assert json.loads(capsys.readouterr().out) == result["indices"]
+    for label in ("PID", "hPID"):  # the nodes' files, as of a run on the graph
+        nodes = folder / "nodes" / label
+        assert (nodes / "world.yaml").exists()
+        assert (nodes / "bridge.yaml").exists()
+        assert f"law: {label.lower()}" in (nodes / "controllers.yaml").read_text()
 
 
 @needs_bullet
@@ -235,7 +240,7 @@ def test_a_reader_that_has_read_enough_is_no_error():
     "command",
     [
         *("", "compare", "run", "sweep", "study", "metrics", "replay", "repair", "gains"),
-        *("check-gains", "tune", "upgrade", "export", "robot", "schema"),
+        *("check-gains", "tune", "upgrade", "export", "robot", "schema", "identify", "margins"),
     ],
 )
 def test_help_fits_a_terminal_of_80_columns(command, capsys, monkeypatch):

@@ -351,8 +351,8 @@ def result(tmp_path_factory):
     """Return the folder of a run: parameter files of its controllers and its bag."""
     from hpid_ros.base.resources import share_folder
     from hpid_ros.experiment.description import load_experiment
-    from hpid_ros.experiment.graph.nodes import write_run_files
     from hpid_ros.experiment.in_process import run_without_ros
+    from hpid_ros.experiment.parameter_files import write_run_files
     from hpid_ros.experiment.progress import NoProgress
 
     folder = tmp_path_factory.mktemp("upgrade")

@@ -6,65 +6,22 @@ import re
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from hpid_ros.base.errors import ExperimentError
-from hpid_ros.base.names import ANYWHERE, controller_name
+from hpid_ros.base.names import controller_name
 from hpid_ros.control import LoopSettings
 from hpid_ros.experiment.description import Experiment
 from hpid_ros.experiment.graph.options import GraphOptions
 from hpid_ros.experiment.graph.processes import NodeGroup, NodeProcess
 from hpid_ros.experiment.in_process import recorded_topics
-from hpid_ros.experiment.parameter_files import controllers_document, write_document
+from hpid_ros.experiment.parameter_files import (
+    bridge_name,
+    controllers_document,
+    write_document,
+    write_run_files,
+)
 from hpid_ros.simulation.base import REPORT_RATE
-from hpid_ros.simulation.settings import WorldSettings
 from hpid_ros.simulation.world.gripper import task_topics
-from hpid_ros.simulation.world_file import world_mapping
-
-
-def bridge_document(experiment: Experiment, world_file: Path) -> dict[str, Any]:
-    """Return the parameters of the bridge.
-
-    Args:
-        experiment: The experiment.
-        world_file: Where its world is described.
-    """
-    return {
-        f"{ANYWHERE}{bridge_name(experiment.world)}": {
-            "ros__parameters": {
-                "world_file": str(world_file.resolve()),
-                "duration": experiment.duration,
-                "answer_timeout": experiment.answer_timeout,
-                "ee_link": experiment.end_effector,
-            }
-        }
-    }
-
-
-def bridge_name(world: WorldSettings) -> str:
-    """Return the executable, and the node, that simulates a world."""
-    return f"{world.engine}_bridge"
-
-
-def write_run_files(
-    folder: Path, experiment: Experiment, settings: Sequence[LoopSettings]
-) -> tuple[Path, Path]:
-    """Write the parameter files of controllers and bridge, and the world's, and return the first.
-
-    Args:
-        folder: Where they are written: ``controllers.yaml``, ``bridge.yaml``, ``world.yaml``.
-        experiment: The experiment.
-        settings: Of each of its controllers.
-    """
-    controllers, bridge, world = (
-        folder / f"{name}.yaml" for name in ("controllers", "bridge", "world")
-    )
-    write_document(world, world_mapping(experiment.world))
-    write_document(bridge, bridge_document(experiment, world))
-    robot = str(experiment.world.robot_description)
-    write_document(controllers, controllers_document(settings, robot))
-    return controllers, bridge
-
 
 _NODE_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]{0,200}")
 RECORDER, REFERENCE = "bag_recorder", "trajectory_publisher"
