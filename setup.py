@@ -38,6 +38,8 @@ EXTRAS = {
         "ros-jazzy-rmw-fastrtps-cpp==8.4.3",  # rclpy does not require the rmw that it loads
         "ros-jazzy-common-interfaces==5.3.6",
     ],
+    # Studies on many machines; nothing else needs it. From 2025.4 on for Python 3.10 to 3.13.
+    "cluster": ["distributed>=2025.4,<2027"],
     "bench": ["simple-pid>=2.0,<3"],  # the peer of the laws
     "test": [
         "pytest>=8,<9",  # launch_testing of ROS stops any run of pytest 9
@@ -51,6 +53,7 @@ EXTRAS = {
         "setuptools>=71,<80",  # colcon --symlink-install needs setup.py develop
         "simple-pid>=2.0,<3",  # the benchmarks are tested too
         "control>=0.10.2,<0.11",  # python-control: margins that are not our own
+        "distributed>=2025.4,<2027",  # the cluster of studies
         "jsonschema>=4.10,<5",  # the schema of experiment files
         # The report in a browser, where there is one; its node runs the report's program anyway.
         "playwright>=1.40,<2",

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from hpid_ros.experiment.description import Experiment
     from hpid_ros.experiment.result.folder import ResultFolder
-    from hpid_ros.studies.batch import Outcome
+    from hpid_ros.studies.batch import Outcome, Runner
 
 
 DEFAULT_EXPERIMENT = "config/experiments/paper.yaml"
@@ -144,20 +144,42 @@ def output_folder(options: argparse.Namespace, name: str) -> Path:
 
 
 def add_jobs(parser: argparse.ArgumentParser) -> None:
-    """Add ``--jobs`` to the parser."""
-    parser.add_argument(
+    """Add ``--jobs`` and ``--scheduler`` to the parser."""
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument(
         "-j", "--jobs", type=int, metavar="N", help="processes (one for each processor)"
+    )
+    where.add_argument(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="of a Dask scheduler whose workers run everything, tcp://HOST:PORT",
     )
 
 
-def check_jobs(options: argparse.Namespace) -> None:
-    """Refuse an impossible number of processes.
+@contextmanager
+def chosen_runner(options: argparse.Namespace, console: Console) -> Iterator[Runner]:
+    """Give what runs a batch: processes of this machine, or the workers of a scheduler.
+
+    Args:
+        options: With ``--jobs`` and ``--scheduler``.
+        console: Is told of the workers.
 
     Raises:
-        SettingError: It is not positive.
+        SettingError: The number of processes is not positive, or Dask is not installed.
+        RunError: No scheduler answers, or a worker computes with something else.
     """
-    if options.jobs is not None and options.jobs < 1:
-        raise SettingError(f"--jobs must be at least 1, not {options.jobs}")
+    from hpid_ros.studies.batch import in_processes
+
+    if options.scheduler is None:
+        if options.jobs is not None and options.jobs < 1:
+            raise SettingError(f"--jobs must be at least 1, not {options.jobs}")
+        yield in_processes(options.jobs)
+        return
+    from hpid_ros.studies.cluster import Cluster
+
+    with Cluster(options.scheduler) as cluster:
+        console.print(str(cluster), soft_wrap=True, highlight=False)
+        yield cluster
 
 
 @contextmanager

@@ -5,9 +5,10 @@ from __future__ import annotations
 import multiprocessing.resource_tracker
 import signal
 import warnings
-from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from types import TracebackType
 from typing import NamedTuple
 
@@ -214,6 +215,23 @@ class Outcome(NamedTuple):
 
 Outcomes = Generator[Outcome, None, None]
 
+Runner = Callable[[Sequence[RunTask]], Outcomes]
+"""Runs tasks, as :func:`run_batch` does; wherever that is, the numbers are the same."""
+
+
+def in_processes(jobs: int | None) -> Runner:
+    """Return what runs tasks in processes of this machine.
+
+    Args:
+        jobs: How many; None for one for each processor.
+
+    Raises:
+        SettingError: It is below 1.
+    """
+    if jobs is not None and jobs < 1:
+        raise SettingError(f"jobs must be at least 1, not {jobs}")
+    return partial(run_batch, jobs=jobs)
+
 
 def default_jobs() -> int:
     """Return how many processors this process may use."""
@@ -239,13 +257,9 @@ def run_batch(tasks: Sequence[RunTask], jobs: int | None = None) -> Outcomes:
         Generator of one outcome for each task, in the order in which they finish.
 
     Raises:
-        SettingError: ``jobs`` is below 1.
         RunError: While iterating: a process died.
     """
-    jobs = default_jobs() if jobs is None else jobs
-    if jobs < 1:
-        raise SettingError(f"jobs must be at least 1, not {jobs}")
-    jobs = min(jobs, len(tasks))
+    jobs = min(default_jobs() if jobs is None else jobs, len(tasks))
     return _one_by_one(tasks) if jobs <= 1 else _side_by_side(tasks, jobs)
 
 
@@ -253,7 +267,7 @@ def _one_by_one(tasks: Sequence[RunTask]) -> Outcomes:
     with WorldKeeper() as keeper:
         for place, task in enumerate(tasks):
             raise_if_interrupted()
-            yield _outcome(place, task, keeper)
+            yield outcome_of(place, task, keeper)
 
 
 def _side_by_side(tasks: Sequence[RunTask], jobs: int) -> Outcomes:
@@ -295,10 +309,17 @@ def _side_by_side(tasks: Sequence[RunTask], jobs: int) -> Outcomes:
 
 def _work(place: int, task: RunTask) -> Outcome:
     """Run a task in a worker process."""
-    return _outcome(place, task, _keeper)
+    return outcome_of(place, task, _keeper)
 
 
-def _outcome(place: int, task: RunTask, keeper: WorldKeeper) -> Outcome:
+def outcome_of(place: int, task: RunTask, keeper: WorldKeeper) -> Outcome:
+    """Run a task and return what became of it, whatever that is.
+
+    Args:
+        place: Its place among the tasks.
+        task: What to run.
+        keeper: As for :func:`simulate`.
+    """
     try:
         return Outcome(place, simulated_indices(task, keeper))
     except HpidError as error:

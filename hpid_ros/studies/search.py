@@ -16,7 +16,7 @@ from hpid_ros.base.units import unit_over
 from hpid_ros.control import LoopSettings
 from hpid_ros.experiment.description import Experiment
 from hpid_ros.stability.degrees import DegreeChecker
-from hpid_ros.studies.batch import LAST_ERROR, JudgedTask, Outcome, run_batch
+from hpid_ros.studies.batch import LAST_ERROR, JudgedTask, Outcome, Runner, run_batch
 from hpid_ros.studies.search_space import SearchCost, SearchSpace, mean_ratios
 
 LEAST_EVALUATIONS = 10
@@ -137,20 +137,20 @@ class Search:
 
     Args:
         plan: What to search.
-        jobs: As for :func:`~hpid_ros.studies.batch.run_batch`.
+        run: Runs the tasks.
         advanced: Is told of every point.
     """
 
     def __init__(
         self,
         plan: SearchPlan,
-        jobs: int | None = None,
+        run: Runner = run_batch,
         advanced: Callable[[Evaluation], None] = lambda evaluation: None,
     ) -> None:
         self.plan = plan
         self.evaluations: list[Evaluation] = []
         self.baseline: list[RunIndices] = []
-        self._jobs, self._advanced = jobs, advanced
+        self._run, self._advanced = run, advanced
         self._checker = DegreeChecker()
 
     @property
@@ -167,7 +167,7 @@ class Search:
         """
         plan = self.plan
         label, loops = next(iter(plan.experiment.controllers.items()))
-        with closing(run_batch(plan.tasks(label, loops), self._jobs)) as batch:
+        with closing(self._run(plan.tasks(label, loops))) as batch:
             self.baseline, failures = _numbers(list(batch))
         if failures:
             raise RunError(f"the baseline cannot be run: {failures[0]}")
@@ -219,7 +219,7 @@ class Search:
         try:
             for refused in judged.values():
                 self._advanced(refused)
-            with closing(run_batch([task for _, task in tasks], self._jobs)) as batch:
+            with closing(self._run([task for _, task in tasks])) as batch:
                 for outcome in batch:
                     place = tasks[outcome.place][0]
                     outcomes = own.setdefault(place, [])

@@ -92,6 +92,38 @@ class StudyEntry:
         return tuple(self.experiment.controllers)[1:]
 
 
+class Shard(NamedTuple):
+    """A part of a study's runs: one of so many, as even as can be.
+
+    Attributes:
+        place: Which part, from 1.
+        parts: How many there are.
+    """
+
+    place: int = 1
+    parts: int = 1
+
+    @classmethod
+    def parse(cls, text: str) -> Shard:
+        """Return the part that ``K/N`` names.
+
+        Raises:
+            SettingError: It is none.
+        """
+        place, _, parts = text.partition("/")
+        if place.isdecimal() and parts.isdecimal() and 1 <= int(place) <= int(parts):
+            return cls(int(place), int(parts))
+        raise SettingError(f"a shard is K/N with K from 1 to N, for instance 1/8, not {text!r}")
+
+    def holds(self, place: int) -> bool:
+        """Tell whether a run is in it, by its place among all runs."""
+        return place % self.parts == self.place - 1
+
+
+ALL = Shard()
+"""All runs."""
+
+
 @dataclass(frozen=True)
 class StudyPlan:
     """Everything that decides a study's numbers.
@@ -99,10 +131,12 @@ class StudyPlan:
     Attributes:
         entries: The experiments, of unlike names; those in both engines one after the other.
         count: Seeds of each controller: the experiment's own and those that follow it.
+        shard: The part of all runs that is made here.
     """
 
     entries: tuple[StudyEntry, ...]
     count: int
+    shard: Shard = ALL
 
     @property
     def pairs(self) -> list[tuple[StudyEntry, StudyEntry]]:
@@ -110,24 +144,34 @@ class StudyPlan:
         twice = [entry for entry in self.entries if entry.is_in_both]
         return list(zip(twice[::2], twice[1::2], strict=True))
 
+    @property
+    def inputs(self) -> list[Path]:
+        """Files that were read."""
+        return [file for entry in self.entries for file in entry.experiment.inputs]
+
     def seeds(self, entry: StudyEntry) -> tuple[int, ...]:
         """Return the seeds of an experiment's runs."""
         return tuple(entry.experiment.seed + k for k in range(self.count))
 
     def tasks(self) -> dict[RunKey, JudgedTask]:
-        """Return all runs; those on one robot are side by side."""
+        """Return all runs of the shard; those on one robot are side by side."""
+        runs = (
+            (entry, label, seed)
+            for entry in self.entries
+            for label in entry.experiment.controllers
+            for seed in self.seeds(entry)
+        )
         return {
             entry.key(label, seed): JudgedTask(
                 f"{entry.name} {label} seed={seed}",
                 replace(entry.experiment.world, seed=seed),
-                loops,
+                entry.experiment.controllers[label],
                 entry.experiment.trajectory,
                 entry.experiment.periods,
                 entry.joints,
             )
-            for entry in self.entries
-            for label, loops in entry.experiment.controllers.items()
-            for seed in self.seeds(entry)
+            for place, (entry, label, seed) in enumerate(runs)
+            if self.shard.holds(place)
         }
 
 
@@ -162,6 +206,7 @@ def plan_study(
     joints: Sequence[str] = (),
     seeds: int = 20,
     engines: Sequence[str | None] = (None,),
+    shard: Shard = ALL,
 ) -> StudyPlan:
     """Read experiments and check them as a whole before anything runs.
 
@@ -171,6 +216,7 @@ def plan_study(
             experiment names.
         seeds: Runs of each controller.
         engines: Who computes the physics, one or two; None as each file says.
+        shard: The part of the runs to make.
 
     Raises:
         ExperimentError: A file is no experiment.
@@ -189,7 +235,7 @@ def plan_study(
         entries[entry.name] = entry
     if not entries:
         raise SettingError("a study needs at least one experiment")
-    return StudyPlan(tuple(entries.values()), seeds)
+    return StudyPlan(tuple(entries.values()), seeds, shard)
 
 
 def _entry(experiment: Experiment, joints: Sequence[str], *, is_in_both: bool) -> StudyEntry:

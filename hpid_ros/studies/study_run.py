@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import closing
 from pathlib import Path
 
-from hpid_ros.base.errors import ResultExistsError
+from hpid_ros.base.errors import ResultExistsError, SettingError
 from hpid_ros.base.foreign_text import csv_text
 from hpid_ros.experiment.result.folder import ResultFolder
 from hpid_ros.report.tables.engine_tables import engines_csv
-from hpid_ros.studies.batch import Outcome, run_batch
+from hpid_ros.studies.batch import Outcome, Runner
 from hpid_ros.studies.study_plan import (
     QUANTITIES,
     TOTAL,
@@ -50,36 +50,33 @@ def study_folder(
 def run_study(
     plan: StudyPlan,
     folder: ResultFolder,
-    jobs: int | None,
+    run: Runner,
     advanced: Callable[[Outcome], None],
 ) -> StudyResult:
     """Run every controller of every experiment with every seed that the folder does not have.
 
     What was run is kept as it ends, and saved as a whole at the end, also when interrupted; the
-    files are the same for any number of jobs.
+    files are the same wherever the runs are made.
 
     Args:
         plan: What to run.
         folder: Where to save it; runs that are there and still hold are not made again.
-        jobs: As for :func:`~hpid_ros.studies.batch.run_batch`.
+        run: Runs the tasks.
         advanced: Is told of every run that has ended.
 
     Raises:
-        SettingError: As for :func:`~hpid_ros.studies.batch.run_batch`.
         RunError: A process died, or the journal is damaged.
     """
     digests = _digests(plan)
-    records = kept_records(plan, folder)
+    records = kept_records(plan, folder.path)
     tasks = {key: task for key, task in plan.tasks().items() if key not in records}
     keys = tuple(tasks)
     result = StudyResult(plan, records)
-    for entry in plan.entries:
-        folder.write(f"experiments/{entry.experiment.name}.yaml", entry.experiment.text)
-    _write(folder, plan, records)
+    _begin(plan, folder, records)
     try:
         with (
             folder.file(JOURNAL).open("a", encoding="utf-8") as lines,
-            closing(run_batch(tuple(tasks.values()), jobs)) as batch,
+            closing(run(tuple(tasks.values()))) as batch,
         ):
             for outcome in batch:
                 key = keys[outcome.place]
@@ -90,12 +87,38 @@ def run_study(
                 lines.flush()
                 advanced(outcome)
     finally:
-        _write(folder, plan, records)
         save(result, folder)
     return result
 
 
-def kept_records(plan: StudyPlan, folder: ResultFolder) -> dict[RunKey, RunRecord]:
+def merged(plan: StudyPlan, parts: Sequence[Path]) -> StudyResult:
+    """Put the runs of several studies together.
+
+    Args:
+        plan: Of the whole.
+        parts: Folders of studies of the same files, for instance of shards.
+
+    Raises:
+        RunError: A journal is damaged.
+        SettingError: A part is no study, or runs of the plan are missing or have failed.
+    """
+    records: dict[RunKey, RunRecord] = {}
+    for part in parts:
+        if not (part / JOURNAL).is_file():
+            raise SettingError(f"{part} is no study: it has no {JOURNAL}")
+        records |= kept_records(plan, part)
+    missing = [key for key in plan.tasks() if key not in records]
+    if missing:
+        first = missing[0]
+        raise SettingError(
+            f"{len(missing)} of {len(plan.tasks())} runs are in none of the parts, or failed, or "
+            f"were made of other files, seeds or versions; the first is {first.experiment} "
+            f"{first.controller} seed={first.seed} in {first.engine}"
+        )
+    return StudyResult(plan, records)
+
+
+def kept_records(plan: StudyPlan, folder: Path) -> dict[RunKey, RunRecord]:
     """Return the runs in a folder that are still those of the plan and did not fail.
 
     Args:
@@ -109,7 +132,7 @@ def kept_records(plan: StudyPlan, folder: ResultFolder) -> dict[RunKey, RunRecor
     wanted = set(plan.tasks())
     return {
         record.key: record
-        for record in read_journal(folder.path / JOURNAL)
+        for record in read_journal(folder / JOURNAL)
         if record.key in wanted
         and record.digest == digests[record.key.experiment, record.key.engine]
         and not record.failure
@@ -117,12 +140,13 @@ def kept_records(plan: StudyPlan, folder: ResultFolder) -> dict[RunKey, RunRecor
 
 
 def save(result: StudyResult, folder: ResultFolder) -> None:
-    """Write the numbers of all runs, the summary and the tables.
+    """Write the experiments, the numbers of all runs, the summary and the tables.
 
     Args:
         result: The result.
         folder: Its folder.
     """
+    _begin(result.plan, folder, result.records)
     folder.write("runs.csv", runs_csv(result))
     folder.write("study.json", json.dumps(result.as_mapping(), indent=2) + "\n")
     folder.write("tables.txt", study_text(result))
@@ -157,7 +181,9 @@ def _digests(plan: StudyPlan) -> dict[tuple[str, str], str]:
     return {(each.experiment.name, each.engine): each.digest for each in plan.entries}
 
 
-def _write(folder: ResultFolder, plan: StudyPlan, records: dict[RunKey, RunRecord]) -> None:
-    """Write the journal in the plan's order, whatever order the runs ended in."""
+def _begin(plan: StudyPlan, folder: ResultFolder, records: Mapping[RunKey, RunRecord]) -> None:
+    """Write the experiments, and the journal in the plan's order, however the runs ended."""
+    for entry in plan.entries:
+        folder.write(f"experiments/{entry.experiment.name}.yaml", entry.experiment.text)
     lines = [records[key].line() + "\n" for key in plan.tasks() if key in records]
     folder.write(JOURNAL, "".join(lines))

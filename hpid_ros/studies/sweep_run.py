@@ -17,7 +17,7 @@ from hpid_ros.experiment.result.folder import EXPERIMENT, ResultFolder
 from hpid_ros.report.tables.numbers import format_ratio, format_values, slides_note
 from hpid_ros.report.tables.table import ASCII_MARKS, MARKS, STYLES
 from hpid_ros.report.tables.wide_table import UNLIMITED_WIDTH, TableColumn, WideTable
-from hpid_ros.studies.batch import Outcome, run_batch
+from hpid_ros.studies.batch import Outcome, Runner
 from hpid_ros.studies.sweep import Row, Sweep, shown
 from hpid_ros.studies.sweep_result import QUANTITIES, Quartiles, SweepResult
 
@@ -109,18 +109,17 @@ def _ratio(ratios: Quartiles | None, is_ascii: bool) -> Text:
 
 
 def run_sweep(
-    sweep: Sweep, folder: ResultFolder, jobs: int | None, advanced: Callable[[Outcome], None]
+    sweep: Sweep, folder: ResultFolder, run: Runner, advanced: Callable[[Outcome], None]
 ) -> SweepResult:
     """Run every row with every seed, and save what was run, also when interrupted.
 
     Args:
         sweep: What to run.
         folder: Where to save it.
-        jobs: As for :func:`~hpid_ros.studies.batch.run_batch`.
+        run: Runs the tasks.
         advanced: Is told of every run that has ended.
 
     Raises:
-        SettingError: As for :func:`~hpid_ros.studies.batch.run_batch`.
         RunError: A process died.
     """
     folder.write(EXPERIMENT, sweep.experiment.text)
@@ -129,7 +128,7 @@ def run_sweep(
     outcomes: dict[tuple[int, int], Outcome] = {}
     result = SweepResult(sweep, outcomes)
     try:
-        with closing(run_batch(tuple(tasks.values()), jobs)) as batch:
+        with closing(run(tuple(tasks.values()))) as batch:
             for outcome in batch:
                 outcomes[keys[outcome.place]] = outcome
                 advanced(outcome)

@@ -20,8 +20,7 @@ from hpid_ros.experiment.description import load_experiment
 from hpid_ros.report.figures.studies import pareto_front
 from hpid_ros.stability import degrees as degree_check
 from hpid_ros.studies import batch
-from hpid_ros.studies import search as search_module
-from hpid_ros.studies.batch import simulated_indices
+from hpid_ros.studies.batch import in_processes, run_batch, simulated_indices
 from hpid_ros.studies.search import Evaluation, Search, SearchPlan
 from hpid_ros.studies.search_result import compare_entry
 from hpid_ros.studies.search_space import (
@@ -233,7 +232,7 @@ def test_a_search_uses_its_budget_and_finds_what_is_there(experiment, evaluation
 
 
 def test_the_search_begins_at_the_baseline_and_never_ends_above_it(experiment):
-    search = Search(planned(experiment, "hpid"), 1)
+    search = Search(planned(experiment, "hpid"), in_processes(1))
     search.run()
     assert len(search.evaluations) == 12
     (start,) = [each for each in search.evaluations if each.values["mu"] == 0.0]
@@ -249,16 +248,14 @@ def test_seeds_of_a_study_stay_unseen(experiment):
     assert [task.world.seed for task in plan.tasks("x", ())] == list(plan.training_seeds)
 
 
-def test_unstable_gains_are_refused_and_never_run(experiment, monkeypatch):
+def test_unstable_gains_are_refused_and_never_run(experiment):
     ran = []
 
-    def watched(tasks, jobs):
+    def watched(tasks):
         ran.extend(tasks)
-        return search_runs(tasks, jobs)
+        return run_batch(tasks, 1)
 
-    search_runs = search_module.run_batch
-    monkeypatch.setattr(search_module, "run_batch", watched)
-    search = Search(planned(experiment, "pid", bounds={"integral": (1.0, 100.0)}), 1)
+    search = Search(planned(experiment, "pid", bounds={"integral": (1.0, 100.0)}), watched)
     search.run()
     refused = [each for each in search.evaluations if each.note.startswith("refused")]
     assert refused
@@ -280,7 +277,9 @@ def test_uncertified_degrees_are_refused_unless_they_are_asked_for(
             raise GainError("no certificate was found")
 
     monkeypatch.setattr(degree_check, "certify_degree", only_positive)
-    search = Search(planned(experiment, "hpid", must_be_certified=must_be_certified), 1)
+    search = Search(
+        planned(experiment, "hpid", must_be_certified=must_be_certified), in_processes(1)
+    )
     search.run()
     negative = [each for each in search.evaluations if each.values["mu"] < 0.0]
     assert negative
@@ -302,14 +301,14 @@ def test_joints_of_one_rule_are_certified_once(experiment, monkeypatch):
 
 
 def test_what_does_not_settle_is_refused_on_request(experiment):
-    search = Search(planned(experiment, "pid", settle=1e-6), 1)
+    search = Search(planned(experiment, "pid", settle=1e-6), in_processes(1))
     search.run()
     assert search.best is None
     assert all("rad in the last second" in e.note for e in search.evaluations if e.ratios)
 
 
 def test_refining_a_joint_changes_no_other(experiment):
-    search = Search(planned(experiment, "pid", evaluations=10, per_joint=True), 1)
+    search = Search(planned(experiment, "pid", evaluations=10, per_joint=True), in_processes(1))
     search.run()
     assert [each.stage for each in search.evaluations[::10]] == ["all", *ARM]
     first = min(search.evaluations[:10], key=lambda each: each.cost)

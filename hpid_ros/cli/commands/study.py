@@ -14,8 +14,8 @@ from hpid_ros.cli.options import (
     add_jobs,
     add_joints,
     add_output,
-    check_jobs,
     chosen_engines,
+    chosen_runner,
     output_folder,
     run_progress,
     tell_engine,
@@ -23,6 +23,9 @@ from hpid_ros.cli.options import (
 )
 
 if TYPE_CHECKING:
+    from rich.console import Console
+
+    from hpid_ros.studies.study_plan import StudyPlan
     from hpid_ros.studies.study_result import StudyResult
 
 
@@ -55,6 +58,16 @@ def add(commands: Any) -> None:
         "--resume", action="store_true", help="carry on the study in the output folder"
     )
     parser.add_argument(
+        "--shard", metavar="K/N", help="make only the K-th of N parts of the runs (all)"
+    )
+    parser.add_argument(
+        "--merge",
+        action="append",
+        type=Path,
+        metavar="FOLDER",
+        help="run nothing: put the shards of the same study together; once for each",
+    )
+    parser.add_argument(
         "--table",
         choices=("text", "docs", "csv", "json"),
         default="text",
@@ -66,26 +79,57 @@ def add(commands: Any) -> None:
 def run(options: argparse.Namespace) -> int:
     """Run the study and print its tables."""
     from hpid_ros.base.console import TextConsole
-    from hpid_ros.studies.study_plan import plan_study
     from hpid_ros.studies.study_run import kept_records, run_study, study_folder
 
-    check_jobs(options)
     if options.resume and (options.force or options.output is None):
         raise SettingError("--resume needs the study's folder as --output, and not --force")
+    plan = _plan(options)
+    told = TextConsole(stderr=True)
+    if options.merge:
+        return _merge(options, plan, told)
+    with chosen_runner(options, told) as runner:
+        folder = study_folder(
+            output_folder(options, "study"),
+            force=options.force,
+            resume=options.resume,
+            inputs=plan.inputs,
+        )
+        tell_engine(entry.experiment for entry in plan.entries)
+        with telling_where(told, folder, "what was run"):
+            runs = len(plan.tasks()) - len(kept_records(plan, folder.path))
+            with folder, run_progress(told, runs) as ended:
+                result = run_study(plan, folder, runner, ended)
+            _print(result, options.table)
+    return FAILED if result.failures else DONE
+
+
+def _plan(options: argparse.Namespace) -> StudyPlan:
+    from hpid_ros.studies.study_plan import ALL, Shard, plan_study
+
+    if options.merge and (options.shard or options.resume):
+        raise SettingError("--merge makes no run: neither --shard nor --resume goes with it")
     engines = chosen_engines(options)
     files = options.experiments or _shipped_files()
-    plan = plan_study(files, joints=options.joint, seeds=options.seeds, engines=engines)
+    return plan_study(
+        files,
+        joints=options.joint,
+        seeds=options.seeds,
+        engines=engines,
+        shard=Shard.parse(options.shard) if options.shard else ALL,
+    )
+
+
+def _merge(options: argparse.Namespace, plan: StudyPlan, told: Console) -> int:
+    from hpid_ros.studies.study_run import JOURNAL, merged, save, study_folder
+
+    result = merged(plan, options.merge)
+    inputs = [*plan.inputs, *(part / JOURNAL for part in options.merge)]
     path = output_folder(options, "study")
-    inputs = [file for entry in plan.entries for file in entry.experiment.inputs]
-    folder = study_folder(path, force=options.force, resume=options.resume, inputs=inputs)
-    tell_engine(entry.experiment for entry in plan.entries)
-    told = TextConsole(stderr=True)
-    with telling_where(told, folder, "what was run"):
-        runs = len(plan.tasks()) - len(kept_records(plan, folder))
-        with folder, run_progress(told, runs) as ended:
-            result = run_study(plan, folder, options.jobs, ended)
-        _print(result, options.table)
-    return FAILED if result.failures else DONE
+    with study_folder(path, force=options.force, inputs=inputs) as folder:
+        save(result, folder)
+    _print(result, options.table)
+    told.print(f"result: {folder.path}", soft_wrap=True, highlight=False)
+    return DONE
 
 
 def _shipped_files() -> list[Path]:

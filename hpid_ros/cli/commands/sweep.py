@@ -13,7 +13,7 @@ from hpid_ros.cli.options import (
     add_jobs,
     add_joints,
     add_output,
-    check_jobs,
+    chosen_runner,
     experiment_to_run,
     output_folder,
     run_progress,
@@ -71,7 +71,6 @@ def run(options: argparse.Namespace) -> int:
     from hpid_ros.studies.sweep_run import run_sweep
 
     axes = [Axis.parse(text) for text in options.vary]
-    check_jobs(options)
     experiment = experiment_to_run(options)
     sweep = plan_sweep(
         experiment,
@@ -80,14 +79,15 @@ def run(options: argparse.Namespace) -> int:
         joints=options.joint,
         seeds=options.seeds,
     )
-    path = output_folder(options, f"{experiment.name}-sweep")
-    folder = ResultFolder.create(path, force=options.force, inputs=experiment.inputs)
-    tell_engine([experiment])
     told = TextConsole(stderr=True)
-    with telling_where(told, folder, "what was run"):
-        with folder, run_progress(told, len(sweep.tasks())) as ended:
-            result = run_sweep(sweep, folder, options.jobs, ended)
-        _print(result, options.format)
+    with chosen_runner(options, told) as runner:
+        path = output_folder(options, f"{experiment.name}-sweep")
+        folder = ResultFolder.create(path, force=options.force, inputs=experiment.inputs)
+        tell_engine([experiment])
+        with telling_where(told, folder, "what was run"):
+            with folder, run_progress(told, len(sweep.tasks())) as ended:
+                result = run_sweep(sweep, folder, runner, ended)
+            _print(result, options.format)
     return FAILED if result.failures else DONE
 
 

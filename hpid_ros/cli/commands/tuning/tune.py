@@ -14,7 +14,7 @@ from hpid_ros.cli.options import (
     add_jobs,
     add_joints,
     add_output,
-    check_jobs,
+    chosen_runner,
     experiment_to_run,
     output_folder,
     progress,
@@ -109,25 +109,25 @@ def run(options: argparse.Namespace) -> int:
     from hpid_ros.studies.search import Search
     from hpid_ros.studies.search_result import SearchResult
 
-    check_jobs(options)
     if options.label is not None:
         require_label(options.label, "--label", SettingError)
     plan = _plan(options)
-    path = output_folder(options, f"{plan.experiment.name}-tune-{options.law}")
-    folder = ResultFolder.create(path, force=options.force, inputs=plan.experiment.inputs)
-    tell_engine([plan.experiment])
     told = TextConsole(stderr=True)
-    with telling_where(told, folder, "what was found"):
-        with folder, progress(told, "points", plan.total) as advanced:
-            folder.write(EXPERIMENT, plan.experiment.text)
-            search = Search(plan, options.jobs, _least_cost(advanced))
-            result = SearchResult(search, options.label or _LABELS[options.law])
-            try:
-                search.run()
-            finally:
-                result.save(folder)
-        told.print(result.table(), end="", soft_wrap=True, highlight=False, markup=False)
-        print(result.snippet(), end="")
+    with chosen_runner(options, told) as runner:
+        path = output_folder(options, f"{plan.experiment.name}-tune-{options.law}")
+        folder = ResultFolder.create(path, force=options.force, inputs=plan.experiment.inputs)
+        tell_engine([plan.experiment])
+        with telling_where(told, folder, "what was found"):
+            with folder, progress(told, "points", plan.total) as advanced:
+                folder.write(EXPERIMENT, plan.experiment.text)
+                search = Search(plan, runner, _least_cost(advanced))
+                result = SearchResult(search, options.label or _LABELS[options.law])
+                try:
+                    search.run()
+                finally:
+                    result.save(folder)
+            told.print(result.table(), end="", soft_wrap=True, highlight=False, markup=False)
+            print(result.snippet(), end="")
     return DONE if search.best is not None else FAILED
 
 

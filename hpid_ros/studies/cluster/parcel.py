@@ -1,0 +1,131 @@
+"""Robots that travel with their runs: URDF and collision meshes, named by what they hold."""
+
+from __future__ import annotations
+
+import atexit
+import hashlib
+import shutil
+import tempfile
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from xml.etree import ElementTree
+
+from hpid_ros.control import LoopSettings
+from hpid_ros.robot.description import RobotDescription
+from hpid_ros.robot.meshes import find_mesh
+from hpid_ros.studies.batch import RunTask
+
+_PARCEL = "parcel:"
+
+Naming = Callable[[str | Path], str]
+
+
+@dataclass(frozen=True)
+class Parcel:
+    """Files that runs need.
+
+    Attributes:
+        files: Contents by name; a name tells its content.
+    """
+
+    files: Mapping[str, bytes]
+
+    @property
+    def name(self) -> str:
+        """A name that tells what is in it."""
+        return _digest(" ".join(sorted(self.files)).encode())
+
+    @property
+    def size(self) -> int:
+        """Bytes of all files."""
+        return sum(map(len, self.files.values()))
+
+
+def pack(tasks: Sequence[RunTask]) -> tuple[list[RunTask], Parcel]:
+    """Put the robots of runs into a parcel.
+
+    Args:
+        tasks: Runs whose robots are files or texts of this machine.
+
+    Returns:
+        The runs, which name their robots by the parcel's names, and the parcel.
+
+    Raises:
+        RobotDescriptionError: A URDF cannot be read.
+    """
+    files: dict[str, bytes] = {}
+    known: dict[str, str] = {"": ""}
+
+    def name(robot: str | Path) -> str:
+        key = str(robot)
+        if key not in known:
+            known[key] = _PARCEL + _put(RobotDescription.load(robot), files)
+        return known[key]
+
+    packed = [_with_robots(task, name) for task in tasks]
+    return packed, Parcel(files)
+
+
+def _put(robot: RobotDescription, files: dict[str, bytes]) -> str:
+    """Add a robot and its collision meshes to files, and return its name there."""
+    root = ElementTree.fromstring(robot.xml)
+    for mesh in root.findall("link/collision/geometry/mesh"):
+        found = find_mesh(mesh.get("filename", ""), robot.folder)
+        if found is not None:
+            content = found.read_bytes()
+            place = f"{_digest(content)}{found.suffix.lower()}"
+            files[place] = content
+            mesh.set("filename", place)
+    text = ElementTree.tostring(root, encoding="utf-8")
+    place = f"{_digest(text)}.urdf"
+    files[place] = text
+    return place
+
+
+class Depot:
+    """Where this process puts down what parcels hold, until it ends."""
+
+    def __init__(self) -> None:
+        self._folder: Path | None = None
+        self._lock = threading.Lock()
+
+    def unpack(self, parcel: Parcel, task: RunTask) -> RunTask:
+        """Return a run whose robots are files of this machine.
+
+        Args:
+            parcel: From :func:`pack`.
+            task: A run of it.
+        """
+        with self._lock:
+            folder = self._folder or self._begin()
+            for name, content in parcel.files.items():
+                path = folder / Path(name).name
+                if not path.exists():
+                    path.write_bytes(content)
+        return _with_robots(
+            task,
+            lambda robot: str(folder / str(robot).removeprefix(_PARCEL)) if robot else "",
+        )
+
+    def _begin(self) -> Path:
+        self._folder = Path(tempfile.mkdtemp(prefix="hpid-"))
+        atexit.register(shutil.rmtree, self._folder, ignore_errors=True)
+        return self._folder
+
+
+def _with_robots(task: RunTask, name: Naming) -> RunTask:
+    world = replace(task.world, robot_description=name(task.world.robot_description))
+    return replace(task, world=world, loops=tuple(_with_robot(each, name) for each in task.loops))
+
+
+def _with_robot(settings: LoopSettings, name: Naming) -> LoopSettings:
+    model = settings.model
+    if not model.description:
+        return settings
+    return replace(settings, model=replace(model, description=name(model.description)))
+
+
+def _digest(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()[:32]
