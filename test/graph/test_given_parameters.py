@@ -153,6 +153,15 @@ def test_a_parameter_that_no_node_has_to_which_it_was_given_is_one_line_of_that_
     assert str(refused.value) == said
 
 
+def test_help_that_nobody_reads_is_no_fault():
+    read, write = os.pipe()
+    os.close(read)
+    command = [sys.executable, "-m", "hpid_ros.nodes.joint_controller", "--help"]
+    with os.fdopen(write, "wb") as stream:
+        done = subprocess.run(command, stdout=stream, stderr=subprocess.PIPE, timeout=60)
+    assert (done.returncode, done.stderr) == (0, b"")
+
+
 @pytest.mark.parametrize("name", [*EXECUTABLES, ACTION])
 def test_help_is_a_few_lines_and_starts_nothing(name, capsys, monkeypatch):
     module = importlib.import_module(f"hpid_ros.nodes.{name}")

@@ -242,7 +242,7 @@ def run(
     try:
         surplus = remove_ros_args(command_line)[1:]
         if usage is not None and is_asked_for(surplus):
-            print(usage.text())
+            usage.tell()
             return 0
         end_with_the_launch()
         load_profile()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import sys
 import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -31,6 +33,13 @@ class Usage:
     listens: Sequence[str] = ()
     tells: Sequence[str] = ()
     serves: Sequence[str] = ()
+
+    def tell(self) -> None:
+        """Print all of it; whoever reads it may have read enough after some lines, as head has."""
+        try:
+            print(self.text(), flush=True)
+        except BrokenPipeError:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
     def text(self) -> str:
         """Return all of it."""
