@@ -238,6 +238,14 @@ class GoalFollower:
             self._references.stand(joint, position)
         return None
 
+    def speed(self, joint: int) -> float:
+        """Return how fast a joint was at its last state, in [rad/s] or [m/s].
+
+        Args:
+            joint: Its place in the group.
+        """
+        return abs(self._states.velocities[joint])
+
     def feedback(self) -> Feedback | None:
         """Return how the active goal is doing; None without one."""
         active, states = self._active, self._states

@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 import sys
-import time
 from collections.abc import Sequence
-from functools import partial
 
 from rclpy.parameter import Parameter
 from rclpy.task import Future
-from sensor_msgs.msg import JointState
 
-from hpid_ros.base.errors import MessageError
 from hpid_ros.base.names import controller_name
 from hpid_ros.goals import (
     FIXED_PARAMETERS,
@@ -24,19 +20,17 @@ from hpid_ros.goals import (
     joint_parameters,
 )
 from hpid_ros.nodes.parts.action.health import GoalHealth
+from hpid_ros.nodes.parts.action.listening import FollowerInputs
 from hpid_ros.nodes.parts.action.parameters import GroupParameters
 from hpid_ros.nodes.parts.action.server import GoalServer, action_type
 from hpid_ros.nodes.parts.action.told import ToldTrajectories
 from hpid_ros.nodes.ros import executor
-from hpid_ros.nodes.ros.middleware import NEWEST_STATES, subscribe_raw
 from hpid_ros.nodes.ros.status import StatusPipe
 from hpid_ros.nodes.ros.steady_timer import steady_timer
 from hpid_ros.nodes.ros.usage import Usage
-from hpid_ros.wire import GroupReader, JointReader
 
-_LOOKS = 10  # for the states, in each state_timeout
+_READINESS_PERIOD = 0.05  # [s]
 _UNHEARD = "no controller listens to joint_trajectory"
-_STOOD_STILL = 0.25  # [s] without a look; an executor that is merely busy is faster
 
 
 class JointTrajectoryController(executor.ClosingNode):
@@ -62,54 +56,24 @@ class JointTrajectoryController(executor.ClosingNode):
         self._told = ToldTrajectories(
             self, joints, lambda: self._follower.is_active, self._give_way
         )
-        self._listen(joints)
+        self._inputs = FollowerInputs(
+            self,
+            self._follower,
+            self._group.state_topics,
+            {joint: f"{controller_name(joint)}/reference" for joint in joints},
+            self._act,
+            self._health.misread_message,
+            self._stood_still,
+        )
         self._server = GoalServer(self, self._begin, self._cancel, self._health.note)
         self._is_ready = False
-        self._silence, self._seen_ns = 0.0, self._follower.now_ns
-        self._looked_at = time.monotonic()
-        self._look_period = self._follower.settings.state_timeout / _LOOKS
-        steady_timer(self, self._look_period, self._look_for_states)
+        steady_timer(self, _READINESS_PERIOD, self._say_when_ready)
         rate = float(self.get_parameter("action_monitor_rate").value)
         steady_timer(self, 1.0 / rate, self._tell_feedback)
         steady_timer(self, self._health.period, self._report)
         self.add_on_set_parameters_callback(self._group.verdict)
         self.add_post_set_parameters_callback(self._change)
         StatusPipe(self).send("listening")
-
-    def _listen(self, joints: Sequence[str]) -> None:
-        self._reader = GroupReader(joints)
-        for topic in self._group.state_topics:
-            subscribe_raw(self, topic, self._on_state, NEWEST_STATES)
-        self._has_told = [False] * len(joints)
-        for joint, name in enumerate(joints):
-            self.create_subscription(
-                JointState,
-                f"{controller_name(name)}/reference",
-                partial(self._on_reference, joint, JointReader(name)),
-                NEWEST_STATES,
-                raw=True,
-            )
-
-    def _on_state(self, raw: bytes) -> None:
-        self._wake()
-        try:
-            stamp_ns, parts = self._reader.read(raw)
-        except MessageError as error:
-            self._health.misread_message(f"state refused: {error}")
-            return
-        if parts:
-            self._act(self._follower.take_state(stamp_ns, parts))
-
-    def _on_reference(self, joint: int, reader: JointReader, raw: bytes) -> None:
-        self._wake()
-        try:
-            sample = reader.read(raw)
-        except MessageError as error:
-            self._health.misread_message(f"reference refused: {error}")
-            return
-        if sample is not None:
-            self._has_told[joint] = True
-            self._act(self._follower.take_reference(joint, sample.stamp_ns, sample.position))
 
     def _begin(self, request: GoalRequest) -> Result | None:
         if not self._told.listeners():
@@ -133,25 +97,9 @@ class JointTrajectoryController(executor.ClosingNode):
         if outcome.result is not None:
             self._server.end(outcome.result)
 
-    def _wake(self) -> None:
-        """Notice that the process has stood still: what is waiting for it is old."""
-        now = time.monotonic()
-        stood, self._looked_at = now - self._looked_at, now
-        if stood > self._look_period + _STOOD_STILL:
-            self._follower.excuse(stood)
-            self._health.stood_still += 1
-            self._health.fault(f"this process stood still for {stood:.3g} s")
-
-    def _look_for_states(self) -> None:
-        """Count for how long there has been no new state, while this process has run."""
-        self._wake()
-        self._say_when_ready()
-        if self._follower.now_ns != self._seen_ns:
-            self._seen_ns, self._silence = self._follower.now_ns, 0.0
-            return
-        self._silence += self._look_period
-        if self._silence > self._follower.settings.state_timeout:
-            self._act(self._follower.lapse(self._silence))
+    def _stood_still(self, stood: float) -> None:
+        self._health.stood_still += 1
+        self._health.fault(f"this process stood still for {stood:.3g} s")
 
     def _against(self) -> str:
         """Return why no goal can be followed now, in words; nothing if one can be."""
@@ -183,7 +131,7 @@ class JointTrajectoryController(executor.ClosingNode):
             warnings.append(f"{', '.join(sorted(rivals))} may send trajectories, too")
         silent = [
             joint
-            for joint, has_told in zip(self._group.joints, self._has_told, strict=True)
+            for joint, has_told in zip(self._group.joints, self._inputs.has_told, strict=True)
             if not has_told
         ]
         against = self._against()

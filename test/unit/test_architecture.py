@@ -33,11 +33,12 @@ ALLOWED = {
     "frequency": {"control", "recordings", "stability"},
     "compensation": {"control", "robot"},
     "goals": {"control", "trajectory", "wire"},
+    "excitation": {"goals", "trajectory"},
     "planning": {"documents", "robot", "trajectory"},
     "simulation": {"compensation", "control", "documents", "planning", "robot", "wire"},
     "bags": {"documents", "recordings", "trajectory", "wire"},
     "analysis": {"recordings"},
-    "report": {"analysis", "frequency", "identification", "recordings"},
+    "report": {"analysis", "excitation", "frequency", "identification", "recordings"},
     "metrics": {"analysis", "bags", "control", "recordings", "robot", "stability"},
     "tuning": {
         *("analysis", "compensation", "control", "documents", "recordings", "robot"),
@@ -64,7 +65,7 @@ ONLY_IN = {
 }
 PURE = {
     *("control", "frequency", "goals", "merging", "trajectory", "wire", "recordings"),
-    "identification",
+    *("excitation", "identification"),
 }
 PURE_LIBRARIES = {"numpy", "scipy"}
 # The only modules that may touch what another package keeps to itself.

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import subprocess
-import sys
 from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from rich.console import Console, ConsoleOptions, RenderResult
 from rich.text import Text
 
-from hpid_ros.base.errors import RunError, SettingError
+from hpid_ros.base.errors import SettingError
 from hpid_ros.base.units import of_slide, unit_over
 from hpid_ros.cli.commands import DONE, FAILED
 from hpid_ros.cli.loops import judged_loops, loop_file, named_loops, shown_name
@@ -238,7 +236,9 @@ def _loops(options: argparse.Namespace) -> ParameterFile:
             "check-gains needs one source: a FILE, --live, or gains given as --p --i --d"
         )
     if options.live:
-        return ParameterFile(_running(), {})
+        from hpid_ros.experiment.live.graph import running_loops
+
+        return ParameterFile(running_loops(), {})
     if options.file:
         return named_loops(loop_file(options.file))
     from hpid_ros.control import LoopSettings
@@ -249,19 +249,3 @@ def _loops(options: argparse.Namespace) -> ParameterFile:
     law = "hpid" if options.mu is not None else "pid"
     loop = LoopSettings.from_parameters({"joint": "joint", "law": law, **given})
     return ParameterFile({"joint": loop}, {})
-
-
-def _running() -> dict[str, LoopSettings]:
-    """Ask the graph, in a process of its own: this one need not have ROS."""
-    from hpid_ros.tuning.controller_files import settings_from_parameters
-
-    reader = subprocess.run(
-        [sys.executable, "-m", "hpid_ros.nodes.parts.parameter_reader"],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    if reader.returncode:
-        lines = reader.stderr.strip().splitlines()
-        raise RunError(f"cannot read the running graph: {lines[-1] if lines else 'no answer'}")
-    return settings_from_parameters(json.loads(reader.stdout), "the running graph")

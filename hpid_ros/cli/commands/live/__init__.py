@@ -1,0 +1,1 @@
+"""Subcommands that move a robot that runs: they ask first, and stop at every limit."""

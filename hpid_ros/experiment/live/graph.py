@@ -1,0 +1,140 @@
+"""The joint controllers that run, their limits, and where their joints are.
+
+The graph is asked in a process of its own: whoever asks need not have ROS.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import subprocess
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from hpid_ros.base.errors import HpidError, RunError
+from hpid_ros.base.resources import find_resource
+from hpid_ros.control import LoopSettings
+from hpid_ros.control.settings.robot_limits import RobotLimits
+from hpid_ros.robot.description import RobotDescription
+from hpid_ros.tuning.controller_files import settings_from_parameters
+
+_READER = "hpid_ros.nodes.parts.live.graph_reader"
+
+
+@dataclass(frozen=True)
+class RunningController:
+    """A joint controller that runs.
+
+    Attributes:
+        node: Its full name.
+        settings: In force, within the limits of its robot.
+        limits: Those of its robot, which are in the settings already.
+        introspection_rate: Of its ``~/reference`` in [Hz].
+        position: Where its joint is in [rad] or [m]; None if nobody says so.
+        effort: Its mean effort in [N m] or [N]; None likewise.
+    """
+
+    node: str
+    settings: LoopSettings
+    limits: RobotLimits
+    introspection_rate: float
+    position: float | None
+    effort: float | None
+
+    @property
+    def namespace(self) -> str:
+        """Of the node."""
+        return self.node.rpartition("/")[0] or "/"
+
+
+@dataclass(frozen=True)
+class RunningGraph:
+    """What runs.
+
+    Attributes:
+        controllers: By joint, in the order of the nodes' names.
+        document: Their parameters, as a parameter file has them.
+        has_commands: Whether they told efforts on ``joint_commands``.
+    """
+
+    controllers: Mapping[str, RunningController]
+    document: Mapping[str, Any]
+    has_commands: bool
+
+
+def running_loops() -> dict[str, LoopSettings]:
+    """Return the settings of all running controllers by the names of their nodes.
+
+    Raises:
+        RunError: The graph cannot be read.
+        SettingError: There is no controller.
+    """
+    return settings_from_parameters(_read()["controllers"], "the running graph")
+
+
+def running_graph(states: str = "joint_states") -> RunningGraph:
+    """Return what runs, and where the joints are.
+
+    Args:
+        states: Topic of the states.
+
+    Raises:
+        RunError: The graph cannot be read, or two controllers have one joint.
+        SettingError: There is no controller.
+    """
+    read = _read(states)
+    document = read["controllers"]
+    found: dict[str, RunningController] = {}
+    settings_from_parameters(document, "the running graph")
+    for node, section in document.items():
+        values = section["ros__parameters"]
+        (settings,) = settings_from_parameters({node: section}, "the running graph").values()
+        if settings.joint in found:
+            both = f"{found[settings.joint].node} and {node}"
+            raise RunError(f"{settings.joint} has two controllers, {both}: which is meant?")
+        limits = _limits(str(values.get("robot_description") or ""), settings.joint)
+        state = read["joints"].get(settings.joint, {})
+        found[settings.joint] = RunningController(
+            node,
+            limits.within(settings),
+            limits,
+            float(values.get("introspection_rate") or 0.0),
+            _finite(state.get("position")),
+            _finite(state.get("effort")),
+        )
+    return RunningGraph(found, document, bool(read["has_commands"]))
+
+
+def _finite(value: float | None) -> float | None:
+    return value if value is not None and math.isfinite(value) else None
+
+
+def _limits(source: str, joint: str) -> RobotLimits:
+    """Return the limits of a joint in the description that its controller has."""
+    if not source:
+        return RobotLimits()
+    if not source.lstrip().startswith("<"):
+        try:
+            source = str(find_resource(source))
+        except HpidError as error:
+            raise RunError(
+                f"robot_description of the controller of {joint} is a file that is not here: "
+                f"{error}"
+            ) from None
+    (found,) = RobotDescription.load(source).select([joint])
+    return RobotLimits.of(found)
+
+
+def _read(*arguments: str) -> dict[str, Any]:
+    reader = subprocess.run(
+        [sys.executable, "-m", _READER, *arguments],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    if reader.returncode:
+        lines = reader.stderr.strip().splitlines()
+        raise RunError(f"cannot read the running graph: {lines[-1] if lines else 'no answer'}")
+    return dict(json.loads(reader.stdout))

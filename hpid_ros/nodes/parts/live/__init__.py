@@ -1,0 +1,1 @@
+"""Processes that the command ``hpid`` starts beside a running graph."""
