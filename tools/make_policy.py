@@ -53,7 +53,10 @@ def policy(joints: Iterable[str]) -> ElementTree.Element:
                 *("~/estimate", "~/transition_event", "/diagnostics"),
                 *_claims(joint),
             ),
-            subscribe=("joint_states", "joint_trajectory", "~/setpoint", *_claims(joint)),
+            subscribe=(
+                *("joint_states", "joint_trajectory", "~/setpoint", "~/relay"),
+                *_claims(joint),
+            ),
             reply=(f"~/{service}" for service in _LIFECYCLE),
         )
     claims = [claim_topic(commands, ALL_JOINTS) for commands in _MERGED]
@@ -94,6 +97,7 @@ def policy(joints: Iterable[str]) -> ElementTree.Element:
         profile,
         publish=(
             *(f"/{name}/setpoint" for name in controllers),
+            *(f"/{name}/relay" for name in controllers),
             *(f"/{name}/wrench" for name in _BRIDGES),
         ),
         subscribe=("/diagnostics", *_RECORDED),

@@ -24,7 +24,7 @@ from hpid_ros.cli.commands import (
     study,
     sweep,
 )
-from hpid_ros.cli.commands.live import excite
+from hpid_ros.cli.commands.live import autotune, excite
 from hpid_ros.cli.commands.metrics import command as metrics
 from hpid_ros.cli.commands.recordings import identify, repair, replay
 from hpid_ros.cli.commands.tuning import check_gains, gains, margins, tune, upgrade
@@ -73,7 +73,7 @@ def _parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     for each in (
         *(compare, run, sweep, study, metrics, excite, identify, replay, repair),
-        *(gains, check_gains, margins, tune, upgrade, export, robot, schema),
+        *(gains, check_gains, margins, tune, autotune, upgrade, export, robot, schema),
     ):
         each.add(commands)
     return parser

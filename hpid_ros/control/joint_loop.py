@@ -8,9 +8,10 @@ from typing import NamedTuple
 
 from hpid_ros.base.errors import SettingError
 from hpid_ros.base.units import SECONDS_PER_NANOSECOND
-from hpid_ros.control.damping_stop import DampingStop
 from hpid_ros.control.estimation.estimation import Estimation
 from hpid_ros.control.estimation.velocity import VelocitySource
+from hpid_ros.control.interludes.damping_stop import DampingStop
+from hpid_ros.control.interludes.relay import Relay, RelayRequest
 from hpid_ros.control.limited_law import LimitedLaw, ModelTerm
 from hpid_ros.control.loop_state import LoopClock, LoopCounts, LoopState
 from hpid_ros.control.pid import Terms
@@ -51,6 +52,8 @@ class JointLoop:
         self.counts = LoopCounts()
         self.last_fault = ""
         """What was last wrong with a state, in words."""
+        self.relay: Relay | None = None
+        """The last relay that there was, for what became of it."""
         self._following = Following()
         self._law = LimitedLaw(settings, self.counts)
         self._estimation = Estimation(settings, self._law)
@@ -74,7 +77,65 @@ class JointLoop:
         Args:
             motion: A trajectory's column, or a :class:`Setpoint`.
         """
+        self.end_relay("a reference came")
         self._following.follow(motion)
+
+    def begin_relay(self, request: RelayRequest) -> None:
+        """Let a relay drive the joint for some cycles, around where it is held.
+
+        It gives back by itself; also when a reference or parameters come, and at once when the
+        joint is taken over anew, or a state cannot be used.
+
+        Args:
+            request: What it shall do.
+
+        Raises:
+            SettingError: The joint is not held at rest, is too near to its effort limits, or the
+                law has nothing to hold it by.
+        """
+        against = self._reason_against_relay(request)
+        if against:
+            raise SettingError(f"no relay now: {against}")
+        gains = self.settings.gains
+        self.relay = self._law.relay = Relay(request, gains.d / gains.p)
+
+    def _reason_against_relay(self, request: RelayRequest) -> str:
+        gains, effort, following = self.settings.gains, self.settings.effort, self._following
+        least, most = effort.u_clamp_min, effort.u_clamp_max
+        load = self._law.integral + self._law.model_effort
+        if self._law.relay is not None:
+            return "there is one already"
+        if self._is_takeover_due or self.state not in (LoopState.HOLDING, LoopState.FOLLOWING):
+            return str(self.state.value)
+        if not (gains.p > 0.0 and gains.d > 0.0):
+            return "gains.p and gains.d must be positive"
+        if following.velocity or following.acceleration:
+            return "the reference moves"
+        if abs(self._error) > 0.5 * request.deviation:
+            return (
+                f"the error of {self._error:.4g} rad is above half of the deviation, "
+                f"{request.deviation:g} rad"
+            )
+        if not least < load - request.amplitude < load + request.amplitude < most:
+            return (
+                f"an amplitude of {request.amplitude:g} N m around {load:.4g} N m is not within "
+                f"the effort limits, {least:g} and {most:g} N m"
+            )
+        return ""
+
+    def end_relay(self, reason: str) -> None:
+        """Let a relay give back, if there is one.
+
+        Args:
+            reason: Why, in words.
+        """
+        if self._law.relay is not None:
+            self._law.relay.end(reason)
+
+    def _drop_relay(self, reason: str) -> None:
+        """End a relay at once, without another effort: who calls decides about that."""
+        self.end_relay(reason)
+        self._law.relay = None
 
     def retune(self, settings: LoopSettings) -> None:
         """Put other settings in force from the next sample on, as a whole.
@@ -96,6 +157,7 @@ class JointLoop:
             )
         if settings.model != before.model:
             raise SettingError("compensation and its model cannot change while the loop runs")
+        self.end_relay("parameters were set")
         is_new = self._clock.stamp_ns is None
         self._estimation.retune(settings, None if is_new else self._position)
         if settings.encoder.wrap != before.encoder.wrap:
@@ -118,6 +180,7 @@ class JointLoop:
 
     def reset(self) -> None:
         """Forget integral, velocity and time; start the motion anew with the next state."""
+        self._drop_relay("the loop began anew")
         self._law.reset()
         self._estimation.reset()
         self._feedforward.reset()
@@ -148,6 +211,7 @@ class JointLoop:
             ``fallback_effort``, within the effort limits, in [N m].
         """
         self._clock.lapse()
+        self._drop_relay("no state came")
         self.counts.silences += 1
         if not self._timing.is_simulated:
             self.supersede(self.settings.effort.fallback)
@@ -159,6 +223,7 @@ class JointLoop:
         As after :meth:`lapse` the next state is a takeover, but from the effort in force.
         """
         self.counts.silences += 1
+        self._drop_relay("no state came")
         if not self._timing.is_simulated:
             self.supersede(self._law.effort)
 
@@ -168,6 +233,7 @@ class JointLoop:
         Args:
             effort: In [N m].
         """
+        self._drop_relay("the joint was given another effort")
         self._is_takeover_due = True
         self._law.give(effort)
 
@@ -263,6 +329,8 @@ class JointLoop:
         model = estimation.update(position, velocity, dt, model)
         speed = estimation.velocity
         wanted, rate, acceleration = following.sample(stamp_ns, timing.takeover_time, law.limits)
+        if rate and law.relay is not None:
+            law.relay.end("the reference moves")
         forward, ahead = self._feedforward, 0.0
         if forward.is_active or following.gives_effort:
             ahead = self._feed_forward(stamp_ns, is_takeover=is_takeover)
@@ -330,6 +398,7 @@ class JointLoop:
         clock.skip(stamp_ns)
 
     def _fault(self) -> float:
+        self._drop_relay("a state could not be used")
         self.counts.rejected += 1
         self._state = LoopState.FAULT
         self._law.give(self.settings.effort.fallback)
@@ -396,6 +465,9 @@ class JointLoop:
         is_takeover = self._is_takeover_due and self._following.is_standing
         self._is_takeover_due = False
         if is_takeover:
+            if self._law.relay is not None:
+                self._drop_relay("the joint was taken over anew")
+                self._law.give(self._law.effort)  # what the relay gave is in no term
             self.counts.takeovers += 1
             self._estimation.restart()
             self._following.take_over(stamp_ns, position, self._timing.takeover_time)

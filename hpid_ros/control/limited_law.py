@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from hpid_ros.control.damping_stop import DampingStop
 from hpid_ros.control.estimation.velocity import VelocitySource
+from hpid_ros.control.interludes.damping_stop import DampingStop
+from hpid_ros.control.interludes.relay import Relay
 from hpid_ros.control.limits import MotionLimits
 from hpid_ros.control.loop_state import LoopCounts
 from hpid_ros.control.pid import Terms
@@ -42,6 +43,7 @@ class LimitedLaw:
     Attributes:
         effort: The effort in force in [N m].
         limits: Limits of position, velocity and effort rate; None where there are none.
+        relay: What drives the joint in place of the p and d terms; None for nothing.
 
     Args:
         settings: Checked settings.
@@ -63,12 +65,14 @@ class LimitedLaw:
         "_offset",
         "effort",
         "limits",
+        "relay",
     )
 
     effort: float
 
     def __init__(self, settings: LoopSettings, counts: LoopCounts) -> None:
         self._counts = counts
+        self.relay: Relay | None = None
         self._law = make_law(settings)
         self._adopt(settings, make_motion_limits(settings))
         self.reset()
@@ -261,6 +265,12 @@ class LimitedLaw:
         self._ahead = ahead
         if ahead:
             wanted += ahead
+        if self.relay is not None:
+            terms = law.terms
+            wanted += self.relay.update(error, error_rate, gain * (terms.p + terms.d), dt)
+            law.restore_integral(law.integral - self.relay.weight * (law.integral - before))
+            if self.relay.is_over:
+                self.relay = None
         after = law.integral
         if not (math.isfinite(wanted) and math.isfinite(after)):
             law.restore_integral(before)

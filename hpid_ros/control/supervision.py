@@ -10,7 +10,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from hpid_ros.base.units import NANOSECONDS
-from hpid_ros.control.damping_stop import DampingStop
+from hpid_ros.control.interludes.damping_stop import DampingStop
 from hpid_ros.control.joint_loop import JointLoop
 
 LOOKS = 4.0

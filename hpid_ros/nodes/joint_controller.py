@@ -14,8 +14,9 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.task import Future
 
-from hpid_ros.base.errors import ClaimError, MessageError
+from hpid_ros.base.errors import ClaimError, MessageError, SettingError
 from hpid_ros.control import JointLoop
+from hpid_ros.control.interludes.relay import RelayRequest
 from hpid_ros.control.reference import Motion
 from hpid_ros.control.settings.table import PARAMETERS
 from hpid_ros.control.supervision import SupervisedLoop
@@ -121,6 +122,7 @@ class JointController(ManagedNode):
             self,
             self.joint,
             self._follow,
+            self._relay,
             self._health.refused_reference,
             lambda: "" if self.is_active or self._needs_reference else _INACTIVE,
         )
@@ -248,6 +250,17 @@ class JointController(ManagedNode):
     def _follow(self, motion: Motion) -> None:
         self._loop.follow(motion)
 
+    def _relay(self, request: RelayRequest | None) -> None:
+        """Begin with a relay, or end it."""
+        if request is None:
+            self._loop.end_relay("it was told to end")
+            return
+        if not self.is_active:
+            raise SettingError(_INACTIVE)
+        self._loop.begin_relay(request)
+        self._health.relay_begins(request)
+        self._report()
+
     def _check(self, changes: Sequence[Parameter]) -> SetParametersResult:
         return self._tuning.verdict(changes, self._certification.require)
 
@@ -328,7 +341,7 @@ USAGE = Usage(
     "Controls one joint: states in, effort commands out.",
     "-p joint:=JOINT",
     [*PARAMETERS, *OWN_PARAMETERS],
-    ["joint_states", "joint_trajectory", "~/setpoint"],
+    ["joint_states", "joint_trajectory", "~/setpoint", "~/relay"],
     [
         "joint_commands (or ~/commands, ~/command)",
         "~/reference",

@@ -1,6 +1,10 @@
 """CDR codec: states and commands (both JointState), commands of groups, references."""
 
-from hpid_ros.wire.group_commands import DynamicJointStateTemplate, MultiArrayTemplate
+from hpid_ros.wire.group_commands import (
+    DynamicJointStateTemplate,
+    MultiArrayTemplate,
+    decode_numbers,
+)
 from hpid_ros.wire.joint_state import (
     JointStateFields,
     JointStateLayout,
@@ -45,6 +49,7 @@ __all__ = [
     "TrajectoryArrays",
     "decode_float64",
     "decode_joint_state",
+    "decode_numbers",
     "decode_trajectory",
     "encode_trajectory",
 ]

@@ -12,8 +12,9 @@ from __future__ import annotations
 import struct
 from collections.abc import Sequence
 
+from hpid_ros.base.errors import MessageError
 from hpid_ros.base.units import NANOSECONDS
-from hpid_ros.wire.cdr import ENCAPSULATION, Writer
+from hpid_ros.wire.cdr import ENCAPSULATION, Cursor, Writer
 
 EFFORT = "effort"
 """Name of the interface of efforts, in ros2_control."""
@@ -47,6 +48,30 @@ class MultiArrayTemplate:
             struct.error: There are more or fewer than the message has.
         """
         return self._head + self._numbers.pack(*effort)
+
+
+_MOST_DIMENSIONS, _MOST_NUMBERS = 8, 64
+
+
+def decode_numbers(raw: bytes) -> tuple[float, ...]:
+    """Return the numbers of a serialised Float64MultiArray; its layout is passed over.
+
+    Raises:
+        MessageError: The bytes are none, or have more than 64 numbers.
+    """
+    cursor = Cursor(raw, "Float64MultiArray")
+    dimensions = cursor.scalar("I")
+    if dimensions > _MOST_DIMENSIONS:
+        raise MessageError(f"{dimensions} dimensions, {_MOST_DIMENSIONS} are allowed")
+    for _ in range(dimensions):
+        cursor.string()
+        cursor.scalar("I")
+        cursor.scalar("I")
+    cursor.scalar("I")
+    numbers = cursor.doubles()
+    if len(numbers) > _MOST_NUMBERS:
+        raise MessageError(f"{len(numbers)} numbers, {_MOST_NUMBERS} are allowed")
+    return numbers
 
 
 class DynamicJointStateTemplate:

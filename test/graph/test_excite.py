@@ -2,13 +2,11 @@
 
 import io
 import json
-import time
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from harness.graph import ros_arguments
-from sensor_msgs.msg import JointState
+from harness.turntable import COULOMB, INERTIA, VISCOUS, positions, start_turntable
 
 from hpid_ros.base.errors import SettingError
 from hpid_ros.cli.commands.live.asking import agreed
@@ -17,59 +15,14 @@ from hpid_ros.excitation.bounds import Wish
 from hpid_ros.excitation.plan import Design, plan
 from hpid_ros.experiment.live.excitation import bounds_of, carry_out, chosen
 from hpid_ros.experiment.live.graph import running_graph
-from hpid_ros.nodes.ros.middleware import ALL_COMMANDS
-from hpid_ros.wire import decode_joint_state
 
-INERTIA, VISCOUS, COULOMB = 0.05, 0.2, 0.1
-URDF = f"""<robot name="turntable">
-  <link name="world"/>
-  <link name="table"><inertial><mass value="1.0"/>
-    <inertia ixx="0.05" iyy="0.05" izz="{INERTIA}" ixy="0" ixz="0" iyz="0"/></inertial></link>
-  <joint name="turn" type="revolute"><parent link="world"/><child link="table"/>
-    <axis xyz="0 0 1"/><limit lower="-2" upper="2" effort="10" velocity="4"/>
-    <dynamics damping="{VISCOUS}" friction="{COULOMB}"/></joint>
-</robot>"""
-GAINS = {"gains__p": 21.6, "gains__i": 86.0, "gains__d": 1.8}
 SHORT = Design(duration=6.0, band=(0.3, 3.0), fade=0.5)
 
 
 @pytest.fixture
 def turntable(harness, tmp_path):
-    """Return the harness beside a robot of one joint in real time, and its controller."""
-    urdf = tmp_path / "turntable.urdf"
-    urdf.write_text(URDF)
-    harness.seen = []
-    harness.node.create_subscription(
-        JointState,
-        "joint_states",
-        lambda raw: harness.seen.append(decode_joint_state(raw)),
-        ALL_COMMANDS,
-        raw=True,
-    )
-    of_controller = {"joint": "turn", "law": "pid", "robot_description": urdf, **GAINS}
-    harness.processes.start(
-        "turn_controller",
-        "joint_controller",
-        ros_arguments(control_period=0.004, state_timeout=1.0, **of_controller),
-    )
-    of_bridge = {"robot_description": urdf, "fixed_base": True, "control_rate": 250.0}
-    harness.processes.start(
-        "bridge",
-        "mujoco_bridge",
-        ros_arguments(mode="realtime", physics_steps=2, wait_for_subscribers=2, **of_bridge),
-    )
-    harness.wait(lambda: len(harness.seen) > 10 and harness.commands, what="the robot")
+    start_turntable(harness, tmp_path)
     return harness
-
-
-def positions(harness, duration=0.3):
-    """Return where the joint is from now on, for a while."""
-    end = time.monotonic() + 0.5
-    harness.wait(lambda: time.monotonic() > end, what="what was on its way")
-    harness.seen.clear()
-    end = time.monotonic() + duration
-    harness.wait(lambda: time.monotonic() > end and len(harness.seen) > 20, what="states")
-    return np.array([each.position[0] for each in harness.seen])
 
 
 def test_an_excitation_is_shown_carried_out_recorded_and_tells_what_the_joint_is(

@@ -33,7 +33,7 @@ ALLOWED = {
     "frequency": {"control", "recordings", "stability"},
     "compensation": {"control", "robot"},
     "goals": {"control", "trajectory", "wire"},
-    "excitation": {"goals", "trajectory"},
+    "excitation": {"control", "goals", "trajectory"},
     "planning": {"documents", "robot", "trajectory"},
     "simulation": {"compensation", "control", "documents", "planning", "robot", "wire"},
     "bags": {"documents", "recordings", "trajectory", "wire"},

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from hpid_ros.excitation.plan import ExcitationPlan
-    from hpid_ros.experiment.live.excitation import Ending, Tell
     from hpid_ros.experiment.live.graph import RunningController, RunningGraph
+    from hpid_ros.experiment.live.watching import Ending, Tell
 
 _FORMATS = (".png", ".pdf", ".svg")
 _KINDS = ("multisine", "steps")

@@ -9,6 +9,7 @@ from rclpy.node import Node
 from hpid_ros.base.durations import Durations
 from hpid_ros.base.units import of_slide
 from hpid_ros.control import JointLoop
+from hpid_ros.control.interludes.relay import RelayRequest
 from hpid_ros.control.loop_state import LoopState
 from hpid_ros.nodes.parts.controller.certification import Certification
 from hpid_ros.nodes.parts.controller.model import ModelCompensation
@@ -152,6 +153,20 @@ class ControllerHealth:
         self._requests += 1
         self.fault(line)
 
+    def relay_begins(self, request: RelayRequest) -> None:
+        """Say that a relay drives the joint from now on."""
+        self._node.get_logger().info(
+            f"a relay of {request.amplitude:g} {self.unit('N m')} drives the joint for "
+            f"{request.cycles:g} cycles, {request.duration:g} s at most"
+        )
+
+    def _relay(self) -> str:
+        relay = self._loop.relay
+        if relay is None:
+            return "none"
+        course = self.unit(relay.ending) or "under way"
+        return f"{course}; {relay.cycles} cycles" + ("" if relay.is_over else "; in force")
+
     def report(self, lifecycle: str, waiting: str, claim: str, refusal: str) -> None:
         """Publish the status now.
 
@@ -206,6 +221,7 @@ class ControllerHealth:
                 self.unit("error [rad]"): loop.error,
                 **self._timing.recent(),
                 **(self._model.readings() if self._model else {"compensation": "none"}),
+                "relay": self._relay(),
                 "scheduling": self.scheduling,
                 "last fault": self._diagnostics.last_fault,
                 "last irregular state": self.unit(loop.last_fault) or "none",

@@ -3,21 +3,28 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cache, partial
 from typing import Any
 
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
-from std_msgs.msg import Float64
+from std_msgs.msg import Float64, Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
 
-from hpid_ros.base.errors import HpidError
+from hpid_ros.base.errors import HpidError, MessageError
+from hpid_ros.control.interludes.relay import RelayRequest
 from hpid_ros.control.reference import Motion, Setpoint
 from hpid_ros.nodes.ros.executor import ClosingNode
 from hpid_ros.nodes.ros.middleware import LATCHED, RARE, overridable
 from hpid_ros.nodes.ros.trajectories import column_of
-from hpid_ros.wire import MixedTrajectory, TrajectoryArrays, decode_float64, decode_trajectory
+from hpid_ros.wire import (
+    MixedTrajectory,
+    TrajectoryArrays,
+    decode_float64,
+    decode_numbers,
+    decode_trajectory,
+)
 
 
 class TrajectorySubscriptions:
@@ -124,7 +131,7 @@ def reference_decoder() -> ReferenceDecoder:
 
 
 class ControllerReferences:
-    """Listens to ``joint_trajectory`` and ``~/setpoint``.
+    """Listens to ``joint_trajectory``, ``~/setpoint`` and ``~/relay``.
 
     A trajectory is decoded on another thread and handed back to the executor's, which alone
     calls what is given here. Of all references the one that came last is followed, however long
@@ -134,6 +141,7 @@ class ControllerReferences:
         node: The controller.
         joint: Its joint.
         follow: Called with each motion of the joint.
+        relay: Called with what is asked of a relay; with None for its end.
         refuse: Called with one line for each message that could not be used.
         reason_against: Asked when a reference comes; returns why none is taken now, or nothing.
     """
@@ -143,17 +151,22 @@ class ControllerReferences:
         node: ClosingNode,
         joint: str,
         follow: Callable[[Motion], None],
+        relay: Callable[[RelayRequest | None], None],
         refuse: Callable[[str], None],
         reason_against: Callable[[], str],
     ) -> None:
         self._node, self._joint, self._follow, self._refuse = node, joint, follow, refuse
+        self._relay = relay
         self._reason_against = reason_against
         self._arrived = self._followed = self._discarded = 0  # references, in their order
         trajectories = TrajectorySubscriptions(node, self._on_trajectory)
         setpoint = node.create_subscription(
             Float64, "~/setpoint", self._on_setpoint, RARE, raw=True
         )
-        self._subscriptions: list[Any] = [*trajectories.subscriptions, setpoint]
+        relays = node.create_subscription(
+            Float64MultiArray, "~/relay", self._on_relay, RARE, raw=True
+        )
+        self._subscriptions: list[Any] = [*trajectories.subscriptions, setpoint, relays]
 
     def discard(self) -> None:
         """Forget what is still being decoded."""
@@ -201,3 +214,24 @@ class ControllerReferences:
         except HpidError as error:
             found = error
         self._take(self._arrived, self._reason_against(), found)
+
+    def _on_relay(self, raw: bytes) -> None:
+        """Take what is asked of a relay; a message without numbers ends one."""
+        against = self._reason_against()
+        try:
+            numbers = decode_numbers(raw)
+            if numbers and against:
+                raise MessageError(against)
+            self._relay(_relay_request(numbers) if numbers else None)
+        except HpidError as error:
+            self._refuse(str(error))
+
+
+def _relay_request(numbers: Sequence[float]) -> RelayRequest:
+    names = list(RelayRequest.__dataclass_fields__)
+    if len(numbers) != len(names):
+        raise MessageError(
+            f"a relay is asked for with {len(names)} numbers ({', '.join(names)}), "
+            f"not {len(numbers)}"
+        )
+    return RelayRequest(*numbers)

@@ -6,12 +6,10 @@ anything comes in between or when it is asked to end, another one on which they 
 
 from __future__ import annotations
 
-import json
 import math
 import sys
 import time
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 from rclpy.task import Future
@@ -23,9 +21,9 @@ from hpid_ros.excitation.watch import Watch, goal_of, group_settings
 from hpid_ros.goals import GoalFollower, Outcome, ResultCode
 from hpid_ros.nodes.parts.action.listening import FollowerInputs
 from hpid_ros.nodes.parts.action.told import ToldTrajectories
+from hpid_ros.nodes.parts.live.order import read_order
 from hpid_ros.nodes.ros import executor
 from hpid_ros.nodes.ros.middleware import ALL_COMMANDS, NEWEST_STATES, subscribe_raw
-from hpid_ros.nodes.ros.parameters import read_only
 from hpid_ros.nodes.ros.status import StatusPipe
 from hpid_ros.nodes.ros.steady_timer import steady_timer
 from hpid_ros.wire import EffortReader, decode_joint_state
@@ -47,8 +45,7 @@ class Exciter(executor.ClosingNode):
 
     def __init__(self) -> None:
         super().__init__("hpid_exciter")
-        file = str(read_only(self, "plan_file", "", "JSON file of hpid excite"))
-        order = _order(file)
+        order = read_order(self)
         self._plan = plan = ExcitationPlan.from_mapping(order["plan"])
         self._recorder = str(order.get("recorder", ""))
         self._controllers = {each.bounds.controller for each in plan.joints}
@@ -267,19 +264,6 @@ def _decoded(raw: bytes) -> Any:
         return decode_joint_state(raw)
     except MessageError:
         return None
-
-
-def _order(file: str) -> dict[str, Any]:
-    """Return what the command has written for this process.
-
-    Raises:
-        SettingError: It cannot be read.
-    """
-    try:
-        found = json.loads(Path(file).read_text())
-        return dict(found)
-    except (OSError, ValueError, TypeError) as error:
-        raise SettingError(f"plan_file {file!r} cannot be read: {error}") from None
 
 
 def main(args: Sequence[str] | None = None) -> int:

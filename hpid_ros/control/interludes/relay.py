@@ -1,0 +1,148 @@
+r"""Relay feedback: for some cycles a relay drives the joint in place of the law's p and d terms.
+
+A joint with little friction is a double integrator, which no relay on the error alone makes
+oscillate as it should: the cycle grows. So the relay acts on
+
+.. math:: s = \epsilon + T \dot\epsilon, \qquad T = k_d / k_p
+
+with hysteresis: it pushes one way until s has passed the hysteresis on the other side. The lead T
+damps, and the hysteresis sets the cycle's size.
+
+The law stays beside it. Its integral goes on to carry the load, and stands still; its p and d
+terms make room for the relay gradually, and come back as gradually:
+
+.. math:: u = I + (1 - w)(P + D) + w\,a\,\sigma, \qquad \dot I = (1 - w)\,k_i \epsilon
+
+with the amplitude a, the relay's side :math:`\sigma = \pm 1`, and a weight w that rises from 0 to
+1 and falls again, each within :data:`RAMP`. So there is no jump at the start and none at the end,
+and between two samples a switch changes the effort by at most :math:`2 w a`. All limits act on u
+after that.
+
+Source: K. J. Astrom and T. Hagglund, "Automatic tuning of simple regulators with specifications on
+phase and amplitude margins", Automatica 20 (1984) 645-651.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from hpid_ros.base.errors import SettingError
+
+RAMP = 0.3
+"""Time in which the relay takes over, and in which it gives back, in [s]."""
+
+LONGEST = 30.0
+"""No relay is in force for longer, in [s], whoever asked for it and is gone."""
+
+DONE = "all cycles are done"
+"""Why a relay gives back that has done what was asked."""
+
+_MOST_CYCLES = 100
+_STALLED = 5.0  # [s] without a switch at full weight: friction or a load holds the joint
+
+
+@dataclass(frozen=True)
+class RelayRequest:
+    """What a relay shall do.
+
+    Attributes:
+        amplitude: Of the effort, a, in [N m].
+        hysteresis: Of s, in [rad].
+        deviation: Largest error; beyond it the relay gives back, in [rad].
+        cycles: After so many whole cycles at full weight it gives back.
+        duration: At the latest after so long, in [s], both ramps included.
+
+    Raises:
+        SettingError: A number is not finite, not positive, or too large.
+    """
+
+    amplitude: float
+    hysteresis: float
+    deviation: float
+    cycles: float
+    duration: float
+
+    def __post_init__(self) -> None:
+        bounds = {"cycles": float(_MOST_CYCLES), "duration": LONGEST}
+        for name, value in vars(self).items():
+            most = bounds.get(name, math.inf)
+            if not (math.isfinite(value) and 0.0 < value <= most):
+                allowed = "finite and positive" if math.isinf(most) else f"in (0, {most:g}]"
+                raise SettingError(f"the {name} of a relay must be {allowed}, not {value:g}")
+
+
+class Relay:
+    """One relay, from its start until it has given back.
+
+    Attributes:
+        ending: Why it gives back, or has, in words; empty while it goes on.
+        cycles: Whole cycles at full weight.
+
+    Args:
+        request: What it shall do.
+        lead: T in [s].
+    """
+
+    __slots__ = (
+        *("_lead", "_request", "_side", "_since_switch", "_time", "_weight"),
+        *("cycles", "ending"),
+    )
+
+    def __init__(self, request: RelayRequest, lead: float) -> None:
+        self._request, self._lead = request, lead
+        self._side = 1.0
+        self._weight = self._time = self._since_switch = 0.0
+        self.cycles = 0
+        self.ending = ""
+
+    @property
+    def weight(self) -> float:
+        """w, of the last sample."""
+        return self._weight
+
+    @property
+    def is_over(self) -> bool:
+        """Whether it has given back all."""
+        return bool(self.ending) and self._weight == 0.0
+
+    def end(self, reason: str) -> None:
+        """Give back from now on.
+
+        Args:
+            reason: Why, in words.
+        """
+        self.ending = self.ending or reason
+
+    def update(self, error: float, error_rate: float, replaced: float, dt: float) -> float:
+        """Take one sample and return what is added to the law's effort, in [N m].
+
+        Args:
+            error: Reference minus measured position, in [rad].
+            error_rate: Its time derivative, in [rad/s].
+            replaced: Proportional and derivative term of the law, in [N m].
+            dt: Time since the last sample in [s].
+        """
+        request = self._request
+        self._time += dt
+        if abs(error) > request.deviation:
+            self.end(f"the error of {abs(error):.4g} rad is above {request.deviation:g} rad")
+        elif self._time >= request.duration - RAMP:
+            self.end(f"it has taken {request.duration:g} s")
+        self._switch(error + self._lead * error_rate, dt)
+        step = -dt / RAMP if self.ending else dt / RAMP
+        self._weight = min(max(self._weight + step, 0.0), 1.0)
+        return self._weight * (request.amplitude * self._side - replaced)
+
+    def _switch(self, leading: float, dt: float) -> None:
+        """Push the other way once s has passed the hysteresis there."""
+        self._since_switch += dt
+        if leading * self._side >= -self._request.hysteresis:
+            if self._weight == 1.0 and self._since_switch > _STALLED:
+                self.end(f"it did not move the joint within {_STALLED:g} s")
+            return
+        self._side, self._since_switch = -self._side, 0.0
+        if self._weight == 1.0 and not self.ending and self._side > 0.0:
+            self.cycles += 1
+            if self.cycles >= self._request.cycles:
+                self.end(DONE)

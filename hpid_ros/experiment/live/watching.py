@@ -1,0 +1,196 @@
+"""A process beside a running graph that moves joints: recorded, watched, and stopped in time."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import yaml
+
+from hpid_ros.base.errors import RunError
+from hpid_ros.experiment.graph.processes import NodeGroup, NodeProcess
+from hpid_ros.experiment.live.graph import RunningGraph
+
+RECORDER = "hpid_excitation_recorder"
+_ENDS_WITHIN = 8.0  # [s], the joints' stop included
+_LOOK_PERIOD = 0.05  # [s]
+
+Tell = Callable[[str, float], None]
+"""Is called with the event, ``begun`` or ``at``, and the time since the start in [s]."""
+
+
+class Mover(NamedTuple):
+    """A process that moves joints.
+
+    Attributes:
+        name: Of its node.
+        executable: Module below ``hpid_ros.nodes``.
+        unless_stopped: What joints do if nobody stops them, in words.
+        topics: That it publishes, and that are recorded.
+    """
+
+    name: str
+    executable: str
+    unless_stopped: str
+    topics: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Ending:
+    """How an excitation ended.
+
+    Attributes:
+        reason: Why it was stopped, in words; empty if it went to its end.
+        is_interrupted: Whether somebody wanted it to end.
+        is_at_rest: Whether the joints were seen to rest.
+        lead: How long the recorder had been recording when it began, in [s].
+    """
+
+    reason: str
+    is_interrupted: bool = False
+    is_at_rest: bool = True
+    lead: float = 0.0
+
+
+def carried_out(
+    mover: Mover,
+    order: Mapping[str, Any],
+    graph: RunningGraph,
+    namespace: str,
+    bag: Path,
+    states: str,
+    tell: Tell,
+) -> Ending:
+    """Run a process that moves joints, and record; however it ends, it has let the joints rest.
+
+    Args:
+        mover: The process.
+        order: What it is to do, for its ``plan_file``.
+        graph: What runs; the bag keeps its controllers' parameters.
+        namespace: Of the controllers.
+        bag: Folder to create.
+        states: Topic of the states.
+        tell: Told how far it is.
+
+    Raises:
+        RunError: It could not begin, a process has ended, or joints are not known to rest.
+    """
+    remapped = ["-r", f"joint_states:={states}"] if states != "joint_states" else []
+    arguments = ["-r", f"__ns:={namespace}", *remapped]
+    with tempfile.TemporaryDirectory(prefix="hpid_live_") as folder:
+        place = Path(folder)
+        file = place / "plan.json"
+        file.write_text(json.dumps({**order, "recorder": RECORDER}))
+        with (
+            NodeGroup(os.environ, place) as group,
+            _recorded(group, graph, mover.topics, bag, place, arguments) as recorder,
+        ):
+            of_mover = [*arguments, "-p", f"plan_file:={file}"]
+            process = group.start(mover.name, mover.executable, of_mover)
+            return _watched(mover, process, recorder, tell)
+
+
+@contextmanager
+def _recorded(
+    group: NodeGroup,
+    graph: RunningGraph,
+    told: Sequence[str],
+    bag: Path,
+    place: Path,
+    arguments: Sequence[str],
+) -> Iterator[NodeProcess]:
+    """Record while the block runs, and close the bag when nothing is told any more.
+
+    Raises:
+        RunError: The recorder has failed.
+    """
+    parameters = place / "controllers.yaml"
+    parameters.write_text(yaml.safe_dump(dict(graph.document), sort_keys=False))
+    commands = ["joint_commands"] if graph.has_commands else []
+    topics = ["/parameter_events", *told, *commands, "joint_states"]
+    of_recorder = [
+        f"bag:={bag.resolve()}",
+        f"controllers_file:={parameters}",
+        f"topics:={topics}",
+    ]
+    flags = [text for each in of_recorder for text in ("-p", each)]
+    recorder = group.start(RECORDER, "bag_recorder", [*arguments, *flags])
+    try:
+        yield recorder
+    finally:
+        recorder.read_events()
+        group.stop([RECORDER], patience=_ENDS_WITHIN)
+    if recorder.process.returncode:
+        raise RunError(f"the recorder has failed: {recorder.last_words()}")
+
+
+def _watched(mover: Mover, process: NodeProcess, recorder: NodeProcess, tell: Tell) -> Ending:
+    """Wait for the end; an interrupt, or the recorder's end, is a reason to stop."""
+    recording_at = begun_at = time.monotonic()
+
+    def told(event: str, seconds: float) -> None:
+        nonlocal begun_at
+        if event == "begun":
+            begun_at = time.monotonic()
+        tell(event, seconds)
+
+    try:
+        while True:
+            # A pipe that nobody reads would hold the recorder up.
+            if any(each["event"] == "recording" for each in recorder.read_events()):
+                recording_at = time.monotonic()
+            ending = _ending(mover, process, told)
+            if ending is not None:
+                return replace(ending, lead=begun_at - recording_at)
+            if recorder.process.poll() is not None:
+                return _stopped(mover, process, f"the recorder has ended: {recorder.last_words()}")
+            time.sleep(_LOOK_PERIOD)
+    except KeyboardInterrupt:
+        return _stopped(mover, process, "it was interrupted", is_interrupted=True)
+
+
+def _stopped(
+    mover: Mover, process: NodeProcess, reason: str, *, is_interrupted: bool = False
+) -> Ending:
+    """Ask the process to stop the joints, and return when they rest.
+
+    Raises:
+        RunError: Nobody has stopped them.
+    """
+    process.process.send_signal(signal.SIGINT)
+    try:
+        process.process.wait(_ENDS_WITHIN)
+    except subprocess.TimeoutExpired:
+        raise RunError(
+            f"{reason}; {mover.name} has not stopped the joints within {_ENDS_WITHIN:g} s: "
+            f"{mover.unless_stopped}; deactivate their controllers"
+        ) from None
+    ended = [each for each in process.read_events() if each["event"] in ("done", "stopped")]
+    is_at_rest = all(each["is_at_rest"] for each in ended)
+    return Ending(reason, is_interrupted, is_at_rest)
+
+
+def _ending(mover: Mover, process: NodeProcess, tell: Tell) -> Ending | None:
+    has_ended = process.process.poll() is not None
+    for event in process.read_events():
+        kind = event["event"]
+        if kind == "failed":
+            raise RunError(f"nothing was moved: {event['reason']}")
+        if kind in ("done", "stopped"):
+            process.process.wait(_ENDS_WITHIN)
+            return Ending(str(event["reason"]), is_at_rest=bool(event["is_at_rest"]))
+        tell(kind, float(event.get("seconds", 0.0)))
+    if has_ended:
+        raise RunError(
+            f"{mover.name} has ended by itself ({process.last_words()}): {mover.unless_stopped}"
+        )
+    return None

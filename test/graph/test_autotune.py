@@ -1,0 +1,76 @@
+"""A relay test of a real controller on a simulated joint, and what is proposed after it."""
+
+import numpy as np
+import pytest
+from harness.turntable import INERTIA, positions, start_turntable
+from std_msgs.msg import Float64MultiArray
+
+from hpid_ros.bags import read_run
+from hpid_ros.cli.main import main
+from hpid_ros.excitation.relays import RelayWish, planned_relay
+from hpid_ros.experiment.live.excitation import bounds_of
+from hpid_ros.experiment.live.graph import running_graph
+from hpid_ros.experiment.live.relay import carry_out_relay, relay_findings
+from hpid_ros.nodes.ros.middleware import RARE
+from hpid_ros.tuning.controller_files import settings_from_parameter_file
+
+MS = 1_000_000
+
+
+def test_a_relay_test_finds_the_inertia_and_proposes_gains(harness, tmp_path, capsys):
+    start_turntable(harness, tmp_path)
+    bag, file = tmp_path / "bag", tmp_path / "tuned.yaml"
+    command = ["autotune", "--live", "--bag", str(bag), "-o", str(file)]
+    assert main([*command, "--yes"]) == 0
+    said = capsys.readouterr().out
+    assert "nothing was set; this does: ros2 param load /turn_controller" in said
+    assert np.ptp(positions(harness)) < 2e-3
+    (settings,) = settings_from_parameter_file(file).values()
+    assert settings.inertia == pytest.approx(INERTIA, rel=0.05)
+    assert settings.law == "hpid"
+    effort = read_run(bag, "relay", joints=["turn"]).joints[0].effort
+    amplitude = 0.2 * 10.0
+    assert np.max(np.abs(effort)) < 1.5 * amplitude
+    assert 1.8 * amplitude < np.max(np.abs(np.diff(effort))) < 2.1 * amplitude
+    graph = running_graph()
+    assert graph.controllers["turn"].settings.gains.p == 21.6  # nobody has set anything
+
+
+def test_a_relay_that_is_interrupted_gives_the_joint_back(harness, tmp_path):
+    start_turntable(harness, tmp_path)
+    graph = running_graph()
+    (controller,) = graph.controllers.values()
+    bounds, gains = bounds_of(controller, INERTIA), controller.settings.gains
+    planned = planned_relay(bounds, gains.d / gains.p, 0.004, RelayWish(cycles=30))
+
+    def told(event, seconds):
+        if event == "at" and seconds > 1.0:
+            raise KeyboardInterrupt
+
+    ending = carry_out_relay(planned, controller, graph, tmp_path / "bag", "joint_states", told)
+    assert ending.is_interrupted
+    assert np.ptp(positions(harness)) < 2e-3
+    found = relay_findings(tmp_path / "bag", controller, planned)
+    assert found.cycle.inertia == pytest.approx(INERTIA, rel=0.2)
+
+
+@pytest.mark.parametrize(
+    ("numbers", "line"),
+    [
+        ([1.0, 0.1], "a relay is asked for with 5 numbers"),
+        ([float("nan"), 0.1, 0.2, 5.0, 5.0], "the amplitude of a relay must be finite"),
+        ([50.0, 0.1, 0.2, 5.0, 5.0], "not within the effort limits"),
+        ([0.0] * 100, "100 numbers, 64 are allowed"),
+    ],
+)
+def test_a_relay_that_cannot_be_is_refused_and_the_joint_held(harness, numbers, line):
+    controller = harness.start_controller(
+        law="pid", gains__p=10.0, gains__d=1.0, u_clamp_max=20.0, u_clamp_min=-20.0
+    )
+    publisher = harness.node.create_publisher(Float64MultiArray, "elbow_controller/relay", RARE)
+    harness.wait(publisher.get_subscription_count, what="the subscription")
+    assert harness.ask(MS, 0.5) == 0.0
+    publisher.publish(Float64MultiArray(data=numbers))
+    harness.wait(lambda: line in controller.log.read_text(), what="the refusal")
+    for k in range(2, 40):
+        assert harness.ask(k * MS, 0.5) == 0.0

@@ -1,0 +1,58 @@
+"""A robot of one joint in real time, in MuJoCo, with a controller."""
+
+import time
+
+import numpy as np
+from sensor_msgs.msg import JointState
+
+from harness.graph import ros_arguments
+from hpid_ros.nodes.ros.middleware import ALL_COMMANDS
+from hpid_ros.wire import decode_joint_state
+
+INERTIA, VISCOUS, COULOMB = 0.05, 0.2, 0.1
+URDF = f"""<robot name="turntable">
+  <link name="world"/>
+  <link name="table"><inertial><mass value="1.0"/>
+    <inertia ixx="0.05" iyy="0.05" izz="{INERTIA}" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <joint name="turn" type="revolute"><parent link="world"/><child link="table"/>
+    <axis xyz="0 0 1"/><limit lower="-2" upper="2" effort="10" velocity="4"/>
+    <dynamics damping="{VISCOUS}" friction="{COULOMB}"/></joint>
+</robot>"""
+GAINS = {"gains__p": 21.6, "gains__i": 86.0, "gains__d": 1.8}
+
+
+def start_turntable(harness, folder):
+    """Start the robot and its controller, and wait until they run."""
+    urdf = folder / "turntable.urdf"
+    urdf.write_text(URDF)
+    harness.seen = []
+    harness.node.create_subscription(
+        JointState,
+        "joint_states",
+        lambda raw: harness.seen.append(decode_joint_state(raw)),
+        ALL_COMMANDS,
+        raw=True,
+    )
+    of_controller = {"joint": "turn", "law": "pid", "robot_description": urdf, **GAINS}
+    harness.processes.start(
+        "turn_controller",
+        "joint_controller",
+        ros_arguments(control_period=0.004, state_timeout=1.0, **of_controller),
+    )
+    of_bridge = {"robot_description": urdf, "fixed_base": True, "control_rate": 250.0}
+    harness.processes.start(
+        "bridge",
+        "mujoco_bridge",
+        ros_arguments(mode="realtime", physics_steps=2, wait_for_subscribers=2, **of_bridge),
+    )
+    harness.wait(lambda: len(harness.seen) > 10 and harness.commands, what="the robot")
+
+
+def positions(harness, duration=0.3):
+    """Return where the joint is from now on, for a while."""
+    end = time.monotonic() + 0.5
+    harness.wait(lambda: time.monotonic() > end, what="what was on its way")
+    harness.seen.clear()
+    end = time.monotonic() + duration
+    harness.wait(lambda: time.monotonic() > end and len(harness.seen) > 20, what="states")
+    return np.array([each.position[0] for each in harness.seen])
