@@ -11,7 +11,7 @@ from hpid_ros.base.units import SECONDS_PER_NANOSECOND
 from hpid_ros.control.estimation.estimation import Estimation
 from hpid_ros.control.estimation.velocity import VelocitySource
 from hpid_ros.control.interludes.damping_stop import DampingStop
-from hpid_ros.control.interludes.relay import Relay, RelayRequest
+from hpid_ros.control.interludes.relay import Relay, RelayRequest, reason_against
 from hpid_ros.control.limited_law import LimitedLaw, ModelTerm
 from hpid_ros.control.loop_state import LoopClock, LoopCounts, LoopState
 from hpid_ros.control.pid import Terms
@@ -93,35 +93,26 @@ class JointLoop:
             SettingError: The joint is not held at rest, is too near to its effort limits, or the
                 law has nothing to hold it by.
         """
-        against = self._reason_against_relay(request)
+        against = self._against_relay() or reason_against(
+            request,
+            self.settings.gains,
+            self.settings.effort,
+            self._law.integral + self._law.model_effort,
+            self._error,
+        )
         if against:
             raise SettingError(f"no relay now: {against}")
         gains = self.settings.gains
         self.relay = self._law.relay = Relay(request, gains.d / gains.p)
 
-    def _reason_against_relay(self, request: RelayRequest) -> str:
-        gains, effort, following = self.settings.gains, self.settings.effort, self._following
-        least, most = effort.u_clamp_min, effort.u_clamp_max
-        load = self._law.integral + self._law.model_effort
+    def _against_relay(self) -> str:
+        """Return why the joint is not held at rest, in words; nothing if it is."""
         if self._law.relay is not None:
             return "there is one already"
         if self._is_takeover_due or self.state not in (LoopState.HOLDING, LoopState.FOLLOWING):
             return str(self.state.value)
-        if not (gains.p > 0.0 and gains.d > 0.0):
-            return "gains.p and gains.d must be positive"
-        if following.velocity or following.acceleration:
-            return "the reference moves"
-        if abs(self._error) > 0.5 * request.deviation:
-            return (
-                f"the error of {self._error:.4g} rad is above half of the deviation, "
-                f"{request.deviation:g} rad"
-            )
-        if not least < load - request.amplitude < load + request.amplitude < most:
-            return (
-                f"an amplitude of {request.amplitude:g} N m around {load:.4g} N m is not within "
-                f"the effort limits, {least:g} and {most:g} N m"
-            )
-        return ""
+        is_moving = self._following.velocity or self._following.acceleration
+        return "the reference moves" if is_moving else ""
 
     def end_relay(self, reason: str) -> None:
         """Let a relay give back, if there is one.

@@ -13,6 +13,7 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
 from hpid_ros.base.errors import HpidError, MessageError
 from hpid_ros.control import Gains, JointLoop, LoopSettings
+from hpid_ros.control.interludes.relay import RelayRequest
 from hpid_ros.control.loop_state import LoopState
 from hpid_ros.control.reference import Setpoint
 from hpid_ros.trajectory import Column, Knot
@@ -128,6 +129,18 @@ class AnyOrder(RuleBasedStateMachine):
             assert self.loop.settings is before
         else:
             self.loop.retune(changed)
+
+    @rule(numbers=st.lists(st.sampled_from([*NUMBERS, 0.1, 2.0, 5.0]), min_size=5, max_size=5))
+    def relay(self, numbers):
+        before = self.loop.effort
+        with contextlib.suppress(HpidError):
+            self.loop.begin_relay(RelayRequest(*numbers))
+        assert self.loop.effort == before
+
+    @rule()
+    def small_relay(self):
+        with contextlib.suppress(HpidError):
+            self.loop.begin_relay(RelayRequest(5.0, 0.1, 1.0, 5.0, 20.0))
 
     @rule()
     def release(self):

@@ -28,6 +28,8 @@ import math
 from dataclasses import dataclass
 
 from hpid_ros.base.errors import SettingError
+from hpid_ros.control.gains import Gains
+from hpid_ros.control.settings.groups import EffortLimits
 
 RAMP = 0.3
 """Time in which the relay takes over, and in which it gives back, in [s]."""
@@ -70,6 +72,34 @@ class RelayRequest:
             if not (math.isfinite(value) and 0.0 < value <= most):
                 allowed = "finite and positive" if math.isinf(most) else f"in (0, {most:g}]"
                 raise SettingError(f"the {name} of a relay must be {allowed}, not {value:g}")
+
+
+def reason_against(
+    request: RelayRequest, gains: Gains, limits: EffortLimits, load: float, error: float
+) -> str:
+    """Return why a relay would not be safe, in words; nothing if it is.
+
+    Args:
+        request: What it shall do.
+        gains: Of the law that holds the joint before and after.
+        limits: Of the effort.
+        load: What the integral and a model carry, in [N m].
+        error: In [rad].
+    """
+    least, most = limits.u_clamp_min, limits.u_clamp_max
+    if not (gains.p > 0.0 and gains.d > 0.0):
+        return "gains.p and gains.d must be positive"
+    if abs(error) > 0.5 * request.deviation:
+        return (
+            f"the error of {error:.4g} rad is above half of the deviation, "
+            f"{request.deviation:g} rad"
+        )
+    if not least < load - request.amplitude < load + request.amplitude < most:
+        return (
+            f"an amplitude of {request.amplitude:g} N m around {load:.4g} N m is not within "
+            f"the effort limits, {least:g} and {most:g} N m"
+        )
+    return ""
 
 
 class Relay:

@@ -261,7 +261,7 @@ def _told(console: Console, bag: Path, ending: Ending) -> int:
     if ending.reason:
         console.print(f"stopped: {ending.reason}", style="red", soft_wrap=True)
         if ending.is_at_rest:
-            console.print("the joints are at rest, and held by their controllers")
+            console.print("the joints are at rest; controllers that run hold them")
         else:
             console.print("nobody has seen the joints come to rest", style="red")
     console.print(f"recorded: {bag}", soft_wrap=True)

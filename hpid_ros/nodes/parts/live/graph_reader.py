@@ -35,7 +35,9 @@ def nodes_with_parameters(node: Node) -> list[str]:
     """Return the nodes on the graph that have parameters, once no more of them appear."""
     found: set[str] = set()
     begun = changed = time.monotonic()
-    while time.monotonic() - changed < _QUIET_FOR and time.monotonic() - begun < _AT_MOST:
+    while time.monotonic() - begun < _AT_MOST:
+        if found and time.monotonic() - changed > _QUIET_FOR:
+            break
         rclpy.spin_once(node, timeout_sec=0.05)
         services = node.get_service_names_and_types()
         names = {
