@@ -181,11 +181,10 @@ def _show(console: Console, planned: ExcitationPlan, *, are_together: bool) -> N
         "limit": [f"{each.bounds.velocity:.3g}" for each in joints],
         "accel.": [f"{each.peaks.acceleration:.3g}" for each in joints],
         "effort": [f"{each.effort:.3g}" for each in joints],
-        "load": [f"{each.bounds.load:.3g}" for each in joints],
+        "load": [f"{each.bounds.load:.2g}" for each in joints],
         "limits": ["{:.3g} {:.3g}".format(*each.bounds.efforts) for each in joints],
         "off": [f"{each.tolerance:.3g}" for each in joints],
-        "begins": [f"{each.begin:.1f}" for each in joints],
-        "ends": [f"{each.end:.1f}" for each in joints],
+        "when": [f"{each.begin:.0f} {each.end:.0f}" for each in joints],
     }
     console.print(
         WideTable(
@@ -198,8 +197,8 @@ def _show(console: Console, planned: ExcitationPlan, *, are_together: bool) -> N
         "From where it is, by at most +- within the room to its stops, each in rad; speed and its "
         "limit in rad/s; accel. in rad/s^2; effort for it beside the load, and the limits, in N m "
         "(of joints that slide in m and N). Stopped when further than off from its reference, at "
-        f"a limit, or above twice its speed. {'Together' if are_together else 'One by one'}, from "
-        "begins to ends, in s.",
+        f"a limit, or above twice its speed. {'Together' if are_together else 'One by one'}, "
+        "when in s.",
         style="dim",
     )
     for each in joints:

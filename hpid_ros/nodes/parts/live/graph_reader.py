@@ -27,8 +27,10 @@ _WITHIN = 3.0  # [s] for the first state
 _LISTENS_FOR = 0.5  # [s] from then on
 _SERVICE = "rcl_interfaces/srv/GetParameters"
 _QUIET_FOR = 1.0  # [s] without a new node, after which the graph is taken as known
-_AT_MOST = 6.0  # [s]
-_ANSWER_WITHIN = 5.0  # [s]
+_AT_MOST = 4.0  # [s]
+_ANSWER_WITHIN = 2.0  # [s]
+_ASKS = 3
+_LOOKS = 3  # for controllers, on a machine so busy that other nodes are found before them
 
 
 def nodes_with_parameters(node: Node) -> list[str]:
@@ -60,13 +62,26 @@ def read(node: Node, name: str, more: Sequence[str] = ()) -> dict[str, Any]:
     if not client.wait_for_services(timeout_sec=_ANSWER_WITHIN):
         return {}
     names = [*PARAMETERS, *more]
-    future = client.get_parameters(names)
-    rclpy.spin_until_future_complete(node, future, timeout_sec=_ANSWER_WITHIN)
-    if not future.done() or future.result() is None:
+    for _ in range(_ASKS):  # a server that has not found the client yet answers nobody
+        future = client.get_parameters(names)
+        rclpy.spin_until_future_complete(node, future, timeout_sec=_ANSWER_WITHIN)
+        if future.done() and future.result() is not None:
+            break
+    else:
         return {}
     values = map(parameter_value_to_python, future.result().values)
     read = dict(zip(names, values, strict=False))
     return read if all(value is not None for value in read.values()) else {}
+
+
+def controllers(node: Node) -> dict[str, dict[str, Any]]:
+    """Return the parameters of all joint controllers by the full names of their nodes."""
+    for _ in range(_LOOKS):
+        read_ones = {name: read(node, name, _MORE) for name in nodes_with_parameters(node)}
+        found = {name: values for name, values in read_ones.items() if values}
+        if found:
+            return found
+    return {}
 
 
 class StateListener:
@@ -150,10 +165,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     rclpy.init(args=[])
     try:
         node = rclpy.create_node("hpid_graph_reader")
-        found = {name: read(node, name, _MORE) for name in nodes_with_parameters(node)}
         document: dict[str, Any] = {
             "controllers": {
-                name: {"ros__parameters": values} for name, values in found.items() if values
+                name: {"ros__parameters": values} for name, values in controllers(node).items()
             }
         }
         if topics:
