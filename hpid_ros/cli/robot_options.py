@@ -5,34 +5,13 @@ from __future__ import annotations
 import argparse
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from hpid_ros.base.errors import ExperimentError, HpidError, SettingError, unknown_name
 from hpid_ros.base.resources import find_resource
-
-if TYPE_CHECKING:
-    from hpid_ros.robot.description import RobotDescription
+from hpid_ros.robot.given import GivenRobot
 
 _POSES = 200
-
-
-@dataclass(frozen=True)
-class GivenRobot:
-    """A robot that an option names.
-
-    Attributes:
-        source: Path of its URDF, or the XML text where more is known than the URDF says.
-        description: What that says.
-        fixed_base: Whether its root is held.
-        initial_positions: Where its joints stand at first, in [rad]; others at 0.
-    """
-
-    source: str
-    description: RobotDescription
-    fixed_base: bool = False
-    initial_positions: Mapping[str, float] = field(default_factory=dict)
 
 
 def load_robot(name: str) -> GivenRobot:

@@ -180,6 +180,20 @@ def read_records(
     return records, [*unreadable, *collected.notes]
 
 
+def recorded_controllers(path: Path, parameters: Path | None = None) -> dict[str, Controller]:
+    """Return the controllers that ran while a bag was recorded, as they began, by joint.
+
+    Args:
+        path: The bag.
+        parameters: A file that says them; what the bag holds if None.
+
+    Raises:
+        HpidError: Neither says them, or there is one that cannot be used.
+    """
+    with Storage(path) as bag:
+        return _controllers(bag, parameters)
+
+
 def _controllers(bag: Storage, parameters: Path | None) -> dict[str, Controller]:
     if parameters is not None:
         return controllers_of(load_yaml(parameters, SettingError), str(parameters))

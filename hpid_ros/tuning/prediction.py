@@ -7,20 +7,45 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
+from typing import Literal, NamedTuple
 
-from hpid_ros.analysis import Comparison, RunIndices, run_indices
+import numpy as np
+from numpy.typing import NDArray
+
+from hpid_ros.analysis import Comparison, run_indices
+from hpid_ros.base.arrays import Numbers
 from hpid_ros.base.errors import RunError
 from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.compensation.build import compensators
 from hpid_ros.control import JointLoop, LoopSettings
 from hpid_ros.control.reference import Motion
-from hpid_ros.recordings.series import JointSeries, complete_run
+from hpid_ros.recordings.series import JointSeries, RunSeries, complete_run
 from hpid_ros.simulation import World, WorldSettings
+from hpid_ros.simulation.drives import DriveSettings
 from hpid_ros.simulation.engine import record_run
+from hpid_ros.simulation.settings import default_engine
 from hpid_ros.trajectory import Column, Knot
 
 _STEP_DURATION = 3.0  # [s]
-_PHYSICS_STEPS = 2  # in a period: half the time, and no ratio moved by more than 0.01
+_JUMP = 10.0  # times as far as from one sample to the next before and after
+_LEAST_JUMP = 1e-6  # [rad]
+PHYSICS_STEPS = 2
+"""In a control period: half the time of four, and no ratio moved by more than 0.01."""
+
+
+class JointFacts(NamedTuple):
+    """What is known of a joint's drive and sensor, which no URDF says.
+
+    Attributes:
+        delay: By which its efforts act late, in control periods.
+        noise: Standard deviation of what is added to its position, in [rad].
+        resolution: Smallest step of its measured position, in [rad]; 0 for none. That of its
+            controller's settings if None.
+    """
+
+    delay: int = 0
+    noise: float = 0.0
+    resolution: float | None = None
 
 
 def predict(
@@ -31,7 +56,37 @@ def predict(
     initial_positions: Mapping[str, float] | None = None,
     tell: Callable[[str], None] = lambda label: None,
 ) -> Comparison:
-    """Simulate controllers on a robot, side by side on the machine's cores, and compare them.
+    """Simulate controllers on a robot, as :func:`simulate` does, and compare them.
+
+    Args:
+        robot: As there, as all others.
+        loops: As there.
+        recorded: As there.
+        fixed_base: As there.
+        initial_positions: As there.
+        tell: As there.
+
+    Raises:
+        HpidError: As there.
+    """
+    runs = simulate(robot, loops, recorded, fixed_base, initial_positions, tell=tell)
+    return Comparison(tuple(run_indices(each) for each in runs))
+
+
+def simulate(
+    robot: str,
+    loops: Mapping[str, Sequence[LoopSettings]],
+    recorded: Sequence[JointSeries],
+    fixed_base: bool = False,
+    initial_positions: Mapping[str, float] | None = None,
+    *,
+    facts: Mapping[str, JointFacts] | None = None,
+    period: float | None = None,
+    has_velocities: bool = False,
+    engine: str | None = None,
+    tell: Callable[[str], None] = lambda label: None,
+) -> list[RunSeries]:
+    """Simulate controllers on a robot, side by side on the machine's cores.
 
     The reference is the recorded one, from the recorded start; without a recording each joint
     steps by its ``norm.error_scale`` from where it starts.
@@ -42,7 +97,14 @@ def predict(
         recorded: The recorded joints, or none.
         fixed_base: The robot's root is held.
         initial_positions: Where joints start that are not recorded, in [rad]; others at 0.
+        facts: What is known of drives and sensors, by joint; those of others are ideal.
+        period: Between two states, in [s]; as the first controller's settings say if None.
+        has_velocities: Whether the robot measures velocities: differences of the positions.
+        engine: Who computes the physics; the default one if None.
         tell: Called with the label of a controller that has been simulated.
+
+    Returns:
+        A run for each label, in their order.
 
     Raises:
         RunError: A process died.
@@ -53,15 +115,20 @@ def predict(
     series = {each.joint: each for each in recorded if each.joint in joints}
     start = dict(initial_positions or {})
     start |= {name: float(each.position[0]) for name, each in series.items()}
-    period_ns = round(first[0].timing.control_period * NANOSECONDS)
+    period_ns = round((period or first[0].timing.control_period) * NANOSECONDS)
+    known = [(facts or {}).get(joint, JointFacts()) for joint in joints]
     world = WorldSettings(
         robot_description=robot,
         joints=joints,
         control_period_ns=period_ns,
         initial_positions=start,
         fixed_base=fixed_base,
-        encoder_counts=tuple(_counts(each) for each in first),
-        physics_steps=_PHYSICS_STEPS,
+        encoder_counts=tuple(map(_counts, first, known)),
+        physics_steps=PHYSICS_STEPS,
+        position_noise=tuple(each.noise for each in known),
+        drives=tuple(DriveSettings(delay=each.delay) for each in known),
+        velocity="differences" if has_velocities else "none",
+        engine=engine or default_engine(),
     )
     motions = {
         each.joint: _motion(each, series.get(each.joint), start.get(each.joint, 0.0))
@@ -69,7 +136,7 @@ def predict(
     }
     duration = max((float(each.time[-1]) for each in series.values()), default=_STEP_DURATION)
     periods = math.floor(duration * NANOSECONDS / period_ns)
-    indices = {}
+    found = {}
     with ProcessPoolExecutor(min(len(loops), len(os.sched_getaffinity(0)))) as pool:
         futures = {
             pool.submit(_run, label, world, each, motions, periods): label
@@ -77,13 +144,13 @@ def predict(
         }
         try:
             for future in as_completed(futures):
-                indices[futures[future]] = future.result()
+                found[futures[future]] = future.result()
                 tell(futures[future])
         except BrokenProcessPool:
             raise RunError("a process died while controllers were simulated") from None
         finally:
             pool.shutdown(wait=False, cancel_futures=True)
-    return Comparison(tuple(indices[label] for label in loops))
+    return [found[label] for label in loops]
 
 
 def _run(
@@ -92,7 +159,7 @@ def _run(
     settings: Sequence[LoopSettings],
     motions: Mapping[str, Column],
     periods: int,
-) -> RunIndices:
+) -> RunSeries:
     loops = [JointLoop(each) for each in settings]
     for loop in loops:
         motion: Motion = motions[loop.settings.joint]
@@ -101,7 +168,7 @@ def _run(
         models = compensators(settings, str(world.robot_description))
         stamps_ns, *columns = record_run(robot, loops, periods, models)
         slides = robot.description.slides
-    return run_indices(complete_run(label, world.joints, stamps_ns, columns, slides))
+    return complete_run(label, world.joints, stamps_ns, columns, slides)
 
 
 def _motion(settings: LoopSettings, series: JointSeries | None, start: float) -> Column:
@@ -109,10 +176,42 @@ def _motion(settings: LoopSettings, series: JointSeries | None, start: float) ->
     if series is None:
         return Column(settings.joint, (Knot(0, start + settings.norm_family.error_scale),))
     stamps = series.state_stamps_ns - series.state_stamps_ns[0]
-    knots = (Knot(int(t), float(x)) for t, x in zip(stamps, series.reference, strict=True))
-    return Column(settings.joint, tuple(knots))
+    return recorded_motion(settings.joint, stamps, series.reference)
 
 
-def _counts(settings: LoopSettings) -> int:
-    resolution = settings.encoder.resolution
+def recorded_motion(joint: str, times_ns: NDArray[np.int64], reference: Numbers) -> Column:
+    """Return what goes through the samples of a reference, smooth but where it jumps.
+
+    A jump is one nanosecond wide, as those of :func:`~hpid_ros.trajectory.generators.step` are: a
+    ramp from one sample to the next would have a velocity that nobody was asked to follow.
+
+    Args:
+        joint: The joint.
+        times_ns: Of the samples, from 0 on, strictly increasing, (N,), in [ns].
+        reference: The samples, (N,), in [rad].
+    """
+    steps = np.abs(np.diff(reference))
+    beside = np.maximum(np.append(steps[1:], 0.0), np.append(0.0, steps[:-1]))
+    jumps = np.flatnonzero(steps > np.maximum(_JUMP * beside, _LEAST_JUMP)) + 1
+    knots: list[Knot] = []
+    for times, values in zip(np.split(times_ns, jumps), np.split(reference, jumps), strict=True):
+        if knots:
+            last, until = knots[-1], int(times[0]) - 1
+            way = (last.velocity or 0.0) * (until - last.time_ns) / NANOSECONDS
+            knots.append(Knot(until, last.position + way, last.velocity))
+        rates = _rates(times / NANOSECONDS, values)
+        knots += map(Knot, times.tolist(), values.tolist(), rates.tolist())
+    return Column(joint, tuple(knots))
+
+
+def _rates(times: Numbers, values: Numbers) -> Numbers:
+    if len(values) < 2:
+        return np.zeros(len(values))
+    order: Literal[1, 2] = 2 if len(values) > 2 else 1
+    return np.asarray(np.gradient(values, times, edge_order=order))
+
+
+def _counts(settings: LoopSettings, known: JointFacts) -> int:
+    own = known.resolution
+    resolution = settings.encoder.resolution if own is None else own
     return round(math.tau / resolution) if resolution > 0.0 else 0

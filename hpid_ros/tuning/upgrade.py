@@ -74,7 +74,7 @@ def loop_statistics(series: JointSeries, filter_time_constant: float) -> LoopSta
         largest_error=largest,
         mean_square_error=float(np.mean(np.square(error))),
         largest_rate=_largest_rate(series, filter_time_constant),
-        resolution=_resolution(series),
+        resolution=position_resolution(series),
         period=period,
         states=len(error),
     )
@@ -93,8 +93,8 @@ def _largest_rate(series: JointSeries, filter_time_constant: float) -> float:
     return float(largest)
 
 
-def _resolution(series: JointSeries) -> float:
-    """Return the smallest step between two different positions, if steps repeat themselves."""
+def position_resolution(series: JointSeries) -> float:
+    """Return the smallest step between two positions, in [rad]; 0 where steps are no grid."""
     steps = np.diff(np.unique(series.position))
     steps = steps[steps > _SAME_STEP]
     if len(steps) == 0:

@@ -48,6 +48,10 @@ ALLOWED = {
         *("bags", "compensation", "control", "documents", "robot", "tuning", "wire"),
     },
 }
+ALLOWED["road"] = {
+    *("analysis", "bags", "control", "frequency", "identification", "metrics", "recordings"),
+    *("replay", "report", "robot", "simulation", "tuning"),
+}
 BELOW_EXPERIMENTS = set(ALLOWED)
 ALLOWED["experiment"] = BELOW_EXPERIMENTS
 ALLOWED["studies"] = BELOW_EXPERIMENTS | {"experiment"}

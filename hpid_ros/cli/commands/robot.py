@@ -14,8 +14,8 @@ from hpid_ros.cli.commands import DONE
 from hpid_ros.cli.robot_options import load_robot
 
 if TYPE_CHECKING:
-    from hpid_ros.cli.robot_options import GivenRobot
     from hpid_ros.report.tables.wide_table import WideTable
+    from hpid_ros.robot.given import GivenRobot
 
 _COLUMNS = ("range", "effort", "velocity", "damping", "friction", "Jr N²", "inertia", "gravity")
 _CAPTION = (

@@ -42,6 +42,18 @@ class Paragraph:
 
 
 @dataclass(frozen=True)
+class Steps:
+    """What to do, one thing after the other.
+
+    Attributes:
+        entries: Each in words, with the command that does it; empty where there is none.
+    """
+
+    kind: ClassVar = "steps"
+    entries: Sequence[tuple[str, str]]
+
+
+@dataclass(frozen=True)
 class PlainTable:
     """A table of texts and numbers with one line of headings.
 
@@ -188,7 +200,9 @@ class Details:
     table: IndexTable
 
 
-Block: TypeAlias = Heading | Paragraph | PlainTable | Settings | Properties | IndexTable | Details
+Block: TypeAlias = (
+    Heading | Paragraph | Steps | PlainTable | Settings | Properties | IndexTable | Details
+)
 
 
 def value_text(value: object) -> str:

@@ -27,7 +27,7 @@ from hpid_ros.recordings.series import RunSeries, SeriesError
 from hpid_ros.report.figures.paths import path_data
 from hpid_ros.report.figures.style import GRID, INK, REFERENCE, RUN_STYLES
 from hpid_ros.report.html.blocks import Block, Heading, Paragraph, Properties
-from hpid_ros.report.html.data import figures_data, page_data
+from hpid_ros.report.html.data import Figure, figures_data, page_data
 from hpid_ros.report.html.facts import (
     Parameters,
     data_quality,
@@ -101,21 +101,55 @@ def render_report(
         else [_NO_RECORDING],
         "Provenance": [Properties.of("Provenance", provenance)],
     }
-    page = _templates().get_template("page.html")
-    return page.render(
-        title=f"{others} against {labels[0]}" if others else labels[0],
-        answer=answer(comparison),
-        warnings=[*warnings, *_losses_warnings(runs)],
-        indices=[
+    return render_page(
+        f"{others} against {labels[0]}" if others else labels[0],
+        answer(comparison),
+        [*warnings, *_losses_warnings(runs)],
+        [
             *([index_table(comparison)] if comparison.indices else []),
             *([norm_table(comparison)] if comparison.norms else []),
             *legend(comparison),
         ],
-        sections=sections,
-        figures=figures,
-        data=page_data(figures, labels),
-        style=style_sheet(),
-        script=script(),
+        sections,
+        figures,
+        labels,
+    )
+
+
+def render_page(
+    title: str,
+    answer: str,
+    warnings: Sequence[str],
+    indices: Sequence[Block],
+    sections: Mapping[str, Sequence[Block]],
+    figures: Sequence[Figure],
+    labels: Sequence[str],
+) -> str:
+    """Return a page as the text of an HTML file.
+
+    Args:
+        title: Its heading.
+        answer: What stands first.
+        warnings: What that must be read with, one line each.
+        indices: What stands below ``Indices``, before the tabs.
+        sections: Each a tab; the figures are in that called ``Figures``.
+        figures: They.
+        labels: Of the runs that they show.
+    """
+    return (
+        _templates()
+        .get_template("page.html")
+        .render(
+            title=title,
+            answer=answer,
+            warnings=warnings,
+            indices=indices,
+            sections=sections,
+            figures=figures,
+            data=page_data(figures, labels),
+            style=style_sheet(),
+            script=script(),
+        )
     )
 
 

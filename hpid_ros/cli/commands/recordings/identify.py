@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import argparse
 import json
-import math
 import os
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hpid_ros.base.errors import SettingError, unknown_name
+from hpid_ros.base.errors import SettingError
 from hpid_ros.base.output_files import refuse_output, write_file
 from hpid_ros.cli.bag_options import add_time, add_topics, bag_selection
 from hpid_ros.cli.commands import DONE, FAILED
@@ -19,11 +16,9 @@ from hpid_ros.cli.options import add_joints
 from hpid_ros.cli.robot_options import load_robot
 
 if TYPE_CHECKING:
-    from hpid_ros.cli.robot_options import GivenRobot
-    from hpid_ros.identification.experiment_text import MovedInertia, Origin
-    from hpid_ros.identification.records import JointRecord
-    from hpid_ros.identification.results import JointIdentification
-    from hpid_ros.recordings.series import RunSeries
+    from hpid_ros.identification.experiment_text import Origin
+    from hpid_ros.road.findings import Findings
+    from hpid_ros.robot.given import GivenRobot
 
 _FORMATS = (".png", ".pdf", ".svg")
 _LABEL = "recording"
@@ -84,23 +79,6 @@ def add(commands: Any) -> None:
     parser.set_defaults(command=run)
 
 
-@dataclass(frozen=True)
-class Findings:
-    """What came of a bag.
-
-    Attributes:
-        joints: What was found of each joint.
-        sources: Where each joint's efforts are from.
-        slides: Joints that slide.
-        moved: What the motors move over the recording's poses, by joint, with a robot.
-    """
-
-    joints: tuple[JointIdentification, ...]
-    sources: Mapping[str, str]
-    slides: tuple[str, ...] = ()
-    moved: Mapping[str, MovedInertia] = field(default_factory=dict)
-
-
 def run(options: argparse.Namespace) -> int:
     """Identify the joints of a bag."""
     from hpid_ros.cli.commands.recordings.identify_table import report
@@ -136,7 +114,8 @@ def _check(options: argparse.Namespace) -> None:
 def _found(options: argparse.Namespace, robot: GivenRobot | None) -> Findings:
     from hpid_ros.bags import read_run
     from hpid_ros.base.interrupts import raise_if_interrupted
-    from hpid_ros.identification.identify import Method, identify
+    from hpid_ros.identification.identify import Method
+    from hpid_ros.road.findings import findings_of
 
     method = Method(options.cutoff, options.longest_delay, options.effort_unit == "any")
     # Other joints' motion counts where the robot is known, whoever is asked for.
@@ -145,100 +124,7 @@ def _found(options: argparse.Namespace, robot: GivenRobot | None) -> Findings:
     recording = read_run(
         options.bag, _LABEL, selection=selection, progress=lambda share: raise_if_interrupted()
     )
-    for joint in asked or ():
-        if joint not in recording.joint_names:
-            raise SettingError(unknown_name("joint", joint, recording.joint_names))
-    records = _records(recording)
-    if robot is None:
-        return Findings(identify(records, method=method), _sources(recording))
-    joints = robot.description.joints
-    records = [each for each in records if each.joint in joints]
-    if not records:
-        raise SettingError(
-            f"{options.urdf} has none of the joints of {options.bag}: "
-            f"{', '.join(recording.joint_names)}"
-        )
-    wanted = [each.joint for each in records] if asked is None else asked
-    for joint in wanted:
-        if joint not in joints:
-            raise SettingError(f"{options.urdf}: {unknown_name('joint', joint, joints)}")
-    found = identify(records, _rigid_body(robot, records), method, wanted)
-    slides = tuple(name for name in wanted if joints[name].is_slide)
-    return Findings(found, _sources(recording), slides, _moved(robot, recording, found))
-
-
-def _sources(recording: RunSeries) -> dict[str, str]:
-    qualities = recording.quality.joints
-    return {name: qualities[name].effort for name in recording.joint_names}
-
-
-def _records(recording: RunSeries) -> list[JointRecord]:
-    """Return the recording's joints, in seconds since its first state."""
-    from hpid_ros.identification.records import JointRecord
-    from hpid_ros.recordings.quality import MEASURED
-    from hpid_ros.recordings.series import seconds_since
-
-    sources = _sources(recording)
-    return [
-        JointRecord(
-            each.joint,
-            seconds_since(each.state_stamps_ns, recording.start_ns),
-            each.position,
-            seconds_since(each.command_stamps_ns, recording.start_ns),
-            each.effort,
-            each.reference,
-            is_held=not sources[each.joint].startswith(MEASURED),
-        )
-        for each in recording.joints
-    ]
-
-
-def _rigid_body(robot: GivenRobot, records: Sequence[JointRecord]) -> Any:
-    from hpid_ros.robot.inverse_dynamics import InverseDynamics
-
-    names = [each.joint for each in records]
-    others = {name: at for name, at in robot.initial_positions.items() if name not in names}
-    return InverseDynamics(robot.description, names, others).efforts
-
-
-def _moved(
-    robot: GivenRobot, recording: RunSeries, found: Sequence[JointIdentification]
-) -> dict[str, MovedInertia]:
-    """Return what the motors move, with the rotors that were found."""
-    import numpy as np
-
-    from hpid_ros.identification.experiment_text import MovedInertia
-    from hpid_ros.identification.results import INERTIA
-    from hpid_ros.robot.amendments import JointAmendment, amended
-    from hpid_ros.robot.dynamics import Dynamics
-    from hpid_ros.tuning.inertias import visited_poses
-
-    rotors = {each.joint: each.told(INERTIA) for each in found}
-    known = {
-        name: JointAmendment(rotor_inertia=estimate.value, gear_ratio=1.0)
-        for name, estimate in rotors.items()
-        if estimate is not None
-    }
-    dynamics = Dynamics(amended(robot.description, known, {}, {}))
-    names = list(known)
-    poses = [
-        {name: at for name, at in pose.items() if name in robot.description.joints}
-        for pose in visited_poses(recording.joints)
-    ]
-    try:
-        met = [
-            dynamics.joint_inertias(names, {**robot.initial_positions, **pose}) for pose in poses
-        ]
-    except np.linalg.LinAlgError:  # a joint that moves nothing with mass, and no rotor was found
-        return {}
-    return {
-        name: MovedInertia(
-            min(each[name] for each in met),
-            math.fsum(each[name] for each in met) / len(met),
-            max(each[name] for each in met),
-        )
-        for name in names
-    }
+    return findings_of(recording, robot, method, asked, str(options.urdf), str(options.bag))
 
 
 def _written(options: argparse.Namespace, robot: GivenRobot | None, found: Findings) -> list[Path]:

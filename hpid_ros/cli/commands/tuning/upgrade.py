@@ -1,9 +1,8 @@
-"""``hpid upgrade``: from a PID's gains to a homogeneous PID's parameter file."""
+"""``hpid upgrade``: from a PID's gains, or a bag, to a homogeneous PID's parameter file."""
 
 from __future__ import annotations
 
 import argparse
-import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,47 +19,112 @@ if TYPE_CHECKING:
     from hpid_ros.analysis import Comparison
     from hpid_ros.control import LoopSettings
     from hpid_ros.recordings.series import JointSeries
+    from hpid_ros.tuning.proposals import Proposals
     from hpid_ros.tuning.upgrade import Upgrade
 
 _GOALS = ("smooth", "fast", "balanced")
+_BAGS = (".mcap", ".db3", ".zstd")
 
 
 def add(commands: Any) -> None:
     """Add the command to the parser."""
     parser = commands.add_parser(
         "upgrade",
-        help="turn a PID's parameter file into a homogeneous PID's",
-        description="Choose norm and degree for the gains of a PID, inside the certified "
-        "interval, and write a controller parameter file with a comment on every number. A joint "
+        help="turn a PID into a homogeneous PID: from its parameter file, or from a bag of it",
+        description="Of a parameter FILE: choose norm and degree for the gains of a PID, inside "
+        "the certified interval, and write a controller parameter file with a comment on every "
+        "number. Of a BAG with --urdf: identify the robot, check the PID that ran, propose, "
+        "predict in simulation what that will bring, and write parameters, a page and the "
+        "prediction; --verify holds the prediction against what was recorded after. A joint "
         "keeps its PID where there is nothing to gain: no degree but 0 qualifies, or, with "
         "--urdf, the goal's index (smooth: IVC, fast: ITAE, balanced: both, of the whole robot) "
         "is not predicted to fall by 2 %.",
         epilog="Exit code 1 if a joint could not be upgraded: the file holds it as it was, with "
-        "the reason.",
+        "the reason; with --verify, if the prediction did not hold.",
     )
-    parser.add_argument("file", type=Path, metavar="FILE", help="parameter file of the PID")
+    parser.add_argument(
+        "file",
+        nargs="?",
+        type=Path,
+        metavar="FILE|BAG",
+        help="parameter file of the PID, or a bag that was recorded under it",
+    )
     parser.add_argument(
         "--goal",
         choices=_GOALS,
-        required=True,
         help="smooth lowers the variation of the effort, fast shortens transients; balanced does "
-        "both for the robot as a whole, by one norm in N m for all joints, and needs --bag",
+        "both for the robot as a whole, by one norm in N m for all joints, and needs a recording. "
+        "A FILE needs it, of a BAG it is balanced",
     )
     parser.add_argument(
         "--bag",
         type=Path,
-        help="recorded under the PID: gives scales and floor and, with --urdf, the poses for the "
-        "inertias, unless --poses asks for others",
+        help="beside FILE: recorded under the PID; gives scales and floor and, with --urdf, the "
+        "poses for the inertias, unless --poses asks for others",
+    )
+    parser.add_argument(
+        "--params",
+        type=Path,
+        metavar="FILE",
+        help="beside BAG: parameters of the controllers that ran, if the bag does not hold them",
     )
     add_robot_options(parser)
     parser.add_argument(
-        "-o", "--output", type=Path, default=Path("upgraded.yaml"), metavar="FILE", help="new file"
+        "-o",
+        "--output",
+        type=Path,
+        metavar="FILE",
+        help="new file (upgraded.yaml; of a BAG upgrade.yaml, with upgrade.html and upgrade.json "
+        "beside it)",
     )
-    parser.add_argument("--force", action="store_true", help="replace an existing file")
+    parser.add_argument("--force", action="store_true", help="replace existing files")
+    parser.add_argument(
+        "--verify",
+        nargs=2,
+        type=Path,
+        metavar=("BEFORE", "AFTER"),
+        help="hold the prediction against two bags of the same motion",
+    )
+    parser.add_argument(
+        "--prediction",
+        type=Path,
+        metavar="FILE",
+        help="with --verify: what upgrade BAG has written (upgrade.json)",
+    )
     parser.set_defaults(command=run)
 
 
 def run(options: argparse.Namespace) -> int:
+    """Take the form of the command that the arguments ask for.
+
+    Raises:
+        SettingError: They ask for none, or for two.
+    """
+    if options.verify is not None:
+        from hpid_ros.cli.commands.tuning.verify import run_verify
+
+        return run_verify(options)
+    if options.prediction is not None:
+        raise SettingError("--prediction is for --verify BEFORE AFTER")
+    if options.file is None:
+        raise SettingError(
+            "upgrade needs a parameter FILE of a PID, a BAG that was recorded under one, or "
+            "--verify BEFORE AFTER"
+        )
+    if options.file.is_dir() or options.file.suffix in _BAGS:
+        from hpid_ros.cli.commands.tuning.road import run_road
+
+        return run_road(options)
+    if options.goal is None:
+        raise SettingError(f"--goal is missing: a parameter file needs {', '.join(_GOALS)}")
+    if options.params is not None:
+        raise SettingError("--params is for a BAG; a parameter FILE says the parameters itself")
+    if options.output is None:
+        options.output = Path("upgraded.yaml")
+    return _of_file(options)
+
+
+def _of_file(options: argparse.Namespace) -> int:
     """Propose, predict, write."""
     from hpid_ros.base.console import TextConsole
     from hpid_ros.cli.terminal import output_console
@@ -129,53 +193,23 @@ def _proposals(
     known: Mapping[str, tuple[float, float]],
     recorded: Sequence[JointSeries],
     told: Console,
-) -> tuple[dict[str, Upgrade], dict[str, HpidError]]:
-    """Return what is proposed, and why there is nothing for the other joints.
-
-    Raises:
-        SettingError: There is nothing for any joint.
-    """
+) -> Proposals:
+    """Return what is proposed, and why there is nothing for the other joints."""
     from hpid_ros.cli.options import joint_progress
-    from hpid_ros.stability.gain_check import inertia_of
     from hpid_ros.tuning.inertias import visited_poses
-    from hpid_ros.tuning.upgrade import Candidate, loop_statistics, upgrades
+    from hpid_ros.tuning.proposals import effort_limits, propose
 
     joints = [each.joint for each in loops]
     inertias = {**known, **inertias_from(options, joints, visited_poses(recorded))}
-    series = {each.joint: each for each in recorded}
-    limits = _effort_limits(options)
-    candidates: list[Candidate] = []
-    proposals: dict[str, Upgrade] = {}
-    failures: dict[str, HpidError] = {}
-    for loop in loops:
-        own, statistics = series.get(loop.joint), None
-        try:
-            inertia = inertia_of(loop, inertias.get(loop.joint))
-            if own is not None:
-                statistics = loop_statistics(own, loop.velocity.filter_time_constant)
-        except HpidError as error:
-            failures[loop.joint] = error
-        else:
-            limit = limits.get(loop.joint, math.inf)
-            candidates.append(Candidate(loop, inertia, statistics, limit))
-    with joint_progress(told, "certified", len(candidates), is_logged=True) as tell:
-        found = upgrades(candidates, options.goal, tell)
-    for candidate, each in zip(candidates, found, strict=True):
-        if isinstance(each, HpidError):
-            failures[candidate.pid.joint] = each
-        else:
-            proposals[candidate.pid.joint] = each
-    if not proposals:
-        reasons = dict.fromkeys(str(each) for each in failures.values())
-        raise SettingError(f"no joint can be upgraded: {'; '.join(reasons)}")
-    return proposals, failures
-
-
-def _effort_limits(options: argparse.Namespace) -> dict[str, float]:
-    if not options.urdf:
-        return {}
-    joints = load_robot(options.urdf).description.joints
-    return {name: joint.effort for name, joint in joints.items()}
+    limits = effort_limits(load_robot(options.urdf).description) if options.urdf else {}
+    return propose(
+        loops,
+        inertias,
+        recorded,
+        limits,
+        options.goal,
+        lambda count: joint_progress(told, "certified", count, is_logged=True),
+    )
 
 
 def _prediction(

@@ -1,0 +1,255 @@
+"""Whether predictions of ``hpid upgrade BAG`` come true: ``python -m benchmarks.road``.
+
+Draws robots from those of the example experiments: masses and inertias of every link, rotors,
+friction, delay, encoder noise, the gains of a PID placed by a bandwidth that is drawn, too, and a
+motion through random places. Records a run under the PID in process, takes the road from that bag
+and a URDF without rotors and friction, records what was proposed on the drawn robot with other
+noise, and prints what was predicted beside what was measured, in Markdown.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+from collections.abc import Mapping, Sequence
+from contextlib import nullcontext
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+from xml.etree import ElementTree
+
+import numpy as np
+import yaml
+
+from hpid_ros.analysis.quantities import ITAE, IVC
+from hpid_ros.base.resources import find_resource
+from hpid_ros.experiment.description import Experiment, load_experiment
+from hpid_ros.experiment.in_process import run_without_ros
+from hpid_ros.experiment.progress import NoProgress
+from hpid_ros.road.prediction import Prediction, prediction_of
+from hpid_ros.road.proposal import Answer, Question, Telling, answer
+from hpid_ros.road.verification import HOLDS_WITHIN, Verification, verify
+from hpid_ros.robot.amendments import JointAmendment, amended
+from hpid_ros.robot.description import RobotDescription
+from hpid_ros.robot.dynamics import Dynamics
+from hpid_ros.robot.given import GivenRobot
+
+ROBOTS = ("paper", "iiwa", "panda")
+_MASSES = (0.7, 1.4)  # times as the robot's
+_ROTORS = (0.7, 1.4)
+_BANDWIDTHS = (7.0, 14.0)  # [rad/s], of the triple pole that gains are placed by
+_MISPLACED = (0.85, 1.15)  # times the gains that were placed: nobody knows the inertia exactly
+_NOISES = (1e-6, 1.5e-4)  # [rad], even in the logarithm
+_BITS = (16, 20)  # of the encoders
+_DELAYS = 3  # control periods: 0 to 2
+_STOPS, _LEG = 7, 2.0  # places to go to, [s] from one to the next
+_REACH = 0.6  # [rad], from where it stands, or as far as limits go
+_HEADINGS = (
+    *("robot", "seed", "goal", "laws", "IVC predicted", "measured", "off", "ITAE predicted"),
+    *("measured", "off", "model: IVC", "ITAE", "held"),
+)
+
+
+class Drawn(NamedTuple):
+    """A robot drawn at random, and what its owner knows.
+
+    Attributes:
+        experiment: In which it moves under its PID.
+        bare: Its description without rotors and friction.
+    """
+
+    experiment: Experiment
+    bare: RobotDescription
+
+
+class Travelled(NamedTuple):
+    """The road of one robot.
+
+    Attributes:
+        found: What was proposed.
+        prediction: What it was to bring.
+        verification: What it brought.
+    """
+
+    found: Answer
+    prediction: Prediction
+    verification: Verification
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Print the table."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.road", description=__doc__)
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    parser.add_argument("robots", nargs="*", default=ROBOTS, metavar="ROBOT", help="(all)")
+    parser.add_argument("--seeds", type=int, default=10, help="robots to draw in all (10)")
+    parser.add_argument("--first", type=int, default=1, help="the first seed (1)")
+    parser.add_argument(
+        "--goal", help="of all (balanced, and where that gains nothing the first that does)"
+    )
+    options = parser.parse_args(arguments)
+    print(f"| {' | '.join(_HEADINGS)} |")
+    print("|---" * len(_HEADINGS) + "|")
+    held = kept = 0
+    for seed in range(options.first, options.first + options.seeds):
+        robot = options.robots[seed % len(options.robots)]
+        travelled = travel(robot, seed, options.goal)
+        held += travelled.verification.is_held
+        kept += travelled.found.is_kept
+        print(_row(robot, seed, travelled), flush=True)
+    print(f"\n{held} of {options.seeds} within {HOLDS_WITHIN:.0%}; {kept} kept their PID")
+    return 0
+
+
+def _row(robot: str, seed: int, travelled: Travelled) -> str:
+    found, prediction, verification = travelled
+    homogeneous = sum(each.law == "hpid" for each in found.settings)
+    cells = [robot, str(seed), found.goal, f"{homogeneous} of {len(found.settings)}"]
+    for index in (IVC, ITAE):
+        held = verification.totals[index.key]
+        cells += [f"{held.predicted:.3f}", f"{held.measured:.3f}", f"{held.off:+.1%}"]
+    cells += [f"{prediction.total(index.key).fidelity:.3f}" for index in (IVC, ITAE)]
+    return f"| {' | '.join((*cells, 'yes' if verification.is_held else 'NO'))} |"
+
+
+def travel(robot: str, seed: int, goal: str | None = None) -> Travelled:
+    """Draw a robot, record it, take the road, and record what was proposed.
+
+    Args:
+        robot: Name of the experiment that it is from.
+        seed: Of all that is drawn.
+        goal: Which is taken; if None, the default one, or where that gains nothing the first of
+            those that the answer offers.
+    """
+    drawn = draw(robot, seed)
+    with tempfile.TemporaryDirectory() as folder:
+        before, after = Path(folder) / "before", Path(folder) / "after"
+        run_without_ros(drawn.experiment, "PID", before, NoProgress())
+        start = drawn.experiment.world.initial_positions
+        given = GivenRobot(drawn.bare.xml, drawn.bare, True, start)
+        telling = Telling(lambda phase: None, lambda count: nullcontext(lambda joints: None))
+        found = answer(Question(before, given, "drawn.urdf", goal), telling)
+        if goal is None and found.others:
+            other = next(iter(found.others))
+            found = answer(Question(before, given, "drawn.urdf", other), telling)
+        prediction = prediction_of(found)
+        world = replace(drawn.experiment.world, seed=seed + 1_000_000)
+        proposed = {
+            "hPID": tuple(
+                next((new for new in found.settings if new.joint == each.joint), each)
+                for each in drawn.experiment.controllers["PID"]
+            )
+        }
+        again = replace(drawn.experiment, world=world, controllers=proposed)
+        run_without_ros(again, "hPID", after, NoProgress())
+        return Travelled(found, prediction, verify(prediction, before, after))
+
+
+def draw(robot: str, seed: int) -> Drawn:
+    """Return a robot with all drawn at random that a recording has to tell.
+
+    Args:
+        robot: Name of the experiment that it is from.
+        seed: Of all that is drawn.
+    """
+    chance = np.random.default_rng([seed, *robot.encode()])
+    plain = load_experiment(find_resource(f"config/experiments/{robot}.yaml"))
+    source = RobotDescription.load(plain.world.robot_description)
+    arm = [name for name in plain.world.joints if "wheel" not in name]
+    heavy = _with_other_masses(source, chance)
+    truth = {name: _amendment(heavy, name, chance) for name in arm}
+    drawn = amended(heavy, truth, {}, {})
+    nothing = {name: JointAmendment(rotor_inertia=0.0, damping=0.0, friction=0.0) for name in arm}
+    document = {
+        "extends": str(plain.path),
+        "seed": seed,
+        "duration": _STOPS * _LEG,
+        "robot": {"fixed_base": True, **({"base": None} if plain.world.base else {})},
+        "simulation": {"engine": "mujoco"},
+        "sensors": {
+            "noise": float(np.exp(chance.uniform(*np.log(_NOISES)))),
+            "encoder_counts": 2 ** int(chance.integers(*_BITS, endpoint=True)),
+        },
+        "actuators": {"delay": int(chance.integers(0, _DELAYS))},
+        "reference": _reference(plain, drawn, chance),
+        "controllers": {"joints": _gains(drawn, arm, plain.world.initial_positions, chance)},
+        "compare": {"PID": {"law": "pid"}, "hPID": {"law": "pid"}},
+    }
+    return Drawn(_loaded(document, drawn), amended(heavy, nothing, {}, {}))
+
+
+def _with_other_masses(source: RobotDescription, chance: np.random.Generator) -> RobotDescription:
+    """Return a robot each of whose links is heavier or lighter, as if of another density."""
+    robot = ElementTree.fromstring(source.xml)
+    for link in robot.iter("inertial"):
+        factor = float(chance.uniform(*_MASSES))
+        for element in (*link.findall("mass"), *link.findall("inertia")):
+            for name, value in element.attrib.items():
+                element.set(name, repr(factor * float(value)))
+    return amended(
+        RobotDescription.load(ElementTree.tostring(robot, encoding="unicode")), {}, {}, {}
+    )
+
+
+def _amendment(
+    description: RobotDescription, name: str, chance: np.random.Generator
+) -> JointAmendment:
+    joint = description.joints[name]
+    coulomb = joint.effort * float(chance.uniform(0.005, 0.02))
+    return JointAmendment(
+        rotor_inertia=joint.reflected_inertia
+        / joint.gear_ratio**2
+        * float(chance.uniform(*_ROTORS)),
+        damping=coulomb * float(chance.uniform(0.5, 1.5)),
+        friction=coulomb,
+    )
+
+
+def _reference(
+    plain: Experiment, description: RobotDescription, chance: np.random.Generator
+) -> dict[str, Any]:
+    """Return a motion of all joints but wheels, from place to place."""
+    positions = {}
+    for name in plain.world.joints:
+        start = float(plain.world.initial_positions.get(name, 0.0))
+        reach = 0.0 if "wheel" in name else _REACH
+        joint = description.joints[name]
+        low, high = max(start - reach, joint.lower), min(start + reach, joint.upper)
+        places = [float(x) for x in chance.uniform(low, high, _STOPS)]
+        positions[name] = [start, *places] if reach else [start] * (_STOPS + 1)
+    times = [_LEG * k for k in range(_STOPS + 1)]
+    new = {"kind": "minimum_jerk", "times": times, "positions": positions}
+    return dict.fromkeys(yaml.safe_load(plain.text)["reference"]) | new
+
+
+def _gains(
+    description: RobotDescription,
+    joints: Sequence[str],
+    start: Mapping[str, float],
+    chance: np.random.Generator,
+) -> dict[str, Any]:
+    """Return gains by a triple pole, a little misplaced."""
+    inertias = Dynamics(description).joint_inertias(joints, start)
+    found = {}
+    for name in joints:
+        bandwidth = float(chance.uniform(*_BANDWIDTHS))
+        inertia = inertias[name] * float(chance.uniform(*_MISPLACED))
+        gains = {
+            "p": 3.0 * bandwidth**2 * inertia,
+            "i": bandwidth**3 * inertia,
+            "d": 3.0 * bandwidth * inertia,
+        }
+        found[name] = {"gains": gains, "inertia": inertia}
+    return found
+
+
+def _loaded(document: Mapping[str, Any], description: RobotDescription) -> Experiment:
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "drawn.yaml"
+        file.write_text(yaml.safe_dump(document, sort_keys=False))
+        experiment = load_experiment(file)
+    return replace(experiment, world=replace(experiment.world, robot_description=description.xml))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,1 @@
+"""The road from a recording under a PID to a homogeneous PID, and back: did it hold?"""

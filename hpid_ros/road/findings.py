@@ -1,0 +1,142 @@
+"""What a recording tells of a robot's joints."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from hpid_ros.base.errors import SettingError, unknown_name
+from hpid_ros.identification.experiment_text import MovedInertia
+from hpid_ros.identification.identify import Method, RigidBody, identify
+from hpid_ros.identification.records import JointRecord
+from hpid_ros.identification.results import INERTIA, JointIdentification
+from hpid_ros.recordings.quality import MEASURED
+from hpid_ros.recordings.series import RunSeries, seconds_since
+from hpid_ros.robot.amendments import JointAmendment, amended
+from hpid_ros.robot.dynamics import Dynamics
+from hpid_ros.robot.given import GivenRobot
+from hpid_ros.robot.inverse_dynamics import InverseDynamics
+from hpid_ros.tuning.inertias import visited_poses
+
+
+@dataclass(frozen=True)
+class Findings:
+    """What came of a recording.
+
+    Attributes:
+        joints: What was found of each joint.
+        sources: Where each joint's efforts are from.
+        slides: Joints that slide.
+        moved: What the motors move over the recording's poses, by joint, with a robot.
+    """
+
+    joints: tuple[JointIdentification, ...]
+    sources: Mapping[str, str]
+    slides: tuple[str, ...] = ()
+    moved: Mapping[str, MovedInertia] = field(default_factory=dict)
+
+
+def findings_of(
+    recording: RunSeries,
+    robot: GivenRobot | None,
+    method: Method | None = None,
+    asked: Sequence[str] | None = None,
+    robot_name: str = "the robot",
+    bag_name: str = "the recording",
+) -> Findings:
+    """Identify joints.
+
+    Args:
+        recording: All joints that were recorded.
+        robot: Whose links are known; None takes each joint for itself.
+        method: How; as usual if not given.
+        asked: Only these joints; all if None.
+        robot_name: What errors call the robot.
+        bag_name: What they call the recording.
+
+    Raises:
+        SettingError: The recording or the robot lacks a joint, or they have none in common.
+    """
+    for joint in asked or ():
+        if joint not in recording.joint_names:
+            raise SettingError(unknown_name("joint", joint, recording.joint_names))
+    records = _records(recording)
+    if robot is None:
+        return Findings(identify(records, method=method), _sources(recording))
+    joints = robot.description.joints
+    records = [each for each in records if each.joint in joints]
+    if not records:
+        raise SettingError(
+            f"{robot_name} has none of the joints of {bag_name}: "
+            f"{', '.join(recording.joint_names)}"
+        )
+    wanted = [each.joint for each in records] if asked is None else asked
+    for joint in wanted:
+        if joint not in joints:
+            raise SettingError(f"{robot_name}: {unknown_name('joint', joint, joints)}")
+    found = identify(records, _rigid_body(robot, records), method, wanted)
+    slides = tuple(name for name in wanted if joints[name].is_slide)
+    return Findings(found, _sources(recording), slides, _moved(robot, recording, found))
+
+
+def _sources(recording: RunSeries) -> dict[str, str]:
+    qualities = recording.quality.joints
+    return {name: qualities[name].effort for name in recording.joint_names}
+
+
+def _records(recording: RunSeries) -> list[JointRecord]:
+    """Return the recording's joints, in seconds since its first state."""
+    sources = _sources(recording)
+    return [
+        JointRecord(
+            each.joint,
+            seconds_since(each.state_stamps_ns, recording.start_ns),
+            each.position,
+            seconds_since(each.command_stamps_ns, recording.start_ns),
+            each.effort,
+            each.reference,
+            is_held=not sources[each.joint].startswith(MEASURED),
+        )
+        for each in recording.joints
+    ]
+
+
+def _rigid_body(robot: GivenRobot, records: Sequence[JointRecord]) -> RigidBody:
+    names = [each.joint for each in records]
+    others = {name: at for name, at in robot.initial_positions.items() if name not in names}
+    return InverseDynamics(robot.description, names, others).efforts
+
+
+def _moved(
+    robot: GivenRobot, recording: RunSeries, found: Sequence[JointIdentification]
+) -> dict[str, MovedInertia]:
+    """Return what the motors move, with the rotors that were found."""
+    rotors = {each.joint: each.told(INERTIA) for each in found}
+    known = {
+        name: JointAmendment(rotor_inertia=estimate.value, gear_ratio=1.0)
+        for name, estimate in rotors.items()
+        if estimate is not None
+    }
+    dynamics = Dynamics(amended(robot.description, known, {}, {}))
+    names = list(known)
+    poses = [
+        {name: at for name, at in pose.items() if name in robot.description.joints}
+        for pose in visited_poses(recording.joints)
+    ]
+    try:
+        met = [
+            dynamics.joint_inertias(names, {**robot.initial_positions, **pose}) for pose in poses
+        ]
+    except np.linalg.LinAlgError:  # a joint that moves nothing with mass, and no rotor was found
+        return {}
+    return {
+        name: MovedInertia(
+            min(each[name] for each in met),
+            math.fsum(each[name] for each in met) / len(met),
+            max(each[name] for each in met),
+        )
+        for name in names
+    }

@@ -1,0 +1,335 @@
+"""From a recording under a PID, and the robot, to what to set, and what that will bring."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from hpid_ros.analysis import Comparison, run_indices
+from hpid_ros.analysis.quantities import INDICES
+from hpid_ros.bags import read_run
+from hpid_ros.bags.run.velocities import measures_velocity
+from hpid_ros.base.errors import HpidError, RobotDescriptionError, SettingError, unknown_name
+from hpid_ros.base.interrupts import raise_if_interrupted
+from hpid_ros.base.units import SECONDS_PER_NANOSECOND
+from hpid_ros.control import LoopSettings
+from hpid_ros.frequency.family import loop_family
+from hpid_ros.frequency.margins import Margins, margins_of
+from hpid_ros.metrics.retunes import read_retunes
+from hpid_ros.recordings.series import JointSeries, RunSeries
+from hpid_ros.replay.reading import recorded_controllers
+from hpid_ros.road.findings import Findings, findings_of
+from hpid_ros.road.known import KnownRobot, known_robot
+from hpid_ros.robot.given import GivenRobot
+from hpid_ros.tuning.inertias import inertia_ranges, visited_poses
+from hpid_ros.tuning.prediction import simulate
+from hpid_ros.tuning.proposals import Certifying, Proposals, effort_limits, propose
+from hpid_ros.tuning.upgrade import GOALS, Upgrade, worthwhile
+
+RECORDED, SIMULATED, PREDICTED = "recorded", "simulated", "proposed"
+"""Labels of the three runs: the recording, the same PID simulated, the proposal simulated."""
+
+DEFAULT_GOAL = "balanced"
+"""The one that lowers both: what nobody has to choose."""
+
+_ENGINE = "mujoco"  # its joints have armatures: a rotor is simulated as it was identified
+
+
+class Question(NamedTuple):
+    """What is asked.
+
+    Attributes:
+        bag: Recorded under the PID.
+        robot: The robot; its own rotors and friction do not count.
+        urdf: What it was named by.
+        goal: Of :data:`~hpid_ros.tuning.upgrade.GOALS`. Where nobody names one it is
+            :data:`DEFAULT_GOAL`, and if that gains nothing, it is said what others would bring.
+        parameters: File of the controllers' parameters; what the bag holds if None.
+        payload: Largest payload that inertias are certified for, in [kg].
+    """
+
+    bag: Path
+    robot: GivenRobot
+    urdf: str
+    goal: str | None = None
+    parameters: Path | None = None
+    payload: float = 0.0
+
+
+class Telling(NamedTuple):
+    """How the progress is told.
+
+    Attributes:
+        phase: Is called with what begins.
+        certifying: Shows how many joints are certified.
+    """
+
+    phase: Callable[[str], None]
+    certifying: Certifying
+
+
+class PidCheck(NamedTuple):
+    """One joint's PID as it ran, on the joint as it was identified.
+
+    Attributes:
+        inertia: Least and largest along the recording, in [kg m^2].
+        margins: The worst of both; None where the loop is unstable on the model.
+        reason: Why there are none.
+    """
+
+    inertia: tuple[float, float]
+    margins: Margins | None
+    reason: str = ""
+
+
+@dataclass(frozen=True)
+class Answer:
+    """Where the road led to.
+
+    Attributes:
+        question: What was asked.
+        goal: The one that the proposal is for.
+        recording: What was recorded.
+        findings: What was identified of it.
+        known: The robot with that.
+        loops: The controllers as they ran.
+        checks: What they are worth, by joint.
+        proposals: What is proposed instead; the PID where nothing is gained.
+        runs: The recording, its simulation, and the proposal's.
+        others: What other goals would bring, where nothing is gained and nobody named one: the
+            indices of all joints over the PID's, by goal and key.
+        warnings: What the numbers must be read with, one line each.
+    """
+
+    question: Question
+    goal: str
+    recording: RunSeries
+    findings: Findings
+    known: KnownRobot
+    loops: tuple[LoopSettings, ...]
+    checks: Mapping[str, PidCheck]
+    proposals: Proposals
+    runs: tuple[RunSeries, RunSeries, RunSeries]
+    others: Mapping[str, Mapping[str, float]]
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def comparison(self) -> Comparison:
+        """The three runs side by side."""
+        return Comparison(tuple(run_indices(each) for each in self.runs))
+
+    @property
+    def settings(self) -> tuple[LoopSettings, ...]:
+        """What is proposed for each controller."""
+        return tuple(_after(self.loops, self.proposals.found))
+
+    @property
+    def is_kept(self) -> bool:
+        """Whether every joint keeps its PID."""
+        return not _changed(self.proposals.found)
+
+
+def answer(question: Question, telling: Telling) -> Answer:
+    """Identify the robot, check the PID, propose another law and predict what it brings.
+
+    Args:
+        question: What is asked.
+        telling: How the progress is told.
+
+    Raises:
+        HpidError: The bag or the robot cannot be read or do not go together, no PID ran, or
+            nothing can be proposed.
+    """
+    telling.phase("reading the recording")
+    recording, loops, warnings = _read(question)
+    telling.phase("identifying the joints")
+    findings = findings_of(
+        recording, question.robot, robot_name=question.urdf, bag_name=str(question.bag)
+    )
+    known = known_robot(question.robot, findings.joints, recording.joints)
+    inertias = _inertias(question, known, loops, recording.joints)
+    checks = {each.joint: _check(each, inertias[each.joint], known) for each in loops}
+    has_velocities = measures_velocity(question.bag, loops[0].joint)
+    if has_velocities and any(each.velocity.is_measured for each in loops):
+        warnings.append(
+            "velocities are those that the robot measured: they are simulated as differences of "
+            "its positions, whose noise may be another"
+        )
+    trial = _Trial(known, loops, recording, inertias, telling, has_velocities)
+    goal = question.goal or DEFAULT_GOAL
+    proposals, predicted = trial.of(goal)
+    others: dict[str, dict[str, float]] = {}
+    if question.goal is None and not _changed(proposals.found):
+        others = trial.others(each for each in GOALS if each != goal)
+    return Answer(
+        question,
+        goal,
+        recording,
+        findings,
+        known,
+        tuple(loops),
+        checks,
+        proposals,
+        (recording, trial.before, predicted),
+        others,
+        tuple(warnings),
+    )
+
+
+def _read(question: Question) -> tuple[RunSeries, list[LoopSettings], list[str]]:
+    """Return the recording, the controllers that ran, and what to warn of."""
+    if question.goal is not None and question.goal not in GOALS:
+        raise SettingError(unknown_name("goal", question.goal, GOALS))
+    controllers = recorded_controllers(question.bag, question.parameters)
+    recording = read_run(question.bag, RECORDED, progress=lambda share: raise_if_interrupted())
+    robot = question.robot.description
+    recording = recording.with_slides(robot.slides)
+    loops, warnings = [], []
+    for joint, controller in controllers.items():
+        if joint not in recording.joint_names or joint not in robot.joints:
+            who = "the recording" if joint not in recording.joint_names else "the robot"
+            warnings.append(f"{joint} is left out: {who} does not have it")
+        else:
+            loops.append(controller.settings)
+    if not loops:
+        raise SettingError(f"{question.bag}: no controller can be upgraded: {'; '.join(warnings)}")
+    others = [f"{each.joint} (mu {each.mu:+g})" for each in loops if each.degree != 0.0]
+    if others:
+        raise SettingError(
+            f"{question.bag} was not recorded under a PID, but under the homogeneous law: "
+            f"{', '.join(others)}; record one with law pid or mu 0, which is the baseline"
+        )
+    missing = [each.joint for each in recording.joints if not each.has_reference]
+    missing = [each.joint for each in loops if each.joint in missing]
+    if missing:
+        raise SettingError(
+            f"{question.bag} has no reference of {', '.join(missing)}: record joint_trajectory, "
+            "as bag_recorder does"
+        )
+    retunes = read_retunes(question.bag)
+    if retunes:
+        first = retunes[0]
+        warnings.append(
+            f"parameters were changed while it was recorded, first {first.node}: {first.change}; "
+            "the controllers are taken as they began"
+        )
+    return recording, loops, warnings
+
+
+def _inertias(
+    question: Question,
+    known: KnownRobot,
+    loops: Sequence[LoopSettings],
+    recorded: Sequence[JointSeries],
+) -> dict[str, tuple[float, float]]:
+    start = known.robot.initial_positions
+    poses = [{**start, **pose} for pose in visited_poses(recorded)]
+    joints = [each.joint for each in loops]
+    try:
+        return inertia_ranges(known.robot.description, joints, question.payload, poses)
+    except np.linalg.LinAlgError:
+        raise RobotDescriptionError(
+            "the robot has a joint that moves no mass, and no rotor was found: give its links "
+            "masses, or hold it"
+        ) from None
+
+
+def _check(settings: LoopSettings, inertia: tuple[float, float], known: KnownRobot) -> PidCheck:
+    """Return the margins of a PID on the joint as it was identified, the worst of both ends."""
+    joint = known.robot.description.joints[settings.joint]
+    delay = known.facts[settings.joint].delay if settings.joint in known.facts else 0
+    period = settings.timing.control_period
+    try:
+        family = loop_family(settings, inertia, joint.damping, delay * period)
+        ends = [margins_of(family.loop(each)) for each in family.inertia]
+    except HpidError as error:
+        return PidCheck(inertia, None, str(error))
+    return PidCheck(inertia, min(ends, key=lambda each: each.disk))
+
+
+class _Trial:
+    """Proposals for a robot, and their simulations."""
+
+    def __init__(
+        self,
+        known: KnownRobot,
+        loops: Sequence[LoopSettings],
+        recording: RunSeries,
+        inertias: Mapping[str, tuple[float, float]],
+        telling: Telling,
+        has_velocities: bool,
+    ) -> None:
+        self._has_velocities = has_velocities
+        self._known, self._loops, self._recording = known, loops, recording
+        self._inertias, self._telling = inertias, telling
+        self._limits = effort_limits(known.robot.description)
+        self._before: RunSeries | None = None
+
+    @property
+    def before(self) -> RunSeries:
+        """The PID, simulated."""
+        if self._before is None:
+            (self._before,) = self._simulated({SIMULATED: self._loops})
+        return self._before
+
+    def of(self, goal: str) -> tuple[Proposals, RunSeries]:
+        """Return what is proposed for a goal, and its simulation."""
+        tell, recorded = self._telling, self._recording.joints
+        tell.phase(f"certifying degrees for the goal {goal}")
+        proposals = propose(
+            self._loops, self._inertias, recorded, self._limits, goal, tell.certifying
+        )
+        tell.phase("simulating the identified robot")
+        wanted: dict[str, Sequence[LoopSettings]] = {}
+        if self._before is None:
+            wanted[SIMULATED] = self._loops
+        wanted[PREDICTED] = _after(self._loops, proposals.found)
+        *before, after = self._simulated(wanted)
+        if before:
+            (self._before,) = before
+        both = Comparison((run_indices(self.before), run_indices(after)))
+        found = {name: worthwhile(each, goal, both) for name, each in proposals.found.items()}
+        kept = Proposals(found, proposals.failures)
+        if not _changed(found):
+            return kept, replace(self.before, label=PREDICTED)
+        if any(each.settings.law == "pid" for each in found.values()):
+            (after,) = self._simulated({PREDICTED: _after(self._loops, found)})
+        return kept, after
+
+    def others(self, goals: Iterable[str]) -> dict[str, dict[str, float]]:
+        """Return what goals would bring, by goal and index, over the PID's, of all joints."""
+        found = {}
+        for goal in goals:
+            proposals, after = self.of(goal)
+            if _changed(proposals.found):
+                both = Comparison((run_indices(self.before), run_indices(after)))
+                found[goal] = {each.key: both.ratio(after.label, each) for each in INDICES}
+        return found
+
+    def _simulated(self, loops: Mapping[str, Sequence[LoopSettings]]) -> list[RunSeries]:
+        stamps = self._recording.joints[0].state_stamps_ns
+        robot = self._known.robot
+        return simulate(
+            robot.source,
+            loops,
+            self._recording.joints,
+            robot.fixed_base,
+            robot.initial_positions,
+            facts=self._known.facts,
+            has_velocities=self._has_velocities,
+            period=float(np.median(np.diff(stamps))) * SECONDS_PER_NANOSECOND,
+            engine=_ENGINE,
+        )
+
+
+def _after(loops: Sequence[LoopSettings], found: Mapping[str, Upgrade]) -> list[LoopSettings]:
+    return [found[each.joint].settings if each.joint in found else each for each in loops]
+
+
+def _changed(found: Mapping[str, Upgrade]) -> list[str]:
+    """Return the joints that do not keep their PID."""
+    return [name for name, each in found.items() if each.settings.law != "pid"]

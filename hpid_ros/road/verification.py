@@ -1,0 +1,155 @@
+"""A prediction held against what was measured before and after."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import NamedTuple
+
+from hpid_ros.analysis.comparability import mismatches
+from hpid_ros.analysis.comparison import Comparison
+from hpid_ros.analysis.quantities import INDICES, ITAE, IVC, Quantity
+from hpid_ros.bags.selection import BagSelection
+from hpid_ros.base.errors import HpidError, SettingError
+from hpid_ros.metrics.measure import Measured, Measuring, measure_all
+from hpid_ros.metrics.sources import Source
+from hpid_ros.replay.reading import recorded_controllers
+from hpid_ros.road.prediction import Prediction
+
+JUDGED = (IVC, ITAE)
+"""The indices that a prediction has to hold for, of all joints together."""
+
+HOLDS_WITHIN = 0.1
+"""Share of what was predicted that a measured index may be off."""
+
+_SAME = 1e-4  # relative: parameter files have six digits
+_BEFORE, _AFTER = "before", "after"
+
+
+class Held(NamedTuple):
+    """One index, over what it was before.
+
+    Attributes:
+        predicted: Ratio that was predicted.
+        measured: Ratio that was measured; nan where the recordings do not allow one.
+    """
+
+    predicted: float
+    measured: float
+
+    @property
+    def off(self) -> float:
+        """How far the measured one is from the predicted one, as a share of that."""
+        return self.measured / self.predicted - 1.0 if self.predicted else math.nan
+
+    @property
+    def is_held(self) -> bool:
+        """Whether that is little."""
+        return abs(self.off) <= HOLDS_WITHIN
+
+
+@dataclass(frozen=True)
+class Verification:
+    """What came of a prediction.
+
+    Attributes:
+        joints: Of each joint, by key of the index.
+        totals: Of all joints together.
+        warnings: What the numbers must be read with, one line each.
+    """
+
+    joints: dict[str, dict[str, Held]]
+    totals: dict[str, Held]
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def is_held(self) -> bool:
+        """Whether each judged index of all joints is near what was predicted."""
+        return all(self.totals[index.key].is_held for index in JUDGED)
+
+
+def verify(prediction: Prediction, before: Path, after: Path) -> Verification:
+    """Hold a prediction against two recordings of one motion.
+
+    Args:
+        prediction: What was predicted.
+        before: Recorded under the PID.
+        after: Recorded under the proposal.
+
+    Raises:
+        HpidError: One of them cannot be read, or lacks a joint, or they have no index that can be
+            compared.
+    """
+    joints = tuple(prediction.joints)
+    how = Measuring(BagSelection(joints=joints), keeps_series=False)
+    measured = measure_all([Source(before, _BEFORE), Source(after, _AFTER)], how)
+    runs = [replace(each.run, slides=frozenset(prediction.slides)) for each in measured]
+    comparison = Comparison(tuple(runs))
+    if all(math.isnan(comparison.ratio(_AFTER, each)) for each in JUDGED):
+        why = "; ".join(mismatches(runs)) or "an effort or a reference is missing"
+        raise SettingError(f"{before} and {after} cannot be compared: {why}")
+    return Verification(
+        {
+            name: {each.key: _held(prediction, comparison, each, name) for each in INDICES}
+            for name in joints
+        },
+        {each.key: _held(prediction, comparison, each, None) for each in INDICES},
+        tuple(_warnings(prediction, comparison, measured, after)),
+    )
+
+
+def _held(
+    prediction: Prediction, comparison: Comparison, index: Quantity, joint: str | None
+) -> Held:
+    if joint is None:
+        expected = prediction.total(index.key)
+    else:
+        expected = prediction.joints[joint][index.key]
+    return Held(expected.ratio, comparison.ratio(_AFTER, index, joint))
+
+
+def _warnings(
+    prediction: Prediction, comparison: Comparison, measured: list[Measured], after: Path
+) -> Iterator[str]:
+    for each in measured:
+        yield from each.defects
+    yield from mismatches(comparison.runs)
+    for index in JUDGED:
+        then, now = prediction.total(index.key).before, comparison.baseline.value(index)
+        if abs(now - then) > _SAME * abs(then):
+            yield (
+                f"the {index.symbol} before is {now:.4g} here, and was {then:.4g} when the "
+                f"prediction was made from {prediction.bag}"
+            )
+    yield from _other_parameters(prediction, after)
+
+
+def _other_parameters(prediction: Prediction, after: Path) -> Iterator[str]:
+    """Yield what was not set as proposed, as far as the recording tells."""
+    try:
+        controllers = recorded_controllers(after)
+    except HpidError:
+        yield "the recording after does not hold its controllers' parameters: taken as proposed"
+        return
+    for joint, proposed in prediction.parameters.items():
+        if joint not in controllers:
+            continue
+        ran = controllers[joint].settings.to_parameters()
+        unlike = [
+            f"{name} {ran.get(name)!r} for {value!r}"
+            for name, value in proposed.items()
+            if name in _TOLD and not _is_same(ran.get(name), value)
+        ]
+        if unlike:
+            yield f"{joint} did not run what was proposed: {', '.join(unlike)}"
+
+
+_TOLD = ("law", "gains.p", "gains.i", "gains.d", "mu", "norm.type", "norm.effort_scale")
+
+
+def _is_same(ran: object, proposed: object) -> bool:
+    if isinstance(ran, float | int) and isinstance(proposed, float | int):
+        return math.isclose(float(ran), float(proposed), rel_tol=_SAME, abs_tol=1e-9)
+    return ran == proposed

@@ -1,0 +1,246 @@
+"""``hpid upgrade BAG``: from one recording to parameters, a page and a prediction that holds."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+import yaml
+from harness.bags import command, ramp, state, trajectory, write_bag
+
+from hpid_ros.bags.metadata import PARAMETERS, read_metadata
+from hpid_ros.cli.main import main
+from hpid_ros.experiment.description import load_experiment
+from hpid_ros.experiment.in_process import run_without_ros
+from hpid_ros.experiment.progress import NoProgress
+from hpid_ros.recordings.series import JointSeries
+from hpid_ros.road.known import position_noise
+from hpid_ros.road.prediction import read_prediction
+from hpid_ros.tuning.controller_files import settings_from_parameter_file
+
+DONE, FAILED, BAD_INPUT = 0, 1, 2
+LINK = """<link name="{name}"><inertial><origin xyz="{at} 0 0"/><mass value="{mass}"/>
+<inertia ixx="{i}" iyy="{i}" izz="{i}" ixy="0" ixz="0" iyz="0"/></inertial></link>"""
+JOINT = """<joint name="{name}" type="revolute"><parent link="{parent}"/><child link="{child}"/>
+<origin xyz="{at} 0 0"/><axis xyz="0 1 0"/>
+<limit lower="-2" upper="2" effort="60" velocity="9"/></joint>"""
+URDF = "\n".join(
+    [
+        '<robot name="two_links"><link name="stand"/>',
+        LINK.format(name="upper", at=0.15, mass=2.0, i=0.02),
+        LINK.format(name="lower", at=0.1, mass=1.0, i=0.006),
+        JOINT.format(name="shoulder", parent="stand", child="upper", at=0.0),
+        JOINT.format(name="elbow", parent="upper", child="lower", at=0.3),
+        "</robot>",
+    ]
+)
+TRUTH = {
+    "shoulder": {"rotor_inertia": 8e-6, "gear_ratio": 100, "damping": 0.3, "friction": 0.4},
+    "elbow": {"rotor_inertia": 3e-6, "gear_ratio": 100, "damping": 0.1, "friction": 0.15},
+}
+NOISE = 3e-6  # [rad]
+DELAY = 1  # control periods
+GAINS = {
+    "shoulder": {"p": 80.0, "i": 240.0, "d": 8.0},
+    "elbow": {"p": 16.0, "i": 50.0, "d": 1.6},
+}
+
+
+def experiment(folder, name, controllers, seed):
+    """Return an experiment on the true robot, with these parameters of each joint."""
+    (folder / "two_links.urdf").write_text(URDF)
+    chance = np.random.default_rng(3)
+    places = {name: [0.0, *map(float, chance.uniform(-0.7, 0.7, 7))] for name in TRUTH}
+    document = {
+        "name": name,
+        "duration": 7.0,
+        "seed": seed,
+        "robot": {"description": "two_links.urdf", "fixed_base": True, "joints": TRUTH},
+        "control": {"rate": 500},
+        "simulation": {"engine": "mujoco"},
+        "sensors": {"noise": NOISE, "encoder_counts": 2**21},
+        "actuators": {"delay": DELAY},
+        "reference": {
+            "kind": "step",
+            "times": [float(k) for k in range(8)],
+            "positions": places,
+        },
+        "controllers": {"joints": controllers},
+        "compare": {"one": {}, "other": {}},
+    }
+    (folder / f"{name}.yaml").write_text(yaml.safe_dump(document, sort_keys=False))
+    return load_experiment(folder / f"{name}.yaml")
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory):
+    """Return a folder with a robot and its recording under a PID."""
+    folder = tmp_path_factory.mktemp("road")
+    pid = {name: {"law": "pid", "gains": gains} for name, gains in GAINS.items()}
+    run_without_ros(experiment(folder, "pid", pid, 1), "one", folder / "before", NoProgress())
+    return folder
+
+
+@pytest.fixture(scope="module")
+def travelled(place):
+    """Return what one command made of it: exit code and folder."""
+    code = main(["upgrade", str(place / "before"), *robot(place), *output(place)])
+    return code, place
+
+
+def robot(place):
+    return ["--urdf", str(place / "two_links.urdf")]
+
+
+def output(place):
+    return ["-o", str(place / "upgrade.yaml")]
+
+
+@pytest.fixture(scope="module")
+def after(travelled):
+    """Return the recording of the same robot under what was proposed."""
+    _, place = travelled
+    proposed = {
+        each.joint: dict(each.to_parameters())
+        for each in settings_from_parameter_file(place / "upgrade.yaml").values()
+    }
+    for parameters in proposed.values():
+        parameters.pop("joint")
+    again = experiment(place, "hpid", proposed, 2)
+    run_without_ros(again, "one", place / "after", NoProgress())
+    return place / "after"
+
+
+def test_one_command_gives_parameters_a_page_and_a_prediction(travelled):
+    code, place = travelled
+    assert code == DONE
+    found = {
+        each.joint: each for each in settings_from_parameter_file(place / "upgrade.yaml").values()
+    }
+    assert list(found) == list(GAINS)
+    for name, settings in found.items():
+        assert vars(settings.gains) == GAINS[name]
+        assert settings.law == "hpid"
+        assert settings.mu < 0.0
+    assert len({each.norm.effort_scale for each in found.values()}) == 1  # one norm in N m
+    page = (place / "upgrade.html").read_text()
+    for title in ("was found", "is assumed", "will change", "to try first"):
+        assert f'data-tab="What {title}"' in page
+    assert "<script src" not in page
+    assert "http://" not in page.replace("http://www.w3.org", "")
+    prediction = read_prediction(place / "upgrade.json")
+    for key in ("ivc", "itae"):
+        assert prediction.total(key).ratio < 0.98
+        assert prediction.total(key).fidelity == pytest.approx(1.0, abs=0.1)
+
+
+def test_the_prediction_comes_true(travelled, after, capsys):
+    _, place = travelled
+    assert verified(place, place / "before", after) == DONE
+    said = capsys.readouterr().out
+    assert "The prediction held" in said
+    assert "!" not in said
+
+
+def verified(place, before, after):
+    return main(
+        [
+            *("upgrade", "--verify", str(before), str(after)),
+            *("--prediction", str(place / "upgrade.json")),
+        ]
+    )
+
+
+def test_a_prediction_that_is_wrong_is_told(travelled, after, tmp_path, capsys):
+    _, place = travelled
+    document = json.loads((place / "upgrade.json").read_text())
+    for each in document["joints"].values():
+        each["indices"]["itae"]["ratio"] *= 1.3
+    (tmp_path / "upgrade.json").write_text(json.dumps(document))
+    assert verified(tmp_path, place / "before", after) == FAILED
+    assert "did NOT hold" in capsys.readouterr().out
+
+
+def test_an_after_that_ran_something_else_is_told(travelled, capsys):
+    _, place = travelled
+    assert verified(place, place / "before", place / "before") == FAILED
+    said = " ".join(capsys.readouterr().out.split())
+    assert "shoulder did not run what was proposed: law 'pid' for 'hpid'" in said
+
+
+def refused(arguments, capsys):
+    capsys.readouterr()
+    assert main(list(map(str, arguments))) == BAD_INPUT
+    return capsys.readouterr().err.strip().splitlines()[-1]
+
+
+def test_a_bag_without_parameters_says_what_to_give(place, tmp_path, capsys):
+    bare = tmp_path / "bare"
+    shutil.copytree(place / "before", bare)
+    metadata = yaml.safe_load((bare / "metadata.yaml").read_text())
+    assert PARAMETERS in read_metadata(bare)["custom_data"]
+    del metadata["rosbag2_bagfile_information"]["custom_data"]
+    (bare / "metadata.yaml").write_text(yaml.safe_dump(metadata))
+    for file in bare.glob("*.mcap"):
+        file.write_bytes(file.read_bytes().replace(PARAMETERS.encode(), b"x" * len(PARAMETERS)))
+    line = refused(["upgrade", bare, *robot(place), "-o", tmp_path / "new.yaml"], capsys)
+    assert "give them with --params FILE" in line
+    assert not list(tmp_path.glob("new.*"))
+
+
+def test_what_is_not_for_a_bag_or_in_the_way_is_one_line(travelled, tmp_path, capsys):
+    _, place = travelled
+    bag, new = place / "before", ["-o", tmp_path / "new.yaml"]
+    cases = [
+        ([bag, *new], "a BAG needs --urdf"),
+        ([bag, *robot(place), "--bag", bag, *new], "--bag is for a parameter FILE"),
+        ([bag, *robot(place), "--inertia", "1", *new], "--inertia and --poses"),
+        ([bag, *robot(place), "-o", tmp_path / "new.html"], "must end in .yaml"),
+        ([bag, *robot(place), *output(place)], "exists"),
+        ([bag, *robot(place), "-o", bag / "metadata.yaml", "--force"], "input"),
+        ([], "needs a parameter FILE"),
+        (["--prediction", "x"], "--prediction is for --verify"),
+        (["x.yaml"], "--goal is missing"),
+        (["x.yaml", "--goal", "fast", "--params", "y.yaml"], "--params is for a BAG"),
+        (["--verify", bag, bag, "--goal", "fast"], "nothing else, not --goal"),
+        (["--verify", bag, bag, "--prediction", tmp_path / "no.json"], "cannot read"),
+        (["--verify", bag, bag, "--prediction", place / "pid.yaml"], "no JSON"),
+    ]
+    for arguments, words in cases:
+        assert words in refused(["upgrade", *arguments], capsys)
+    (tmp_path / "other.json").write_text("{}")
+    arguments = ["upgrade", "--verify", bag, bag, "--prediction", tmp_path / "other.json"]
+    assert "no prediction that hpid upgrade has written" in refused(arguments, capsys)
+    assert not list(tmp_path.glob("new.*"))
+
+
+def test_a_recording_under_another_law_is_no_baseline(place, after, tmp_path, capsys):
+    line = refused(["upgrade", after, *robot(place), "-o", tmp_path / "new.yaml"], capsys)
+    assert "was not recorded under a PID" in line
+    assert "shoulder (mu -0." in line
+
+
+def test_motions_that_differ_are_not_held_against_each_other(travelled, tmp_path, capsys):
+    _, place = travelled
+    log = [trajectory(0, ramp("shoulder", t0=0.0, t1=1.0)), trajectory(0, ramp("elbow", t1=1.0))]
+    for k in range(1, 400):
+        stamp = 2_000_000 * k
+        log += [state(stamp, shoulder=0.1, elbow=0.2), command(stamp, shoulder=1.0, elbow=2.0)]
+    other = write_bag(tmp_path / "other", log)
+    arguments = ["upgrade", "--verify", place / "before", other]
+    line = refused([*arguments, "--prediction", place / "upgrade.json"], capsys)
+    assert "cannot be compared" in line
+
+
+@pytest.mark.parametrize("noise", [0.0, 3e-6, 1e-4])
+@pytest.mark.parametrize("resolution", [0.0, 2e-5])
+def test_noise_is_told_from_motion_and_from_rounding(noise, resolution):
+    times = np.arange(0.0, 8.0, 2e-3)
+    chance = np.random.default_rng(5)
+    position = 0.4 * np.sin(3.0 * times) + noise * chance.standard_normal(len(times))
+    if resolution:
+        position = np.round(position / resolution) * resolution
+    stamps = np.round(times * 1e9).astype(np.int64)
+    series = JointSeries("a", stamps, position, position, stamps, position)
+    found = position_noise(series, resolution)
+    assert found == pytest.approx(noise, rel=0.1, abs=max(0.25 * resolution, 1e-7))
