@@ -1,10 +1,11 @@
 """Whether predictions of ``hpid upgrade BAG`` come true: ``python -m benchmarks.road``.
 
 Draws robots from those of the example experiments: masses and inertias of every link, rotors,
-friction, delay, encoder noise, the gains of a PID placed by a bandwidth that is drawn, too, and a
-motion through random places. Records a run under the PID in process, takes the road from that bag
-and a URDF without rotors and friction, records what was proposed on the drawn robot with other
-noise, and prints what was predicted beside what was measured, in Markdown.
+friction, delay, encoder noise, the gains of a PID placed by a bandwidth that is drawn, too, a
+motion through random places, smooth or in steps, and the goal. Records a run under the PID in
+process, takes the road from that bag and a URDF without rotors and friction, records what was
+proposed on the drawn robot with other noise, and prints what was predicted beside what was
+measured, in Markdown.
 """
 
 from __future__ import annotations
@@ -34,6 +35,7 @@ from hpid_ros.robot.amendments import JointAmendment, amended
 from hpid_ros.robot.description import RobotDescription
 from hpid_ros.robot.dynamics import Dynamics
 from hpid_ros.robot.given import GivenRobot
+from hpid_ros.tuning.upgrade import GOALS
 
 ROBOTS = ("paper", "iiwa", "panda")
 _MASSES = (0.7, 1.4)  # times as the robot's
@@ -43,10 +45,21 @@ _MISPLACED = (0.85, 1.15)  # times the gains that were placed: nobody knows the 
 _NOISES = (1e-6, 1.5e-4)  # [rad], even in the logarithm
 _BITS = (16, 20)  # of the encoders
 _DELAYS = 3  # control periods: 0 to 2
-_STOPS, _LEG = 7, 2.0  # places to go to, [s] from one to the next
-_REACH = 0.6  # [rad], from where it stands, or as far as limits go
+_MOTIONS = ("minimum_jerk", "step")
+_STOPS, _LEG = 6, 2.0  # places to go to, [s] from one to the next
+_REACH = {"minimum_jerk": 0.6, "step": 0.15}  # [rad], from where it stands, within its limits
 _HEADINGS = (
-    *("robot", "seed", "goal", "laws", "IVC predicted", "measured", "off", "ITAE predicted"),
+    *(
+        "robot",
+        "seed",
+        "motion",
+        "goal",
+        "laws",
+        "IVC predicted",
+        "measured",
+        "off",
+        "ITAE predicted",
+    ),
     *("measured", "off", "model: IVC", "ITAE", "held"),
 )
 
@@ -57,21 +70,27 @@ class Drawn(NamedTuple):
     Attributes:
         experiment: In which it moves under its PID.
         bare: Its description without rotors and friction.
+        motion: Kind of its reference.
+        goal: What its owner wants.
     """
 
     experiment: Experiment
     bare: RobotDescription
+    motion: str
+    goal: str
 
 
 class Travelled(NamedTuple):
     """The road of one robot.
 
     Attributes:
+        motion: Its kind.
         found: What was proposed.
         prediction: What it was to bring.
         verification: What it brought.
     """
 
+    motion: str
     found: Answer
     prediction: Prediction
     verification: Verification
@@ -84,9 +103,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("robots", nargs="*", default=ROBOTS, metavar="ROBOT", help="(all)")
     parser.add_argument("--seeds", type=int, default=10, help="robots to draw in all (10)")
     parser.add_argument("--first", type=int, default=1, help="the first seed (1)")
-    parser.add_argument(
-        "--goal", help="of all (balanced, and where that gains nothing the first that does)"
-    )
+    parser.add_argument("--goal", choices=tuple(GOALS), help="of all (drawn)")
     options = parser.parse_args(arguments)
     print(f"| {' | '.join(_HEADINGS)} |")
     print("|---" * len(_HEADINGS) + "|")
@@ -102,9 +119,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _row(robot: str, seed: int, travelled: Travelled) -> str:
-    found, prediction, verification = travelled
+    found, prediction, verification = travelled[1:]
     homogeneous = sum(each.law == "hpid" for each in found.settings)
-    cells = [robot, str(seed), found.goal, f"{homogeneous} of {len(found.settings)}"]
+    cells = [
+        robot,
+        str(seed),
+        travelled.motion,
+        found.goal,
+        f"{homogeneous} of {len(found.settings)}",
+    ]
     for index in (IVC, ITAE):
         held = verification.totals[index.key]
         cells += [f"{held.predicted:.3f}", f"{held.measured:.3f}", f"{held.off:+.1%}"]
@@ -118,8 +141,7 @@ def travel(robot: str, seed: int, goal: str | None = None) -> Travelled:
     Args:
         robot: Name of the experiment that it is from.
         seed: Of all that is drawn.
-        goal: Which is taken; if None, the default one, or where that gains nothing the first of
-            those that the answer offers.
+        goal: Which is taken; drawn if None. Where ``balanced`` gains nothing, ``smooth`` is.
     """
     drawn = draw(robot, seed)
     with tempfile.TemporaryDirectory() as folder:
@@ -128,10 +150,10 @@ def travel(robot: str, seed: int, goal: str | None = None) -> Travelled:
         start = drawn.experiment.world.initial_positions
         given = GivenRobot(drawn.bare.xml, drawn.bare, True, start)
         telling = Telling(lambda phase: None, lambda count: nullcontext(lambda joints: None))
+        goal = goal or drawn.goal
         found = answer(Question(before, given, "drawn.urdf", goal), telling)
-        if goal is None and found.others:
-            other = next(iter(found.others))
-            found = answer(Question(before, given, "drawn.urdf", other), telling)
+        if found.is_kept and goal == "balanced":
+            found = answer(Question(before, given, "drawn.urdf", "smooth"), telling)
         prediction = prediction_of(found)
         world = replace(drawn.experiment.world, seed=seed + 1_000_000)
         proposed = {
@@ -142,7 +164,7 @@ def travel(robot: str, seed: int, goal: str | None = None) -> Travelled:
         }
         again = replace(drawn.experiment, world=world, controllers=proposed)
         run_without_ros(again, "hPID", after, NoProgress())
-        return Travelled(found, prediction, verify(prediction, before, after))
+        return Travelled(drawn.motion, found, prediction, verify(prediction, before, after))
 
 
 def draw(robot: str, seed: int) -> Drawn:
@@ -160,6 +182,7 @@ def draw(robot: str, seed: int) -> Drawn:
     truth = {name: _amendment(heavy, name, chance) for name in arm}
     drawn = amended(heavy, truth, {}, {})
     nothing = {name: JointAmendment(rotor_inertia=0.0, damping=0.0, friction=0.0) for name in arm}
+    motion = str(chance.choice(_MOTIONS))
     document = {
         "extends": str(plain.path),
         "seed": seed,
@@ -171,11 +194,12 @@ def draw(robot: str, seed: int) -> Drawn:
             "encoder_counts": 2 ** int(chance.integers(*_BITS, endpoint=True)),
         },
         "actuators": {"delay": int(chance.integers(0, _DELAYS))},
-        "reference": _reference(plain, drawn, chance),
+        "reference": _reference(plain, drawn, motion, chance),
         "controllers": {"joints": _gains(drawn, arm, plain.world.initial_positions, chance)},
         "compare": {"PID": {"law": "pid"}, "hPID": {"law": "pid"}},
     }
-    return Drawn(_loaded(document, drawn), amended(heavy, nothing, {}, {}))
+    goal = str(chance.choice(tuple(GOALS)))
+    return Drawn(_loaded(document, drawn), amended(heavy, nothing, {}, {}), motion, goal)
 
 
 def _with_other_masses(source: RobotDescription, chance: np.random.Generator) -> RobotDescription:
@@ -206,19 +230,19 @@ def _amendment(
 
 
 def _reference(
-    plain: Experiment, description: RobotDescription, chance: np.random.Generator
+    plain: Experiment, description: RobotDescription, motion: str, chance: np.random.Generator
 ) -> dict[str, Any]:
     """Return a motion of all joints but wheels, from place to place."""
     positions = {}
     for name in plain.world.joints:
         start = float(plain.world.initial_positions.get(name, 0.0))
-        reach = 0.0 if "wheel" in name else _REACH
+        reach = 0.0 if "wheel" in name else _REACH[motion]
         joint = description.joints[name]
         low, high = max(start - reach, joint.lower), min(start + reach, joint.upper)
         places = [float(x) for x in chance.uniform(low, high, _STOPS)]
         positions[name] = [start, *places] if reach else [start] * (_STOPS + 1)
     times = [_LEG * k for k in range(_STOPS + 1)]
-    new = {"kind": "minimum_jerk", "times": times, "positions": positions}
+    new = {"kind": motion, "times": times, "positions": positions}
     return dict.fromkeys(yaml.safe_load(plain.text)["reference"]) | new
 
 

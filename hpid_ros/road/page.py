@@ -68,7 +68,7 @@ def render(found: Answer, prediction: Prediction, files: Mapping[str, Path]) -> 
         "Provenance": [Properties.of("Provenance", _provenance(found, files))],
     }
     return render_page(
-        f"From {found.question.bag.name} to a homogeneous PID",
+        f"{found.question.bag.name}: from a PID to a homogeneous PID",
         summary(found, prediction),
         doubts(found, prediction),
         [expectations(prediction)],
@@ -193,7 +193,16 @@ def _found(found: Answer, prediction: Prediction) -> Iterator[Block]:
     yield Heading("Your PID on these joints")
     yield PlainTable(
         "Your PID",
-        ("joint", "p", "i", "d", "phase margin [°]", "gain margin", "delay margin [ms]", "Ms"),
+        (
+            "joint",
+            "p",
+            "i",
+            "d",
+            "phase margin [°]",
+            "gain margin [dB]",
+            "delay margin [ms]",
+            "Ms",
+        ),
         [_checked(each, found.checks[each.joint]) for each in found.loops],
     )
     yield Paragraph(
@@ -224,7 +233,8 @@ def _found(found: Answer, prediction: Prediction) -> Iterator[Block]:
 def _identified_headings(found: Answer) -> tuple[str, ...]:
     slides = [each.joint in found.findings.slides for each in found.findings.joints]
     inertia, friction, effort, angle = (
-        unit_over(each, slides) for each in ("kg m^2", "N m s/rad", "N m", "rad")
+        unit_over(each, slides).replace("^2", "²")
+        for each in ("kg m^2", "N m s/rad", "N m", "rad")
     )
     return (
         "joint",
@@ -270,7 +280,7 @@ def _checked(settings: LoopSettings, check: PidCheck) -> list[str]:
         settings.joint,
         *gains,
         f"{math.degrees(margins.phase):.0f}",
-        f"{margins.gain:.3g}",
+        f"{20.0 * math.log10(margins.gain):.1f}",
         f"{_MILLISECONDS * margins.delay:.3g}",
         f"{margins.sensitivity:.2f}",
     ]
@@ -281,7 +291,9 @@ def _assumed(found: Answer) -> Iterator[Block]:
     rows = [(joint, line) for joint, lines in found.known.assumptions.items() for line in lines]
     if rows:
         yield Heading("What the recording did not tell")
-        yield PlainTable("What the recording did not tell", ("joint", "assumed"), rows)
+        yield PlainTable(
+            "What the recording did not tell", ("joint", "assumed"), rows, is_prose=True
+        )
 
 
 def _changes(found: Answer) -> Iterator[Block]:
@@ -290,11 +302,13 @@ def _changes(found: Answer) -> Iterator[Block]:
     for joint, each in found.proposals.found.items():
         for name, value in each.settings.to_parameters().items():
             was = before[joint][name]
-            if was != value:
+            if _text(was) != _text(value):
                 reason = each.reasons.get(name, "")
                 reason = of_slide(reason) if joint in found.findings.slides else reason
                 rows.append((joint, name, _text(was), _text(value), reason))
-    yield PlainTable("What will change", ("joint", "parameter", "was", "becomes", "why"), rows)
+    yield PlainTable(
+        "What will change", ("joint", "parameter", "was", "becomes", "why"), rows, is_prose=True
+    )
     kept = [
         (joint, each.reasons["law"])
         for joint, each in found.proposals.found.items()
@@ -302,8 +316,12 @@ def _changes(found: Answer) -> Iterator[Block]:
     ]
     if kept:
         yield Heading("What stays")
-        yield PlainTable("What stays", ("joint", "why"), kept)
+        yield _prose("What stays", ("joint", "why"), kept)
     yield Paragraph("Gains, limits and everything that is not named stay as they were.")
+
+
+def _prose(name: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> PlainTable:
+    return PlainTable(name, columns, rows, is_prose=True)
 
 
 def _text(value: object) -> str:

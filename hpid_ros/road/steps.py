@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from hpid_ros.analysis.quantities import ITAE, IVC
@@ -17,8 +17,8 @@ _HALF = 0.5
 
 def first_steps(
     found: Answer, prediction: Prediction, files: Mapping[str, Path]
-) -> list[tuple[str, str]]:
-    """Return what to do, each in words and as a command; empty where there is none.
+) -> list[tuple[str, Sequence[str]]]:
+    """Return what to do, each in words and as lines of commands, if there are any.
 
     Args:
         found: The answer.
@@ -27,40 +27,43 @@ def first_steps(
     """
     changed = [each for each in found.settings if each.law == "hpid"]
     if not changed:
-        steps = [("Nothing needs to be tried: keep what you have.", "")]
-        steps += [
-            (f"To see what the goal {goal} proposes, ask for it.", _again(found, goal))
-            for goal in found.others
+        return [
+            ("Nothing needs to be tried: keep what you have.", ()),
+            *(
+                (f"To see what the goal {goal} proposes, ask for it.", (_again(found, goal),))
+                for goal in found.others
+            ),
         ]
-        return steps
     first = min(changed, key=lambda each: _benefit(each.joint, prediction))
     parameters = shlex.quote(str(files["parameters"]))
+    prediction_file = shlex.quote(str(files["prediction"]))
     bag = shlex.quote(str(found.question.bag))
     return [
         (
             "Start the controllers from the new file with the motors off; where your own file "
             "says more, as topics or a robot_description, give that first.",
-            f"ros2 run hpid_ros joint_controllers --ros-args --params-file {parameters}",
+            (f"ros2 run hpid_ros joint_controllers --ros-args --params-file {parameters}",),
         ),
         (
             f"Begin with {first.joint}, which has most to gain, and with half of its degree; the "
             "others get mu 0, which is the PID that you know. Then switch the motors on.",
-            "\n".join(_half(each, each is first) for each in changed),
+            [_half(each, each is first) for each in changed],
         ),
         (
             "Move as the robot is going to work. If all is well, give it the whole degree, and "
             "the next joint half of its own.",
-            _set(first, first.mu),
+            (_set(first, first.mu),),
         ),
         (
             "Record the motion of the first recording once more, with all that was proposed.",
-            "ros2 run hpid_ros bag_recorder --ros-args -p bag:=after "
-            f"-p controllers_file:={parameters}",
+            (
+                "ros2 run hpid_ros bag_recorder --ros-args -p bag:=after \\",
+                f"    -p controllers_file:={parameters}",
+            ),
         ),
         (
             "Hold the prediction against it.",
-            f"hpid upgrade --verify {bag} after "
-            f"--prediction {shlex.quote(str(files['prediction']))}",
+            (f"hpid upgrade --verify {bag} after --prediction {prediction_file}",),
         ),
     ]
 
@@ -76,7 +79,7 @@ def _half(settings: LoopSettings, is_first: bool) -> str:
 
 def _set(settings: LoopSettings, degree: float) -> str:
     node = shlex.quote(f"/{controller_name(settings.joint)}")
-    return f"ros2 param set {node} mu {round(degree, 3):g}"
+    return f"ros2 param set {node} mu {round(degree, 3)!r}"
 
 
 def _again(found: Answer, goal: str) -> str:

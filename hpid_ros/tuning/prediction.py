@@ -29,6 +29,7 @@ from hpid_ros.trajectory import Column, Knot
 _STEP_DURATION = 3.0  # [s]
 _JUMP = 10.0  # times as far as from one sample to the next before and after
 _LEAST_JUMP = 1e-6  # [rad]
+_BEYOND_NS = 1_000_000
 PHYSICS_STEPS = 2
 """In a control period: half the time of four, and no ratio moved by more than 0.01."""
 
@@ -196,12 +197,17 @@ def recorded_motion(joint: str, times_ns: NDArray[np.int64], reference: Numbers)
     knots: list[Knot] = []
     for times, values in zip(np.split(times_ns, jumps), np.split(reference, jumps), strict=True):
         if knots:
-            last, until = knots[-1], int(times[0]) - 1
-            way = (last.velocity or 0.0) * (until - last.time_ns) / NANOSECONDS
-            knots.append(Knot(until, last.position + way, last.velocity))
+            knots.append(_going_on(knots[-1], int(times[0]) - 1))
         rates = _rates(times / NANOSECONDS, values)
         knots += map(Knot, times.tolist(), values.tolist(), rates.tolist())
-    return Column(joint, tuple(knots))
+    # What was recorded may end while it moves.
+    return Column(joint, (*knots, _going_on(knots[-1], knots[-1].time_ns + _BEYOND_NS)))
+
+
+def _going_on(knot: Knot, time_ns: int) -> Knot:
+    """Return where a reference is at a later time if its velocity stays what it is."""
+    way = (knot.velocity or 0.0) * (time_ns - knot.time_ns) / NANOSECONDS
+    return Knot(time_ns, knot.position + way, knot.velocity)
 
 
 def _rates(times: Numbers, values: Numbers) -> Numbers:

@@ -46,11 +46,11 @@ class Steps:
     """What to do, one thing after the other.
 
     Attributes:
-        entries: Each in words, with the command that does it; empty where there is none.
+        entries: Each in words, with the lines of the commands that do it, if there are any.
     """
 
     kind: ClassVar = "steps"
-    entries: Sequence[tuple[str, str]]
+    entries: Sequence[tuple[str, Sequence[str]]]
 
 
 @dataclass(frozen=True)
@@ -61,12 +61,14 @@ class PlainTable:
         name: What a screen reader calls it.
         columns: The headings.
         rows: The rows, each as long as the headings.
+        is_prose: Whether the last column holds sentences, which are broken into lines.
     """
 
     kind: ClassVar = "plain_table"
     name: str
     columns: Sequence[str]
     rows: Sequence[Sequence[str]]
+    is_prose: bool = False
 
     @classmethod
     def of(cls, name: str, columns: Sequence[str], rows: Iterable[Iterable[object]]) -> PlainTable:

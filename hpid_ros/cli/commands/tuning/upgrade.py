@@ -116,6 +116,8 @@ def run(options: argparse.Namespace) -> int:
 
         return run_road(options)
     if options.goal is None:
+        if not options.file.exists():
+            raise SettingError(f"there is no parameter file and no bag {options.file}")
         raise SettingError(f"--goal is missing: a parameter file needs {', '.join(_GOALS)}")
     if options.params is not None:
         raise SettingError("--params is for a BAG; a parameter FILE says the parameters itself")
