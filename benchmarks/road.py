@@ -104,13 +104,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--seeds", type=int, default=10, help="robots to draw in all (10)")
     parser.add_argument("--first", type=int, default=1, help="the first seed (1)")
     parser.add_argument("--goal", choices=tuple(GOALS), help="of all (drawn)")
+    parser.add_argument("--engine", default="mujoco", help="of the drawn robots (mujoco)")
+    parser.add_argument(
+        "--wrong-links",
+        type=float,
+        default=0.0,
+        metavar="SHARE",
+        help="by which the masses in the owner's URDF are wrong, at most (0)",
+    )
     options = parser.parse_args(arguments)
     print(f"| {' | '.join(_HEADINGS)} |")
     print("|---" * len(_HEADINGS) + "|")
     held = kept = 0
     for seed in range(options.first, options.first + options.seeds):
         robot = options.robots[seed % len(options.robots)]
-        travelled = travel(robot, seed, options.goal)
+        drawn = draw(robot, seed, options.engine, options.wrong_links)
+        travelled = travel(drawn, seed, options.goal)
         held += travelled.verification.is_held
         kept += travelled.found.is_kept
         print(_row(robot, seed, travelled), flush=True)
@@ -135,15 +144,14 @@ def _row(robot: str, seed: int, travelled: Travelled) -> str:
     return f"| {' | '.join((*cells, 'yes' if verification.is_held else 'NO'))} |"
 
 
-def travel(robot: str, seed: int, goal: str | None = None) -> Travelled:
-    """Draw a robot, record it, take the road, and record what was proposed.
+def travel(drawn: Drawn, seed: int, goal: str | None = None) -> Travelled:
+    """Record a robot, take the road, and record what was proposed.
 
     Args:
-        robot: Name of the experiment that it is from.
-        seed: Of all that is drawn.
+        drawn: The robot.
+        seed: Of the noise.
         goal: Which is taken; drawn if None. Where ``balanced`` gains nothing, ``smooth`` is.
     """
-    drawn = draw(robot, seed)
     with tempfile.TemporaryDirectory() as folder:
         before, after = Path(folder) / "before", Path(folder) / "after"
         run_without_ros(drawn.experiment, "PID", before, NoProgress())
@@ -167,18 +175,20 @@ def travel(robot: str, seed: int, goal: str | None = None) -> Travelled:
         return Travelled(drawn.motion, found, prediction, verify(prediction, before, after))
 
 
-def draw(robot: str, seed: int) -> Drawn:
+def draw(robot: str, seed: int, engine: str = "mujoco", wrong_links: float = 0.0) -> Drawn:
     """Return a robot with all drawn at random that a recording has to tell.
 
     Args:
         robot: Name of the experiment that it is from.
         seed: Of all that is drawn.
+        engine: Who computes its physics.
+        wrong_links: Share by which the masses that its owner knows are wrong at most.
     """
     chance = np.random.default_rng([seed, *robot.encode()])
     plain = load_experiment(find_resource(f"config/experiments/{robot}.yaml"))
     source = RobotDescription.load(plain.world.robot_description)
     arm = [name for name in plain.world.joints if "wheel" not in name]
-    heavy = _with_other_masses(source, chance)
+    heavy = _with_other_masses(source, _MASSES, chance)
     truth = {name: _amendment(heavy, name, chance) for name in arm}
     drawn = amended(heavy, truth, {}, {})
     nothing = {name: JointAmendment(rotor_inertia=0.0, damping=0.0, friction=0.0) for name in arm}
@@ -188,7 +198,7 @@ def draw(robot: str, seed: int) -> Drawn:
         "seed": seed,
         "duration": _STOPS * _LEG,
         "robot": {"fixed_base": True, **({"base": None} if plain.world.base else {})},
-        "simulation": {"engine": "mujoco"},
+        "simulation": {"engine": engine},
         "sensors": {
             "noise": float(np.exp(chance.uniform(*np.log(_NOISES)))),
             "encoder_counts": 2 ** int(chance.integers(*_BITS, endpoint=True)),
@@ -199,14 +209,17 @@ def draw(robot: str, seed: int) -> Drawn:
         "compare": {"PID": {"law": "pid"}, "hPID": {"law": "pid"}},
     }
     goal = str(chance.choice(tuple(GOALS)))
-    return Drawn(_loaded(document, drawn), amended(heavy, nothing, {}, {}), motion, goal)
+    known = _with_other_masses(heavy, (1.0 - wrong_links, 1.0 + wrong_links), chance)
+    return Drawn(_loaded(document, drawn), amended(known, nothing, {}, {}), motion, goal)
 
 
-def _with_other_masses(source: RobotDescription, chance: np.random.Generator) -> RobotDescription:
+def _with_other_masses(
+    source: RobotDescription, factors: tuple[float, float], chance: np.random.Generator
+) -> RobotDescription:
     """Return a robot each of whose links is heavier or lighter, as if of another density."""
     robot = ElementTree.fromstring(source.xml)
     for link in robot.iter("inertial"):
-        factor = float(chance.uniform(*_MASSES))
+        factor = float(chance.uniform(*factors))
         for element in (*link.findall("mass"), *link.findall("inertia")):
             for name, value in element.attrib.items():
                 element.set(name, repr(factor * float(value)))

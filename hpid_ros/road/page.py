@@ -317,6 +317,16 @@ def _changes(found: Answer) -> Iterator[Block]:
     if kept:
         yield Heading("What stays")
         yield _prose("What stays", ("joint", "why"), kept)
+    if found.others:
+        yield Heading("What other goals would bring")
+        yield PlainTable(
+            "What other goals would bring",
+            ("goal", *(f"{index.symbol} over your PID's" for index in INDICES)),
+            [
+                (goal, *(format_ratio(ratios[index.key]) for index in INDICES))
+                for goal, ratios in found.others.items()
+            ],
+        )
     yield Paragraph("Gains, limits and everything that is not named stay as they were.")
 
 

@@ -25,6 +25,7 @@ from hpid_ros.replay.reading import recorded_controllers
 from hpid_ros.road.findings import Findings, findings_of
 from hpid_ros.road.known import KnownRobot, known_robot
 from hpid_ros.robot.given import GivenRobot
+from hpid_ros.stability.gain_check import inertia_of
 from hpid_ros.tuning.inertias import inertia_ranges, visited_poses
 from hpid_ros.tuning.prediction import simulate
 from hpid_ros.tuning.proposals import Certifying, Proposals, effort_limits, propose
@@ -244,6 +245,7 @@ def _check(settings: LoopSettings, inertia: tuple[float, float], known: KnownRob
     delay = known.facts[settings.joint].delay if settings.joint in known.facts else 0
     period = settings.timing.control_period
     try:
+        inertia = inertia_of(settings, inertia)
         family = loop_family(settings, inertia, joint.damping, delay * period)
         ends = [margins_of(family.loop(each)) for each in family.inertia]
     except HpidError as error:

@@ -50,7 +50,7 @@ ALLOWED = {
 }
 ALLOWED["road"] = {
     *("analysis", "bags", "control", "frequency", "identification", "metrics", "recordings"),
-    *("replay", "report", "robot", "simulation", "tuning"),
+    *("replay", "report", "robot", "simulation", "stability", "tuning"),
 }
 BELOW_EXPERIMENTS = set(ALLOWED)
 ALLOWED["experiment"] = BELOW_EXPERIMENTS
