@@ -13,8 +13,6 @@ from hpid_ros.cli.main import main
 from hpid_ros.experiment.description import load_experiment
 from hpid_ros.experiment.in_process import run_without_ros
 from hpid_ros.experiment.progress import NoProgress
-from hpid_ros.recordings.series import JointSeries
-from hpid_ros.road.known import position_noise
 from hpid_ros.road.prediction import read_prediction
 from hpid_ros.tuning.controller_files import settings_from_parameter_file
 
@@ -232,17 +230,3 @@ def test_motions_that_differ_are_not_held_against_each_other(travelled, tmp_path
     arguments = ["upgrade", "--verify", place / "before", other]
     line = refused([*arguments, "--prediction", place / "upgrade.json"], capsys)
     assert "cannot be compared" in line
-
-
-@pytest.mark.parametrize("noise", [0.0, 3e-6, 1e-4])
-@pytest.mark.parametrize("resolution", [0.0, 2e-5])
-def test_noise_is_told_from_motion_and_from_rounding(noise, resolution):
-    times = np.arange(0.0, 8.0, 2e-3)
-    chance = np.random.default_rng(5)
-    position = 0.4 * np.sin(3.0 * times) + noise * chance.standard_normal(len(times))
-    if resolution:
-        position = np.round(position / resolution) * resolution
-    stamps = np.round(times * 1e9).astype(np.int64)
-    series = JointSeries("a", stamps, position, position, stamps, position)
-    found = position_noise(series, resolution)
-    assert found == pytest.approx(noise, rel=0.1, abs=max(0.25 * resolution, 1e-7))
