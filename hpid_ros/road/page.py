@@ -85,6 +85,12 @@ def summary(found: Answer, prediction: Prediction) -> str:
         found: The answer.
         prediction: What it predicts.
     """
+    if not prediction.is_credible:
+        return (
+            "Nothing is proposed: the simulation of your PID is far from what was recorded, so "
+            "the model says nothing about another law. Was the base at rest, are the masses of "
+            "the URDF right, and were these the parameters that ran?"
+        )
     if found.is_kept:
         text = f"Keep your PID: the goal {found.goal} gains nothing on this robot."
         for goal, ratios in found.others.items():

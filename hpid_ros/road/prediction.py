@@ -11,12 +11,14 @@ from typing import Any, NamedTuple
 
 from hpid_ros import __version__
 from hpid_ros.analysis import RunIndices
-from hpid_ros.analysis.quantities import INDICES
+from hpid_ros.analysis.quantities import INDICES, ITAE, IVC
 from hpid_ros.base.errors import SettingError
 from hpid_ros.road.proposal import PREDICTED, RECORDED, SIMULATED, Answer
 
 KIND = "hpid_ros/prediction"
 """What a file of this kind says it is."""
+
+_FAR = 1.5  # times, or as a part, of a recorded index: no model of that robot
 
 _KEYS = tuple(each.key for each in INDICES)
 
@@ -70,6 +72,12 @@ class Prediction:
         after = math.fsum(one.after for one in each)
         simulated = math.fsum(one.before * one.fidelity for one in each)
         return Expected(before, _over(after, before), _over(simulated, before))
+
+    @property
+    def is_credible(self) -> bool:
+        """Whether the simulated PID is anything like the recorded one."""
+        totals = [self.total(index.key).fidelity for index in (IVC, ITAE)]
+        return all(1.0 / _FAR <= each <= _FAR for each in totals)
 
     def as_text(self) -> str:
         """Return the prediction as JSON."""

@@ -25,6 +25,15 @@ def first_steps(
         prediction: What it predicts.
         files: What was written: ``parameters`` and ``prediction``.
     """
+    if not prediction.is_credible:
+        bag, robot = (shlex.quote(str(each)) for each in (found.question.bag, found.question.urdf))
+        return [
+            (
+                "See which joint's efforts the model does not explain.",
+                (f"hpid identify {bag} --urdf {robot} --plot efforts.png",),
+            ),
+            ("See whether the parameters are those that ran.", (f"hpid replay {bag}",)),
+        ]
     changed = [each for each in found.settings if each.law == "hpid"]
     if not changed:
         return [

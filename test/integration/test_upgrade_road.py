@@ -186,6 +186,23 @@ def test_a_bag_without_parameters_says_what_to_give(place, tmp_path, capsys):
     assert not list(tmp_path.glob("new.*"))
 
 
+def test_where_the_model_is_wrong_nothing_is_proposed(place, tmp_path, capsys):
+    nodes = {}
+    for name, gains in GAINS.items():
+        other = {key: 8.0 * value for key, value in gains.items()}  # which did not run
+        nodes[f"{name}_controller"] = {
+            "ros__parameters": {"joint": name, "law": "pid", "gains": other}
+        }
+    (tmp_path / "other.yaml").write_text(yaml.safe_dump(nodes))
+    command = ["upgrade", str(place / "before"), *robot(place), "--goal", "smooth"]
+    command += ["--params", str(tmp_path / "other.yaml"), "-o", str(tmp_path / "new.yaml")]
+    assert main(command) == FAILED
+    said = " ".join(capsys.readouterr().out.split())
+    assert "Nothing is proposed: the simulation of your PID is far from what was recorded" in said
+    assert [each.name for each in tmp_path.glob("new.*")] == ["new.html"]
+    assert "hpid replay" in (tmp_path / "new.html").read_text()
+
+
 def test_what_is_not_for_a_bag_or_in_the_way_is_one_line(travelled, tmp_path, capsys):
     _, place = travelled
     bag, new = place / "before", ["-o", tmp_path / "new.yaml"]

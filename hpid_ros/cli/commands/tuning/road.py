@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import textwrap
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -43,17 +43,19 @@ def run_road(options: argparse.Namespace) -> int:
     )
     found = answer(question, _telling(TextConsole(stderr=True)))
     prediction = prediction_of(found)
-    _write(found, prediction, files)
+    written = files if prediction.is_credible else {"page": files["page"]}
+    _write(found, prediction, files, written)
     console = output_console()
-    console.print(_table(found, prediction))
-    console.print("")
+    if prediction.is_credible:
+        console.print(_table(found, prediction))
+        console.print("")
     console.print(summary(found, prediction), style="bold", highlight=False, markup=False)
     for line in doubts(found, prediction):
         console.print(f"! {shown(line)}", style="yellow", highlight=False, markup=False)
     console.print("")
-    for path in files.values():
+    for path in written.values():
         console.print(f"written: {path}", markup=False, soft_wrap=True, highlight=False)
-    return FAILED if found.proposals.failures else DONE
+    return FAILED if found.proposals.failures or not prediction.is_credible else DONE
 
 
 def _check(options: argparse.Namespace) -> None:
@@ -103,17 +105,20 @@ def _telling(told: Console) -> Telling:
     )
 
 
-def _write(found: Answer, prediction: Prediction, files: dict[str, Path]) -> None:
+def _write(
+    found: Answer, prediction: Prediction, files: dict[str, Path], wanted: Iterable[str]
+) -> None:
     from hpid_ros.road.page import render
 
     contents = {
-        files["parameters"]: _parameters(found, prediction),
-        files["page"]: render(found, prediction, files),
-        files["prediction"]: prediction.as_text(),
+        "parameters": _parameters(found, prediction),
+        "page": render(found, prediction, files),
+        "prediction": prediction.as_text(),
     }
-    for path, content in contents.items():
+    for name in wanted:
+        path = files[name]
         try:
-            write_file(path, content)
+            write_file(path, contents[name])
         except OSError as error:
             reason = (error.strerror or str(error)).lower()
             raise SettingError(f"cannot write {path}: {reason}") from None

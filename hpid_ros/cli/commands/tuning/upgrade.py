@@ -40,7 +40,8 @@ def add(commands: Any) -> None:
         "--urdf, the goal's index (smooth: IVC, fast: ITAE, balanced: both, of the whole robot) "
         "is not predicted to fall by 2 %.",
         epilog="Exit code 1 if a joint could not be upgraded: the file holds it as it was, with "
-        "the reason; with --verify, if the prediction did not hold.",
+        "the reason; if the simulated PID is nothing like the recorded one: only the page is "
+        "written; with --verify, if the prediction did not hold.",
     )
     parser.add_argument(
         "file",
