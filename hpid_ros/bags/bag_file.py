@@ -8,9 +8,6 @@ from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from rosbags.rosbag2 import Reader
-
-from hpid_ros.bags.rosbags_internals import custom_data
 from hpid_ros.base.errors import BagError, unknown_name
 
 if TYPE_CHECKING:
@@ -68,6 +65,8 @@ class BagReader:
                 f"no bag at {self.path}: the folder has no metadata.yaml "
                 "(a recording that was cut off has none either)"
             )
+        from rosbags.rosbag2 import Reader
+
         try:
             self._reader = Reader(self.path)
             self._reader.open()
@@ -93,6 +92,8 @@ class BagReader:
     @property
     def metadata(self) -> Mapping[str, str]:
         """The texts that the recording was given; empty for a single file."""
+        from hpid_ros.bags.rosbags_internals import custom_data
+
         return custom_data(self._reader)
 
     def find_topic(self, name: str, type: str) -> str:

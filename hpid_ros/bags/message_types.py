@@ -6,7 +6,6 @@ import functools
 from typing import TYPE_CHECKING
 
 import numpy as np
-from rosbags.typesys import Stores, get_typestore
 
 from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.trajectory import JointTrajectory
@@ -21,6 +20,8 @@ JOINT_TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
 @functools.cache
 def jazzy_types() -> Typestore:
     """Return Jazzy's message definitions; building them takes some 50 ms, once."""
+    from rosbags.typesys import Stores, get_typestore
+
     return get_typestore(Stores.ROS2_JAZZY)
 
 

@@ -16,8 +16,9 @@ from hpid_ros.bags.columns.storage import Storage
 from hpid_ros.bags.message_types import jazzy_types
 from hpid_ros.bags.run.topics import find_topic
 from hpid_ros.base.arrays import Numbers
-from hpid_ros.base.errors import BagError
+from hpid_ros.base.errors import BagError, MessageError
 from hpid_ros.base.units import NANOSECONDS
+from hpid_ros.wire.parameter_events import decode_text
 from hpid_ros.wire.reports import ODOMETRY, POSES, STATUSES, VECTOR, Status
 
 
@@ -207,9 +208,8 @@ def read_robot_descriptions(bag: Path, namespace: str | None = None) -> list[tup
         )
         for batch in storage.batches(topics, lambda share: None) if topics else ():
             for index in range(len(batch.starts)):
-                with suppress(Exception):  # whatever rosbags' generated code trips over
-                    message: Any = jazzy_types().deserialize_cdr(batch.raw(index), TEXT)
-                    found[batch.topic] = str(message.data)
+                with suppress(MessageError):
+                    found[batch.topic] = decode_text(batch.raw(index))
     return sorted(found.items())
 
 

@@ -8,26 +8,12 @@ from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, NamedTuple
 
-from rosbags.interfaces import (
-    Connection,
-    Qos,
-    QosDurability,
-    QosHistory,
-    QosLiveliness,
-    QosReliability,
-    QosTime,
-)
-from rosbags.rosbag2 import WriterError
-
 from hpid_ros.bags.message_types import jazzy_types
-from hpid_ros.bags.rosbags_internals import FlushingWriter
 from hpid_ros.base.errors import BagError, ResultExistsError, unknown_name
 
 if TYPE_CHECKING:
+    from rosbags.interfaces import Connection, Qos
     from typing_extensions import Self
-
-_FOREVER = QosTime(9_223_372_036, 854_775_807)
-"""RMW_DURATION_INFINITE, as rosbag2 writes an unset deadline, lifespan or lease."""
 
 _MAX_TIME_NS = 2**63
 
@@ -83,6 +69,11 @@ class BagWriter:
         self._failure: str | None = None
         self._is_gone = False
         self._is_closed = False
+        from rosbags.rosbag2 import WriterError
+
+        from hpid_ros.bags.rosbags_internals import FlushingWriter
+
+        self._refusal = WriterError
         try:
             self._writer = FlushingWriter(self.path)
             for name, text in (metadata or {}).items():
@@ -166,7 +157,7 @@ class BagWriter:
             self._writer.write(topic.connection, log_time_ns, raw)
         except OSError as error:
             raise self._fail(error) from error
-        except WriterError as error:
+        except self._refusal as error:
             self._check_open()
             raise BagError(f"bag {self.path}: {topic.name} is no topic of it") from error
 
@@ -248,6 +239,17 @@ class BagWriter:
 
 def _rosbags_qos(qos: TopicQos) -> Qos:
     """Return the profile in the words of rosbags."""
+    from rosbags.interfaces import (
+        Qos,
+        QosDurability,
+        QosHistory,
+        QosLiveliness,
+        QosReliability,
+        QosTime,
+    )
+
+    # RMW_DURATION_INFINITE, as rosbag2 writes an unset deadline, lifespan or lease.
+    forever = QosTime(9_223_372_036, 854_775_807)
     return Qos(
         history=QosHistory.KEEP_LAST,
         depth=qos.depth,
@@ -255,9 +257,9 @@ def _rosbags_qos(qos: TopicQos) -> Qos:
         durability=QosDurability.TRANSIENT_LOCAL
         if qos.transient_local
         else QosDurability.VOLATILE,
-        deadline=_FOREVER,
-        lifespan=_FOREVER,
+        deadline=forever,
+        lifespan=forever,
         liveliness=QosLiveliness.AUTOMATIC,
-        liveliness_lease_duration=_FOREVER,
+        liveliness_lease_duration=forever,
         avoid_ros_namespace_conventions=False,
     )

@@ -63,6 +63,10 @@ class RunError(HpidError, RuntimeError):
     """A run of processes that failed or lost one of them."""
 
 
+class LibraryError(HpidError, ImportError):
+    """A library is not installed that this needs, and that others do without."""
+
+
 class ClaimError(HpidError, RuntimeError):
     """A joint that another controller holds."""
 

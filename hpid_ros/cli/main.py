@@ -11,6 +11,7 @@ from hpid_ros import __version__
 from hpid_ros.base.console import guarded_output
 from hpid_ros.base.errors import HpidError, RunError
 from hpid_ros.base.interrupts import heed_interrupts
+from hpid_ros.base.libraries import optional_libraries
 from hpid_ros.cli.commands import (
     BAD_INPUT,
     FAILED,
@@ -48,7 +49,8 @@ def main(args: Sequence[str] | None = None) -> int:
 def _run(options: argparse.Namespace) -> int:
     command: Callable[[argparse.Namespace], int] = options.command
     try:
-        code = command(options)
+        with optional_libraries():
+            code = command(options)
         sys.stdout.flush()
         return code
     except RunError as error:

@@ -14,12 +14,7 @@ from hpid_ros.bags.columns.batches import TopicBatch
 from hpid_ros.bags.columns.storage import Storage
 from hpid_ros.bags.message_types import JOINT_STATE
 from hpid_ros.bags.metadata import PARAMETERS, recorded_slides
-from hpid_ros.bags.parameter_events import (
-    PARAMETER_EVENTS,
-    Told,
-    event_reader,
-    parameter_changes,
-)
+from hpid_ros.bags.parameter_events import PARAMETER_EVENTS, parameter_changes, read_event
 from hpid_ros.bags.run.recording import decoded_trajectory
 from hpid_ros.bags.run.topics import TopicChoice, choose_topics
 from hpid_ros.bags.selection import BagSelection
@@ -41,6 +36,7 @@ from hpid_ros.replay.record import (
 from hpid_ros.robot.description import RobotDescription
 from hpid_ros.tuning.controller_files import settings_from_parameters
 from hpid_ros.wire import EffortReader, JointReader, JointSample, RobotReader, decode_float64
+from hpid_ros.wire.parameter_events import ParameterEvent
 
 if TYPE_CHECKING:  # Pinocchio takes a moment to import, and most controllers have no model
     from hpid_ros.compensation.build import LoopModel
@@ -256,7 +252,6 @@ class _Collector:
             if each.model is not None
         }
         self._efforts = EffortReader()
-        self._events = event_reader()
         setpoints = {topic: joint for joint, topic in choice.references.setpoint.items()}
         self._takes: dict[str, Callable[[TopicBatch], None]] = {}
         self._takes |= dict.fromkeys(choice.states, self._take_states)
@@ -364,11 +359,11 @@ class _Collector:
 
     def _take_events(self, batch: TopicBatch) -> None:
         for index, place in enumerate(batch.places.tolist()):
-            told = self._events(batch.raw(index))
+            told = read_event(batch.raw(index))
             if told is not None:
                 self._take_change(int(batch.log_times_ns[index]), place, told)
 
-    def _take_change(self, log_time_ns: int, place: int, told: Told) -> None:
+    def _take_change(self, log_time_ns: int, place: int, told: ParameterEvent) -> None:
         node, _, changed = told
         values = {name: value for name, value in changed.items() if name in LOOP_PARAMETERS}
         for joint in self._joints.values():

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Sequence
+from typing import Any
 
 from hpid_ros.base.errors import MessageError
 from hpid_ros.base.units import NANOSECONDS
@@ -73,15 +74,27 @@ class Cursor:
             )
         return tuple(self.string() for _ in range(count))
 
+    def double(self) -> float:
+        """Return a double."""
+        (value,) = self._values("d", 1)
+        return float(value)
+
     def doubles(self) -> tuple[float, ...]:
         """Return a sequence of doubles."""
-        count = self.scalar("I")
+        return self._values("d", self.scalar("I"))
+
+    def integers(self, code: str) -> tuple[int, ...]:
+        """Return a sequence of integers of a struct code."""
+        return self._values(code, self.scalar("I"))
+
+    def _values(self, code: str, count: int) -> tuple[Any, ...]:
         if count == 0:
             return ()
-        self._align(_DOUBLE)
-        self._require(count * _DOUBLE)
-        values = struct.unpack_from(f"{self._order}{count}d", self._raw, self.offset)
-        self.offset += count * _DOUBLE
+        size = struct.calcsize(code)
+        self._align(size)
+        self._require(count * size)
+        values = struct.unpack_from(f"{self._order}{count}{code}", self._raw, self.offset)
+        self.offset += count * size
         return values
 
     def _require(self, size: int) -> None:

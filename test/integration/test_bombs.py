@@ -18,11 +18,12 @@ from mcap.writer import CompressionType
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
 from hpid_ros.bags import read_run
-from hpid_ros.bags.columns.compression import LIMIT_VARIABLE, zstd
+from hpid_ros.bags.columns.compression import LIMIT_VARIABLE, zstd_library
 from hpid_ros.base.errors import ExperimentError
 from hpid_ros.cli.main import main
 from hpid_ros.documents.yaml_files import MOST_LEVELS, load_yaml
 
+zstd = zstd_library()
 MIB = 1 << 20
 MAGIC = b"\x89MCAP0\r\n"
 

@@ -12,15 +12,7 @@ import zlib
 from pathlib import Path
 from typing import Any
 
-import lz4.frame  # type: ignore[import-untyped]
-
 from hpid_ros.base.errors import BagError, SettingError
-
-zstd: Any  # of the standard library from CPython 3.14 on, else its backport
-if sys.version_info >= (3, 14):
-    from compression import zstd
-else:
-    from backports import zstd
 
 LIMIT_VARIABLE = "HPID_UNPACK_LIMIT"
 """Environment variable with the bytes that may be unpacked whatever they are packed in."""
@@ -128,6 +120,7 @@ def unpack_file(source: Path, target: Path, allowance: Allowance) -> bool:
         BagError: It holds more than may come out.
         OSError: A file cannot be read or written.
     """
+    zstd = zstd_library()
     packed, size = source.stat().st_size, 0
     with zstd.open(source, "rb") as stream, target.open("wb") as unpacked:
         try:
@@ -150,7 +143,7 @@ def _unpacked(compression: str, raw: bytes, most: int) -> tuple[bytes, bool]:
     """Return what comes out of one or several frames up to a size, and whether that is all."""
     if compression not in ("zstd", "lz4"):
         raise BagError(f"unknown compression {compression!r}")
-    new = zstd.ZstdDecompressor if compression == "zstd" else lz4.frame.LZ4FrameDecompressor
+    new = zstd_library().ZstdDecompressor if compression == "zstd" else _lz4_decompressor()
     parts: list[bytes] = []
     try:
         while raw:
@@ -167,3 +160,18 @@ def _unpacked(compression: str, raw: bytes, most: int) -> tuple[bytes, bool]:
     except Exception as error:
         raise BagError(f"{compression} data is damaged") from error
     return parts[0] if len(parts) == 1 else b"".join(parts), True
+
+
+def zstd_library() -> Any:
+    """Return zstd: of the standard library from CPython 3.14 on, else its backport."""
+    if sys.version_info >= (3, 14):
+        from compression import zstd
+    else:
+        from backports import zstd
+    return zstd
+
+
+def _lz4_decompressor() -> Any:
+    import lz4.frame  # type: ignore[import-untyped]
+
+    return lz4.frame.LZ4FrameDecompressor

@@ -40,6 +40,7 @@ from rclpy.utilities import remove_ros_args
 
 from hpid_ros.base.errors import ClaimError, HpidError, SettingError
 from hpid_ros.base.foreign_text import shown
+from hpid_ros.base.libraries import optional_libraries
 from hpid_ros.nodes.ros.given_parameters import ParameterSources, as_declared, require_known
 from hpid_ros.nodes.ros.middleware import load_profile
 from hpid_ros.nodes.ros.process import (
@@ -281,7 +282,8 @@ def _run_in_context(
 ) -> int:
     try:
         ClosingNode.sources = ParameterSources(command_line)
-        nodes = make_nodes()
+        with optional_libraries():
+            nodes = make_nodes()
         require_known(
             [
                 (each.get_name(), set(given_parameters(each)), declared_names(each))

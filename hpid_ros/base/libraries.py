@@ -1,0 +1,56 @@
+"""Libraries that a robot's controllers do without: one line where one is missing.
+
+rosdep has no Debian package of them, so ``package.xml`` does not name them. Whoever imports one
+does so where it is needed; the shells put :func:`optional_libraries` around that.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import NamedTuple
+
+from hpid_ros.base.errors import LibraryError
+
+
+class Library(NamedTuple):
+    """A library that is optional at run time.
+
+    Attributes:
+        purpose: What cannot be done without it.
+        package: What pip calls it.
+    """
+
+    purpose: str
+    package: str
+
+
+OPTIONAL = {
+    "mujoco": Library("the simulated robot in MuJoCo", "mujoco"),
+    "pybullet": Library("the simulated robot in PyBullet", "pybullet"),
+    "rosbags": Library("writing bags, and reading reports of a simulated robot", "rosbags"),
+    "lz4": Library("reading bags compressed with lz4", "lz4"),
+    "backports": Library("reading bags compressed with zstd", "backports.zstd"),
+}
+"""By the name that is imported."""
+
+
+@contextmanager
+def optional_libraries() -> Iterator[None]:
+    """Name a library that is missing, and what needs it.
+
+    Raises:
+        LibraryError: One of :data:`OPTIONAL` could not be imported.
+        ModuleNotFoundError: Another module could not: the installation is broken.
+    """
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        name = (error.name or "").partition(".")[0]
+        if name not in OPTIONAL:
+            raise
+        purpose, package = OPTIONAL[name]
+        raise LibraryError(
+            f"{purpose} needs {name}, which is not installed: pip install {package} (into a venv "
+            "with --system-site-packages where the system's Python is externally managed)"
+        ) from error

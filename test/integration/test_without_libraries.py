@@ -1,0 +1,71 @@
+"""What a robot needs works without optional libraries; the rest says what it lacks."""
+
+import subprocess
+import sys
+
+import pytest
+from harness.bags import small_log, write_bag
+
+from hpid_ros.base.errors import LibraryError
+from hpid_ros.base.libraries import OPTIONAL, optional_libraries
+
+BARRED = f"import sys; sys.modules.update(dict.fromkeys({list(OPTIONAL)})); "
+
+
+def barred(*args, program="from hpid_ros.cli.main import main; sys.exit(main(sys.argv[1:]))"):
+    """Run a command where no optional library can be imported."""
+    return subprocess.run(
+        [sys.executable, "-c", BARRED + program, *map(str, args)],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory):
+    return write_bag(tmp_path_factory.mktemp("bags") / "run", small_log())
+
+
+def test_a_recording_is_measured_as_with_them(bag):
+    program = "from hpid_ros.cli.main import main; sys.exit(main(sys.argv[1:]))"
+    with_all = subprocess.run(
+        [sys.executable, "-c", f"import sys; {program}", "metrics", str(bag), "--json"],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    without = barred("metrics", bag, "--json")
+    assert without.stderr == with_all.stderr
+    assert without.stdout == with_all.stdout
+
+
+def test_every_node_starts_and_the_recorder_says_what_it_lacks(tmp_path):
+    nodes = (
+        *("joint_controller", "joint_controllers", "joint_command_merger", "bag_metrics"),
+        *("follow_joint_trajectory", "trajectory_publisher", "pybullet_bridge", "mujoco_bridge"),
+    )
+    program = f"from hpid_ros.nodes import {', '.join(nodes)}, bag_recorder as node\n"
+    ended = barred("--ros-args", "-p", f"bag:={tmp_path / 'bag'}", program=program + (
+        "sys.exit(node.main(sys.argv))"
+    ))  # fmt: skip
+    assert ended.returncode == 2
+    assert ended.stderr.startswith("writing bags, and reading reports of a simulated robot needs")
+    assert ended.stderr.count("\n") == 1
+    assert not (tmp_path / "bag").exists()
+
+
+def test_the_simulated_robot_says_what_it_lacks(experiment_file, tmp_path):
+    ended = barred("compare", experiment_file(), "--in-process", "--output", tmp_path / "result")
+    assert ended.returncode == 2
+    (line,) = ended.stderr.splitlines()
+    assert "engine mujoco is not installed: pip install mujoco" in line
+    assert not (tmp_path / "result").exists()
+
+
+def test_a_module_that_nobody_may_lack_is_no_optional_one():
+    with pytest.raises(LibraryError, match="lz4 needs lz4, which is not installed"):  # noqa: SIM117
+        with optional_libraries():
+            raise ModuleNotFoundError("No module named 'lz4'", name="lz4.frame")
+    with pytest.raises(ModuleNotFoundError, match="numpy"), optional_libraries():
+        raise ModuleNotFoundError("No module named 'numpy'", name="numpy")
