@@ -1,7 +1,7 @@
 """Libraries that a robot's controllers do without: one line where one is missing.
 
-rosdep has no Debian package of them, so ``package.xml`` does not name them. Whoever imports one
-does so where it is needed; the shells put :func:`optional_libraries` around that.
+But for Pinocchio rosdep has no package of them, so ``package.xml`` does not name them. Whoever
+imports one does so where it is needed; the shells put :func:`optional_libraries` around that.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ class Library(NamedTuple):
 
 
 OPTIONAL = {
+    "pinocchio": Library("a model of the whole robot", "pin"),
     "mujoco": Library("the simulated robot in MuJoCo", "mujoco"),
     "pybullet": Library("the simulated robot in PyBullet", "pybullet"),
     "rosbags": Library("writing bags, and reading reports of a simulated robot", "rosbags"),

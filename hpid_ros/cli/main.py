@@ -6,29 +6,74 @@ import argparse
 import os
 import sys
 from collections.abc import Callable, Sequence
+from importlib import import_module
+from typing import NamedTuple
 
 from hpid_ros import __version__
-from hpid_ros.base.console import guarded_output
 from hpid_ros.base.errors import HpidError, RunError
 from hpid_ros.base.interrupts import heed_interrupts
 from hpid_ros.base.libraries import optional_libraries
-from hpid_ros.cli.commands import (
-    BAD_INPUT,
-    FAILED,
-    INTERRUPTED,
-    UNREAD,
-    compare,
-    export,
-    robot,
-    run,
-    schema,
-    study,
-    sweep,
-)
-from hpid_ros.cli.commands.live import autotune, excite
-from hpid_ros.cli.commands.metrics import command as metrics
-from hpid_ros.cli.commands.recordings import identify, repair, replay
-from hpid_ros.cli.commands.tuning import check_gains, gains, margins, tune, upgrade
+from hpid_ros.cli.commands import BAD_INPUT, FAILED, INTERRUPTED, UNREAD
+
+
+class _Command(NamedTuple):
+    """A subcommand: its module below ``hpid_ros.cli.commands``, and what it is for."""
+
+    module: str
+    help: str
+
+
+COMMANDS = {
+    "compare": _Command(
+        "compare", "run the controllers of an experiment, one process per joint, and compare them"
+    ),
+    "run": _Command("run", "run one controller of an experiment and show how its time was spent"),
+    "sweep": _Command(
+        "sweep", "run a controller over a grid of its parameters, without ROS, on every core"
+    ),
+    "study": _Command(
+        "study", "run experiments over many seeds and hold the paper's claims to them"
+    ),
+    "metrics": _Command(
+        "metrics.command", "compute the indices of recorded bags and compare them"
+    ),
+    "excite": _Command(
+        "live.excite", "move joints of a running robot so that a recording tells what they are"
+    ),
+    "identify": _Command(
+        "recordings.identify", "find inertia, friction, load and delay of joints in a bag"
+    ),
+    "replay": _Command(
+        "recordings.replay",
+        "compute every command of a recording anew, and compare to the last bit",
+    ),
+    "repair": _Command(
+        "recordings.repair", "save what can be read of a bag that was cut off or damaged"
+    ),
+    "gains": _Command("tuning.gains", "compute gains by a published tuning rule"),
+    "check-gains": _Command(
+        "tuning.check_gains", "say for which degrees gains are certified stable"
+    ),
+    "margins": _Command(
+        "tuning.margins", "say how far loops are from instability: gain, phase, delay, disk"
+    ),
+    "tune": _Command(
+        "tuning.tune", "search the best gains of a PID, or the best degree and norm, for one cost"
+    ),
+    "autotune": _Command(
+        "live.autotune", "find a running joint's gains by relay feedback, and its homogeneous PID"
+    ),
+    "upgrade": _Command(
+        "tuning.upgrade",
+        "turn a PID into a homogeneous PID: from its parameter file, or from a bag of it",
+    ),
+    "export": _Command("export", "write joints' loops as C for a microcontroller"),
+    "robot": _Command(
+        "robot", "show a robot: its joints, their inertias, and what its URDF lacks"
+    ),
+    "schema": _Command("schema", "print the JSON Schema of experiment files, for editors"),
+}
+"""The subcommands in the order of the help; a module is imported when its command is asked for."""
 
 
 def main(args: Sequence[str] | None = None) -> int:
@@ -37,7 +82,12 @@ def main(args: Sequence[str] | None = None) -> int:
     Args:
         args: Arguments after the program's name; None for those of the process.
     """
-    options = _parser().parse_args(args)
+    args = sys.argv[1:] if args is None else list(args)
+    options = _parser(args).parse_args(args)
+    from hpid_ros.base.console import (
+        guarded_output,  # imports rich, for which --help need not wait
+    )
+
     heed_interrupts()
     # No command renders; MuJoCo would ask another process for the version of a library that does,
     # in each worker, and an interrupt at that time has that process write a traceback.
@@ -67,17 +117,18 @@ def _run(options: argparse.Namespace) -> int:
         return UNREAD
 
 
-def _parser() -> argparse.ArgumentParser:
+def _parser(args: Sequence[str]) -> argparse.ArgumentParser:
+    """Return the parser for a command line, with the options of its subcommand alone."""
     parser = argparse.ArgumentParser(
         prog="hpid", description="Linear and homogeneous PID, joint by joint, on ROS 2."
     )
     parser.add_argument("--version", action="version", version=f"hpid_ros {__version__}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    for each in (
-        *(compare, run, sweep, study, metrics, excite, identify, replay, repair),
-        *(gains, check_gains, margins, tune, autotune, upgrade, export, robot, schema),
-    ):
-        each.add(commands)
+    for name, each in COMMANDS.items():
+        if name in args[:1]:
+            import_module(f"hpid_ros.cli.commands.{each.module}").add(commands)
+        else:
+            commands.add_parser(name, help=each.help)
     return parser
 
 

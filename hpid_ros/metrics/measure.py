@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from hpid_ros.analysis.comparability import Cut, common_cuts
 from hpid_ros.analysis.doubts import quality_lines
@@ -15,12 +16,14 @@ from hpid_ros.analysis.saved import runs_from_mapping
 from hpid_ros.bags.run.reader import read_run
 from hpid_ros.bags.selection import BagSelection
 from hpid_ros.base.errors import HpidError, SettingError
-from hpid_ros.metrics.end_effector import EndEffector, TaskFrame
 from hpid_ros.metrics.retunes import read_retunes
 from hpid_ros.metrics.slides import sliding_joints
 from hpid_ros.metrics.sources import Source, expanded, labelled, load_json, saved_parameters
 from hpid_ros.recordings.series import RunSeries
 from hpid_ros.robot.description import RobotDescription
+
+if TYPE_CHECKING:
+    from hpid_ros.metrics.end_effector import EndEffector, TaskFrame
 
 ALL_JOINTS = ""
 """The name under which :attr:`Measuring.effort_limits` holds what is of no joint in particular."""
@@ -204,6 +207,8 @@ def _end_effector(
     if robot is None:
         return None, ()
     try:
+        from hpid_ros.metrics.end_effector import EndEffector  # with Pinocchio, a fifth of a start
+
         return EndEffector(robot, series), ()
     except HpidError as error:
         if robot.is_required:

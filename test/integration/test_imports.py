@@ -4,6 +4,9 @@ import subprocess
 import sys
 
 import pytest
+from harness.bags import small_log, write_bag
+
+from hpid_ros.cli.main import COMMANDS, main
 
 SLOW = {"matplotlib", "mujoco", "pinocchio", "pybullet", "scipy"}
 NODES = (
@@ -23,3 +26,31 @@ def test_none_of_it_is_imported_at_the_start(modules):
     imported = subprocess.run(command, capture_output=True, text=True, check=True).stdout.split()
     assert set(modules) <= set(imported)
     assert not SLOW & set(imported)
+
+
+def test_the_help_waits_for_no_library():
+    program = "import sys, hpid_ros.cli.main; print(*sys.modules)"
+    command = [sys.executable, "-c", program]
+    imported = subprocess.run(command, capture_output=True, text=True, check=True).stdout.split()
+    assert not {"numpy", "rich", "yaml", "rosbags"} & set(imported)
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_is_found_by_its_name(name, capsys):
+    with pytest.raises(SystemExit) as ended:
+        main([name, "--help"])
+    assert ended.value.code == 0
+    assert capsys.readouterr().out.startswith(f"usage: hpid {name} ")
+
+
+def test_the_recording_of_a_robot_is_measured_without_the_simulated_one(tmp_path):
+    """And without rosbags' message types, which take as long as the measuring."""
+    bag = write_bag(tmp_path / "run", small_log())
+    program = (
+        "import sys; from hpid_ros.cli.main import main; "
+        "main(sys.argv[1:]); print(*sys.modules, file=sys.stderr)"
+    )
+    command = [sys.executable, "-c", program, "metrics", str(bag)]
+    ended = subprocess.run(command, capture_output=True, text=True, check=True)
+    imported = set(ended.stderr.splitlines()[-1].split())
+    assert not (SLOW | {"rosbags", "jinja2", "joblib", "rclpy"}) & imported

@@ -28,7 +28,6 @@ def add(commands: Any) -> None:
     """Add the command to the parser."""
     parser = commands.add_parser(
         "compare",
-        help="run the controllers of an experiment, one process per joint, and compare them",
         description="Run the controllers of an experiment on the real ROS 2 graph, one process "
         "per joint, record everything, and leave tables, figures and a report.",
     )

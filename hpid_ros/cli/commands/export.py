@@ -23,7 +23,6 @@ def add(commands: Any) -> None:
     """Add the command to the parser."""
     parser = commands.add_parser(
         "export",
-        help="write joints' loops as C for a microcontroller",
         description="Write the loop of each joint as self-contained C99: a header and a source "
         "with law, norm, limits, anti-windup and velocity filter, and a program that replays "
         "what Python answers to a thousand states and prints the largest deviation.",

@@ -31,7 +31,6 @@ def add(commands: Any) -> None:
     """Add the command to the parser."""
     parser = commands.add_parser(
         "robot",
-        help="show a robot: its joints, their inertias, and what its URDF lacks",
         description="Show the joints of a URDF, or of an experiment's robot with all that the "
         "experiment knows better, and what to know before it is simulated.",
     )

@@ -19,7 +19,6 @@ def add(commands: Any) -> None:
     """Add the command to the parser."""
     parser = commands.add_parser(
         "run",
-        help="run one controller of an experiment and show how its time was spent",
         description="Run one controller of an experiment on the real ROS 2 graph, record it, and "
         "end with its indices and with a table of periods, compute times, latencies and losses.",
     )

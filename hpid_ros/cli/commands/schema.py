@@ -22,7 +22,6 @@ def add(commands: Any) -> None:
     """Add the command to the parser."""
     parser = commands.add_parser(
         "schema",
-        help="print the JSON Schema of experiment files, for editors",
         description="Print the JSON Schema (draft 2020-12) with which editors complete and\n"
         "check experiment files.",
         epilog=_EXAMPLES,

@@ -33,7 +33,6 @@ def add(commands: Any) -> None:
     """Add the command to the parser."""
     parser = commands.add_parser(
         "study",
-        help="run experiments over many seeds and hold the paper's claims to them",
         description="Run every controller of every experiment with many seeds, without ROS, on "
         "every core. Prints medians with quartiles, ratios to each experiment's first "
         "controller, and for every claim of the paper whether it holds.",

@@ -29,7 +29,6 @@ def add(commands: Any) -> None:
     """Add the command to the parser."""
     parser = commands.add_parser(
         "sweep",
-        help="run a controller over a grid of its parameters, without ROS, on every core",
         description="Run one controller of an experiment over a grid of parameters and seeds, "
         "without ROS, and compare every point with the experiment's first controller as it "
         "stands. The numbers are those of hpid compare, to the last bit.",

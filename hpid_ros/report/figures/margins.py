@@ -20,7 +20,13 @@ from hpid_ros.frequency.loop import FrozenLoop
 from hpid_ros.frequency.margins import Margins, frequency_grid
 from hpid_ros.frequency.measured import MeasuredJoint, measured_loop
 from hpid_ros.frequency.plant import Complexes
-from hpid_ros.report.figures.panels import TICK_STEPS, laid_out, log_ticks, plain_ticks
+from hpid_ros.report.figures.panels import (
+    TICK_STEPS,
+    laid_out,
+    legend_outside,
+    log_ticks,
+    plain_ticks,
+)
 from hpid_ros.report.figures.style import (
     DOTS_PER_INCH,
     INK,
@@ -73,7 +79,7 @@ def margins_figure(
     _draw_peak(complementary, lines, _COMPLEMENTARY, worst.margins, extreme)
     figure.suptitle(_title(name, family, worst), x=0.01, ha="left", fontsize=10.5)
     handles = _handles(family, lines)
-    figure.legend(handles=handles, loc="outside lower center", ncols=len(handles))
+    legend_outside(figure, handles, "lower", len(handles))
     return laid_out(figure)
 
 

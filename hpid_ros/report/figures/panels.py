@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Sequence
+from typing import Any
 
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
@@ -302,12 +303,33 @@ def add_legend(figure: Figure, handles: Sequence[Line2D], columns_at_most: int =
     widest = max(len(str(handle.get_label())) for handle in handles)
     room = int((WIDTH_IN - 0.4) / (HANDLE_IN + CHARACTER_IN * widest))
     columns = max(1, min(columns_at_most, len(handles), room))
-    figure.legend(handles=list(handles), loc="outside upper center", ncols=columns)
+    legend_outside(figure, handles, "upper", columns)
+
+
+_LEGEND_ROW_IN, _LEGEND_PAD_IN = 0.21, 0.13
+
+
+def legend_outside(figure: Figure, handles: Sequence[Line2D], edge: str, columns: int) -> None:
+    """Put a legend above (``edge`` is ``upper``) or below (``lower``) all panels, and beside none.
+
+    Matplotlib before 3.7, and Ubuntu 24.04 has 3.6, keeps no room for it: there we do.
+    """
+    what: dict[str, Any] = {"handles": list(handles), "ncols": columns}
+    try:
+        figure.legend(**what, **{"loc": f"outside {edge} center"})
+    except ValueError:
+        figure.legend(**what, **{"loc": f"{edge} center"})
+        rows = math.ceil(len(handles) / columns)
+        share = (rows * _LEGEND_ROW_IN + _LEGEND_PAD_IN) / figure.get_figheight()
+        bottom = share if edge == "lower" else 0.0
+        figure.set_layout_engine(ConstrainedLayoutEngine(rect=(0.0, bottom, 1.0, 1.0 - share)))
 
 
 def laid_out(figure: Figure) -> Figure:
     """Fix the layout, so that all formats share one and it is computed once."""
-    ConstrainedLayoutEngine().execute(figure)
+    engine = figure.get_layout_engine() or ConstrainedLayoutEngine()
+    engine.execute(figure)
+    figure.set_layout_engine("none")
     return figure
 
 

@@ -7,13 +7,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
 from PIL import Image
 
 from hpid_ros.analysis.indices.integrals import l2_norm
 from hpid_ros.analysis.signals import Signal, envelope, norm_over_joints
 from hpid_ros.recordings.series import JointSeries, RunSeries, SeriesError
-from hpid_ros.report.figures.panels import TickLabels
+from hpid_ros.report.figures.panels import TickLabels, laid_out, legend_outside
 from hpid_ros.report.figures.plots import (
     FIGURES,
     effort_norm_figure,
@@ -118,6 +120,30 @@ def test_the_calmer_signal_is_drawn_over_the_rougher(runs):
             for run, style in zip(order, RUN_STYLES, strict=False)
         }
         assert heights["hPID"] > heights["PID"]
+
+
+@pytest.mark.parametrize("edge", ["upper", "lower"])
+@pytest.mark.parametrize("knows_outside", [True, False], ids=["3.7", "3.6"])
+def test_a_legend_covers_no_panel_whatever_matplotlib_knows(edge, knows_outside, monkeypatch):
+    legend = Figure.legend
+
+    def legend_of_old(self, **what):
+        if what["loc"].startswith("outside"):
+            raise ValueError(f"{what['loc']!r} is not a valid value for loc")
+        return legend(self, **what)
+
+    if not knows_outside:
+        monkeypatch.setattr(Figure, "legend", legend_of_old)
+    figure = Figure(figsize=(6.0, 3.0))
+    axes = figure.subplots(1, 2)
+    handles = [axes[0].plot([0, 1], label=f"run {k}")[0] for k in range(5)]
+    legend_outside(figure, handles, edge, columns=2)
+    laid_out(figure)
+    renderer = FigureCanvasAgg(figure).get_renderer()
+    covered = figure.legends[0].get_window_extent(renderer)
+    assert not any(covered.overlaps(each.get_tightbbox(renderer)) for each in axes)
+    assert figure.bbox.y0 <= covered.y0
+    assert covered.y1 <= figure.bbox.y1
 
 
 def ticks_in_view(axis):

@@ -32,7 +32,6 @@ def add(commands: Any) -> None:
     """Add the command to the parser."""
     parser = commands.add_parser(
         "autotune",
-        help="find gains for a joint of a running robot by relay feedback",
         description="Have a relay drive one joint of a running robot for some cycles, inside its "
         "own controller and under all of its limits, record it, and propose SIMC gains and the "
         "homogeneous PID with them. It asks before the joint moves and before it writes a file, "

@@ -32,7 +32,6 @@ def add(commands: Any) -> None:
     """Add the command to the parser."""
     parser = commands.add_parser(
         "excite",
-        help="move the joints of a running robot so that hpid identify can tell what they are",
         description="Move joints of a running robot, by sums of sines or steps within shares of "
         "their limits, through the controllers that run, and record it. It asks before anything "
         "moves. At any limit, when a controller, the states or the recorder are silent, when "

@@ -183,7 +183,6 @@ def add(commands: Any) -> None:
     """Add the command to the parser."""
     parser = commands.add_parser(
         "metrics",
-        help="compute the indices of recorded bags and compare them",
         description="Compute performance indices of recordings, the first the baseline;\n"
         "tables, figures and a report. docs/indices.md defines every number.",
         epilog=EXAMPLES,

@@ -28,7 +28,6 @@ def add(commands: Any) -> None:
     """Add the command to the parser."""
     parser = commands.add_parser(
         "identify",
-        help="find inertia, friction, load and delay of joints in a bag",
         description="Find what each joint's motor moves and what holds it back, from recorded "
         "positions and efforts, with 95 % intervals, and say what the recording cannot tell. "
         "With --urdf the links' masses are known, and rotors, friction and the effort's scale are "

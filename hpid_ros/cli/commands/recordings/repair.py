@@ -27,7 +27,6 @@ def add(commands: Any) -> None:
     """Add the command to the parser."""
     parser = commands.add_parser(
         "repair",
-        help="save what can be read of a bag that was cut off or damaged",
         description="Write every message that can be read into a new bag, with its index and\n"
         "metadata.yaml, and say what was saved and what was lost.",
         epilog=_EXAMPLES,

@@ -34,7 +34,6 @@ def add(commands: Any) -> None:
     """Add the command to the parser."""
     parser = commands.add_parser(
         "replay",
-        help="compute every command of a recording anew, and compare to the last bit",
         description="Feed the recorded states, references and parameter changes to the same\n"
         "control loops, and say whether every command is theirs, or where and how it\n"
         "is not.",

@@ -128,7 +128,6 @@ def add(commands: Any) -> None:
     """Add the command to the parser."""
     parser = commands.add_parser(
         "check-gains",
-        help="say for which degrees gains are certified stable",
         description="Check gains given as options, in a controller parameter file or experiment, "
         "or of the controllers that are running. Exit code 0 only if every joint is certified.",
     )

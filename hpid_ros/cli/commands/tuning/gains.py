@@ -23,7 +23,6 @@ def add(commands: Any) -> None:
     """Add the command to the parser."""
     parser = commands.add_parser(
         "gains",
-        help="compute gains by a published tuning rule",
         description="Compute every joint's gains by a published rule on its effective inertia, "
         "and print them as a part of an experiment file, with robustness margins and certified "
         "degrees beside them. simc: S. Skogestad, J. Process Control 13 (2003), for a double "

@@ -34,7 +34,6 @@ def add(commands: Any) -> None:
     """Add the command to the parser."""
     parser = commands.add_parser(
         "margins",
-        help="say how far loops are from instability: gain, phase, delay, disk",
         description="Compute the margins of every joint's loop as it is sampled and held, over "
         "the inertia and, for the homogeneous law, over the multipliers that it reaches, each "
         "frozen in turn; beside them what is certified of the law itself.",

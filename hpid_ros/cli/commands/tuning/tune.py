@@ -35,7 +35,6 @@ def add(commands: Any) -> None:
     """Add the command to the parser."""
     parser = commands.add_parser(
         "tune",
-        help="search the best gains of a PID, or the best degree and norm, for one cost",
         description="Search the free parameters of a controller for the least cost, without ROS, "
         "on every core. pid scales the baseline's gains (bandwidth, damping, integral, and how "
         "the bandwidth is distributed over the joints), hpid chooses degree and norm with three "

@@ -30,7 +30,6 @@ def add(commands: Any) -> None:
     """Add the command to the parser."""
     parser = commands.add_parser(
         "upgrade",
-        help="turn a PID into a homogeneous PID: from its parameter file, or from a bag of it",
         description="Of a parameter FILE: choose norm and degree for the gains of a PID, inside "
         "the certified interval, and write a controller parameter file with a comment on every "
         "number. Of a BAG with --urdf: identify the robot, check the PID that ran, propose, "
