@@ -114,7 +114,23 @@ setup(
     maintainer="The hpid_ros developers",
     maintainer_email="maintainers@hpid-ros.org",
     description="Decentralised joint control on ROS 2 with the homogeneous PID",
+    long_description=Path("README.md").read_text(encoding="utf-8"),
+    long_description_content_type="text/markdown",
     license="Apache-2.0",
+    license_files=["LICENSE"],
+    keywords=["ROS 2", "PID", "homogeneous control", "robotics", "MuJoCo", "PyBullet"],
+    classifiers=[
+        "Development Status :: 4 - Beta",
+        "Intended Audience :: Science/Research",
+        "Operating System :: POSIX :: Linux",
+        "Programming Language :: Python :: 3",
+        "Programming Language :: Python :: 3.10",
+        "Programming Language :: Python :: 3.11",
+        "Programming Language :: Python :: 3.12",
+        "Programming Language :: Python :: 3.13",
+        "Topic :: Scientific/Engineering",
+        "Typing :: Typed",
+    ],
     entry_points={
         "console_scripts": [
             *(f"{name} = {PACKAGE}.nodes.{name}:main" for name in EXECUTABLES),
