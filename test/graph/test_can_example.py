@@ -16,7 +16,7 @@ from std_msgs.msg import Float64
 
 from hpid_ros.nodes.ros.middleware import RARE
 
-EXAMPLE = ROOT / "examples" / "odrive_can.py"
+EXAMPLE = ROOT / "examples" / "ros" / "odrive_can.py"
 JOINTS = {"shoulder": (1, 8.0), "elbow": (2, -10.0)}
 INERTIAS = {"shoulder": 2.0, "elbow": 0.5}
 TARGETS = {"shoulder": -0.2, "elbow": 0.4}

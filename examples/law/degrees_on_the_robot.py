@@ -32,6 +32,7 @@ def response(degree):
     world = WorldSettings(
         robot_description=str(find_resource("urdf/mobile_manipulator.urdf")),
         joints=(JOINT,),
+        engine="mujoco",
         physics_steps=1,
         encoder_counts=COUNTS,
         fixed_base=True,

@@ -1,6 +1,6 @@
 """A driver between joint controllers and the motors of their joints: ODrives on a CAN bus.
 
-    python examples/odrive_can.py can0 shoulder=1:8 elbow=2:-10
+    python examples/ros/odrive_can.py can0 shoulder=1:8 elbow=2:-10
 
 JOINT=NODE:GEAR is a node of the bus, and how often its motor turns for one turn of the joint. It
 publishes ``joint_states`` when every joint has told of itself, obeys ``joint_commands``, and gives

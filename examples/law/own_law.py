@@ -1,0 +1,45 @@
+"""A law of one's own: the PID with Clegg's integrator, which empties when the error changes sign.
+
+A law is an object with ``update(error, error_rate, dt) -> effort`` and a few more methods that it
+has from ``Pid``. Here it drives a unit double integrator beside the PID with the same gains.
+
+Source: J. C. Clegg, A nonlinear integrator for servomechanisms, 1958.
+"""
+
+from hpid_ros.control import Gains, Pid
+
+GAINS = Gains(p=300.0, i=1000.0, d=30.0)
+PERIOD, DURATION = 0.001, 3.0  # [s]
+
+
+class CleggPid(Pid):
+    """PID whose integral begins anew at every zero of the error."""
+
+    __slots__ = ("_last_error",)
+
+    def __init__(self, gains):
+        super().__init__(gains)
+        self._last_error = 0.0
+
+    def update(self, error, error_rate, dt):
+        """Take one sample; the arguments are those of ``Pid.update``."""
+        if error * self._last_error < 0.0:
+            self.restore_integral(0.0)
+        self._last_error = error
+        return super().update(error, error_rate, dt)
+
+
+def response(law, start=1.0):
+    """Return the errors of a double integrator that starts ``start`` away from its target."""
+    error, error_rate, errors = start, 0.0, []
+    for _ in range(round(DURATION / PERIOD)):
+        error_rate -= PERIOD * law.update(error, error_rate, PERIOD)
+        error += PERIOD * error_rate
+        errors.append(error)
+    return errors
+
+
+for name, law in (("PID", Pid(GAINS)), ("Clegg", CleggPid(GAINS))):
+    errors = response(law)
+    absolute = PERIOD * sum(map(abs, errors))
+    print(f"{name:6} overshoot {-min(errors):.4f}, integral of |e| {absolute:.4f}")
