@@ -69,3 +69,18 @@ def test_the_changelog_has_every_entry_in_a_category_or_below_the_last_sorting()
     assert mark
     assert len(re.findall(r"^\* \*\*.+\*\*$", sorted_in, re.MULTILINE)) >= 5
     assert not re.findall(r"^\* (?!\*\*)", sorted_in, re.MULTILINE)
+
+
+def pins(text):
+    """Return the versions that a text asks for, by library."""
+    found = re.findall(r'"?([A-Za-z][\w.-]*)"?(?: = ")?(>=[\d.]+,<[\d.]+)', text)
+    return {name.lower().replace("-python", "").replace("-base", ""): each for name, each in found}
+
+
+@pytest.mark.parametrize("path", ["docker/Dockerfile", "docs/install.md", "pixi.toml"])
+def test_the_other_ways_to_install_ask_for_the_same_versions(path):
+    wanted = pins((ROOT / "setup.py").read_text())
+    wanted |= {"pinocchio": wanted["pin"]}
+    asked = pins((ROOT / path).read_text())
+    assert {"mujoco", "rosbags", "backports.zstd"} <= asked.keys()
+    assert {name: wanted[name] for name in asked} == asked
