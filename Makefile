@@ -8,13 +8,15 @@
 #   make thorough  the suite with twenty times the examples of every property
 # And for whoever must trust it on an arm:
 #   make faults    break things on purpose and count what came of it
+# The documentation as a site:
+#   make docs      build/site/index.html
 # Options for hpid compare: make compare ARGS="FILE --output FOLDER --in-process"
 
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: install compare test quick thorough faults bench lint clean
+.PHONY: install compare test quick thorough faults bench lint docs clean
 
 $(BIN)/python:
 	$(PYTHON) -m venv $(VENV)
@@ -27,6 +29,10 @@ $(VENV)/.installed: setup.py setup.cfg package.xml | $(BIN)/python
 
 $(VENV)/.test-installed: $(VENV)/.installed
 	PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet --editable ".[ros,test]"
+	touch $@
+
+$(VENV)/.docs-installed: $(VENV)/.installed
+	PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet --editable ".[ros,docs]"
 	touch $@
 
 $(VENV)/.bench-installed: $(VENV)/.installed
@@ -70,6 +76,10 @@ lint: $(VENV)/.test-installed
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/biome ci
+
+# The site, in build/site/index.html; every warning is an error.
+docs: $(VENV)/.docs-installed
+	$(BIN)/python -m sphinx -W --keep-going -q -b html docs build/site
 
 clean:
 	rm -rf $(VENV) build install log *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis

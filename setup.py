@@ -40,6 +40,7 @@ EXTRAS = {
     ],
     # Studies on many machines; nothing else needs it. From 2025.4 on for Python 3.10 to 3.13.
     "cluster": ["distributed>=2025.4,<2027"],
+    "docs": ["sphinx>=8.1,<9", "myst-parser>=4,<5", "furo>=2024.8"],  # make docs
     "bench": ["simple-pid>=2.0,<3"],  # the peer of the laws
     "test": [
         "pytest>=8,<9",  # launch_testing of ROS stops any run of pytest 9

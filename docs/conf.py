@@ -1,0 +1,45 @@
+"""The site, by ``make docs``. Every warning is an error: a dead link, an unknown name."""
+
+import re
+from pathlib import Path
+
+import hpid_ros
+
+project = "hpid_ros"
+author = "The hpid_ros developers"
+copyright = author
+version = release = hpid_ros.__version__
+
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.mathjax"]
+exclude_patterns = ["_build"]
+html_theme = "furo"
+html_title = f"hpid_ros {version}"
+html_show_sphinx = False
+
+myst_heading_anchors = 4
+suppress_warnings = ["myst.header"]  # pages may begin a part with a smaller heading
+
+autodoc_member_order = "bysource"
+autodoc_typehints = "description"
+autodoc_default_options = {"members": True, "undoc-members": False}
+napoleon_numpy_docstring = False
+napoleon_use_ivar = True
+
+LINK = re.compile(r"\[(?P<text>[^]]+)\]\((?P<target>[^)#:]+)\)")
+
+
+def setup(app):
+    """Let pages of the site be read in the repository, too."""
+    app.connect("source-read", without_links_outside)
+
+
+def without_links_outside(app, page, source):
+    """Leave the text of links to pages and folders that are beside the site, not in it."""
+    here = (Path(app.srcdir) / page).parent
+
+    def kept(match):
+        target = (here / match["target"]).resolve()
+        is_outside = not target.is_relative_to(Path(app.srcdir).resolve())
+        return match["text"] if is_outside and target.suffix in ("", ".md") else match[0]
+
+    source[0] = LINK.sub(kept, source[0])
