@@ -30,14 +30,12 @@ def followed(tmp_path_factory):
 
 def test_it_ends_with_a_controller_file_and_a_report(followed):
     assert len(FILES) == 2
-    assert {"my_hpid.yaml", "margins-arm_joint_1.png", "report.html"} <= {
-        p.name for p in followed.iterdir()
-    }
+    for name in ("my_hpid.yaml", "report.html"):
+        assert (followed / name).is_file()
     text = (followed / "my_hpid.yaml").read_text()
     assert text.count("law: hpid") == 2
-    assert all(
-        float(degree) < -0.1 for degree in re.findall(r"^    mu: (\S+)", text, re.MULTILINE)
-    )
+    degrees = re.findall(r"^    mu: (\S+)", text, re.MULTILINE)
+    assert all(float(degree) < -0.1 for degree in degrees)
 
 
 def test_what_is_typed_on_the_robot_names_nodes_and_parameters_that_there_are():
