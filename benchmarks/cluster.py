@@ -4,8 +4,8 @@
 
 Scheduler and workers are processes of their own that talk TCP on this machine. Printed are the
 time that a run costs more than in a process of our own, how much of two processes two workers are
-worth, what a task weighs, and how many runs of one period a second pass through the scheduler:
-from these follows how many workers one scheduler can keep busy.
+worth, what a task weighs, and how many runs of one period, and tasks that do nothing, a second pass
+through the scheduler: from these follows how many workers one scheduler can keep busy.
 """
 
 from __future__ import annotations
@@ -66,6 +66,21 @@ def seconds(run: Runner, tasks: Sequence[RunTask]) -> float:
     return time.perf_counter() - begin
 
 
+def weigh(task: RunTask) -> int:
+    """Do nothing with a task."""
+    return task.periods
+
+
+def tasks_a_second(address: str, task: RunTask, count: int = 1000) -> float:
+    """Return how many tasks that do nothing a scheduler hands out in a second."""
+    from distributed import Client
+
+    with Client(address, set_as_default=False) as client:  # type: ignore[no-untyped-call]
+        begin = time.perf_counter()
+        client.gather([client.submit(weigh, task, pure=False) for _ in range(count)])
+        return count / (time.perf_counter() - begin)
+
+
 def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -96,8 +111,10 @@ def main() -> None:
                     f"{1e3 * extra:.0f} ms more a run, efficiency {near / far:.2f}"
                 )
             through = len(empty) / seconds(cluster, empty)
+            taken = tasks_a_second(address, tasks[0])
         print(f"{count} worker(s): efficiency {statistics.median(ratios):.2f} (median)")
         print(f"{count} worker(s): {through:.0f} runs of one period a second")
+        print(f"{count} worker(s): {taken:.0f} tasks a second that do nothing")
 
 
 if __name__ == "__main__":
