@@ -4,8 +4,8 @@
 
 Scheduler and workers are processes of their own that talk TCP on this machine. Printed are the
 time that a run costs more than in a process of our own, how much of two processes two workers are
-worth, what a task weighs, and how many runs of one period, and tasks that do nothing, a second pass
-through the scheduler: from these follows how many workers one scheduler can keep busy.
+worth, what a task weighs, and how many runs of one period, and tasks that do nothing, pass
+through the scheduler in a second: from these follows how many workers it can keep busy.
 """
 
 from __future__ import annotations
