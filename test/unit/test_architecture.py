@@ -15,6 +15,7 @@ import pytest
 import hpid_ros
 
 ROOT = Path(hpid_ros.__file__).parent
+ARCHITECTURE = ROOT.parent / "docs" / "architecture.md"
 ENTRIES = 14  # in one folder, at most
 
 # What each room may import of the others, from the inside out; base is open to all.
@@ -90,6 +91,16 @@ SHELL = {
     *("hpid_ros.base.console", "hpid_ros.base.interrupts", "hpid_ros.base.output_files"),
     *("hpid_ros.base.resources", "hpid_ros.documents.yaml_files"),
 }
+
+
+def test_the_page_on_architecture_says_what_each_room_may_import():
+    rows = re.findall(r"^\| `(\w+)` \| .* \| (.*) \|$", ARCHITECTURE.read_text(), re.MULTILINE)
+    told = {name: set(re.findall(r"`(\w+)`", last)) for name, last in rows if name in ALLOWED}
+    assert set(told) == set(ALLOWED) - {"base"}  # which is open to all
+    shells = {"experiment", "studies", "nodes", "cli"}  # of these it is said in words
+    assert {name: each for name, each in told.items() if name not in shells} == {
+        name: each for name, each in ALLOWED.items() if name not in {*shells, "base"}
+    }
 
 
 def modules():
