@@ -117,7 +117,12 @@ class Listener:
         self.reason = ""
         monkeypatch.setattr(controller_references, "reference_decoder", lambda: self)
         self.references = ControllerReferences(
-            self, "elbow", self.followed.append, self.refused.append, lambda: self.reason
+            self,
+            "elbow",
+            self.followed.append,
+            lambda relay: None,
+            self.refused.append,
+            lambda: self.reason,
         )
         self.trajectory = self.callbacks["joint_trajectory"]
         self.setpoint = self.callbacks["~/setpoint"]

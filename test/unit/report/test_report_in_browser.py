@@ -72,6 +72,7 @@ def open_page(browser, report):
         page.on("request", lambda request: requests.append(request.url))
         page.goto(report)
         page.wait_for_selector("canvas")
+        page.wait_for_function(DRAWN)
         return page
 
     yield opened
@@ -80,6 +81,9 @@ def open_page(browser, report):
     assert wrong == []
     assert set(requests) == {report}
 
+
+DRAWN = "() => document.querySelector('canvas').width !== 300"
+"""A canvas is 300 wide before anything is drawn."""
 
 INK = """canvas => {
   const pen = canvas.getContext('2d');

@@ -333,11 +333,12 @@ class Chart {
   listen() {
     const on = (name, does) => this.canvas.addEventListener(name, does);
     on("pointerdown", (event) => {
-      if (event.button) return;
+      if (event.button || !this.fromX) return; // a chart that is not drawn yet has no scale
       this.canvas.setPointerCapture(event.pointerId);
       this.from = this.place(event);
     });
     on("pointermove", (event) => {
+      if (!this.fromX) return;
       const at = this.place(event);
       if (this.from && Math.abs(at[0] - this.from[0]) > 4) this.drag = { from: this.from, to: at };
       if (this.figure.free) this.at = at;
