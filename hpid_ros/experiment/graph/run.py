@@ -18,6 +18,7 @@ from hpid_ros.experiment.graph.processes import NodeGroup, NodeProcess
 from hpid_ros.experiment.progress import Progress, RunReport, run_timing
 
 _START_WITHIN = 60.0  # [s] from the first process to the first state
+_START_EACH = 3.0  # [s] more for each process: they find each other two by two
 _RECORD_WITHIN = 10.0  # [s] from the last answer to the last message in the bag
 _CLOSE_WITHIN = 30.0  # [s] for the recorder to finish the bag
 
@@ -57,7 +58,8 @@ def run_on_graph(
     ):
         run = _GraphRun(nodes, label, group, progress)
         run.start()
-        run.wait_for("started", nodes.bridge, _START_WITHIN, "every node to find the others")
+        start_within = _START_WITHIN + _START_EACH * len(group.nodes)
+        run.wait_for("started", nodes.bridge, start_within, "every node to find the others")
         run.wait_for("finished", nodes.bridge, None, "the last state")
         if options.is_recorded:
             run.wait_until_recorded(_RECORD_WITHIN)
