@@ -292,15 +292,20 @@ def test_of_a_flood_of_goals_the_last_one_is_followed_and_each_has_its_result(jo
     require_smooth(joints, 2.0, 10.0)
 
 
-def test_of_two_servers_of_the_same_joints_the_first_gives_way(joints):
+def two_servers(joints):
+    """Start two servers of the same joints, and return a client of each."""
     told = Told(joints.harness, ACTION)
     joints.start()
     joints.start_action("other", joints="[elbow, shoulder]")
-    client, other = Client(joints), Client(joints, "other")
     joints.run(
         lambda: "/other may send trajectories, too" in told.newest().get("message", ""),
         what="the warning",
     )
+    return Client(joints), Client(joints, "other")
+
+
+def test_of_two_servers_of_the_same_joints_the_first_gives_way(joints):
+    client, other = two_servers(joints)
     first = client.send(slowly())
     joints.run(lambda: joints.position["shoulder"] > 0.1, what="the joints to move")
     back = {"shoulder": [0.0], "elbow": [0.3]}
@@ -312,14 +317,7 @@ def test_of_two_servers_of_the_same_joints_the_first_gives_way(joints):
 
 
 def test_of_two_servers_that_are_asked_at_once_both_give_up_and_the_joints_stop(joints):
-    told = Told(joints.harness, ACTION)
-    joints.start()
-    joints.start_action("other", joints="[elbow, shoulder]")
-    client, other = Client(joints), Client(joints, "other")
-    joints.run(
-        lambda: "/other may send trajectories, too" in told.newest().get("message", ""),
-        what="the warning",
-    )
+    client, other = two_servers(joints)
     back = {"shoulder": [-1.0], "elbow": [0.5]}
     first = client.send(slowly())
     second = other.send(goal_of(back, [1.5], {"shoulder": [0.0], "elbow": [0.0]}))

@@ -5,6 +5,7 @@ import re
 import signal
 import subprocess
 import sys
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -50,8 +51,11 @@ class Processes:
             )
         self._started.append(process)
         said = "Registered to" if kind == "worker" else "Scheduler at"
+        deadline = time.monotonic() + 60.0
         while not (found := re.search(rf"{said}: *(tcp://\S+)", log.read_text())):
             assert process.poll() is None, log.read_text()
+            assert time.monotonic() < deadline, log.read_text()
+            time.sleep(0.05)  # else this loop would take the processor that it waits for
         return found[1]
 
     def end(self):

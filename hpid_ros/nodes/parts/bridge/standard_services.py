@@ -1,6 +1,6 @@
 """The services of ``simulation_interfaces``, which other simulators have, too.
 
-Source: the definitions of ``simulation_interfaces``, 2.1.0.
+Source: the definitions of ``simulation_interfaces``, 2.1.0; run with 1.5.1, Jazzy's, too.
 """
 
 from __future__ import annotations
