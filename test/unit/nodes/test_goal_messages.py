@@ -11,7 +11,7 @@ from std_msgs.msg import Header
 from trajectory_msgs.msg import JointTrajectory, MultiDOFJointTrajectory
 
 from hpid_ros.goals import GoalError
-from hpid_ros.nodes.parts.action.messages import fill_feedback, request_of
+from hpid_ros.nodes.parts.action.server import fill_feedback, request_of
 
 THERE = {"shoulder": [0.5, 1.0], "elbow": [0.1, 0.2]}
 
