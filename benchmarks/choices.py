@@ -24,8 +24,8 @@ from benchmarks.tracking import tracking
 from hpid_ros.base.errors import RunError
 from hpid_ros.experiment.graph import processes as node_process
 from hpid_ros.experiment.graph import run as graph_run
-from hpid_ros.experiment.graph.nodes import GraphNodes
 from hpid_ros.experiment.graph.options import GraphOptions
+from hpid_ros.experiment.graph.run import GraphNodes
 from hpid_ros.experiment.progress import NoProgress
 
 _WITHOUT_EVENTS = Path(__file__).parent / "without_events_executor"

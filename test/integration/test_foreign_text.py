@@ -22,7 +22,7 @@ from hpid_ros.base.names import is_label
 from hpid_ros.cli.commands import BAD_INPUT, DONE
 from hpid_ros.cli.main import main
 from hpid_ros.experiment.description import load_experiment
-from hpid_ros.experiment.graph.nodes import require_node_names
+from hpid_ros.experiment.graph.run import require_node_names
 from hpid_ros.report.html.page import render_report
 from hpid_ros.report.tables.export import table_csv, table_latex
 from hpid_ros.report.tables.table import ComparisonTable, table_text
