@@ -101,7 +101,7 @@ def run(options: argparse.Namespace) -> int:
         SettingError: They ask for none, or for two.
     """
     if options.verify is not None:
-        from hpid_ros.cli.commands.tuning.verify import run_verify
+        from hpid_ros.cli.commands.tuning.road import run_verify
 
         return run_verify(options)
     if options.prediction is not None:
