@@ -80,8 +80,8 @@ def add(commands: Any) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Identify the joints of a bag."""
-    from hpid_ros.cli.commands.recordings.identify_table import report
     from hpid_ros.cli.terminal import output_console
+    from hpid_ros.report.tables.identification import report
 
     _check(options)
     robot = load_robot(options.urdf) if options.urdf else None
@@ -128,7 +128,7 @@ def _found(options: argparse.Namespace, robot: GivenRobot | None) -> Findings:
 
 def _written(options: argparse.Namespace, robot: GivenRobot | None, found: Findings) -> list[Path]:
     """Write what was asked for, and return it."""
-    from hpid_ros.cli.commands.recordings.identify_table import as_mapping
+    from hpid_ros.report.tables.identification import as_mapping
 
     contents: dict[Path, str | bytes] = {}
     if options.output is not None:

@@ -18,10 +18,10 @@ from hpid_ros.cli.options import add_joints
 from hpid_ros.cli.robot_options import add_robot_options
 
 if TYPE_CHECKING:
-    from hpid_ros.cli.commands.tuning.margin_table import LoopReport
     from hpid_ros.control import LoopSettings
     from hpid_ros.frequency.family import LoopFamily
     from hpid_ros.frequency.loop import FrozenLoop
+    from hpid_ros.frequency.loop_report import LoopReport
     from hpid_ros.frequency.measured import MeasuredJoint
     from hpid_ros.robot.description import RobotDescription
     from hpid_ros.stability.degrees import Loop
@@ -98,11 +98,12 @@ def add(commands: Any) -> None:
 def run(options: argparse.Namespace) -> int:
     """Compute, then write, then print."""
     from hpid_ros.base.console import TextConsole
-    from hpid_ros.cli.commands.tuning.margin_table import LoopReport, MarginTable
     from hpid_ros.cli.options import joint_progress
     from hpid_ros.cli.terminal import output_console
     from hpid_ros.frequency.family import family_margins
+    from hpid_ros.frequency.loop_report import LoopReport
     from hpid_ros.frequency.measured import distance
+    from hpid_ros.report.tables.margins import MarginTable
     from hpid_ros.stability.gain_check import check_gains
 
     found = loop_file(options.file)

@@ -1,4 +1,4 @@
-"""What ``hpid identify`` prints and saves of its findings."""
+"""What a robot's joints were found to be, as a person and as a program reads it."""
 
 from __future__ import annotations
 
