@@ -1,29 +1,29 @@
-"""One joint's whole sample: state in, effort out."""
+"""One joint's loop, state in, effort out: which states count, and what follows if they do not."""
 
 from __future__ import annotations
 
 import math
-from copy import copy
 from typing import NamedTuple
 
 from hpid_ros.base.errors import SettingError
 from hpid_ros.base.units import SECONDS_PER_NANOSECOND
-from hpid_ros.control.estimation.estimation import Estimation
-from hpid_ros.control.estimation.velocity import VelocitySource
 from hpid_ros.control.interludes.damping_stop import DampingStop
-from hpid_ros.control.interludes.relay import Relay, RelayRequest, reason_against
-from hpid_ros.control.limited_law import LimitedLaw, ModelTerm
+from hpid_ros.control.interludes.relay import Relay, RelayRequest
+from hpid_ros.control.limited_law import ModelTerm
 from hpid_ros.control.loop_state import LoopClock, LoopCounts, LoopState
 from hpid_ros.control.pid import Terms
-from hpid_ros.control.reference import LARGEST_POSITION, Following, Motion
-from hpid_ros.control.reference.feedforward import Feedforward
-from hpid_ros.control.settings.assembly import (
-    feedforward_figures,
-    largest_step,
-    make_unwrapper,
-    turn_of_references,
-)
+from hpid_ros.control.reference import LARGEST_POSITION, Motion
+from hpid_ros.control.settings.assembly import largest_step, make_unwrapper
 from hpid_ros.control.settings.loop import LoopSettings
+from hpid_ros.control.tracking import Tracked, Tracking
+
+
+class _BeforeJump(NamedTuple):
+    """What a loop was before a stamp that may be wrong."""
+
+    stamp_ns: int
+    takeovers: int
+    tracked: Tracked
 
 
 class JointLoop:
@@ -44,20 +44,12 @@ class JointLoop:
         settings: Checked settings.
     """
 
-    _position: float
-    _error: float
-
     def __init__(self, settings: LoopSettings) -> None:
         self.settings = settings
         self.counts = LoopCounts()
         self.last_fault = ""
         """What was last wrong with a state, in words."""
-        self.relay: Relay | None = None
-        """The last relay that there was, for what became of it."""
-        self._following = Following()
-        self._law = LimitedLaw(settings, self.counts)
-        self._estimation = Estimation(settings, self._law)
-        self._feedforward = Feedforward(feedforward_figures(settings))
+        self._tracking = Tracking(settings, self.counts)
         self._unwrapper = make_unwrapper(settings.encoder)
         self._clock = LoopClock(self.counts)
         self._adopt(settings)
@@ -68,8 +60,6 @@ class JointLoop:
         self._timing = settings.timing
         self._hears_velocity = settings.velocity.is_measured
         self._step_max, self._speed_max = largest_step(settings)
-        self._following.turn = turn_of_references(settings)
-        self._following.lost_turn = max(settings.encoder.wrap, 0.0)
 
     def follow(self, motion: Motion) -> None:
         """Follow a motion from the next sample on; a reset starts it anew.
@@ -77,8 +67,7 @@ class JointLoop:
         Args:
             motion: A trajectory's column, or a :class:`Setpoint`.
         """
-        self.end_relay("a reference came")
-        self._following.follow(motion)
+        self._tracking.follow(motion)
 
     def begin_relay(self, request: RelayRequest) -> None:
         """Let a relay drive the joint for some cycles, around where it is held.
@@ -93,26 +82,9 @@ class JointLoop:
             SettingError: The joint is not held at rest, is too near to its effort limits, or the
                 law has nothing to hold it by.
         """
-        against = self._against_relay() or reason_against(
-            request,
-            self.settings.gains,
-            self.settings.effort,
-            self._law.integral + self._law.model_effort,
-            self._error,
-        )
-        if against:
-            raise SettingError(f"no relay now: {against}")
-        gains = self.settings.gains
-        self.relay = self._law.relay = Relay(request, gains.d / gains.p)
-
-    def _against_relay(self) -> str:
-        """Return why the joint is not held at rest, in words; nothing if it is."""
-        if self._law.relay is not None:
-            return "there is one already"
-        if self._is_takeover_due or self.state not in (LoopState.HOLDING, LoopState.FOLLOWING):
-            return str(self.state.value)
-        is_moving = self._following.velocity or self._following.acceleration
-        return "the reference moves" if is_moving else ""
+        is_held = self.state in (LoopState.HOLDING, LoopState.FOLLOWING)
+        is_driven = is_held and not self._is_takeover_due
+        self._tracking.begin_relay(request, "" if is_driven else str(self.state.value))
 
     def end_relay(self, reason: str) -> None:
         """Let a relay give back, if there is one.
@@ -120,13 +92,7 @@ class JointLoop:
         Args:
             reason: Why, in words.
         """
-        if self._law.relay is not None:
-            self._law.relay.end(reason)
-
-    def _drop_relay(self, reason: str) -> None:
-        """End a relay at once, without another effort: who calls decides about that."""
-        self.end_relay(reason)
-        self._law.relay = None
+        self._tracking.end_relay(reason)
 
     def retune(self, settings: LoopSettings) -> None:
         """Put other settings in force from the next sample on, as a whole.
@@ -148,38 +114,27 @@ class JointLoop:
             )
         if settings.model != before.model:
             raise SettingError("compensation and its model cannot change while the loop runs")
-        self.end_relay("parameters were set")
         is_new = self._clock.stamp_ns is None
-        self._estimation.retune(settings, None if is_new else self._position)
+        position = None if is_new else self._position
+        self._tracking.retune(settings, position, self._clock.stamp_ns or 0)
         if settings.encoder.wrap != before.encoder.wrap:
             if self._unwrapper is None:
                 self._unwrapper = make_unwrapper(settings.encoder)
             else:
                 self._unwrapper.begin_anew_after(max(settings.encoder.wrap, 0.0) or math.inf)
-        self._law.retune(settings, None if is_new else (self._position, self.velocity))
-        self._estimation.feed_anew()
-        following = self._following
-        change = self._feedforward.retune(
-            feedforward_figures(settings), following.velocity, following.acceleration
-        )
-        if change:
-            self._hand_over(change, self._clock.stamp_ns or 0, settings)
         self.settings = settings
         self._adopt(settings)
         if self.is_on_fallback:
-            self._law.give(settings.effort.fallback)
+            self._tracking.law.give(settings.effort.fallback)
 
     def reset(self) -> None:
         """Forget integral, velocity and time; start the motion anew with the next state."""
-        self._drop_relay("the loop began anew")
-        self._law.reset()
-        self._estimation.reset()
-        self._feedforward.reset()
+        self._tracking.drop_relay("the loop began anew")
+        self._tracking.reset()
         if self._unwrapper is not None:
             self._unwrapper.reset()
-        self._following.restart()
         self._clock.restart()
-        self._position = self._error = 0.0
+        self._position = 0.0
         self._state = LoopState.WAITING
         self._is_takeover_due = False
         self._before_jump: _BeforeJump | None = None
@@ -187,7 +142,7 @@ class JointLoop:
 
     def release(self) -> None:
         """Forget everything, the motion too: the next state is the first, and is held."""
-        self._following.follow(None)
+        self._tracking.following.follow(None)
         self.reset()
 
     def lapse(self) -> float:
@@ -202,7 +157,7 @@ class JointLoop:
             ``fallback_effort``, within the effort limits, in [N m].
         """
         self._clock.lapse()
-        self._drop_relay("no state came")
+        self._tracking.drop_relay("no state came")
         self.counts.silences += 1
         if not self._timing.is_simulated:
             self.supersede(self.settings.effort.fallback)
@@ -214,9 +169,9 @@ class JointLoop:
         As after :meth:`lapse` the next state is a takeover, but from the effort in force.
         """
         self.counts.silences += 1
-        self._drop_relay("no state came")
+        self._tracking.drop_relay("no state came")
         if not self._timing.is_simulated:
-            self.supersede(self._law.effort)
+            self.supersede(self._tracking.law.effort)
 
     def supersede(self, effort: float) -> None:
         """Note that the joint was given another effort: the next state is a takeover from it.
@@ -224,9 +179,14 @@ class JointLoop:
         Args:
             effort: In [N m].
         """
-        self._drop_relay("the joint was given another effort")
+        self._tracking.drop_relay("the joint was given another effort")
         self._is_takeover_due = True
-        self._law.give(effort)
+        self._tracking.law.give(effort)
+
+    @property
+    def relay(self) -> Relay | None:
+        """The last relay that there was, for what became of it."""
+        return self._tracking.relay
 
     @property
     def is_on_fallback(self) -> bool:
@@ -238,17 +198,17 @@ class JointLoop:
     @property
     def velocity_origin(self) -> str:
         """Where the velocity of the last sample came from, in words."""
-        return self._estimation.origin
+        return self._tracking.estimation.origin
 
     @property
     def velocity_doubt(self) -> str:
         """What speaks against the velocities of the states, in words; empty if nothing does."""
-        return self._estimation.doubt
+        return self._tracking.estimation.doubt
 
     @property
     def estimate(self) -> tuple[float, float, float] | None:
         """Position [rad], velocity [rad/s] and disturbing effort [N m] by the observer, if any."""
-        return self._estimation.disturbed
+        return self._tracking.estimation.disturbed
 
     def damping_stop(self, duration: float) -> DampingStop:
         """Return what damps the joint from now on in this loop's place.
@@ -256,8 +216,10 @@ class JointLoop:
         Args:
             duration: In [s], positive.
         """
-        velocity = self._estimation.source_of_stop(self._position)
-        return self._law.damping_stop(velocity, self._hears_velocity, self.stamp_ns, duration)
+        velocity = self._tracking.estimation.source_of_stop(self._position)
+        return self._tracking.law.damping_stop(
+            velocity, self._hears_velocity, self.stamp_ns, duration
+        )
 
     def step(
         self,
@@ -279,11 +241,11 @@ class JointLoop:
             The effort in [N m]: finite, within the limits, and the fallback when the state is
             not finite.
         """
-        clock, law, timing = self._clock, self._law, self._timing
+        clock, tracking, timing = self._clock, self._tracking, self._timing
         before_ns = clock.stamp_ns
         if stamp_ns == before_ns or stamp_ns == clock.unusable_ns:
             self.counts.repeats += 1
-            return law.effort
+            return tracking.law.effort
         if not self._hears_velocity:
             velocity = None
         if not (
@@ -312,52 +274,20 @@ class JointLoop:
             self._astray = None
             elapsed = min(dt, timing.control_period)  # what was not seen is not integrated
         self._position = position
-        following = self._following
         is_takeover = False
-        if self._is_takeover_due or not following.is_standing:
+        if self._is_takeover_due or not tracking.following.is_standing:
             is_takeover = self._begin(stamp_ns, position)
-        estimation = self._estimation
-        model = estimation.update(position, velocity, dt, model)
-        speed = estimation.velocity
-        wanted, rate, acceleration = following.sample(stamp_ns, timing.takeover_time, law.limits)
-        if rate and law.relay is not None:
-            law.relay.end("the reference moves")
-        forward, ahead = self._feedforward, 0.0
-        if forward.is_active or following.gives_effort:
-            ahead = self._feed_forward(stamp_ns, is_takeover=is_takeover)
-        if is_takeover:
-            law.take_over(model, acceleration, ahead, is_still_damped=is_next)
-        self._state = LoopState.HOLDING if following.motion is None else LoopState.FOLLOWING
-        self._error = error = wanted - estimation.position
         try:
-            effort = law.update(
-                error, rate - speed, position, speed, elapsed, model, acceleration, ahead
-            )
+            effort = tracking.update(stamp_ns, position, velocity, dt, elapsed, model, is_takeover)
         except ArithmeticError as fault:
             self.last_fault = str(fault)
-            self._estimation.restart()
             self._skip(stamp_ns)
             return self._fault()
+        is_holding = tracking.following.motion is None
+        self._state = LoopState.HOLDING if is_holding else LoopState.FOLLOWING
         clock.take(stamp_ns, since, timing)
         self.counts.samples += 1
         return effort
-
-    def _feed_forward(self, stamp_ns: int, *, is_takeover: bool) -> float:
-        """Return the effort that the reference of this sample needs, in [N m]."""
-        forward, following = self._feedforward, self._following
-        planned = following.effort(stamp_ns)
-        if is_takeover:
-            forward.reset()
-        elif following.has_turned:
-            self._hand_over(forward.change_by(planned), stamp_ns, self.settings)
-        following.has_turned = False
-        return forward.update(stamp_ns, following.velocity, following.acceleration, planned)
-
-    def _hand_over(self, change: float, stamp_ns: int, settings: LoopSettings) -> None:
-        """Let the effort stay what it is although what is fed forward changes, in [N m]."""
-        left = self._law.give_up(change)
-        if left:
-            self._feedforward.keep(-left, stamp_ns, settings.timing.takeover_time)
 
     def reject(self, stamp_ns: int, reason: str) -> float:
         """Answer a state that cannot be used.
@@ -373,7 +303,7 @@ class JointLoop:
         clock = self._clock
         if stamp_ns in (clock.stamp_ns, clock.unusable_ns):
             self.counts.repeats += 1
-            return self._law.effort
+            return self._tracking.law.effort
         self.last_fault = reason
         self._skip(stamp_ns)
         return self._fault()
@@ -385,15 +315,15 @@ class JointLoop:
             last_ns = clock.stamp_ns if clock.unusable_ns is None else clock.unusable_ns
             since = (stamp_ns - last_ns) * SECONDS_PER_NANOSECOND
             if 0.0 < since <= self._timing.state_timeout:
-                self._estimation.coast(since)
+                self._tracking.estimation.coast(since)
         clock.skip(stamp_ns)
 
     def _fault(self) -> float:
-        self._drop_relay("a state could not be used")
+        self._tracking.drop_relay("a state could not be used")
         self.counts.rejected += 1
         self._state = LoopState.FAULT
-        self._law.give(self.settings.effort.fallback)
-        return self._law.effort
+        self._tracking.law.give(self.settings.effort.fallback)
+        return self._tracking.law.effort
 
     def _interrupt(self, dt: float) -> None:
         """Begin, begin anew after a clock that went back, or be without time after a gap."""
@@ -403,10 +333,12 @@ class JointLoop:
             self.reset()
         elif dt > 0.0:
             self.last_fault = f"no usable state for {dt:g} s by the stamps"
-            self._before_jump = _BeforeJump.of(self)
+            last_ns = self._clock.stamp_ns
+            assert last_ns is not None
+            self._before_jump = _BeforeJump(last_ns, self.counts.takeovers, self._tracking.kept())
             self._is_takeover_due = True
             if self._clock.has_lapsed:
-                self._law.give(self.settings.effort.fallback)
+                self._tracking.law.give(self.settings.effort.fallback)
             if self._unwrapper is not None:
                 self._unwrapper.interrupt()
 
@@ -419,7 +351,8 @@ class JointLoop:
         since = (stamp_ns - before.stamp_ns) * SECONDS_PER_NANOSECOND
         if stamp_ns > last_ns or not 0.0 <= since <= self._timing.state_timeout:
             return last_ns
-        before.put_back(self)
+        self._tracking.go_back_to(before.tracked)
+        self.counts.takeovers = before.takeovers
         return before.stamp_ns
 
     def _doubt(self, stamp_ns: int, position: float, dt: float) -> float | None:
@@ -447,23 +380,14 @@ class JointLoop:
         self.last_fault = step
         self.counts.rejected += 1
         self._skip(stamp_ns)
-        return self._law.effort
+        return self._tracking.law.effort
 
     def _begin(self, stamp_ns: int, position: float) -> bool:
         """Start from where the joint is, and tell whether that is a takeover."""
-        if self._law.limits is not None:
-            self._law.limits.open(position)
-        is_takeover = self._is_takeover_due and self._following.is_standing
+        is_takeover = self._is_takeover_due and self._tracking.following.is_standing
         self._is_takeover_due = False
-        if is_takeover:
-            if self._law.relay is not None:
-                self._drop_relay("the joint was taken over anew")
-                self._law.give(self._law.effort)  # what the relay gave is in no term
-            self.counts.takeovers += 1
-            self._estimation.restart()
-            self._following.take_over(stamp_ns, position, self._timing.takeover_time)
-        else:
-            self._following.stand(position)
+        self.counts.takeovers += is_takeover
+        self._tracking.begin(stamp_ns, position, is_takeover=is_takeover)
         return is_takeover
 
     @property
@@ -474,37 +398,37 @@ class JointLoop:
     @property
     def effort(self) -> float:
         """The effort of the last sample in [N m]."""
-        return self._law.effort
+        return self._tracking.law.effort
 
     @property
     def terms(self) -> Terms:
         """The law's terms of the last sample in [N m], before the limits."""
-        return self._law.terms
+        return self._tracking.law.terms
 
     @property
     def model_effort(self) -> float:
         """What a model added in the last sample, in [N m], before the limits; 0 without one."""
-        return self._law.model_effort
+        return self._tracking.law.model_effort
 
     @property
     def feedforward_effort(self) -> float:
         """What was fed forward for the reference in the last sample, in [N m]."""
-        return self._feedforward.effort
+        return self._tracking.feedforward.effort
 
     @property
     def integral(self) -> float:
         """The integral term that the next sample uses, in [N m]."""
-        return self._law.integral
+        return self._tracking.law.integral
 
     @property
     def reference(self) -> tuple[float, float]:
         """Reference position [rad] and velocity [rad/s] of the last sample."""
-        return self._following.position, self._following.velocity
+        return self._tracking.following.position, self._tracking.following.velocity
 
     @property
     def error(self) -> float:
         """Reference minus position of the last sample in [rad]; an observer's, if there is one."""
-        return self._error
+        return self._tracking.error
 
     @property
     def stamp_ns(self) -> int | None:
@@ -514,53 +438,15 @@ class JointLoop:
     @property
     def has_motion(self) -> bool:
         """Whether the loop was told to follow anything."""
-        return self._following.motion is not None
+        return self._tracking.following.motion is not None
 
     @property
     def velocity(self) -> float:
         """The velocity that the last sample used, in [rad/s]."""
-        return self._estimation.velocity
+        return self._tracking.estimation.velocity
 
     @property
     def braked(self) -> int:
         """Samples in which a soft stop or the velocity limit braked the joint."""
-        limits = self._law.limits
+        limits = self._tracking.law.limits
         return limits.braked if limits else 0
-
-
-class _BeforeJump(NamedTuple):
-    """What a loop was before a stamp that may be wrong."""
-
-    stamp_ns: int
-    settings: LoopSettings
-    following: Following
-    feedforward: Feedforward
-    velocity: VelocitySource
-    integral: float
-    takeovers: int
-
-    @classmethod
-    def of(cls, loop: JointLoop) -> _BeforeJump:
-        stamp_ns = loop._clock.stamp_ns
-        assert stamp_ns is not None
-        return cls(
-            stamp_ns,
-            loop.settings,
-            copy(loop._following),
-            copy(loop._feedforward),
-            loop._estimation.copy_of_source(),
-            loop._law.own_integral,
-            loop.counts.takeovers,
-        )
-
-    def put_back(self, loop: JointLoop) -> None:
-        """Let a loop be what it was, but for what it was told since."""
-        told = loop._following.motion
-        loop._following = self.following
-        if told is not self.following.motion:
-            loop._following.follow(told)
-        if loop.settings is self.settings:  # else the source is another, or goes by other figures
-            loop._estimation.put_back(self.velocity)
-            loop._feedforward = self.feedforward
-        loop._law.restore_integral(self.integral)
-        loop.counts.takeovers = self.takeovers

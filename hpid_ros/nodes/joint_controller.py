@@ -17,9 +17,9 @@ from rclpy.task import Future
 from hpid_ros.base.errors import ClaimError, MessageError, SettingError
 from hpid_ros.control import JointLoop
 from hpid_ros.control.interludes.relay import RelayRequest
+from hpid_ros.control.interludes.supervision import SupervisedLoop
 from hpid_ros.control.reference import Motion
 from hpid_ros.control.settings.table import PARAMETERS
-from hpid_ros.control.supervision import SupervisedLoop
 from hpid_ros.nodes.parts.controller.certification import Certification
 from hpid_ros.nodes.parts.controller.commands import SINKS, Commands, Sinks, sender_of
 from hpid_ros.nodes.parts.controller.health import ControllerHealth, LoopTiming

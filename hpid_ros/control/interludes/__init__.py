@@ -1,1 +1,1 @@
-"""What acts on a joint for a while in place of its law, or beside it."""
+"""What may interrupt a loop, and what acts on its joint for a while in its place or beside it."""

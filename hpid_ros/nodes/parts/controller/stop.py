@@ -9,7 +9,7 @@ from rclpy.node import Node
 from rclpy.task import Future
 from rclpy.timer import Timer
 
-from hpid_ros.control.supervision import SupervisedLoop
+from hpid_ros.control.interludes.supervision import SupervisedLoop
 from hpid_ros.nodes.parts.controller.commands import Commands
 from hpid_ros.nodes.ros.parameters import read_choice, read_number
 from hpid_ros.nodes.ros.steady_timer import steady_timer

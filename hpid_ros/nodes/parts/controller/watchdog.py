@@ -6,7 +6,7 @@ import time
 
 from rclpy.timer import Timer
 
-from hpid_ros.control.supervision import SupervisedLoop
+from hpid_ros.control.interludes.supervision import SupervisedLoop
 from hpid_ros.nodes.ros.executor import ClosingNode
 from hpid_ros.nodes.ros.parameters import read_only
 from hpid_ros.nodes.ros.steady_timer import steady_timer
