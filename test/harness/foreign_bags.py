@@ -1,0 +1,66 @@
+"""Bags as other people's recorders write them, message by message."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from rosbags.rosbag2 import StoragePlugin, Writer
+
+from harness.bags import (
+    TYPES,
+    S,
+    command,
+    state,
+)
+from hpid_ros.bags import BagSelection, read_run
+
+FLOAT64 = "std_msgs/msg/Float64"
+FLOATS = "std_msgs/msg/Float64MultiArray"
+LATENCY = 2000  # [ns]
+
+
+def float64(value: float) -> bytes:
+    return bytes(TYPES.serialize_cdr(TYPES.types[FLOAT64](value), FLOAT64))
+
+
+def floats(*values: float) -> bytes:
+    dimension = TYPES.types["std_msgs/msg/MultiArrayDimension"]("joint", len(values), 1)
+    layout = TYPES.types["std_msgs/msg/MultiArrayLayout"]([dimension], 0)
+    return bytes(TYPES.serialize_cdr(TYPES.types[FLOATS](layout, np.array(values)), FLOATS))
+
+
+def write(path: Path, types, log, store=TYPES) -> Path:
+    """Write ``(topic, log time, raw)``."""
+    with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        connections = {
+            name: writer.add_connection(name, kind, typestore=store)
+            for name, kind in types.items()
+        }
+        for name, log_time_ns, raw in log:
+            writer.write(connections[name], log_time_ns, raw)
+    return path
+
+
+def states(count: int = 5, topic: str = "/joint_states", offset: float = 0.0):
+    """Return states of a and b, one a second from 1 s on, received 2 us after their stamps."""
+    return [
+        (topic, k * S + LATENCY, state(k * S, a=k + offset, b=-k - offset)[2])
+        for k in range(1, count + 1)
+    ]
+
+
+def commands(count: int = 5, topic: str = "/joint_commands"):
+    return [
+        (topic, k * S + 2 * LATENCY, command(k * S, **{j: 10.0 * k})[2])
+        for k in range(1, count + 1)
+        for j in "ab"
+    ]
+
+
+def read(path: Path, **selection):
+    return read_run(path, "run", selection=BagSelection(**selection))
+
+
+def in_order(log):
+    return sorted(log, key=lambda message: message[1])
