@@ -13,6 +13,9 @@ from hpid_ros.wire import JointPart
 MS = 1_000_000
 SECOND = 1_000_000_000
 
+THERE = {"shoulder": [0.0, 0.4, 1.0], "elbow": [0.0, -0.3, -0.5]}
+TIMES = [0.0, 0.5, 1.0]
+
 
 def goal(positions, times, velocities=None, accelerations=None, efforts=None, stamp_ns=0, **asked):
     """Return a goal: positions by joint, one for each of the times in [s]; the rest likewise."""
@@ -148,3 +151,16 @@ class SimulatedGroup:
         columns = np.array(self.log[joint], float).T
         columns[0] /= SECOND
         return columns
+
+
+def moving(stamp_ns=0, **asked):
+    """Return a goal of a second that ends at rest at 1 and -0.5 rad."""
+    return goal(THERE, TIMES, at_rest(THERE), stamp_ns=stamp_ns, **asked)
+
+
+def started(**values):
+    """Return a group that has begun to move."""
+    group = SimulatedGroup(**values)
+    group.run(0.2)
+    group.begin(moving())
+    return group

@@ -1,30 +1,11 @@
 """The course of goals over loops that get their messages late: reached, ended, stopped."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
-from harness.groups import MS, SECOND, SimulatedGroup, at_rest, goal
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from harness.groups import MS, SECOND, THERE, TIMES, SimulatedGroup, at_rest, goal, moving, started
 
 from hpid_ros.control.reference import Setpoint
 from hpid_ros.goals import AskedTolerance, GoalError, JointFacts, ResultCode
-from hpid_ros.wire import JointPart
-
-THERE = {"shoulder": [0.0, 0.4, 1.0], "elbow": [0.0, -0.3, -0.5]}
-TIMES = [0.0, 0.5, 1.0]
-
-
-def moving(stamp_ns=0, **asked):
-    return goal(THERE, TIMES, at_rest(THERE), stamp_ns=stamp_ns, **asked)
-
-
-def started(**values):
-    group = SimulatedGroup(**values)
-    group.run(0.2)
-    group.begin(moving())
-    return group
 
 
 @pytest.mark.parametrize("most_delay", [0, 5, 40])
@@ -115,59 +96,6 @@ def test_a_joint_that_still_moves_has_not_arrived():
     rolling.begin(moving())
     rolling.run(1.2, until=lambda: rolling.results)
     assert rolling.results == []
-
-
-@settings(max_examples=10)
-@given(st.floats(0.1, 0.9), st.floats(2.0, 20.0), st.integers(0, 9), st.integers(0, 20))
-def test_a_cancelled_goal_decelerates_within_its_limit_and_holds(at, most, seed, most_delay):
-    name = "max_deceleration_on_cancel"
-    group = SimulatedGroup(
-        seed=seed,
-        most_delay=most_delay,
-        **{f"constraints.shoulder.{name}": most, f"constraints.elbow.{name}": 0.5 * most},
-    )
-    group.run(0.2)
-    group.begin(moving())
-    group.run(at)
-    now = group.stamp_ns / SECOND
-    group.cancel()
-    assert group.results == [(ResultCode.SUCCESSFUL, "cancelled: the joints stop and hold")]
-    assert not group.follower.is_active
-    group.run(0.05 + 1.6 / (0.5 * most) + 0.6)
-    for joint, limit in enumerate((most, 0.5 * most)):
-        stamps, reference, velocity, _, _ = group.logged(joint)
-        after = stamps > now + 0.051
-        # A controller that took the goal up late glides onto it still; that comes on top.
-        glide = 0.025 * most_delay  # [rad/s^2]
-        assert np.abs(np.diff(velocity[after])).max(initial=0.0) <= (limit + glide) * 1e-3
-        assert velocity[-1] == 0.0
-        assert np.abs(np.diff(reference)).max() < 2e-3
-        assert np.ptp(reference[stamps > stamps[-1] - 0.3]) == 0.0
-
-
-@settings(max_examples=10)
-@given(st.floats(0.1, 0.9), st.floats(0.001, 0.2))
-def test_a_stop_never_passes_a_position_limit(at, room):
-    most = {"constraints.shoulder.max_deceleration_on_cancel": 0.5}
-    group = SimulatedGroup(("shoulder",), **most)
-    group.run(0.2)
-    request = goal({"shoulder": [0.0, 1.0]}, [0.0, 1.0], {"shoulder": [0.0, 0.0]})
-    group.begin(request)
-    group.run(at)
-    upper = group.loops[0].reference[0] + room
-    limited = SimulatedGroup(("shoulder",), **most)
-    limited.run(0.2)
-    limited.begin(request)
-    limited.run(at)
-    # No goal leads beyond a limit; this one does, once it is under way.
-    limited.follower.settings = replace(limited.settings, facts=(JointFacts(upper=upper),))
-    limited.cancel()
-    (told,) = limited.told[1:]
-    assert told.arrays[0].max() <= upper
-    stop = told.column(0).start(limited.stamp_ns, 0.0)
-    path = [stop.sample(told.stamp_ns + k * MS).position for k in range(3000)]
-    assert max(path) <= upper + 1e-12
-    assert path[-1] == path[-2]
 
 
 def test_a_new_goal_replaces_the_old_one_without_a_jump():
@@ -262,115 +190,6 @@ def test_a_goal_that_is_refused_leaves_the_one_before_it():
         group.begin(goal({"elbow": [1.0]}, [1.0]))
     group.run(2.0, until=lambda: group.results)
     assert [each.code for each in group.results] == [ResultCode.SUCCESSFUL]
-
-
-def test_no_goal_is_taken_before_there_are_states_and_after_they_have_stopped():
-    group = SimulatedGroup()
-    with pytest.raises(GoalError, match="no state of shoulder yet"):
-        group.begin(moving())
-    group.run(0.2)
-    assert group.follower.lapse(0.6) is None
-    with pytest.raises(GoalError, match=r"no new state for 0\.6 s"):
-        group.begin(moving())
-    group.run(0.01)
-    group.begin(moving())
-
-
-def test_states_that_stop_abort_the_goal_and_the_joints_hold_where_they_are_found_again():
-    group = started()
-    group.run(0.5)
-    outcome = group.follower.lapse(0.7)
-    assert outcome.result.code is ResultCode.INVALID_GOAL
-    assert "no new state for 0.7 s" in outcome.result.text
-    assert outcome.told is None
-    group.position = [-0.3, 0.2]  # somebody has moved the arm meanwhile
-    group.velocity = [0.0, 0.0]
-    group.stamp_ns += SECOND
-    group.run(1.5)
-    assert [loop.reference for loop in group.loops] == [
-        (pytest.approx(-0.3, abs=0.01), 0.0),
-        (pytest.approx(0.2, abs=0.01), 0.0),
-    ]
-
-
-def test_a_paused_simulation_aborts_nothing():
-    group = started(state_clock="simulated")
-    group.run(0.5)
-    assert group.follower.lapse(60.0) is None
-    with pytest.raises(GoalError, match="no new state for 60 s"):
-        group.begin(moving())
-    group.run(1.0, until=lambda: group.results)
-    assert [each.code for each in group.results] == [ResultCode.SUCCESSFUL]
-
-
-def test_a_clock_that_goes_back_aborts_the_goal_and_moves_nothing():
-    group = started(start_ns=50 * SECOND)
-    group.run(0.5)
-    group.stamp_ns = 0
-    group.position, group.velocity = [0.0, 0.0], [0.0, 0.0]
-    group.run(3.0)
-    (result,) = group.results
-    assert result.code is ResultCode.INVALID_GOAL
-    assert "clock of the states went back by 50.7 s" in result.text
-    assert group.position == pytest.approx([0.0, 0.0], abs=1e-3)
-    group.begin(moving())
-    group.run(2.0, until=lambda: len(group.results) > 1)
-    assert group.results[1].code is ResultCode.SUCCESSFUL
-    # Of an idle group, too: its controllers would begin the last trajectory anew.
-    group.stamp_ns = 0
-    group.position, group.velocity = [0.0, 0.0], [0.0, 0.0]
-    group.run(3.0)
-    assert group.position == pytest.approx([0.0, 0.0], abs=1e-3)
-
-
-def test_a_joint_that_is_missing_from_the_states_aborts_the_goal():
-    group = started()
-    group.run(0.3)
-    group.seen = lambda parts: parts[:1]
-    assert group.run(2.0, until=lambda: group.results) == pytest.approx(0.5, abs=0.01)
-    (result,) = group.results
-    assert "elbow has had no state for 0.5" in result.text
-    with pytest.raises(GoalError, match="elbow has had no state"):
-        group.begin(moving())
-
-
-def test_a_controller_that_tells_its_reference_no_more_aborts_the_goal():
-    group = started()
-    group.run(0.3)
-    group.mute = {1}
-    group.run(2.0, until=lambda: group.results)
-    assert "the controller of elbow has told no reference for 0.5" in group.results[0].text
-    with pytest.raises(GoalError, match="controller of elbow has told no reference"):
-        group.begin(moving())
-    group.mute = set()
-    group.run(0.1)
-    group.begin(moving())
-
-
-def test_controllers_that_never_tell_their_references_are_taken_at_their_word():
-    group = SimulatedGroup()
-    group.mute = {0, 1}
-    group.run(0.2)
-    group.begin(moving())
-    group.run(2.0, until=lambda: group.results)
-    assert group.results[0].code is ResultCode.SUCCESSFUL
-
-
-@pytest.mark.parametrize("is_deaf", [True, False])
-def test_a_controller_that_follows_something_else_aborts_the_goal(is_deaf):
-    group = SimulatedGroup()
-    group.deaf = {1} if is_deaf else set()
-    group.run(0.2)
-    long = {name: [0.0, path[-1]] for name, path in THERE.items()}
-    group.begin(goal(long, [0.0, 4.0], at_rest(long)))
-    if not is_deaf:
-        group.run(1.0)
-        group.loops[1].follow(Setpoint(0.3))
-    group.run(5.0, until=lambda: group.results)
-    (result,) = group.results
-    assert result.code is ResultCode.INVALID_GOAL
-    assert "the reference of elbow's controller is at" in result.text
-    assert "follows something else" in result.text
 
 
 def test_a_tolerance_of_the_goal_replaces_the_default_and_minus_one_removes_it():
@@ -471,30 +290,6 @@ def test_a_wheel_that_is_turns_away_stops_where_it_is_and_starts_from_there(mult
     assert group.position[0] == pytest.approx(held + 0.5, abs=5e-3)
 
 
-def test_joints_may_have_states_of_their_own_at_other_rates_and_stamps():
-    """As where a gripper tells its states on a topic of its own."""
-    group = SimulatedGroup(**{"constraints.elbow.goal": 2e-3, "constraints.elbow.trajectory": 0.1})
-    late = 300_000  # [ns]; its stamps are never those of the others
-
-    def apart(parts):
-        if group.stamp_ns % (20 * MS) == 0:
-            group.note(group.follower.take_state(group.stamp_ns - late, parts[1:]))
-        return parts[:1]
-
-    group.seen = apart
-    group.run(0.2)
-    group.begin(moving())
-    group.run(3.0, until=lambda: group.results)
-    assert group.results == [(ResultCode.SUCCESSFUL, "goal reached")]
-    assert group.position == pytest.approx([1.0, -0.5], abs=5e-3)
-    group.begin(goal({name: [0.0] for name in THERE}, [2.0]))
-    group.run(0.2)
-    group.seen = lambda parts: parts[:1]  # the other topic falls silent
-    group.run(1.0, until=lambda: len(group.results) > 1)
-    assert group.results[1].code is ResultCode.INVALID_GOAL
-    assert group.results[1].text.startswith("elbow has had no state for 0.5")
-
-
 def test_a_goal_beyond_a_limit_is_refused_and_the_one_before_it_goes_on():
     facts = {"shoulder": JointFacts(lower=-0.5, upper=1.0), "elbow": JointFacts(-0.6, unit="m")}
     group = SimulatedGroup(facts=facts)
@@ -532,87 +327,3 @@ def test_a_joint_beyond_a_limit_may_be_led_back():
         group.begin(goal(further, TIMES, at_rest(further)))
     group.run(3.0, until=lambda: group.results)
     assert group.results[0].code is ResultCode.SUCCESSFUL
-
-
-def test_leaving_ends_the_goal_and_stops():
-    group = started()
-    group.run(0.5)
-    group.note(group.follower.leave("the node ends"))
-    assert group.results == [(ResultCode.INVALID_GOAL, "the node ends")]
-    group.run(1.5)
-    assert [loop.reference[1] for loop in group.loops] == [0.0, 0.0]
-    assert group.follower.leave("again") == (None, None)
-    assert group.follower.cancel() == (None, None)
-
-
-def test_a_goal_gives_way_to_another_trajectory_and_stops_only_the_joints_that_it_does_not_name():
-    group = started(allow_partial_joints_goal=True)
-    group.run(0.5)
-    group.loops[1].follow(Setpoint(0.7))
-    group.note(group.follower.give_way(["elbow", "of another robot"]))
-    (result,) = group.results
-    assert result == (
-        ResultCode.INVALID_GOAL,
-        "another node has sent a trajectory for elbow",
-    )
-    assert group.told[-1].names == ("shoulder",)
-    group.run(1.5)
-    assert [loop.reference for loop in group.loops][1] == (0.7, 0.0)
-    assert group.loops[0].reference[1] == 0.0
-    assert abs(group.loops[0].reference[0]) < 0.9  # of 1.0
-    group.begin(goal({"elbow": [0.7]}, [0.5], at_rest({"elbow": [0.7]})))
-    group.run(2.0, until=lambda: len(group.results) > 1)
-    assert group.results[-1].code is ResultCode.SUCCESSFUL
-
-
-def test_of_two_trajectories_at_the_same_time_none_is_followed():
-    group = started(allow_partial_joints_goal=True)
-    group.run(0.09)
-    group.loops[1].follow(Setpoint(0.7))  # this one heard the other last
-    group.note(group.follower.give_way(["elbow"]))
-    (result,) = group.results
-    assert result.code is ResultCode.INVALID_GOAL
-    assert result.text.endswith("for elbow at the same time: the joints stop")
-    assert set(group.told[-1].names) == {"shoulder", "elbow"}
-    group.run(1.5)
-    assert [loop.reference[1] for loop in group.loops] == [0.0, 0.0]
-    ends = [loop.reference[0] for loop in group.loops]
-    assert ends == pytest.approx([0.0, 0.0], abs=0.3)  # neither 1.0, where the goal led, nor 0.7
-
-
-def test_trajectories_of_other_joints_and_without_a_goal_are_nobodys_business():
-    group = started()
-    assert group.follower.give_way(["of another robot"]) == (None, None)
-    assert group.follower.is_active
-    group.cancel()
-    assert group.follower.give_way(["elbow"]) == (None, None)
-
-
-@pytest.mark.parametrize(
-    ("is_excused", "dead", "code"),
-    [
-        (True, set(), ResultCode.SUCCESSFUL),
-        (True, {1}, ResultCode.INVALID_GOAL),
-        (False, set(), ResultCode.INVALID_GOAL),
-    ],
-)
-def test_what_came_while_nobody_called_is_not_missed_but_what_stays_away_is(
-    is_excused, dead, code
-):
-    group = SimulatedGroup()
-    group.run(0.2)
-    slow = {name: [0.0, path[-1]] for name, path in THERE.items()}
-    group.begin(goal(slow, [0.0, 3.0], at_rest(slow)))
-    group.run(0.5)
-    before, before_ns = list(zip(group.position, group.velocity, strict=True)), group.stamp_ns
-    group.seen, group.mute = lambda parts: [], {0, 1}
-    group.run(0.7)
-    if is_excused:
-        group.follower.excuse(0.7)
-        old = [JointPart(joint, *at) for joint, at in enumerate(before)]
-        group.note(group.follower.take_state(before_ns + MS, old))  # one that was on its way
-    del group.seen
-    group.run(0.1)  # a state comes before the references do
-    group.mute = dead
-    group.run(4.0, until=lambda: group.results)
-    assert group.results[0].code is code
