@@ -13,19 +13,19 @@ import numpy as np
 import pytest
 import yaml
 from harness.engines import HAS_BULLET, needs_bullet
+from harness.foreign_robots import EXPERIMENTS, IIWA, PANDA, box, pose, robot, short
 
-from hpid_ros.base.errors import ExperimentError, RobotDescriptionError
+from hpid_ros.base.errors import RobotDescriptionError
 from hpid_ros.base.resources import (
     ResourceError,
     find_resource,
     package_folder,
     package_uri,
-    share_folder,
 )
 from hpid_ros.cli.main import main
 from hpid_ros.experiment.description import load_experiment
 from hpid_ros.robot import RobotDescription
-from hpid_ros.robot.amendments import JointAmendment, amended
+from hpid_ros.robot.amendments import amended
 from hpid_ros.robot.dynamics import Dynamics
 from hpid_ros.simulation import World, WorldSettings
 from hpid_ros.studies.batch import RunTask, WorldKeeper, simulate
@@ -34,33 +34,9 @@ if HAS_BULLET:
     from hpid_ros.simulation.bullet.connection import pybullet
     from hpid_ros.simulation.bullet.model import bullet_urdf
 
-EXPERIMENTS = share_folder() / "config" / "experiments"
-IIWA = "package://pybullet_data/kuka_iiwa/model.urdf"
-PANDA = "package://pybullet_data/franka_panda/panda.urdf"
 URDFS = [IIWA, PANDA]
 NAMES = ["iiwa", "panda"]
 MILLISECOND = 1_000_000  # [ns]
-
-
-def robot(name: str) -> RobotDescription:
-    return RobotDescription.load(find_resource(name))
-
-
-def pose(description: RobotDescription, seed: int) -> dict[str, float]:
-    chance = np.random.default_rng(seed)
-    return {
-        name: float(chance.uniform(joint.lower, joint.upper))
-        for name, joint in description.joints.items()
-    }
-
-
-def short(name: str, tmp_path: Path, duration: float = 0.2, **robot_changes: object) -> Path:
-    document = yaml.safe_load((EXPERIMENTS / f"{name}.yaml").read_text())
-    document["duration"] = duration
-    document["robot"] |= robot_changes
-    path = tmp_path / f"{name}.yaml"
-    path.write_text(yaml.safe_dump(document, sort_keys=False))
-    return path
 
 
 # --- where things are
@@ -172,144 +148,6 @@ def test_the_simulated_robot_accelerates_as_the_model_with_rotors_says(name: str
     assert found == pytest.approx(expected, abs=0.02 * np.abs(expected).max())
 
 
-# --- what is known better than the URDF says
-
-
-@needs_bullet
-def test_amendments_reach_everyone_who_reads_the_robot():
-    arm = amended(
-        robot(IIWA),
-        {
-            "lbr_iiwa_joint_7": JointAmendment(4.54e-5, 160.0, 0.1, 0.2, 40.0, 2.3),
-            "lbr_iiwa_joint_1": JointAmendment(friction=3.0),
-        },
-        {},
-        {},
-    )
-    last = arm.joints["lbr_iiwa_joint_7"]
-    assert (last.rotor_inertia, last.gear_ratio, last.damping) == (4.54e-5, 160.0, 0.1)
-    assert (last.friction, last.effort, last.velocity) == (0.2, 40.0, 2.3)
-    assert (last.lower, last.upper) == (-3.05432619099, 3.05432619099)
-    first = arm.joints["lbr_iiwa_joint_1"]
-    assert (first.friction, first.damping, first.effort) == (3.0, 0.5, 300.0)
-    reflected = 4.54e-5 * 160.0**2
-    plain, better = (
-        Dynamics(each).mass_matrix(["lbr_iiwa_joint_7"], {}) for each in (robot(IIWA), arm)
-    )
-    assert better[0, 0] - plain[0, 0] == pytest.approx(reflected, rel=1e-12)
-
-
-def test_an_amendment_of_a_transmission_that_is_there_changes_it_alone():
-    own = RobotDescription.load(share_folder() / "urdf" / "mobile_manipulator.urdf")
-    better = amended(own, {"arm_joint_2": JointAmendment(rotor_inertia=1e-3)}, {}, {})
-    assert better.joints["arm_joint_2"].rotor_inertia == 1e-3
-    assert better.joints["arm_joint_2"].gear_ratio == own.joints["arm_joint_2"].gear_ratio
-    assert better.joints["arm_joint_1"] == own.joints["arm_joint_1"]
-
-
-def slider() -> str:
-    """Return two hinges and, held askew on the second one, a slide."""
-    inertial = """<inertial><mass value="0.5"/>
-      <inertia ixx="0.01" ixy="0" ixz="0" iyy="0.02" iyz="0" izz="0.015"/></inertial>"""
-    links = "".join(f'<link name="{name}">{inertial}</link>' for name in "abcd")
-    joints = "".join(
-        f"""<joint name="{pair}" type="{kind}"><parent link="{pair[0]}"/><child link="{pair[1]}"/>
-        <origin xyz="0.1 0.2 0.3" rpy="{rpy}"/><axis xyz="{axis}"/>
-        <limit lower="-1" upper="1" effort="1" velocity="1"/></joint>"""
-        for pair, kind, rpy, axis in (
-            ("ab", "revolute", "0 0 0", "0 1 0"),
-            ("bc", "revolute", "0.2 0 0", "1 0 0"),
-            ("cd", "prismatic", "0.3 -0.5 1.1", "0.6 0 0.8"),
-        )
-    )
-    return f'<robot name="slider">{links}{joints}</robot>'
-
-
-def test_hpid_robot_names_the_joints_that_slide_and_their_units(tmp_path, capsys):
-    (tmp_path / "slider.urdf").write_text(slider())
-    assert main(["robot", str(tmp_path / "slider.urdf")]) == 0
-    assert "cd slides: m and m/s, N, N s/m and kg, where" in " ".join(
-        capsys.readouterr().out.split()
-    )
-
-
-@pytest.mark.parametrize(
-    ("name", "tip"),
-    [
-        pytest.param(IIWA, "lbr_iiwa_link_7", id="iiwa", marks=needs_bullet),
-        pytest.param(PANDA, "panda_leftfinger", id="panda", marks=needs_bullet),
-        pytest.param(None, "d", id="slider"),
-    ],
-)
-def test_a_held_joint_stands_where_it_would_stand_if_it_moved_there(name: str | None, tip: str):
-    free = robot(name) if name else RobotDescription.load(slider())
-    there = pose(free, seed=3)
-    held = {joint: there[joint] for joint in list(free.joints)[2::2]}
-    stiff = amended(free, {}, {}, held)
-    moving = tuple(joint for joint in free.joints if joint not in held)
-    assert tuple(stiff.joints) == moving
-    where = []
-    for description in (free, stiff):
-        positions = {joint: there[joint] for joint in description.joints}
-        settings = WorldSettings(
-            description.xml, moving, initial_positions=positions, fixed_base=True
-        )
-        with World(settings) as world:
-            place = world.link_pose(tip)
-            where.append([*place.position, *np.abs(place.orientation)])
-    assert where[0] == pytest.approx(where[1], abs=1e-9)
-    masses = [
-        Dynamics(each).mass_matrix(moving, {joint: there[joint] for joint in each.joints})
-        for each in (free, stiff)
-    ]
-    assert np.allclose(*masses, rtol=0.0, atol=1e-12)
-
-
-@needs_bullet
-def test_an_amended_robot_means_the_same_on_every_machine():
-    experiment = load_experiment(EXPERIMENTS / "panda.yaml")
-    text = str(experiment.world.robot_description)
-    assert "package://pybullet_data/franka_panda/meshes/collision/link0.obj" in text
-    assert str(package_folder("pybullet_data")) not in text
-    assert "panda_finger_joint1" not in RobotDescription.load(text).joints
-
-
-@needs_bullet
-@pytest.mark.parametrize(
-    ("changes", "says"),
-    [
-        ({"held": {"panda_finger": 0.02}}, "robot: unknown joint 'panda_finger'; did you mean"),
-        ({"held": {"panda_finger_joint1": 0.3}}, r"not within its limits \[0.0, 0.04\]"),
-        ({"joints": {"panda_joint1": {"rotor": 1.0}}}, "unknown key 'robot.joints.panda_joint1"),
-        ({"joints": {"panda_joint1": {"gear_ratio": 0}}}, "gear_ratio must not be 0"),
-        (
-            {"joints": {"panda_joint1": {"friction": -1}}},
-            "friction must be at least 0, not -1",
-        ),
-        ({"joints": {"panda_joint1": {"effort": 0}}}, "effort must be above 0, not 0"),
-        ({"joints": {"panda_joint9": {"effort": 1}}}, "unknown joint 'panda_joint9'"),
-        ({"links": {"panda_link9": {"mass": 0}}}, "unknown link 'panda_link9'"),
-        ({"links": {"panda_link1": {"mass": 1}}}, "robot.links.panda_link1: inertia is missing"),
-        (
-            {"links": {"panda_link1": {"mass": 1, "inertia": {"ixx": 3, "iyy": 1, "izz": 1}}}},
-            "no body has the principal moments 1, 1, 3",
-        ),
-        (
-            {"links": {"panda_link1": {"mass": 0, "inertia": {"ixx": 3, "iyy": 1, "izz": 1}}}},
-            "robot.links.panda_link1: inertia must be left out where mass is 0",
-        ),
-        ({"links": {"panda_link1": {"mass": 1, "center_of_mass": [0]}}}, "must be three numbers"),
-        ({"held": {"panda_joint1": 0.0}}, "unknown joint 'panda_joint1'"),  # it is driven
-        ({"description": "package://no_such/a.urdf"}, "no ament or Python package no_such"),
-    ],
-)
-def test_an_impossible_amendment_is_one_line(tmp_path: Path, changes: dict, says: str):
-    path = short("panda", tmp_path, **changes)
-    with pytest.raises(ExperimentError, match=says) as refusal:
-        load_experiment(path)
-    assert "\n" not in str(refusal.value)
-
-
 # --- meshes
 
 
@@ -322,14 +160,6 @@ CUBE = "".join(
         *("3 4 8", "3 8 7", "1 3 7", "1 7 5", "2 6 8", "2 8 4"),
     )
 )
-
-
-def box(mesh: str) -> str:
-    return f"""<robot name="box"><link name="body"><inertial><mass value="1"/>
-      <inertia ixx="0.01" ixy="0" ixz="0" iyy="0.01" iyz="0" izz="0.01"/></inertial>
-      <collision><geometry><mesh filename="{mesh}"/></geometry></collision></link>
-      <link name="speck"/><joint name="hinge" type="continuous"><parent link="body"/>
-      <child link="speck"/></joint></robot>"""
 
 
 @pytest.mark.parametrize("mesh", ["meshes/cube.obj", "package://box_description/meshes/cube.obj"])
@@ -469,61 +299,7 @@ def test_the_graph_gives_what_one_process_gives(tmp_path: Path, engine: str):
         assert "<robot" not in text
 
 
-# --- the commands
-
-
-@needs_bullet
-def test_hpid_robot_says_what_the_urdf_lacks(capsys: pytest.CaptureFixture[str]):
-    assert main(["robot", PANDA, "--poses", "2", "--json"]) == 0
-    said = json.loads(capsys.readouterr().out)
-    texts = {each["text"]: each["names"] for each in said["remarks"]}
-    (placeholder,) = [text for text in texts if "0.1 0.1 0.1 kg m^2" in text]
-    assert len(texts[placeholder]) == 13
-    (weightless,) = [text for text in texts if "without mass" in text]
-    assert texts[weightless] == ["panda_link8", "panda_grasptarget"]
-    assert any("friction" in text for text in texts)
-    assert [names for text, names in texts.items() if "mimics" in text] == [
-        ["panda_finger_joint2"]
-    ]
-    assert said["joints"]["panda_joint7"]["largest_inertia"] > 0.3
-
-    assert main(["robot", str(EXPERIMENTS / "panda.yaml"), "--poses", "2", "--json"]) == 0
-    better = json.loads(capsys.readouterr().out)
-    assert better["remarks"] == []
-    assert better["joints"]["panda_joint7"]["inertia"] == pytest.approx(0.2122, rel=1e-3)
-
-
-@needs_bullet
-def test_hpid_robot_saves_a_robot_that_loads_from_anywhere(tmp_path: Path, capsys):
-    saved = tmp_path / "arm.urdf"
-    file = str(EXPERIMENTS / "iiwa.yaml")
-    assert main(["robot", file, "--poses", "1", "--save", str(saved)]) == 0
-    assert main(["robot", file, "--poses", "1", "--save", str(saved)]) == 2
-    assert "exists" in capsys.readouterr().err
-    before = saved.read_bytes()
-    assert main(["robot", str(saved), "--poses", "1", "--save", str(saved), "--force"]) == 2
-    assert "is an input" in capsys.readouterr().err
-    assert saved.read_bytes() == before
-    description = RobotDescription.load(saved)
-    assert description.joints["lbr_iiwa_joint_6"].gear_ratio == 160.0
-    with World(WorldSettings(saved, tuple(description.joints), fixed_base=True)) as world:
-        world.step((0.0,) * 7)
-
-
-@pytest.mark.parametrize(
-    ("urdf", "says"),
-    [
-        ("<robot", "not readable XML"),
-        (box("none.obj"), "mass matrix of 'box' cannot be inverted"),
-    ],
-)
-def test_hpid_robot_refuses_in_one_line(urdf: str, says: str, tmp_path: Path, capsys):
-    path = tmp_path / "bad.urdf"
-    path.write_text(urdf)
-    assert main(["robot", str(path)]) == 2
-    error = capsys.readouterr().err
-    assert says in error
-    assert error.count("\n") == 1
+# --- what commands make of them
 
 
 @needs_bullet

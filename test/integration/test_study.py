@@ -2,17 +2,14 @@
 
 import csv
 import importlib.util
-import json
 import re
-import sys
 from dataclasses import replace
 
 import pytest
 import yaml
-from harness.engines import needs_bullet, shipped
+from harness.engines import shipped
 from harness.places import ROOT
-from hypothesis import given
-from hypothesis import strategies as st
+from harness.studies import ARM, saved, study
 
 from hpid_ros.analysis.quantities import INDICES
 from hpid_ros.base.errors import RunError
@@ -25,44 +22,22 @@ from hpid_ros.experiment.progress import NoProgress
 from hpid_ros.experiment.result.result import compute
 from hpid_ros.studies import batch
 from hpid_ros.studies.batch import LAST_ERROR, JudgedTask, WorldKeeper, simulate, simulated_indices
-from hpid_ros.studies.claims import CLAIMS, NUMERIC_CLAIMS, ClaimVerdict, Evidence, verdict
 from hpid_ros.studies.study_plan import (
     default_files,
-    is_robot_installed,
     plan_study,
     read_journal,
 )
 
-ARM = ["arm_joint_1", "arm_joint_2", "arm_joint_3"]
 EXPERIMENTS = share_folder() / "config" / "experiments"
 
 
-@pytest.fixture
-def files(experiment_file):
-    """Return two experiments of a twentieth of a second."""
-    judge = {"joints": ARM}
-    return [
-        experiment_file("a.yaml", duration=0.05, name="calm", judge=judge),
-        experiment_file("b.yaml", duration=0.05, name="noisy", sensors__noise=1e-3, judge={}),
-    ]
-
-
-def study(files, folder, *options, seeds=2, jobs=1):
-    arguments = [*map(str, files), "--seeds", str(seeds), "--jobs", str(jobs), "-o", str(folder)]
-    return main(["study", *arguments, *map(str, options)])
-
-
-def saved(folder):
-    return json.loads((folder / "study.json").read_text())
-
-
-def test_the_numbers_are_those_of_the_comparison(files, tmp_path):
-    experiment = load_experiment(files[1])
+def test_the_numbers_are_those_of_the_comparison(study_files, tmp_path):
+    experiment = load_experiment(study_files[1])
     bags = {label: tmp_path / label for label in experiment.controllers}
     for label, bag in bags.items():
         run_without_ros(experiment, label, bag, NoProgress())
     compared = compute(experiment, bags).comparison
-    assert study(files[1:], tmp_path / "s", seeds=1) == DONE
+    assert study(study_files[1:], tmp_path / "s", seeds=1) == DONE
     rows = list(csv.DictReader((tmp_path / "s" / "runs.csv").open()))
     for run in compared.runs:
         for joint in (None, *run.joints):
@@ -80,21 +55,21 @@ def test_the_numbers_are_those_of_the_comparison(files, tmp_path):
         assert ratios[quantity.key]["median"] == wanted
 
 
-def test_only_judged_joints_count(files, tmp_path):
-    assert study(files, tmp_path / "s", seeds=1) == DONE
+def test_only_judged_joints_count(study_files, tmp_path):
+    assert study(study_files, tmp_path / "s", seeds=1) == DONE
     rows = list(csv.DictReader((tmp_path / "s" / "runs.csv").open()))
     own = [row for row in rows if row["experiment"] == "calm" and row["controller"] == "PID"]
     assert [row["joint"] for row in own] == [*ARM, "all"]
     total = sum(float(row["ivc"]) for row in own[:-1])
     assert float(own[-1]["ivc"]) == pytest.approx(total, rel=1e-12)
-    assert study(files, tmp_path / "one", "--joint", "arm_joint_2", seeds=1) == DONE
+    assert study(study_files, tmp_path / "one", "--joint", "arm_joint_2", seeds=1) == DONE
     assert {each["joints"][0] for each in saved(tmp_path / "one")["experiments"].values()} == {
         "arm_joint_2"
     }
 
 
-def test_the_last_second_is_the_last_second(files):
-    experiment = load_experiment(files[0])
+def test_the_last_second_is_the_last_second(study_files):
+    experiment = load_experiment(study_files[0])
     task = replace(JudgedTask.of(experiment, "PID"), periods=1500, joints=("arm_joint_1",))
     with WorldKeeper() as keeper:
         found = simulated_indices(task, keeper)
@@ -151,14 +126,14 @@ def test_every_variant_is_another_experiment_but_for_one_thing(name):
         assert after.gains == before.gains
 
 
-def test_what_is_saved_depends_on_the_plan_alone(files, tmp_path, capsys):
-    assert study(files, tmp_path / "one", jobs=1) == DONE
+def test_what_is_saved_depends_on_the_plan_alone(study_files, tmp_path, capsys):
+    assert study(study_files, tmp_path / "one", jobs=1) == DONE
     out, err = capsys.readouterr()
     assert out == (tmp_path / "one" / "tables.txt").read_text()
     assert err == f"result: {tmp_path / 'one'}\n"
     totals = csv.DictReader((tmp_path / "one" / "runs.csv").open())
     assert len({row["ivc"] for row in totals if row["joint"] == "all"}) == 8  # every seed counts
-    assert study(files, tmp_path / "many", "--table", "docs", jobs=3) == DONE
+    assert study(study_files, tmp_path / "many", "--table", "docs", jobs=3) == DONE
     assert capsys.readouterr().out == (tmp_path / "one" / "tables.md").read_text()
     names = {"runs.csv", "runs.jsonl", "study.json", "tables.md", "tables.txt", "experiments"}
     names.add("hpid_result.json")
@@ -166,59 +141,46 @@ def test_what_is_saved_depends_on_the_plan_alone(files, tmp_path, capsys):
     for name in sorted(names - {"experiments"}):
         one, many = (tmp_path / folder / name for folder in ("one", "many"))
         assert one.read_bytes() == many.read_bytes(), name
-    for entry in files:
+    for entry in study_files:
         experiment = load_experiment(entry)
         copy = load_experiment(tmp_path / "one" / "experiments" / f"{experiment.name}.yaml")
         assert copy.digest == experiment.digest
 
 
-@pytest.fixture
-def ran(monkeypatch):
-    """Return the labels of the runs that are made from now on, in this process."""
-    labels = []
-
-    def watched(task, keeper):
-        labels.append(task.label)
-        return simulated_indices(task, keeper)
-
-    monkeypatch.setattr(batch, "simulated_indices", watched)
-    return labels
-
-
-def test_a_study_is_carried_on_where_it_was_left(files, tmp_path, ran):
+def test_a_study_is_carried_on_where_it_was_left(study_files, tmp_path, study_runs):
     folder = tmp_path / "s"
-    assert study(files, folder) == DONE
+    assert study(study_files, folder) == DONE
     whole = {each.name: each.read_bytes() for each in folder.iterdir() if each.is_file()}
-    assert len(ran) == 8
+    assert len(study_runs) == 8
     journal = folder / "runs.jsonl"
     lines = journal.read_text().splitlines(keepends=True)
     journal.write_text("".join(lines[:3] + lines[5:]) + lines[3][:100])  # cut off while writing
-    ran.clear()
-    assert study(files, folder, "--resume") == DONE
-    assert len(ran) == 2
+    study_runs.clear()
+    assert study(study_files, folder, "--resume") == DONE
+    assert len(study_runs) == 2
     assert {each.name: each.read_bytes() for each in folder.iterdir() if each.is_file()} == whole
-    ran.clear()
-    assert study(files, folder, "--resume", seeds=3) == DONE
-    assert len(ran) == 4
+    study_runs.clear()
+    assert study(study_files, folder, "--resume", seeds=3) == DONE
+    assert len(study_runs) == 4
 
 
-def test_only_what_still_holds_is_kept(files, tmp_path, ran):
+def test_only_what_still_holds_is_kept(study_files, tmp_path, study_runs):
     folder = tmp_path / "s"
-    assert study(files, folder) == DONE
-    ran.clear()
-    document = yaml.safe_load(files[0].read_text())
+    assert study(study_files, folder) == DONE
+    study_runs.clear()
+    document = yaml.safe_load(study_files[0].read_text())
     document["compare"]["hPID"]["mu"] = 0.1
-    files[0].write_text(yaml.safe_dump(document))
-    assert study(files, folder, "--resume") == DONE
-    assert {label.split()[0] for label in ran} == {"calm"}
-    ran.clear()
-    assert study(files, folder, "--resume", "--joint", "arm_joint_2") == DONE
-    assert len(ran) == 8
+    study_files[0].write_text(yaml.safe_dump(document))
+    assert study(study_files, folder, "--resume") == DONE
+    assert {label.split()[0] for label in study_runs} == {"calm"}
+    study_runs.clear()
+    assert study(study_files, folder, "--resume", "--joint", "arm_joint_2") == DONE
+    assert len(study_runs) == 8
 
 
-def test_a_damaged_journal_is_not_carried_on(files, tmp_path):
+def test_a_damaged_journal_is_not_carried_on(study_files, tmp_path):
     folder = tmp_path / "s"
-    assert study(files[:1], folder) == DONE
+    assert study(study_files[:1], folder) == DONE
     lines = (folder / "runs.jsonl").read_text().splitlines(keepends=True)
     (folder / "runs.jsonl").write_text("".join(["{}\n", *lines]))
     with pytest.raises(RunError, match="line 1 is damaged"):
@@ -226,7 +188,7 @@ def test_a_damaged_journal_is_not_carried_on(files, tmp_path):
 
 
 def test_a_failed_run_is_named_and_made_again_when_carried_on(
-    files, tmp_path, capsys, monkeypatch
+    study_files, tmp_path, capsys, monkeypatch
 ):
     def fragile(task, keeper):
         if task.label == "calm hPID seed=2":
@@ -235,21 +197,21 @@ def test_a_failed_run_is_named_and_made_again_when_carried_on(
 
     with monkeypatch.context() as patched:
         patched.setattr(batch, "simulated_indices", fragile)
-        assert study(files[:1], tmp_path / "s") == FAILED
+        assert study(study_files[:1], tmp_path / "s") == FAILED
     assert "1 of 2 runs failed: ZeroDivisionError: by zero" in capsys.readouterr().out
     assert saved(tmp_path / "s")["runs"] == {"planned": 4, "made": 4, "failed": 1}
-    assert study(files[:1], tmp_path / "s", "--resume") == DONE
+    assert study(study_files[:1], tmp_path / "s", "--resume") == DONE
     assert saved(tmp_path / "s")["runs"]["failed"] == 0
 
 
-def test_an_interrupt_leaves_what_was_run(files, tmp_path, capsys, monkeypatch):
+def test_an_interrupt_leaves_what_was_run(study_files, tmp_path, capsys, monkeypatch):
     def interrupted(task, keeper):
         if task.label == "calm hPID seed=2":
             raise KeyboardInterrupt
         return simulated_indices(task, keeper)
 
     monkeypatch.setattr(batch, "simulated_indices", interrupted)
-    assert study(files, tmp_path / "s") == 130
+    assert study(study_files, tmp_path / "s") == 130
     assert f"what was run: {tmp_path / 's'}" in capsys.readouterr().err
     assert saved(tmp_path / "s")["runs"]["made"] == 3
     assert "were not made" in (tmp_path / "s" / "tables.txt").read_text()
@@ -265,9 +227,9 @@ def test_an_interrupt_leaves_what_was_run(files, tmp_path, capsys, monkeypatch):
         (["nowhere.yaml"], "cannot read nowhere.yaml"),
     ],
 )
-def test_bad_input_is_one_line(files, tmp_path, monkeypatch, capsys, options, words):
+def test_bad_input_is_one_line(study_files, tmp_path, monkeypatch, capsys, options, words):
     monkeypatch.chdir(tmp_path)
-    assert main(["study", str(files[0]), *options]) == BAD_INPUT
+    assert main(["study", str(study_files[0]), *options]) == BAD_INPUT
     out, err = capsys.readouterr()
     assert out == ""
     assert words in err
@@ -275,79 +237,21 @@ def test_bad_input_is_one_line(files, tmp_path, monkeypatch, capsys, options, wo
     assert not (tmp_path / "results").exists()
 
 
-def test_nothing_is_overwritten_and_names_are_unlike(files, tmp_path, capsys):
-    assert study([files[0], files[0]], tmp_path / "s") == BAD_INPUT
+def test_nothing_is_overwritten_and_names_are_unlike(study_files, tmp_path, capsys):
+    assert study([study_files[0], study_files[0]], tmp_path / "s") == BAD_INPUT
     assert "two experiments are called 'calm'" in capsys.readouterr().err
     (tmp_path / "s").mkdir()
     (tmp_path / "s" / "mine.txt").write_text("mine")
-    assert study(files[:1], tmp_path / "s") == BAD_INPUT
-    assert study(files[:1], tmp_path / "s", "--force") == BAD_INPUT
-    assert study(files[:1], tmp_path / "s", "--resume") == BAD_INPUT
+    assert study(study_files[:1], tmp_path / "s") == BAD_INPUT
+    assert study(study_files[:1], tmp_path / "s", "--force") == BAD_INPUT
+    assert study(study_files[:1], tmp_path / "s", "--resume") == BAD_INPUT
     assert (tmp_path / "s" / "mine.txt").exists()
     # A journal that somebody else wrote, or an earlier version: not ours to write over.
     (tmp_path / "s" / "runs.jsonl").write_text("mine")
     capsys.readouterr()
-    assert study(files[:1], tmp_path / "s", "--resume") == BAD_INPUT
+    assert study(study_files[:1], tmp_path / "s", "--resume") == BAD_INPUT
     assert "has no hpid_result.json" in capsys.readouterr().err
     assert (tmp_path / "s" / "runs.jsonl").read_text() == "mine"
-
-
-def evidence(ivc=0.5, iavc=0.7, effort=0.7, itae=0.9, error=1.0, better=6, of=6, **more):
-    ratios = {"ivc": ivc, "iavc": iavc, "effort_l2": effort, "itae": itae, "error_l2": error}
-    joints = {f"j{k}": 0.9 if k < better else 1.1 for k in range(of)}
-    return Evidence({**ratios, **more}, joints)
-
-
-def claim(key):
-    return next(each for each in CLAIMS if each.key == key)
-
-
-@pytest.mark.parametrize(
-    ("key", "changes"),
-    [
-        ("ivc", {"ivc": 0.576}),
-        ("iavc", {"iavc": 0.791}),
-        ("effort_l2", {"effort": 0.778}),
-        ("itae", {"itae": 0.948}),
-        ("error_l2", {"error": 1.051}),
-        ("joints", {"better": 3}),
-    ],
-)
-def test_each_number_of_the_paper_is_a_claim_of_its_own(key, changes):
-    limits = evidence(0.575, 0.79, 0.777, 0.947, 1.05, 4)
-    assert all(each.holds(limits) for each in NUMERIC_CLAIMS)
-    assert claim("together").holds(limits)
-    missed = evidence(**changes)
-    assert [each.key for each in NUMERIC_CLAIMS if not each.holds(missed)] == [key]
-    assert not claim("together").holds(missed)
-    assert claim("together").figure(missed) == "5 of 6"
-
-
-def test_words_are_held_to_what_they_are_taken_to_mean():
-    assert not claim("smoother").holds(evidence(ivc=1.0))
-    assert not claim("less_effort").holds(evidence(effort=1.01))
-    assert claim("accuracy").holds(evidence(itae=1.04))
-    assert not claim("accuracy").holds(evidence(itae=1.06))
-    assert claim("overshoot").holds(evidence()) is None
-    assert claim("overshoot").holds(evidence(overshoot=0.9))
-    assert not claim("overshoot").holds(evidence(overshoot=1.1))
-
-
-@given(st.integers(1, 60))
-def test_enough_joints_are_as_many_as_four_of_six(joints):
-    wanted = evidence(of=joints).joints_wanted
-    assert 6 * wanted >= 4 * joints > 6 * (wanted - 1)
-
-
-def test_a_verdict_names_where_a_claim_holds():
-    good, bad = evidence(), evidence(ivc=0.9)
-    each = claim("ivc")
-    assert verdict(each, {"a": good, "b": good}) == (ClaimVerdict.HOLDS, ("a", "b"))
-    assert verdict(each, {"a": good, "b": bad}) == (ClaimVerdict.HOLDS_WHEN, ("a",))
-    assert verdict(each, {"b": bad}) == (ClaimVerdict.DOES_NOT_HOLD, ())
-    assert verdict(claim("overshoot"), {"a": good}) == (ClaimVerdict.UNKNOWN, ())
-    with_steps = {"a": good, "b": evidence(overshoot=0.5)}
-    assert verdict(claim("overshoot"), with_steps) == (ClaimVerdict.HOLDS, ("b",))
 
 
 def test_claims_are_of_the_homogeneous_law_with_the_same_gains(experiment_file, tmp_path):
@@ -377,8 +281,8 @@ def test_loops_that_are_not_certified_are_named(experiment_file, tmp_path, monke
         assert each["refusals"] == {"arm_joint_1": "its inertia is not known"}
 
 
-def test_tables_for_the_docs_are_tables(files, tmp_path):
-    assert study(files, tmp_path / "s", seeds=1) == DONE
+def test_tables_for_the_docs_are_tables(study_files, tmp_path):
+    assert study(study_files, tmp_path / "s", seeds=1) == DONE
     text = (tmp_path / "s" / "tables.md").read_text()
     blocks = re.findall(r"<!-- begin (.*?) -->\n(.*?)<!-- end \1 -->\n", text, re.S)
     keys = [name for name, _ in blocks]
@@ -401,10 +305,12 @@ def draw_results():
     return module
 
 
-def test_a_page_is_written_only_between_its_marks(files, tmp_path, draw_results, monkeypatch):
-    assert study(files, tmp_path / "s", seeds=1) == DONE
+def test_a_page_is_written_only_between_its_marks(
+    study_files, tmp_path, draw_results, monkeypatch
+):
+    assert study(study_files, tmp_path / "s", seeds=1) == DONE
     options = ["--law", "pid", "--evaluations", "10", "--seeds", "1", "-j", "1"]
-    assert main(["tune", str(files[0]), *options, "-o", str(tmp_path / "t")]) == DONE
+    assert main(["tune", str(study_files[0]), *options, "-o", str(tmp_path / "t")]) == DONE
     page = tmp_path / "docs" / "results.md"
     page.parent.mkdir()
     words = "# Mine\n\nwords\n\n{}\nmore\n\n<!-- begin other -->\nstays\n<!-- end other -->\n"
@@ -424,131 +330,3 @@ def test_a_page_is_written_only_between_its_marks(files, tmp_path, draw_results,
     assert "| calm | best PID |" in made
     for name in re.findall(r"\]\((.*?)\)", made):
         assert (page.parent / name).is_file()
-
-
-def runs_of(folder):
-    """Return the numbers of every run and joint in runs.csv, by all that names it."""
-    names = ("experiment", "engine", "controller", "seed", "joint")
-    with (folder / "runs.csv").open() as file:
-        return {tuple(row.pop(name) for name in names): row for row in csv.DictReader(file)}
-
-
-@needs_bullet
-def test_both_engines_give_what_each_gives_alone_and_their_distance(files, tmp_path, capsys):
-    both = tmp_path / "both"
-    assert study(files, both, "--engine", "both") == DONE
-    printed = capsys.readouterr().out
-    assert "How far MuJoCo's totals lie from PyBullet's" in printed
-    alone = {}
-    for engine in ("pybullet", "mujoco"):
-        assert study(files, tmp_path / engine, "--engine", engine) == DONE
-        alone |= runs_of(tmp_path / engine)
-        assert not (tmp_path / engine / "engines.csv").exists()
-        assert "engines" not in saved(tmp_path / engine)
-    runs = runs_of(both)
-    assert runs == alone
-    totals = {key: row for key, row in runs.items() if key[-1] == "all"}
-    with (both / "engines.csv").open() as file:
-        rows = list(csv.DictReader(file))
-    found = set()
-    for row in rows:
-        name = (row["experiment"], row["controller"], row["seed"])
-        bullet, mujoco = (
-            totals[(name[0], engine, *name[1:], "all")][row["quantity"]]
-            for engine in ("pybullet", "mujoco")
-        )
-        assert (row["pybullet"], row["mujoco"]) == (bullet, mujoco)
-        assert float(row["distance"]) == float(mujoco) / float(bullet) - 1.0
-        found.add((*name, row["quantity"]))
-    assert found >= {
-        (experiment, controller, seed, each.key)
-        for experiment, _, controller, seed, _ in totals
-        for each in INDICES
-    }
-    assert any(float(row["distance"]) for row in rows)
-    document = saved(both)
-    assert set(document["experiments"]) == {
-        f"{name} ({engine})" for name in ("calm", "noisy") for engine in ("pybullet", "mujoco")
-    }
-    (ratio,) = [
-        each["ratios"]["ivc"]["median"]
-        for name, entry in document["experiments"].items()
-        for label, each in entry["controllers"].items()
-        if (name, label) == ("noisy (mujoco)", "hPID")
-    ]
-    of_engines = document["engines"]["noisy"]["hPID"]["ivc"]
-    assert of_engines["ratios"]["mujoco"] == pytest.approx(ratio, rel=1e-12)
-    # A claim holds only if it does in both.
-    assert set(document["claims"]["hPID"][0]["figures"]) == set(document["experiments"])
-    assert {each.name for each in (both / "experiments").iterdir()} == {"calm.yaml", "noisy.yaml"}
-
-
-@needs_bullet
-def test_a_study_of_both_engines_is_carried_on_where_it_was_left(files, tmp_path, ran):
-    folder = tmp_path / "s"
-    assert study(files, folder, "--engine", "both") == DONE
-    whole = {each.name: each.read_bytes() for each in folder.iterdir() if each.is_file()}
-    assert len(ran) == 16
-    lines = (folder / "runs.jsonl").read_text().splitlines(keepends=True)
-    (folder / "runs.jsonl").write_text("".join(lines[:5] + lines[8:]) + lines[6][:99])
-    ran.clear()
-    assert study(files, folder, "--engine", "both", "--resume") == DONE
-    assert len(ran) == 3
-    assert {each.name: each.read_bytes() for each in folder.iterdir() if each.is_file()} == whole
-
-
-@needs_bullet
-def test_the_other_engine_can_be_added_to_a_study(files, tmp_path, ran):
-    folder = tmp_path / "s"
-    assert study(files, folder, "--engine", "mujoco") == DONE
-    ran.clear()
-    assert study(files, folder, "--engine", "both", "--resume") == DONE
-    assert len(ran) == 8
-    assert all("(pybullet)" in label for label in ran)
-
-
-@needs_bullet
-def test_a_journal_of_before_there_were_two_engines_is_carried_on(files, tmp_path, ran):
-    folder = tmp_path / "s"
-    assert study(files[:1], folder, "--engine", "pybullet") == DONE
-    journal = folder / "runs.jsonl"
-    records = [json.loads(line) for line in journal.read_text().splitlines()]
-    assert {each.pop("engine") for each in records} == {"pybullet"}
-    journal.write_text("".join(json.dumps(each) + "\n" for each in records))
-    ran.clear()
-    assert study(files[:1], folder, "--engine", "pybullet", "--resume") == DONE
-    assert not ran
-
-
-@pytest.mark.parametrize("engine", ["pybullet", "mujoco"])
-def test_an_engine_that_is_not_installed_is_one_line_before_anything_runs(
-    files, tmp_path, monkeypatch, capsys, engine
-):
-    monkeypatch.setitem(sys.modules, engine, None)  # as if it were not
-    for wanted, named in ((engine, engine), ("both", "")):
-        assert study(files, tmp_path / "s", "--engine", wanted) == BAD_INPUT
-        (line,) = capsys.readouterr().err.splitlines()
-        assert line.startswith(f"hpid: engine {named}")
-        assert "is not installed: pip install" in line
-        assert not (tmp_path / "s").exists()
-
-
-def test_an_unknown_engine_is_one_line_that_names_those_that_there_are(files, tmp_path, capsys):
-    assert study(files, tmp_path / "s", "--engine", "bullet") == BAD_INPUT
-    (line,) = capsys.readouterr().err.splitlines()
-    assert "unknown engine 'bullet'" in line
-    assert "pybullet" in line
-    assert "mujoco" in line
-    assert "both" in line
-
-
-def test_robots_that_are_not_installed_are_named_and_left_out(monkeypatch, capsys):
-    from hpid_ros.cli.commands.study import _shipped_files
-
-    monkeypatch.setitem(sys.modules, "pybullet_data", None)
-    names = [file.stem for file in _shipped_files()]
-    assert "paper" in names
-    assert not {"iiwa", "panda"} & set(names)
-    (line,) = capsys.readouterr().err.splitlines()
-    assert line.endswith("iiwa, panda")
-    assert all(is_robot_installed(EXPERIMENTS / f"{name}.yaml") for name in names)

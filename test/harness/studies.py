@@ -1,0 +1,18 @@
+"""Studies of two short experiments, as a user runs them."""
+
+import json
+
+from hpid_ros.cli.main import main
+
+ARM = ["arm_joint_1", "arm_joint_2", "arm_joint_3"]
+
+
+def study(files, folder, *options, seeds=2, jobs=1):
+    """Run ``hpid study`` and return its exit code."""
+    arguments = [*map(str, files), "--seeds", str(seeds), "--jobs", str(jobs), "-o", str(folder)]
+    return main(["study", *arguments, *map(str, options)])
+
+
+def saved(folder):
+    """Return what a study found."""
+    return json.loads((folder / "study.json").read_text())

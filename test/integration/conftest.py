@@ -1,0 +1,29 @@
+"""Fixtures of studies: two experiments, and which runs are made of them."""
+
+import pytest
+from harness.studies import ARM
+
+from hpid_ros.studies import batch
+from hpid_ros.studies.batch import simulated_indices
+
+
+@pytest.fixture
+def study_files(experiment_file):
+    """Return two experiments of a twentieth of a second."""
+    return [
+        experiment_file("a.yaml", duration=0.05, name="calm", judge={"joints": ARM}),
+        experiment_file("b.yaml", duration=0.05, name="noisy", sensors__noise=1e-3, judge={}),
+    ]
+
+
+@pytest.fixture
+def study_runs(monkeypatch):
+    """Return the labels of the runs that are made from now on, in this process."""
+    labels = []
+
+    def watched(task, keeper):
+        labels.append(task.label)
+        return simulated_indices(task, keeper)
+
+    monkeypatch.setattr(batch, "simulated_indices", watched)
+    return labels
