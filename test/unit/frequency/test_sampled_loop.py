@@ -43,12 +43,12 @@ def continuous(joint):
     )
 
 
-def moved(joint, state, effort, time):
-    """Return the joint's state after a constant effort, by the matrix exponential."""
+def carried(joint, time):
+    """Return what carries position, velocity and a constant effort over a time: (2, 3), exact."""
     system, gain = continuous(joint)
     block = np.zeros((3, 3))
     block[:2, :2], block[:2, 2:] = system * time, gain * time
-    return (expm(block) @ np.array([*state, effort]))[:2]
+    return expm(block)[:2]
 
 
 def run_loop(settings, joint, start, samples):
@@ -57,6 +57,7 @@ def run_loop(settings, joint, start, samples):
     loop.follow(Setpoint(0.0))
     whole = math.floor(joint.delay / joint.period)
     late = joint.delay - whole * joint.period
+    older, newer = carried(joint, late), carried(joint, joint.period - late)
     efforts = [0.0] * (whole + 2)
     # Its first sample stands at the target; it begins after it, as the linear loop does.
     loop.step(1_000_000, 0.0, 0.0)
@@ -65,8 +66,8 @@ def run_loop(settings, joint, start, samples):
         stamp_ns = round((k + 2) * joint.period * 1e9)
         efforts.insert(0, loop.step(stamp_ns, float(state[0]), float(state[1])))
         positions.append(float(state[0]))
-        state = moved(joint, state, efforts[whole + 1], late)
-        state = moved(joint, state, efforts[whole], joint.period - late)
+        state = older @ [*state, efforts[whole + 1]]
+        state = newer @ [*state, efforts[whole]]
     return positions, efforts[:samples][::-1]
 
 
