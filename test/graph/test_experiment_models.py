@@ -11,7 +11,7 @@ import yaml
 from hpid_ros.base.errors import ExperimentError, HpidError
 from hpid_ros.experiment.description import load_experiment
 from hpid_ros.experiment.parameter_files import write_document, write_run_files
-from hpid_ros.nodes.parts.bridge.world_parameters import read_world_file
+from hpid_ros.nodes.parts.bridge.parameters import read_world_file
 from hpid_ros.simulation.drives import Motor, Pwm
 from hpid_ros.simulation.sensors import Homing
 from hpid_ros.simulation.world.disturbances import Disturbances, PayloadChange, WrenchPulse

@@ -11,11 +11,10 @@ from sensor_msgs.msg import JointState
 from hpid_ros.base.errors import MessageError
 from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.nodes.parts.bridge.commanders import Commanders, HeldCommands
-from hpid_ros.nodes.parts.bridge.pace import BridgeTiming, read_pace
-from hpid_ros.nodes.parts.bridge.reports import BridgeReports
+from hpid_ros.nodes.parts.bridge.parameters import read_pace, read_world_file
+from hpid_ros.nodes.parts.bridge.reports import BridgeReports, BridgeTiming
 from hpid_ros.nodes.parts.bridge.services import BridgeServices
 from hpid_ros.nodes.parts.bridge.standard_services import offer_standard_services
-from hpid_ros.nodes.parts.bridge.world_parameters import read_world_file
 from hpid_ros.nodes.ros import executor
 from hpid_ros.nodes.ros.middleware import ALL_COMMANDS, OFFERED, overridable, subscribe_raw
 from hpid_ros.nodes.ros.parameters import read_only
