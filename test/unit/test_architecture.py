@@ -103,8 +103,9 @@ def test_the_page_on_architecture_says_what_each_room_may_import():
     }
 
 
+@functools.cache
 def modules():
-    return sorted(ROOT.rglob("*.py"))
+    return tuple(sorted(ROOT.rglob("*.py")))
 
 
 @functools.cache
@@ -117,40 +118,55 @@ def room(path):
     return parts[0] if len(parts) > 1 else None
 
 
+@functools.cache
 def imports(path):
-    """Yield the dotted names that a file imports."""
+    """Return the dotted names that a file imports."""
+    names = []
     for node in ast.walk(parsed(path)):
         if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
+            names += [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"{path}: relative import"
-            yield node.module
+            names.append(node.module)
             if node.module.split(".")[0] == "hpid_ros":
-                yield from (f"{node.module}.{alias.name}" for alias in node.names)
+                names += [f"{node.module}.{alias.name}" for alias in node.names]
+    return tuple(names)
 
 
-@pytest.mark.parametrize("path", modules(), ids=lambda path: str(path.relative_to(ROOT)))
-def test_imports_point_inward(path):
-    here = room(path)
-    for name in imports(path):
-        top, *rest = name.split(".")
-        if top != "hpid_ros":
-            assert here in ONLY_IN.get(top, {here}), f"{name} belongs into {ONLY_IN[top]}"
-            continue
-        target = rest[0] if rest else None
-        if here is None or target in (None, here, "base", "__version__"):
-            continue
-        assert target in ALLOWED[here], f"{here} must not import {name}"
+ROOMS = sorted({room(path) or "" for path in modules()})  # the house itself: ""
 
 
-@pytest.mark.parametrize("path", [p for p in modules() if room(p) in PURE], ids=str)
-def test_the_pure_core_needs_no_library_but_numpy_and_scipy(path):
-    names = set(imports(path))
-    foreign = {name.split(".")[0] for name in names} - sys.stdlib_module_names
-    assert foreign <= {"hpid_ros"} | PURE_LIBRARIES
+def modules_of(name):
+    return [path for path in modules() if (room(path) or "") == name]
+
+
+@pytest.mark.parametrize("name", ROOMS)
+def test_imports_point_inward(name):
+    for path in modules_of(name):
+        wrong = [each for each in imports(path) if not is_allowed(each, room(path))]
+        assert not wrong, f"{path.relative_to(ROOT)} must not import {', '.join(wrong)}"
+
+
+def is_allowed(name, here):
+    """Tell whether a room may import a name: a library, or what is of another room."""
+    top, *rest = name.split(".")
+    if top != "hpid_ros":
+        return here in ONLY_IN.get(top, {here})
+    target = rest[0] if rest else None
+    if here is None or target in (None, here, "base", "__version__"):
+        return True
+    return target in ALLOWED[here]
+
+
+@pytest.mark.parametrize("name", sorted(PURE))
+def test_the_pure_core_needs_no_library_but_numpy_and_scipy(name):
     clocks = {"time", "datetime", "os", "pathlib", "io", "socket", "threading"}
-    assert not clocks & {name.split(".")[0] for name in names}
-    assert not names & SHELL
+    for path in modules_of(name):
+        names = set(imports(path))
+        tops = {each.split(".")[0] for each in names}
+        assert tops - sys.stdlib_module_names <= {"hpid_ros"} | PURE_LIBRARIES, path
+        assert not clocks & tops, path
+        assert not names & SHELL, path
 
 
 def test_there_is_no_circle():
@@ -283,13 +299,14 @@ def known_classes():
     return classes(*(parsed(path) for path in modules()))
 
 
-@pytest.mark.parametrize("path", modules(), ids=lambda path: str(path.relative_to(ROOT)))
-def test_what_others_keep_to_themselves_is_used_in_one_module_for_each(path, known_classes):
-    if str(path.relative_to(ROOT)) in INTERNALS:
-        return
-    assert list(foreign_privates(parsed(path), known_classes)) == []
-    of_rosbags = {name for name in imports(path) if name.split(".")[0] == "rosbags"}
-    assert of_rosbags <= DOCUMENTED_BY_ROSBAGS
+@pytest.mark.parametrize("name", ROOMS)
+def test_what_others_keep_to_themselves_is_used_in_one_module_for_each(name, known_classes):
+    for path in modules_of(name):
+        if str(path.relative_to(ROOT)) in INTERNALS:
+            continue
+        assert list(foreign_privates(parsed(path), known_classes)) == [], path
+        of_rosbags = {each for each in imports(path) if each.split(".")[0] == "rosbags"}
+        assert of_rosbags <= DOCUMENTED_BY_ROSBAGS, path
 
 
 @pytest.mark.parametrize(
@@ -327,6 +344,12 @@ def test_an_own_private_name_is_no_foreign_one(text):
     assert list(foreign_privates(tree, classes(tree))) == []
 
 
+@functools.cache
+def bound_by_foreign(base):
+    """Return the private names that a class of a library makes."""
+    return bound(ast.parse(textwrap.dedent(inspect.getsource(base))))
+
+
 def test_no_own_private_name_hides_one_of_a_foreign_base():
     """Else the base would read ours: rclpy's nodes alone have dozens of such names."""
     checked = 0
@@ -337,8 +360,7 @@ def test_no_own_private_name_hides_one_of_a_foreign_base():
         for node in classes(parsed(path)):
             for base in getattr(module, node.name).__mro__:
                 if base.__module__.split(".")[0] in ("rclpy", "rosbags"):
-                    source = textwrap.dedent(inspect.getsource(base))
-                    hidden = bound(node) & bound(ast.parse(source))
+                    hidden = bound(node) & bound_by_foreign(base)
                     assert not hidden, f"{node.name} hides {hidden} of {base}"
                     checked += 1
     assert checked > 5
