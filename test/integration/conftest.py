@@ -1,10 +1,17 @@
-"""Fixtures of studies: two experiments, and which runs are made of them."""
+"""Fixtures of sweeps and studies: short experiments, and which runs are made of them."""
 
 import pytest
 from harness.studies import ARM
 
+from hpid_ros.experiment.description import load_experiment
 from hpid_ros.studies import batch
 from hpid_ros.studies.batch import simulated_indices
+
+
+@pytest.fixture
+def experiment(experiment_file):
+    """Return the paper's experiment, a tenth of a second long."""
+    return load_experiment(experiment_file(duration=0.1))
 
 
 @pytest.fixture
