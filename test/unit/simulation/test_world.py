@@ -2,15 +2,10 @@
 
 from __future__ import annotations
 
-import hashlib
 import logging
 import math
-import platform
 import re
-import subprocess
-import sys
 from collections.abc import Callable
-from importlib.metadata import version
 from itertools import pairwise
 from pathlib import Path
 
@@ -18,9 +13,8 @@ import numpy as np
 import pinocchio
 import pytest
 from harness.engines import HAS_BULLET, needs_bullet
-from harness.places import ROOT
+from harness.worlds import FLYER, HOME, JOINTS, MILLISECOND, START, URDF, WHEELS, settings
 
-from hpid_ros.base.errors import RobotDescriptionError, SettingError
 from hpid_ros.base.resources import find_resource
 from hpid_ros.robot import RobotDescription
 from hpid_ros.robot.dynamics import Dynamics
@@ -29,19 +23,7 @@ from hpid_ros.simulation import Twist, World, WorldSettings
 if HAS_BULLET:
     from hpid_ros.simulation.bullet.model import bullet_urdf, geared, rotor_name
 
-URDF = ROOT / "urdf" / "mobile_manipulator.urdf"
-WHEELS = ("wheel_left_joint", "wheel_right_joint")
-ARM = tuple(f"arm_joint_{number}" for number in range(1, 7))
-JOINTS = WHEELS + ARM
-HOME = {"arm_joint_2": -0.5, "arm_joint_3": 1.8, "arm_joint_5": 1.2}
 PERIOD = 1e-3  # [s]
-MILLISECOND = 1_000_000  # [ns]
-
-
-def settings(**changes: object) -> WorldSettings:
-    """Return settings of the mobile manipulator at home."""
-    defaults = {"robot_description": URDF, "joints": JOINTS, "initial_positions": HOME}
-    return WorldSettings(**(defaults | changes))  # type: ignore[arg-type]
 
 
 def frictionless(damping: bool = True) -> str:
@@ -118,15 +100,12 @@ def simulated_swing(physics_steps: int, periods: int) -> np.ndarray:
         return np.array(world.true_positions())
 
 
-START = np.array([HOME.get(name, 0.0) for name in JOINTS])
-
-
 def test_a_swing_converges_to_the_equations_of_motion_with_the_physics_step(engine):
     description = RobotDescription.load(frictionless())
     periods = 300
     has_rotors = engine == "pybullet"  # which has no armature
     exact = Reference(description, rotors=has_rotors, armature=not has_rotors).swing(
-        START, lambda period: efforts_of(description, period), periods
+        np.array(START), lambda period: efforts_of(description, period), periods
     )
     travel = np.abs(exact - START)
     assert travel.min() > 0.01
@@ -138,91 +117,15 @@ def test_a_swing_converges_to_the_equations_of_motion_with_the_physics_step(engi
 
 def test_a_rotor_weighs_its_inertia_times_the_gear_ratio_squared():
     description = RobotDescription.load(frictionless())
-    swing = (START, lambda period: efforts_of(description, period), 300)
+    swing = (np.array(START), lambda period: efforts_of(description, period), 300)
     armature = Reference(description, rotors=False, armature=True).swing(*swing)
     bare = Reference(description, rotors=False, armature=False).swing(
-        START, lambda period: efforts_of(description, period), 40
+        np.array(START), lambda period: efforts_of(description, period), 40
     )
     simulated = simulated_swing(4, 300)
     # What is left is physics: the rotors' gyroscopic and reaction torques, of size 1/N.
     assert np.abs(simulated - armature).max() < 0.01
     assert np.abs(bare - simulated_swing(4, 40)).max() > 0.2
-
-
-def test_two_worlds_fed_the_same_give_the_same_to_the_last_bit():
-    generator = np.random.default_rng(7)
-    efforts = generator.normal(0.0, 3.0, (150, 8)).tolist()
-
-    def run(world: World) -> list[tuple[float, ...]]:
-        readings = []
-        for period, effort in enumerate(efforts):
-            if period == 30:
-                world.apply_wrench("base_link", (5.0, 3.0, 0.0), (0.0, 0.0, 1.0), 20 * MILLISECOND)
-            if period == 60:
-                world.set_payload(1.0)
-            world.step(effort)
-            readings.append(world.true_positions() + world.read() + world.base_pose().position)
-        return readings
-
-    with World(settings(encoder_counts=4096)) as first, World(settings(encoder_counts=4096)) as w:
-        once = run(first)
-        assert run(w) == once
-        w.reset()
-        assert (w.time_ns, w.true_positions()) == (0, tuple(START))
-        assert run(w) == once
-
-
-MUJOCO_BITS = "2a41e5a3bef9e6ab4f635c2cf661ff7660fd340381d622add5fc5fdc63d3add1"
-"""Of mujoco 3.17.0, x86-64 with FMA."""
-
-
-def bits_of_a_motion(engine: str) -> list[str]:
-    """Return where the robot is after a while, every bit of it."""
-    with World(settings(engine=engine, payload_mass=0.5)) as world:
-        for period in range(60):
-            world.step([0.3, -0.2, 1.0, 2.0, 1.5 - 0.01 * period, 0.5, 0.2, 0.1])
-        pose = world.base_pose()
-        return [
-            each.hex() for each in (*world.true_positions(), *pose.position, *pose.orientation)
-        ]
-
-
-def test_another_process_gives_the_same_to_the_last_bit(engine: str):
-    program = "import sys, test_world; print(*test_world.bits_of_a_motion(sys.argv[1]))"
-    printed = subprocess.run(
-        [sys.executable, "-c", program, engine],
-        cwd=ROOT,
-        env={"PYTHONPATH": f"{ROOT}:{ROOT / 'test'}:{Path(__file__).parent}"},
-        capture_output=True,
-        text=True,
-        check=True,
-    ).stdout
-    assert printed.split() == bits_of_a_motion(engine)
-    assert "nan" not in printed
-    assert len(printed.split()) == 15
-
-
-@pytest.mark.skipif(platform.machine() != "x86_64", reason="other machines round otherwise")
-def test_mujoco_still_gives_the_bits_of_the_docs(engine: str):
-    """If another version does not, measure the tables of docs/models.md anew."""
-    if engine != "mujoco":
-        pytest.skip("PyBullet's last version is old, and pinned")
-    bits = " ".join(bits_of_a_motion(engine)).encode()
-    assert hashlib.sha256(bits).hexdigest() == MUJOCO_BITS, f"mujoco {version('mujoco')}"
-
-
-def test_looking_at_the_robot_does_not_move_it():
-    def run(look: bool) -> tuple[float, ...]:
-        with World(settings()) as world:
-            for _ in range(50):
-                if look:
-                    world.read()
-                    world.base_velocity()
-                    world.link_pose("tool0")
-                world.step([0.2, 0.1, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
-            return world.true_positions()
-
-    assert run(look=True) == run(look=False)
 
 
 def test_time_is_a_whole_number_of_control_periods():
@@ -241,7 +144,7 @@ def test_nothing_is_printed(capfd: pytest.CaptureFixture[str]):
 
 def test_the_robot_starts_where_it_was_asked_to_and_at_rest():
     with World(settings()) as world:
-        assert world.true_positions() == pytest.approx(tuple(START), abs=0.0)
+        assert world.true_positions() == pytest.approx(START, abs=0.0)
         assert world.true_velocities() == (0.0,) * 8
         assert np.abs(world.base_velocity().linear).max() == 0.0
         before = np.array(world.base_pose().position)
@@ -373,14 +276,6 @@ def test_the_payload_hangs_at_the_payload_link(change: str):
         assert np.abs(np.subtract(world.true_positions(), START)).max() > 1e-2
 
 
-FLYER = """<robot name="flyer">
-  <link name="body"><inertial><origin xyz="0.1 0 0"/><mass value="2"/>
-    <inertia ixx="0.02" iyy="0.03" izz="0.04" ixy="0" ixz="0" iyz="0"/></inertial></link>
-  <link name="speck"/>
-  <joint name="hinge" type="continuous"><parent link="body"/><child link="speck"/></joint>
-</robot>"""
-
-
 def fly(force: tuple[float, float, float], torque: tuple[float, float, float]) -> Twist:
     """Return the velocity of the flyer 10 ms after a pulse of 10 ms."""
     with World(WorldSettings(FLYER, ("hinge",), gravity=0.0)) as world:
@@ -445,67 +340,6 @@ def test_other_robots_load_and_swing(model: str, caplog: pytest.LogCaptureFixtur
         assert np.abs(world.true_positions()).max() > 1e-3
     # Every mesh was found although Bullet read the model from elsewhere.
     assert not [line for line in caplog.messages if "cannot find" in line.lower()]
-
-
-def test_a_robot_that_cannot_be_loaded_is_one_clear_line(
-    capfd: pytest.CaptureFixture[str], engine: str
-):
-    line = {"pybullet": "PyBullet cannot load", "mujoco": "'speck' has a collision without geom"}
-    shapeless = "<collision><geometry/></collision>"
-    ghost = FLYER.replace('<link name="speck"/>', f'<link name="speck">{shapeless}</link>')
-    with pytest.raises(RobotDescriptionError, match=line[engine]) as caught:
-        World(WorldSettings(ghost, ("hinge",)))
-    assert "\n" not in str(caught.value)
-    assert tuple(capfd.readouterr()) == ("", "")
-
-
-def test_bad_requests_are_one_clear_line():
-    with pytest.raises(RobotDescriptionError, match="did you mean 'arm_joint_2'"):
-        World(settings(joints=("arm_joint2",)))
-    with pytest.raises(SettingError, match=r"arm_joint_2 = 9.0 is not within its limits \[-1.9"):
-        World(settings(initial_positions={"arm_joint_2": 9.0}))
-    with pytest.raises(SettingError, match="did you mean 'arm_joint_2'"):
-        World(settings(initial_positions={"arm_joint_22": 0.0}))
-    with pytest.raises(RobotDescriptionError, match="unknown link 'hook'"):
-        World(settings(payload_mass=1.0, payload_link="hook"))
-    with World(settings(fixed_base=True)) as world:
-        with pytest.raises(SettingError, match="7 efforts for 8"):
-            world.step([0.0] * 7)
-        with pytest.raises(SettingError, match="effort nan of joint 'arm_joint_6'"):
-            world.step([0.0] * 7 + [math.nan])
-        with pytest.raises(RobotDescriptionError, match="did you mean 'base_link'"):
-            world.apply_wrench("base_lnk", (0, 0, 0), (0, 0, 0), MILLISECOND)
-        with pytest.raises(SettingError, match="force"):
-            world.apply_wrench("base_link", (0, math.inf, 0), (0, 0, 0), MILLISECOND)
-        with pytest.raises(SettingError, match="payload_mass"):
-            world.set_payload(-1.0)
-
-
-@pytest.mark.parametrize(
-    ("changes", "says"),
-    [
-        ({"control_period_ns": 0}, "control_period_ns 0"),
-        ({"physics_steps": 1.5}, "physics_steps 1.5"),
-        ({"joints": ()}, "joints must name"),
-        ({"payload_mass": math.nan}, "payload_mass nan"),
-        ({"gravity": -1.0}, "gravity -1.0"),
-        ({"encoder_counts": (1, 2)}, "2 entries for 8 joints"),
-    ],
-)
-def test_impossible_settings_are_refused(changes: dict[str, object], says: str):
-    with pytest.raises(SettingError, match=says):
-        settings(**changes)
-
-
-def test_a_closed_world_stays_closed():
-    first = World(settings(fixed_base=True))
-    first.close()
-    first.close()
-    with World(settings(fixed_base=True)) as second:
-        # PyBullet gives the second world the first one's number.
-        with pytest.raises(Exception, match=r"connected|NoneType"):
-            first.step([1.0] * 8)
-        assert second.true_positions() == tuple(START)
 
 
 @needs_bullet
