@@ -2,15 +2,15 @@
 
 import os
 from collections import Counter
+from functools import partial
 from pathlib import Path
 
 import pytest
-import yaml
+from harness.experiments import write_experiment
 from harness.fork_server import ForkedPopen
 from harness.graph import Harness
 from hypothesis import settings
 
-from hpid_ros.base.resources import share_folder
 from hpid_ros.experiment.graph.isolation import closed_environment, own_domain
 from hpid_ros.experiment.graph.processes import NodeProcess
 
@@ -23,31 +23,13 @@ NodeProcess.popen = ForkedPopen  # of the suite's processes: nodes that it start
 
 FAULTS = pytest.StashKey()
 TESTS = Path(__file__).parent
-TRACKING = share_folder() / "config" / "experiments" / "tracking.yaml"
 
 
 @pytest.fixture
 def experiment_file(tmp_path):
     """Return a function that writes tracking.yaml, shortened and changed."""
 
-    def write(file="short.yaml", duration=0.3, **changes):
-        document = yaml.safe_load(TRACKING.read_text())
-        document |= {"name": "short", "duration": duration}
-        # Whatever a test is about but for the engines themselves: a step is thirty times faster.
-        document["simulation"] = {"engine": "mujoco", "physics_steps": 1}
-        # Patient: on a busy machine a late answer is asked for again, and counted in the result.
-        document["control"] = {"rate": 1000, "answer_timeout": 120.0}
-        for dotted, value in changes.items():
-            *path, last = dotted.split("__")
-            inner = document
-            for part in path:
-                inner = inner.setdefault(part, {})
-            inner[last] = value
-        path = tmp_path / file
-        path.write_text(yaml.safe_dump(document, sort_keys=False))
-        return path
-
-    return write
+    return partial(write_experiment, tmp_path)
 
 
 @pytest.fixture

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from harness.experiments import write_experiment
 from mcap_ros2.reader import read_ros2_messages
 
 from hpid_ros.bags import read_run
@@ -31,13 +32,25 @@ def run_compare(experiment, folder, **options):
     return compare(experiment, folder, NoProgress(), **options)
 
 
-def test_graph_and_in_process_engine_agree_to_the_last_bit(experiment_file, tmp_path):
-    experiment = load_experiment(experiment_file())
+@pytest.fixture(scope="module")
+def compared(tmp_path_factory):
+    """Return a comparison on the graph, with everything that a user gets of it."""
+    folder = tmp_path_factory.mktemp("compared")
+    return run_compare(load_experiment(write_experiment(folder)), folder / "result")
+
+
+def test_graph_and_in_process_engine_agree_to_the_last_bit(compared, tmp_path):
     results = [
-        run_compare(
-            experiment, tmp_path / name, in_process=name == "in-process", has_figures=False
-        )
-        for name in ("graph", "again", "in-process")
+        compared,
+        *(
+            run_compare(
+                compared.result.experiment,
+                tmp_path / name,
+                in_process=name == "in-process",
+                has_figures=False,
+            )
+            for name in ("again", "in-process")
+        ),
     ]
     first, *others = [(each.folder.path / "result.json").read_bytes() for each in results]
     assert others == [first, first]
@@ -65,9 +78,8 @@ def test_an_observer_knows_the_same_efforts_on_the_graph_and_in_the_engine(
         assert np.array_equal(one.effort, other.effort)
 
 
-def test_result_folder_is_whole(experiment_file, tmp_path):
-    experiment = load_experiment(experiment_file())
-    folder = run_compare(experiment, tmp_path / "result").folder.path
+def test_result_folder_is_whole(compared):
+    experiment, folder = compared.result.experiment, compared.folder.path
     for name in ("result.json", "table.txt", "table.csv", "table.tex", "report.html"):
         assert (folder / name).stat().st_size > 100
     figures = {path.stem for path in (folder / "figures").glob("*.png")}
@@ -87,13 +99,9 @@ def test_result_folder_is_whole(experiment_file, tmp_path):
             }
 
 
-def test_another_reader_finds_every_state_and_its_eight_commands(experiment_file, tmp_path):
-    experiment = load_experiment(experiment_file())
-    folder = tmp_path / "nodes"
-    folder.mkdir()
-    report = run_on_graph(experiment, "hPID", tmp_path / "bag", folder, NoProgress())
-    assert report.warnings == []
-    (mcap,) = (tmp_path / "bag").glob("*.mcap")
+def test_another_reader_finds_every_state_and_its_eight_commands(compared):
+    assert [report.warnings for report in compared.reports] == [[], []]
+    (mcap,) = compared.folder.bag("hPID").glob("*.mcap")
     states, commands = [], {}
     for message in read_ros2_messages(mcap):
         stamp = message.ros_msg.header.stamp
@@ -104,7 +112,7 @@ def test_another_reader_finds_every_state_and_its_eight_commands(experiment_file
             commands.setdefault(stamp_ns, []).extend(message.ros_msg.name)
     assert states == [k * 1_000_000 for k in range(301)]
     assert list(commands) == states
-    joints = sorted(experiment.world.joints)
+    joints = sorted(compared.result.experiment.world.joints)
     assert all(sorted(names) == joints for names in commands.values())
 
 

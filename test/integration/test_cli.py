@@ -253,7 +253,12 @@ def test_help_fits_a_terminal_of_80_columns(command, capsys, monkeypatch):
 def test_joints_without_gains_are_named(experiment_file, tmp_path, capsys):
     bare = {"joints": {"arm_joint_6": {"gains": {"p": 1.0, "d": 0.1}}}}
     file = experiment_file(duration=0.05, controllers=bare)
-    assert main(["compare", str(file), "--in-process", "-o", str(tmp_path / "result")]) == 0
+    assert (
+        main(
+            ["compare", str(file), "--in-process", "--no-figures", "-o", str(tmp_path / "result")]
+        )
+        == 0
+    )
     line = next(line for line in capsys.readouterr().err.splitlines() if "p, i and d" in line)
     assert "arm_joint_5: gains" in line
     assert "arm_joint_6" not in line
