@@ -8,6 +8,7 @@ import sys
 import threading
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from hpid_ros.bags import read_run
 from hpid_ros.base.errors import RunError
 from hpid_ros.experiment.compare import compare
 from hpid_ros.experiment.description import load_experiment
+from hpid_ros.experiment.graph import run as graph_run
 from hpid_ros.experiment.graph.isolation import (
     closed_environment,
     network_sockets,
@@ -191,6 +193,49 @@ def test_a_run_that_loses_what_it_cannot_do_without_fails_in_one_line(
         run_on_graph(experiment, "hPID", tmp_path / "bag", folder, KillerOf(node, 0.1))
     assert "\n" not in str(failure.value)
     assert not children()
+
+
+class SlowRecorder:
+    """A recorder that has written one state more at each look, 6 s after the one before."""
+
+    name = "bag_recorder"
+
+    def __init__(self, monkeypatch, most):
+        self._counts, self._most, self._now = 0, most, 0.0
+        self.process, self.pid = SimpleNamespace(poll=lambda: None), os.getpid()
+        self.events, self._written = os.pipe()
+        os.write(self._written, b"1")  # there is always something to read
+        monkeypatch.setattr(graph_run.time, "monotonic", lambda: self._now)
+        monkeypatch.setattr(graph_run, "require_no_sockets", lambda processes: None)
+
+    def read_events(self):
+        self._now += 6.0
+        self._counts = min(self._counts + 1, self._most)
+        return [{"event": "recorded", "counts": {"/joint_states": self._counts}}]
+
+    def close(self):
+        os.close(self.events)
+        os.close(self._written)
+
+
+@pytest.mark.parametrize("most", [9, 5])
+def test_a_recorder_is_waited_for_as_long_as_it_gets_on(monkeypatch, most):
+    recorder = SlowRecorder(monkeypatch, most)
+    group = SimpleNamespace(nodes={recorder.name: recorder})
+    nodes = SimpleNamespace(
+        start=lambda group: [recorder], bridge="bridge", recorder=recorder.name, topics=()
+    )
+    run = graph_run._GraphRun(nodes, "PID", group, NoProgress())
+    run.start()
+    run.events["bridge", "finished"] = {"states": 9, "commands": 0}
+    try:
+        if most == 9:
+            run.wait_until_recorded(10.0)
+        else:
+            with pytest.raises(RunError, match=r"10 s in vain .* lacks \{'/joint_states': 4\}"):
+                run.wait_until_recorded(10.0)
+    finally:
+        recorder.close()
 
 
 def heed_interrupts():

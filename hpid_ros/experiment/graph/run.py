@@ -31,7 +31,7 @@ from hpid_ros.simulation.world.gripper import task_topics
 
 _START_WITHIN = 60.0  # [s] from the first process to the first state
 _START_EACH = 3.0  # [s] more for each process: they find each other two by two
-_RECORD_WITHIN = 10.0  # [s] from the last answer to the last message in the bag
+_RECORD_WITHIN = 10.0  # [s] from the last answer, or from one message more in the bag, to the next
 _CLOSE_WITHIN = 30.0  # [s] for the recorder to finish the bag
 
 _NODE_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]{0,200}")
@@ -294,18 +294,31 @@ class _GraphRun:
                 if counts.get(topic, 0) < count
             }
 
-        self._wait(lambda: not missing(), within, lambda: f"the recorder: it lacks {missing()}")
+        self._wait(
+            lambda: not missing(),
+            within,
+            lambda: f"the recorder: it lacks {missing()}",
+            lambda: sum(missing().values()),
+        )
 
     def _wait(
-        self, is_true: Callable[[], bool], within: float | None, what: Callable[[], str]
+        self,
+        is_true: Callable[[], bool],
+        within: float | None,
+        what: Callable[[], str],
+        left: Callable[[], int] = int,
     ) -> None:
+        """Wait for something, and longer whenever less of it is left."""
         deadline = None if within is None else time.monotonic() + within
+        before = left()
         while not is_true():
             ready = self._selector.select(timeout=0.05)
             for key, _ in ready:
                 self._take_events(key.data)
             self._look_after_nodes()
             raise_if_interrupted()
+            if within is not None and left() < before:
+                before, deadline = left(), time.monotonic() + within
             if deadline is not None and time.monotonic() > deadline and not is_true():
                 raise RunError(f"{self._label}: waited {within:g} s in vain for {what()}")
 
