@@ -23,6 +23,8 @@ INSTALL_REQUIRES = [
     "backports.zstd>=1,<2; python_version < '3.14'",
     "rosbags>=0.11,<0.12",  # the MCAP writer is extended, and every minor version changes it
     "matplotlib>=3.8,<4",
+    # Animations; matplotlib requires it, too. Ubuntu 24.04 has 10.2.
+    "pillow>=10.2,<14",
     "rich>=13.7,<16",
     "PyYAML>=6.0,<7",
     "joblib>=1.4,<2",  # batches over processes

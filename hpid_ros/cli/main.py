@@ -50,6 +50,9 @@ COMMANDS = {
     "repair": _Command(
         "recordings.repair", "save what can be read of a bag that was cut off or damaged"
     ),
+    "render": _Command(
+        "recordings.render", "draw the robot of a result as it moved, side by side, animated"
+    ),
     "gains": _Command("tuning.gains", "compute gains by a published tuning rule"),
     "check-gains": _Command(
         "tuning.check_gains", "say for which degrees gains are certified stable"
@@ -89,8 +92,8 @@ def main(args: Sequence[str] | None = None) -> int:
     )
 
     heed_interrupts()
-    # No command renders; MuJoCo would ask another process for the version of a library that does,
-    # in each worker, and an interrupt at that time has that process write a traceback.
+    # What renders asks for OpenGL itself. MuJoCo would ask another process for the version of a
+    # library that does, in each worker; interrupted then, that process writes a traceback.
     os.environ.setdefault("MUJOCO_GL", "disable")
     with guarded_output():
         return _run(options)

@@ -20,6 +20,7 @@ PACKAGE = ROOT / "package.xml"
 KEY_OF = {
     **{name: f"python3-{name}" for name in ("jinja2", "joblib", "matplotlib", "numpy", "rich")},
     **{"scipy": "python3-scipy", "yaml": "python3-yaml", "markupsafe": "python3-jinja2"},
+    "PIL": "python3-pil",
 }
 """Keys of Python modules; those of ROS packages have the module's name."""
 

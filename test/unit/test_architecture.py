@@ -53,6 +53,9 @@ ALLOWED["road"] = {
     *("analysis", "bags", "control", "frequency", "identification", "metrics", "recordings"),
     *("replay", "report", "robot", "simulation", "stability", "tuning"),
 }
+ALLOWED["rendering"] = {
+    *("bags", "documents", "metrics", "recordings", "report", "robot", "simulation"),
+}
 BELOW_EXPERIMENTS = set(ALLOWED)
 ALLOWED["experiment"] = BELOW_EXPERIMENTS
 ALLOWED["studies"] = BELOW_EXPERIMENTS | {"experiment"}
@@ -67,6 +70,7 @@ ONLY_IN = {
     "rosbags": {"bags"},
     "matplotlib": {"report"},
     "jinja2": {"report", "export"},
+    "PIL": {"rendering"},
 }
 PURE = {
     *("control", "frequency", "goals", "merging", "trajectory", "wire", "recordings"),

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from hpid_ros.base.errors import SettingError
 from hpid_ros.cli.commands import DONE
 from hpid_ros.cli.options import (
     BOTH,
@@ -40,6 +42,11 @@ def add(commands: Any) -> None:
     parser.add_argument(
         "--no-figures", action="store_true", help="leave out figures/, which take the longest"
     )
+    parser.add_argument(
+        "--animation",
+        action="store_true",
+        help="animate the robot, in animation.webp and in the report (hpid render has more)",
+    )
     parser.set_defaults(command=run)
 
 
@@ -50,6 +57,8 @@ def run(options: argparse.Namespace) -> int:
     from hpid_ros.experiment.compare import compare
 
     if options.engine == BOTH:
+        if options.animation:
+            raise SettingError("--animation is of one engine: hpid render takes one of both")
         return _run_in_both(options)
     experiment = experiment_to_run(options)
     output = output_folder(options, experiment.name)
@@ -65,8 +74,22 @@ def run(options: argparse.Namespace) -> int:
             force=options.force,
             has_figures=not options.no_figures,
         )
+    if options.animation:
+        _animate(console, output)
     _print(console, compared)
     return DONE
+
+
+def _animate(console: Console, output: Path) -> None:
+    from hpid_ros.cli.animations import ANIMATION, rendered, save_in_report
+    from hpid_ros.experiment.result.folder import ResultFolder
+    from hpid_ros.rendering import FilmSettings
+    from hpid_ros.rendering.files import encoded
+
+    film = rendered(console, output, (), FilmSettings())
+    with ResultFolder.reopen(output) as folder:
+        folder.write(ANIMATION, encoded(film, ANIMATION[-5:]))
+        save_in_report(folder, film)
 
 
 def _run_in_both(options: argparse.Namespace) -> int:

@@ -15,7 +15,7 @@ from functools import cache
 from importlib.resources import files
 from pathlib import Path
 
-from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from jinja2 import Environment, FileSystemLoader, StrictUndefined, Template
 from markupsafe import Markup, escape
 
 from hpid_ros.analysis.comparison import Comparison, answer
@@ -136,26 +136,22 @@ def render_page(
         figures: They.
         labels: Of the runs that they show.
     """
-    return (
-        _templates()
-        .get_template("page.html")
-        .render(
-            title=title,
-            answer=answer,
-            warnings=warnings,
-            indices=indices,
-            sections=sections,
-            figures=figures,
-            data=page_data(figures, labels),
-            style=style_sheet(),
-            script=script(),
-        )
+    return template("page.html").render(
+        title=title,
+        answer=answer,
+        warnings=warnings,
+        indices=indices,
+        sections=sections,
+        figures=figures,
+        data=page_data(figures, labels),
+        style=style_sheet(),
+        script=script(),
     )
 
 
 def style_sheet() -> Markup:
     """Return the page's style sheet."""
-    palette = _templates().get_template("palette.css")
+    palette = template("palette.css")
     colors = palette.render(
         ink=INK,
         grid=GRID,
@@ -170,6 +166,15 @@ def script() -> Markup:
     """Return the page's program: no library, no network, nothing left in the global scope."""
     parts = "".join(_asset(name) for name in ("ticks.js", "chart.js", "page.js"))
     return Markup(f'"use strict";\n(() => {{\n{parts}}})();\n')
+
+
+def template(name: str) -> Template:
+    """Return one of the report's templates.
+
+    Args:
+        name: Of its file.
+    """
+    return _templates().get_template(name)
 
 
 def _asset(name: str) -> str:
