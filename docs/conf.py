@@ -15,6 +15,8 @@ exclude_patterns = ["_build"]
 html_theme = "furo"
 html_title = f"hpid_ros {version}"
 html_show_sphinx = False
+html_static_path = ["_static"]
+html_css_files = ["site.css"]
 
 myst_heading_anchors = 4
 suppress_warnings = ["myst.header"]  # pages may begin a part with a smaller heading
@@ -25,7 +27,7 @@ autodoc_default_options = {"members": True, "undoc-members": False}
 napoleon_numpy_docstring = False
 napoleon_use_ivar = True
 
-LINK = re.compile(r"\[(?P<text>[^]]+)\]\((?P<target>[^)#:]+)\)")
+LINK = re.compile(r"\[(?P<text>[^]]+)\]\((?P<target>[^)#:]+)(?:#[^)]*)?\)")
 
 
 def setup(app):

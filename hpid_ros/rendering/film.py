@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -136,7 +137,7 @@ def render(
     motions = [motion_of(stand, run, bags[run.label], instants) for run in runs]
     side = np.radians(settings.azimuth), np.radians(settings.elevation)
     frames: list[Image] = []
-    with Studio(stand, motions, engine, size.panel, side) as studio:
+    with closing(Studio(stand, motions, engine, size.panel, side)) as studio:
         for k, instant in enumerate(instants.tolist()):
             frames.append(
                 page.frame(instant, [studio.shoot(each, k) for each in range(len(runs))])

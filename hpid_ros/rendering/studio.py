@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from types import TracebackType
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,9 +14,6 @@ from hpid_ros.robot.shapes import Body
 from hpid_ros.simulation.stage import Stage, open_stage
 from hpid_ros.simulation.stage.stage import Picture, Pixels, StageSettings
 from hpid_ros.simulation.stage.view import FIELD
-
-if TYPE_CHECKING:
-    from typing_extensions import Self
 
 _FLOOR, _THICKNESS = (0.93, 0.94, 0.96), 0.004
 _DEEP, _WIDE = 3.6, 12.0
@@ -79,17 +74,6 @@ class Studio:
         except BaseException:
             self.close()
             raise
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
     def close(self) -> None:
         """Free what draws."""
