@@ -8,13 +8,12 @@ from typing import NamedTuple
 
 from hpid_ros.bags.run.reader import read_run
 from hpid_ros.bags.selection import BagSelection
-from hpid_ros.base.errors import HpidError, SettingError, unknown_name
-from hpid_ros.documents.sections import Section
+from hpid_ros.base.errors import SettingError, unknown_name
 from hpid_ros.documents.yaml_files import load_document
 from hpid_ros.metrics.sources import RESULT, Source, expanded
 from hpid_ros.recordings.series import RunSeries
 from hpid_ros.simulation.settings import WorldSettings
-from hpid_ros.simulation.world_file import OF_EXPERIMENTS, read_world
+from hpid_ros.simulation.world_file import world_of
 
 _ENGINES = "engines.json"
 
@@ -68,10 +67,4 @@ def _bags(result: Path) -> dict[str, Path]:
 
 def _world(file: Path) -> WorldSettings:
     document = load_document(file, SettingError)
-    try:
-        root = Section(document.values, "", SettingError)
-        for key in OF_EXPERIMENTS:
-            root.take(key, None)
-        return read_world(root, document.folders).world
-    except HpidError as error:
-        raise SettingError(f"{file}: {error}") from None
+    return world_of(document.values, str(file), document.folders).world

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from hpid_ros.base.errors import ExperimentError, HpidError
+from hpid_ros.base.errors import ExperimentError, HpidError, SettingError
 from hpid_ros.base.resources import find_resource
 from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.documents.descriptions import json_schema, layered_schema
@@ -22,7 +22,7 @@ from hpid_ros.simulation.settings import ENGINES, WorldSettings, default_engine
 from hpid_ros.simulation.world.disturbances import Disturbances
 from hpid_ros.simulation.world.workpieces import GripCommand, Workplace
 
-OF_EXPERIMENTS = ("name", "duration", "reference", "controllers", "compare", "judge")
+_OF_EXPERIMENTS = ("name", "duration", "reference", "controllers", "compare", "judge")
 """Keys of an experiment that are not of its world."""
 _BY_JOINT = ("encoder_counts", "noise")
 
@@ -122,6 +122,28 @@ def read_world(root: Section, folders: Sequence[Path]) -> WorldFile:
     for link in world.links:
         known.link(link)
     return WorldFile(world, control, reference)
+
+
+def world_of(values: Any, file: str, folders: Sequence[Path]) -> WorldFile:
+    """Return the world of a whole document; what is an experiment's in it is passed over.
+
+    Args:
+        values: The document.
+        file: Where it stands, for messages; empty if nowhere.
+        folders: As for :func:`read_world`.
+
+    Raises:
+        SettingError: An entry is unknown or impossible; the line names file and place.
+    """
+    try:
+        root = Section(values, "", SettingError)
+        for key in _OF_EXPERIMENTS:
+            root.take(key, None)
+        found = read_world(root, folders)
+        root.finish()
+    except HpidError as error:
+        raise SettingError(f"{file}: {error}" if file else str(error)) from None
+    return found
 
 
 def world_mapping(world: WorldSettings) -> dict[str, Any]:

@@ -6,16 +6,30 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from hpid_ros.base.errors import LibraryError
 from hpid_ros.cli.main import main
 from hpid_ros.rendering import FilmSettings, render
 from hpid_ros.rendering.source import recorded
+from hpid_ros.simulation.settings import default_engine
+from hpid_ros.simulation.stage import View, open_stage
+from hpid_ros.simulation.stage.stage import StageSettings
 
 SMALL = ("--size", "320x200", "--fps", "10")
+
+
+def require_renderer():
+    """Skip where nobody can draw: without PyBullet and without OpenGL."""
+    view = View((0.0, 0.0, 0.0), 1.0, 0.0, 0.0)
+    try:
+        open_stage(default_engine(), StageSettings((), view, 16, 16)).close()
+    except LibraryError as error:
+        pytest.skip(str(error))
 
 
 @pytest.fixture(scope="module")
 def result(tmp_path_factory):
     """Return the folder of a short comparison in which the arm has somewhere to go."""
+    require_renderer()
     folder = tmp_path_factory.mktemp("render")
     file = folder / "short.yaml"
     file.write_text(
@@ -120,6 +134,7 @@ def test_what_is_no_result_with_recordings_is_one_line(own, tmp_path, capsys):
 
 
 def test_a_comparison_can_be_animated_at_once(experiment_file, tmp_path):
+    require_renderer()
     folder = tmp_path / "result"
     options = ["--in-process", "--no-figures", "--animation", "-o", str(folder)]
     assert main(["compare", str(experiment_file(duration=0.05)), *options]) == 0

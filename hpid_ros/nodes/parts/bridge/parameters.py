@@ -6,19 +6,17 @@ import os
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from hpid_ros.base.errors import ExperimentError, HpidError, SettingError
+from hpid_ros.base.errors import ExperimentError, SettingError
 from hpid_ros.base.resources import find_resource
 from hpid_ros.base.units import NANOSECONDS
-from hpid_ros.documents.sections import Section
 from hpid_ros.documents.yaml_files import load_document
 from hpid_ros.nodes.ros.parameters import read_choice, read_number, read_only
-from hpid_ros.simulation.world_file import OF_EXPERIMENTS, WorldFile, read_world
+from hpid_ros.simulation.world_file import WorldFile, world_of
 
 MODES = ("lockstep", "realtime")
 
@@ -102,7 +100,7 @@ def read_world_file(node: Node, engine: str) -> WorldFile:
         Parameter.Type.INTEGER_ARRAY,
         "Encoder counts per revolution of each driven joint; 0 measures exactly",
     )
-    found = _read(values, file, () if document is None else document.folders)
+    found = world_of(values, file, () if document is None else document.folders)
     world, joints = found.world, found.world.joints
     if positions:
         along = _along(joints, "initial_positions", positions)
@@ -130,18 +128,6 @@ def _laid_over(node: Node, values: Any, robot: str, engine: str) -> Any:
         if isinstance(own, dict):
             values[section] = own | entries
     return values
-
-
-def _read(values: Any, file: str, folders: Sequence[Path]) -> WorldFile:
-    try:
-        root = Section(values, "", SettingError)
-        for key in OF_EXPERIMENTS:
-            root.take(key, None)
-        found = read_world(root, folders)
-        root.finish()
-    except HpidError as error:
-        raise SettingError(f"{file}: {error}" if file else str(error)) from None
-    return found
 
 
 def _along(joints: Sequence[str], name: str, values: Sequence[Any]) -> tuple[Any, ...]:
