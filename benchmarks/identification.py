@@ -113,6 +113,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.add_argument("robots", nargs="*", default=ROBOTS, metavar="ROBOT", help="(all)")
     parser.add_argument("--seeds", type=int, default=20)
+    parser.add_argument("--first", type=int, default=1, help="the first of the seeds (1)")
     parser.add_argument("--engine", default="mujoco", help="(mujoco)")
     parser.add_argument("--alone", action="store_true", help="one joint at a time, without URDF")
     parser.add_argument("--verbose", action="store_true", help="every number that is too far off")
@@ -121,7 +122,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     print("|---|---|---|---|---|---|---|---|---|")
     for robot in options.robots:
         found = []
-        for seed in range(1, options.seeds + 1):
+        for seed in range(options.first, options.first + options.seeds):
             new = list(_findings(robot, seed, options.engine, options.alone))
             found += new
             if options.verbose:

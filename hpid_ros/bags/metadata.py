@@ -38,14 +38,24 @@ def read_metadata(folder: Path) -> dict[str, Any]:
 
 
 def custom_data(bag: Path) -> Mapping[str, object]:
-    """Return the texts that a recording was given; none for a single file or a damaged one."""
-    if not bag.is_dir():
-        return {}
+    """Return the texts that a recording was given; none for a damaged one.
+
+    A single file has those of the folder in which it is, if that folder's metadata name it.
+    """
+    folder = bag if bag.is_dir() else bag.parent
     try:
-        custom = read_metadata(bag).get("custom_data")
+        metadata = read_metadata(folder)
     except BagError:  # what is wrong with a bag is said when it is read
         return {}
+    if folder is not bag and bag.name not in _files(metadata):
+        return {}
+    custom = metadata.get("custom_data")
     return custom if isinstance(custom, Mapping) else {}
+
+
+def _files(metadata: Mapping[str, Any]) -> set[str]:
+    named = metadata.get("relative_file_paths")
+    return {Path(str(name)).name for name in named} if isinstance(named, list) else set()
 
 
 def counts_of(metadata: Mapping[str, Any]) -> dict[str, int]:

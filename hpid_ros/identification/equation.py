@@ -156,6 +156,10 @@ class Equation:
         """Rows that count."""
         return int(np.count_nonzero(self.weight))
 
+    def is_inside(self, delay: float) -> bool:
+        """Tell whether a delay is none of the ends between which it is looked for."""
+        return self._least - self._step < delay < self._longest
+
     def effort(self, delay: float) -> Numbers:
         """Return the smoothed effort that acts with a delay, (R,), in [N m]."""
         return np.asarray(self._effort(delay)[0])

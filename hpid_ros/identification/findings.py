@@ -264,13 +264,16 @@ def _doubt(equation: Equation, choice: _Choice, place: int, value: float, width:
     if not np.isfinite(width):
         return f"nothing can be said of its interval: {_HELP[name]}"
     if name == DELAY:
+        if not equation.is_inside(value):
+            return f"the best is at the end of what was looked through, {value * 1e3:.3g} ms"
         if width < equation.resolution:
             return ""
         return f"known to {width * 1e3:.2g} ms only{_like(equation, choice, place)}: {_HELP[name]}"
     if name in (OFFSET, GRAVITY_SIN, GRAVITY_COS):
         return ""
     if name == EFFORT_SCALE:
-        return "" if width < _USEFUL_SCALE * abs(value) else f"known to {width:.2g}: {_HELP[name]}"
+        share = width / max(abs(value), 1e-300)
+        return "" if share < _USEFUL_SCALE else f"known to {share:.0%} only: {_HELP[name]}"
     if value - width > 0.0:
         return ""
     about = "its interval is below zero" if value + width < 0.0 else "its interval contains zero"

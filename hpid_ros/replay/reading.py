@@ -6,106 +6,51 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
-
-import yaml
+from typing import TYPE_CHECKING
 
 from hpid_ros.bags.columns.batches import TopicBatch
 from hpid_ros.bags.columns.storage import Storage
 from hpid_ros.bags.message_types import JOINT_STATE
-from hpid_ros.bags.metadata import PARAMETERS, recorded_slides
-from hpid_ros.bags.parameter_events import PARAMETER_EVENTS, parameter_changes, read_event
+from hpid_ros.bags.metadata import recorded_slides
+from hpid_ros.bags.parameter_events import PARAMETER_EVENTS, read_event
 from hpid_ros.bags.run.recording import decoded_trajectory
-from hpid_ros.bags.run.topics import TopicChoice, choose_topics
+from hpid_ros.bags.run.topics import (
+    TopicChoice,
+    choose_topics,
+    is_below,
+    joint_of,
+    last_part,
+    namespace_of,
+)
 from hpid_ros.bags.selection import BagSelection
 from hpid_ros.base.errors import BagError, HpidError, MessageError, SettingError, unknown_name
-from hpid_ros.base.names import node_sections
-from hpid_ros.base.resources import find_resource
-from hpid_ros.control import LOOP_PARAMETERS, JointLoop, LoopSettings
+from hpid_ros.control import LOOP_PARAMETERS, JointLoop
+from hpid_ros.control.interludes.relay import RelayRequest
 from hpid_ros.control.limited_law import ModelTerm
 from hpid_ros.control.reference import Setpoint
-from hpid_ros.control.settings.robot_limits import RobotLimits
-from hpid_ros.documents.yaml_files import load_yaml
+from hpid_ros.replay.controllers import Controller, controllers_in
 from hpid_ros.replay.record import (
     Answer,
     Instruction,
     JointRecord,
     RecordedCommand,
     RecordedState,
+    driven,
+    following,
+    retuned,
 )
-from hpid_ros.robot.description import RobotDescription
-from hpid_ros.tuning.controller_files import settings_from_parameters
-from hpid_ros.wire import EffortReader, JointReader, JointSample, RobotReader, decode_float64
+from hpid_ros.wire import (
+    EffortReader,
+    JointReader,
+    JointSample,
+    RobotReader,
+    decode_float64,
+    decode_numbers,
+)
 from hpid_ros.wire.parameter_events import ParameterEvent
 
 if TYPE_CHECKING:  # Pinocchio takes a moment to import, and most controllers have no model
     from hpid_ros.compensation.build import LoopModel
-
-
-class Controller(NamedTuple):
-    """A joint's controller as it began.
-
-    Attributes:
-        node: Its name, without a namespace.
-        settings: Its settings, within the robot's limits.
-        limits: What the robot allows the joint.
-        robot: The robot's description: XML text or a path, empty for none.
-    """
-
-    node: str
-    settings: LoopSettings
-    limits: RobotLimits
-    robot: str
-
-
-def controllers_of(document: object, where: str) -> dict[str, Controller]:
-    """Return the controllers of a ROS parameter file's content, by joint.
-
-    Args:
-        document: The content.
-        where: What errors call it.
-
-    Raises:
-        HpidError: It has none, or one that cannot be used.
-    """
-    robots = {
-        name.rpartition("/")[2]: str(own.get("robot_description", ""))
-        for name, own in node_sections(document if isinstance(document, Mapping) else {}).items()
-    }
-    controllers = {}
-    for name, settings in settings_from_parameters(document, where).items():
-        node = name.rpartition("/")[2]
-        robot = robots.get(node, "") or robots.get("**", "")
-        limits = _limits(robot, settings.joint)
-        settings = _in_force(settings, limits, robot)
-        controllers[settings.joint] = Controller(node, settings, limits, robot)
-    return controllers
-
-
-def _in_force(settings: LoopSettings, limits: RobotLimits, robot: str) -> LoopSettings:
-    """Return settings as a controller puts them in force."""
-    settings = limits.within(settings)
-    if not settings.model.is_on:
-        return settings
-    from hpid_ros.compensation.build import with_inertia
-
-    return with_inertia(settings, robot)
-
-
-def _model(controller: Controller) -> LoopModel | None:
-    if not controller.settings.model.is_on:
-        return None
-    from hpid_ros.compensation.build import loop_model
-
-    return loop_model(controller.settings, controller.robot)
-
-
-def _limits(robot: str, joint: str) -> RobotLimits:
-    if not robot:
-        return RobotLimits()
-    source = robot if robot.lstrip().startswith("<") else str(find_resource(robot))
-    (found,) = RobotDescription.load(source).select([joint])
-    return RobotLimits.of(found)
 
 
 @dataclass
@@ -150,9 +95,11 @@ def read_records(
         if choice.is_measured or not commands:
             raise BagError(
                 f"{where}: no topic of stamped commands (sensor_msgs/msg/JointState), which tell "
-                "the state that they answer; topics: " + ", ".join(sorted(types))
+                f"the state that they answer{_without_stamps(choice)}; topics: "
+                + ", ".join(sorted(types))
             )
-        controllers = _controllers(bag, parameters)
+        namespace = _namespace(selection)
+        controllers = controllers_in(bag, parameters, namespace)
         wanted = list(controllers) if joints is None else list(joints)
         for joint in wanted:
             if joint not in controllers:
@@ -163,65 +110,29 @@ def read_records(
             types,
             [controllers[each] for each in wanted],
             recorded_slides(bag.custom_data),
+            namespace,
         )
         for batch in bag.batches(collected.topics, progress):
             collected.take(batch)
         unreadable = list(bag.unreadable)
     records = list(collected.records(is_asked_for=joints is not None))
     if not records:
-        raise BagError(
-            f"{where}: no command for {', '.join(wanted)}; commanded: "
-            f"{', '.join(sorted(collected.commanded)) or 'nothing'}"
-        )
+        commanded = ", ".join(sorted(collected.commanded)) or "nothing"
+        for note in collected.notes[:1]:
+            commanded += f" ({note})"
+        raise BagError(f"{where}: no command for {', '.join(wanted)}; commanded: {commanded}")
     return records, [*unreadable, *collected.notes]
 
 
-def recorded_controllers(path: Path, parameters: Path | None = None) -> dict[str, Controller]:
-    """Return the controllers that ran while a bag was recorded, as they began, by joint.
-
-    Args:
-        path: The bag.
-        parameters: A file that says them; what the bag holds if None.
-
-    Raises:
-        HpidError: Neither says them, or there is one that cannot be used.
-    """
-    with Storage(path) as bag:
-        return _controllers(bag, parameters)
+def _namespace(selection: BagSelection | None) -> str:
+    asked = selection.namespace if selection is not None else None
+    return f"/{asked.strip('/')}" if asked else ""
 
 
-def _controllers(bag: Storage, parameters: Path | None) -> dict[str, Controller]:
-    if parameters is not None:
-        return controllers_of(load_yaml(parameters, SettingError), str(parameters))
-    where = f"bag {bag.path}"
-    text = bag.custom_data.get(PARAMETERS)
-    if text is not None:
-        try:
-            return controllers_of(yaml.safe_load(text), f"{where}: {PARAMETERS}")
-        except yaml.YAMLError as error:
-            raise BagError(f"{where}: {PARAMETERS} is no YAML: {error}") from error
-    document = _declared(bag)
-    if document:
-        return controllers_of(document, f"{where}: /parameter_events")
-    raise SettingError(
-        f"{where} does not hold its controllers' parameters: give them with --params FILE, a "
-        "parameter file as ros2 param dump writes it, or record with bag_recorder and its "
-        "parameter controllers_file"
-    )
-
-
-def _declared(bag: Storage) -> dict[str, Any]:
-    """Return the parameters that controllers declared while the bag was recorded."""
-    declared: dict[str, dict[str, Any]] = {}
-    for told in parameter_changes(bag):
-        declared.setdefault(told.node, {}).update(told.declared)
-    return {
-        node: {
-            "ros__parameters": {name: value for name, value in own.items() if value is not None}
-        }
-        for node, own in declared.items()
-        if own.get("joint")
-    }
+def _without_stamps(choice: TopicChoice) -> str:
+    """Return which commands have no stamps, to be put behind what is missing."""
+    topics = {*(each.topic for each in choice.command_topics.values()), *choice.in_doubt}
+    return f" (those on {', '.join(sorted(topics))} have no stamps)" if topics else ""
 
 
 class _Collector:
@@ -240,10 +151,11 @@ class _Collector:
         types: Mapping[str, str],
         controllers: Sequence[Controller],
         slides: frozenset[str],
+        namespace: str,
     ) -> None:
-        self._slides = slides
+        self._slides, self._namespace = slides, namespace
         self._joints = {
-            each.settings.joint: _Joint(each, JointReader(each.settings.joint), _model(each))
+            each.settings.joint: _Joint(each, JointReader(each.settings.joint), each.model())
             for each in controllers
         }
         self._robots = {
@@ -252,16 +164,18 @@ class _Collector:
             if each.model is not None
         }
         self._efforts = EffortReader()
-        setpoints = {topic: joint for joint, topic in choice.references.setpoint.items()}
         self._takes: dict[str, Callable[[TopicBatch], None]] = {}
         self._takes |= dict.fromkeys(choice.states, self._take_states)
         self._takes |= dict.fromkeys(commands, self._take_commands)
         self._takes |= dict.fromkeys(choice.references.trajectory, self._take_trajectories)
-        self._takes |= {
-            topic: partial(self._take_setpoints, joint)
-            for topic, joint in setpoints.items()
-            if joint in self._joints
-        }
+        for take, own in (
+            (self._take_setpoints, tuple(choice.references.setpoint.values())),
+            (self._take_relays, choice.relays),
+        ):
+            joints = {topic: self._told_by(topic) for topic in own}
+            self._takes |= {
+                topic: partial(take, joint) for topic, joint in joints.items() if joint is not None
+            }
         events = [name for name, kind in types.items() if kind == PARAMETER_EVENTS]
         self._takes |= dict.fromkeys(events, self._take_events)
         self.topics = frozenset(self._takes)
@@ -291,6 +205,12 @@ class _Collector:
                 min(begins, default=0),
                 self._is_slide(each.controller),
             )
+
+    def _told_by(self, topic: str) -> _Joint | None:
+        """Return the joint whose controller hears a topic of its own."""
+        node = last_part(namespace_of(topic))
+        own = [each for each in self._joints.values() if each.controller.node == node]
+        return own[0] if own else self._joints.get(joint_of(topic))
 
     def _is_slide(self, controller: Controller) -> bool:
         return controller.limits.is_slide or controller.settings.joint in self._slides
@@ -343,24 +263,36 @@ class _Collector:
                         self._notes[f"a trajectory was left out: {error}"] = None
                         continue
                     joint.instructions.append(
-                        Instruction(log_time_ns, place, motion, "a trajectory")
+                        Instruction(log_time_ns, place, following(motion), "a trajectory")
                     )
 
-    def _take_setpoints(self, name: str, batch: TopicBatch) -> None:
+    def _take_setpoints(self, joint: _Joint, batch: TopicBatch) -> None:
         for index, place in enumerate(batch.places.tolist()):
             try:
                 motion = Setpoint(decode_float64(batch.raw(index)))
             except HpidError as error:
                 self._notes[f"a setpoint was left out, as controllers refuse it: {error}"] = None
                 continue
-            self._joints[name].instructions.append(
-                Instruction(int(batch.log_times_ns[index]), place, motion, "a setpoint")
+            joint.instructions.append(
+                Instruction(int(batch.log_times_ns[index]), place, following(motion), "a setpoint")
+            )
+
+    def _take_relays(self, joint: _Joint, batch: TopicBatch) -> None:
+        for index, place in enumerate(batch.places.tolist()):
+            try:
+                request = RelayRequest.asked(decode_numbers(batch.raw(index)))
+            except HpidError as error:
+                self._notes[f"a relay was left out, as controllers refuse it: {error}"] = None
+                continue
+            text = "the end of a relay" if request is None else "a relay"
+            joint.instructions.append(
+                Instruction(int(batch.log_times_ns[index]), place, driven(request), text)
             )
 
     def _take_events(self, batch: TopicBatch) -> None:
         for index, place in enumerate(batch.places.tolist()):
             told = read_event(batch.raw(index))
-            if told is not None:
+            if told is not None and is_below(told.node, self._namespace):
                 self._take_change(int(batch.log_times_ns[index]), place, told)
 
     def _take_change(self, log_time_ns: int, place: int, told: ParameterEvent) -> None:
@@ -369,8 +301,8 @@ class _Collector:
         for joint in self._joints.values():
             if values and node.rpartition("/")[2] == joint.controller.node:
                 text = ", ".join(f"{name} = {value}" for name, value in values.items())
-                change = partial(_changed, joint.controller, values)
-                joint.instructions.append(Instruction(log_time_ns, place, change, text))
+                change = partial(joint.controller.changed, values)
+                joint.instructions.append(Instruction(log_time_ns, place, retuned(change), text))
 
 
 def _place(each: RecordedState | RecordedCommand | Instruction) -> int:
@@ -400,11 +332,3 @@ class _ModelAnswer:
                 self._term = compensator.hold(stamp_ns, str(error))
             self._is_computed = True
         return compensator.answer(loop, *self._sample, self._term)
-
-
-def _changed(
-    controller: Controller, values: Mapping[str, Any], settings: LoopSettings
-) -> LoopSettings:
-    """Return the settings after a change, as the controller makes them."""
-    changed = LoopSettings.from_parameters({**settings.to_parameters(), **values})
-    return _in_force(changed, controller.limits, controller.robot)

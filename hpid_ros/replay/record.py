@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from hpid_ros.control import JointLoop, LoopSettings
+from hpid_ros.control.interludes.relay import RelayRequest
 from hpid_ros.control.reference import Motion
 
 Answer = Callable[[JointLoop], float]
@@ -46,19 +47,36 @@ class RecordedCommand(NamedTuple):
 
 
 class Instruction(NamedTuple):
-    """Something that a controller was told: a motion, or other settings.
+    """Something that a controller was told: a motion, other settings, or a relay.
 
     Attributes:
         log_time_ns: When it was recorded, in [ns].
         place: Its place in the log.
-        what: The motion, or what makes the settings that are in force from then on.
+        what: Does to a loop what the controller does then; it may refuse, in words.
         text: The same in words.
     """
 
     log_time_ns: int
     place: int
-    what: Motion | Callable[[LoopSettings], LoopSettings]
+    what: Callable[[JointLoop], None]
     text: str
+
+
+def following(motion: Motion) -> Callable[[JointLoop], None]:
+    """Return what has a loop follow a motion."""
+    return lambda loop: loop.follow(motion)
+
+
+def retuned(change: Callable[[LoopSettings], LoopSettings]) -> Callable[[JointLoop], None]:
+    """Return what puts the settings in force that a change makes of those before."""
+    return lambda loop: loop.retune(change(loop.settings))
+
+
+def driven(request: RelayRequest | None) -> Callable[[JointLoop], None]:
+    """Return what has a relay drive a loop's joint; None ends one."""
+    if request is None:
+        return lambda loop: loop.end_relay("it was told to end")
+    return lambda loop: loop.begin_relay(request)
 
 
 @dataclass(frozen=True)

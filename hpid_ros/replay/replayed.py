@@ -295,15 +295,11 @@ class _Replay:
 
     def _tell(self, branch: _Branch, instruction: Instruction) -> None:
         branch.heard += 1
-        what, loop = instruction.what, branch.loop
-        if callable(what):
-            try:
-                loop.retune(what(loop.settings))
-            except HpidError as error:
-                branch.notes = (*branch.notes, f"{instruction.text} was left out: {error}")
-        else:
-            loop.follow(what)
-        stamp_ns = loop.stamp_ns
+        try:
+            instruction.what(branch.loop)
+        except HpidError as error:
+            branch.notes = (*branch.notes, f"{instruction.text} was left out: {error}")
+        stamp_ns = branch.loop.stamp_ns
         if stamp_ns is not None and stamp_ns >= self._happened[0]:
             self._happened = stamp_ns, instruction.text
 

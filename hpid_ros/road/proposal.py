@@ -21,7 +21,7 @@ from hpid_ros.frequency.family import loop_family
 from hpid_ros.frequency.margins import Margins, margins_of
 from hpid_ros.metrics.retunes import read_retunes
 from hpid_ros.recordings.series import JointSeries, RunSeries
-from hpid_ros.replay.reading import recorded_controllers
+from hpid_ros.replay.controllers import recorded_controllers
 from hpid_ros.road.findings import Findings, findings_of
 from hpid_ros.road.known import KnownRobot, known_robot
 from hpid_ros.robot.given import GivenRobot

@@ -15,7 +15,7 @@ from hpid_ros.bags.selection import BagSelection
 from hpid_ros.base.errors import HpidError, SettingError
 from hpid_ros.metrics.measure import Measured, Measuring, measure_all
 from hpid_ros.metrics.sources import Source
-from hpid_ros.replay.reading import recorded_controllers
+from hpid_ros.replay.controllers import recorded_controllers
 from hpid_ros.road.prediction import Prediction
 
 JUDGED = (IVC, ITAE)

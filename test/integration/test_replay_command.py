@@ -1,23 +1,49 @@
 """``hpid replay``: what was recorded against what the law answers."""
 
 import shutil
+from functools import partial
 
+import numpy as np
 import pytest
 import yaml
+from harness.bags import MS, TYPES, convert
+from harness.loops import loop_settings
+from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
 from hpid_ros.bags import BagReader, BagWriter
 from hpid_ros.bags.metadata import PARAMETERS, custom_data
+from hpid_ros.bags.parameter_events import PARAMETER_EVENTS
+from hpid_ros.base.resources import share_folder
 from hpid_ros.cli.main import main
+from hpid_ros.control import JointLoop, LoopSettings
+from hpid_ros.control.interludes.relay import RelayRequest
+from hpid_ros.control.reference import Setpoint
 from hpid_ros.wire import JointStateTemplate, decode_joint_state
 
+JOINT_STATE = "sensor_msgs/msg/JointState"
+FLOATS, FLOAT = "std_msgs/msg/Float64MultiArray", "std_msgs/msg/Float64"
 
-@pytest.fixture
-def bag(experiment_file, tmp_path):
-    """The bag of a short run in this process."""
-    folder = tmp_path / "result"
-    options = ["--in-process", "--no-figures", "--output", str(folder)]
-    assert main(["compare", str(experiment_file()), *options]) == 0
-    return folder / "bags" / "hPID"
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory):
+    """The bag of a short run in this process, with noise, a push and a load that comes."""
+    folder = tmp_path_factory.mktemp("run")
+    document = {
+        "extends": str(share_folder() / "config" / "experiments" / "tracking.yaml"),
+        "duration": 0.3,
+        "simulation": {"engine": "mujoco", "physics_steps": 1},
+        "sensors": {"noise": 1e-4, "encoder_counts": 65536},
+        "disturbances": {
+            "payload": [{"time": 0.1, "mass": 1.5}],
+            "wrenches": [
+                {"link": "payload", "from": 0.15, "duration": 0.1, "force": [40.0, 10.0, 0.0]}
+            ],
+        },
+    }
+    (folder / "run.yaml").write_text(yaml.safe_dump(document))
+    options = ["--in-process", "--no-figures", "--output", str(folder / "result")]
+    assert main(["compare", str(folder / "run.yaml"), *options]) == 0
+    return folder / "result" / "bags" / "hPID"
 
 
 def replay(capsys, *arguments):
@@ -105,3 +131,141 @@ def test_what_is_missing_is_said_in_one_line(bag, tmp_path, capsys):
     (damaged / "metadata.yaml").write_text("{")
     code, _, err = replay(capsys, damaged)
     assert code == 2
+
+
+def test_one_file_of_a_bag_has_the_parameters_of_its_folder(bag, capsys):
+    code, out, _ = replay(capsys, bag / "hPID.mcap", "--joint", "arm_joint_2")
+    assert (code, out.splitlines()[-1][:25]) == (0, "every one of 301 commands")
+
+
+SETTINGS = {
+    **{"law": "pid", "gains__p": 40.0, "gains__i": 20.0, "gains__d": 8.0},
+    **{"velocity_source": "filtered", "u_clamp_max": 20.0, "u_clamp_min": -20.0},
+}
+RELAY = [2.0, 0.002, 0.5, 3.0, 5.0]
+
+
+def message(kind, **fields):
+    """Return a serialised message; what is not given is as its type has it."""
+    return bytes(TYPES.serialize_cdr(TYPES.types[kind](**fields), kind))
+
+
+def floats(numbers):
+    layout = TYPES.types["std_msgs/msg/MultiArrayLayout"]([], 0)
+    return message(FLOATS, layout=layout, data=np.array(numbers))
+
+
+def event(node, name, value):
+    types = TYPES.types
+    nothing = dict.fromkeys(
+        f"{each}_array_value" for each in ("byte", "bool", "integer", "double")
+    )
+    content = types["rcl_interfaces/msg/ParameterValue"](
+        type=3, bool_value=False, integer_value=0, double_value=value, string_value="",
+        string_array_value=[], **{each: np.empty(0) for each in nothing},
+    )  # fmt: skip
+    changed = [types["rcl_interfaces/msg/Parameter"](name, content)]
+    stamp = types["builtin_interfaces/msg/Time"](0, 0)
+    return message(
+        PARAMETER_EVENTS,
+        stamp=stamp,
+        node=node,
+        new_parameters=[],
+        changed_parameters=changed,
+        deleted_parameters=[],
+    )
+
+
+@pytest.fixture
+def told(tmp_path):
+    """A joint that is told everything there is, recorded as ros2 bag record does into SQLite."""
+    loop, node = JointLoop(loop_settings(joint="elbow", **SETTINGS)), "/left/first_controller"
+
+    def retune(loop):
+        values = {**loop.settings.to_parameters(), "gains.p": 60.0}
+        loop.retune(LoopSettings.from_parameters(values))
+
+    told = {
+        50: ("relay", FLOATS, floats(RELAY), lambda loop: loop.begin_relay(RelayRequest(*RELAY))),
+        900: ("relay", FLOATS, floats([]), lambda loop: loop.end_relay("")),
+        1300: ("events", PARAMETER_EVENTS, event(node, "gains.p", 60.0), retune),
+        1350: (
+            "setpoint",
+            FLOAT,
+            message(FLOAT, data=0.3),
+            lambda loop: loop.follow(Setpoint(0.3)),
+        ),
+        1400: (
+            "events",
+            PARAMETER_EVENTS,
+            event("/right/first_controller", "gains.p", 1.0),
+            lambda loop: None,  # another robot's
+        ),
+    }
+    state = JointStateTemplate(["elbow"], position=True)
+    command = JointStateTemplate(["elbow"], node, effort=True)
+    position = velocity = 0.0
+    names = {"relay": f"{node}/relay", "setpoint": f"{node}/setpoint"}
+    with BagWriter(tmp_path / "mcap") as writer:
+        add = partial(writer.add_topic)
+        states = add("/left/joint_states", JOINT_STATE)
+        commands = add("/left/joint_commands", JOINT_STATE)
+        topics = {
+            each: add(name, FLOATS if each == "relay" else FLOAT) for each, name in names.items()
+        }
+        topics["events"] = add("/parameter_events", PARAMETER_EVENTS)
+        for k in range(1500):
+            if k in told:
+                topic, _, raw, act = told[k]
+                writer.write(topics[topic], k * MS - 1, raw)
+                act(loop)
+            effort = loop.step(k * MS, position)
+            writer.write(states, k * MS, state.encode(k * MS, position=[position]))
+            writer.write(commands, k * MS + 1, command.encode(k * MS, effort=[effort]))
+            velocity += 1e-3 * (effort - 0.5 * velocity) / 0.2
+            position += 1e-3 * velocity
+    assert loop.relay.cycles > 1
+    convert(tmp_path / "mcap", tmp_path / "bag", StoragePlugin.SQLITE3, CompressionMode.NONE)
+    parameters = tmp_path / "controllers.yaml"
+    own = {"joint": "elbow", **{k.replace("__", "."): v for k, v in SETTINGS.items()}}
+    parameters.write_text(yaml.safe_dump({node: {"ros__parameters": own}}))
+    return tmp_path / "bag", ("--params", parameters, "--namespace", "left")
+
+
+def test_relays_setpoints_and_changes_of_a_namespace_are_replayed(told, capsys):
+    bag, options = told
+    code, out, _ = replay(capsys, bag, *options)
+    assert out.splitlines()[-1] == "every one of 1 500 commands is the law's, to the last bit"
+    assert code == 0
+
+
+def test_a_relay_that_was_not_recorded_shows_from_there_on(told, tmp_path, capsys):
+    bag, options = told
+    lost = "/left/first_controller/relay"
+    bare = rewritten(
+        bag, tmp_path / "bare", lambda topic, raw: None if topic == lost else raw, False
+    )
+    code, out, _ = replay(capsys, bare, *options)
+    assert code == 1
+    assert "from 0.050 s for" in out
+
+
+def test_a_strangers_bag_gets_one_line_about_what_it_lacks(told, tmp_path, capsys):
+    bag, options = told
+    code, _, err = replay(capsys, bag)
+    assert (code, err.count("\n")) == (2, 1)
+    assert "does not hold its controllers' parameters: give them with --params FILE" in err
+    states = JointStateTemplate(["elbow"], position=True, effort=True)
+    with BagWriter(tmp_path / "mcap2") as writer:  # ros2_control's
+        topics = [
+            writer.add_topic("/joint_states", JOINT_STATE),
+            writer.add_topic("/effort_controller/commands", FLOATS),
+        ]
+        for k in range(20):
+            writer.write(topics[0], k * MS, states.encode(k * MS, position=[0.1], effort=[1.0]))
+            writer.write(topics[1], k * MS + 1, floats([1.0]))
+    convert(tmp_path / "mcap2", tmp_path / "strange", StoragePlugin.SQLITE3, CompressionMode.NONE)
+    code, _, err = replay(capsys, tmp_path / "strange", *options[:2])
+    assert (code, err.count("\n")) == (2, 1)
+    assert "no topic of stamped commands" in err
+    assert "those on /effort_controller/commands have no stamps" in err

@@ -21,7 +21,7 @@ from hpid_ros.bags.columns.batches import (
 from hpid_ros.bags.columns.compression import Allowance, decompressed_message, unpack_file
 from hpid_ros.bags.columns.mcap.file import McapFile
 from hpid_ros.bags.columns.sqlite.file import SqliteFile
-from hpid_ros.bags.metadata import METADATA, counts_of, read_metadata
+from hpid_ros.bags.metadata import METADATA, counts_of, custom_data, read_metadata
 from hpid_ros.base.errors import BagError
 
 if TYPE_CHECKING:
@@ -69,7 +69,7 @@ class Storage:
         metadata = self._metadata() if self.path.is_dir() else {}
         self._is_by_message = str(metadata.get("compression_mode", "")).lower() == "message"
         self._counts = counts_of(metadata)
-        custom = metadata.get("custom_data")
+        custom = metadata.get("custom_data") if metadata else custom_data(self.path)
         self.custom_data = _texts(custom) if isinstance(custom, dict) else {}
         self._files: list[tuple[StorageFile, Report, int]] = []
         for file in self._paths(metadata):

@@ -86,6 +86,8 @@ _FLOATS = (FLOAT64, FLOAT64_MULTI_ARRAY)
 _EFFORTS_OF_A_JOINT = ("cmd_force", "cmd_effort")
 _COMMANDS_OF_A_JOINT = ("command", "commands")
 """Positions, velocities or efforts: only who ran the controllers knows."""
+_COMMANDS_OF_JOINTS = ("joint_commands", "joint_command")
+"""The second is Isaac Sim's."""
 _NEITHER_STATES_NOR_COMMANDS = ("reference", "terms")
 
 
@@ -122,6 +124,7 @@ class TopicChoice:
         is_measured: Whether the efforts are those that the states measured.
         may_be_measured: Whether those are to be taken if nothing else carries efforts.
         in_doubt: Topics that may carry efforts, or something else.
+        relays: Where controllers are asked for relays.
     """
 
     states: tuple[str, ...]
@@ -132,6 +135,7 @@ class TopicChoice:
     is_measured: bool = False
     may_be_measured: bool = False
     in_doubt: tuple[str, ...] = ()
+    relays: tuple[str, ...] = ()
 
     def measured(self) -> TopicChoice:
         """Return the same with the efforts that the states measured, and no others."""
@@ -205,6 +209,9 @@ class _Chooser:
             is_measured=commands == states,
             may_be_measured=asked is None and not explicit,
             in_doubt=self.in_doubt({*commands, *(each.topic for each in topics.values())}),
+            relays=tuple(
+                name for name in self.below(FLOAT64_MULTI_ARRAY) if last_part(name) == "relay"
+            ),
         )
         if choice.may_be_measured and not commands and not topics:
             return choice.measured()
@@ -345,7 +352,7 @@ def _common(namespaces: Sequence[str]) -> str:
 
 def _is_of_a_controller(topic: str) -> bool:
     """Tell whether a JointState topic is a controller's output by its name."""
-    return last_part(topic) in (*_NEITHER_STATES_NOR_COMMANDS, "joint_commands")
+    return last_part(topic) in (*_NEITHER_STATES_NOR_COMMANDS, *_COMMANDS_OF_JOINTS)
 
 
 def _may_be_commands(topic: str) -> bool:

@@ -25,6 +25,7 @@ phase and amplitude margins", Automatica 20 (1984) 645-651.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from hpid_ros.base.errors import SettingError
@@ -72,6 +73,26 @@ class RelayRequest:
             if not (math.isfinite(value) and 0.0 < value <= most):
                 allowed = "finite and positive" if math.isinf(most) else f"in (0, {most:g}]"
                 raise SettingError(f"the {name} of a relay must be {allowed}, not {value:g}")
+
+    @classmethod
+    def asked(cls, numbers: Sequence[float]) -> RelayRequest | None:
+        """Return what a message on ``~/relay`` asks for; None for the end of a relay.
+
+        Args:
+            numbers: Of the message, in the order of the attributes; none end a relay.
+
+        Raises:
+            SettingError: There are more or fewer, or one is out of range.
+        """
+        if not numbers:
+            return None
+        names = list(cls.__dataclass_fields__)
+        if len(numbers) != len(names):
+            raise SettingError(
+                f"a relay is asked for with {len(names)} numbers ({', '.join(names)}), "
+                f"not {len(numbers)}"
+            )
+        return cls(*numbers)
 
 
 def reason_against(

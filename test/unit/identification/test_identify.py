@@ -34,6 +34,11 @@ def test_a_delay_is_found_between_samples(delay):
     assert result.estimates["delay"].value == pytest.approx(delay, abs=2e-5)
 
 
+def test_a_delay_beyond_what_is_looked_through_is_not_told():
+    (result,) = found(record(Plant(delay=0.05)), method=Method(longest_delay=0.03))
+    assert result.untold["delay"] == "the best is at the end of what was looked through, 30 ms"
+
+
 def test_a_held_command_acts_half_a_period_later_than_a_sample():
     sampled = record(Plant(delay=0.002), np.arange(0.0, 15.0, 0.004))
     held = JointRecord("joint", sampled.time, sampled.position, sampled.time, sampled.effort)

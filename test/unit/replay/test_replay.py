@@ -10,9 +10,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hpid_ros.control import JointLoop, LoopSettings
+from hpid_ros.control.interludes.relay import RelayRequest
 from hpid_ros.control.reference import Setpoint
 from hpid_ros.replay import JointRecord, replay_joint
-from hpid_ros.replay.record import Instruction, RecordedCommand, RecordedState
+from hpid_ros.replay.record import (
+    Instruction,
+    RecordedCommand,
+    RecordedState,
+    driven,
+    following,
+    retuned,
+)
 from hpid_ros.trajectory import Column, Knot
 
 MS = 1_000_000
@@ -33,7 +41,9 @@ def answer(stamp_ns, position, velocity):
 def change(**values):
     """Return what makes other settings, with dots for double underscores."""
     named = {key.replace("__", "."): value for key, value in values.items()}
-    return lambda settings: LoopSettings.from_parameters({**settings.to_parameters(), **named})
+    return retuned(
+        lambda settings: LoopSettings.from_parameters({**settings.to_parameters(), **named})
+    )
 
 
 class Recorder:
@@ -67,10 +77,7 @@ class Recorder:
         """Tell the controller something; the recorder hears it so many states later."""
         place = self.place + 1000 * states_apart + 500
         self.instructions.append(Instruction(self.stamp_ns, place, what, text))
-        if callable(what):
-            self.loop.retune(what(self.loop.settings))
-        else:
-            self.loop.follow(what)
+        what(self.loop)
 
     def replay(self):
         instructions = sorted(self.instructions, key=lambda each: each.place)
@@ -83,7 +90,7 @@ class Recorder:
 
 def recorded(count=200, seed=0, **options):
     recorder = Recorder(seed)
-    recorder.tell(Column("elbow", (Knot(0, 0.1), Knot(100 * MS, 0.5))), "a trajectory")
+    recorder.tell(following(Column("elbow", (Knot(0, 0.1), Knot(100 * MS, 0.5)))), "a trajectory")
     for _ in range(count):
         recorder.state(**options)
     return recorder
@@ -132,9 +139,9 @@ def test_what_was_heard_earlier_or_later_than_recorded_is_found(seed, told):
     recorder = recorded(60, seed)
     whats = [
         ("mu = -0.1", change(mu=-0.1)),
-        ("a setpoint", Setpoint(0.3)),
+        ("a setpoint", following(Setpoint(0.3))),
         ("gains.p = 250", change(gains__p=250.0)),
-        ("a trajectory", Column("elbow", (Knot(0, 0.1), Knot(50 * MS, -0.2)))),
+        ("a trajectory", following(Column("elbow", (Knot(0, 0.1), Knot(50 * MS, -0.2))))),
     ]
     for (text, what), (after, apart) in zip(whats, told, strict=False):
         recorder.tell(what, text, apart)
@@ -146,7 +153,7 @@ def test_what_was_heard_earlier_or_later_than_recorded_is_found(seed, told):
 
 def test_a_change_that_was_not_recorded_is_not_the_law():
     recorder = recorded(100)
-    recorder.loop.retune(change(mu=-0.1)(recorder.loop.settings))
+    change(mu=-0.1)(recorder.loop)
     for _ in range(100):
         recorder.state()
     verdict = recorder.replay()
@@ -222,3 +229,50 @@ def test_no_command_at_all_is_no_proof():
     verdict = recorded(10, is_answer_recorded=False).replay()
     assert not verdict.is_the_law
     assert dataclasses.replace(verdict, equal=1).is_the_law
+
+
+def with_relay(apart=0, is_told=True):
+    """Return a recording in which a relay drives the joint for a while."""
+    recorder = Recorder(3)
+    for _ in range(60):
+        recorder.state()
+    relay = driven(RelayRequest(2.0, 1e-3, 1.0, 100.0, 5.0))
+    if is_told:
+        recorder.tell(relay, "a relay", apart)
+    else:
+        relay(recorder.loop)
+    for _ in range(400):
+        recorder.state()
+    recorder.tell(driven(None), "the end of a relay", apart)
+    for _ in range(340):
+        recorder.state()
+    assert recorder.loop.relay.weight == 0.0 < recorder.loop.relay.ending.count("told")
+    return recorder
+
+
+@pytest.mark.parametrize("apart", [-20, 0, 20])
+def test_a_relay_that_was_asked_for_is_the_laws(apart):
+    verdict = with_relay(apart).replay()
+    assert verdict.is_the_law, verdict.differences
+    assert verdict.equal == 800
+
+
+def test_a_relay_that_nobody_recorded_is_not():
+    verdict = with_relay(is_told=False).replay()
+    assert verdict.equal < 100
+    assert verdict.equal + verdict.different == 800
+
+
+def test_a_relay_that_the_controller_refused_is_left_out_and_noted():
+    recorder = recorded()  # a joint that moves
+    recorder.instructions.append(
+        Instruction(
+            recorder.stamp_ns,
+            50_500,
+            driven(RelayRequest(2.0, 1e-3, 1.0, 5.0, 5.0)),
+            "a relay",
+        )
+    )
+    verdict = recorder.replay()
+    assert verdict.is_the_law
+    assert verdict.notes == ("a relay was left out: no relay now: the reference moves",)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import cache, partial
 from typing import Any
 
@@ -222,16 +222,6 @@ class ControllerReferences:
             numbers = decode_numbers(raw)
             if numbers and against:
                 raise MessageError(against)
-            self._relay(_relay_request(numbers) if numbers else None)
+            self._relay(RelayRequest.asked(numbers))
         except HpidError as error:
             self._refuse(str(error))
-
-
-def _relay_request(numbers: Sequence[float]) -> RelayRequest:
-    names = list(RelayRequest.__dataclass_fields__)
-    if len(numbers) != len(names):
-        raise MessageError(
-            f"a relay is asked for with {len(names)} numbers ({', '.join(names)}), "
-            f"not {len(numbers)}"
-        )
-    return RelayRequest(*numbers)
