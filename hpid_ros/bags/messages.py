@@ -70,6 +70,16 @@ class PlanarColumns(NamedTuple):
     poses: Numbers
 
 
+def odometry_topics(bag: Path) -> list[str]:
+    """Return the names of a bag's topics of odometry.
+
+    Raises:
+        BagError: The bag cannot be read.
+    """
+    with Storage(bag) as storage:
+        return [name for name, info in storage.topics().items() if info.type == ODOMETRY]
+
+
 def read_planar(bag: Path, topic: str) -> PlanarColumns:
     """Return the poses of an odometry topic in the plane.
 

@@ -37,7 +37,8 @@ def load_robot(name: str) -> GivenRobot:
     world = load_experiment(file).world
     source = str(world.robot_description)
     description = RobotDescription.load(source)
-    return GivenRobot(source, description, world.fixed_base, world.initial_positions)
+    wheels = tuple(world.base.joints) if world.base is not None else ()
+    return GivenRobot(source, description, world.fixed_base, world.initial_positions, wheels)
 
 
 def identified_robot(file: Path) -> GivenRobot | None:

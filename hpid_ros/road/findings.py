@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from hpid_ros.base.errors import SettingError, unknown_name
 from hpid_ros.identification.experiment_text import MovedInertia
+from hpid_ros.identification.findings import nothing
 from hpid_ros.identification.identify import Method, RigidBody, identify
 from hpid_ros.identification.records import JointRecord
 from hpid_ros.identification.results import INERTIA, JointIdentification
 from hpid_ros.recordings.quality import MEASURED
 from hpid_ros.recordings.series import RunSeries, seconds_since
+from hpid_ros.road.base import BaseMotion, is_wheel, remark_on_base, why_not_wheel
 from hpid_ros.robot.amendments import JointAmendment, amended
 from hpid_ros.robot.dynamics import Dynamics
 from hpid_ros.robot.given import GivenRobot
@@ -46,6 +48,7 @@ def findings_of(
     asked: Sequence[str] | None = None,
     robot_name: str = "the robot",
     bag_name: str = "the recording",
+    base: BaseMotion | None = None,
 ) -> Findings:
     """Identify joints.
 
@@ -56,6 +59,7 @@ def findings_of(
         asked: Only these joints; all if None.
         robot_name: What errors call the robot.
         bag_name: What they call the recording.
+        base: How far the robot's base moved; None if nobody knows.
 
     Raises:
         SettingError: The recording or the robot lacks a joint, or they have none in common.
@@ -64,8 +68,11 @@ def findings_of(
         if joint not in recording.joint_names:
             raise SettingError(unknown_name("joint", joint, recording.joint_names))
     records = _records(recording)
+    wheels = _wheels(records, robot, base, asked)
     if robot is None:
-        return Findings(identify(records, method=method), _sources(recording))
+        alone = [each.joint for each in records if each.joint not in wheels]
+        found = identify(records, method=method, wanted=alone)
+        return Findings(_in_order([*found, *wheels.values()], records), _sources(recording))
     joints = robot.description.joints
     records = [each for each in records if each.joint in joints]
     if not records:
@@ -77,9 +84,38 @@ def findings_of(
     for joint in wanted:
         if joint not in joints:
             raise SettingError(f"{robot_name}: {unknown_name('joint', joint, joints)}")
-    found = identify(records, _rigid_body(robot, records), method, wanted)
+    own = [joint for joint in wanted if joint not in wheels]
+    found = identify(records, _rigid_body(robot, records), method, own)
+    if base is not None and base.is_moving and not robot.fixed_base:
+        remark = remark_on_base(base)
+        found = tuple(replace(each, remarks=(*each.remarks, remark)) for each in found)
+    refused = [each for joint, each in wheels.items() if joint in wanted]
+    found = _in_order([*found, *refused], records)
     slides = tuple(name for name in wanted if joints[name].is_slide)
     return Findings(found, _sources(recording), slides, _moved(robot, recording, found))
+
+
+def _wheels(
+    records: Sequence[JointRecord],
+    robot: GivenRobot | None,
+    base: BaseMotion | None,
+    asked: Sequence[str] | None,
+) -> dict[str, JointIdentification]:
+    """Return the wheels under a robot that rolls, each with why nothing is said of it."""
+    refused = {}
+    for each in records:
+        if is_wheel(each.joint, robot):
+            reason = why_not_wheel(base, is_asked_for=each.joint in (asked or ()))
+            if reason:
+                refused[each.joint] = nothing(each, reason)
+    return refused
+
+
+def _in_order(
+    found: Iterable[JointIdentification], records: Sequence[JointRecord]
+) -> tuple[JointIdentification, ...]:
+    order = {each.joint: place for place, each in enumerate(records)}
+    return tuple(sorted(found, key=lambda each: order[each.joint]))
 
 
 def _sources(recording: RunSeries) -> dict[str, str]:

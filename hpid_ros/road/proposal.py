@@ -22,6 +22,7 @@ from hpid_ros.frequency.margins import Margins, margins_of
 from hpid_ros.metrics.retunes import read_retunes
 from hpid_ros.recordings.series import JointSeries, RunSeries
 from hpid_ros.replay.controllers import recorded_controllers
+from hpid_ros.road.base import base_motion, remark_on_base
 from hpid_ros.road.findings import Findings, findings_of
 from hpid_ros.road.known import KnownRobot, known_robot
 from hpid_ros.robot.given import GivenRobot
@@ -148,8 +149,11 @@ def answer(question: Question, telling: Telling) -> Answer:
     telling.phase("reading the recording")
     recording, loops, warnings = _read(question)
     telling.phase("identifying the joints")
+    base = base_motion(question.bag)
+    if base is not None and base.is_moving and not question.robot.fixed_base:
+        warnings.append(remark_on_base(base))
     findings = findings_of(
-        recording, question.robot, robot_name=question.urdf, bag_name=str(question.bag)
+        recording, question.robot, robot_name=question.urdf, bag_name=str(question.bag), base=base
     )
     known = known_robot(question.robot, findings.joints, recording.joints)
     inertias = _inertias(question, known, loops, recording.joints)

@@ -19,9 +19,11 @@ class GivenRobot:
         description: What that says.
         fixed_base: Whether its root is held.
         initial_positions: Where its joints stand at first, in [rad]; others at 0.
+        wheels: Joints on which its base rolls, as far as they are named.
     """
 
     source: str
     description: RobotDescription
     fixed_base: bool = False
     initial_positions: Mapping[str, float] = field(default_factory=dict)
+    wheels: tuple[str, ...] = ()

@@ -12,6 +12,7 @@ from hpid_ros.base.resources import share_folder
 from hpid_ros.cli.main import main
 from hpid_ros.experiment.description import load_experiment
 from hpid_ros.wire import JointStateTemplate
+from hpid_ros.wire.reports import ODOMETRY, Stamp, encode_odometry
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 PERIOD_NS = 2_000_000
@@ -186,3 +187,52 @@ def test_a_bag_without_motion_fails(tmp_path, capsys):
     code, out, _ = identify(capsys, write(tmp_path / "bag"), "--joint", JOINTS[1])
     assert code == 1
     assert "nothing found" in out
+
+
+def write_wheels(path, rolled):
+    """Write a bag of two wheels and odometry that moves, stands still or is not there."""
+    times = np.arange(0.0, 5.0, 0.002)
+    position = motion(times, 1, 0.4)[0]
+    effort = needed(PLANT, *motion(times + PLANT.delay + 1e-3, 1, 0.4))
+    names = ("left_wheel_joint", "right_wheel_joint")
+    state = JointStateTemplate(names, position=True, effort=True)
+    with BagWriter(path) as bag:
+        states, odometry = bag.add_topic("/joint_states", JOINT_STATE), None
+        if rolled is not None:
+            odometry = bag.add_topic("/odom", ODOMETRY)
+        for k, time in enumerate(times):
+            stamp = round(time * 1e9)
+            at = [position[k]] * 2
+            bag.write(states, stamp, state.encode(stamp, position=at, effort=[effort[k]] * 2))
+            if odometry is not None and k % 50 == 0:
+                pose = (rolled * time, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0)
+                nothing, still = [0.0] * 36, ((0.0,) * 3,) * 2
+                header = Stamp(stamp, "odom")
+                raw = encode_odometry(header, "base", pose, nothing, still, nothing)
+                bag.write(odometry, stamp, raw)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("rolled", "asked", "reason"),
+    [
+        (0.1, True, "the robot rolled on it (0.49 m and 0 rad by its odometry)"),
+        (None, False, "a wheel by its name, and no odometry tells whether the robot rolled"),
+        (None, True, ""),
+        (0.0, False, ""),
+    ],
+)
+def test_wheels_are_told_only_where_the_robot_does_not_roll(
+    rolled, asked, reason, tmp_path, capsys
+):
+    bag, file = write_wheels(tmp_path / "bag", rolled), tmp_path / "found.json"
+    options = ("--joint", "left_wheel_joint") if asked else ()
+    code, out, _ = identify(capsys, bag, *options, "--json", file)
+    found = json.loads(file.read_text())["joints"]["left_wheel_joint"]
+    if reason:
+        assert code == 1
+        assert found["estimates"] == {}
+        assert reason in out
+    else:
+        assert code == 0
+        assert found["estimates"]["inertia"]["value"] == pytest.approx(PLANT.inertia, rel=0.02)

@@ -114,6 +114,7 @@ def _found(options: argparse.Namespace, robot: GivenRobot | None) -> Findings:
     from hpid_ros.bags import read_run
     from hpid_ros.base.interrupts import raise_if_interrupted
     from hpid_ros.identification.identify import Method
+    from hpid_ros.road.base import base_motion
     from hpid_ros.road.findings import findings_of
 
     method = Method(options.cutoff, options.longest_delay, options.effort_unit == "any")
@@ -123,7 +124,8 @@ def _found(options: argparse.Namespace, robot: GivenRobot | None) -> Findings:
     recording = read_run(
         options.bag, _LABEL, selection=selection, progress=lambda share: raise_if_interrupted()
     )
-    return findings_of(recording, robot, method, asked, str(options.urdf), str(options.bag))
+    base = base_motion(options.bag, selection.namespace or "")
+    return findings_of(recording, robot, method, asked, str(options.urdf), str(options.bag), base)
 
 
 def _written(options: argparse.Namespace, robot: GivenRobot | None, found: Findings) -> list[Path]:
