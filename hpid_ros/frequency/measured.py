@@ -33,6 +33,8 @@ LEAST_COHERENCE = 0.95
 _LEAST_POWER = 1e-4  # of the reference's largest density: where it does not excite
 _SEGMENTS = 4.5  # lengths of one segment in the record, half of each overlapping the next
 _LEAST_SAMPLES, _FIRST_BIN = 64, 3  # what the window smears from frequency 0 is left out
+_RESTS = 1e-6  # of a reference's travel: no motion within one sample
+_REST = 1.0  # [s] before and after a motion in which the joint is still at it
 _LONGEST_STEP = 1.5  # of the period; beyond it a sample is missing
 
 
@@ -47,7 +49,7 @@ class MeasuredJoint:
         spread: Standard deviation of the response over its size, by the coherence, (N,).
         candidates: How many frequencies there were.
         period: Median time between samples, in [s].
-        duration: Of the longest stretch without a missing sample, which was used, in [s].
+        duration: Of the stretch without a missing sample that was used, in [s].
     """
 
     frequency: Numbers
@@ -118,7 +120,10 @@ def measured_joint(series: JointSeries, least_coherence: float = LEAST_COHERENCE
 
 
 def _stretch(series: JointSeries) -> tuple[float, tuple[Numbers, Numbers, Numbers]]:
-    """Return the period, and reference, effort and position of the longest stretch of samples."""
+    """Return the period, and reference, effort and position of one stretch of samples.
+
+    It is the one with most of the reference's way, and most samples. Where joints moved one after the other, it is the time in which this one was to move.
+    """
     stamps, states, commands = np.intersect1d(
         series.state_stamps_ns, series.command_stamps_ns, assume_unique=True, return_indices=True
     )
@@ -128,8 +133,16 @@ def _stretch(series: JointSeries) -> tuple[float, tuple[Numbers, Numbers, Number
     period = float(np.median(steps))
     breaks = np.flatnonzero(steps > _LONGEST_STEP * period) + 1
     edges = np.concatenate([[0], breaks, [stamps.size]])
-    k = int(np.argmax(np.diff(edges)))
+    step = np.abs(np.diff(series.reference[states], prepend=series.reference[states[0]]))
+    step[breaks] = 0.0
+    k = int(np.argmax(np.add.reduceat(step, edges[:-1]) * np.diff(edges)))
     part = slice(int(edges[k]), int(edges[k + 1]))
+    reference = series.reference[states[part]]
+    moving = np.flatnonzero(np.abs(np.diff(reference)) > _RESTS * np.ptp(reference))
+    if moving.size:
+        rest = math.ceil(_REST / period)
+        begin, end = int(moving[0]) - rest, int(moving[-1]) + 2 + rest
+        part = slice(part.start + max(begin, 0), min(part.start + end, part.stop))
     return period, (
         series.reference[states[part]],
         series.effort[commands[part]],

@@ -15,6 +15,7 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hpid_ros.base.arrays import Numbers
 from hpid_ros.identification.motion import Motion, joined
@@ -89,6 +90,16 @@ class Terms(NamedTuple):
             joined([each.reference for each in motions], padding),
             lambda speed: smoothed(lambda v: np.sign(v) * np.exp(-((v / speed) ** 2))),
         )
+
+    def without(self, masks: Sequence[NDArray[np.bool_]]) -> Terms:
+        """Return the same with rows that do not count.
+
+        Args:
+            masks: Of such rows, each (R,).
+        """
+        if not masks:
+            return self
+        return self._replace(doubt=np.where(np.any(masks, axis=0), 1.0, self.doubt))
 
 
 class Model(NamedTuple):

@@ -16,7 +16,7 @@ from hpid_ros.identification.equation import Equation, Terms
 from hpid_ros.identification.findings import findings, nothing
 from hpid_ros.identification.kernel import Kernel
 from hpid_ros.identification.motion import Grid, Motion, joined, motion_of
-from hpid_ros.identification.records import JointRecord, halves, spans
+from hpid_ros.identification.records import JointRecord, Span, halves, spans
 from hpid_ros.identification.results import JointIdentification
 
 RigidBody = Callable[[Numbers, Numbers, Numbers], Numbers]
@@ -94,7 +94,7 @@ def identify(
         if wanted is not None and each.joint not in wanted:
             continue
         if rigid_body is None:
-            alone = _identified([each], 0, None, how, moving)
+            alone = _identified([each], 0, None, how, moving, _others_turn(each, records))
             found.append(replace(alone, remarks=_company(each, records)))
         else:
             found.append(_identified(records, place, rigid_body, how, moving))
@@ -123,6 +123,18 @@ def _company(own: JointRecord, records: Sequence[JointRecord]) -> tuple[str, ...
     )
 
 
+def _others_turn(own: JointRecord, records: Sequence[JointRecord]) -> list[Span]:
+    """Return when others move and a joint does not, which tells of it no more than their pull."""
+    if len(own.time) < 2:
+        return []
+    edges = np.arange(own.time[0], own.time[-1] + _BIN, _BIN)
+    is_theirs = np.zeros(len(edges), dtype=np.bool_)
+    for each in records:
+        is_theirs |= _is_busy(each, edges, _travel(each))
+    is_theirs &= ~_is_busy(own, edges, _travel(own))
+    return [Span(float(at), float(at) + _BIN) for at in edges[is_theirs]]
+
+
 def _is_busy(record: JointRecord, edges: Numbers, travel: float) -> NDArray[np.bool_]:
     """Tell for each piece of time whether a joint moves by a part of a travel."""
     if len(record.time) < 2:
@@ -143,6 +155,7 @@ def _identified(
     rigid_body: RigidBody | None,
     how: Method,
     moving: float,
+    left_out: Sequence[Span] = (),
 ) -> JointIdentification:
     own = records[place]
     reason = _why_not(own, moving)
@@ -156,10 +169,12 @@ def _identified(
     if sum(grid.rows for grid in rows.grids) < _LEAST_ROWS:
         return nothing(own, _too_short(own, kernel))
     rigid = None if rigid_body is None else _rigid(rows, rigid_body, place)
+    times = joined([grid.times for grid in rows.grids], _PADDING)
+    terms = Terms.of(
+        rows.motions[place], rigid, lambda of: _smoothed(rows, kernel, place, of), _PADDING
+    )
     equation = Equation(
-        Terms.of(
-            rows.motions[place], rigid, lambda of: _smoothed(rows, kernel, place, of), _PADDING
-        ),
+        terms.without([(times >= each.begin) & (times < each.end) for each in left_out]),
         lambda delay: _effort(own, rows, kernel, delay),
         period=own.period,
         cutoff=kernel.cutoff,
@@ -167,7 +182,6 @@ def _identified(
     )
     if equation.used_rows < _LEAST_ROWS:
         return nothing(own, _TOO_SLOW)
-    times = joined([grid.times for grid in rows.grids], _PADDING)
     return findings(own, equation, times, kernel.cutoff, how.has_scale)
 
 

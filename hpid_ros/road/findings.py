@@ -72,7 +72,10 @@ def findings_of(
     if robot is None:
         alone = [each.joint for each in records if each.joint not in wheels]
         found = identify(records, method=method, wanted=alone)
-        return Findings(_in_order([*found, *wheels.values()], records), _sources(recording))
+        slides = tuple(name for name in recording.joint_names if name in recording.slides)
+        return Findings(
+            _in_order([*found, *wheels.values()], records), _sources(recording), slides
+        )
     joints = robot.description.joints
     records = [each for each in records if each.joint in joints]
     if not records:

@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from hpid_ros.base.errors import HpidError, RunError
+from hpid_ros.base.errors import HpidError, RunError, SettingError
 from hpid_ros.base.resources import find_resource
 from hpid_ros.control import LoopSettings
 from hpid_ros.control.settings.robot_limits import RobotLimits
@@ -74,26 +74,30 @@ def running_loops() -> dict[str, LoopSettings]:
     return settings_from_parameters(_read()["controllers"], "the running graph")
 
 
-def running_graph(states: str = "joint_states") -> RunningGraph:
+def running_graph(states: str = "joint_states", namespace: str | None = None) -> RunningGraph:
     """Return what runs, and where the joints are.
 
     Args:
         states: Topic of the states.
+        namespace: Only what runs below it.
 
     Raises:
-        RunError: The graph cannot be read, or two controllers have one joint.
-        SettingError: There is no controller.
+        RunError: The graph cannot be read.
+        SettingError: There is no controller, or two controllers have one joint.
     """
-    read = _read(states)
+    below = f"/{namespace.strip('/')}" if namespace else ""
+    read = _read(states, below)
     document = read["controllers"]
     found: dict[str, RunningController] = {}
-    settings_from_parameters(document, "the running graph")
+    settings_from_parameters(document, f"the running graph {below}".rstrip())
     for node, section in document.items():
         values = section["ros__parameters"]
         (settings,) = settings_from_parameters({node: section}, "the running graph").values()
         if settings.joint in found:
             both = f"{found[settings.joint].node} and {node}"
-            raise RunError(f"{settings.joint} has two controllers, {both}: which is meant?")
+            raise SettingError(
+                f"{settings.joint} has two controllers, {both}: choose one's with --namespace"
+            )
         limits = _limits(str(values.get("robot_description") or ""), settings.joint)
         state = read["joints"].get(settings.joint, {})
         found[settings.joint] = RunningController(

@@ -122,6 +122,9 @@ def _recorded(
         f"controllers_file:={parameters}",
         f"topics:={topics}",
     ]
+    slides = [name for name, each in graph.controllers.items() if each.limits.is_slide]
+    if slides:
+        of_recorder.append(f"slides:={slides}")
     flags = [text for each in of_recorder for text in ("-p", each)]
     recorder = group.start(RECORDER, "bag_recorder", [*arguments, *flags])
     try:

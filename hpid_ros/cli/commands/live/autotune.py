@@ -61,6 +61,7 @@ def add(commands: Any) -> None:
         "--closed-loop-time", type=float, metavar="S", help="of SIMC (four effective delays)"
     )
     parser.add_argument("--goal", choices=_GOALS, default="fast", help="of the upgrade (fast)")
+    parser.add_argument("--namespace", metavar="NS", help="only controllers below this namespace")
     parser.add_argument(
         "--states", default="joint_states", metavar="TOPIC", help="of the states (joint_states)"
     )
@@ -78,7 +79,7 @@ def run(options: argparse.Namespace) -> int:
     from hpid_ros.experiment.live.graph import running_graph
 
     bag = _checked(options)
-    graph = running_graph(options.states)
+    graph = running_graph(options.states, options.namespace)
     controller = _controller(graph, options.joint)
     bounds, planned = _planned(options, controller)
     console = output_console()

@@ -78,6 +78,7 @@ def add(commands: Any) -> None:
     )
     parser.add_argument("--seed", type=int, default=0, help="of the sines' phases (0)")
     add_robot_options(parser)
+    parser.add_argument("--namespace", metavar="NS", help="only controllers below this namespace")
     parser.add_argument(
         "--states", default="joint_states", metavar="TOPIC", help="of the states (joint_states)"
     )
@@ -102,7 +103,7 @@ def run(options: argparse.Namespace) -> int:
     from hpid_ros.experiment.live.graph import running_graph
 
     bag = _bag(options)
-    graph = running_graph(options.states)
+    graph = running_graph(options.states, options.namespace)
     controllers = chosen(graph, options.joint)
     planned = _plan(options, controllers)
     console = output_console()

@@ -1,6 +1,7 @@
 """Prints what runs as JSON: the joint controllers, and where their joints are.
 
-The first argument names the topic of the states; without it there are the parameters alone.
+The first argument names the topic of the states; without it there are the parameters alone. The
+second, if there is one, names the namespace of the controllers.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from rclpy.parameter import parameter_value_to_python
 from rclpy.parameter_client import AsyncParameterClient
 from sensor_msgs.msg import JointState
 
+from hpid_ros.bags.run.topics import is_below
 from hpid_ros.base.errors import MessageError
 from hpid_ros.control.settings.table import PARAMETERS
 from hpid_ros.nodes.ros.middleware import NEWEST_STATES
@@ -74,10 +76,16 @@ def read(node: Node, name: str, more: Sequence[str] = ()) -> dict[str, Any]:
     return read if all(value is not None for value in read.values()) else {}
 
 
-def controllers(node: Node) -> dict[str, dict[str, Any]]:
-    """Return the parameters of all joint controllers by the full names of their nodes."""
+def controllers(node: Node, namespace: str = "") -> dict[str, dict[str, Any]]:
+    """Return the parameters of all joint controllers by the full names of their nodes.
+
+    Args:
+        node: Who asks.
+        namespace: Only those below it.
+    """
     for _ in range(_LOOKS):
-        read_ones = {name: read(node, name, _MORE) for name in nodes_with_parameters(node)}
+        names = [name for name in nodes_with_parameters(node) if is_below(name, namespace)]
+        read_ones = {name: read(node, name, _MORE) for name in names}
         found = {name: values for name, values in read_ones.items() if values}
         if found:
             return found
@@ -167,7 +175,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         node = rclpy.create_node("hpid_graph_reader")
         document: dict[str, Any] = {
             "controllers": {
-                name: {"ros__parameters": values} for name, values in controllers(node).items()
+                name: {"ros__parameters": values}
+                for name, values in controllers(node, *topics[1:]).items()
             }
         }
         if topics:
