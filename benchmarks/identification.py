@@ -163,7 +163,7 @@ def _findings(robot: str, seed: int, engine: str, is_alone: bool) -> Iterator[Fi
     else:
         body = InverseDynamics(drawn.bare, joints)
         records = [record_of(recording, joints, name) for name in joints]
-        found = list(identify(records, body.efforts, wanted=arm))
+        found = list(identify(records, body.efforts, wanted=arm, spin=body.spin))
     for each in found:
         yield from _beside_truth(drawn, each, is_alone)
 

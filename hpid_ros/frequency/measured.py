@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -122,7 +123,8 @@ def measured_joint(series: JointSeries, least_coherence: float = LEAST_COHERENCE
 def _stretch(series: JointSeries) -> tuple[float, tuple[Numbers, Numbers, Numbers]]:
     """Return the period, and reference, effort and position of one stretch of samples.
 
-    It is the one with most of the reference's way, and most samples. Where joints moved one after the other, it is the time in which this one was to move.
+    It is the one with most samples and most of the reference's way; of it what is not long
+    before or after that, when other joints may move.
     """
     stamps, states, commands = np.intersect1d(
         series.state_stamps_ns, series.command_stamps_ns, assume_unique=True, return_indices=True
@@ -133,21 +135,36 @@ def _stretch(series: JointSeries) -> tuple[float, tuple[Numbers, Numbers, Number
     period = float(np.median(steps))
     breaks = np.flatnonzero(steps > _LONGEST_STEP * period) + 1
     edges = np.concatenate([[0], breaks, [stamps.size]])
-    step = np.abs(np.diff(series.reference[states], prepend=series.reference[states[0]]))
-    step[breaks] = 0.0
-    k = int(np.argmax(np.add.reduceat(step, edges[:-1]) * np.diff(edges)))
-    part = slice(int(edges[k]), int(edges[k + 1]))
-    reference = series.reference[states[part]]
-    moving = np.flatnonzero(np.abs(np.diff(reference)) > _RESTS * np.ptp(reference))
-    if moving.size:
-        rest = math.ceil(_REST / period)
-        begin, end = int(moving[0]) - rest, int(moving[-1]) + 2 + rest
-        part = slice(part.start + max(begin, 0), min(part.start + end, part.stop))
+    reference = series.reference[states]
+    parts = [slice(int(a), int(b)) for a, b in pairwise(edges)]
+    part = max(parts, key=lambda each: _weight(reference[each]))
+    part = _moving(reference, part, math.ceil(_REST / period))
     return period, (
-        series.reference[states[part]],
+        reference[part],
         series.effort[commands[part]],
         series.position[states[part]],
     )
+
+
+def _weight(reference: Numbers) -> tuple[float, int]:
+    """Return what a stretch is worth: its length times the reference's way, or its length."""
+    return float(np.abs(np.diff(reference)).sum()) * reference.size, reference.size
+
+
+def _moving(reference: Numbers, part: slice, rest: int) -> slice:
+    """Return the part of a stretch from when a reference moves until it rests again.
+
+    Args:
+        reference: Of all stretches.
+        part: The stretch.
+        rest: Samples before and after that belong to it.
+    """
+    own = reference[part]
+    moving = np.flatnonzero(np.abs(np.diff(own)) > _RESTS * np.ptp(own))
+    if not moving.size:
+        return part
+    begin, end = int(moving[0]) - rest, int(moving[-1]) + 2 + rest
+    return slice(part.start + max(begin, 0), min(part.start + end, part.stop))
 
 
 class Distance(NamedTuple):

@@ -28,6 +28,7 @@ from hpid_ros.identification.results import (
     GRAVITY_SIN,
     INERTIA,
     OFFSET,
+    SPIN,
     STRIBECK,
     VISCOUS,
 )
@@ -56,6 +57,7 @@ class Terms(NamedTuple):
         rigid: Effort of the rigid bodies for either half, (2, R); None if unknown.
         reference: What the reference did, (B, R); nothing, (0, R), where nobody knows it.
         stribeck: Returns the smoothed column of Stribeck friction, (R,), for its speed [rad/s].
+        spin: Effort that rotors need beside their inertia, (R,); None if unknown.
     """
 
     halves: Numbers
@@ -64,6 +66,7 @@ class Terms(NamedTuple):
     rigid: Numbers | None
     reference: Numbers
     stribeck: Callable[[float], Numbers]
+    spin: Numbers | None = None
 
     @classmethod
     def of(
@@ -111,6 +114,7 @@ class Model(NamedTuple):
         has_delay: What is left of the delay is sought, too.
         has_scale: The rigid bodies' effort has a coefficient.
         stribeck_speed: In [rad/s]; zero for none.
+        has_spin: The effort that rotors need beside their inertia has a coefficient.
     """
 
     has_coulomb: bool = True
@@ -118,6 +122,7 @@ class Model(NamedTuple):
     has_delay: bool = True
     has_scale: bool = False
     stribeck_speed: float = 0.0
+    has_spin: bool = False
 
 
 class Equation:
@@ -134,6 +139,7 @@ class Equation:
     Attributes:
         terms: Its motion.
         weight: 1 for a row that counts, (R,).
+        cutoff: Of the low pass, in [Hz].
         resolution: A delay that is not known better is not known, in [s].
     """
 
@@ -146,7 +152,7 @@ class Equation:
         cutoff: float,
         longest_delay: float,
     ) -> None:
-        self.terms, self._effort = terms, effort
+        self.terms, self.cutoff, self._effort = terms, cutoff, effort
         for doubt in _DOUBTS:
             self.weight = np.where(terms.doubt <= doubt, 1.0, 0.0)
             if self.used_rows >= _ENOUGH_ROWS:
@@ -186,6 +192,7 @@ class Equation:
             GRAVITY_COS: model.has_gravity,
             OFFSET: True,
             EFFORT_SCALE: model.has_scale,
+            SPIN: model.has_spin,
             DELAY: model.has_delay,
         }
         return [name for name, is_there in given.items() if is_there]
@@ -300,6 +307,9 @@ class Equation:
         if model.has_scale:
             assert terms.rigid is not None
             columns.append(terms.rigid)
+        if model.has_spin:
+            assert terms.spin is not None
+            columns.append(_twice(terms.spin))
         if model.has_delay:
             columns.append(_twice(rate))
         return np.stack(columns, axis=1)

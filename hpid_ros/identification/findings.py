@@ -21,6 +21,7 @@ from hpid_ros.identification.results import (
     INERTIA,
     OFFSET,
     PARAMETERS,
+    SPIN,
     STRIBECK,
     VISCOUS,
     Estimate,
@@ -35,6 +36,7 @@ _CREEPING = 0.1  # of the rows
 _LEAST_EXPLAINED = 0.5
 _FELT = 0.01  # of the effort's standard deviation
 _SHARED = 100.0
+_MOST_SPIN = 2.0  # of what the gears' ratios say; more is something else
 _USEFUL_SCALE = 0.2
 _OTHER_UNIT = 0.05
 _NO_UNIT = (
@@ -52,6 +54,7 @@ _ALIKE = {
     OFFSET: "a constant load",
     EFFORT_SCALE: "the effort's scale",
     DELAY: "the delay",
+    SPIN: "the rotors' spin",
 }
 _HELP = {
     INERTIA: "reverse faster: a sine of 1 to 3 Hz, or a multisine",
@@ -84,7 +87,7 @@ def nothing(record: JointRecord, reason: str) -> JointIdentification:
 
 
 def findings(
-    record: JointRecord, equation: Equation, times: Numbers, cutoff: float, has_scale: bool
+    record: JointRecord, equation: Equation, times: Numbers, has_scale: bool
 ) -> JointIdentification:
     """Return what an equation says of its joint.
 
@@ -92,7 +95,6 @@ def findings(
         record: The joint.
         equation: Its equation.
         times: When the rows are, (R,), in [s]; zero between spans.
-        cutoff: Of the low pass, in [Hz].
         has_scale: Efforts are in a unit that the rigid bodies fix.
     """
     choice = _chosen(equation, has_scale)
@@ -105,7 +107,8 @@ def findings(
         record.joint,
         method="instrumental variables",
         why=_why(equation, choice),
-        cutoff=cutoff,
+        remarks=_remarks(equation, choice),
+        cutoff=equation.cutoff,
         rows=equation.used_rows,
         time=equation.used_rows * _spacing(times),
         stribeck_speed=choice.model.stribeck_speed,
@@ -174,6 +177,8 @@ def _chosen(equation: Equation, has_scale: bool) -> _Choice:
     if is_free and not _is_gravity(equation, choice):
         model = model._replace(has_gravity=False)
         choice = _Choice(model, *equation.solve(model, choice.delay))
+    if equation.terms.spin is not None:
+        choice = _with_spin(equation, choice)
     return _with_stribeck(equation, choice) if model.has_coulomb else choice
 
 
@@ -191,6 +196,26 @@ def _is_carried(equation: Equation, choice: _Choice, names: list[str]) -> bool:
     columns = equation.names(choice.model)
     places = [columns.index(name) for name in names]
     return choice.fit.probability_of_none(places) < _CHANCE
+
+
+def _with_spin(equation: Equation, plain: _Choice) -> _Choice:
+    """Add what rotors need beside their inertia if the data carry it, either way they may turn."""
+    model = plain.model._replace(has_spin=True)
+    choice = _Choice(model, *equation.solve(model, plain.delay))
+    share = abs(float(choice.fit.values[equation.names(model).index(SPIN)]))
+    is_there = share < _MOST_SPIN and _is_carried(equation, choice, [SPIN])
+    return choice if is_there else plain
+
+
+def _remarks(equation: Equation, choice: _Choice) -> tuple[str, ...]:
+    if not choice.model.has_spin:
+        return ()
+    place = equation.names(choice.model).index(SPIN)
+    width = float(choice.fit.critical * choice.fit.deviations[place])
+    return (
+        "rotors spin on links that move: what they pull at this joint is "
+        f"{float(choice.fit.values[place]):.2f} ±{width:.2f} of what their gears' ratios say",
+    )
 
 
 def _with_stribeck(equation: Equation, plain: _Choice) -> _Choice:
@@ -217,6 +242,8 @@ def _estimates(equation: Equation, choice: _Choice) -> dict[str, Estimate]:
     found = {}
     for place, name in enumerate(names):
         value, width = float(fit.values[place]), float(widths[place])
+        if name == SPIN:
+            continue
         if name == DELAY:
             value = choice.delay
         found[name] = Estimate(value, width, _doubt(equation, choice, place, value, width))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -17,11 +17,14 @@ from hpid_ros.identification.findings import findings, nothing
 from hpid_ros.identification.kernel import Kernel
 from hpid_ros.identification.motion import Grid, Motion, joined, motion_of
 from hpid_ros.identification.records import JointRecord, Span, halves, spans
-from hpid_ros.identification.results import JointIdentification
+from hpid_ros.identification.results import INERTIA, JointIdentification
 
 RigidBody = Callable[[Numbers, Numbers, Numbers], Numbers]
 """Efforts that rigid bodies need, (K, R), in [N m], for the positions, velocities and
 accelerations of K joints at R rows, each (K, R); without rotors and friction."""
+Spin = Callable[[Numbers, Numbers, Numbers, Numbers], Numbers]
+"""Efforts that rotors need beside their reflected inertia, because they spin on links that move,
+(K, R), in [N m]: for the same motion, and the reflected inertias of K rotors, (K,)."""
 
 _CUTOFFS = (20.0, 16.0, 12.5, 10.0, 8.0, 6.3, 5.0, 4.0, 3.15, 2.5, 2.0, 1.6, 1.25, 1.0)
 _HIGHEST = 0.1  # of the sampling frequency
@@ -75,6 +78,7 @@ def identify(
     rigid_body: RigidBody | None = None,
     method: Method | None = None,
     wanted: Sequence[str] | None = None,
+    spin: Spin | None = None,
 ) -> tuple[JointIdentification, ...]:
     """Identify joints.
 
@@ -86,19 +90,64 @@ def identify(
         rigid_body: What the links need, along ``records``.
         method: How; as usual if not given.
         wanted: Only these joints; all if None.
+        spin: What rotors need beside their inertia, along ``records``; with rigid bodies.
     """
     how = method or Method()
     moving = max((_travel(each) for each in records), default=0.0)
-    found = []
-    for place, each in enumerate(records):
-        if wanted is not None and each.joint not in wanted:
+    places = [k for k, each in enumerate(records) if wanted is None or each.joint in wanted]
+    if rigid_body is not None:
+        prepared = {k: _prepared(records, k, rigid_body, how, moving) for k in places}
+        found = {k: each.findings(how) for k, each in prepared.items()}
+        if spin is not None:
+            found |= _with_spin(spin, prepared, found, len(records), how)
+        return tuple(found.values())
+    alone = []
+    for each in (records[k] for k in places):
+        own = _prepared([each], 0, None, how, moving, _others_turn(each, records))
+        alone.append(replace(own.findings(how), remarks=_company(each, records)))
+    return tuple(alone)
+
+
+class _Prepared(NamedTuple):
+    """A joint's equation, or why there is none."""
+
+    record: JointRecord
+    reason: str
+    rows: _Rows = _Rows([], [], [])
+    times: Numbers = np.empty(0)
+    equation: Equation | None = None
+
+    def findings(self, how: Method) -> JointIdentification:
+        if self.equation is None:
+            return nothing(self.record, self.reason)
+        return findings(self.record, self.equation, self.times, how.has_scale)
+
+
+def _with_spin(
+    spin: Spin,
+    prepared: Mapping[int, _Prepared],
+    found: Mapping[int, JointIdentification],
+    count: int,
+    how: Method,
+) -> dict[int, JointIdentification]:
+    """Identify joints once more where rotors that are known now may pull at them."""
+    rotors = np.zeros(count)
+    for place, each in found.items():
+        estimate = each.told(INERTIA)
+        rotors[place] = estimate.value if estimate is not None else 0.0
+    again = {}
+    for place, own in prepared.items():
+        if own.equation is None or not rotors.any():
             continue
-        if rigid_body is None:
-            alone = _identified([each], 0, None, how, moving, _others_turn(each, records))
-            found.append(replace(alone, remarks=_company(each, records)))
-        else:
-            found.append(_identified(records, place, rigid_body, how, moving))
-    return tuple(found)
+        means = [
+            np.stack([joint[span].mean for joint in own.rows.motions], axis=1)
+            for span in range(len(own.rows.grids))
+        ]
+        efforts = joined([spin(q, v, a, rotors)[place] for q, v, a in means], _PADDING)
+        if efforts.any():
+            own.equation.terms = own.equation.terms._replace(spin=efforts)
+            again[place] = own.findings(how)
+    return again
 
 
 def _company(own: JointRecord, records: Sequence[JointRecord]) -> tuple[str, ...]:
@@ -149,25 +198,25 @@ def _travel(record: JointRecord) -> float:
     return float(np.ptp(record.position)) if len(record.position) else 0.0
 
 
-def _identified(
+def _prepared(
     records: Sequence[JointRecord],
     place: int,
     rigid_body: RigidBody | None,
     how: Method,
     moving: float,
     left_out: Sequence[Span] = (),
-) -> JointIdentification:
+) -> _Prepared:
     own = records[place]
     reason = _why_not(own, moving)
     if reason:
-        return nothing(own, reason)
+        return _Prepared(own, reason)
     if how.cutoff is not None:
         kernel = Kernel(min(how.cutoff, _HIGHEST / own.period))
     else:
         kernel = _chosen_kernel(own, how)
     rows = _rows(records, own, kernel, how)
     if sum(grid.rows for grid in rows.grids) < _LEAST_ROWS:
-        return nothing(own, _too_short(own, kernel))
+        return _Prepared(own, _too_short(own, kernel))
     rigid = None if rigid_body is None else _rigid(rows, rigid_body, place)
     times = joined([grid.times for grid in rows.grids], _PADDING)
     terms = Terms.of(
@@ -181,8 +230,8 @@ def _identified(
         longest_delay=how.longest_delay,
     )
     if equation.used_rows < _LEAST_ROWS:
-        return nothing(own, _TOO_SLOW)
-    return findings(own, equation, times, kernel.cutoff, how.has_scale)
+        return _Prepared(own, _TOO_SLOW)
+    return _Prepared(own, "", rows, times, equation)
 
 
 def _why_not(record: JointRecord, moving: float) -> str:

@@ -22,6 +22,8 @@ GRAVITY_SIN = "gravity_sin"
 GRAVITY_COS = "gravity_cos"
 EFFORT_SCALE = "effort_scale"
 DELAY = "delay"
+SPIN = "spin"
+"""Beside the parameters: how much of the effort is there that rotors need beside their inertia."""
 
 PARAMETERS: Mapping[str, tuple[str, str]] = {
     INERTIA: ("kg m^2", "kg"),

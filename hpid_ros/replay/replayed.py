@@ -168,6 +168,7 @@ class _Replay:
             senders=tuple(each for each in self._senders if each),
             notes=tuple(notes),
             is_slide=self._record.is_slide,
+            is_begun_before=self._is_begun_before,
         )
 
     def _take(self, index: int, state: RecordedState) -> None:

@@ -46,6 +46,7 @@ class JointVerdict:
         senders: Who sent commands, as far as they say.
         notes: What had to be assumed, in words.
         is_slide: Whether the joint slides: its efforts are in [N].
+        is_begun_before: Whether the controller ran before the recording began.
     """
 
     joint: str
@@ -61,8 +62,14 @@ class JointVerdict:
     senders: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     is_slide: bool = False
+    is_begun_before: bool = False
 
     @property
     def is_the_law(self) -> bool:
         """Whether every command that could be computed anew is the law's, and there is one."""
         return self.equal > 0 and not (self.different or self.without_state or self.foreign)
+
+    @property
+    def is_untold(self) -> bool:
+        """Whether nothing can be said: what its controller remembered from before is missing."""
+        return self.is_begun_before and not self.equal

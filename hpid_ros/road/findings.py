@@ -11,7 +11,7 @@ import numpy as np
 from hpid_ros.base.errors import SettingError, unknown_name
 from hpid_ros.identification.experiment_text import MovedInertia
 from hpid_ros.identification.findings import nothing
-from hpid_ros.identification.identify import Method, RigidBody, identify
+from hpid_ros.identification.identify import Method, identify
 from hpid_ros.identification.records import JointRecord
 from hpid_ros.identification.results import INERTIA, JointIdentification
 from hpid_ros.recordings.quality import MEASURED
@@ -88,7 +88,8 @@ def findings_of(
         if joint not in joints:
             raise SettingError(f"{robot_name}: {unknown_name('joint', joint, joints)}")
     own = [joint for joint in wanted if joint not in wheels]
-    found = identify(records, _rigid_body(robot, records), method, own)
+    body = _rigid_body(robot, records)
+    found = identify(records, body.efforts, method, own, body.spin)
     if base is not None and base.is_moving and not robot.fixed_base:
         remark = remark_on_base(base)
         found = tuple(replace(each, remarks=(*each.remarks, remark)) for each in found)
@@ -143,10 +144,10 @@ def _records(recording: RunSeries) -> list[JointRecord]:
     ]
 
 
-def _rigid_body(robot: GivenRobot, records: Sequence[JointRecord]) -> RigidBody:
+def _rigid_body(robot: GivenRobot, records: Sequence[JointRecord]) -> InverseDynamics:
     names = [each.joint for each in records]
     others = {name: at for name, at in robot.initial_positions.items() if name not in names}
-    return InverseDynamics(robot.description, names, others).efforts
+    return InverseDynamics(robot.description, names, others)
 
 
 def _moved(

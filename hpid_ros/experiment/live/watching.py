@@ -10,7 +10,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -52,13 +52,11 @@ class Ending:
         reason: Why it was stopped, in words; empty if it went to its end.
         is_interrupted: Whether somebody wanted it to end.
         is_at_rest: Whether the joints were seen to rest.
-        lead: How long the recorder had been recording when it began, in [s].
     """
 
     reason: str
     is_interrupted: bool = False
     is_at_rest: bool = True
-    lead: float = 0.0
 
 
 def carried_out(
@@ -138,22 +136,12 @@ def _recorded(
 
 def _watched(mover: Mover, process: NodeProcess, recorder: NodeProcess, tell: Tell) -> Ending:
     """Wait for the end; an interrupt, or the recorder's end, is a reason to stop."""
-    recording_at = begun_at = time.monotonic()
-
-    def told(event: str, seconds: float) -> None:
-        nonlocal begun_at
-        if event == "begun":
-            begun_at = time.monotonic()
-        tell(event, seconds)
-
     try:
         while True:
-            # A pipe that nobody reads would hold the recorder up.
-            if any(each["event"] == "recording" for each in recorder.read_events()):
-                recording_at = time.monotonic()
-            ending = _ending(mover, process, told)
+            recorder.read_events()  # a pipe that nobody reads would hold the recorder up
+            ending = _ending(mover, process, tell)
             if ending is not None:
-                return replace(ending, lead=begun_at - recording_at)
+                return ending
             if recorder.process.poll() is not None:
                 return _stopped(mover, process, f"the recorder has ended: {recorder.last_words()}")
             time.sleep(_LOOK_PERIOD)

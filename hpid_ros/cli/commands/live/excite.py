@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 
 _FORMATS = (".png", ".pdf", ".svg")
 _KINDS = ("multisine", "steps")
-_SLACK = 0.4  # [s] around a joint's motion, within the pauses between joints
 
 
 def add(commands: Any) -> None:
@@ -121,7 +120,7 @@ def run(options: argparse.Namespace) -> int:
     ending = _excite(console, planned, controllers, graph, bag, options.states)
     code = _told(console, bag, ending)
     if code == DONE:
-        _advise(console, bag, planned, ending.lead, options)
+        _advise(console, bag, planned, options)
     return code
 
 
@@ -273,7 +272,6 @@ def _advise(
     console: Console,
     bag: Path,
     planned: ExcitationPlan,
-    lead: float,
     options: argparse.Namespace,
 ) -> None:
     """Say what to do with the bag."""
@@ -282,9 +280,4 @@ def _advise(
     flag = f" --urdf {urdf}" if urdf else ""
     console.print(f"next: hpid identify {bag}{flag}", soft_wrap=True)
     if one_by_one and not options.urdf:
-        console.print("or, without a URDF, each joint in the time in which it alone moved:")
-        for each in planned.joints:
-            window = f"--start {max(each.begin + lead - _SLACK, 0.0):.1f}"
-            window += f" --end {each.end + lead + _SLACK:.1f}"
-            name = each.bounds.joint
-            console.print(f"  hpid identify {bag} --joint {name} {window}", soft_wrap=True)
+        console.print(f"or, without a URDF: hpid identify {bag}", soft_wrap=True)

@@ -101,6 +101,12 @@ def _told(verdict: JointVerdict) -> Iterator[str]:
     whole = verdict.equal + verdict.different
     if not whole:
         yield f"{verdict.joint}: no command answers a state of the recording"
+    elif verdict.is_untold:
+        yield (
+            f"{verdict.joint}: {_count(whole)} commands, of which nothing can be told: its "
+            "controller ran before the recording began, and what it remembered is not in the bag"
+        )
+        return
     elif verdict.different:
         yield f"{verdict.joint}: {_count(verdict.different)} of {_count(whole)} commands differ"
     else:
@@ -138,7 +144,11 @@ def _summary(verdicts: Sequence[JointVerdict]) -> str:
     equal = sum(each.equal for each in verdicts)
     if all(each.is_the_law for each in verdicts):
         return f"every one of {_count(whole)} commands is the law's, to the last bit"
-    return f"{_count(equal)} of {_count(whole)} commands are the law's"
+    untold = sum(each.different for each in verdicts if each.is_untold)
+    if untold == whole:
+        return "nothing can be told: begin to record before the controllers do"
+    beside = f", {_count(untold)} cannot be told" if untold else ""
+    return f"{_count(equal)} of {_count(whole)} commands are the law's{beside}"
 
 
 def _count(number: int) -> str:
