@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -9,7 +10,8 @@ import numpy as np
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
-from hpid_ros.bags import BagReader, BagWriter
+from hpid_ros.bags import BagReader, BagWriter, read_run
+from hpid_ros.recordings.series import JointSeries, Losses
 from hpid_ros.trajectory import JointTrajectory, TrajectoryPoint
 from hpid_ros.wire.joint_state import JointStateTemplate
 
@@ -93,3 +95,14 @@ def small_log(scale: float = 1.0, count: int = 60) -> list[tuple[str, int, bytes
         position, effort = scale * k * 0.1, scale * k * 0.01
         log += [state(k * 20 * MS, a=position, b=0.0), command(k * 20 * MS, a=effort)]
     return log
+
+
+def read_one(path: Path, log: Log, joint: str = "a") -> tuple[JointSeries, Losses]:
+    """Write a log, and return what is read of one joint of it."""
+    run = read_run(write_bag(path, log), "run", joints=[joint])
+    return run.joints[0], run.losses[joint]
+
+
+def bits(values: Sequence[float]) -> bytes:
+    """Return every bit of some numbers."""
+    return struct.pack(f"<{len(values)}d", *values)
