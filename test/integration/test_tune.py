@@ -8,29 +8,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import yaml
-from hypothesis import given
-from hypothesis import strategies as st
 
-from hpid_ros.analysis.results import JointIndices, RunIndices
-from hpid_ros.base.errors import GainError, SettingError
+from hpid_ros.base.errors import GainError
 from hpid_ros.cli.commands import BAD_INPUT, DONE, FAILED, INTERRUPTED
 from hpid_ros.cli.main import main
 from hpid_ros.control.gains import is_hurwitz
 from hpid_ros.experiment.description import load_experiment
-from hpid_ros.report.figures.studies import pareto_front
 from hpid_ros.stability import degrees as degree_check
 from hpid_ros.studies import batch
 from hpid_ros.studies.batch import in_processes, run_batch, simulated_indices
 from hpid_ros.studies.search import Evaluation, Search, SearchPlan
 from hpid_ros.studies.search_result import compare_entry
 from hpid_ros.studies.search_space import (
-    EFFORT_PARAMETERS,
-    HPID_PARAMETERS,
-    PID_PARAMETERS,
     Cost,
     SearchSpace,
-    WorstExcess,
-    mean_ratios,
 )
 
 ARM = ["arm_joint_1", "arm_joint_2"]
@@ -59,22 +50,6 @@ def tune(path, tmp_path, *options, folder="t"):
         + [str(each) for each in options]
     )
     return code, tmp_path / folder
-
-
-@given(
-    st.sampled_from([*PID_PARAMETERS, *HPID_PARAMETERS, *EFFORT_PARAMETERS]), st.floats(0.0, 1.0)
-)
-def test_a_share_of_the_way_is_a_value_within_the_bounds_and_back(parameter, share):
-    value = parameter.value(share)
-    assert parameter.low <= value <= parameter.high
-    assert parameter.share(value) == pytest.approx(share, abs=1e-5)
-    assert parameter.value(0.0) == parameter.low
-    assert parameter.value(1.0) == parameter.high
-    assert parameter.low <= parameter.start <= parameter.high
-
-
-def test_the_linear_rival_has_no_fewer_free_parameters():
-    assert len(HPID_PARAMETERS) == len(EFFORT_PARAMETERS) == 3 < len(PID_PARAMETERS)
 
 
 def test_a_distribution_gives_heavy_joints_what_it_takes_from_light_ones(experiment):
@@ -128,12 +103,6 @@ def test_the_homogeneous_search_leaves_the_gains_alone(experiment):
     assert {each.mu for each in start} == {0.0}
 
 
-def indices(label, *values):
-    ivc, iavc, itae, effort, error = values
-    totals = JointIndices(ivc, iavc, itae)
-    return RunIndices(label, {"j": totals}, totals, effort, error)
-
-
 def test_a_norm_in_units_of_effort_has_one_scale_for_all_joints(experiment):
     own = {"norm.error_scale": 1.0, "norm.rate_weight": 0.1, "norm.effort_scale": 3.0}
     loops = tuple(each.with_parameters(own) for each in experiment.controllers["hPID"])
@@ -146,59 +115,6 @@ def test_a_norm_in_units_of_effort_has_one_scale_for_all_joints(experiment):
         (-0.2, 1.5, 0.03)
     }
     assert [each.gains for each in found] == [each.gains for each in space.start]
-
-
-def test_the_cost_is_the_geometric_mean_of_the_ratios():
-    baseline = [indices("b", 1.0, 2.0, 3.0, 4.0, 5.0), indices("b", 2.0, 2.0, 2.0, 2.0, 2.0)]
-    runs = [indices("r", 4.0, 2.0, 3.0, 4.0, 5.0), indices("r", 2.0, 1.0, 2.0, 2.0, 2.0)]
-    ratios = mean_ratios(runs, baseline)
-    assert ratios == pytest.approx(
-        {"ivc": 2.0, "iavc": math.sqrt(0.5), "itae": 1.0, "effort_l2": 1.0, "error_l2": 1.0}
-    )
-    assert Cost.even().of(ratios) == pytest.approx(2.0**0.1)
-    assert Cost({"ivc": 1.0, "iavc": 3.0}).of(ratios) == pytest.approx((2.0 * 0.5**1.5) ** 0.25)
-    assert Cost.even().of(mean_ratios(baseline, baseline)) == 1.0
-
-
-def test_a_zero_against_a_zero_is_one_and_anything_against_zero_costs_infinitely():
-    zero, some = indices("z", 0.0, 1.0, 1.0, 1.0, 1.0), indices("s", 1.0, 1.0, 1.0, 1.0, 1.0)
-    assert Cost.even().of(mean_ratios([zero], [zero])) == 1.0
-    assert Cost.even().of(mean_ratios([some], [zero])) == math.inf
-    assert Cost({"itae": 1.0}).of(mean_ratios([some], [zero])) == 1.0
-
-
-@pytest.mark.parametrize(
-    ("weights", "words"),
-    [
-        ({"ivcc": 1.0}, "did you mean 'ivc'"),
-        ({"ivc": -1.0}, "must be finite and not negative"),
-        ({"ivc": 0.0}, "at least one index"),
-        ({}, "at least one index"),
-    ],
-)
-def test_costs_that_are_none_are_refused(weights, words):
-    with pytest.raises(SettingError, match=words):
-        Cost(weights)
-
-
-def test_limits_make_the_worst_index_the_cost():
-    ratios = {"ivc": 0.5, "iavc": 1.0, "itae": 2.0, "effort_l2": 1.0, "error_l2": 1.0}
-    assert WorstExcess({"ivc": 0.5, "iavc": 0.8}).of(ratios) == 1.25
-    assert WorstExcess({"ivc": 0.5}).of(ratios) == 1.0
-    assert WorstExcess({"itae": 1.0}).of({**ratios, "itae": math.inf}) == math.inf
-
-
-@pytest.mark.parametrize(
-    ("limits", "words"),
-    [
-        ({"ivcc": 1.0}, "did you mean 'ivc'"),
-        ({"ivc": 0.0}, "must be finite and positive"),
-        ({}, "at least one index"),
-    ],
-)
-def test_limits_that_are_none_are_refused(limits, words):
-    with pytest.raises(SettingError, match=words):
-        WorstExcess(limits)
 
 
 class Known(Search):
@@ -439,15 +355,3 @@ def test_a_robot_of_unknown_inertia_is_refused(experiment_file, tmp_path, capsys
     path = experiment_file(duration=0.05, controllers__joints__arm_joint_1__inertia=0.0)
     assert tune(path, tmp_path, "--law", "pid")[0] == BAD_INPUT
     assert "the inertia of 'arm_joint_1' is not known" in capsys.readouterr().err
-
-
-@given(st.lists(st.tuples(st.integers(0, 9), st.integers(0, 9)), max_size=30))
-def test_the_front_is_what_nothing_beats(points):
-    front = pareto_front(points)
-    for place in front:
-        x, y = points[place]
-        assert not any(a <= x and b <= y and (a, b) != (x, y) for a, b in points)
-    best = {points[place] for place in front}
-    for x, y in points:
-        assert any(a <= x and b <= y for a, b in best)
-    assert pareto_front([(math.inf, 0.0), (math.nan, 1.0)]) == []
