@@ -132,7 +132,7 @@ def render(
     description = RobotDescription.load(world.robot_description)
     stand = Stand(world, description, drawn_shapes(description, MESHES[engine]))
     size = PageSize.of(settings.width, settings.height, len(runs))
-    window = (float(instants[0]), max(float(instants[-1]), float(instants[0]) + _SHORTEST))
+    window = _window(settings, instants, max(run.duration for run in runs))
     page = Page(size, runs, film_chart(runs, settings.joint, size.chart, window), speed)
     motions = [motion_of(stand, run, bags[run.label], instants) for run in runs]
     side = np.radians(settings.azimuth), np.radians(settings.elevation)
@@ -144,6 +144,14 @@ def render(
             )
             progress(k + 1, len(instants))
     return Film(frames, settings.period_ms, speed, instants)
+
+
+def _window(settings: FilmSettings, instants: Numbers, duration: float) -> tuple[float, float]:
+    """Return what the chart shows: the same as the pictures, or of one picture the whole run."""
+    if settings.start == settings.end:
+        return 0.0, max(duration, _SHORTEST)
+    first, last = float(instants[0]), float(instants[-1])
+    return first, max(last, first + _SHORTEST)
 
 
 def _instants(settings: FilmSettings, duration: float) -> tuple[Numbers, float]:

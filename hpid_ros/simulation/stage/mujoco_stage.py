@@ -6,6 +6,8 @@ import ctypes.util
 import logging
 import math
 import os
+import warnings
+from pathlib import Path
 from typing import Any
 
 import mujoco
@@ -16,6 +18,7 @@ from hpid_ros.base.errors import LibraryError, RobotDescriptionError
 from hpid_ros.robot.shapes import Body
 from hpid_ros.simulation.stage.stage import LIGHT, Picture, StageSettings
 from hpid_ros.simulation.stage.view import FARTHEST, FIELD, NEAREST
+from hpid_ros.simulation.stage.wavefront import triangles_of
 
 _SHADOW = 2048  # pixels of the shadow map, along an edge
 _SAMPLES = 4  # for each pixel
@@ -49,6 +52,8 @@ class MujocoStage:
         self._options = mujoco.MjvOption()
         self._scene = mujoco.MjvScene(self._model, _MOST_SHAPES)
         self._scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = settings.is_lit
+        # Meshes of which some faces are the wrong way round are common.
+        self._scene.flags[mujoco.mjtRndFlag.mjRND_CULL_FACE] = False
         self._rectangle = mujoco.MjrRect(0, 0, settings.width, settings.height)
         self._context = _gl_context(settings.width, settings.height)
         self._context.make_current()
@@ -104,7 +109,9 @@ def _model(settings: StageSettings) -> Any:
         _add(spec, number, body)
     _light(spec, settings)
     try:
-        model = spec.compile()
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of textures, which are not drawn
+            model = spec.compile()
     except ValueError as error:
         line = " ".join(str(error).split())
         raise RobotDescriptionError(f"MuJoCo cannot draw the robot: {line}") from None
@@ -112,7 +119,7 @@ def _model(settings: StageSettings) -> Any:
     visual.global_.offwidth, visual.global_.offheight = settings.width, settings.height
     visual.global_.fovy = math.degrees(FIELD)
     visual.quality.shadowsize, visual.quality.offsamples = _SHADOW, _SAMPLES
-    visual.headlight.ambient[:], visual.headlight.diffuse[:] = 0.50, 0.20
+    visual.headlight.ambient[:], visual.headlight.diffuse[:] = 0.60, 0.18
     visual.headlight.specular[:] = 0.02
     model.stat.extent = settings.view.distance
     model.stat.center[:] = settings.view.target
@@ -131,7 +138,7 @@ def _add(spec: Any, number: int, body: Body) -> None:
     else:
         name = f"mesh{number}"
         shell = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL  # an open one has no volume
-        spec.add_mesh(name=name, file=str(body.mesh), scale=size, inertia=shell)
+        spec.add_mesh(name=name, scale=size, inertia=shell, **_source(body.mesh))
         size, mesh = (0.0, 0.0, 0.0), {"meshname": name}
     holder = spec.worldbody.add_body(name=f"body{number}", mocap=True)
     holder.add_geom(
@@ -144,6 +151,14 @@ def _add(spec: Any, number: int, body: Body) -> None:
     )
 
 
+def _source(file: Path | None) -> dict[str, Any]:
+    """Return where a mesh comes from, as MuJoCo takes it."""
+    if file is None or file.suffix.lower() != ".obj":
+        return {"file": str(file)}
+    corners, triangles = triangles_of(file)
+    return {"uservert": corners.ravel().tolist(), "userface": triangles.ravel().tolist()}
+
+
 def _light(spec: Any, settings: StageSettings) -> None:
     view = settings.view
     c, s = math.cos(view.azimuth), math.sin(view.azimuth)
@@ -154,7 +169,7 @@ def _light(spec: Any, settings: StageSettings) -> None:
         pos=np.asarray(view.target) + view.distance * towards,
         dir=-towards,
         castshadow=settings.is_lit,
-        diffuse=(0.45, 0.45, 0.45),
+        diffuse=(0.32, 0.32, 0.32),
         specular=(0.05, 0.05, 0.05),
     )
 

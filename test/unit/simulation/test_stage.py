@@ -5,11 +5,12 @@ import math
 import numpy as np
 import pytest
 
-from hpid_ros.base.errors import LibraryError, SettingError
+from hpid_ros.base.errors import LibraryError, RobotDescriptionError, SettingError
 from hpid_ros.robot.shapes import Body
 from hpid_ros.simulation.settings import installed_engines
 from hpid_ros.simulation.stage import View, open_stage
 from hpid_ros.simulation.stage.stage import StageSettings
+from hpid_ros.simulation.stage.wavefront import triangles_of
 
 RED = (0.9, 0.1, 0.1)
 VIEW = View((0.0, 0.0, 0.0), 2.0, math.radians(30.0), math.radians(20.0))
@@ -92,6 +93,46 @@ def test_the_same_bodies_give_the_same_picture(stage, engine):
     one.draw(places + 0.1)
     assert np.array_equal(first.pixels, one.draw(places).pixels)
     assert np.array_equal(first.pixels, other.draw(places).pixels)
+
+
+# Two parts, a square and a triangle; some corners counted backwards, some with texture and normal.
+MESH = """\
+o one
+v 0 -0.3 0
+v 0 0 0
+v 0 0 0.3
+v 0 -0.3 0.3
+f 1/1/1 2/2/1 3//1 4
+o two
+v 0 0 0
+v 0 0.3 0
+v 0 0.3 -0.3
+f -2 -3 -1
+"""
+
+
+def test_all_parts_of_a_mesh_are_read(tmp_path):
+    file = tmp_path / "two.obj"
+    file.write_text(MESH)
+    corners, triangles = triangles_of(file)
+    assert corners.shape == (7, 3)
+    assert triangles.tolist() == [[0, 1, 2], [0, 2, 3], [5, 4, 6]]
+    for text in ("", "v 0 0 0\nf 1 2 3\n", "v 0 0 high\n", "v 0 0 0\nf a b c\n"):
+        file.write_text(text)
+        with pytest.raises(RobotDescriptionError, match="cannot read mesh"):
+            triangles_of(file)
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_all_parts_of_a_mesh_are_drawn(stage, engine, tmp_path):
+    file = tmp_path / "two.obj"
+    file.write_text(MESH)
+    one = stage(engine, Body("mesh", (1.0, 1.0, 1.0), RED, file))
+    square, triangle = 0.3 * 0.3, 0.3 * 0.3 / 2.0
+    pixel = 2.0 * math.tan(math.radians(15.0)) * VIEW.distance / 64  # [m]
+    seen = np.sum(is_red(one.draw(placed((0.0, 0.0, 0.0))))) * pixel**2
+    # The mesh lies in the plane of y and z, seen at an angle.
+    assert seen == pytest.approx((square + triangle) * abs(VIEW.axes[2][0]), rel=0.15)
 
 
 def test_a_stage_of_no_engine_is_one_line():
