@@ -44,7 +44,7 @@ class BulletStage:
             ),
             "lightDirection": _light(view.azimuth),
             "lightColor": (1.0, 1.0, 1.0),
-            "lightDistance": 2.0 * view.distance,
+            "lightDistance": 3.0 * view.distance,
             "shadow": int(settings.is_lit),
             "lightAmbientCoeff": _AMBIENT,
             "lightDiffuseCoeff": _DIFFUSE,
