@@ -22,8 +22,8 @@ examples:
   hpid render results/mine --from 3 --to 4 --speed 0.2 --joint arm_joint_4
   hpid render results/mine --at 3.3 -o arm.png        one picture
 
-The suffix of FILE is the format: .webp (small), .gif, .png (lossless, moving with
-several pictures); of one picture also .jpg.
+The suffix of FILE is the format: .webp (small), .gif, .png (lossless, moving
+with several pictures); of one picture also .jpg.
 """
 _SIZE = re.compile(r"(\d{1,5})x(\d{1,5})")
 
@@ -32,8 +32,8 @@ def add(commands: Any) -> None:
     """Add the command to the parser."""
     parser = commands.add_parser(
         "render",
-        description="Draw the robot of a result as it was recorded, under each controller side by "
-        "side,\nabove the error over time. The green double is where the references are.",
+        description="Draw the robot of a result as it was recorded, under each controller side\n"
+        "by side, above the error over time; green is where the references are.",
         epilog=_EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
