@@ -111,6 +111,37 @@ def test_rigid_bodies_are_taken_off_and_fix_the_efforts_scale():
     assert result.estimates["offset"].value == pytest.approx(0.0, abs=1e-3)
 
 
+@pytest.mark.parametrize("share", [1.0, -1.0, 0.0])
+def test_what_spinning_rotors_pull_is_found_whichever_way_they_turn(share):
+    """And no interval is of a model that lacks it."""
+    plant, pull = Plant(inertia=0.3), 0.01
+
+    def no_links(q, v, a):
+        return 0.0 * a
+
+    def spin(q, v, a, rotors):
+        return pull * (rotors[:, None] * a)[::-1]  # each joint feels the other's rotor
+
+    records = []
+    for seed in (1, 4):
+        own = record(plant, seed=seed, name=str(seed), noise=2e-5)
+        other = motion(own.time + plant.delay, 5 - seed)[2]
+        pulled = own.effort + share * pull * plant.inertia * other
+        records.append(
+            JointRecord(own.joint, own.time, own.position, own.time, pulled, is_held=False)
+        )
+    with_spin = found(*records, rigid_body=no_links, spin=spin)
+    without = found(*records, rigid_body=no_links)
+    for one, before in zip(with_spin, without, strict=True):
+        assert len(one.remarks) == abs(share)
+        inertia = one.estimates["inertia"]
+        assert inertia.low <= plant.inertia <= inertia.high
+        if share:
+            told = float(one.remarks[0].partition(" is ")[2].split()[0])
+            assert told == pytest.approx(share, abs=0.05)
+            assert inertia.half_width < 0.6 * before.estimates["inertia"].half_width
+
+
 def test_efforts_in_a_unit_of_their_own_are_scaled_by_the_masses():
     plant = Plant(gravity_sin=3.0, gravity_cos=1.0)
     one = record(plant, amplitude=0.5)
