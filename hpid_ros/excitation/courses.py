@@ -22,9 +22,11 @@ _DRAWS = 48  # of phases, beside Schroeder's
 _LINES = 8  # sines in a sum
 _SHORTEST_MOVE = 0.1  # [s]
 _MOVE_KNOTS = 12  # in each step
-_DWELL = 0.5  # [s] after each step
 _LEVELS = (1.0, -1.0, 0.5, -0.5, 0.0)
 _PEAK_VELOCITY, _PEAK_ACCELERATION = 1.875, 10.0 / math.sqrt(3.0)  # of a minimum jerk step of 1
+
+DWELL = 0.5
+"""After each step in [s]."""
 
 KNOTS_A_PERIOD = 20
 """Of the fastest sine; a quintic between them is off by 1e-5 of it."""
@@ -110,7 +112,7 @@ def multisine(
     turns = np.unique(np.rint(np.geomspace(low / base, high / base, _LINES)).clip(1))
     knots = math.ceil(duration * turns[-1] * base * KNOTS_A_PERIOD) + 1
     times = np.linspace(0.0, duration, knots)
-    window = _faded(times, fade)
+    window = faded(times, fade)
     count = len(turns)
     draw = np.random.default_rng(seed)
     schroeder = -np.pi * np.arange(count) * (np.arange(count) + 1) / count
@@ -137,8 +139,13 @@ def _sum(times: Numbers, rates: Numbers, phases: Numbers, window: Course) -> Cou
     return Course(times, w * wave, dw * wave + w * rate, ddw * wave + 2.0 * dw * rate + w * bend)
 
 
-def _faded(times: Numbers, fade: float) -> Course:
-    """Return a window that rises from 0 to 1 in the time of a fade, and falls at the end."""
+def faded(times: Numbers, fade: float) -> Course:
+    """Return a window that rises from 0 to 1 in the time of a fade, and falls at the end.
+
+    Args:
+        times: Of its knots in [s], shape (knots,); two fades fit into them.
+        fade: In [s].
+    """
     end = float(times[-1])
     up = _minimum_jerk(times / fade, fade)
     down = _minimum_jerk((end - times) / fade, fade)
@@ -171,21 +178,21 @@ def steps(duration: float, limits: Peaks) -> Course:
     Raises:
         SettingError: The pattern lasts longer.
     """
-    pattern = [_move_time(abs(b - a), limits) for a, b in pairwise((0.0, *_LEVELS))]
-    whole = sum(pattern) + _DWELL * len(pattern)
+    pattern = [move_time(abs(b - a), limits) for a, b in pairwise((0.0, *_LEVELS))]
+    whole = sum(pattern) + DWELL * len(pattern)
     if not (math.isfinite(duration) and duration >= whole):
         raise SettingError(f"these steps must last {whole:.3g} s at least, not {duration:g}")
     parts = [Course(*(np.zeros(1) for _ in range(4)))]
     level, begin = 0.0, 0.0
     for wanted in _LEVELS * int(duration / whole):
-        move = _move_time(abs(wanted - level), limits)
-        parts += _step(begin, move, level * limits.position, wanted * limits.position)
-        level, begin = wanted, begin + move + _DWELL
+        move = move_time(abs(wanted - level), limits)
+        parts += moved(begin, move, level * limits.position, wanted * limits.position)
+        level, begin = wanted, begin + move + DWELL
     return Course(*(np.concatenate(each) for each in zip(*parts, strict=True)))
 
 
-def _move_time(levels: float, limits: Peaks) -> float:
-    """Return the time of a step over so many amplitudes, in [s]."""
+def move_time(levels: float, limits: Peaks) -> float:
+    """Return the least time of a step over so many amplitudes, in [s]."""
     distance = levels * limits.position
     return max(
         _PEAK_VELOCITY * distance / limits.velocity,
@@ -194,10 +201,29 @@ def _move_time(levels: float, limits: Peaks) -> float:
     )
 
 
-def _step(begin: float, move: float, start: float, end: float) -> list[Course]:
-    """Return the knots after the first one of a step, and the one at the end of its rest."""
+def longest_move(duration: float, limits: Peaks) -> float:
+    """Return how far a step of so many seconds may go, in [rad]."""
+    return min(
+        limits.position,
+        limits.velocity * duration / _PEAK_VELOCITY,
+        limits.acceleration * duration**2 / _PEAK_ACCELERATION,
+    )
+
+
+def moved(
+    begin: float, move: float, start: float, end: float, dwell: float = DWELL
+) -> list[Course]:
+    """Return the knots after the first one of a step, and the one at the end of its rest.
+
+    Args:
+        begin: When it begins in [s].
+        move: How long it takes in [s].
+        start: Where it begins in [rad].
+        end: Where it ends in [rad].
+        dwell: How long it rests there in [s].
+    """
     rise = _minimum_jerk(np.linspace(0.0, 1.0, _MOVE_KNOTS + 1)[1:], move)
     way = end - start
     moving = Course(begin + rise.times, start + way * rise[1], way * rise[2], way * rise[3])
     rest = np.zeros(1)
-    return [moving, Course(rest + begin + move + _DWELL, rest + end, rest, rest)]
+    return [moving, Course(rest + begin + move + dwell, rest + end, rest, rest)]

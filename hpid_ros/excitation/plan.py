@@ -14,6 +14,7 @@ from hpid_ros.base.errors import SettingError
 from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.excitation.bounds import Allowed, JointBounds, Wish, allowed
 from hpid_ros.excitation.courses import KNOTS_A_PERIOD, Course, Peaks, multisine, steps
+from hpid_ros.excitation.trials import sine, there_and_back
 
 _LEAD = 0.5  # [s] at rest, until every controller has taken the trajectory up
 _BETWEEN = 1.0  # [s] between joints that are excited one after the other
@@ -22,11 +23,16 @@ _TOLERANCE_SHARE, _LEAST_TOLERANCE = 0.5, 0.02  # of the amplitude; [rad]
 _RUNAWAY, _VELOCITY_NOISE = 2.0, 0.2  # of the planned velocity; [rad/s]
 
 
+Kind = Literal["multisine", "steps", "step", "minimum_jerk", "sine"]
+
+
 class Design(NamedTuple):
     """What kind of excitation it shall be.
 
     Attributes:
-        kind: Sums of sines, or steps.
+        kind: Sums of sines, or steps, as large as they may be; or one of the motions on which a
+            joint is tried, as large as is wished: one step, the same as slowly as the duration
+            allows, or a sine.
         duration: Of each joint, or of all that move together, in [s].
         band: Of the sines, in [Hz].
         fade: Of their soft start and soft end, in [s].
@@ -34,15 +40,17 @@ class Design(NamedTuple):
         tolerance: How far a joint may be from its reference in [rad]; 0 chooses half of its
             amplitude.
         seed: Of the phases; the joints have different ones.
+        frequency: Of the one sine in [Hz].
     """
 
-    kind: Literal["multisine", "steps"] = "multisine"
+    kind: Kind = "multisine"
     duration: float = 20.0
     band: tuple[float, float] = (0.1, 2.5)
     fade: float = 2.0
     are_together: bool = False
     tolerance: float = 0.0
     seed: int = 0
+    frequency: float = 0.5
 
 
 @dataclass(frozen=True)
@@ -142,9 +150,9 @@ def plan(bounds: Sequence[JointBounds], wish: Wish, design: Design) -> Excitatio
             one trajectory.
     """
     wish.require()
-    if design.kind == "multisine":
-        turns = 1 if design.are_together else len(bounds)
-        _require_few(KNOTS_A_PERIOD * design.duration * design.band[1] * turns)
+    fastest = {"multisine": design.band[1], "sine": design.frequency}.get(design.kind, 0.0)
+    turns = 1 if design.are_together else len(bounds)
+    _require_few(KNOTS_A_PERIOD * design.duration * fastest * turns)
     limits = [allowed(each, wish) for each in bounds]
     courses = [_course(each, design, number) for number, each in enumerate(limits)]
     begins, begin = [], _LEAD
@@ -168,9 +176,15 @@ def _require_few(knots: float) -> None:
 
 
 def _course(limits: Allowed, design: Design, number: int) -> Course:
-    if design.kind == "steps":
-        return steps(design.duration, limits.peaks)
-    return multisine(design.duration, design.band, design.fade, limits.peaks, design.seed + number)
+    duration, peaks = design.duration, limits.peaks
+    match design.kind:
+        case "steps":
+            return steps(duration, peaks)
+        case "step" | "minimum_jerk":
+            return there_and_back(duration, peaks, is_fast=design.kind == "step")
+        case "sine":
+            return sine(duration, design.frequency, design.fade, peaks)
+    return multisine(duration, design.band, design.fade, peaks, design.seed + number)
 
 
 def _planned_joint(

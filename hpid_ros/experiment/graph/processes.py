@@ -74,6 +74,7 @@ class NodeProcess:
         is_batch: Schedule it as a batch job. In lock-step a bridge then has woken all
             controllers before one of them runs on its processor.
         prefix: Command in front of the node's own, for instance to enter a namespace.
+        has_input: Whether it gets a pipe as its standard input, ``process.stdin``.
     """
 
     popen: ClassVar[type[subprocess.Popen[bytes]]] = subprocess.Popen
@@ -88,6 +89,7 @@ class NodeProcess:
         is_renamed: bool = True,
         is_batch: bool = False,
         prefix: Sequence[str] = (),
+        has_input: bool = False,
     ) -> None:
         self.name = name
         self.log = log
@@ -105,7 +107,7 @@ class NodeProcess:
         with log.open("wb") as output:
             self.process = self.popen(
                 command,
-                stdin=subprocess.DEVNULL,
+                stdin=subprocess.PIPE if has_input else subprocess.DEVNULL,
                 stdout=output,
                 stderr=subprocess.STDOUT,
                 env=dict(environment),
@@ -160,7 +162,13 @@ class NodeGroup:
         self.nodes: dict[str, NodeProcess] = {}
 
     def start(
-        self, name: str, executable: str, arguments: Sequence[str], *, is_renamed: bool = True
+        self,
+        name: str,
+        executable: str,
+        arguments: Sequence[str],
+        *,
+        is_renamed: bool = True,
+        has_input: bool = False,
     ) -> NodeProcess:
         """Start a node.
 
@@ -169,6 +177,7 @@ class NodeGroup:
             executable: Module below ``hpid_ros.nodes``.
             arguments: ROS arguments.
             is_renamed: As for :class:`NodeProcess`.
+            has_input: As for :class:`NodeProcess`.
         """
         log = self._logs / f"{name}.log"
         with uninterrupted():
@@ -181,6 +190,7 @@ class NodeGroup:
                 is_renamed=is_renamed,
                 is_batch=self._is_batch,
                 prefix=self._prefix,
+                has_input=has_input,
             )
             self.nodes[name] = node
         return node

@@ -10,6 +10,7 @@ from typing import Any
 from hpid_ros.base.errors import RunError, SettingError, unknown_name
 from hpid_ros.excitation.bounds import JointBounds, inertia_from_gains
 from hpid_ros.excitation.plan import ExcitationPlan
+from hpid_ros.experiment.live.button import Button
 from hpid_ros.experiment.live.graph import RunningController, RunningGraph
 from hpid_ros.experiment.live.watching import Ending, Mover, Tell, carried_out
 
@@ -101,6 +102,7 @@ def carry_out(
     bag: Path,
     states: str,
     tell: Tell,
+    button: Button | None = None,
 ) -> Ending:
     """Excite joints and record them; however it ends, the joints have come to rest before.
 
@@ -111,12 +113,14 @@ def carry_out(
         bag: Folder to create.
         states: Topic of the states.
         tell: Told how far it is.
+        button: What must be held for it to move; None where nothing must.
 
     Raises:
         RunError: As for :func:`~hpid_ros.experiment.live.watching.carried_out`.
     """
     order = _order(plan, controllers)
-    return carried_out(_EXCITER, order, graph, controllers[0].namespace, bag, states, tell)
+    space = controllers[0].namespace
+    return carried_out(_EXCITER, order, graph, space, bag, states, tell, button)
 
 
 def _order(plan: ExcitationPlan, controllers: Sequence[RunningController]) -> dict[str, Any]:

@@ -98,7 +98,7 @@ def running_graph(states: str = "joint_states", namespace: str | None = None) ->
             raise SettingError(
                 f"{settings.joint} has two controllers, {both}: choose one's with --namespace"
             )
-        limits = _limits(str(values.get("robot_description") or ""), settings.joint)
+        limits = described_limits(str(values.get("robot_description") or ""), settings.joint)
         state = read["joints"].get(settings.joint, {})
         found[settings.joint] = RunningController(
             node,
@@ -115,8 +115,17 @@ def _finite(value: float | None) -> float | None:
     return value if value is not None and math.isfinite(value) else None
 
 
-def _limits(source: str, joint: str) -> RobotLimits:
-    """Return the limits of a joint in the description that its controller has."""
+def described_limits(source: str, joint: str) -> RobotLimits:
+    """Return the limits of a joint in the description that its controller has.
+
+    Args:
+        source: XML text or a path, empty for none.
+        joint: Its name.
+
+    Raises:
+        RunError: It is a file that is not here.
+        HpidError: It cannot be read, or lacks the joint.
+    """
     if not source:
         return RobotLimits()
     if not source.lstrip().startswith("<"):

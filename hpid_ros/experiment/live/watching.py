@@ -18,6 +18,7 @@ import yaml
 
 from hpid_ros.base.errors import RunError
 from hpid_ros.experiment.graph.processes import NodeGroup, NodeProcess
+from hpid_ros.experiment.live.button import Button
 from hpid_ros.experiment.live.graph import RunningGraph
 
 RECORDER = "hpid_excitation_recorder"
@@ -25,7 +26,10 @@ _ENDS_WITHIN = 8.0  # [s], the joints' stop included
 _LOOK_PERIOD = 0.05  # [s]
 
 Tell = Callable[[str, float], None]
-"""Is called with the event, ``begun`` or ``at``, and the time since the start in [s]."""
+"""Is called with the event, ``begun`` or ``at``, and the time since the start in [s].
+
+Where a button must be held also with ``ready``.
+"""
 
 
 class Mover(NamedTuple):
@@ -67,6 +71,7 @@ def carried_out(
     bag: Path,
     states: str,
     tell: Tell,
+    button: Button | None = None,
 ) -> Ending:
     """Run a process that moves joints, and record; however it ends, it has let the joints rest.
 
@@ -78,6 +83,7 @@ def carried_out(
         bag: Folder to create.
         states: Topic of the states.
         tell: Told how far it is.
+        button: What must be held for it to move; None where nothing must.
 
     Raises:
         RunError: It could not begin, a process has ended, or joints are not known to rest.
@@ -87,14 +93,20 @@ def carried_out(
     with tempfile.TemporaryDirectory(prefix="hpid_live_") as folder:
         place = Path(folder)
         file = place / "plan.json"
-        file.write_text(json.dumps({**order, "recorder": RECORDER}))
+        whole = {**order, "recorder": RECORDER, "hold_to_run": button is not None}
+        file.write_text(json.dumps(whole))
         with (
             NodeGroup(os.environ, place) as group,
             _recorded(group, graph, mover.topics, bag, place, arguments) as recorder,
         ):
             of_mover = [*arguments, "-p", f"plan_file:={file}"]
-            process = group.start(mover.name, mover.executable, of_mover)
-            return _watched(mover, process, recorder, tell)
+            process = group.start(
+                mover.name, mover.executable, of_mover, has_input=button is not None
+            )
+            if button is None:
+                return _watched(mover, process, recorder, tell, lambda: False)
+            with button.held_for(process.process):
+                return _watched(mover, process, recorder, tell, button.is_overdue)
 
 
 @contextmanager
@@ -134,8 +146,17 @@ def _recorded(
         raise RunError(f"the recorder has failed: {recorder.last_words()}")
 
 
-def _watched(mover: Mover, process: NodeProcess, recorder: NodeProcess, tell: Tell) -> Ending:
-    """Wait for the end; an interrupt, or the recorder's end, is a reason to stop."""
+def _watched(
+    mover: Mover,
+    process: NodeProcess,
+    recorder: NodeProcess,
+    tell: Tell,
+    is_overdue: Callable[[], bool],
+) -> Ending:
+    """Wait for the end; an interrupt, or the recorder's end, is a reason to stop.
+
+    So is an end that is overdue.
+    """
     try:
         while True:
             recorder.read_events()  # a pipe that nobody reads would hold the recorder up
@@ -144,6 +165,8 @@ def _watched(mover: Mover, process: NodeProcess, recorder: NodeProcess, tell: Te
                 return ending
             if recorder.process.poll() is not None:
                 return _stopped(mover, process, f"the recorder has ended: {recorder.last_words()}")
+            if is_overdue():
+                return _stopped(mover, process, "the button was released")
             time.sleep(_LOOK_PERIOD)
     except KeyboardInterrupt:
         return _stopped(mover, process, "it was interrupted", is_interrupted=True)

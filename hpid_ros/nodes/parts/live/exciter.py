@@ -1,7 +1,8 @@
 """Carries one plan of an excitation out, watches over it, and brings the joints to rest.
 
 It commands no joint: it tells the controllers a trajectory, and, when a limit is reached, when
-anything comes in between or when it is asked to end, another one on which they stop and hold.
+anything comes in between or when it is asked to end, another one on which they stop and hold. With
+``hold_to_run`` it begins when somebody presses a button, and stops when the button is released.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from hpid_ros.excitation.watch import Watch, goal_of, group_settings
 from hpid_ros.goals import GoalFollower, Outcome, ResultCode
 from hpid_ros.nodes.parts.action.listening import FollowerInputs
 from hpid_ros.nodes.parts.action.told import ToldTrajectories
+from hpid_ros.nodes.parts.live.dead_man import DeadMan
 from hpid_ros.nodes.parts.live.order import read_order
 from hpid_ros.nodes.ros import executor
 from hpid_ros.nodes.ros.middleware import ALL_COMMANDS, NEWEST_STATES, subscribe_raw
@@ -30,6 +32,7 @@ from hpid_ros.wire import EffortReader, decode_joint_state
 
 _LOOK_PERIOD = 0.05  # [s]
 _READY_WITHIN = 15.0  # [s]
+_PRESSED_WITHIN = 60.0  # [s] from when it is ready
 _MOVED = 0.05  # [rad] from where a joint was when its excitation was planned
 _AT_REST = 0.02  # [rad/s]
 _RESTS_WITHIN = 3.0  # [s] from the request to stop
@@ -48,6 +51,8 @@ class Exciter(executor.ClosingNode):
         order = read_order(self)
         self._plan = plan = ExcitationPlan.from_mapping(order["plan"])
         self._recorder = str(order.get("recorder", ""))
+        self._button = DeadMan() if order.get("hold_to_run") else None
+        self._ready_at: float | None = None
         self._controllers = {each.bounds.controller for each in plan.joints}
         self._follower = GoalFollower(
             group_settings(
@@ -156,9 +161,14 @@ class Exciter(executor.ClosingNode):
             if self._is_at_rest() or self._is_late():
                 self._finish()
         elif self._has_begun:
+            self._look_at_the_button()
             self._tell_progress()
         else:
             self._begin_when_ready()
+
+    def _look_at_the_button(self) -> None:
+        if self._button is not None and not self._button.is_held():
+            self._act(self._follower.leave("the button was released"))
 
     def _is_at_rest(self) -> bool:
         """Tell whether all joints rest; those that nobody could tell to stop may not."""
@@ -189,8 +199,10 @@ class Exciter(executor.ClosingNode):
     def _begin_when_ready(self) -> None:
         lacking = self._lacking()
         if lacking:
-            if time.monotonic() - self._born > _READY_WITHIN:
+            if time.monotonic() - (self._ready_at or self._born) > _READY_WITHIN:
                 self._fail(lacking)
+            return
+        if self._button is not None and not self._is_pressed(self._button):
             return
         try:
             standing = [self._standing[joint] for joint in self._plan.names]
@@ -202,6 +214,25 @@ class Exciter(executor.ClosingNode):
         self._has_begun = True
         self._told.tell(begun.told)
         self._status.send("begun")
+
+    def _is_pressed(self, button: DeadMan) -> bool:
+        """Say once that all is ready, and tell whether the button has been pressed since."""
+        if self._ready_at is None:
+            self._ready_at = time.monotonic()
+            button.forget()
+            self._status.send("ready")
+        if button.is_held():
+            return True
+        if button.is_gone:
+            self._leave_unmoved("the button was released before anything moved")
+        elif time.monotonic() - self._ready_at > _PRESSED_WITHIN:
+            self._leave_unmoved(f"nobody pressed the button within {_PRESSED_WITHIN:g} s")
+        return False
+
+    def _leave_unmoved(self, reason: str) -> None:
+        """End, with every joint as it was."""
+        self._reason = reason
+        self.request_stop(executor.FAILED)
 
     def _lacking(self) -> str:
         """Return what is missing before the joints may move, in words; nothing if all is there."""

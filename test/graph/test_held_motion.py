@@ -1,0 +1,165 @@
+"""A motion that goes on while a button is held: whatever ends the holding ends the motion."""
+
+import os
+import pickle
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from harness.turntable import GAINS, INERTIA, URDF, positions, start_turntable
+
+from hpid_ros.control.settings.table import PARAMETERS
+from hpid_ros.excitation.bounds import Wish
+from hpid_ros.excitation.plan import Design, plan
+from hpid_ros.experiment.live.button import Button
+from hpid_ros.experiment.live.excitation import bounds_of, chosen
+from hpid_ros.experiment.live.held import HeldMotion
+from hpid_ros.live.seen import as_running, seen_controller
+from hpid_ros.nodes.parts.live.dead_man import WITHIN, DeadMan
+
+NODE = "/turn_controller"
+
+PARENT = """
+import pickle, sys, time
+from hpid_ros.experiment.live.held import HeldMotion
+motion = HeldMotion(*pickle.load(open(sys.argv[1], "rb")))
+while True:
+    motion.press()
+    print(motion.seconds, flush=True)
+    time.sleep(0.05)
+"""
+
+
+@pytest.fixture
+def bench(harness, tmp_path):
+    start_turntable(harness, tmp_path)
+    return Bench(harness, tmp_path)
+
+
+class Bench:
+    """Slow motions of the turntable, and a thumb on the button."""
+
+    def __init__(self, harness, folder):
+        self.harness, self.folder = harness, folder
+        parameters = {name: spec.default for name, spec in PARAMETERS.items()}
+        parameters |= {name.replace("__", "."): value for name, value in GAINS.items()}
+        parameters |= {"joint": "turn", "law": "pid", "control_period": 0.004}
+        parameters |= {"robot_description": URDF, "introspection_rate": 20.0}
+        seen = seen_controller(NODE, {**parameters, "require_certificate": False})
+        states = {NODE: (0.0, 0.0)}
+        self.graph = as_running([seen], {NODE: parameters}, states.get, has_commands=True)
+        self.controllers = chosen(self.graph, [])
+
+    def order(self, name, position):
+        """Return what a motion from a position is made of."""
+        (bounds,) = [bounds_of(each, INERTIA) for each in self.controllers]
+        design = Design(kind="minimum_jerk", duration=8.0)
+        made = plan([replace(bounds, position=position)], Wish(amplitude=0.4), design)
+        return made, self.controllers, self.graph, self.folder / name
+
+    def reach(self, motion, condition, press=False):
+        def is_there():
+            if press:
+                motion.press()
+            return motion.stage == "ended" or condition()
+
+        self.harness.wait(is_there, what="the motion")
+
+    def ending(self, motion):
+        self.reach(motion, lambda: False)
+        return motion.ending
+
+
+@pytest.fixture
+def pipe(monkeypatch):
+    """Return a process's end of a pipe whose other end is this one's standard input."""
+    reader, writer = os.pipe()
+    with os.fdopen(reader) as source, os.fdopen(writer, "wb", 0) as sink:
+        monkeypatch.setattr(sys, "stdin", source)
+        yield SimpleNamespace(stdin=sink)
+
+
+def test_a_button_is_held_as_long_as_presses_come_and_not_after_its_release(pipe, monkeypatch):
+    button, dead_man = Button(), DeadMan()
+    now = [100.0]
+    monkeypatch.setattr(time, "monotonic", lambda: now[0])
+    button.press()  # there is nobody yet
+    assert not dead_man.is_held()
+    with button.held_for(pipe):
+        for _ in range(20):
+            button.press()
+            assert dead_man.is_held()
+            now[0] += 0.9 * WITHIN
+            assert dead_man.is_held()
+        button.press()
+        now[0] += 1e9  # the process stood still, and cannot know when it was pressed
+        assert dead_man.is_held()
+        dead_man.forget()
+        assert not dead_man.is_held()
+        button.press()
+        now[0] += 0.1
+        assert dead_man.is_held()
+        now[0] += 1.1 * WITHIN
+        assert not dead_man.is_held()
+        assert not dead_man.is_gone
+        button.press()
+        assert dead_man.is_held()
+        button.release()
+        button.press()
+        assert not dead_man.is_held()
+        assert dead_man.is_gone
+        assert not button.is_overdue()
+        now[0] += 60.0
+        assert button.is_overdue()
+
+
+def test_a_button_that_was_released_before_there_is_a_process_is_gone_at_once(pipe):
+    button, dead_man = Button(), DeadMan()
+    button.release()
+    with button.held_for(pipe):
+        assert not dead_man.is_held()
+        assert dead_man.is_gone
+
+
+def test_joints_move_while_the_button_is_held_and_rest_when_it_is_not(bench):
+    motion = HeldMotion(*bench.order("held", 0.0))
+    bench.reach(motion, lambda: motion.stage == "ready")
+    assert np.ptp(positions(bench.harness)) < 1e-3  # nobody has pressed
+    assert motion.ending is None
+    bench.reach(motion, lambda: motion.seconds > 1.0, press=True)
+    assert motion.stage == "moving"
+    ending = bench.ending(motion)  # nobody presses, nobody releases
+    assert ending.reason == "the button was released"
+    assert ending.is_at_rest
+    assert motion.seconds < 2.5
+    rests = positions(bench.harness)
+    assert np.ptp(rests) < 2e-3
+    assert 0.01 < rests[-1] < 0.3
+    assert (motion.bag / "metadata.yaml").exists()
+
+    # Whoever holds the button is killed.
+    file = bench.folder / "order"
+    file.write_bytes(pickle.dumps(bench.order("killed", rests[-1])))
+    hold_until_killed(file, 1.0)
+    bench.harness.wait(
+        lambda: "hpid_exciter" not in bench.harness.node.get_node_names(), what="its end"
+    )
+    rests = positions(bench.harness) - rests[-1]
+    assert np.ptp(rests) < 2e-3
+    assert 0.005 < rests[-1] < 0.3
+
+
+def hold_until_killed(file, seconds):
+    """Have a process of its own hold the button for so long."""
+    command = [sys.executable, "-c", PARENT, str(file)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as parent:
+        try:
+            for line in parent.stdout:
+                if float(line) > seconds:
+                    break
+        finally:
+            parent.kill()
