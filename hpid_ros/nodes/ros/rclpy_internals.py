@@ -17,6 +17,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.service import Service
+from rclpy.subscription import Subscription
 
 from hpid_ros.base.errors import SettingError
 
@@ -113,6 +114,30 @@ def match_counter(publisher: Publisher) -> Callable[[], int]:
             return int(handle.take_event().total_count)
 
     return count
+
+
+def taker(subscription: Subscription) -> Callable[[], bytes | None]:
+    """Return what takes the next message of a subscription, as bytes, without an executor.
+
+    Uses ``take_message`` of ``Subscription.handle``, which the executors of rclpy call. The public
+    way is a callback, which costs several times as much as the message itself. No executor may
+    have the subscription's node.
+
+    Args:
+        subscription: The subscription; until it is destroyed.
+
+    Raises:
+        SettingError: This rclpy lacks it.
+    """
+    handle = subscription.handle
+    take = _private(handle, "take_message", "the messages of a subscription")
+    kind = subscription.msg_type
+
+    def next_one() -> bytes | None:
+        taken = take(kind, True)
+        return None if taken is None else taken[0]
+
+    return next_one
 
 
 def _private(owner: object, name: str, purpose: str) -> Any:

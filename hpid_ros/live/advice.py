@@ -1,0 +1,192 @@
+"""What mathematics says of gains before they are sent: degrees, margins, a step's response."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+from hpid_ros.base.errors import HpidError
+from hpid_ros.base.units import NANOSECONDS
+from hpid_ros.control import JointLoop, LoopSettings
+from hpid_ros.control.reference import Setpoint
+from hpid_ros.control.settings.table import LARGEST_MOTION
+from hpid_ros.frequency.family import loop_family
+from hpid_ros.frequency.margins import margins_of
+from hpid_ros.stability.certificate import DegreeInterval
+from hpid_ros.stability.degrees import LoopKind, certified_degrees, kind_of
+from hpid_ros.stability.verdict import require_certifiable
+
+SETTLED = 0.02
+"""Of a step, within which a response counts as settled."""
+
+_LEAST_STEPS, _STEPS = 100, 3000  # of a response
+_POINTS = 200  # of it that are drawn
+_MODES = 12.0  # of the slowest mode of the linear loop
+_LOST = 100.0  # steps from the start: it is unstable
+_FREE = {
+    "takeover_time": 0.0,
+    "encoder_wrap": 0.0,
+    "position_min": -LARGEST_MOTION,
+    "position_max": LARGEST_MOTION,
+}
+
+
+@dataclass(frozen=True)
+class Response:
+    """The answer of an ideal joint, its inertia alone, to a step of its reference.
+
+    Attributes:
+        times: In [s].
+        errors: Share of the step that is left.
+        settling: After which that stays within :data:`SETTLED`, in [s]; inf if it does not.
+        overshoot: Share of the step.
+    """
+
+    times: tuple[float, ...]
+    errors: tuple[float, ...]
+    settling: float
+    overshoot: float
+
+
+@dataclass(frozen=True)
+class Advice:
+    """What is known of one joint's settings.
+
+    Attributes:
+        interval: Certified degrees; None where there are none, or it is not known.
+        reason: Why not, in words.
+        phase: Phase margin in [deg] where the multiplier is 1; nan where it is not known.
+        delay: Delay margin there in [s].
+        sensitivity: Largest |S| there.
+        response: To a step; None where the inertia is not known.
+        is_pending: Whether the certificate is still being looked for.
+    """
+
+    interval: tuple[float, float] | None = None
+    reason: str = ""
+    phase: float = math.nan
+    delay: float = math.nan
+    sensitivity: float = math.nan
+    response: Response | None = None
+    is_pending: bool = False
+
+    def as_mapping(self) -> dict[str, Any]:
+        """Return it as what JSON can hold."""
+        return asdict(self)
+
+    @classmethod
+    def from_mapping(cls, values: Mapping[str, Any]) -> Advice:
+        """Return the advice of :meth:`as_mapping`."""
+        kept = dict(values)
+        if kept["interval"] is not None:
+            kept["interval"] = tuple(kept["interval"])
+        if kept["response"] is not None:
+            response = {**kept["response"]}
+            response |= {name: tuple(response[name]) for name in ("times", "errors")}
+            kept["response"] = Response(**response)
+        return cls(**kept)
+
+
+UNKNOWN_INERTIA = "the inertia is not known: set the parameter inertia, hpid identify finds it"
+
+_Interval = tuple[float, float]
+
+
+class Adviser:
+    """Says what is known of settings, and remembers the certificates of loops of one kind."""
+
+    def __init__(self) -> None:
+        self._known: dict[LoopKind, _Interval | str] = {}
+
+    def advise(self, settings: LoopSettings, step: float) -> Advice:
+        """Return what is known of settings, however long that takes.
+
+        Args:
+            settings: Of one joint.
+            step: Size of the step in [rad]; the homogeneous law answers small and large ones
+                differently.
+        """
+        quick = self.quick(settings, step)
+        if not quick.is_pending:
+            return quick
+        found = self._degrees(settings)
+        interval, reason = (None, found) if isinstance(found, str) else (found, "")
+        return replace(quick, interval=interval, reason=reason, is_pending=False)
+
+    def quick(self, settings: LoopSettings, step: float) -> Advice:
+        """Return what is known at once: all but a certificate that nobody has asked for before.
+
+        Args:
+            settings: As for :meth:`advise`.
+            step: Likewise.
+        """
+        inertia = settings.plant_inertia
+        if not inertia > 0.0:
+            return Advice(reason=UNKNOWN_INERTIA)
+        try:
+            margins = margins_of(loop_family(settings, (inertia, inertia)).loop(inertia))
+        except HpidError as error:
+            return Advice(reason=str(error), is_pending=True)
+        return Advice(
+            None,
+            "",
+            math.degrees(margins.phase),
+            margins.delay,
+            margins.sensitivity,
+            None if settings.model.is_on else response_to(settings, step),
+            is_pending=True,
+        )
+
+    def _degrees(self, settings: LoopSettings) -> _Interval | str:
+        inertia = settings.plant_inertia
+        try:
+            require_certifiable(settings.gains, inertia)
+        except HpidError as error:
+            return str(error)
+        kind = kind_of(settings, (inertia, inertia))
+        if kind not in self._known:
+            (found,) = certified_degrees([(settings, (inertia, inertia))])
+            if isinstance(found, DegreeInterval):
+                self._known[kind] = (found.lower, found.upper)
+            else:
+                self._known[kind] = str(found)
+        return self._known[kind]
+
+
+def response_to(settings: LoopSettings, step: float) -> Response:
+    """Return the response of the loop itself, on a joint that is nothing but its inertia.
+
+    Args:
+        settings: Of a joint whose inertia is known.
+        step: Of its reference in [rad].
+    """
+    loop, inertia = JointLoop(settings.with_parameters(_FREE)), settings.plant_inertia
+    period_ns = round(settings.timing.control_period * NANOSECONDS)
+    period = period_ns / NANOSECONDS
+    position = velocity = 0.0
+    loop.step(0, position, velocity)
+    loop.follow(Setpoint(step))
+    errors = []
+    for number in range(1, _count(settings, period) + 1):
+        errors.append(1.0 - position / step)
+        acceleration = loop.step(number * period_ns, position, velocity) / inertia
+        position += period * velocity + 0.5 * period**2 * acceleration
+        velocity += period * acceleration
+        if not abs(position) < _LOST * abs(step):
+            break
+    times = [number * period for number in range(len(errors))]
+    unsettled = [at for at, left in zip(times, errors, strict=True) if abs(left) > SETTLED]
+    settling = unsettled[-1] + period if unsettled[-1] < times[-1] else math.inf
+    every = max(len(times) // _POINTS, 1)
+    overshoot = max(0.0, -min(errors))
+    return Response(tuple(times[::every]), tuple(errors[::every]), settling, overshoot)
+
+
+def _count(settings: LoopSettings, period: float) -> int:
+    """Return for how many periods to look: many times the slowest mode of the linear loop."""
+    gains = settings.gains
+    slow = gains.d / gains.p if gains.p else 0.0
+    slower = gains.p / gains.i if gains.i else 0.0
+    return int(min(_STEPS, max(_LEAST_STEPS, _MODES * max(slow, slower) / period)))

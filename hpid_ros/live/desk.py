@@ -1,0 +1,76 @@
+"""Who has the robot in hand, of those who look at the page, and how often they may act."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Callable
+
+
+class Limit:
+    """At most so many acts in so much time.
+
+    Args:
+        most: Acts.
+        within: In [s].
+        clock: Monotonic, in [s].
+    """
+
+    def __init__(
+        self, most: int, within: float, clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        self._most, self._within, self._clock = most, within, clock
+        self._acts: deque[float] = deque(maxlen=most)
+
+    def allows(self) -> bool:
+        """Tell whether one more act is allowed now, and count it if so."""
+        now = self._clock()
+        if len(self._acts) == self._most and now - self._acts[0] < self._within:
+            return False
+        self._acts.append(now)
+        return True
+
+
+class Desk:
+    """One page at a time has the controllers in hand; the others look on.
+
+    The first one has it. Another gets it when a person takes it there, or when the page that had
+    it is gone. Stopping is everybody's.
+    """
+
+    def __init__(self) -> None:
+        self._pages: list[str] = []
+        self._holder: str | None = None
+
+    @property
+    def holder(self) -> str | None:
+        """The page that has it; None if none is open, or the one that had it is gone."""
+        return self._holder
+
+    @property
+    def pages(self) -> int:
+        """How many pages are open."""
+        return len(self._pages)
+
+    def join(self, page: str) -> None:
+        """Let a page look on; it has the desk if no other page is there."""
+        if page not in self._pages:
+            self._pages.append(page)
+        if len(self._pages) == 1:
+            self._holder = page
+
+    def take(self, page: str) -> None:
+        """Give the desk to a page whose person asked for it."""
+        if page in self._pages:
+            self._holder = page
+
+    def leave(self, page: str) -> None:
+        """Forget a page. What it had in hand nobody has, until somebody takes it."""
+        if page in self._pages:
+            self._pages.remove(page)
+        if self._holder == page:
+            self._holder = None
+
+    def holds(self, page: str) -> bool:
+        """Tell whether a page has it."""
+        return self._holder == page

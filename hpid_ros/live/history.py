@@ -1,0 +1,294 @@
+"""What a joint did lately: samples, what is drawn of them, indices over a moving window."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from hpid_ros.base.arrays import Numbers
+from hpid_ros.control import LoopSettings
+from hpid_ros.control.homogeneous_pid import HomogeneousPid
+from hpid_ros.control.norms import CanonicalNorm, WeightedNorm
+from hpid_ros.control.settings.assembly import make_law, make_norm
+from hpid_ros.live.graph import Samples
+
+LONGEST = 60.0
+"""Samples of so many seconds are kept."""
+
+MOST_SAMPLES = 200_000
+_REFERENCES_APART, _STATES_APART = 2.0, 0.5  # [s], at most
+
+SIGNALS = ("position", "reference", "error", "effort", "norm", "multiplier")
+"""What is drawn, in the order of :meth:`JointHistory.drawn`."""
+
+
+class Track:
+    """The newest rows of a signal, oldest first.
+
+    Args:
+        columns: How many numbers a row has; the first is the time.
+    """
+
+    def __init__(self, columns: int) -> None:
+        self._rows = np.empty((1024, columns))
+        self._first = self._end = 0
+        self._drawn_until = -math.inf
+
+    @property
+    def rows(self) -> Numbers:
+        """All rows, shape (N, columns); a view that is valid until the next change."""
+        return self._rows[self._first : self._end]
+
+    def clear(self) -> None:
+        """Forget all."""
+        self._first = self._end = 0
+        self._drawn_until = -math.inf
+
+    def append(self, rows: Numbers) -> None:
+        """Append rows, and forget those that are too old or too many.
+
+        Args:
+            rows: Later than those that are there, shape (N, columns).
+        """
+        rows = rows[-MOST_SAMPLES:]
+        if not len(rows):
+            return
+        if self._end + len(rows) > len(self._rows):
+            self._make_room(len(rows))
+        self._rows[self._end : self._end + len(rows)] = rows
+        self._end += len(rows)
+        times = self._rows[self._first : self._end, 0]
+        self._first += int(np.searchsorted(times, times[-1] - LONGEST))
+        self._first = max(self._first, self._end - MOST_SAMPLES)
+
+    def _make_room(self, count: int) -> None:
+        kept = self.rows.copy()
+        if 2 * (len(kept) + count) > len(self._rows):
+            self._rows = np.empty((4 * (len(kept) + count), self._rows.shape[1]))
+        self._rows[: len(kept)] = kept
+        self._first, self._end = 0, len(kept)
+
+    def since(self, time: float) -> Numbers:
+        """Return the rows later than a time."""
+        rows = self.rows
+        return rows[int(np.searchsorted(rows[:, 0], time, side="right")) :]
+
+    def fresh(self) -> Numbers:
+        """Return the rows that came since the last call."""
+        rows = self.since(self._drawn_until)
+        if len(rows):
+            self._drawn_until = float(rows[-1, 0])
+        return rows
+
+    def within(self, begin: float, end: float) -> Numbers:
+        """Return the rows from one time to another, both included."""
+        rows = self.rows
+        first, last = np.searchsorted(rows[:, 0], [begin, np.nextafter(end, math.inf)])
+        return rows[first:last]
+
+
+class WindowIndices(NamedTuple):
+    """Indices over the last seconds, so that windows of any length compare; "rad" may read "m".
+
+    Attributes:
+        itae_rate: ITAE over the window, time counted from its start, divided by half the square
+            of its length: the mean error, late ones weighing more, in [rad].
+        ivc_rate: Variation of the effort per second, in [N m/s].
+        effort: Root mean square of the effort, in [N m].
+        error: Largest absolute error, in [rad].
+    """
+
+    itae_rate: float
+    ivc_rate: float
+    effort: float
+    error: float
+
+
+_NO_INDICES = WindowIndices(*(math.nan,) * 4)
+
+
+@dataclass(frozen=True)
+class _Law:
+    """The norm of a loop's settings, and what it multiplies the bandwidth by."""
+
+    settings: LoopSettings
+
+    @cached_property
+    def _norm(self) -> WeightedNorm | CanonicalNorm:
+        return make_norm(self.settings)
+
+    @cached_property
+    def _limits(self) -> tuple[float, float] | None:
+        law = make_law(self.settings)
+        return (law.norm_floor, law.norm_cap) if isinstance(law, HomogeneousPid) else None
+
+    def rows(self, errors: Numbers) -> Numbers:
+        """Return time, norm and multiplier of rows of time, error and rate; nan for a PID."""
+        if self._limits is None:
+            return np.column_stack([errors[:, 0], *(np.full(len(errors), np.nan),) * 2])
+        mu = self.settings.mu
+        found = np.array([self._norm(error, rate) for _, error, rate in errors.tolist()])
+        held = np.clip(found, *self._limits)
+        with np.errstate(divide="ignore"):
+            return np.column_stack([errors[:, 0], found, held**mu])
+
+
+class JointHistory:
+    """Samples of one joint.
+
+    The error is the reference less the position, at every state. ``~/reference`` is told less
+    often than there are states: in between it is taken to be straight, so that errors are known
+    up to the newest reference.
+
+    Args:
+        settings: Of its loop.
+    """
+
+    def __init__(self, settings: LoopSettings) -> None:
+        self._law = _Law(settings)
+        self._states, self._efforts, self._references = Track(3), Track(2), Track(3)
+        self._errors, self._norms = Track(2), Track(3)
+
+    def retune(self, settings: LoopSettings) -> None:
+        """Take note of other settings."""
+        if settings != self._law.settings:
+            self._law = _Law(settings)
+
+    @property
+    def now(self) -> float:
+        """Time of the newest state in [s]; -inf before the first."""
+        rows = self._states.rows
+        return float(rows[-1, 0]) if len(rows) else -math.inf
+
+    @property
+    def position(self) -> float | None:
+        """Of the newest state in [rad] or [m]; None before the first."""
+        rows = self._states.rows
+        return float(rows[-1, 1]) if len(rows) else None
+
+    def mean_effort(self, over: float = 0.5) -> float | None:
+        """Return the mean effort of the last seconds in [N m]; None where there is none."""
+        rows = self._efforts.rows
+        if not len(rows):
+            return None
+        return float(np.mean(self._efforts.since(rows[-1, 0] - over)[:, 1]))
+
+    def append(self, samples: Samples) -> None:
+        """Take what came since the last time; what is not finite is left out."""
+        if samples.is_restarted:
+            tracks = (self._states, self._efforts, self._references, self._errors, self._norms)
+            for track in tracks:
+                track.clear()
+        states = samples.states[np.isfinite(samples.states[:, :2]).all(axis=1)]
+        self._states.append(states)
+        self._efforts.append(samples.efforts[np.isfinite(samples.efforts).all(axis=1)])
+        references = samples.references[np.isfinite(samples.references).all(axis=1)]
+        self._references.append(references)
+        self._append_errors(references)
+
+    def _append_errors(self, references: Numbers) -> None:
+        """Compute what the newest references tell: errors, norms and multipliers."""
+        if not len(references):
+            return
+        done, end = self._errors.rows, float(references[-1, 0])
+        begin = np.nextafter(done[-1, 0], math.inf) if len(done) else references[0, 0]
+        fresh = self._states.within(float(begin), end)
+        if len(fresh):
+            known = self._references.within(fresh[0, 0] - _REFERENCES_APART, end)
+            there = np.interp(fresh[:, 0], known[:, 0], known[:, 1])
+            self._errors.append(np.column_stack([fresh[:, 0], self._off(there - fresh[:, 1])]))
+        times = references[:, 0]
+        states = self._states.within(times[0] - _STATES_APART, end + _STATES_APART)
+        if len(states) > 1:
+            at = np.interp(times, states[:, 0], states[:, 1])
+            rate = references[:, 2] - self._velocity(times, states)
+            rows = np.column_stack([times, self._off(references[:, 1] - at), rate])
+            self._norms.append(self._law.rows(rows))
+
+    def _velocity(self, times: Numbers, states: Numbers) -> Numbers:
+        """Return velocities at times: measured, or differences over what the filter remembers."""
+        if np.isfinite(states[-1, 2]):
+            return np.asarray(np.interp(times, states[:, 0], np.nan_to_num(states[:, 2])))
+        lag = max(2.0 * self._law.settings.velocity.filter_time_constant, 1e-3)
+        ends = [np.interp(t, states[:, 0], states[:, 1]) for t in (times - lag, times)]
+        return np.asarray((ends[1] - ends[0]) / lag)
+
+    def _off(self, differences: Numbers) -> Numbers:
+        """Return errors; of an encoder that begins anew, those the shorter way round."""
+        wrap = self._law.settings.encoder.wrap
+        if wrap <= 0.0:
+            return differences
+        return np.asarray(differences - wrap * np.rint(differences / wrap))
+
+    def drawn(self) -> dict[str, list[float]]:
+        """Return what is new to draw since the last call: of each signal times and values in turn.
+
+        Of many samples the least and the largest are drawn, so that no peak is lost.
+        """
+        states, efforts = self._states.fresh(), self._efforts.fresh()
+        references, errors = self._references.fresh(), self._errors.fresh()
+        norms = self._norms.fresh()
+        return {
+            "position": extremes(states[:, 0], states[:, 1]),
+            "reference": extremes(references[:, 0], references[:, 1]),
+            "error": extremes(errors[:, 0], errors[:, 1]),
+            "effort": extremes(efforts[:, 0], efforts[:, 1]),
+            "norm": extremes(norms[:, 0], norms[:, 1]),
+            "multiplier": extremes(norms[:, 0], norms[:, 2]),
+        }
+
+    def indices(self, over: float) -> WindowIndices:
+        """Return indices over the last seconds; nan where there are no samples.
+
+        Args:
+            over: In [s].
+        """
+        errors = self._errors.rows
+        efforts = self._efforts.rows
+        if len(errors) < 2 or len(efforts) < 2:
+            return _NO_INDICES
+        errors = self._errors.within(errors[-1, 0] - over, errors[-1, 0])
+        efforts = self._efforts.within(efforts[-1, 0] - over, efforts[-1, 0])
+        return _indices(errors, efforts)
+
+
+def _indices(errors: Numbers, efforts: Numbers) -> WindowIndices:
+    if len(errors) < 2 or len(efforts) < 2:
+        return _NO_INDICES
+    times, sizes = errors[:, 0] - errors[0, 0], np.abs(errors[:, 1])
+    length, acting = float(times[-1]), float(efforts[-1, 0] - efforts[0, 0])
+    if not (length > 0.0 and acting > 0.0):
+        return _NO_INDICES
+    return WindowIndices(
+        _integral(times, times * sizes) / (0.5 * length**2),
+        float(np.sum(np.abs(np.diff(efforts[:, 1])))) / acting,
+        math.sqrt(_integral(efforts[:, 0], efforts[:, 1] ** 2) / acting),
+        float(np.max(sizes)),
+    )
+
+
+def _integral(times: Numbers, values: Numbers) -> float:
+    """Return the trapezoidal rule's; many times a second, so not rounded as for a table."""
+    return float(np.sum(0.5 * np.diff(times) * (values[1:] + values[:-1])))
+
+
+def extremes(times: Numbers, values: Numbers, most: int = 4) -> list[float]:
+    """Return times and values in turn of few samples, the least and the largest among them.
+
+    Args:
+        times: In [s], shape (N,).
+        values: Of them; what is not finite is left out.
+        most: So many samples are returned as they are; of more, the first, the least, the largest
+            and the last, in the order of their times.
+    """
+    is_usable = np.isfinite(values)
+    times, values = times[is_usable], values[is_usable]
+    if len(times) > most:
+        ends = {0, int(np.argmin(values)), int(np.argmax(values)), len(times) - 1}
+        places = sorted(ends)
+        times, values = times[places], values[places]
+    return [float(each) for pair in zip(times, values, strict=True) for each in pair]

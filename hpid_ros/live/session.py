@@ -1,0 +1,366 @@
+"""One session of tuning: the controllers that are seen, and what a person does with them.
+
+All pages that are open show this one session; one of them has it in hand.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections import deque
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import yaml
+
+from hpid_ros.base.errors import SettingError
+from hpid_ros.live.advice import Advice
+from hpid_ros.live.adviser import AdviceClient
+from hpid_ros.live.desk import Desk, Limit
+from hpid_ros.live.graph import Answer, Graph, Samples, SeenController
+from hpid_ros.live.history import JointHistory, WindowIndices
+from hpid_ros.live.tuning import Tuning, Values, differences
+from hpid_ros.tuning.controller_files import parameters_from
+
+_SETS, _SETS_WITHIN = 5, 1.0  # acts of a person in [s]
+_LINES = 200  # of the log
+_CHANGES_KEPT = 200  # of the marks in plots
+
+
+class LogLine(NamedTuple):
+    """Something that happened.
+
+    Attributes:
+        at: Wall time in [s].
+        text: One line.
+        is_bad: Whether something was refused, or has failed.
+    """
+
+    at: float
+    text: str
+    is_bad: bool = False
+
+
+class Mark(NamedTuple):
+    """A change of parameters, as plots mark it.
+
+    Attributes:
+        number: Of all marks, increasing.
+        node: Of the controller.
+        time: On the control clock of its joint in [s].
+        text: What changed.
+    """
+
+    number: int
+    node: str
+    time: float
+    text: str
+
+
+class LiveSession:
+    """The session.
+
+    Attributes:
+        graph: The running graph.
+        tuning: What is staged, done and kept.
+        desk: Who has it in hand.
+        log: What happened, the newest last.
+        said: How many lines have ever been put into it.
+        marks: Changes of parameters, the newest last.
+
+    Args:
+        graph: The running graph.
+        advice: Of whom certificates and responses are asked.
+    """
+
+    def __init__(self, graph: Graph, advice: AdviceClient) -> None:
+        self.graph = graph
+        self.tuning = Tuning()
+        self.desk = Desk()
+        self.log: deque[LogLine] = deque(maxlen=_LINES)
+        self.said = 0
+        self.marks: deque[Mark] = deque(maxlen=_CHANGES_KEPT)
+        self._advice = advice
+        self._histories: dict[str, JointHistory] = {}
+        self._known: dict[tuple[str, bool], tuple[Values, Advice]] = {}
+        self._asked: dict[tuple[str, bool], Values] = {}
+        self._limit = Limit(_SETS, _SETS_WITHIN)
+        self._marked = 0
+        self._here: dict[str, bool] = {}
+        self._watched: tuple[str, ...] = ()
+
+    # What is seen
+
+    @property
+    def controllers(self) -> Mapping[str, SeenController]:
+        """The controllers by the full names of their nodes."""
+        return self.graph.controllers()
+
+    def label(self, node: str) -> str:
+        """Return what people call a controller: its joint, with the namespace where it has one."""
+        seen = self.controllers[node]
+        space = seen.namespace.strip("/")
+        return f"{space}/{seen.joint}" if space else seen.joint
+
+    def history(self, node: str) -> JointHistory:
+        """Return the samples of a controller's joint."""
+        if node not in self._histories:
+            self._histories[node] = JointHistory(self.controllers[node].settings)
+        return self._histories[node]
+
+    def pulse(
+        self, is_seen: bool = True, samples: Mapping[str, Samples] | None = None
+    ) -> dict[str, dict[str, list[float]]]:
+        """Take what is new, and return what is to be drawn of it, by node and signal.
+
+        Args:
+            is_seen: Whether anybody looks; samples are only taken then.
+            samples: What came of the joints, if somebody has taken it already.
+        """
+        seen = self.controllers
+        self._note_arrivals(seen)
+        watched = tuple(node for node, each in seen.items() if each.is_here) if is_seen else ()
+        if watched != self._watched:
+            for node in set(watched) - set(self._watched):  # its clock begins anew
+                self._histories.pop(node, None)
+            self._watched = watched
+            self.graph.watch(watched)
+        for node, controller in seen.items():
+            self.tuning.see(node, controller.values)
+            self.history(node).retune(controller.settings)
+        for change in self.graph.changes():
+            if change.node in seen:
+                self._mark(change.node, change.time, change.values)
+        for node, each in (self.graph.take() if samples is None else samples).items():
+            if node in seen:
+                self.history(node).append(each)
+        return {node: self.history(node).drawn() for node in watched}
+
+    def _note_arrivals(self, seen: Mapping[str, SeenController]) -> None:
+        for node, each in seen.items():
+            if self._here.get(node) == each.is_here:
+                continue
+            if each.is_here:
+                self.say(f"{self.label(node)}: {'back' if node in self._here else 'found'}")
+            else:
+                self.say(f"{self.label(node)}: its controller has gone", is_bad=True)
+            self._here[node] = each.is_here
+
+    def _mark(self, node: str, at: float, values: Values) -> None:
+        text = ", ".join(f"{name} {_shown(value)}" for name, value in values.items())
+        self._marked += 1
+        self.marks.append(Mark(self._marked, node, at, text))
+        self.say(f"{self.label(node)}: {text}")
+
+    def indices(self, node: str, over: float) -> WindowIndices:
+        """Return indices of a joint over the last seconds."""
+        return self.history(node).indices(over)
+
+    def say(self, text: str, *, is_bad: bool = False) -> None:
+        """Put a line into the log."""
+        self.said += 1
+        self.log.append(LogLine(time.time(), text, is_bad))
+
+    # What mathematics says
+
+    def advice(self, node: str, step: float, *, is_staged: bool) -> tuple[Advice | None, bool]:
+        """Return what is known of a controller's settings, and ask if that is of other ones.
+
+        Args:
+            node: Its full name.
+            step: Of the response in [rad].
+            is_staged: Of what is staged, or of what is in force.
+
+        Returns:
+            The advice, None before the first, and whether it is of these very settings.
+        """
+        tuning = self.tuning
+        values = tuning.chosen(node) if is_staged else tuning.in_force[node]
+        asked = {**values, "": step}
+        about = (node, is_staged)
+        known = self._known.get(about)
+        if known is not None and known[0] == asked:
+            return known[1], True
+        if self._asked.get(about) != asked:
+            self._asked[about] = asked
+
+            def hear(advice: Advice) -> None:
+                self._known[about] = (asked, advice)
+
+            self._advice.ask(about, values, step, hear)
+        return (known[1] if known else None), False
+
+    # What a person does
+
+    async def apply(self, nodes: Sequence[str], what: str = "") -> bool:
+        """Send what is staged, as one set for each controller, and all or none of them.
+
+        Args:
+            nodes: Full names.
+            what: In words; by default what is staged.
+
+        Returns:
+            Whether all took it.
+        """
+        sets = self.tuning.staged_sets(nodes)
+        for node in sets:
+            objection = self.tuning.objection(node)
+            if objection:
+                self.say(f"{self.label(node)}: not sent: {objection}", is_bad=True)
+                return False
+        if not sets:
+            self.say("nothing is staged")
+            return False
+        return await self.send(sets, what or _summary(sets))
+
+    async def send(self, sets: Mapping[str, Values], what: str, *, is_kept: bool = True) -> bool:
+        """Have controllers take sets. Where one refuses, the others get theirs back.
+
+        Args:
+            sets: By node.
+            what: In words.
+            is_kept: Whether this is a step that can be undone.
+
+        Returns:
+            Whether all took theirs.
+        """
+        if not self._limit.allows():
+            self.say(f"{what}: not sent: at most {_SETS} a second", is_bad=True)
+            return False
+        before = {node: dict(self.tuning.in_force[node]) for node in sets}
+        answers = await self._asked_all(sets)
+        taken = {node: sets[node] for node, answer in answers.items() if answer.is_taken}
+        refused = {node: each.reason for node, each in answers.items() if not each.is_taken}
+        if not refused:
+            for node, values in taken.items():
+                self.tuning.see(node, {**before[node], **values})
+            if is_kept:
+                self.tuning.note(what, taken, before)
+            return True
+        for node, reason in refused.items():
+            self.say(f"{self.label(node)} refused: {reason}", is_bad=True)
+        if taken:
+            back = {node: {name: before[node][name] for name in taken[node]} for node in taken}
+            undone = await self._asked_all(back)
+            names = ", ".join(self.label(node) for node in taken)
+            self.say(f"{names}: set back, because another one refused")
+            for node, answer in undone.items():
+                if not answer.is_taken:
+                    self.say(f"{self.label(node)}: NOT set back: {answer.reason}", is_bad=True)
+        return False
+
+    async def _asked_all(self, sets: Mapping[str, Values]) -> dict[str, Answer]:
+        futures = [asyncio.wrap_future(self.graph.set(node, each)) for node, each in sets.items()]
+        return dict(zip(sets, await asyncio.gather(*futures), strict=True))
+
+    async def undo(self) -> bool:
+        """Take the newest step back."""
+        try:
+            sets = self.tuning.undoing()
+        except SettingError as error:
+            self.say(str(error), is_bad=True)
+            return False
+        what = self.tuning.done[-1].what
+        if await self.send(sets, f"undo: {what}", is_kept=False):
+            self.tuning.undone()
+            self.say(f"undone: {what}")
+            return True
+        return False
+
+    async def revert(self, nodes: Sequence[str]) -> bool:
+        """Set controllers back to what they were when they were first seen."""
+        return await self._send_or_say(self.tuning.reverting(nodes), "back to the start")
+
+    async def restore(self, name: str) -> bool:
+        """Set controllers to a snapshot."""
+        return await self._send_or_say(self.tuning.returning(name), f"snapshot {name}")
+
+    async def _send_or_say(self, sets: Mapping[str, Values], what: str) -> bool:
+        sets = {node: each for node, each in sets.items() if self._here.get(node)}
+        if not sets:
+            self.say(f"{what}: nothing differs")
+            return True
+        return await self.send(sets, what)
+
+    async def send_if_other(self, values: Mapping[str, Values], what: str) -> bool:
+        """Have controllers take these values, where they have others.
+
+        Args:
+            values: By node.
+            what: In words.
+
+        Returns:
+            Whether they have them now.
+        """
+        sets = {
+            node: other
+            for node, wanted in values.items()
+            if (other := differences(self.tuning.in_force[node], wanted))
+        }
+        return not sets or await self.send(sets, what)
+
+    async def stop(self) -> bool:
+        """Deactivate every controller that is shown: each joint is left as its ``stop`` says."""
+        nodes = [node for node, each in self.controllers.items() if each.is_here]
+        self.say(f"STOP: {len(nodes)} controllers are deactivated", is_bad=True)
+        return await self.transit(nodes, "deactivate")
+
+    async def transit(self, nodes: Iterable[str], transition: str) -> bool:
+        """Have controllers go through a transition.
+
+        Args:
+            nodes: Full names.
+            transition: ``activate`` or ``deactivate``.
+
+        Returns:
+            Whether all did.
+        """
+        asked = {node: self.graph.change_state(node, transition) for node in nodes}
+        futures = [asyncio.wrap_future(each) for each in asked.values()]
+        answers = dict(zip(asked, await asyncio.gather(*futures), strict=True))
+        for node, answer in answers.items():
+            if answer.is_taken:
+                self.say(f"{self.label(node)}: {transition}d")
+            else:
+                self.say(f"{self.label(node)}: not {transition}d: {answer.reason}", is_bad=True)
+        return all(answer.is_taken for answer in answers.values())
+
+    # Files
+
+    def document(self) -> str:
+        """Return what is in force as a ROS parameter file, in YAML."""
+        nodes = [node for node, each in self.controllers.items() if each.is_here]
+        return str(yaml.safe_dump(self.tuning.document(nodes), sort_keys=False))
+
+    def load(self, text: str, name: str) -> list[str]:
+        """Stage what a parameter file says.
+
+        Args:
+            text: Its content.
+            name: Its name, for what is said.
+
+        Returns:
+            The controllers that it is of.
+
+        Raises:
+            SettingError: It cannot be used.
+        """
+        try:
+            content: Any = yaml.safe_load(text)
+        except yaml.YAMLError as error:
+            line = " ".join(str(error).split())
+            raise SettingError(f"{Path(name).name} is no YAML: {line}") from None
+        nodes = self.tuning.stage_loops(parameters_from(content, Path(name).name).loops)
+        self.say(f"{Path(name).name}: staged for {', '.join(map(self.label, nodes))}")
+        return nodes
+
+
+def _shown(value: object) -> str:
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def _summary(sets: Mapping[str, Values]) -> str:
+    names = list(dict.fromkeys(name for each in sets.values() for name in each))
+    of = f" on {len(sets)} joints" if len(sets) > 1 else ""
+    return f"{', '.join(names)}{of}"

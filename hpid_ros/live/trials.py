@@ -1,0 +1,347 @@
+"""Test motions: planned, carried out while a person holds a button, measured, compared."""
+
+from __future__ import annotations
+
+import asyncio
+import shutil
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from datetime import datetime
+from enum import Enum
+from pathlib import Path
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from hpid_ros.analysis.comparison import Comparison
+from hpid_ros.bags.selection import BagSelection
+from hpid_ros.base.errors import HpidError, RunError, SettingError
+from hpid_ros.excitation.bounds import Wish
+from hpid_ros.excitation.plan import Design, ExcitationPlan, plan
+from hpid_ros.experiment.live.excitation import bounds_of, chosen
+from hpid_ros.experiment.live.graph import RunningController, RunningGraph
+from hpid_ros.experiment.live.watching import Ending
+from hpid_ros.live.session import LiveSession
+from hpid_ros.live.tuning import Values
+from hpid_ros.metrics.compare import compare
+from hpid_ros.metrics.measure import Measured, Measuring, measure
+from hpid_ros.recordings.series import JointSeries
+
+_LOOK_PERIOD = 0.05  # [s]
+_BEFORE, _AFTER = 0.1, 0.5  # [s] of a recording around the motion that are measured
+_STANDS_WITHIN = 1e-9  # [rad]
+_LARGEST_TIME = 60.0  # [s]
+
+
+class MotionWish(NamedTuple):
+    """A motion that a person wants.
+
+    Attributes:
+        kind: One of :data:`KINDS`.
+        amplitude: In [rad] or [m], at most; the joints' limits may make it less.
+        duration: Of the whole in [s].
+        share: Of the limits of each joint that it may use.
+    """
+
+    kind: str = "minimum_jerk"
+    amplitude: float = 0.1
+    duration: float = 4.0
+    share: float = 0.5
+
+
+KINDS = {
+    "minimum_jerk": "there and back, smooth (minimum jerk)",
+    "step": "there and back, as fast as the limits allow",
+    "sine": "sine",
+}
+"""The kinds of motion, in words."""
+
+
+class Stage(Enum):
+    """How far a trial is."""
+
+    IDLE = "nothing is under way"
+    PREPARING = "preparing"
+    READY = "ready: hold the button"
+    MOVING = "moving"
+    MEASURING = "measuring"
+
+
+class HeldMotion(Protocol):
+    """A motion that goes on while it is pressed; see ``experiment.live.held``."""
+
+    bag: Path
+
+    @property
+    def stage(self) -> str:
+        """``preparing``, ``ready``, ``moving`` or ``ended``."""
+
+    @property
+    def ending(self) -> Ending | None:
+        """How it ended; None before."""
+
+    def press(self) -> None:
+        """Note that the button is held; to be called every 0.1 s."""
+
+    def release(self) -> None:
+        """Stop the joints, and end."""
+
+
+Starter = Callable[
+    [ExcitationPlan, Sequence[RunningController], RunningGraph, Path, str], HeldMotion
+]
+"""Begins a motion: what, whose, on which graph, into which bag, by which topic of states."""
+
+
+@dataclass(frozen=True)
+class Variant:
+    """What controllers are set to for one motion.
+
+    Attributes:
+        label: What it is called.
+        values: All loop parameters by node; None for what is in force.
+    """
+
+    label: str
+    values: Mapping[str, Values] | None = None
+
+
+@dataclass(frozen=True)
+class TrialResult:
+    """Motions that were measured.
+
+    Attributes:
+        variants: In their order.
+        runs: Of each.
+        comparison: Of all, ratios to the first.
+        bags: Their recordings.
+    """
+
+    variants: tuple[Variant, ...]
+    runs: tuple[Measured, ...]
+    comparison: Comparison
+    bags: tuple[Path, ...]
+
+
+class Trials:
+    """One trial at a time, of the page that has the controllers in hand.
+
+    Attributes:
+        stage: How far it is.
+        said: What happened last, in a line.
+        is_bad: Whether that is a failure.
+        result: Of the last one that came to its end; None before.
+
+    Args:
+        session: The session.
+        start: Begins a motion.
+    """
+
+    def __init__(self, session: LiveSession, start: Starter) -> None:
+        self._session, self._start = session, start
+        self.stage = Stage.IDLE
+        self.said, self.is_bad = "", False
+        self.result: TrialResult | None = None
+        self._page = ""
+        self._motion: HeldMotion | None = None
+        self._folder: Path | None = None
+        self._is_kept = False
+        self._is_held = self._is_held_over = False
+
+    def plan(self, nodes: Sequence[str], wish: MotionWish) -> ExcitationPlan:
+        """Return the motion of joints, within their limits.
+
+        Args:
+            nodes: Full names of their controllers.
+            wish: What is wanted.
+
+        Raises:
+            HpidError: A joint cannot be moved, or a number is none.
+        """
+        return self._planned(nodes, wish)[0]
+
+    def _planned(
+        self, nodes: Sequence[str], wish: MotionWish
+    ) -> tuple[ExcitationPlan, list[RunningController], RunningGraph]:
+        if not nodes:
+            raise SettingError("choose a joint")
+        if not 0.0 < wish.duration <= _LARGEST_TIME:
+            raise SettingError(
+                f"a motion may last up to {_LARGEST_TIME:g} s, not {wish.duration:g}"
+            )
+        seen = self._session.controllers
+        for node in nodes:
+            if seen[node].lifecycle not in ("", "active"):
+                raise SettingError(f"{self._session.label(node)} is {seen[node].lifecycle}")
+        graph = self._session.graph.running(nodes, self._state_of)
+        controllers = chosen(graph, [])
+        bounds = [bounds_of(each, None) for each in controllers]
+        limits = Wish(wish.share, wish.amplitude)
+        design = Design(kind=wish.kind, duration=wish.duration, are_together=True)  # type: ignore[arg-type]
+        return plan(bounds, limits, design), controllers, graph
+
+    def _state_of(self, node: str) -> tuple[float | None, float | None]:
+        history = self._session.history(node)
+        return history.position, history.mean_effort()
+
+    # The button
+
+    def press(self, page: str) -> None:
+        """Note that a page's button is held; of the page whose trial it is."""
+        motion = self._motion
+        if motion is None or page != self._page or self._is_held_over:
+            return
+        if motion.stage in ("ready", "moving"):
+            self._is_held = True
+            motion.press()
+
+    def release(self, page: str) -> None:
+        """Note that it is not held any more, or that the page is gone: a motion ends."""
+        if page != self._page:
+            return
+        self._is_held = self._is_held_over = False
+        if self._motion is not None and self._motion.stage == "moving":
+            self._motion.release()
+
+    def cancel(self) -> None:
+        """End what is under way."""
+        if self._motion is not None:
+            self._motion.release()
+
+    # The course
+
+    async def run(
+        self,
+        page: str,
+        nodes: Sequence[str],
+        wish: MotionWish,
+        variants: Sequence[Variant],
+        *,
+        is_kept: bool,
+    ) -> None:
+        """Carry out one motion for each variant, and measure them.
+
+        When one is stopped, controllers are set back to what they were before.
+
+        Args:
+            page: Whose button is held.
+            nodes: Full names of the controllers.
+            wish: The motion.
+            variants: One, or two to be compared.
+            is_kept: Whether the recordings stay, in a folder here.
+        """
+        if self.stage is not Stage.IDLE:
+            self._say("another trial is under way", is_bad=True)
+            return
+        self._page, self.stage = page, Stage.PREPARING
+        self._is_held = self._is_held_over = False
+        before = {node: dict(self._session.tuning.in_force[node]) for node in nodes}
+        is_done = False
+        try:
+            self._forget()
+            self._folder = _new_folder(is_kept=is_kept)
+            self._is_kept = is_kept
+            found = [
+                await self._measured(number, nodes, wish, variant)
+                for number, variant in enumerate(variants)
+            ]
+            comparison = await asyncio.to_thread(compare, found)
+            bags = tuple(each.path for each in found)
+            self.result = TrialResult(tuple(variants), tuple(found), comparison, bags)
+            self._say("done" + (f"; recorded in {self._folder}" if is_kept else ""))
+            is_done = True
+        except (HpidError, OSError) as error:
+            self._say(str(error), is_bad=True)
+        finally:
+            self._motion, self.stage = None, Stage.IDLE
+        if not is_done and len(variants) > 1:
+            await self._session.send_if_other(before, "as before the trial")
+
+    async def _measured(
+        self, number: int, nodes: Sequence[str], wish: MotionWish, variant: Variant
+    ) -> Measured:
+        """Carry one motion out and measure it.
+
+        Raises:
+            HpidError: It could not begin, or was stopped.
+        """
+        self.stage = Stage.PREPARING
+        if variant.values is not None:
+            wanted = {node: variant.values[node] for node in nodes if node in variant.values}
+            if not await self._session.send_if_other(wanted, f"{variant.label}, for the trial"):
+                raise RunError(f"{variant.label} was refused")
+        assert self._folder is not None
+        planned, controllers, graph = self._planned(nodes, wish)
+        bag = self._folder / f"{number + 1}_{_as_file(variant.label)}"
+        states = self._session.graph.states_topic(nodes[0])
+        self._motion = motion = self._start(planned, controllers, graph, bag, states)
+        self._say(f"{variant.label}: preparing")
+        while motion.stage != "ended":
+            if motion.stage == "ready" and self.stage is Stage.PREPARING:
+                self.stage = Stage.READY
+                self._say(f"{variant.label}: hold the button, {planned.duration:.1f} s")
+            elif motion.stage == "moving" and self.stage is not Stage.MOVING:
+                self.stage = Stage.MOVING
+                self._say(f"{variant.label}: moving")
+            await asyncio.sleep(_LOOK_PERIOD)
+        self._is_held_over = self._is_held  # the next motion wants a press of its own
+        ending = motion.ending
+        assert ending is not None
+        if ending.reason:
+            rest = "" if ending.is_at_rest else "; the joints were not seen to rest"
+            raise RunError(f"stopped: {ending.reason}{rest}")
+        self.stage = Stage.MEASURING
+        self._say(f"{variant.label}: measuring")
+        return await asyncio.to_thread(_measure, bag, variant.label, planned)
+
+    def _say(self, text: str, *, is_bad: bool = False) -> None:
+        self.said, self.is_bad = text, is_bad
+        self._session.say(f"trial: {text}", is_bad=is_bad)
+
+    def _forget(self) -> None:
+        """Remove the recordings that nobody wanted to keep."""
+        if self._folder is not None and not self._is_kept:
+            shutil.rmtree(self._folder, ignore_errors=True)
+        self._folder = None
+
+    def close(self) -> None:
+        """Stop what is under way, and remove what nobody wanted to keep."""
+        self.cancel()
+        self._forget()
+
+
+def _measure(bag: Path, label: str, planned: ExcitationPlan) -> Measured:
+    """Measure a recording from shortly before the first joint is to move.
+
+    Raises:
+        HpidError: The recording cannot be read, or no reference moves in it.
+    """
+    selection = BagSelection(joints=planned.names)
+    series = measure(bag, label, Measuring(selection)).series
+    assert series is not None
+    begins = [_moves_at(each) for each in series.joints if each.has_reference]
+    if not begins:
+        raise RunError(f"{label}: the recording tells no reference")
+    begin = max(min(begins) - _BEFORE, 0.0)
+    end = begin + planned.duration + _AFTER
+    return measure(bag, label, Measuring(replace(selection, start=begin, end=end)))
+
+
+def _moves_at(series: JointSeries) -> float:
+    """Return when a reference first leaves where it stood, in [s]."""
+    moved = np.flatnonzero(np.abs(series.reference - series.reference[0]) > _STANDS_WITHIN)
+    return float(series.time[moved[0]]) if len(moved) else 0.0
+
+
+def _as_file(label: str) -> str:
+    kept = "".join(each if each.isalnum() else "_" for each in label)
+    return kept.strip("_") or "run"
+
+
+def _new_folder(*, is_kept: bool) -> Path:
+    if not is_kept:
+        return Path(tempfile.mkdtemp(prefix="hpid_live_"))
+    folder = Path(f"live-{datetime.now():%Y%m%d-%H%M%S}").resolve()
+    folder.mkdir()
+    return folder

@@ -1,0 +1,1 @@
+"""The graph of running controllers, as a page in a browser asks for it."""

@@ -1,0 +1,89 @@
+"""Where a controller gets its states and tells its commands, whatever is remapped."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+from rclpy.node import Node, NodeNameNonExistentError
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64, Float64MultiArray
+
+_STATES, _COMMANDS = "joint_states", "joint_commands"
+KINDS: dict[str, Any] = {
+    "sensor_msgs/msg/JointState": JointState,
+    "std_msgs/msg/Float64MultiArray": Float64MultiArray,
+    "std_msgs/msg/Float64": Float64,
+}
+JOINT_STATE = "sensor_msgs/msg/JointState"
+
+
+class Topic(NamedTuple):
+    """A topic.
+
+    Attributes:
+        name: Its full name.
+        type: One of :data:`KINDS`.
+    """
+
+    name: str
+    type: str
+
+
+class ControllerTopics(NamedTuple):
+    """The topics of one controller that tell how it does.
+
+    Attributes:
+        states: Where its states come from.
+        commands: Where its commands go; None where they are not to be listened to.
+        reference: Its reference.
+    """
+
+    states: Topic
+    commands: Topic | None
+    reference: Topic
+
+
+def controller_topics(node: Node, controller: str) -> tuple[ControllerTopics, bool]:
+    """Return the topics of a controller, and whether the graph has told all of them.
+
+    One that is not active listens to no states, and one of several in a process may leave both to
+    the process: these have their usual names then.
+
+    Args:
+        node: Who asks.
+        controller: Full name of the controller.
+    """
+    space, _, name = controller.rpartition("/")
+    listens = _topics(node.get_subscriber_names_and_types_by_node, name, space)
+    tells = _topics(node.get_publisher_names_and_types_by_node, name, space)
+    states = _chosen(listens, controller, _STATES, (JOINT_STATE,))
+    commands = _chosen(tells, controller, _COMMANDS, tuple(KINDS))
+    topics = ControllerTopics(
+        states or Topic(f"{space}/{_STATES}", JOINT_STATE),
+        commands or Topic(f"{space}/{_COMMANDS}", JOINT_STATE),
+        Topic(f"{controller}/reference", JOINT_STATE),
+    )
+    return topics, states is not None and commands is not None
+
+
+def _topics(ask: Any, name: str, space: str) -> list[Topic]:
+    try:
+        found = ask(name, space or "/")
+    except NodeNameNonExistentError:  # it has gone
+        return []
+    return [Topic(topic, kind) for topic, kinds in found for kind in kinds if kind in KINDS]
+
+
+def _chosen(
+    found: Sequence[Topic], controller: str, usual: str, kinds: Sequence[str]
+) -> Topic | None:
+    """Return the one that can be meant: of the usual name, if there are several."""
+    own = f"{controller}/"
+    might = [
+        each
+        for each in found
+        if each.type in kinds and not (each.type == JOINT_STATE and each.name.startswith(own))
+    ]
+    might.sort(key=lambda each: (each.name.rpartition("/")[2] != usual, each.name))
+    return might[0] if might else None

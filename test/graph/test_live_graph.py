@@ -1,0 +1,303 @@
+"""A running graph as a live page sees it: found, watched, set and stopped."""
+
+import os
+import signal
+import threading
+from functools import partial
+
+import numpy as np
+import pytest
+from harness.graph import ros_arguments
+from rclpy.experimental import EventsExecutor
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.task import Future
+from sensor_msgs.msg import JointState
+
+from hpid_ros.control.settings.table import PARAMETERS
+from hpid_ros.live.graph import Samples
+from hpid_ros.nodes.parts.tuner.live_graph import LiveGraph
+from hpid_ros.nodes.parts.tuner.orders import parameter
+from hpid_ros.nodes.ros.executor import ClosingNode
+from hpid_ros.nodes.ros.middleware import OFFERED
+from hpid_ros.wire import JointStateTemplate
+
+MS = 1_000_000
+ELBOW, WRIST = "/elbow_controller", "/arm/wrist_controller"
+NOTHING = Samples(np.zeros((0, 3)), np.zeros((0, 2)), np.zeros((0, 3)))
+JOINTS = {ELBOW: "elbow", WRIST: "wrist"}
+
+
+@pytest.fixture
+def graph(harness):
+    """Return a live graph whose node is spun beside the test."""
+    node = ClosingNode("tuner", context=harness.context)
+    graph = LiveGraph(node)
+    executor, end = EventsExecutor(context=harness.context), Future()
+    executor.add_node(node)
+    spin = partial(executor.spin_until_future_complete, end, 600.0)
+    thread = threading.Thread(target=spin)
+    thread.start()
+    yield graph
+    end.set_result(None)
+    thread.join()
+    graph.close()
+    executor.shutdown()
+    node.destroy_node()
+
+
+class Robot:
+    """Two controllers, one in a namespace whose topics are remapped, and their states."""
+
+    def __init__(self, harness):
+        self.harness = harness
+        self.stamp_ns = 0
+        self.start(ELBOW, introspection_rate=-1.0)
+        self.start(WRIST, "-r", "joint_states:=/arm/all", "-r", "joint_commands:=efforts")
+        self.topics = {
+            ELBOW: harness.states,
+            WRIST: harness.node.create_publisher(JointState, "/arm/all", OFFERED),
+        }
+        for publisher in self.topics.values():
+            harness.wait(lambda each=publisher: each.get_subscription_count())
+        self.tell(3)
+
+    def start(self, node, *arguments, **parameters):
+        space, _, name = node.rpartition("/")
+        own = ros_arguments(
+            joint=JOINTS[node],
+            state_clock="simulated",
+            state_watchdog=False,
+            wait_for_command_subscribers=0,
+            **parameters,
+        )
+        return self.harness.processes.start(
+            name, "joint_controller", [*own, *arguments, "-r", f"__ns:={space or '/'}"]
+        )
+
+    def tell(self, count, positions=(0.1, 0.2), velocity=True):
+        """Publish so many states of both joints; each is answered before the next one."""
+        for _ in range(count):
+            for (node, publisher), position in zip(self.topics.items(), positions, strict=True):
+                names = [JOINTS[node], "other"]
+                template = JointStateTemplate(names, position=True, velocity=velocity)
+                numbers = {"velocity": [0.5, 0.0]} if velocity else {}
+                publisher.publish(
+                    template.encode(self.stamp_ns, position=[position, 9.0], **numbers)
+                )
+            stamp_ns, self.stamp_ns = self.stamp_ns, self.stamp_ns + MS
+            self.harness.wait(
+                lambda stamp_ns=stamp_ns: (
+                    self.harness.commands and self.harness.commands[-1].stamp_ns == stamp_ns
+                )
+            )
+
+
+@pytest.fixture
+def robot(harness):
+    return Robot(harness)
+
+
+def found(harness, graph, *nodes):
+    nodes = nodes or (ELBOW, WRIST)
+    harness.wait(lambda: all(node in graph.controllers() for node in nodes), what="controllers")
+    harness.wait(lambda: all(graph.controllers()[each].lifecycle == "active" for each in nodes))
+    return graph.controllers()
+
+
+def answered(harness, future):
+    harness.wait(future.done, what="an answer")
+    return future.result()
+
+
+def taken(harness, graph, node, states):
+    """Return the samples of a node once it has so many states."""
+    parts = []
+
+    def is_enough():
+        parts.append(graph.take()[node])
+        return sum(len(part.states) for part in parts) >= states
+
+    harness.wait(is_enough, what=f"{states} states of {node}")
+    parts.append(graph.take()[node])
+    return [
+        np.concatenate([getattr(part, name) for part in parts])
+        for name in ("states", "efforts", "references")
+    ]
+
+
+def watched(harness, graph, robot, *nodes):
+    """Watch nodes, and return when everything that they are told and tell is taken."""
+    graph.watch(nodes)
+    lacks = {"states": set(nodes), "efforts": {nodes[0]}, "references": set(nodes)}
+
+    def is_all_there():
+        robot.tell(60)  # references come at 20 Hz
+        for node, samples in graph.take().items():
+            for name, without in lacks.items():
+                if len(getattr(samples, name)):
+                    without.discard(node)
+        return not any(lacks.values())
+
+    harness.wait(is_all_there, what="samples")
+    harness.wait(lambda: not any(map(_count, graph.take().values())), what="the last of them")
+
+
+def _count(samples):
+    return len(samples.states) + len(samples.efforts) + len(samples.references)
+
+
+def test_our_controllers_are_found_in_every_namespace_and_watched(harness, graph, robot):
+    Node("bystander", context=harness.context)  # which has parameters, and none of a controller
+    seen = found(harness, graph)
+    assert list(seen) == [WRIST, ELBOW]
+    assert [each.joint for each in seen.values()] == ["wrist", "elbow"]
+    assert (seen[WRIST].namespace, seen[ELBOW].namespace) == ("/arm", "/")
+    assert set(seen[ELBOW].values) == set(PARAMETERS)
+    assert (seen[ELBOW].introspection_rate, seen[WRIST].introspection_rate) == (-1.0, 20.0)
+    assert not seen[ELBOW].requires_certificate
+    harness.wait(lambda: graph.states_topic(WRIST) == "/arm/all")
+    assert graph.states_topic(ELBOW) == "/joint_states"
+    harness.wait(lambda: all(each.health for each in graph.controllers().values()))
+    assert graph.controllers()[ELBOW].health.values["lifecycle"] == "active"
+
+    watched(harness, graph, robot, ELBOW, WRIST)
+    robot.tell(300)
+    robot.tell(1, positions=(7.0, 0.2))  # a peak of one sample
+    robot.tell(300)
+    states, efforts, references = taken(harness, graph, ELBOW, 601)
+    assert states[:, 0] - states[0, 0] == pytest.approx(np.arange(601) * 1e-3)
+    assert np.flatnonzero(states[:, 1] == 7.0).tolist() == [300]
+    assert set(states[:, 2]) == {0.5}
+    told = [(each.stamp_ns * 1e-9, *each.effort) for each in harness.commands[-601:]]
+    begin = [told[0][0] - states[0, 0], 0.0]
+    assert efforts == pytest.approx(np.array(told) - begin)
+    assert not harness.node.count_subscribers("/arm/efforts")  # which nobody else hears
+    assert len(references) == 601
+    assert references[:, 1] == pytest.approx(0.1)
+    graph.watch([])
+    for publisher in robot.topics.values():
+        harness.wait(lambda each=publisher: each.get_subscription_count() == 1)
+    assert graph.take() == {}
+
+
+def test_numbers_are_sent_in_the_types_that_controllers_declare():
+    for name, value, kind in (
+        ("gains.p", 12, Parameter.Type.DOUBLE),
+        ("gains.p", 12.5, Parameter.Type.DOUBLE),
+        ("state_watchdog", True, Parameter.Type.BOOL),
+        ("observer.feed_disturbance", True, Parameter.Type.BOOL),
+        ("law", "pid", Parameter.Type.STRING),
+    ):
+        assert parameter(name, value).type_ == kind
+
+
+def test_a_clock_that_goes_back_begins_anew_and_what_was_before_is_left_out(harness, graph, robot):
+    found(harness, graph)
+    watched(harness, graph, robot, ELBOW)
+    robot.stamp_ns = 50_000 * MS
+    robot.tell(20)
+    taken(harness, graph, ELBOW, 20)
+    robot.tell(5)
+    robot.stamp_ns = 1_000 * MS
+    robot.tell(10, velocity=False)
+    parts = []
+    harness.wait(
+        lambda: parts.append(graph.take()[ELBOW]) or sum(len(each.states) for each in parts) >= 10
+    )
+    whole = [each for each in parts if len(each.states)]
+    first = next(each for each in parts if each.is_restarted)
+    assert first.states[0, 0] == 0.0
+    assert np.isnan(first.states[:, 2]).all()
+    assert [each.is_restarted for each in whole].count(True) == 1
+    efforts = np.concatenate([each.efforts for each in whole[whole.index(first) :]])
+    assert ((efforts[:, 0] > -0.01) & (efforts[:, 0] < 0.02)).all()
+
+
+def test_who_watches_is_not_the_one_that_a_controller_waits_for(harness, graph):
+    arguments = [*ros_arguments(joint="elbow"), "-r", "joint_commands:=/drive"]
+    harness.processes.start("elbow_controller", "joint_controller", arguments)
+    graph.watch([ELBOW])
+    waiting = "waiting for a subscriber of the commands"
+
+    def told(after=0.0):
+        seen = graph.controllers().get(ELBOW)
+        return seen and seen.health and seen.health.heard_at > after and seen.health
+
+    for _ in range(3):
+        last = told().heard_at if told() else 0.0
+        harness.wait(lambda last=last: told(last), what="its health")
+        assert told().message == waiting
+    graph.watch([ELBOW])
+    assert not harness.node.count_subscribers("/drive")
+    assert not harness.states.get_subscription_count()
+    harness.node.create_subscription(JointState, "/drive", lambda _: None, OFFERED)
+    harness.wait(lambda: harness.states.get_subscription_count(), what="it to listen")
+
+    def is_watched():
+        robot_stamp[0] += MS
+        harness.publish(robot_stamp[0], 0.1)
+        return len(graph.take().get(ELBOW, NOTHING).efforts)
+
+    robot_stamp = [0]
+    harness.wait(is_watched, what="efforts")
+
+
+def test_a_set_is_taken_or_refused_as_a_whole_and_changes_by_anybody_are_seen(
+    harness, graph, robot
+):
+    before = found(harness, graph)[ELBOW]
+    watched(harness, graph, robot, ELBOW)
+    robot.tell(101)
+    robot_time, _, _ = taken(harness, graph, ELBOW, 101)
+    answer = answered(harness, graph.set(ELBOW, {"gains.p": 12, "mu": -0.1}))
+    assert answer == (True, "")
+    seen = graph.controllers()[ELBOW]
+    assert (seen.values["gains.p"], seen.settings.gains.p, seen.settings.mu) == (12.0, 12.0, -0.1)
+    assert before.values["gains.p"] != 12.0
+
+    answer = answered(harness, graph.set(ELBOW, {"gains.p": 13.0, "mu": 0.9}))
+    assert not answer.is_taken
+    assert "mu out of range" in answer.reason
+    assert graph.controllers()[ELBOW].values["gains.p"] == 12.0
+    answer = answered(harness, graph.set(ELBOW, {"gains.q": 13.0}))
+    assert "gains.q" in answer.reason
+    answer = answered(harness, graph.set("/nobody", {"mu": 0.0}))
+    assert "/nobody" in answer.reason
+
+    assert harness.set_parameters(ELBOW, gains__d=2.5) == (True, "")
+    harness.wait(lambda: graph.controllers()[ELBOW].settings.gains.d == 2.5)
+    mine, other = graph.changes()
+    assert mine.values == {"gains.p": 12.0, "mu": -0.1}
+    assert (other.node, other.values) == (ELBOW, {"gains.d": 2.5})
+    assert mine.time == pytest.approx(robot_time[-1, 0])
+    assert graph.changes() == ()
+
+
+def test_controllers_are_stopped_and_come_back_with_the_parameters_that_they_have(
+    harness, graph, robot
+):
+    found(harness, graph)
+    assert answered(harness, graph.change_state(ELBOW, "deactivate")) == (True, "")
+    harness.wait(lambda: graph.controllers()[ELBOW].lifecycle == "inactive")
+    refused = answered(harness, graph.change_state(ELBOW, "deactivate"))
+    assert refused == (True, f"{ELBOW} is inactive already")
+    assert answered(harness, graph.change_state(ELBOW, "activate")) == (True, "")
+    assert "explode" in answered(harness, graph.change_state(ELBOW, "explode")).reason
+
+    assert answered(harness, graph.set(ELBOW, {"gains.p": 12.0})).is_taken
+    process = harness.processes.nodes["elbow_controller"].process
+    process.terminate()
+    harness.wait(lambda: process.poll() is not None)
+    harness.wait(lambda: not graph.controllers()[ELBOW].is_here)
+    assert graph.controllers()[ELBOW].values["gains.p"] == 12.0
+    robot.start(ELBOW, gains__p=3.0)
+    harness.wait(lambda: graph.controllers()[ELBOW].is_here)
+    assert found(harness, graph)[ELBOW].values["gains.p"] == 3.0
+
+    process = harness.processes.nodes["elbow_controller"].process
+    os.kill(process.pid, signal.SIGSTOP)
+    answer = answered(harness, graph.set(ELBOW, {"gains.p": 4.0}))
+    assert answer == (False, "no answer within 2 s: it may have been taken")
+    os.kill(process.pid, signal.SIGCONT)
+    harness.wait(lambda: graph.controllers()[ELBOW].values["gains.p"] == 4.0)

@@ -1,0 +1,47 @@
+"""One page has the robot in hand; and nobody acts faster than people do."""
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hpid_ros.live.desk import Desk, Limit
+
+
+def test_the_first_page_has_it_and_the_second_looks_on_until_a_person_takes_it():
+    desk = Desk()
+    desk.join("a")
+    desk.join("b")
+    assert desk.holds("a")
+    assert not desk.holds("b")
+    desk.take("b")
+    assert desk.holds("b")
+    assert not desk.holds("a")
+
+
+def test_what_a_page_had_in_hand_when_it_went_nobody_gets_by_itself():
+    desk = Desk()
+    desk.join("a")
+    desk.join("b")
+    desk.leave("a")
+    assert desk.holder is None
+    desk.take("a")  # it is gone
+    assert desk.holder is None
+
+
+def test_a_page_that_is_opened_when_none_is_has_it():
+    desk = Desk()
+    desk.join("a")
+    desk.leave("a")
+    desk.join("b")
+    assert desk.holds("b")
+
+
+@given(st.lists(st.floats(0.0, 3.0), min_size=1, max_size=60))
+def test_in_no_window_are_there_more_acts_than_allowed(gaps):
+    now, acts = 0.0, []
+    limit = Limit(5, 1.0, clock=lambda: now)
+    for gap in gaps:
+        now += gap
+        if limit.allows():
+            acts.append(now)
+    assert all(later - sooner >= 1.0 for sooner, later in zip(acts, acts[5:], strict=False))
+    assert acts[0] == gaps[0]

@@ -1,0 +1,120 @@
+"""What is staged is sent as it was chosen, comes back by undo, and nothing is sent by itself."""
+
+import pytest
+from harness.simulated_graph import arm, loop_settings
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hpid_ros.base.errors import SettingError
+from hpid_ros.live.tuning import Tuning, slider_range
+
+NODES = sorted(arm())
+
+
+@pytest.fixture
+def tuning():
+    made = Tuning()
+    for node, settings in arm().items():
+        made.see(node, settings.to_parameters())
+    return made
+
+
+def take(tuning, sets, what="a step"):
+    """Do as if controllers had taken sets."""
+    before = {node: dict(tuning.in_force[node]) for node in sets}
+    for node, values in sets.items():
+        tuning.see(node, {**before[node], **values})
+    tuning.note(what, sets, before)
+
+
+def test_what_is_in_force_already_is_not_staged(tuning):
+    tuning.stage(NODES, "mu", -0.2)
+    assert tuning.staged_sets(NODES) == {}
+    tuning.stage(NODES[:1], "mu", -0.1)
+    assert tuning.staged_sets(NODES) == {NODES[0]: {"mu": -0.1}}
+    tuning.stage(NODES[:1], "mu", -0.2)
+    assert tuning.staged_sets(NODES) == {}
+
+
+def test_a_factor_is_of_what_each_has_in_force_however_often_it_is_turned(tuning):
+    for factor in (3.0, 0.5, 1.5):
+        tuning.stage_factor(NODES, "gains.p", factor)
+    for node in NODES:
+        assert tuning.value(node, "gains.p") == 1.5 * tuning.in_force[node]["gains.p"]
+
+
+@pytest.mark.parametrize("value", [0.6, float("nan"), "fast", None, True])
+def test_a_value_that_a_parameter_does_not_take_stages_nothing(tuning, value):
+    with pytest.raises(SettingError, match="mu"):
+        tuning.stage(NODES, "mu", value)
+    assert tuning.staged_sets(NODES) == {}
+
+
+def test_an_integer_is_a_number(tuning):
+    tuning.stage(NODES[:1], "gains.p", 90)
+    assert type(tuning.value(NODES[0], "gains.p")) is float
+
+
+def test_unstable_gains_are_objected_to_before_they_are_sent(tuning):
+    tuning.stage(NODES[:1], "gains.i", 1e5)
+    assert "unstable" in tuning.objection(NODES[0]) or "p d" in tuning.objection(NODES[0])
+    assert tuning.objection(NODES[1]) == ""
+
+
+def test_what_somebody_else_sets_to_the_same_is_staged_no_more(tuning):
+    tuning.stage(NODES[:1], "mu", -0.1)
+    tuning.see(NODES[0], {**tuning.in_force[NODES[0]], "mu": -0.1})
+    assert tuning.staged_sets(NODES) == {}
+
+
+@given(st.lists(st.tuples(st.integers(0, 2), st.floats(-0.45, 0.45)), min_size=1, max_size=8))
+def test_undoing_every_step_leads_back_to_the_start(steps):
+    tuning = Tuning()
+    for node, settings in arm().items():
+        tuning.see(node, settings.to_parameters())
+    for number, mu in steps:
+        tuning.stage([NODES[number]], "mu", mu)
+        take(tuning, tuning.staged_sets(NODES))
+    while tuning.done:
+        sets = tuning.undoing()
+        for node, values in sets.items():
+            tuning.see(node, {**tuning.in_force[node], **values})
+        tuning.undone()
+    assert tuning.in_force == tuning.first
+
+
+def test_what_somebody_has_changed_since_is_not_undone(tuning):
+    take(tuning, {NODES[0]: {"mu": -0.1, "gains.p": 50.0}})
+    tuning.see(NODES[0], {**tuning.in_force[NODES[0]], "mu": 0.1})
+    assert tuning.undoing() == {NODES[0]: {"gains.p": 80.0}}
+    tuning.see(NODES[0], {**tuning.in_force[NODES[0]], "gains.p": 60.0})
+    with pytest.raises(SettingError, match="somebody"):
+        tuning.undoing()
+    assert tuning.done == []
+
+
+def test_a_snapshot_is_come_back_to_from_anywhere(tuning):
+    tuning.keep(" good ", NODES)
+    take(tuning, {NODES[0]: {"mu": 0.3}, NODES[1]: {"gains.p": 3.0}})
+    back = tuning.returning("good")
+    assert back == {NODES[0]: {"mu": -0.2}, NODES[1]: {"gains.p": 40.0}}
+    with pytest.raises(SettingError, match="name"):
+        tuning.keep("  ", NODES)
+
+
+def test_a_file_is_staged_for_the_controllers_that_it_names_or_whose_joints_it_has(tuning):
+    loops = {
+        "arm_joint_1_controller": loop_settings("arm_joint_1", 0.4, mu=0.1),
+        "of_another_name": loop_settings("arm_joint_2", 0.2, mu=0.2),
+    }
+    assert tuning.stage_loops(loops) == NODES[:2]
+    assert tuning.staged_sets(NODES) == {NODES[0]: {"mu": 0.1}, NODES[1]: {"mu": 0.2}}
+    with pytest.raises(SettingError, match="nobody"):
+        tuning.stage_loops({"nobody": loop_settings("nobody")})
+
+
+def test_sliders_reach_a_decade_to_either_side():
+    assert slider_range("gains.p", 40.0) == pytest.approx((4.0, 400.0, True))
+    assert slider_range("gains.i", 0.0) == (0.0, 10.0, False)
+    low, high, _ = slider_range("mu", 0.0)
+    assert -0.5 < low < 0 < high < 0.5
