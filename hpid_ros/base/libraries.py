@@ -30,6 +30,11 @@ OPTIONAL = {
     "mujoco": Library("the simulated robot in MuJoCo", "mujoco"),
     "pybullet": Library("the simulated robot in PyBullet", "pybullet"),
     "rosbags": Library("writing bags, and reading reports of a simulated robot", "rosbags"),
+    # What the live page is made of comes with the first of them.
+    **dict.fromkeys(
+        ("nicegui", "fastapi", "starlette", "uvicorn"),
+        Library("the live page", "'hpid_ros[live]'"),
+    ),
     "distributed": Library("a batch on a Dask cluster", "distributed"),
     "lz4": Library("reading bags compressed with lz4", "lz4"),
     "backports": Library("reading bags compressed with zstd", "backports.zstd"),

@@ -66,6 +66,9 @@ COMMANDS = {
     "autotune": _Command(
         "live.autotune", "find a running joint's gains by relay feedback, and its homogeneous PID"
     ),
+    "live": _Command(
+        "live.page", "open a page on which running controllers are seen, retuned and stopped"
+    ),
     "upgrade": _Command(
         "tuning.upgrade",
         "turn a PID into a homogeneous PID: from its parameter file, or from a bag of it",

@@ -44,7 +44,7 @@ def test_help_that_nobody_reads_is_no_fault():
     assert (done.returncode, done.stderr) == (0, b"")
 
 
-@pytest.mark.parametrize("name", [*EXECUTABLES, ACTION])
+@pytest.mark.parametrize("name", [*EXECUTABLES, ACTION, "live_tuner"])
 def test_help_is_a_few_lines_and_starts_nothing(name, capsys, monkeypatch):
     module = importlib.import_module(f"hpid_ros.nodes.{name}")
     monkeypatch.setattr("rclpy.init", None)

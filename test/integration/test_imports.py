@@ -12,6 +12,7 @@ SLOW = {"matplotlib", "mujoco", "pinocchio", "pybullet", "scipy"}
 NODES = (
     *("joint_controller", "joint_controllers", "single_process", "pybullet_bridge"),
     *("mujoco_bridge", "trajectory_publisher", "bag_recorder", "follow_joint_trajectory"),
+    "live_tuner",
 )
 
 

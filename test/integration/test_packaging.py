@@ -14,7 +14,7 @@ EXECUTABLES = {
     *("joint_controller", "joint_controllers", "joint_command_merger"),
     *("pybullet_bridge", "mujoco_bridge"),
     *("trajectory_publisher", "follow_joint_trajectory"),
-    *("bag_recorder", "bag_metrics", "single_process", "hpid"),
+    *("bag_recorder", "bag_metrics", "live_tuner", "single_process", "hpid"),
 }
 
 

@@ -3,10 +3,9 @@
 Needs Chromium (Debian: ``apt install chromium``) and playwright from PyPI; skipped without them.
 """
 
-import shutil
-
 import numpy as np
 import pytest
+from harness.browser import launched
 
 from hpid_ros.analysis.comparison import Comparison
 from hpid_ros.analysis.indices.run import run_indices
@@ -15,9 +14,6 @@ from hpid_ros.report.html.page import render_report
 
 pytestmark = pytest.mark.slow
 
-playwright = pytest.importorskip("playwright.sync_api", reason="pip install playwright")
-
-BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 LATE = 20_000  # [ms]
 
 
@@ -35,14 +31,8 @@ def response(label, damping):
 
 @pytest.fixture(scope="module")
 def browser():
-    found = next(filter(None, map(shutil.which, BROWSERS)), None)
-    with playwright.sync_playwright() as driver:
-        try:
-            launched = driver.chromium.launch(executable_path=found, args=["--no-sandbox"])
-        except playwright.Error as error:
-            pytest.skip(f"no browser ({error.message.splitlines()[0]}): apt install chromium")
-        yield launched
-        launched.close()
+    with launched() as found:
+        yield found
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,1 @@
+"""The page itself, by NiceGUI: the only importer of it."""

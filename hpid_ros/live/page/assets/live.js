@@ -1,0 +1,310 @@
+import { echarts } from "nicegui-echart";
+import { Curves, roundLimits } from "./curves.js";
+
+const LOST_AFTER = 1500; // [ms] without a frame
+const DRAWN_EVERY = 50; // [ms]
+const HELD_EVERY = 100; // [ms]
+
+/** Colours that people who see red and green alike tell apart (Okabe and Ito), for both themes. */
+const COLOURS = [
+  "#0072b2",
+  "#d55e00",
+  "#009e73",
+  "#cc79a7",
+  "#e69f00",
+  "#56b4e9",
+  "#8c6d31",
+  "#7570b3",
+];
+
+const CHARTS = [
+  {
+    id: "position",
+    smallest: 0.01,
+    title: "Position, and reference (dashed)",
+    unit: "position",
+    lines: ["position", "reference"],
+  },
+  { id: "error", smallest: 0.001, title: "Error", unit: "position", lines: ["error"] },
+  { id: "effort", smallest: 0.1, title: "Effort", unit: "effort", lines: ["effort"] },
+  {
+    id: "multiplier",
+    smallest: 0.2,
+    title: "Multiplier λ, and norm (dashed)",
+    unit: "",
+    lines: ["multiplier", "norm"],
+  },
+];
+
+const act = (name) => document.querySelector(`[data-act=${name}]`);
+
+class LivePage {
+  constructor() {
+    this.curves = new Curves();
+    this.marks = [];
+    this.page = "";
+    this.shown = [];
+    this.seconds = 10;
+    this.isPaused = false;
+    this.heard = performance.now();
+    this.drawn = 0;
+    this.isDirty = false;
+    this.charts = new Map();
+    this.socket = null;
+    this.held = null;
+    this.frozen = null;
+    this.frames = 0;
+  }
+
+  start(page) {
+    this.page = page;
+    this.connect();
+    setInterval(() => this.look(), 250);
+    const draw = (time) => {
+      if (this.isDirty && !this.isPaused && time - this.drawn >= DRAWN_EVERY) {
+        this.drawn = time;
+        this.isDirty = false;
+        this.draw();
+      }
+      requestAnimationFrame(draw);
+    };
+    requestAnimationFrame(draw);
+    document.addEventListener("keydown", (event) => this.onKey(event), true);
+    document.addEventListener("visibilitychange", () => this.release());
+    window.addEventListener("blur", () => this.release());
+    for (const name of ["pointerup", "pointercancel"]) {
+      window.addEventListener(name, () => this.release(), true);
+    }
+    document.addEventListener("keyup", () => this.release(), true);
+  }
+
+  connect() {
+    const scheme = location.protocol === "https:" ? "wss" : "ws";
+    this.socket = new WebSocket(`${scheme}://${location.host}/frames?page=${this.page}`);
+    this.socket.onmessage = (message) => this.take(JSON.parse(message.data));
+    this.socket.onclose = () => {
+      this.release();
+      setTimeout(() => this.connect(), 1000);
+    };
+  }
+
+  take(frame) {
+    this.heard = performance.now();
+    this.frames += 1;
+    this.curves.take(frame);
+    this.marks.push(...frame.marks);
+    this.marks = this.marks.slice(-200);
+    this.isDirty = true;
+  }
+
+  look() {
+    const isLost = performance.now() - this.heard > LOST_AFTER;
+    document.body.classList.toggle("lost", isLost);
+    if (isLost) {
+      this.release();
+    }
+  }
+
+  // Stopping and holding
+
+  async stop() {
+    this.release();
+    document.body.classList.add("stopping");
+    try {
+      const answer = await fetch("/stop", { method: "POST" });
+      const said = await answer.json();
+      document.body.classList.toggle("not-stopped", said.stopped !== true);
+    } catch {
+      document.body.classList.add("not-stopped");
+    }
+    document.body.classList.remove("stopping");
+  }
+
+  hold(button) {
+    if (this.held || button.disabled || button.getAttribute("aria-disabled") === "true") {
+      return;
+    }
+    button.classList.add("held");
+    const tell = () => {
+      if (this.socket?.readyState === WebSocket.OPEN) {
+        this.socket.send("hold");
+      }
+    };
+    tell();
+    this.held = { button, timer: setInterval(tell, HELD_EVERY) };
+  }
+
+  release() {
+    if (!this.held) {
+      return;
+    }
+    clearInterval(this.held.timer);
+    this.held.button.classList.remove("held");
+    this.held = null;
+    if (this.socket?.readyState === WebSocket.OPEN) {
+      this.socket.send("release");
+    }
+  }
+
+  onKey(event) {
+    if (event.key === "Escape") {
+      event.preventDefault();
+      event.stopPropagation();
+      this.stop();
+      return;
+    }
+    const isHold =
+      document.activeElement?.dataset.act === "hold" && [" ", "Enter"].includes(event.key);
+    if (isHold) {
+      event.preventDefault();
+      if (!event.repeat) {
+        this.hold(document.activeElement);
+      }
+      return;
+    }
+    const isTyping = ["INPUT", "TEXTAREA"].includes(document.activeElement?.tagName);
+    if (event.ctrlKey && event.key === "Enter") {
+      act("apply")?.click();
+    } else if (event.ctrlKey && event.key.toLowerCase() === "z" && !isTyping) {
+      act("undo")?.click();
+    }
+  }
+
+  // Drawing
+
+  /** @param {{node: string, label: string, colour: number, position: string, effort: string}[]} shown */
+  show(shown, seconds) {
+    this.shown = shown;
+    this.seconds = seconds;
+    this.isDirty = true;
+    this.isPaused = false;
+    for (const chart of this.charts.values()) {
+      chart.clear();
+      chart.laidOut = false;
+    }
+  }
+
+  pause(isPaused) {
+    this.isPaused = isPaused;
+    this.isDirty = true;
+  }
+
+  chart(id) {
+    const place = document.querySelector(`[data-chart=${id}]`);
+    if (!place) {
+      return null;
+    }
+    const known = this.charts.get(id);
+    if (known && known.getDom() === place) {
+      return known;
+    }
+    known?.dispose();
+    const chart = echarts.init(place, null, { renderer: "canvas" });
+    new ResizeObserver(() => chart.resize()).observe(place);
+    this.charts.set(id, chart);
+    return chart;
+  }
+
+  draw() {
+    const isDark = document.body.classList.contains("body--dark");
+    for (const each of CHARTS) {
+      const chart = this.chart(each.id);
+      if (chart && chart.getWidth() > 0) {
+        this.drawOne(chart, each, isDark);
+      }
+    }
+  }
+
+  drawOne(chart, kind, isDark) {
+    const ink = isDark ? "#d5d9de" : "#30363d";
+    const grid = isDark ? "#3a424c" : "#dde1e6";
+    let least = Number.POSITIVE_INFINITY;
+    let largest = Number.NEGATIVE_INFINITY;
+    const series = [];
+    this.shown.forEach((joint) => {
+      kind.lines.forEach((signal, number) => {
+        const data = this.curves.last(joint.node, signal, this.seconds);
+        for (const [, value] of data) {
+          least = Math.min(least, value);
+          largest = Math.max(largest, value);
+        }
+        const suffix = kind.lines.length > 1 ? ` ${signal}` : "";
+        series.push({
+          name: joint.label + suffix,
+          type: "line",
+          data,
+          showSymbol: false,
+          silent: true,
+          itemStyle: { color: COLOURS[joint.colour % COLOURS.length] },
+          lineStyle: { width: number ? 1.2 : 1.6, type: number ? "dashed" : "solid" },
+        });
+      });
+    });
+    if (series.length) {
+      series[0].markLine = this.markLine(ink);
+    }
+    const [low, high] = roundLimits(least, largest, kind.smallest);
+    const unit = kind.unit ? this.unit(kind.unit) : "";
+    chart.setOption(
+      {
+        animation: false,
+        textStyle: { color: ink },
+        title: {
+          text: kind.title + unit,
+          left: 6,
+          top: 2,
+          textStyle: { color: ink, fontSize: 13, fontWeight: 600 },
+        },
+        grid: { left: 58, right: 12, top: 28, bottom: 24 },
+        tooltip: {
+          trigger: "axis",
+          valueFormatter: (value) => (value === undefined ? "" : Number(value).toPrecision(4)),
+        },
+        xAxis: {
+          type: "value",
+          min: -this.seconds,
+          max: 0,
+          axisLabel: { color: ink, formatter: (value) => `${value} s` },
+          splitLine: { lineStyle: { color: grid } },
+          axisLine: { onZero: false },
+        },
+        yAxis: {
+          type: "value",
+          min: low,
+          max: high,
+          axisLabel: { color: ink, formatter: (value) => String(Number(value.toPrecision(4))) },
+          splitLine: { lineStyle: { color: grid } },
+        },
+        series,
+      },
+      { replaceMerge: ["series"] },
+    );
+  }
+
+  unit(kind) {
+    const units = [...new Set(this.shown.map((joint) => joint[kind]))];
+    return units.length ? ` [${units.join(", ")}]` : "";
+  }
+
+  markLine(ink) {
+    const data = [];
+    for (const mark of this.marks) {
+      const now = this.curves.now.get(mark.node);
+      const isShown = this.shown.some((joint) => joint.node === mark.node);
+      if (isShown && now !== undefined && mark.time !== null && mark.time > now - this.seconds) {
+        data.push({ xAxis: mark.time - now, name: mark.text });
+      }
+    }
+    return {
+      silent: true,
+      symbol: "none",
+      animation: false,
+      label: { show: false },
+      lineStyle: { color: ink, type: "dotted", width: 1.2 },
+      data,
+    };
+  }
+}
+
+window.hpidLive = new LivePage();
+window.dispatchEvent(new Event("hpid-live"));

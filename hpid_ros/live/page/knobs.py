@@ -1,0 +1,189 @@
+"""Sliders with fields, the certified interval drawn on that of the degree."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+from nicegui import ui
+
+from hpid_ros.base.errors import HpidError
+from hpid_ros.control.settings.table import PARAMETERS
+from hpid_ros.live.advice import Advice
+from hpid_ros.live.session import LiveSession
+from hpid_ros.live.tuning import GAINS, Range, slider_range
+
+_EDITED_FOR = 0.7  # [s] after an input in which it is not set from elsewhere
+_STEPS = 400  # of a slider
+_TYPED_FOR = 400  # [ms] without a key, after which a number is taken
+_FACTORS = Range(0.1, 10.0, is_logarithmic=True)
+
+LABELS = {
+    "gains.p": ("p", "proportional gain"),
+    "gains.i": ("i", "integral gain"),
+    "gains.d": ("d", "derivative gain"),
+    "mu": ("μ", "homogeneity degree; 0 is the linear PID"),
+    "norm.effort_scale": ("u0", "effort scale of the norm: firmer below, gentler above; 0 is off"),
+}
+
+
+class Knob:
+    """A slider and a field for one parameter of the joints that are chosen.
+
+    Of several joints a gain is a factor on what each has in force; all else is one value for all.
+
+    Args:
+        session: The session.
+        name: Of the parameter.
+        chosen: Returns the nodes that are chosen.
+        may_edit: Tells whether this page has the controllers in hand.
+        edited: Called after something was staged.
+    """
+
+    def __init__(
+        self,
+        session: LiveSession,
+        name: str,
+        chosen: Callable[[], Sequence[str]],
+        may_edit: Callable[[], bool],
+        edited: Callable[[], None],
+    ) -> None:
+        self._session, self.name = session, name
+        self._chosen, self._may_edit, self._edited = chosen, may_edit, edited
+        self._range = Range(0.0, 1.0, is_logarithmic=False)
+        self._is_setting = False
+        self._edited_at = -math.inf
+        self._build()
+
+    def _build(self) -> None:
+        symbol, text = LABELS[self.name]
+        with ui.element("div").classes("knob") as self.row:
+            self._label = ui.label(symbol).classes("knob-name").tooltip(text)
+            with ui.element("div").classes("knob-slider"):
+                if self.name == "mu":
+                    self._build_interval()
+                self._slider = ui.slider(min=0, max=_STEPS, value=0, step=1)
+                self._slider.props(f'aria-label="{text}"').on_value_change(self._on_slide)
+            self._field = ui.number(format="%.5g", on_change=self._on_type)
+            self._field.props(f'dense outlined debounce={_TYPED_FOR} aria-label="{text}"')
+            self._now = ui.label().classes("knob-now")
+
+    def _build_interval(self) -> None:
+        with ui.element("div").classes("interval").props('aria-hidden="true"'):
+            self._certified = ui.element("div").classes("interval-certified")
+            ui.element("div").classes("interval-zero")
+
+    def show_interval(self, advice: Advice | None, *, is_current: bool) -> None:
+        """Draw the certified degrees.
+
+        Args:
+            advice: What is known; None before anything is.
+            is_current: Whether it is of what is chosen, or still of something before.
+        """
+        if is_current:
+            low, high = (advice.interval if advice is not None else None) or (0.0, 0.0)
+            begin, end = (100.0 * (each + 0.5) for each in (low, high))
+            self._certified.style(f"left: {begin:.2f}%; width: {max(end - begin, 0.0):.2f}%")
+        self._certified.classes(
+            add="" if is_current else "is-old", remove="is-old" if is_current else ""
+        )
+
+    @property
+    def _is_factor(self) -> bool:
+        return self.name in GAINS and len(self._chosen()) > 1
+
+    def refresh(self) -> None:
+        """Show what is chosen, unless somebody is typing here."""
+        nodes = self._chosen()
+        is_usable = bool(nodes) and self._may_edit()
+        self._slider.set_enabled(is_usable)
+        self._field.set_enabled(is_usable)
+        if not nodes:
+            return
+        tuning = self._session.tuning
+        values = [float(tuning.value(node, self.name)) for node in nodes]
+        in_force = [float(tuning.in_force[node][self.name]) for node in nodes]
+        is_staged = any(self.name in tuning.staged.get(node, {}) for node in nodes)
+        self.row.classes(
+            add="is-staged" if is_staged else "", remove="" if is_staged else "is-staged"
+        )
+        self._now.set_text(self._said(in_force))
+        if time.monotonic() - self._edited_at < _EDITED_FOR:
+            return
+        self._range = _FACTORS if self._is_factor else self._own_range(nodes[0])
+        shown = values[0]
+        if self._is_factor:
+            shown = values[0] / in_force[0] if in_force[0] else 1.0
+        with self._set():
+            self._slider.value = self._place(shown)
+            self._field.value = float(f"{shown:.6g}")
+
+    def _own_range(self, node: str) -> Range:
+        first = self._session.tuning.first[node]
+        scale = float(first["gains.p"]) * float(first["norm.error_scale"])
+        return slider_range(self.name, float(first[self.name]), scale)
+
+    def _said(self, in_force: Sequence[float]) -> str:
+        if self._is_factor:
+            return "× each"
+        low, high = min(in_force), max(in_force)
+        return f"now {low:.4g}" if math.isclose(low, high) else f"now {low:.3g} … {high:.3g}"
+
+    def _place(self, value: float) -> int:
+        low, high, is_logarithmic = self._range
+        if is_logarithmic:
+            value = math.log(max(value, low) / low) / math.log(high / low)
+        else:
+            value = (value - low) / (high - low)
+        return round(_STEPS * min(max(value, 0.0), 1.0))
+
+    def _value(self, place: float) -> float:
+        low, high, is_logarithmic = self._range
+        share = place / _STEPS
+        value = low * (high / low) ** share if is_logarithmic else low + share * (high - low)
+        return float(f"{value:.4g}") if self.name != "mu" else round(value, 4)
+
+    @contextmanager
+    def _set(self) -> Any:
+        self._is_setting = True
+        try:
+            yield
+        finally:
+            self._is_setting = False
+
+    def _on_slide(self, event: Any) -> None:
+        if not self._is_setting and event.value is not None:
+            value = self._value(float(event.value))
+            with self._set():
+                self._field.value = value
+            self._stage(value)
+
+    def _on_type(self, event: Any) -> None:
+        if not self._is_setting and event.value is not None:
+            with self._set():
+                self._slider.value = self._place(float(event.value))
+            self._stage(float(event.value))
+
+    def _stage(self, value: float) -> None:
+        if not self._may_edit():
+            return
+        self._edited_at = time.monotonic()
+        nodes, tuning = self._chosen(), self._session.tuning
+        try:
+            if self._is_factor:
+                tuning.stage_factor(nodes, self.name, value)
+            else:
+                tuning.stage(nodes, self.name, value)
+        except HpidError as error:
+            ui.notify(str(error), type="negative")
+        self._edited()
+
+
+def unit_of(name: str, *, is_slide: bool) -> str:
+    """Return the unit of a parameter, from its description."""
+    text = PARAMETERS[name].description
+    unit = text.rpartition("[")[2].partition("]")[0] if "[" in text else ""
+    return unit.replace("rad", "m").replace("N m", "N") if is_slide else unit

@@ -1,0 +1,305 @@
+"""Test motions on the page: chosen, seen before they move, held, compared."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from nicegui import background_tasks, ui
+
+from hpid_ros.analysis.quantities import PAPER
+from hpid_ros.base.errors import HpidError
+from hpid_ros.excitation.plan import ExcitationPlan
+from hpid_ros.live.history import extremes
+from hpid_ros.live.session import LiveSession
+from hpid_ros.live.trials import KINDS, MotionWish, Stage, TrialResult, Trials, Variant
+
+_IN_FORCE, _CHOSEN = "what is in force", "what is chosen"
+_BUCKETS = 300  # of a curve that is drawn
+_COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
+
+
+class TrialPanel:
+    """A motion, a button to hold, and what came of it.
+
+    Args:
+        session: The session.
+        trials: What moves joints.
+        page: Of whom.
+        chosen: Returns the nodes that are chosen.
+    """
+
+    def __init__(
+        self, session: LiveSession, trials: Trials, page: str, chosen: Callable[[], list[str]]
+    ) -> None:
+        self._session, self._trials = session, trials
+        self._page, self._chosen = page, chosen
+        self._shown: TrialResult | None = None
+        self._planned_of: object = None
+        self._build()
+
+    @property
+    def _may_edit(self) -> bool:
+        return self._session.desk.holds(self._page)
+
+    def _build(self) -> None:
+        ui.label("Test motion of the joints that are chosen").classes("heading")
+        self._kind = ui.select(KINDS, value="minimum_jerk").props(
+            'dense outlined options-dense aria-label="kind of motion"'
+        )
+        self._kind.classes("wide")
+        with ui.element("div").classes("bar numbers"):
+            self._amplitude = _number("at most [rad or m]", 0.1)
+            self._duration = _number("lasts [s]", 4.0)
+            self._share = _number("share of the limits", 0.5)
+        self._plan_text = ui.label().classes("hint")
+        self._preview = (
+            ui.echart(_curves_options([]))
+            .classes("preview")
+            .props('role="img" aria-label="the motion that is planned"')
+        )
+        with ui.element("div").classes("bar"):
+            self._one = _select("set to", [_IN_FORCE], _IN_FORCE)
+            self._other = _select("then compare with", ["nothing"], "nothing")
+        self._is_kept = ui.checkbox("keep the recordings (MCAP), in a folder here")
+        with ui.element("div").classes("bar"):
+            self._prepare = ui.button("Get ready", on_click=self._on_prepare).props(
+                "no-caps unelevated"
+            )
+            self._hold = (
+                ui.button("Hold to run")
+                .classes("hold")
+                .props(
+                    'data-act="hold" no-caps color="positive" '
+                    'aria-label="hold to run, release to stop"'
+                )
+            )
+            self._hold.on(
+                "pointerdown", js_handler="(event) => window.hpidLive.hold(event.currentTarget)"
+            )
+            self._cancel = ui.button("Cancel", on_click=self._on_cancel).props("no-caps flat")
+        self._said = ui.label().props('aria-live="polite"')
+        self._result = ui.element("div").classes("result")
+
+    @property
+    def _wish(self) -> MotionWish:
+        return MotionWish(
+            self._kind.value,
+            float(self._amplitude.value or 0.0),
+            float(self._duration.value or 0.0),
+            float(self._share.value or 0.0),
+        )
+
+    def refresh(self) -> None:
+        """Show what is known now."""
+        stage, may = self._trials.stage, self._may_edit
+        is_idle = stage is Stage.IDLE
+        self._offer()
+        can_move = self._refresh_plan() if is_idle else True
+        self._prepare.set_enabled(may and is_idle and can_move)
+        self._hold.set_enabled(may and stage in (Stage.READY, Stage.MOVING))
+        self._cancel.set_enabled(not is_idle)
+        self._said.set_text(self._trials.said)
+        self._said.classes(replace="is-bad" if self._trials.is_bad else "advice")
+        if self._trials.result is not self._shown:
+            self._shown = self._trials.result
+            self._show_result()
+
+    def _offer(self) -> None:
+        names = [_IN_FORCE, _CHOSEN, *self._session.tuning.snapshots]
+        if self._one.options != names:
+            self._one.set_options(names, value=self._one.value or _IN_FORCE)
+            self._other.set_options(["nothing", *names], value=self._other.value or "nothing")
+
+    def _refresh_plan(self) -> bool:
+        """Show the motion that would be carried out, and return whether there is one."""
+        nodes = self._chosen()
+        about = (tuple(nodes), self._wish, self._stands(nodes))
+        if about == self._planned_of:
+            return self._can_move
+        self._planned_of = about
+        try:
+            planned = self._trials.plan(nodes, self._wish)
+        except (HpidError, NotImplementedError) as error:
+            self._plan_text.set_text(str(error))
+            self._preview.set_visibility(False)
+            self._can_move = False
+            return False
+        self._can_move = True
+        self._preview.set_visibility(True)
+        self._plan_text.set_text(_plan_text(planned))
+        self._preview.options.update(_curves_options(_plan_curves(planned)))
+        self._preview.update()
+        return True
+
+    _can_move = False
+
+    def _stands(self, nodes: Sequence[str]) -> tuple[float, ...]:
+        """Return where joints are, so coarsely that noise plans nothing anew."""
+        places = (self._session.history(node).position for node in nodes)
+        return tuple(round(each, 1) if each is not None else 0.0 for each in places)
+
+    # What a person does
+
+    def _on_prepare(self) -> None:
+        if not self._may_edit:
+            return
+        nodes = self._chosen()
+        names = [self._one.value]
+        if self._other.value != "nothing":
+            names.append(self._other.value)
+        if len(names) == 2 and names[0] == names[1]:
+            ui.notify("compare it with something else", type="warning")
+            return
+        variants = [self._variant(name, nodes, len(names)) for name in names]
+        background_tasks.create(
+            self._trials.run(self._page, nodes, self._wish, variants, is_kept=self._is_kept.value)
+        )
+
+    def _variant(self, name: str, nodes: Sequence[str], count: int) -> Variant:
+        tuning = self._session.tuning
+        if name == _IN_FORCE:
+            values = {node: dict(tuning.in_force[node]) for node in nodes} if count > 1 else None
+            return Variant("in force", values)
+        if name == _CHOSEN:
+            return Variant("chosen", {node: tuning.chosen(node) for node in nodes})
+        return Variant(name, tuning.snapshots[name].values)
+
+    def _on_cancel(self) -> None:
+        self._trials.cancel()
+
+    # What came of it
+
+    def _show_result(self) -> None:
+        self._result.clear()
+        result = self._shown
+        if result is None:
+            return
+        with self._result:
+            ui.label(" and ".join(each.label for each in result.variants)).classes("heading")
+            self._show_table(result)
+            ui.echart(_curves_options(_error_curves(result))).classes("preview").props(
+                'role="img" aria-label="errors of the motions"'
+            )
+            with ui.element("div").classes("bar"):
+                if len(result.variants) > 1:
+                    for variant in result.variants:
+                        ui.button(
+                            f"keep {variant.label}",
+                            on_click=lambda variant=variant: self._keep(variant),
+                        ).props("no-caps unelevated size=sm")
+            for bag in result.bags:
+                if bag.exists():
+                    ui.label(f"hpid metrics {bag}").classes("command")
+
+    def _show_table(self, result: TrialResult) -> None:
+        comparison = result.comparison
+        labels = [each.label for each in result.variants]
+        with ui.element("table").classes("joints"):
+            with ui.element("thead"), ui.element("tr"):
+                ratio = ["ratio"] if len(labels) > 1 else []
+                for text in ("index", *labels, *ratio):
+                    with ui.element("th").props('scope="col"'):
+                        ui.label(text)
+            with ui.element("tbody"):
+                for quantity in PAPER:
+                    figures = [comparison.run(each).value(quantity) for each in labels]
+                    texts = [f"{each:.4g}" for each in figures]
+                    if len(labels) > 1:
+                        texts.append(f"{comparison.ratio(labels[1], quantity):.3f}")
+                    unit = comparison.unit(quantity)
+                    with ui.element("tr"):
+                        for text in (f"{quantity.symbol} [{unit}]", *texts):
+                            with ui.element("td").classes("figure"):
+                                ui.label(text)
+
+    async def _keep(self, variant: Variant) -> None:
+        if not self._may_edit or variant.values is None:
+            return
+        if await self._session.send_if_other(variant.values, f"keep {variant.label}"):
+            self._session.say(f"kept: {variant.label}")
+
+
+def _number(label: str, value: float) -> Any:
+    return ui.number(label, value=value, format="%.4g").props(
+        f'dense outlined debounce=400 aria-label="{label}"'
+    )
+
+
+def _select(label: str, options: list[str], value: str) -> Any:
+    return ui.select(options, value=value, label=label).props(
+        f'dense outlined options-dense aria-label="{label}"'
+    )
+
+
+def _plan_text(planned: ExcitationPlan) -> str:
+    parts: dict[str, list[str]] = {}
+    for each in planned.joints:
+        unit, peaks = each.bounds.unit, each.peaks
+        notes = f" ({'; '.join(each.notes)})" if each.notes else ""
+        text = f"{peaks.position:.3g} {unit}, at most {peaks.velocity:.3g} {unit}/s{notes}"
+        parts.setdefault(text, []).append(each.bounds.joint)
+    lines = "; ".join(f"{', '.join(joints)}: {text}" for text, joints in parts.items())
+    return f"{planned.duration:.1f} s from where the joints stand. {lines}"
+
+
+def _plan_curves(planned: ExcitationPlan) -> list[tuple[str, list[list[float]]]]:
+    curves = []
+    for column, each in enumerate(planned.joints):
+        rows = np.column_stack([planned.times, planned.positions[:, column]])
+        curves.append((each.bounds.joint, rows.tolist()))
+    return curves
+
+
+def _error_curves(result: TrialResult) -> list[tuple[str, list[list[float]]]]:
+    curves = []
+    for run, variant in zip(result.runs, result.variants, strict=True):
+        if run.series is None:
+            continue
+        for each in run.series.joints:
+            if each.has_reference:
+                label = f"{variant.label}, error of {each.joint}"
+                curves.append((label, _decimated(each.time, each.error)))
+    return curves
+
+
+def _decimated(times: Any, values: Any) -> list[list[float]]:
+    """Return few points of a curve, the extremes of each stretch among them."""
+    points = []
+    for place in np.array_split(np.arange(len(times)), min(_BUCKETS, max(len(times), 1))):
+        flat = extremes(times[place], values[place], 2)
+        points += [list(pair) for pair in zip(flat[::2], flat[1::2], strict=True)]
+    return points
+
+
+def _curves_options(curves: Sequence[tuple[str, list[list[float]]]]) -> dict[str, Any]:
+    ink, soft = "#7d8791", {"lineStyle": {"color": "#80808050"}}
+    labels = list(dict.fromkeys(name.partition(",")[0] for name, _ in curves))
+    series = []
+    for name, points in curves:
+        colour = _COLOURS[labels.index(name.partition(",")[0]) % len(_COLOURS)]
+        series.append(
+            {
+                "name": name,
+                "type": "line",
+                "data": points,
+                "showSymbol": False,
+                "symbol": "none",
+                "lineStyle": {"width": 1.6, "color": colour},
+                "itemStyle": {"color": colour},
+            }
+        )
+    return {
+        "animation": False,
+        "legend": {"type": "scroll", "top": 0, "left": 0, "textStyle": {"color": ink}},
+        "grid": {"left": 52, "right": 24, "top": 30, "bottom": 24},
+        "xAxis": {
+            "type": "value",
+            "max": "dataMax",
+            "axisLabel": {"color": ink, "formatter": "{value} s"},
+            "splitLine": soft,
+        },
+        "yAxis": {"type": "value", "axisLabel": {"color": ink}, "splitLine": soft},
+        "series": series,
+    }

@@ -1,0 +1,86 @@
+"""Serves the page on which a person sees, retunes, tries and stops running controllers."""
+
+from __future__ import annotations
+
+import os
+import sys
+import threading
+import webbrowser
+from collections.abc import Sequence
+from typing import Any
+
+from hpid_ros.base.errors import SettingError
+from hpid_ros.nodes.parts.tuner.live_graph import LiveGraph
+from hpid_ros.nodes.ros import executor
+from hpid_ros.nodes.ros.parameters import read_number, read_only
+from hpid_ros.nodes.ros.status import StatusPipe
+from hpid_ros.nodes.ros.usage import Usage
+
+_LARGEST_PORT = 65535
+_DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY")
+
+
+class LiveTuner(executor.ClosingNode):
+    """The graph on one side, the page's server on the other.
+
+    Raises:
+        HpidError: The page cannot be served as it is wanted.
+        ModuleNotFoundError: The library of the page is not installed.
+    """
+
+    def __init__(self) -> None:
+        super().__init__("live_tuner")
+        host = str(read_only(self, "host", "127.0.0.1", "Address to listen at"))
+        port = read_only(self, "port", 8080, "Port to listen at; 0 chooses a free one")
+        token = str(
+            read_only(self, "token", "", "What opens the page, in its address; empty draws one")
+        )
+        opens = read_only(self, "open_browser", True, "Open the page where there is a display")
+        rate = read_number(self, "rate", 30.0, "Frames a second [Hz]", (5.0, 60.0))
+        if not 0 <= port <= _LARGEST_PORT:
+            raise SettingError(f"port must lie in [0, {_LARGEST_PORT}], not {port}")
+        self._status = StatusPipe(self)
+        self._graph = LiveGraph(self)
+        self._served = _serve(self._graph, host=host, port=port, token=token, rate=rate)
+        self._tell(opens)
+
+    def _tell(self, opens: bool) -> None:
+        url = self._served.url
+        print(f"hpid live: {url}", flush=True)
+        self._status.send("serving", url=url)
+        if opens and any(os.environ.get(each) for each in _DISPLAYS):
+            # A browser that nobody has used yet takes seconds.
+            threading.Thread(target=webbrowser.open, args=(url,), daemon=True).start()
+
+    def close(self) -> None:
+        """End the page; nothing is told to any controller."""
+        self._served.stop()
+        self._graph.close()
+
+
+def _serve(graph: LiveGraph, **settings: Any) -> Any:
+    """Serve the page; its library, which no other node needs, is imported here."""
+    from hpid_ros.live.page.server import ServerSettings, serve
+
+    return serve(graph, ServerSettings(**settings))
+
+
+USAGE = Usage(
+    "live_tuner",
+    "Serves a page on which a person sees, retunes, tries and stops running controllers.",
+    "",
+    ["host", "port", "token", "open_browser", "rate", "status_fd"],
+    [
+        *("joint_states", "joint_commands", "CONTROLLER/reference", "CONTROLLER/transition_event"),
+        *("/diagnostics", "/parameter_events"),
+    ],
+)
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the page."""
+    return executor.run(lambda: [LiveTuner()], args, USAGE)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

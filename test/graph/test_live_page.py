@@ -1,0 +1,91 @@
+"""The live page on a real graph, as a person uses it: retuned, tried with two settings, left."""
+
+import re
+
+import pytest
+from harness.browser import launched
+from harness.graph import ros_arguments
+from harness.turntable import INERTIA, positions, start_turntable
+
+pytestmark = pytest.mark.slow
+
+LATE = 60_000  # [ms]
+NODE = "turn_controller"
+
+
+@pytest.fixture
+def page(harness, tmp_path):
+    """Return the page of the turntable's controller, opened."""
+    start_turntable(harness, tmp_path)
+    harness.set_parameters(NODE, inertia=INERTIA)
+    tuner = harness.processes.start(
+        "live_tuner", "live_tuner", ros_arguments(port=0, open_browser=False, rate=10.0)
+    )
+    events = []
+    harness.wait(lambda: events.extend(tuner.read_events()) or events, what="the page")
+    with launched() as browser:
+        context = browser.new_context(viewport={"width": 1300, "height": 1000})
+        context.set_default_timeout(LATE)
+        opened = context.new_page()
+        opened.goto(events[0]["url"])
+        opened.get_by_role("checkbox", name="choose turn").wait_for()
+        yield opened
+
+
+def logged(page, text):
+    page.get_by_role("listitem").filter(has_text=text).first.wait_for()
+
+
+def type_into(page, name, value):
+    page.get_by_role("spinbutton", name=re.compile(name)).fill(str(value))
+
+
+def pick(page, name, option):
+    page.get_by_role("combobox", name=name).click()
+    page.get_by_role("option", name=option).click()
+
+
+def test_a_joint_is_retuned_tried_with_two_settings_and_stopped(harness, page):
+    page.get_by_role("button", name="hPID").click()
+    type_into(page, "homogeneity degree", -0.2)
+    type_into(page, "effort scale", 0.5)
+    page.get_by_text("certified stable for μ from").wait_for()
+    assert positions(harness).std() < 1e-4  # nothing is sent by choosing
+
+    page.get_by_role("tab", name="Try").click()
+    type_into(page, re.escape("at most [rad or m]"), 0.2)
+    type_into(page, re.escape("lasts [s]"), 2.0)
+    pick(page, "then compare with", "what is chosen")
+    page.get_by_role("button", name="Get ready").click()
+    hold = page.get_by_role("button", name="hold to run, release to stop")
+    for label in ("in force", "chosen"):
+        logged(page, f"trial: {label}: hold the button")
+        hold.dispatch_event("pointerdown")
+        logged(page, f"trial: {label}: measuring")
+        page.mouse.up()  # it has reached its end
+    row = page.get_by_role("row").filter(has_text="ITAE")
+    before, after, ratio = (float(each) for each in row.inner_text().split("\t")[1:4])
+    assert ratio == pytest.approx(after / before, rel=0.02)
+    assert 0.0 < ratio < 1.0  # what is chosen holds the joint more firmly close by
+    page.get_by_role("button", name="keep in force").click()
+    logged(page, "kept: in force")
+
+    page.get_by_role("button", name="Get ready").click()
+    logged(page, "trial: in force: hold the button")
+    hold.dispatch_event("pointerdown")
+    page.get_by_text("in force: moving", exact=True).wait_for()
+    page.mouse.up()
+    logged(page, "trial: stopped: the button was released")
+    assert positions(harness).std() < 1e-3
+
+    page.keyboard.press("Escape")
+    logged(page, "turn: deactivated")
+    harness.commands.clear()
+    assert all(each.effort[0] == 0.0 for each in harness.commands)
+
+
+def test_what_is_not_certified_is_refused_in_the_controllers_own_words(harness, page):
+    type_into(page, "integral gain", 600)
+    page.get_by_role("button", name="hPID").click()
+    type_into(page, "homogeneity degree", 0.49)
+    page.get_by_text("is NOT certified").wait_for()

@@ -1,0 +1,334 @@
+"""The page as a person uses it, in a real browser, over joints that are simulated.
+
+Needs Chromium (Debian: ``apt install chromium``) and playwright from PyPI; skipped without them.
+"""
+
+import json
+import os
+import queue
+import re
+import subprocess
+import sys
+import threading
+from pathlib import Path
+from urllib.error import HTTPError
+from urllib.request import Request, urlopen
+
+import pytest
+from harness.browser import launched
+
+pytestmark = pytest.mark.slow
+
+TESTS = Path(__file__).parents[2]
+LATE = 60_000  # [ms]
+NODES = [f"/arm_joint_{number}_controller" for number in (1, 2, 3)]
+
+
+class Server:
+    """The page in a process of its own, and what has reached its graph."""
+
+    def __init__(self):
+        environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(TESTS), *sys.path])}
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "harness.live_server"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+            env=environment,
+        )
+        self.told = queue.Queue()
+        threading.Thread(target=self._read, daemon=True).start()
+        self.url = self.told.get(timeout=60)["url"]
+        self.root = self.url.partition("?")[0]
+
+    def _read(self):
+        for line in self.process.stdout:
+            self.told.put(json.loads(line))
+
+    def order(self, **what):
+        self.process.stdin.write(json.dumps(what) + "\n")
+        self.process.stdin.flush()
+
+    def next(self):
+        return self.told.get(timeout=LATE / 1000)
+
+    def nothing_more(self):
+        return self.told.empty()
+
+    def end(self):
+        self.process.kill()
+        self.process.wait()
+        self.process.stdin.close()
+        self.process.stdout.close()
+
+
+@pytest.fixture(scope="module")
+def browser():
+    with launched() as found:
+        yield found
+
+
+@pytest.fixture(scope="module")
+def shared():
+    server = Server()
+    yield server
+    server.end()
+
+
+@pytest.fixture
+def server(shared):
+    while not shared.told.empty():
+        shared.told.get()
+    return shared
+
+
+@pytest.fixture
+def open_page(browser, server):
+    """Return a function that opens the page and fails the test on any error or foreign request."""
+    contexts, wrong, requests = [], [], []
+
+    def opened(address=None, width=1300, scheme="light", context=None):
+        if context is None:
+            context = browser.new_context(
+                viewport={"width": width, "height": 950}, color_scheme=scheme
+            )
+            context.set_default_timeout(LATE)
+            contexts.append(context)
+        page = context.new_page()
+        page.on("pageerror", lambda error: wrong.append(str(error)))
+        page.on("console", lambda said: said.type == "error" and wrong.append(said.text))
+        page.on("request", lambda request: requests.append(request.url))
+        page.goto(address or server.url)
+        return page
+
+    yield opened
+    for context in contexts:
+        context.close()
+    # a page that is opened while another one closes may find its socket closed
+    assert [each for each in wrong if "WebSocket" not in each] == []
+    local = re.compile(r"(https?|ws)://127\.0\.0\.1:\d+/|data:|blob:")
+    assert [each for each in requests if not local.match(each)] == []
+
+
+def choose(page, *numbers):
+    page.get_by_role("checkbox", name="choose arm_joint_3").wait_for()
+    page.get_by_role("button", name="choose no joint").click()
+    for number in numbers:
+        page.get_by_role("checkbox", name=f"choose arm_joint_{number}").click()
+
+
+def apply(page):
+    page.get_by_role("button", name="Apply", exact=True).click()
+
+
+def type_into(page, name, value):
+    page.get_by_role("spinbutton", name=re.compile(name)).fill(str(value))
+    page.get_by_text(re.compile("chosen, not sent")).wait_for()
+
+
+def logged(page, text):
+    page.get_by_role("listitem").filter(has_text=text).first.wait_for()
+
+
+def test_one_joint_is_retuned_and_the_step_is_undone(open_page, server):
+    page = open_page()
+    choose(page, 1)
+    type_into(page, "proportional gain", 96)
+    assert server.nothing_more()
+    apply(page)
+    assert server.next() == {"set": [NODES[0], {"gains.p": 96.0}]}
+    page.keyboard.press("Tab")
+    page.get_by_role("button", name="Undo").click()
+    assert server.next() == {"set": [NODES[0], {"gains.p": 80.0}]}
+
+
+def test_the_degree_is_dragged_and_the_certified_interval_is_on_its_slider(open_page, server):
+    page = open_page()
+    choose(page, 1)
+    page.get_by_text("certified stable for μ from -0.495 to +0.495").wait_for()
+    place = page.locator(".interval-certified").bounding_box()
+    whole = page.locator(".interval").bounding_box()
+    assert place["width"] == pytest.approx(0.99 * whole["width"], rel=0.02)
+    middle = whole["y"] + whole["height"] / 2
+    page.mouse.move(whole["x"] + 0.3 * whole["width"], middle)
+    page.mouse.down()
+    page.mouse.move(whole["x"] + 0.1 * whole["width"], middle, steps=8)
+    page.mouse.up()
+    page.get_by_text(re.compile("chosen, not sent: arm_joint_1: mu -0.4")).wait_for()
+    assert server.nothing_more()  # dragging sends nothing
+    page.get_by_role("button", name="Discard").click()
+
+
+def test_three_joints_at_once_and_one_that_refuses(open_page, server):
+    page = open_page()
+    choose(page, 1, 2, 3)
+    type_into(page, "homogeneity degree", -0.3)
+    apply(page)
+    assert [server.next()["set"] for _ in NODES] == [[node, {"mu": -0.3}] for node in NODES]
+    server.order(refuse=[NODES[1], "mu = -0.4 is not certified stable; certified degrees: none"])
+    type_into(page, "homogeneity degree", -0.4)
+    apply(page)
+    sets = [server.next()["set"] for _ in range(5)]
+    assert sets[3:] == [[NODES[0], {"mu": -0.3}], [NODES[2], {"mu": -0.3}]]
+    logged(page, "arm_joint_2 refused: mu = -0.4 is not certified stable")
+    server.order(refuse=[NODES[1], ""])
+    page.get_by_role("button", name="Discard").click()
+    page.get_by_role("button", name="Undo").click()
+    assert [server.next()["set"][1] for _ in NODES] == [{"mu": -0.2}] * 3
+
+
+def test_a_snapshot_is_kept_and_come_back_to(open_page, server):
+    page = open_page()
+    page.get_by_role("tab", name="Keep").click()
+    page.get_by_role("textbox", name="name of the snapshot").fill("before")
+    page.get_by_role("button", name="Keep what is in force").click()
+    page.get_by_role("tab", name="Tune").click()
+    choose(page, 2)
+    type_into(page, "integral gain", 50)
+    apply(page)
+    assert server.next() == {"set": [NODES[1], {"gains.i": 50.0}]}
+    page.get_by_role("tab", name="Keep").click()
+    page.get_by_role("button", name="go back to it").first.click()
+    assert server.next() == {"set": [NODES[1], {"gains.i": 100.0}]}
+
+
+def test_a_file_is_saved_and_loaded_and_a_broken_one_is_one_line(open_page, server, tmp_path):
+    page = open_page()
+    page.get_by_role("tab", name="Keep").click()
+    with page.expect_download() as download:
+        page.get_by_role("button", name="Save controllers.yaml").click()
+    saved = tmp_path / "controllers.yaml"
+    download.value.save_as(saved)
+    changed = tmp_path / "changed.yaml"
+    changed.write_text(saved.read_text().replace("mu: -0.2", "mu: 0.1"))
+    page.set_input_files("input[type=file]", changed)
+    logged(page, "changed.yaml: staged for arm_joint_1, arm_joint_2, arm_joint_3")
+    broken = tmp_path / "broken.yaml"
+    broken.write_text("a: [")
+    page.set_input_files("input[type=file]", broken)
+    logged(page, "broken.yaml is no YAML")
+    page.get_by_role("tab", name="Tune").click()
+    page.get_by_role("button", name="Discard").click()
+    assert server.nothing_more()
+
+
+def test_escape_stops_every_controller_also_out_of_a_field(open_page, server):
+    page = open_page()
+    choose(page, 1)
+    page.get_by_role("spinbutton", name=re.compile("derivative")).click()
+    page.keyboard.press("Escape")
+    stopped = sorted(server.next()["transition"] for _ in NODES)
+    assert stopped == [[node, "deactivate"] for node in NODES]
+    page.get_by_text("inactive").first.wait_for()
+    for number in (1, 2, 3):
+        page.get_by_role("button", name=f"activate arm_joint_{number}", exact=True).click()
+        assert server.next() == {"transition": [NODES[number - 1], "activate"]}
+
+
+def test_a_second_page_looks_on_until_its_person_takes_control_but_may_stop(open_page, server):
+    first = open_page()
+    choose(first, 1)
+    second = open_page(server.root, context=first.context)
+    second.get_by_text("another page has control: this one looks on").wait_for()
+    choose(second, 1)
+    assert second.get_by_role("spinbutton", name=re.compile("proportional")).is_disabled()
+    second.keyboard.press("Control+Enter")
+    second.get_by_role("button", name="Take control").click()
+    first.get_by_text("another page has control").wait_for()
+    type_into(second, "proportional gain", 90)
+    first.keyboard.press("Control+Enter")  # its button is off now
+    second.get_by_role("button", name="Discard").click()
+    assert server.nothing_more()
+    first.keyboard.press("Escape")
+    assert [server.next()["transition"][1] for _ in NODES] == ["deactivate"] * 3
+    second.get_by_text("inactive").first.wait_for()
+    for number in (1, 2, 3):
+        second.get_by_role("button", name=f"activate arm_joint_{number}", exact=True).click()
+        assert server.next()["transition"][1] == "activate"
+
+
+def test_a_page_that_is_closed_in_the_middle_of_a_drag_changes_nothing(open_page, server):
+    page = open_page()
+    choose(page, 1)
+    whole = page.locator(".knob-slider").first.bounding_box()
+    page.mouse.move(whole["x"] + 0.5 * whole["width"], whole["y"] + 17)
+    page.mouse.down()
+    page.mouse.move(whole["x"] + 0.9 * whole["width"], whole["y"] + 17, steps=5)
+    page.get_by_text(re.compile("chosen, not sent")).wait_for()
+    page.close()
+    other = open_page()
+    other.get_by_text("you have control").wait_for()
+    assert server.nothing_more()
+    other.get_by_role("button", name="Discard").click()
+
+
+def test_curves_are_drawn_from_frames_and_each_change_is_marked(open_page, server):
+    page = open_page(scheme="dark")
+    choose(page, 1, 2)
+    page.wait_for_function(
+        """() => {
+            const counts = [["position", 4], ["error", 2], ["effort", 2], ["multiplier", 4]];
+            return counts.every(([name, count]) => {
+                const series = window.hpidLive.charts.get(name)?.getOption()?.series ?? [];
+                return series.length === count && series.every((each) => each.data.length > 5);
+            });
+        }"""
+    )
+    type_into(page, "homogeneity degree", -0.25)
+    apply(page)
+    assert [server.next()["set"][1] for _ in range(2)] == [{"mu": -0.25}] * 2
+    page.wait_for_function(
+        """() => window.hpidLive.charts.get("error").getOption().series[0].markLine.data
+            .some((each) => each.name === "mu -0.25")"""
+    )
+
+
+def test_without_the_token_or_from_another_page_nothing_is_to_be_had(browser, server):
+    for headers in ({}, {"Cookie": "hpid_live_1=x"}, {"Origin": "http://evil.example"}):
+        with pytest.raises(HTTPError) as refused:
+            urlopen(Request(server.root, headers=headers))
+        assert refused.value.code in (401, 403)
+    context = browser.new_context()
+    context.new_page().goto(server.url)  # this browser has the cookie now
+    other = context.new_page()
+    other.goto("data:text/html,<p>another page</p>")
+    answer = other.evaluate(
+        """async (root) => {
+            const socket = new WebSocket(root.replace("http", "ws") + "frames?page=x");
+            const opened = await new Promise((resolve) => {
+                socket.onopen = () => resolve("open");
+                socket.onclose = () => resolve("closed");
+            });
+            let said = "blocked";
+            try {
+                await fetch(root + "stop", { method: "POST", mode: "no-cors",
+                                             credentials: "include" });
+                said = "sent";
+            } catch {}
+            return [opened, said];
+        }""",
+        server.root,
+    )
+    context.close()
+    assert answer[0] == "closed"
+    assert server.nothing_more()
+
+
+def test_when_the_server_is_gone_the_page_says_so(browser):
+    server = Server()
+    context = browser.new_context()
+    context.set_default_timeout(LATE)
+    page = context.new_page()
+    page.goto(server.url)
+    page.wait_for_function("window.hpidLive.frames > 5")
+    assert not page.locator(".lost-banner").is_visible()
+    server.end()
+    page.locator(".lost-banner").wait_for(state="visible")
+    context.close()
+
+
+def test_it_is_whole_on_a_tablet(open_page):
+    page = open_page(width=800)
+    choose(page, 1)
+    page.wait_for_function("window.hpidLive.frames > 5")
+    assert page.evaluate("document.documentElement.scrollWidth") <= 800

