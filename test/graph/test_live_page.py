@@ -30,6 +30,7 @@ def page(harness, tmp_path):
         opened.goto(events[0]["url"])
         opened.get_by_role("checkbox", name="choose turn").wait_for()
         yield opened
+        print(opened.locator("ul.log").inner_text())  # shown where a test fails
 
 
 def logged(page, text):
@@ -60,7 +61,8 @@ def test_a_joint_is_retuned_tried_with_two_settings_and_stopped(harness, page):
     hold = page.get_by_role("button", name="hold to run, release to stop")
     for label in ("in force", "chosen"):
         logged(page, f"trial: {label}: hold the button")
-        hold.dispatch_event("pointerdown")
+        hold.hover()
+        page.mouse.down()
         logged(page, f"trial: {label}: measuring")
         page.mouse.up()  # it has reached its end
     row = page.get_by_role("row").filter(has_text="ITAE")
@@ -72,7 +74,8 @@ def test_a_joint_is_retuned_tried_with_two_settings_and_stopped(harness, page):
 
     page.get_by_role("button", name="Get ready").click()
     logged(page, "trial: in force: hold the button")
-    hold.dispatch_event("pointerdown")
+    hold.hover()
+    page.mouse.down()
     page.get_by_text("in force: moving", exact=True).wait_for()
     page.mouse.up()
     logged(page, "trial: stopped: the button was released")

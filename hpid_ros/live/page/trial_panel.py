@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from nicegui import background_tasks, ui
 
+from hpid_ros.analysis.comparison import ratio
 from hpid_ros.analysis.quantities import PAPER
 from hpid_ros.base.errors import HpidError
 from hpid_ros.excitation.plan import ExcitationPlan
@@ -179,6 +180,8 @@ class TrialPanel:
         with self._result:
             ui.label(" and ".join(each.label for each in result.variants)).classes("heading")
             self._show_table(result)
+            for line in self._differences(result):
+                ui.label(line).classes("hint")
             ui.echart(_curves_options(_error_curves(result))).classes("preview").props(
                 'role="img" aria-label="errors of the motions"'
             )
@@ -193,13 +196,21 @@ class TrialPanel:
                 if bag.exists():
                     ui.label(f"hpid metrics {bag}").classes("command")
 
+    def _differences(self, result: TrialResult) -> list[str]:
+        """Return how two motions differ, beside what controllers were set to."""
+        comparison = result.comparison
+        others = [each.label for each in result.variants[1:]]
+        return [
+            f"they differ: {each.text}" for one in others for each in comparison.differences(one)
+        ]
+
     def _show_table(self, result: TrialResult) -> None:
         comparison = result.comparison
         labels = [each.label for each in result.variants]
         with ui.element("table").classes("joints"):
             with ui.element("thead"), ui.element("tr"):
-                ratio = ["ratio"] if len(labels) > 1 else []
-                for text in ("index", *labels, *ratio):
+                last = ["ratio"] if len(labels) > 1 else []
+                for text in ("index", *labels, *last):
                     with ui.element("th").props('scope="col"'):
                         ui.label(text)
             with ui.element("tbody"):
@@ -207,7 +218,7 @@ class TrialPanel:
                     figures = [comparison.run(each).value(quantity) for each in labels]
                     texts = [f"{each:.4g}" for each in figures]
                     if len(labels) > 1:
-                        texts.append(f"{comparison.ratio(labels[1], quantity):.3f}")
+                        texts.append(f"{ratio(figures[1], figures[0]):.3f}")
                     unit = comparison.unit(quantity)
                     with ui.element("tr"):
                         for text in (f"{quantity.symbol} [{unit}]", *texts):

@@ -4,6 +4,7 @@ import { Curves, roundLimits } from "./curves.js";
 const LOST_AFTER = 1500; // [ms] without a frame
 const DRAWN_EVERY = 50; // [ms]
 const HELD_EVERY = 100; // [ms]
+const DRAWING_SHARE = 4; // a slow computer does not draw all the time: there are buttons, too
 
 /** Colours that people who see red and green alike tell apart (Okabe and Ito), for both themes. */
 const COLOURS = [
@@ -48,6 +49,7 @@ class LivePage {
     this.isPaused = false;
     this.heard = performance.now();
     this.drawn = 0;
+    this.cost = 0;
     this.isDirty = false;
     this.charts = new Map();
     this.socket = null;
@@ -61,10 +63,12 @@ class LivePage {
     this.connect();
     setInterval(() => this.look(), 250);
     const draw = (time) => {
-      if (this.isDirty && !this.isPaused && time - this.drawn >= DRAWN_EVERY) {
-        this.drawn = time;
+      const pause = Math.max(DRAWN_EVERY, DRAWING_SHARE * this.cost);
+      if (this.isDirty && !this.isPaused && time - this.drawn >= pause) {
         this.isDirty = false;
         this.draw();
+        this.drawn = performance.now();
+        this.cost = this.drawn - time;
       }
       requestAnimationFrame(draw);
     };
