@@ -7,6 +7,7 @@ from harness.browser import launched
 from harness.graph import ros_arguments
 from harness.turntable import INERTIA, positions, start_turntable
 
+expect = pytest.importorskip("playwright.sync_api", reason="pip install playwright").expect
 pytestmark = pytest.mark.slow
 
 LATE = 60_000  # [ms]
@@ -61,6 +62,7 @@ def test_a_joint_is_retuned_tried_with_two_settings_and_stopped(harness, page):
     hold = page.get_by_role("button", name="hold to run, release to stop")
     for label in ("in force", "chosen"):
         logged(page, f"trial: {label}: hold the button")
+        expect(hold).to_be_enabled(timeout=LATE)
         hold.hover()
         page.mouse.down()
         logged(page, f"trial: {label}: measuring")
@@ -73,7 +75,8 @@ def test_a_joint_is_retuned_tried_with_two_settings_and_stopped(harness, page):
     logged(page, "kept: in force")
 
     page.get_by_role("button", name="Get ready").click()
-    logged(page, "trial: in force: hold the button")
+    page.get_by_text("in force: preparing", exact=True).wait_for()
+    expect(hold).to_be_enabled(timeout=LATE)
     hold.hover()
     page.mouse.down()
     page.get_by_text("in force: moving", exact=True).wait_for()

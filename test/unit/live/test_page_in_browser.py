@@ -113,6 +113,7 @@ def open_page(browser, server):
 def choose(page, *numbers):
     page.get_by_role("checkbox", name="choose arm_joint_3").wait_for()
     page.get_by_role("button", name="choose no joint").click()
+    page.wait_for_function("!document.querySelector('.joints [aria-checked=true]')")
     for number in numbers:
         page.get_by_role("checkbox", name=f"choose arm_joint_{number}").click()
 
