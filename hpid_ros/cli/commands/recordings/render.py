@@ -16,11 +16,11 @@ if TYPE_CHECKING:
 
 _EXAMPLES = """\
 examples:
-  hpid render results/mine                            animation.webp in that folder
-  hpid render results/mine --report                   and in its report.html
+  hpid render results/mine                      animation.webp in that folder
+  hpid render results/mine --report             and in its report.html
   hpid render results/mine -o arm.gif --size 480x300 --fps 10
   hpid render results/mine --from 3 --to 4 --speed 0.2 --joint arm_joint_4
-  hpid render results/mine --at 3.3 -o arm.png        one picture
+  hpid render results/mine --at 3.3 -o arm.png  one picture
 
 The suffix of FILE is the format: .webp (small), .gif, .png (lossless, moving
 with several pictures); of one picture also .jpg.
