@@ -17,6 +17,7 @@ from hpid_ros.nodes.ros.status import StatusPipe
 from hpid_ros.nodes.ros.usage import Usage
 
 _LARGEST_PORT = 65535
+_NICENESS = 10  # controllers come first
 _DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY")
 
 
@@ -78,7 +79,8 @@ USAGE = Usage(
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Run the page."""
+    """Run the page, the middleware's threads included, at a low priority."""
+    os.nice(_NICENESS)
     return executor.run(lambda: [LiveTuner()], args, USAGE)
 
 
