@@ -34,13 +34,14 @@ class Limit:
 class Desk:
     """One page at a time has the controllers in hand; the others look on.
 
-    The first one has it. Another gets it when a person takes it there, or when the page that had
-    it is gone. Stopping is everybody's.
+    The first one has it. Another gets it when a person takes it there. A page that was cut off for
+    a moment gets it back, if nobody has taken it meanwhile. Stopping is everybody's.
     """
 
     def __init__(self) -> None:
         self._pages: list[str] = []
         self._holder: str | None = None
+        self._last: str | None = None
 
     @property
     def holder(self) -> str | None:
@@ -53,16 +54,16 @@ class Desk:
         return len(self._pages)
 
     def join(self, page: str) -> None:
-        """Let a page look on; it has the desk if no other page is there."""
+        """Let a page look on; it has the desk if no other page is there, or if it had it last."""
         if page not in self._pages:
             self._pages.append(page)
-        if len(self._pages) == 1:
-            self._holder = page
+        if len(self._pages) == 1 or (self._holder is None and self._last == page):
+            self._holder = self._last = page
 
     def take(self, page: str) -> None:
         """Give the desk to a page whose person asked for it."""
         if page in self._pages:
-            self._holder = page
+            self._holder = self._last = page
 
     def leave(self, page: str) -> None:
         """Forget a page. What it had in hand nobody has, until somebody takes it."""

@@ -25,6 +25,7 @@ def turntable(harness, tmp_path):
     return harness
 
 
+@pytest.mark.alone  # what a joint is shows in real time, where nobody is late
 def test_an_excitation_is_shown_carried_out_recorded_and_tells_what_the_joint_is(
     turntable, tmp_path, capsys
 ):

@@ -32,7 +32,7 @@ ASSETS = Path(__file__).parent / "assets"
 
 _IDLE_PERIOD = 0.5  # [s] between looks at the graph while nobody looks at the page
 _COMES_BACK_WITHIN = 15.0  # [s] of a page that a busy computer has cut off
-_BEHIND = 60  # frames that a page may be behind
+_BEHIND = 600  # frames that a page may be behind
 _STARTS_WITHIN, _ENDS_WITHIN = 15.0, 3.0  # [s]
 
 

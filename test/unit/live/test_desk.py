@@ -27,6 +27,19 @@ def test_what_a_page_had_in_hand_when_it_went_nobody_gets_by_itself():
     assert desk.holder is None
 
 
+def test_a_page_that_was_cut_off_gets_it_back_unless_somebody_has_taken_it():
+    desk = Desk()
+    desk.join("a")
+    desk.join("b")
+    desk.leave("a")
+    desk.join("a")
+    assert desk.holds("a")
+    desk.leave("a")
+    desk.take("b")
+    desk.join("a")
+    assert desk.holds("b")
+
+
 def test_a_page_that_is_opened_when_none_is_has_it():
     desk = Desk()
     desk.join("a")
