@@ -21,7 +21,7 @@ from hpid_ros.excitation.bounds import Wish
 from hpid_ros.excitation.plan import Design, ExcitationPlan, plan
 from hpid_ros.experiment.live.excitation import bounds_of, chosen
 from hpid_ros.experiment.live.graph import RunningController, RunningGraph
-from hpid_ros.experiment.live.watching import Ending
+from hpid_ros.experiment.live.watching import RELEASED, Ending
 from hpid_ros.live.session import LiveSession
 from hpid_ros.live.tuning import Values
 from hpid_ros.metrics.compare import compare
@@ -29,7 +29,8 @@ from hpid_ros.metrics.measure import Measured, Measuring, measure
 from hpid_ros.recordings.series import JointSeries
 
 _LOOK_PERIOD = 0.05  # [s]
-_BEFORE, _AFTER = 0.1, 0.5  # [s] of a recording around the motion that are measured
+_AFTER = 0.3  # [s] of a recording behind the motion that are measured
+_CERTIFIED_WITHIN, _ASKED_EVERY = 15.0, 1.5  # [s]
 _STANDS_WITHIN = 1e-9  # [rad]
 _LARGEST_TIME = 60.0  # [s]
 
@@ -131,7 +132,9 @@ class Trials:
         stage: How far it is.
         said: What happened last, in a line.
         is_bad: Whether that is a failure.
-        result: Of the last one that came to its end; None before.
+        result: Of the last one, if it came to its end.
+        number: Which of its motions is next or under way, from 1 on.
+        count: How many it has.
 
     Args:
         session: The session.
@@ -147,7 +150,8 @@ class Trials:
         self._motion: HeldMotion | None = None
         self._folder: Path | None = None
         self._is_kept = False
-        self._is_held = self._is_held_over = False
+        self._is_held = self._is_held_over = self._is_released = False
+        self.number = self.count = 0
 
     def plan(self, nodes: Sequence[str], wish: MotionWish) -> ExcitationPlan:
         """Return the motion of joints, within their limits.
@@ -202,6 +206,7 @@ class Trials:
             return
         self._is_held = self._is_held_over = False
         if self._motion is not None and self._motion.stage == "moving":
+            self._is_released = True
             self._motion.release()
 
     def cancel(self) -> None:
@@ -236,6 +241,8 @@ class Trials:
             return
         self._page, self.stage = page, Stage.PREPARING
         self._is_held = self._is_held_over = False
+        self.result, self.count = None, len(variants)
+        staged = self._session.tuning.staged_sets(nodes)
         before = {node: dict(self._session.tuning.in_force[node]) for node in nodes}
         is_done = False
         try:
@@ -257,6 +264,9 @@ class Trials:
             self._motion, self.stage = None, Stage.IDLE
         if not is_done and len(variants) > 1:
             await self._session.send_if_other(before, "as before the trial")
+            for node, values in staged.items():  # what was chosen is still chosen
+                for name, value in values.items():
+                    self._session.tuning.stage([node], name, value)
 
     async def _measured(
         self, number: int, nodes: Sequence[str], wish: MotionWish, variant: Variant
@@ -266,11 +276,10 @@ class Trials:
         Raises:
             HpidError: It could not begin, or was stopped.
         """
-        self.stage = Stage.PREPARING
+        self.stage, self.number, self._is_released = Stage.PREPARING, number + 1, False
         if variant.values is not None:
             wanted = {node: variant.values[node] for node in nodes if node in variant.values}
-            if not await self._session.send_if_other(wanted, f"{variant.label}, for the trial"):
-                raise RunError(f"{variant.label} was refused")
+            await self._set(variant.label, wanted)
         assert self._folder is not None
         planned, controllers, graph = self._planned(nodes, wish)
         bag = self._folder / f"{number + 1}_{_as_file(variant.label)}"
@@ -290,10 +299,30 @@ class Trials:
         assert ending is not None
         if ending.reason:
             rest = "" if ending.is_at_rest else "; the joints were not seen to rest"
-            raise RunError(f"stopped: {ending.reason}{rest}")
+            raise RunError(f"stopped: {self._why(ending)}{rest}")
         self.stage = Stage.MEASURING
         self._say(f"{variant.label}: measuring")
         return await asyncio.to_thread(_measure, bag, variant.label, planned)
+
+    async def _set(self, label: str, wanted: Mapping[str, Values]) -> None:
+        """Have controllers take values; those that want a certificate may compute it first.
+
+        Raises:
+            RunError: They do not take them.
+        """
+        seen = self._session.controllers
+        patience = _CERTIFIED_WITHIN if any(seen[n].requires_certificate for n in wanted) else 0.0
+        for _ in range(1 + round(patience / _ASKED_EVERY)):
+            if await self._session.send_if_other(wanted, f"{label}, for the trial"):
+                return
+            if patience:
+                await asyncio.sleep(_ASKED_EVERY)
+        raise RunError(f"{label} was refused")
+
+    def _why(self, ending: Ending) -> str:
+        if ending.reason == RELEASED and not self._is_released:
+            return "nothing was heard of the button for 0.4 s: page, network or computer are slow"
+        return ending.reason
 
     def _say(self, text: str, *, is_bad: bool = False) -> None:
         self.said, self.is_bad = text, is_bad
@@ -312,7 +341,10 @@ class Trials:
 
 
 def _measure(bag: Path, label: str, planned: ExcitationPlan) -> Measured:
-    """Measure a recording from shortly before the first joint is to move.
+    """Measure a recording from the plan's start on.
+
+    What a joint was told before, which is still on the graph, is in the recording, too: so the
+    start is counted back from when the last reference came to rest.
 
     Raises:
         HpidError: The recording cannot be read, or no reference moves in it.
@@ -320,18 +352,18 @@ def _measure(bag: Path, label: str, planned: ExcitationPlan) -> Measured:
     selection = BagSelection(joints=planned.names)
     series = measure(bag, label, Measuring(selection)).series
     assert series is not None
-    begins = [_moves_at(each) for each in series.joints if each.has_reference]
-    if not begins:
+    rests = [_rests_at(each) for each in series.joints if each.has_reference]
+    if not rests:
         raise RunError(f"{label}: the recording tells no reference")
-    begin = max(min(begins) - _BEFORE, 0.0)
+    begin = max(max(rests) - max(each.end for each in planned.joints), 0.0)
     end = begin + planned.duration + _AFTER
     return measure(bag, label, Measuring(replace(selection, start=begin, end=end)))
 
 
-def _moves_at(series: JointSeries) -> float:
-    """Return when a reference first leaves where it stood, in [s]."""
-    moved = np.flatnonzero(np.abs(series.reference - series.reference[0]) > _STANDS_WITHIN)
-    return float(series.time[moved[0]]) if len(moved) else 0.0
+def _rests_at(series: JointSeries) -> float:
+    """Return when a reference changes for the last time, in [s]."""
+    moved = np.flatnonzero(np.abs(series.reference - series.reference[-1]) > _STANDS_WITHIN)
+    return float(series.time[moved[-1]]) if len(moved) else 0.0
 
 
 def _as_file(label: str) -> str:

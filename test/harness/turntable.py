@@ -21,8 +21,8 @@ URDF = f"""<robot name="turntable">
 GAINS = {"gains__p": 21.6, "gains__i": 86.0, "gains__d": 1.8}
 
 
-def start_turntable(harness, folder):
-    """Start the robot and its controller, and wait until they run."""
+def start_turntable(harness, folder, **more):
+    """Start the robot and its controller, with more parameters, and wait until they run."""
     urdf = folder / "turntable.urdf"
     urdf.write_text(URDF)
     harness.seen = []
@@ -33,7 +33,7 @@ def start_turntable(harness, folder):
         ALL_COMMANDS,
         raw=True,
     )
-    of_controller = {"joint": "turn", "law": "pid", "robot_description": urdf, **GAINS}
+    of_controller = {"joint": "turn", "law": "pid", "robot_description": urdf, **GAINS, **more}
     harness.processes.start(
         "turn_controller",
         "joint_controller",

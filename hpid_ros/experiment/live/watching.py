@@ -25,6 +25,9 @@ RECORDER = "hpid_excitation_recorder"
 _ENDS_WITHIN = 8.0  # [s], the joints' stop included
 _LOOK_PERIOD = 0.05  # [s]
 
+RELEASED = "the button was released"
+"""Why a motion that is held has ended: nobody has said for a while that it is."""
+
 Tell = Callable[[str, float], None]
 """Is called with the event, ``begun`` or ``at``, and the time since the start in [s].
 
@@ -166,7 +169,7 @@ def _watched(
             if recorder.process.poll() is not None:
                 return _stopped(mover, process, f"the recorder has ended: {recorder.last_words()}")
             if is_overdue():
-                return _stopped(mover, process, "the button was released")
+                return _stopped(mover, process, RELEASED)
             time.sleep(_LOOK_PERIOD)
     except KeyboardInterrupt:
         return _stopped(mover, process, "it was interrupted", is_interrupted=True)

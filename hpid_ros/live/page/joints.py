@@ -68,7 +68,9 @@ class JointTable:
             if node not in self._rows:
                 with self._body:
                     is_first = not self._rows
-                    self._rows[node] = _Row(self._session, node, len(self._rows), self._select)
+                    self._rows[node] = _Row(
+                        self._session, node, len(self._rows), self._select, self._choose_alone
+                    )
                 self._rows[node].box.value = is_first
                 if is_first:
                     self._select()
@@ -82,10 +84,19 @@ class JointTable:
         for row in self._rows.values():
             row.box.value = is_all
 
+    def _choose_alone(self, node: str) -> None:
+        for each, row in self._rows.items():
+            row.box.value = each == node
+
 
 class _Row:
     def __init__(
-        self, session: LiveSession, node: str, number: int, select: Callable[[], None]
+        self,
+        session: LiveSession,
+        node: str,
+        number: int,
+        select: Callable[[], None],
+        choose_alone: Callable[[str], None],
     ) -> None:
         self._session, self._node = session, node
         name = session.label(node)
@@ -95,7 +106,8 @@ class _Row:
                 self.box.props(f'dense size="sm" aria-label="choose {name}"')
             with ui.element("td").classes("joint-name"):
                 ui.element("span").classes(f"swatch colour-{number % 8}")
-                ui.label(name).tooltip(node)
+                label = ui.label(name).tooltip(f"{node}; a click chooses it alone")
+                label.on("click", lambda: choose_alone(node))
             with ui.element("td"):
                 self._state = ui.label().classes("state")
                 with self._state:

@@ -35,7 +35,7 @@ class TuningPanel:
     ) -> None:
         self._session, self._page, self._chosen = session, page, chosen
         with ui.tabs().props("dense no-caps align=left") as tabs:
-            tune, test, keep = ui.tab("Tune"), ui.tab("Try"), ui.tab("Keep")
+            tune, test, keep = ui.tab("Tune"), ui.tab("Try"), ui.tab("Save")
         with ui.tab_panels(tabs, value=tune).classes("panels"):
             with ui.tab_panel(tune):
                 self._build_tune()

@@ -61,8 +61,8 @@ class TrialPanel:
             .props('role="img" aria-label="the motion that is planned"')
         )
         with ui.element("div").classes("bar"):
-            self._one = _select("set to", [_IN_FORCE], _IN_FORCE)
-            self._other = _select("then compare with", ["nothing"], "nothing")
+            self._one = _select("first with", [_IN_FORCE], _IN_FORCE)
+            self._other = _select("then with", ["nothing", _CHOSEN], _CHOSEN)
         self._is_kept = ui.checkbox("keep the recordings (MCAP), in a folder here")
         with ui.element("div").classes("bar"):
             self._prepare = ui.button("Get ready", on_click=self._on_prepare).props(
@@ -100,6 +100,8 @@ class TrialPanel:
         can_move = self._refresh_plan() if is_idle else True
         self._prepare.set_enabled(may and is_idle and can_move)
         self._hold.set_enabled(may and stage in (Stage.READY, Stage.MOVING))
+        which = f" ({self._trials.number} of {self._trials.count})" if not is_idle else ""
+        self._hold.set_text(f"Hold to run{which}")
         self._cancel.set_enabled(not is_idle)
         self._said.set_text(self._trials.said)
         self._said.classes(replace="is-bad" if self._trials.is_bad else "advice")
@@ -111,7 +113,7 @@ class TrialPanel:
         names = [_IN_FORCE, _CHOSEN, *self._session.tuning.snapshots]
         if self._one.options != names:
             self._one.set_options(names, value=self._one.value or _IN_FORCE)
-            self._other.set_options(["nothing", *names], value=self._other.value or "nothing")
+            self._other.set_options(["nothing", *names], value=self._other.value or _CHOSEN)
 
     def _refresh_plan(self) -> bool:
         """Show the motion that would be carried out, and return whether there is one."""
@@ -150,9 +152,10 @@ class TrialPanel:
         names = [self._one.value]
         if self._other.value != "nothing":
             names.append(self._other.value)
-        if len(names) == 2 and names[0] == names[1]:
-            ui.notify("compare it with something else", type="warning")
-            return
+        values = [self._variant(name, nodes, 2).values or {} for name in names]
+        if len(names) == 2 and all(values[0].get(n) == values[1].get(n) for n in nodes):
+            self._session.say(f"{names[0]} and {names[1]} are the same: one motion is enough")
+            names.pop()
         variants = [self._variant(name, nodes, len(names)) for name in names]
         background_tasks.create(
             self._trials.run(self._page, nodes, self._wish, variants, is_kept=self._is_kept.value)

@@ -180,7 +180,7 @@ def test_three_joints_at_once_and_one_that_refuses(open_page, server):
 
 def test_a_snapshot_is_kept_and_come_back_to(open_page, server):
     page = open_page()
-    page.get_by_role("tab", name="Keep").click()
+    page.get_by_role("tab", name="Save").click()
     page.get_by_role("textbox", name="name of the snapshot").fill("before")
     page.get_by_role("button", name="Keep what is in force").click()
     page.get_by_role("tab", name="Tune").click()
@@ -188,14 +188,14 @@ def test_a_snapshot_is_kept_and_come_back_to(open_page, server):
     type_into(page, "integral gain", 50)
     apply(page)
     assert server.next() == {"set": [NODES[1], {"gains.i": 50.0}]}
-    page.get_by_role("tab", name="Keep").click()
+    page.get_by_role("tab", name="Save").click()
     page.get_by_role("button", name="go back to it").first.click()
     assert server.next() == {"set": [NODES[1], {"gains.i": 100.0}]}
 
 
 def test_a_file_is_saved_and_loaded_and_a_broken_one_is_one_line(open_page, server, tmp_path):
     page = open_page()
-    page.get_by_role("tab", name="Keep").click()
+    page.get_by_role("tab", name="Save").click()
     with page.expect_download() as download:
         page.get_by_role("button", name="Save controllers.yaml").click()
     saved = tmp_path / "controllers.yaml"
