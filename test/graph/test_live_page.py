@@ -8,7 +8,7 @@ from harness.graph import ros_arguments
 from harness.turntable import INERTIA, positions, start_turntable
 
 expect = pytest.importorskip("playwright.sync_api", reason="pip install playwright").expect
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.alone]  # a browser is slow beside other tests
 
 LATE = 60_000  # [ms]
 NODE = "turn_controller"

@@ -67,12 +67,10 @@ class JointTable:
         for node in seen:
             if node not in self._rows:
                 with self._body:
-                    is_first = not self._rows
                     self._rows[node] = _Row(
                         self._session, node, len(self._rows), self._select, self._choose_alone
                     )
-                self._rows[node].box.value = is_first
-                if is_first:
+                if len(self._rows) == 1:
                     self._select()
         self._empty.set_visibility(not seen)
         self._table.set_visibility(bool(seen))
@@ -102,7 +100,7 @@ class _Row:
         name = session.label(node)
         with ui.element("tr") as self._row:
             with ui.element("td"):
-                self.box = ui.checkbox(on_change=lambda: select())
+                self.box = ui.checkbox(value=number == 0, on_change=lambda: select())
                 self.box.props(f'dense size="sm" aria-label="choose {name}"')
             with ui.element("td").classes("joint-name"):
                 ui.element("span").classes(f"swatch colour-{number % 8}")

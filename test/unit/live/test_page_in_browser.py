@@ -17,7 +17,7 @@ from urllib.request import Request, urlopen
 import pytest
 from harness.browser import launched
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.alone]  # a browser is slow beside other tests
 
 TESTS = Path(__file__).parents[2]
 LATE = 60_000  # [ms]

@@ -56,6 +56,7 @@ class LivePage {
     this.held = null;
     this.frozen = null;
     this.frames = 0;
+    this.isTaken = false;
   }
 
   start(page) {
@@ -79,7 +80,7 @@ class LivePage {
     for (const name of ["pointerup", "pointercancel"]) {
       window.addEventListener(name, () => this.release(), true);
     }
-    document.addEventListener("keyup", () => this.release(), true);
+    document.addEventListener("keyup", (event) => this.onKeyUp(event), true);
   }
 
   connect() {
@@ -168,9 +169,20 @@ class LivePage {
     }
     const isTyping = ["INPUT", "TEXTAREA"].includes(document.activeElement?.tagName);
     if (event.ctrlKey && event.key === "Enter") {
+      event.preventDefault(); // nor does what has the focus take it for a click
+      event.stopPropagation();
+      this.isTaken = true;
       act("apply")?.click();
     } else if (event.ctrlKey && event.key.toLowerCase() === "z" && !isTyping) {
       act("undo")?.click();
+    }
+  }
+
+  onKeyUp(event) {
+    this.release();
+    if (this.isTaken && event.key === "Enter") {
+      event.stopPropagation();
+      this.isTaken = false;
     }
   }
 
