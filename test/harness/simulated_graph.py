@@ -9,7 +9,7 @@ from concurrent.futures import Future
 
 import numpy as np
 
-from hpid_ros.base.errors import HpidError
+from hpid_ros.base.errors import HpidError, RunError
 from hpid_ros.control import JointLoop, LoopSettings
 from hpid_ros.control.reference import Setpoint
 from hpid_ros.control.settings.robot_limits import RobotLimits
@@ -144,7 +144,7 @@ class SimulatedGraph:
         return _done(Answer(True))
 
     def running(self, nodes, state_of):  # type: ignore[no-untyped-def]
-        raise NotImplementedError
+        raise RunError("joints of this graph are not moved")
 
     def states_topic(self, node: str) -> str:
         return "/joint_states"

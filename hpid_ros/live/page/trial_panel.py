@@ -124,7 +124,7 @@ class TrialPanel:
         self._planned_of = about
         try:
             planned = self._trials.plan(nodes, self._wish)
-        except (HpidError, NotImplementedError) as error:
+        except HpidError as error:
             self._plan_text.set_text(str(error))
             self._preview.set_visibility(False)
             self._can_move = False
