@@ -6,7 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from harness.turntable import COULOMB, INERTIA, VISCOUS, positions, start_turntable
+from harness.turntable import (
+    COULOMB,
+    INERTIA,
+    VISCOUS,
+    positions,
+    start_turntable,
+    wait_for_rest,
+)
 
 from hpid_ros.base.errors import SettingError
 from hpid_ros.cli.commands.live.asking import agreed
@@ -40,9 +47,7 @@ def test_an_excitation_is_shown_carried_out_recorded_and_tells_what_the_joint_is
     assert np.ptp(positions(turntable)) < 1e-3
     assert main(["excite", *options, "-o", str(bag), "--yes"]) == 0
     assert f"hpid identify {bag}" in capsys.readouterr().out
-    after = positions(turntable)
-    assert np.ptp(after) < 2e-3
-    assert after[-1] == pytest.approx(0.0, abs=0.02)
+    assert wait_for_rest(turntable) == pytest.approx(0.0, abs=0.02)
     assert main(["excite", *options, "-o", str(bag), "--yes"]) == 2  # nothing is written over
     assert main(["identify", str(bag), "--json", str(tmp_path / "found.json")]) == 0
     found = read_estimates(tmp_path / "found.json")
@@ -77,8 +82,7 @@ def test_whatever_ends_an_excitation_the_joint_comes_to_rest_and_is_held(turntab
             *(made, controllers, graph, tmp_path / name, "joint_states"), in_the_middle(act)
         )
         turntable.set_parameters("turn_controller", u_clamp_max=10.0, u_clamp_min=-10.0)
-        while np.ptp(positions(turntable)) > 2e-3:  # friction is overcome by the integral, slowly
-            assert name == "weak"
+        wait_for_rest(turntable)
         assert reason in ending.reason
         assert ending.is_interrupted == (name == "interrupted")
         assert (tmp_path / name / "metadata.yaml").exists()

@@ -56,3 +56,11 @@ def positions(harness, duration=0.3):
     end = time.monotonic() + duration
     harness.wait(lambda: time.monotonic() > end and len(harness.seen) > 20, what="states")
     return np.array([each.position[0] for each in harness.seen])
+
+
+def wait_for_rest(harness, within=30.0):
+    """Return where the joint stands still; friction is overcome by the integral, slowly."""
+    deadline = time.monotonic() + within
+    while np.ptp(seen := positions(harness)) > 2e-3:
+        assert time.monotonic() < deadline, f"it still moves after {within} s: {seen}"
+    return seen[-1]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import logging
 from collections.abc import Mapping, Sequence
@@ -48,7 +47,8 @@ class Result:
         """Return everything that the experiment determines, and nothing that the clock does.
 
         Two runs of the same experiment with the same versions give the same mapping to the
-        last bit, on the graph and in one process.
+        last bit, on the graph and in one process. A repeated command is no part of it: a bridge
+        asks again when a machine was slow, and the answer to a repeat is the same.
         """
         experiment = self.experiment
         return {
@@ -65,7 +65,7 @@ class Result:
                     series.joint: {
                         "states": len(series.position),
                         "commands": len(series.effort),
-                        **dataclasses.asdict(run.losses[series.joint]),
+                        "unanswered_states": run.losses[series.joint].unanswered_states,
                     }
                     for series in run.joints
                 }
