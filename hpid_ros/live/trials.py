@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import asyncio
+import itertools
+import re
 import shutil
 import tempfile
+import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
@@ -33,6 +36,7 @@ _AFTER = 0.3  # [s] of a recording behind the motion that are measured
 _CERTIFIED_WITHIN, _ASKED_EVERY = 15.0, 1.5  # [s]
 _STANDS_WITHIN = 1e-9  # [rad]
 _LARGEST_TIME = 60.0  # [s]
+_GONE_FOR = 10.0  # [s] until a trial ends whose page is gone
 
 
 class MotionWish(NamedTuple):
@@ -151,6 +155,8 @@ class Trials:
         self._folder: Path | None = None
         self._is_kept = False
         self._is_held = self._is_held_over = self._is_released = False
+        self._is_cancelled = False
+        self._here_at = 0.0
         self.number = self.count = 0
 
     def plan(self, nodes: Sequence[str], wish: MotionWish) -> ExcitationPlan:
@@ -201,7 +207,7 @@ class Trials:
             motion.press()
 
     def release(self, page: str) -> None:
-        """Note that it is not held any more, or that the page is gone: a motion ends."""
+        """Note that it is not held any more, or that the page is gone: a motion stops."""
         if page != self._page:
             return
         self._is_held = self._is_held_over = False
@@ -211,6 +217,7 @@ class Trials:
 
     def cancel(self) -> None:
         """End what is under way."""
+        self._is_cancelled = True
         if self._motion is not None:
             self._motion.release()
 
@@ -227,7 +234,9 @@ class Trials:
     ) -> None:
         """Carry out one motion for each variant, and measure them.
 
-        When one is stopped, controllers are set back to what they were before.
+        A motion whose button was released is prepared once more. When one ends for another
+        reason, or is cancelled, so does the trial: controllers are set back to what they were
+        before, and what was measured until then is its result.
 
         Args:
             page: Whose button is held.
@@ -240,69 +249,110 @@ class Trials:
             self._say("another trial is under way", is_bad=True)
             return
         self._page, self.stage = page, Stage.PREPARING
-        self._is_held = self._is_held_over = False
+        self._is_held = self._is_held_over = self._is_cancelled = False
+        self._here_at = time.monotonic()
         self.result, self.count = None, len(variants)
         staged = self._session.tuning.staged_sets(nodes)
         before = {node: dict(self._session.tuning.in_force[node]) for node in nodes}
-        is_done = False
+        found: list[Measured] = []
         try:
             self._forget()
             self._folder = _new_folder(is_kept=is_kept)
             self._is_kept = is_kept
-            found = [
-                await self._measured(number, nodes, wish, variant)
-                for number, variant in enumerate(variants)
-            ]
-            comparison = await asyncio.to_thread(compare, found)
-            bags = tuple(each.path for each in found)
-            self.result = TrialResult(tuple(variants), tuple(found), comparison, bags)
+            for number, variant in enumerate(variants):
+                found.append(await self._measured(number, nodes, wish, variant))
             self._say("done" + (f"; recorded in {self._folder}" if is_kept else ""))
-            is_done = True
         except (HpidError, OSError) as error:
             self._say(str(error), is_bad=True)
         finally:
             self._motion, self.stage = None, Stage.IDLE
-        if not is_done and len(variants) > 1:
+        if found:
+            await self._show(variants, found)
+        if len(found) < len(variants) > 1:
             await self._session.send_if_other(before, "as before the trial")
             for node, values in staged.items():  # what was chosen is still chosen
                 for name, value in values.items():
                     self._session.tuning.stage([node], name, value)
 
+    async def _show(self, variants: Sequence[Variant], found: Sequence[Measured]) -> None:
+        """Make a result of the motions that came to their ends."""
+        try:
+            comparison = await asyncio.to_thread(compare, found)
+        except HpidError as error:
+            self._say(str(error), is_bad=True)
+            return
+        bags = tuple(each.path for each in found)
+        self.result = TrialResult(tuple(variants)[: len(found)], tuple(found), comparison, bags)
+
     async def _measured(
         self, number: int, nodes: Sequence[str], wish: MotionWish, variant: Variant
     ) -> Measured:
-        """Carry one motion out and measure it.
+        """Carry one motion out, as often as its button is released, and measure it.
 
         Raises:
-            HpidError: It could not begin, or was stopped.
+            HpidError: It could not begin, was stopped by something else, or was cancelled.
         """
-        self.stage, self.number, self._is_released = Stage.PREPARING, number + 1, False
+        self.stage, self.number = Stage.PREPARING, number + 1
         if variant.values is not None:
             wanted = {node: variant.values[node] for node in nodes if node in variant.values}
             await self._set(variant.label, wanted)
         assert self._folder is not None
-        planned, controllers, graph = self._planned(nodes, wish)
-        bag = self._folder / f"{number + 1}_{_as_file(variant.label)}"
         states = self._session.graph.states_topic(nodes[0])
-        self._motion = motion = self._start(planned, controllers, graph, bag, states)
-        self._say(f"{variant.label}: preparing")
+        for attempt in itertools.count(1):
+            planned, controllers, graph = self._planned(nodes, wish)
+            label = variant.label if attempt == 1 else f"{variant.label}, attempt {attempt}"
+            bag = self._folder / f"{number + 1}_{_as_file(label)}"
+            motion = self._start(planned, controllers, graph, bag, states)
+            ending = await self._ending(motion, label, planned.duration)
+            if not ending.reason:
+                break
+            self._explain(ending, label)
+        self.stage = Stage.MEASURING
+        self._say(f"{label}: measuring")
+        return await asyncio.to_thread(_measure, bag, variant.label, planned)
+
+    async def _ending(self, motion: HeldMotion, label: str, duration: float) -> Ending:
+        """Wait for a motion's end.
+
+        Raises:
+            RunError: It could not begin, or a process has ended.
+        """
+        self._motion, self.stage, self._is_released = motion, Stage.PREPARING, False
+        self._say(f"{label}: preparing")
         while motion.stage != "ended":
             if motion.stage == "ready" and self.stage is Stage.PREPARING:
                 self.stage = Stage.READY
-                self._say(f"{variant.label}: hold the button, {planned.duration:.1f} s")
+                self._say(f"{label}: hold the button, {duration:.1f} s")
             elif motion.stage == "moving" and self.stage is not Stage.MOVING:
                 self.stage = Stage.MOVING
-                self._say(f"{variant.label}: moving")
+                self._say(f"{label}: moving")
+            if self._is_left():
+                self.cancel()
             await asyncio.sleep(_LOOK_PERIOD)
         self._is_held_over = self._is_held  # the next motion wants a press of its own
         ending = motion.ending
         assert ending is not None
-        if ending.reason:
-            rest = "" if ending.is_at_rest else "; the joints were not seen to rest"
+        return ending
+
+    def _explain(self, ending: Ending, label: str) -> None:
+        """Say why a motion was stopped.
+
+        Raises:
+            RunError: It is not to be tried once more.
+        """
+        rest = "" if ending.is_at_rest else "; the joints were not seen to rest"
+        if self._is_cancelled:
+            raise RunError(f"cancelled{rest}")
+        if ending.reason != RELEASED or rest:
             raise RunError(f"stopped: {self._why(ending)}{rest}")
-        self.stage = Stage.MEASURING
-        self._say(f"{variant.label}: measuring")
-        return await asyncio.to_thread(_measure, bag, variant.label, planned)
+        self._say(f"{label}: stopped: {self._why(ending)}; hold it once more", is_bad=True)
+
+    def _is_left(self) -> bool:
+        """Tell whether another page has control, or the trial's own has been gone for a while."""
+        desk, now = self._session.desk, time.monotonic()
+        if desk.holds(self._page):
+            self._here_at = now
+        return desk.holder not in (None, self._page) or now - self._here_at > _GONE_FOR
 
     async def _set(self, label: str, wanted: Mapping[str, Values]) -> None:
         """Have controllers take values; those that want a certificate may compute it first.
@@ -321,7 +371,7 @@ class Trials:
 
     def _why(self, ending: Ending) -> str:
         if ending.reason == RELEASED and not self._is_released:
-            return "nothing was heard of the button for 0.4 s: page, network or computer are slow"
+            return "nothing was heard of the button for 0.4 s, page, network or computer are slow"
         return ending.reason
 
     def _say(self, text: str, *, is_bad: bool = False) -> None:
@@ -367,8 +417,7 @@ def _rests_at(series: JointSeries) -> float:
 
 
 def _as_file(label: str) -> str:
-    kept = "".join(each if each.isalnum() else "_" for each in label)
-    return kept.strip("_") or "run"
+    return "_".join(re.findall(r"\w+", label)) or "run"
 
 
 def _new_folder(*, is_kept: bool) -> Path:
