@@ -13,7 +13,10 @@ import argparse
 import sys
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
+from itertools import repeat
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -23,6 +26,8 @@ import yaml
 from hpid_ros.base.resources import find_resource
 from hpid_ros.compensation.build import compensators
 from hpid_ros.control import JointLoop
+from hpid_ros.excitation.bounds import JointBounds, Wish
+from hpid_ros.excitation.plan import Design, plan
 from hpid_ros.experiment.description import Experiment, load_experiment
 from hpid_ros.identification.identify import identify
 from hpid_ros.identification.records import JointRecord
@@ -43,10 +48,7 @@ from hpid_ros.trajectory import JointTrajectory, TrajectoryPoint
 
 ROBOTS = ("paper", "iiwa", "panda")
 PERIOD = 1e-3  # [s]
-_FREQUENCIES = np.array([0.11, 0.23, 0.41, 0.67, 1.03, 1.57, 2.31])  # [Hz]
-_TOGETHER, _ALONE = 20.0, 12.0  # [s], of all joints, of each
-_FADE = 1.0  # [s]
-_KNOT = 0.02  # [s]
+_TOGETHER, _ALONE = 20.0, 12.0  # [s], of all joints, of each, unless --duration says otherwise
 _NOISES = (5e-5, 4e-4)  # [rad]
 _COUNTS = 65536
 _HEADINGS = (
@@ -87,6 +89,20 @@ class Drawn:
     truth: Mapping[str, Truth]
 
 
+class Course(NamedTuple):
+    """How robots are moved.
+
+    Attributes:
+        engine: Who computes the physics.
+        duration: Of the motion in [s]; of each joint if they move one by one.
+        is_alone: They move one by one.
+    """
+
+    engine: str
+    duration: float
+    is_alone: bool
+
+
 class Finding(NamedTuple):
     """One number beside its truth.
 
@@ -115,22 +131,29 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("--first", type=int, default=1, help="the first of the seeds (1)")
     parser.add_argument("--engine", default="mujoco", help="(mujoco)")
+    parser.add_argument("--duration", type=float, help="of the motion in [s] (20; 12 a joint)")
+    parser.add_argument("--jobs", type=int, default=1, help="processes (1)")
     parser.add_argument("--alone", action="store_true", help="one joint at a time, without URDF")
     parser.add_argument("--verbose", action="store_true", help="every number that is too far off")
     options = parser.parse_args(arguments)
     print(f"| {' | '.join(_HEADINGS)} |")
     print("|---|---|---|---|---|---|---|---|---|")
-    for robot in options.robots:
-        found = []
-        for seed in range(options.first, options.first + options.seeds):
-            new = list(_findings(robot, seed, options.engine, options.alone))
-            found += new
-            if options.verbose:
-                for each in new:
-                    if not each.is_inside or abs(each.error) > _LIMITS[each.name]:
-                        print(seed, each, file=sys.stderr, flush=True)
-        for name in _LIMITS:
-            print(_row(robot, name, [each for each in found if each.name == name]), flush=True)
+    duration = options.duration or (_ALONE if options.alone else _TOGETHER)
+    course = Course(options.engine, duration, options.alone)
+    seeds = range(options.first, options.first + options.seeds)
+    with ProcessPoolExecutor(options.jobs, get_context("spawn")) as pool:
+        for robot in options.robots:
+            found = []
+            for seed, new in zip(
+                seeds, pool.map(_findings, repeat(robot), seeds, repeat(course)), strict=True
+            ):
+                found += new
+                if options.verbose:
+                    for each in new:
+                        if not each.is_inside or abs(each.error) > _LIMITS[each.name]:
+                            print(seed, each, file=sys.stderr, flush=True)
+            for name in _LIMITS:
+                print(_row(robot, name, [e for e in found if e.name == name]), flush=True)
     return 0
 
 
@@ -147,15 +170,15 @@ def _row(robot: str, name: str, found: Sequence[Finding]) -> str:
     )
 
 
-def _findings(robot: str, seed: int, engine: str, is_alone: bool) -> Iterator[Finding]:
-    """Draw a robot, move it, identify it, and yield every number beside its truth."""
+def _findings(robot: str, seed: int, course: Course) -> list[Finding]:
+    """Draw a robot, move it, identify it, and return every number beside its truth."""
     chance = np.random.default_rng([seed, *robot.encode()])
-    drawn = draw(robot, seed, engine, chance)
+    drawn = draw(robot, seed, course, chance)
     joints = drawn.experiment.world.joints
     arm = [name for name in joints if name in drawn.truth]
-    trajectory, windows = excitation(drawn.experiment, arm, chance, is_alone)
+    trajectory, windows = excitation(drawn, arm, course, seed)
     recording = move(replace(drawn.experiment, trajectory=trajectory))
-    if is_alone:
+    if course.is_alone:
         found = [
             identify([record_of(recording, joints, name, window)])[0]
             for name, window in windows.items()
@@ -164,17 +187,16 @@ def _findings(robot: str, seed: int, engine: str, is_alone: bool) -> Iterator[Fi
         body = InverseDynamics(drawn.bare, joints)
         records = [record_of(recording, joints, name) for name in joints]
         found = list(identify(records, body.efforts, wanted=arm, spin=body.spin))
-    for each in found:
-        yield from _beside_truth(drawn, each, is_alone)
+    return [finding for each in found for finding in _beside_truth(drawn, each, course.is_alone)]
 
 
-def draw(robot: str, seed: int, engine: str, chance: np.random.Generator) -> Drawn:
+def draw(robot: str, seed: int, course: Course, chance: np.random.Generator) -> Drawn:
     """Return a robot with friction, rotors, noise and delay drawn at random.
 
     Args:
         robot: Name of the experiment that it is from.
         seed: Of its encoders' noise.
-        engine: Who computes the physics.
+        course: How it will be moved.
         chance: Draws.
     """
     path = find_resource(f"config/experiments/{robot}.yaml")
@@ -196,10 +218,10 @@ def draw(robot: str, seed: int, engine: str, chance: np.random.Generator) -> Dra
         }
     document: dict[str, Any] = {
         "extends": str(path),
-        "duration": _TOGETHER,
+        "duration": course.duration,
         "seed": seed,
         "robot": {"fixed_base": True, "joints": amendments},
-        "simulation": {"engine": engine},
+        "simulation": {"engine": course.engine},
         "sensors": {"noise": float(chance.uniform(*_NOISES)), "encoder_counts": _COUNTS},
         "actuators": {"delay": delay},
         "reference": None,
@@ -220,59 +242,31 @@ def _loaded(document: Mapping[str, Any], plain: Experiment) -> Experiment:
 
 
 def excitation(
-    experiment: Experiment, arm: Sequence[str], chance: np.random.Generator, is_alone: bool
+    drawn: Drawn, arm: Sequence[str], course: Course, seed: int
 ) -> tuple[JointTrajectory, dict[str, tuple[float, float]]]:
-    """Return multisines of all joints, and when each of them moves if they move one by one."""
-    joints, start = experiment.world.joints, experiment.world.initial_positions
-    duration = _ALONE * len(arm) if is_alone else _TOGETHER
-    times = np.arange(0.0, duration + _KNOT / 2.0, _KNOT)
-    windows = {
-        name: (_ALONE * k, _ALONE * (k + 1)) if is_alone else (0.0, duration)
-        for k, name in enumerate(arm)
-    }
-    states = np.zeros((3, len(joints), len(times)))
-    for row, name in enumerate(joints):
-        if name in windows:
-            states[:, row] = _multisine(times, *windows[name], chance)
-        states[0, row] += start.get(name, 0.0)
+    """Return what ``hpid excite`` would do with these joints, and when each of them moves."""
+    joints, start = drawn.experiment.world.joints, drawn.experiment.world.initial_positions
+    design = Design(duration=course.duration, are_together=not course.is_alone, seed=seed)
+    planned = plan([_bounds(drawn, name) for name in arm], Wish(), design)
+    states = np.zeros((3, len(planned.times), len(joints)))
+    columns = [joints.index(name) for name in planned.names]
+    states[:, :, columns] = planned.positions, planned.velocities, planned.accelerations
+    states[0] += [start.get(name, 0.0) for name in joints]
     points = tuple(
-        TrajectoryPoint(round(time * 1e9), *(tuple(each[:, k]) for each in states))
-        for k, time in enumerate(times)
+        TrajectoryPoint(round(time * 1e9), *(tuple(each[k]) for each in states))
+        for k, time in enumerate(planned.times)
     )
+    windows = {each.bounds.joint: (each.begin, each.end) for each in planned.joints}
     return JointTrajectory(tuple(joints), points), windows
 
 
-def _multisine(
-    times: np.ndarray, begin: float, end: float, chance: np.random.Generator
-) -> np.ndarray:
-    """Return position, velocity and acceleration of a sum of sines that fades in and out."""
-    amplitudes = 0.12 / np.sqrt(_FREQUENCIES / _FREQUENCIES[0]) / (1.0 + _FREQUENCIES)
-    phases = chance.uniform(0.0, 2.0 * np.pi, len(_FREQUENCIES))
-    rates = 2.0 * np.pi * _FREQUENCIES[:, None]
-    angles = rates * (times - begin) + phases[:, None]
-    wave = [
-        amplitudes @ np.sin(angles),
-        amplitudes @ (rates * np.cos(angles)),
-        -amplitudes @ (rates**2 * np.sin(angles)),
-    ]
-    fade = [np.ones_like(times), np.zeros_like(times), np.zeros_like(times)]
-    for share, sign in (((times - begin) / _FADE, 1.0), ((end - times) / _FADE, -1.0)):
-        s = np.clip(share, 0.0, 1.0)
-        value = s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
-        first = sign * 30.0 * s**2 * (1.0 - s) ** 2 / _FADE
-        second = 60.0 * s * (1.0 - s) * (1.0 - 2.0 * s) / _FADE**2
-        fade = [
-            fade[0] * value,
-            fade[1] * value + fade[0] * first,
-            fade[2] * value + 2.0 * fade[1] * first + fade[0] * second,
-        ]
-    return np.stack(
-        [
-            fade[0] * wave[0],
-            fade[0] * wave[1] + fade[1] * wave[0],
-            fade[0] * wave[2] + 2.0 * fade[1] * wave[1] + fade[2] * wave[0],
-        ]
-    )
+def _bounds(drawn: Drawn, name: str) -> JointBounds:
+    """Return what a joint may do by its description, from where it stands."""
+    joint, start = drawn.bare.joints[name], drawn.experiment.world.initial_positions
+    load = _dynamics(drawn).gravity_torques([name], start)[name]
+    limits = (joint.lower, joint.upper, joint.velocity, (-joint.effort, joint.effort))
+    inertia = _moved_inertia(drawn, name)
+    return JointBounds(name, "", start.get(name, 0.0), load, *limits, inertia=inertia)
 
 
 def move(experiment: Experiment) -> Recording:
@@ -325,8 +319,11 @@ def _beside_truth(drawn: Drawn, found: JointIdentification, is_alone: bool) -> I
 def _moved_inertia(drawn: Drawn, joint: str) -> float:
     """Return what the motor moves while the other joints are held, in [kg m^2]."""
     start = drawn.experiment.world.initial_positions
-    dynamics = Dynamics(RobotDescription.load(drawn.experiment.world.robot_description))
-    return float(dynamics.mass_matrix([joint], start)[0, 0])
+    return float(_dynamics(drawn).mass_matrix([joint], start)[0, 0])
+
+
+def _dynamics(drawn: Drawn) -> Dynamics:
+    return Dynamics(RobotDescription.load(drawn.experiment.world.robot_description))
 
 
 if __name__ == "__main__":
