@@ -23,6 +23,8 @@ from hpid_ros.robot.given import GivenRobot
 from hpid_ros.robot.inverse_dynamics import InverseDynamics
 from hpid_ros.tuning.inertias import visited_poses
 
+_FEW_UNANSWERED = 0.01  # of the states; idle machines lose less
+
 
 @dataclass(frozen=True)
 class Findings:
@@ -71,7 +73,7 @@ def findings_of(
     wheels = _wheels(records, robot, base, asked)
     if robot is None:
         alone = [each.joint for each in records if each.joint not in wheels]
-        found = identify(records, method=method, wanted=alone)
+        found = _with_losses(identify(records, method=method, wanted=alone), recording)
         slides = tuple(name for name in recording.joint_names if name in recording.slides)
         return Findings(
             _in_order([*found, *wheels.values()], records), _sources(recording), slides
@@ -89,7 +91,7 @@ def findings_of(
             raise SettingError(f"{robot_name}: {unknown_name('joint', joint, joints)}")
     own = [joint for joint in wanted if joint not in wheels]
     body = _rigid_body(robot, records)
-    found = identify(records, body.efforts, method, own, body.spin)
+    found = _with_losses(identify(records, body.efforts, method, own, body.spin), recording)
     if base is not None and base.is_moving and not robot.fixed_base:
         remark = remark_on_base(base)
         found = tuple(replace(each, remarks=(*each.remarks, remark)) for each in found)
@@ -97,6 +99,24 @@ def findings_of(
     found = _in_order([*found, *refused], records)
     slides = tuple(name for name in wanted if joints[name].is_slide)
     return Findings(found, _sources(recording), slides, _moved(robot, recording, found))
+
+
+def _with_losses(
+    found: Iterable[JointIdentification], recording: RunSeries
+) -> tuple[JointIdentification, ...]:
+    """Remark on joints whose controllers may have been late: intervals know nothing of that."""
+    counts = {each.joint: len(each.position) for each in recording.joints}
+    remarked = []
+    for each in found:
+        states, unanswered = counts[each.joint], recording.losses[each.joint].unanswered_states
+        if unanswered > _FEW_UNANSWERED * states:
+            remark = (
+                f"{unanswered} of {states} states have no command of their own: if the controller "
+                f"was late, when its commands came into force is a guess"
+            )
+            each = replace(each, remarks=(*each.remarks, remark))
+        remarked.append(each)
+    return tuple(remarked)
 
 
 def _wheels(

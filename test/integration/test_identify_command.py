@@ -21,8 +21,11 @@ PLANT = Plant(inertia=0.05, viscous=0.2, coulomb=0.1, offset=0.02, delay=0.004)
 URDF = share_folder() / "urdf" / "mobile_manipulator.urdf"
 
 
-def write(path, runs=1, seconds=10.0, effort_in_states=False):
-    """Write a bag: the first joint moves, the other one stands still; each run begins at 1 s."""
+def write(path, runs=1, seconds=10.0, effort_in_states=False, missed=()):
+    """Write a bag: the first joint moves, the other one stands still; each run begins at 1 s.
+
+    States of which the controllers missed the command are numbers in each run.
+    """
     times = 1.0 + np.arange(0.0, seconds, PERIOD_NS * 1e-9)
     state = JointStateTemplate(JOINTS, position=True, effort=effort_in_states)
     command = JointStateTemplate(JOINTS, effort=True)
@@ -40,6 +43,8 @@ def write(path, runs=1, seconds=10.0, effort_in_states=False):
                     bag.write(topics[0], log, state.encode(stamp, position=at, effort=efforts))
                 else:
                     bag.write(topics[0], log, state.encode(stamp, position=at))
+                    if k in missed:
+                        continue
                     bag.write(topics[1], log, command.encode(stamp, effort=efforts))
     return path
 
@@ -72,6 +77,15 @@ def test_a_bag_gives_numbers_and_a_still_joint_a_reason(bag, tmp_path, capsys):
     assert moving["estimates"]["inertia"]["unit"] == "kg m^2"
     assert still["estimates"] == {}
     assert still["not_told"]
+
+
+def test_of_states_without_commands_the_numbers_say_that_they_are_a_guess(bag, tmp_path, capsys):
+    late = write(tmp_path / "late", missed=range(0, 5000, 50))
+    code, out, _ = identify(capsys, late)
+    assert code == 0
+    told = " ".join(out.split())
+    assert "100 of 5000 states have no command of their own" in told
+    assert "have no command of their own" not in identify(capsys, bag)[1]
 
 
 def test_the_screen_holds_eighty_columns(bag, capsys, monkeypatch):
