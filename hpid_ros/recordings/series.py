@@ -222,6 +222,22 @@ class RunSeries:
         marked = (replace(each, is_slide=each.joint in slides) for each in self.joints)
         return replace(self, joints=tuple(marked))
 
+    def narrowed(self, joints: Collection[str]) -> RunSeries:
+        """Return the run of some of its joints, in its own order.
+
+        Args:
+            joints: Their names; at least one is in the run.
+
+        Raises:
+            SeriesError: None is.
+        """
+        kept = tuple(each for each in self.joints if each.joint in joints)
+        losses = {each.joint: self.losses[each.joint] for each in kept}
+        seen = {name: each for name, each in self.quality.joints.items() if name in joints}
+        return replace(
+            self, joints=kept, losses=losses, quality=replace(self.quality, joints=seen)
+        )
+
     @property
     def start_ns(self) -> int:
         """Stamp of the first state of any joint, in [ns]."""

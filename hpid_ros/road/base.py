@@ -58,14 +58,16 @@ def base_motion(bag: Path, namespace: str = "") -> BaseMotion | None:
     return BaseMotion(max(ways), max(float(np.ptp(poses[:, 2])) for poses in found))
 
 
-def is_wheel(joint: str, robot: GivenRobot | None) -> bool:
+def is_wheel(joint: str, robot: GivenRobot | None, motion: BaseMotion | None) -> bool:
     """Tell whether a joint is a wheel of the base: the robot says so, or its name does.
 
     Args:
         joint: Its name.
-        robot: What is known of the robot.
+        robot: What is known of the robot; one whose base moved is not taken to be fixed.
+        motion: Of the base; None if nobody knows.
     """
-    if robot is not None and (robot.wheels or robot.fixed_base):
+    is_fixed = robot is not None and robot.fixed_base and not (motion and motion.is_moving)
+    if robot is not None and (robot.wheels or is_fixed):
         return joint in robot.wheels
     return _WHEEL in joint.lower()
 

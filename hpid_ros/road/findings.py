@@ -92,7 +92,7 @@ def findings_of(
     own = [joint for joint in wanted if joint not in wheels]
     body = _rigid_body(robot, records)
     found = _with_losses(identify(records, body.efforts, method, own, body.spin), recording)
-    if base is not None and base.is_moving and not robot.fixed_base:
+    if base is not None and base.is_moving:
         remark = remark_on_base(base)
         found = tuple(replace(each, remarks=(*each.remarks, remark)) for each in found)
     refused = [each for joint, each in wheels.items() if joint in wanted]
@@ -128,7 +128,7 @@ def _wheels(
     """Return the wheels under a robot that rolls, each with why nothing is said of it."""
     refused = {}
     for each in records:
-        if is_wheel(each.joint, robot):
+        if is_wheel(each.joint, robot, base):
             reason = why_not_wheel(base, is_asked_for=each.joint in (asked or ()))
             if reason:
                 refused[each.joint] = nothing(each, reason)

@@ -22,7 +22,13 @@ from hpid_ros.frequency.margins import Margins, margins_of
 from hpid_ros.metrics.retunes import read_retunes
 from hpid_ros.recordings.series import JointSeries, RunSeries
 from hpid_ros.replay.controllers import recorded_controllers
-from hpid_ros.road.base import base_motion, remark_on_base
+from hpid_ros.road.base import (
+    BaseMotion,
+    base_motion,
+    is_wheel,
+    remark_on_base,
+    why_not_wheel,
+)
 from hpid_ros.road.findings import Findings, findings_of
 from hpid_ros.road.known import KnownRobot, known_robot
 from hpid_ros.robot.given import GivenRobot
@@ -147,11 +153,9 @@ def answer(question: Question, telling: Telling) -> Answer:
             nothing can be proposed.
     """
     telling.phase("reading the recording")
-    recording, loops, warnings = _read(question)
-    telling.phase("identifying the joints")
     base = base_motion(question.bag)
-    if base is not None and base.is_moving and not question.robot.fixed_base:
-        warnings.append(remark_on_base(base))
+    recording, loops, warnings = _read(question, base)
+    telling.phase("identifying the joints")
     findings = findings_of(
         recording, question.robot, robot_name=question.urdf, bag_name=str(question.bag), base=base
     )
@@ -179,13 +183,15 @@ def answer(question: Question, telling: Telling) -> Answer:
         tuple(loops),
         checks,
         proposals,
-        (recording, trial.before, predicted),
+        (recording.narrowed([each.joint for each in loops]), trial.before, predicted),
         others,
         tuple(warnings),
     )
 
 
-def _read(question: Question) -> tuple[RunSeries, list[LoopSettings], list[str]]:
+def _read(
+    question: Question, base: BaseMotion | None
+) -> tuple[RunSeries, list[LoopSettings], list[str]]:
     """Return the recording, the controllers that ran, and what to warn of."""
     if question.goal is not None and question.goal not in GOALS:
         raise SettingError(unknown_name("goal", question.goal, GOALS))
@@ -198,6 +204,8 @@ def _read(question: Question) -> tuple[RunSeries, list[LoopSettings], list[str]]
         if joint not in recording.joint_names or joint not in robot.joints:
             who = "the recording" if joint not in recording.joint_names else "the robot"
             warnings.append(f"{joint} is left out: {who} does not have it")
+        elif base is not None and base.is_moving and is_wheel(joint, question.robot, base):
+            warnings.append(f"{joint} is left out: {why_not_wheel(base, is_asked_for=True)}")
         else:
             loops.append(controller.settings)
     if not loops:
@@ -222,6 +230,8 @@ def _read(question: Question) -> tuple[RunSeries, list[LoopSettings], list[str]]
             f"parameters were changed while it was recorded, first {first.node}: {first.change}; "
             "the controllers are taken as they began"
         )
+    if base is not None and base.is_moving:
+        warnings.append(remark_on_base(base))
     return recording, loops, warnings
 
 

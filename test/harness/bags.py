@@ -14,6 +14,7 @@ from hpid_ros.bags import BagReader, BagWriter, read_run
 from hpid_ros.recordings.series import JointSeries, Losses
 from hpid_ros.trajectory import JointTrajectory, TrajectoryPoint
 from hpid_ros.wire.joint_state import JointStateTemplate
+from hpid_ros.wire.reports import ODOMETRY, Stamp, encode_odometry
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 JOINT_TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
@@ -32,6 +33,14 @@ def state(stamp_ns: int, **positions: float) -> tuple[str, int, bytes]:
 def command(stamp_ns: int, **efforts: float) -> tuple[str, int, bytes]:
     template = JointStateTemplate(list(efforts), effort=True)
     return "joint_commands", stamp_ns, template.encode(stamp_ns, effort=list(efforts.values()))
+
+
+def odometry(stamp_ns: int, way: float) -> tuple[str, int, bytes]:
+    """Return where a base is that rolls straight on."""
+    pose = (way, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0)
+    nothing, still = [0.0] * 36, ((0.0,) * 3,) * 2
+    raw = encode_odometry(Stamp(stamp_ns, "odom"), "base", pose, nothing, still, nothing)
+    return "odom", stamp_ns, raw
 
 
 def trajectory(log_time_ns: int, what: JointTrajectory) -> tuple[str, int, bytes]:
@@ -62,15 +71,15 @@ def ramp(joint: str, *, stamp_ns: int = 0, **at_seconds: float) -> JointTrajecto
 
 
 def write_bag(path: Path, log: Log, namespace: str = "/") -> Path:
+    kinds = {
+        "joint_states": JOINT_STATE,
+        "joint_commands": JOINT_STATE,
+        "joint_trajectory": JOINT_TRAJECTORY,
+    }
+    if any(name == "odom" for name, _, _ in log):
+        kinds["odom"] = ODOMETRY
     with BagWriter(path) as bag:
-        topics = {
-            name: bag.add_topic(namespace + name, kind)
-            for name, kind in (
-                ("joint_states", JOINT_STATE),
-                ("joint_commands", JOINT_STATE),
-                ("joint_trajectory", JOINT_TRAJECTORY),
-            )
-        }
+        topics = {name: bag.add_topic(namespace + name, kind) for name, kind in kinds.items()}
         for name, log_time_ns, raw in log:
             bag.write(topics[name], log_time_ns, raw)
     return path

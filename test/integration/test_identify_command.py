@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 import yaml
+from harness.bags import odometry, write_bag
 from harness.motions import Plant, motion, needed
 
 from hpid_ros.bags import BagWriter
@@ -12,7 +13,6 @@ from hpid_ros.base.resources import share_folder
 from hpid_ros.cli.main import main
 from hpid_ros.experiment.description import load_experiment
 from hpid_ros.wire import JointStateTemplate
-from hpid_ros.wire.reports import ODOMETRY, Stamp, encode_odometry
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 PERIOD_NS = 2_000_000
@@ -208,23 +208,16 @@ def write_wheels(path, rolled):
     times = np.arange(0.0, 5.0, 0.002)
     position = motion(times, 1, 0.4)[0]
     effort = needed(PLANT, *motion(times + PLANT.delay + 1e-3, 1, 0.4))
-    names = ("left_wheel_joint", "right_wheel_joint")
-    state = JointStateTemplate(names, position=True, effort=True)
-    with BagWriter(path) as bag:
-        states, odometry = bag.add_topic("/joint_states", JOINT_STATE), None
-        if rolled is not None:
-            odometry = bag.add_topic("/odom", ODOMETRY)
-        for k, time in enumerate(times):
-            stamp = round(time * 1e9)
-            at = [position[k]] * 2
-            bag.write(states, stamp, state.encode(stamp, position=at, effort=[effort[k]] * 2))
-            if odometry is not None and k % 50 == 0:
-                pose = (rolled * time, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0)
-                nothing, still = [0.0] * 36, ((0.0,) * 3,) * 2
-                header = Stamp(stamp, "odom")
-                raw = encode_odometry(header, "base", pose, nothing, still, nothing)
-                bag.write(odometry, stamp, raw)
-    return path
+    state = JointStateTemplate(
+        ("left_wheel_joint", "right_wheel_joint"), position=True, effort=True
+    )
+    log = []
+    for k, time in enumerate(times):
+        stamp, at, efforts = round(time * 1e9), [position[k]] * 2, [effort[k]] * 2
+        log.append(("joint_states", stamp, state.encode(stamp, position=at, effort=efforts)))
+        if rolled is not None and k % 50 == 0:
+            log.append(odometry(stamp, rolled * time))
+    return write_bag(path, log)
 
 
 @pytest.mark.parametrize(

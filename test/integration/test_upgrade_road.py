@@ -6,13 +6,16 @@ import shutil
 import numpy as np
 import pytest
 import yaml
-from harness.bags import command, ramp, state, trajectory, write_bag
+from harness.bags import MS, command, odometry, ramp, state, trajectory, write_bag
 
+from hpid_ros.bags import read_run
 from hpid_ros.bags.metadata import PARAMETERS, read_metadata
+from hpid_ros.base.resources import share_folder
 from hpid_ros.cli.main import main
 from hpid_ros.experiment.description import load_experiment
 from hpid_ros.experiment.in_process import run_without_ros
 from hpid_ros.experiment.progress import NoProgress
+from hpid_ros.recordings.series import SeriesError
 from hpid_ros.road.prediction import read_prediction
 from hpid_ros.tuning.controller_files import settings_from_parameter_file
 
@@ -184,6 +187,33 @@ def test_a_bag_without_parameters_says_what_to_give(place, tmp_path, capsys):
     line = refused(["upgrade", bare, *robot(place), "-o", tmp_path / "new.yaml"], capsys)
     assert "give them with --params FILE" in line
     assert not list(tmp_path.glob("new.*"))
+
+
+def test_wheels_on_which_the_robot_rolled_are_left_out(tmp_path, capsys):
+    wheels = ("wheel_left_joint", "wheel_right_joint")
+    log = []
+    for k in range(200):
+        log += [
+            state(k * 5 * MS, **dict.fromkeys(wheels, 0.01 * k)),
+            odometry(k * 5 * MS, 0.001 * k),
+        ]
+    bag, params = write_bag(tmp_path / "bag", log), tmp_path / "pid.yaml"
+    pid = {"law": "pid", "gains": {"p": 12.0, "d": 1.2}}
+    nodes = {f"{each}_controller": {"ros__parameters": {"joint": each, **pid}} for each in wheels}
+    params.write_text(yaml.safe_dump(nodes))
+    urdf = share_folder() / "urdf" / "mobile_manipulator.urdf"  # of a base that is not held
+    command = ["upgrade", bag, "--urdf", urdf, "--params", params, "-o", tmp_path / "new.yaml"]
+    line = refused(command, capsys)
+    for each in wheels:
+        assert f"{each} is left out: the robot rolled on it (0.2 m and 0 rad" in line
+
+
+def test_a_run_is_narrowed_to_some_of_its_joints(place):
+    run = read_run(place / "before", "run")
+    few = run.narrowed(["elbow"])
+    assert few.joint_names == tuple(few.losses) == tuple(few.quality.joints) == ("elbow",)
+    with pytest.raises(SeriesError, match="at least one joint"):
+        run.narrowed(["wrist"])
 
 
 def test_where_the_model_is_wrong_nothing_is_proposed(place, tmp_path, capsys):
