@@ -41,14 +41,15 @@ def blocks_of(study: Path, searches: Sequence[Path]) -> dict[str, str]:
 
 def search_table(folders: Sequence[Path]) -> str:
     """Return what searches found, as a Markdown table."""
-    heads = ["experiment", "found", "parameters", "cost", *(q.symbol for q in PAPER), "last |e|"]
-    rows = [heads, ["---", "---", "---", *["---:"] * (len(heads) - 3)]]
+    heads = ["experiment", "engine", "found", "parameters", "cost"]
+    heads += [*(q.symbol for q in PAPER), "last |e|"]
+    rows = [heads, [*["---"] * 4, *["---:"] * (len(heads) - 4)]]
     for folder in folders:
         found = json.loads((folder / "tune.json").read_text(encoding="utf-8"))
         best = found["best"]
-        lead = [found["experiment"], found["label"]]
+        lead = [found["experiment"], found["engine"], found["label"]]
         if best is None:
-            rows.append([*lead, "none", *["-"] * (len(heads) - 3)])
+            rows.append([*lead, "none", *["-"] * (len(heads) - 4)])
             continue
         values = ", ".join(f"{name} {value:g}" for name, value in best["values"].items())
         values += "" if best["stage"] == "all" else f" (last of {best['stage']})"
@@ -77,12 +78,12 @@ def draw(study: Mapping[str, Any], searches: Sequence[Path], figures: Path) -> l
     figures.mkdir(parents=True, exist_ok=True)
     ratio_figure(study).savefig(figures / "results_ratios.png")
     names = ["results_ratios.png"]
-    by_experiment: dict[str, list[Path]] = {}
+    alike: dict[str, list[Path]] = {}
     for folder in searches:
         found = json.loads((folder / "tune.json").read_text(encoding="utf-8"))
-        by_experiment.setdefault(found["experiment"], []).append(folder)
-    for experiment, folders in by_experiment.items():
-        names.append(f"results_trade_off_{experiment}.png")
+        alike.setdefault(f"{found['experiment']}_{found['engine']}", []).append(folder)
+    for name, folders in alike.items():
+        names.append(f"results_trade_off_{name}.png")
         front_figure([search_points(each) for each in folders]).savefig(figures / names[-1])
     return names
 

@@ -221,6 +221,13 @@ class Trials:
         if self._motion is not None:
             self._motion.release()
 
+    async def keep(self, variant: Variant) -> None:
+        """Have controllers keep what they were tried with."""
+        if variant.values is None:
+            return
+        if await self._session.send_if_other(variant.values, f"keep {variant.label}"):
+            self._say(f"kept, now in force: {variant.label}")
+
     # The course
 
     async def run(
@@ -261,7 +268,9 @@ class Trials:
             self._is_kept = is_kept
             for number, variant in enumerate(variants):
                 found.append(await self._measured(number, nodes, wish, variant))
-            self._say("done" + (f"; recorded in {self._folder}" if is_kept else ""))
+            where = f"; recorded in {self._folder}" if is_kept else ""
+            last = f", now in force: {variants[-1].label}" if len(variants) > 1 else ""
+            self._say(f"done{last}{where}")
         except (HpidError, OSError) as error:
             self._say(str(error), is_bad=True)
         finally:
@@ -308,7 +317,7 @@ class Trials:
                 break
             self._explain(ending, label)
         self.stage = Stage.MEASURING
-        self._say(f"{label}: measuring")
+        self._say(f"{label}: measuring, let go")
         return await asyncio.to_thread(_measure, bag, variant.label, planned)
 
     async def _ending(self, motion: HeldMotion, label: str, duration: float) -> Ending:

@@ -114,6 +114,7 @@ class SearchResult:
         return {
             "experiment": experiment.name,
             "sha256": experiment.digest,
+            "engine": experiment.world.engine,
             "versions": versions(),
             "baseline": next(iter(experiment.controllers)),
             "label": self.label,

@@ -61,7 +61,7 @@ def test_a_joint_is_retuned_tried_with_two_settings_and_stopped(harness, page):
     assert ratio == pytest.approx(after / before, rel=0.02)
     assert 0.0 < ratio < 1.0  # what is chosen holds the joint more firmly close by
     page.get_by_role("button", name="keep in force").click()
-    logged(page, "kept: in force")
+    logged(page, "trial: kept, now in force: in force")
 
     page.get_by_role("button", name="Get ready").click()
     page.get_by_text("in force: preparing", exact=True).wait_for()

@@ -2,6 +2,7 @@
 
 import csv
 import importlib.util
+import json
 import re
 from dataclasses import replace
 
@@ -322,11 +323,12 @@ def test_a_page_is_written_only_between_its_marks(
     (loops,) = re.findall(r"<!-- begin loops -->\n.*?<!-- end loops -->\n", tables, re.S)
     assert page.read_text() == words.format(loops)
     figures = {each.name for each in (page.parent / "figures").iterdir()}
-    assert figures == {"results_ratios.png", "results_trade_off_calm.png"}
+    engine = json.loads((tmp_path / "t" / "tune.json").read_text())["engine"]
+    assert figures == {"results_ratios.png", f"results_trade_off_calm_{engine}.png"}
     page.unlink()
     assert draw_results.main() == 0
     made = page.read_text()
     assert "<!-- begin searches -->" in made
-    assert "| calm | best PID |" in made
+    assert f"| calm | {engine} | best PID |" in made
     for name in re.findall(r"\]\((.*?)\)", made):
         assert (page.parent / name).is_file()

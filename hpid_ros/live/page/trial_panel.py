@@ -183,6 +183,7 @@ class TrialPanel:
         with self._result:
             ui.label(" and ".join(each.label for each in result.variants)).classes("heading")
             self._show_table(result)
+            ui.label("of each, less is better").classes("hint")
             for line in self._differences(result):
                 ui.label(line).classes("hint")
             ui.echart(_curves_options(_error_curves(result))).classes("preview").props(
@@ -229,10 +230,8 @@ class TrialPanel:
                                 ui.label(text)
 
     async def _keep(self, variant: Variant) -> None:
-        if not self._may_edit or variant.values is None:
-            return
-        if await self._session.send_if_other(variant.values, f"keep {variant.label}"):
-            self._session.say(f"kept: {variant.label}")
+        if self._may_edit and self._trials.stage is Stage.IDLE:
+            await self._trials.keep(variant)
 
 
 def _number(label: str, value: float) -> Any:
