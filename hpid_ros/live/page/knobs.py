@@ -14,14 +14,16 @@ from hpid_ros.base.errors import HpidError
 from hpid_ros.control.settings.table import PARAMETERS
 from hpid_ros.live.advice import Advice
 from hpid_ros.live.session import LiveSession
-from hpid_ros.live.tuning import GAINS, Range, slider_range
+from hpid_ros.live.tuning import BANDWIDTH, GAINS, Range, slider_range
 
 _EDITED_FOR = 0.7  # [s] after an input in which it is not set from elsewhere
 _STEPS = 400  # of a slider
 _TYPED_FOR = 400  # [ms] without a key, after which a number is taken
 _FACTORS = Range(0.1, 10.0, is_logarithmic=True)
+_BANDWIDTHS = Range(0.2, 5.0, is_logarithmic=True)
 
 LABELS = {
+    BANDWIDTH: ("ω", "bandwidth, times that in force: p by its square, i its cube, d itself"),
     "gains.p": ("p", "proportional gain"),
     "gains.i": ("i", "integral gain"),
     "gains.d": ("d", "derivative gain"),
@@ -31,13 +33,14 @@ LABELS = {
 
 
 class Knob:
-    """A slider and a field for one parameter of the joints that are chosen.
+    """A slider and a field for one parameter of the joints that are chosen, or their bandwidth.
 
     Of several joints a gain is a factor on what each has in force; all else is one value for all.
+    The bandwidth is always such a factor.
 
     Args:
         session: The session.
-        name: Of the parameter.
+        name: Of the parameter, or :data:`BANDWIDTH`.
         chosen: Returns the nodes that are chosen.
         may_edit: Tells whether this page has the controllers in hand.
         edited: Called after something was staged.
@@ -103,32 +106,48 @@ class Knob:
         self._field.set_enabled(is_usable)
         if not nodes:
             return
-        tuning = self._session.tuning
-        values = [float(tuning.value(node, self.name)) for node in nodes]
-        in_force = [float(tuning.in_force[node][self.name]) for node in nodes]
-        is_staged = any(self.name in tuning.staged.get(node, {}) for node in nodes)
+        shown, is_staged = self._shown(nodes)
         self.row.classes(
             add="is-staged" if is_staged else "", remove="" if is_staged else "is-staged"
         )
-        self._now.set_text(self._said(in_force))
+        self._now.set_text(self._said(nodes))
         if time.monotonic() - self._edited_at < _EDITED_FOR:
             return
-        self._range = _FACTORS if self._is_factor else self._own_range(nodes[0])
-        shown = values[0]
-        if self._is_factor:
-            shown = values[0] / in_force[0] if in_force[0] else 1.0
+        self._range = self._range_of(nodes[0])
         with self._set():
-            self._slider.value = self._place(shown)
-            self._field.value = float(f"{shown:.6g}")
+            self._slider.value = self._place(1.0 if shown is None else shown)
+            self._field.value = None if shown is None else float(f"{shown:.6g}")
+
+    def _shown(self, nodes: Sequence[str]) -> tuple[float | None, bool]:
+        """Return what is chosen, None where that is no one number, and whether it is staged."""
+        tuning, first = self._session.tuning, nodes[0]
+        if self.name == BANDWIDTH:
+            factor = tuning.bandwidth_factor(first)
+            return factor, factor is not None and not math.isclose(factor, 1.0)
+        value, in_force = (
+            float(each[self.name]) for each in (tuning.chosen(first), tuning.in_force[first])
+        )
+        is_staged = any(self.name in tuning.staged.get(node, {}) for node in nodes)
+        if self._is_factor:
+            return value / in_force if in_force else 1.0, is_staged
+        return value, is_staged
+
+    def _range_of(self, node: str) -> Range:
+        if self.name == BANDWIDTH:
+            return _BANDWIDTHS
+        return _FACTORS if self._is_factor else self._own_range(node)
 
     def _own_range(self, node: str) -> Range:
         first = self._session.tuning.first[node]
         scale = float(first["gains.p"]) * float(first["norm.error_scale"])
         return slider_range(self.name, float(first[self.name]), scale)
 
-    def _said(self, in_force: Sequence[float]) -> str:
+    def _said(self, nodes: Sequence[str]) -> str:
+        if self.name == BANDWIDTH:
+            return "× p, i, d"
         if self._is_factor:
             return "× each"
+        in_force = [float(self._session.tuning.in_force[node][self.name]) for node in nodes]
         low, high = min(in_force), max(in_force)
         return f"now {low:.4g}" if math.isclose(low, high) else f"now {low:.3g} … {high:.3g}"
 
@@ -173,7 +192,9 @@ class Knob:
         self._edited_at = time.monotonic()
         nodes, tuning = self._chosen(), self._session.tuning
         try:
-            if self._is_factor:
+            if self.name == BANDWIDTH:
+                tuning.stage_bandwidth(nodes, value)
+            elif self._is_factor:
                 tuning.stage_factor(nodes, self.name, value)
             else:
                 tuning.stage(nodes, self.name, value)

@@ -15,7 +15,7 @@ from hpid_ros.live.page.snapshots import SnapshotPanel
 from hpid_ros.live.page.trial_panel import TrialPanel
 from hpid_ros.live.session import LiveSession
 from hpid_ros.live.trials import Trials
-from hpid_ros.live.tuning import SLIDERS
+from hpid_ros.live.tuning import BANDWIDTH, SLIDERS
 
 _STEP = 0.1  # [rad], of the response that is shown
 
@@ -55,7 +55,7 @@ class TuningPanel:
         )
         self._knobs = [
             Knob(self._session, name, self._chosen, lambda: self._may_edit, self.changed)
-            for name in SLIDERS
+            for name in (BANDWIDTH, *SLIDERS)
         ]
         self._certified = ui.label().classes("advice").props('aria-live="polite"')
         self._margins = ui.label().classes("advice")

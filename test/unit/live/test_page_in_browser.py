@@ -141,6 +141,10 @@ def test_one_joint_is_retuned_and_the_step_is_undone(open_page, server):
     page.keyboard.press("Tab")
     page.get_by_role("button", name="Undo").click()
     assert server.next() == {"set": [NODES[0], {"gains.p": 80.0}]}
+    type_into(page, "bandwidth", 2)
+    apply(page)
+    faster = {"gains.p": 320.0, "gains.i": 1600.0, "gains.d": 16.0}
+    assert server.next() == {"set": [NODES[0], faster]}
 
 
 def test_the_degree_is_dragged_and_the_certified_interval_is_on_its_slider(open_page, server):

@@ -43,6 +43,26 @@ def test_a_factor_is_of_what_each_has_in_force_however_often_it_is_turned(tuning
         assert tuning.value(node, "gains.p") == 1.5 * tuning.in_force[node]["gains.p"]
 
 
+def test_the_bandwidth_turns_three_gains_and_is_told_of_them(tuning):
+    assert [tuning.bandwidth_factor(node) for node in NODES] == pytest.approx([1.0] * len(NODES))
+    for factor in (3.0, 0.7, 1.5):
+        tuning.stage_bandwidth(NODES, factor)
+    for node in NODES:
+        before, after = tuning.in_force[node], tuning.chosen(node)
+        ratios = [after[f"gains.{each}"] / before[f"gains.{each}"] for each in "pid"]
+        assert ratios == pytest.approx([1.5**2, 1.5**3, 1.5])
+        assert tuning.bandwidth_factor(node) == pytest.approx(1.5)
+    tuning.stage(NODES, "gains.d", 1.0)
+    assert tuning.bandwidth_factor(NODES[0]) is None
+
+
+@pytest.mark.parametrize("factor", [0.0, -1.0, float("nan"), float("inf"), 1e200])
+def test_a_bandwidth_that_no_gains_have_stages_nothing(tuning, factor):
+    with pytest.raises(SettingError):
+        tuning.stage_bandwidth(NODES, factor)
+    assert tuning.staged_sets(NODES) == {}
+
+
 @pytest.mark.parametrize("value", [0.6, float("nan"), "fast", None, True])
 def test_a_value_that_a_parameter_does_not_take_stages_nothing(tuning, value):
     with pytest.raises(SettingError, match="mu"):
