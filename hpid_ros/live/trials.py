@@ -335,7 +335,7 @@ class Trials:
             elif motion.stage == "moving" and self.stage is not Stage.MOVING:
                 self.stage = Stage.MOVING
                 self._say(f"{label}: moving")
-            if self._is_left():
+            if self._is_cancelled or self._is_left():
                 self.cancel()
             await asyncio.sleep(_LOOK_PERIOD)
         self._is_held_over = self._is_held  # the next motion wants a press of its own
@@ -374,6 +374,8 @@ class Trials:
         for _ in range(1 + round(patience / _ASKED_EVERY)):
             if await self._session.send_if_other(wanted, f"{label}, for the trial"):
                 return
+            if self._is_cancelled:
+                raise RunError("cancelled")
             if patience:
                 await asyncio.sleep(_ASKED_EVERY)
         raise RunError(f"{label} was refused")

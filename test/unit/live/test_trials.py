@@ -1,0 +1,153 @@
+"""Test motions of the live page: once more, or to an end, whatever a person or a page does."""
+
+import asyncio
+
+import pytest
+from harness.simulated_graph import SimulatedGraph, arm
+
+from hpid_ros.experiment.live.watching import RELEASED, Ending
+from hpid_ros.live import trials as module
+from hpid_ros.live.seen import as_running
+from hpid_ros.live.session import LiveSession
+from hpid_ros.live.trials import MotionWish, Stage, Trials, Variant
+
+NODE = next(iter(arm()))
+PAGE = "page"
+IN_FORCE, CHOSEN = Variant("in force"), Variant("chosen", {NODE: {"gains.p": 99.0}})
+
+
+class MovedGraph(SimulatedGraph):
+    def running(self, nodes, state_of):
+        seen = self.controllers()
+        return as_running(
+            [seen[n] for n in nodes], {n: {} for n in nodes}, state_of, has_commands=True
+        )
+
+
+class Motion:
+    """Is soon ready, moves when it is pressed, and ends for a reason or when it is released."""
+
+    def __init__(self, bag, reason=None):
+        self.bag, self.stage, self.ending = bag, "preparing", None
+        self._reason = reason
+        asyncio.get_running_loop().call_later(0.1, self._be_ready)
+
+    def _be_ready(self):
+        if self.stage == "preparing":
+            self.stage = "ready"
+
+    def press(self):
+        if self.stage == "ready":
+            self.stage = "moving"
+        elif self._reason is not None:
+            self._end(self._reason)
+
+    def release(self):
+        if self.stage != "ended":
+            self._end(RELEASED)
+
+    def _end(self, reason):
+        self.ending = Ending(reason, is_interrupted=False, is_at_rest=True)
+        self.stage = "ended"
+
+
+class Bench:
+    """Trials of one joint, and the motions that were begun."""
+
+    def __init__(self, reason=None):
+        self.graph = MovedGraph(arm())
+        self.session = LiveSession(self.graph, Unasked())
+        self.session.pulse()
+        self.session.desk.join(PAGE)
+        self.motions = []
+        self.trials = Trials(self.session, self._start)
+        self._reason = reason
+
+    def _start(self, planned, controllers, graph, bag, states):
+        self.motions.append(Motion(bag, self._reason))
+        return self.motions[-1]
+
+    def run(self, course, variants=(IN_FORCE,)):
+        """Carry a trial out while somebody does something."""
+
+        async def both():
+            trial = self.trials.run(PAGE, [NODE], MotionWish(), variants, is_kept=False)
+            await asyncio.wait_for(asyncio.gather(trial, course(self)), 20.0)
+
+        asyncio.run(both())
+        assert self.trials.stage is Stage.IDLE
+        return self.trials.said
+
+    async def reach(self, stage, motions=1):
+        while self.trials.stage is not stage or len(self.motions) < motions:
+            await asyncio.sleep(0.01)
+
+
+class Unasked:
+    """Advice that nobody asks for."""
+
+
+async def let_go_and_cancel(bench):
+    await bench.reach(Stage.READY)
+    bench.trials.press(PAGE)
+    await bench.reach(Stage.MOVING)
+    bench.trials.release(PAGE)
+    await bench.reach(Stage.READY, motions=2)
+    bench.trials.cancel()
+
+
+def test_a_motion_whose_button_was_let_go_is_prepared_once_more_until_it_is_cancelled():
+    bench = Bench()
+    assert bench.run(let_go_and_cancel) == "cancelled"
+    assert len({each.bag for each in bench.motions}) == 2
+    assert any(RELEASED in each.text for each in bench.session.log)
+
+
+def test_a_motion_that_a_limit_stopped_is_not_tried_again():
+    async def hold(bench):
+        await bench.reach(Stage.READY)
+        while bench.trials.stage is not Stage.IDLE:
+            bench.trials.press(PAGE)
+            await asyncio.sleep(0.02)
+
+    bench = Bench("joint 1 is too fast")
+    assert bench.run(hold) == "stopped: joint 1 is too fast"
+    assert len(bench.motions) == 1
+
+
+def test_what_was_set_for_a_trial_is_set_back_when_it_is_cancelled():
+    async def cancel(bench):
+        await bench.reach(Stage.READY)
+        assert bench.graph.joints[NODE].settings.gains.p == 99.0
+        bench.trials.cancel()
+
+    bench = Bench()
+    before = bench.graph.joints[NODE].settings.gains.p
+    assert bench.run(cancel, (CHOSEN, IN_FORCE)) == "cancelled"
+    assert bench.graph.joints[NODE].settings.gains.p == before
+
+
+@pytest.mark.parametrize("motions", [0, 1])
+def test_a_trial_that_is_cancelled_before_it_is_ready_does_not_become_ready(motions):
+    async def cancel_at_once(bench):
+        await bench.reach(Stage.PREPARING, motions)
+        assert len(bench.motions) == motions
+        bench.trials.cancel()
+
+    bench = Bench()
+    assert bench.run(cancel_at_once, (CHOSEN, IN_FORCE)) == "cancelled"
+    assert not any("hold the button" in each.text for each in bench.session.log)
+
+
+@pytest.mark.parametrize("is_taken", [True, False])
+def test_a_trial_ends_where_another_page_has_control_or_its_own_is_gone(is_taken, monkeypatch):
+    async def leave(bench):
+        await bench.reach(Stage.READY)
+        if is_taken:
+            bench.session.desk.join("another")
+            bench.session.desk.take("another")
+        else:
+            bench.session.desk.leave(PAGE)
+
+    monkeypatch.setattr(module, "_GONE_FOR", 0.2)
+    assert Bench().run(leave) == "cancelled"
