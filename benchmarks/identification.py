@@ -89,7 +89,7 @@ class Drawn:
     truth: Mapping[str, Truth]
 
 
-class Course(NamedTuple):
+class Setup(NamedTuple):
     """How robots are moved.
 
     Attributes:
@@ -139,13 +139,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     print(f"| {' | '.join(_HEADINGS)} |")
     print("|---|---|---|---|---|---|---|---|---|")
     duration = options.duration or (_ALONE if options.alone else _TOGETHER)
-    course = Course(options.engine, duration, options.alone)
+    setup = Setup(options.engine, duration, options.alone)
     seeds = range(options.first, options.first + options.seeds)
     with ProcessPoolExecutor(options.jobs, get_context("spawn")) as pool:
         for robot in options.robots:
             found = []
             for seed, new in zip(
-                seeds, pool.map(_findings, repeat(robot), seeds, repeat(course)), strict=True
+                seeds, pool.map(_findings, repeat(robot), seeds, repeat(setup)), strict=True
             ):
                 found += new
                 if options.verbose:
@@ -170,15 +170,15 @@ def _row(robot: str, name: str, found: Sequence[Finding]) -> str:
     )
 
 
-def _findings(robot: str, seed: int, course: Course) -> list[Finding]:
+def _findings(robot: str, seed: int, setup: Setup) -> list[Finding]:
     """Draw a robot, move it, identify it, and return every number beside its truth."""
     chance = np.random.default_rng([seed, *robot.encode()])
-    drawn = draw(robot, seed, course, chance)
+    drawn = draw(robot, seed, setup, chance)
     joints = drawn.experiment.world.joints
     arm = [name for name in joints if name in drawn.truth]
-    trajectory, windows = excitation(drawn, arm, course, seed)
+    trajectory, windows = excitation(drawn, arm, setup, seed)
     recording = move(replace(drawn.experiment, trajectory=trajectory))
-    if course.is_alone:
+    if setup.is_alone:
         found = [
             identify([record_of(recording, joints, name, window)])[0]
             for name, window in windows.items()
@@ -187,16 +187,16 @@ def _findings(robot: str, seed: int, course: Course) -> list[Finding]:
         body = InverseDynamics(drawn.bare, joints)
         records = [record_of(recording, joints, name) for name in joints]
         found = list(identify(records, body.efforts, wanted=arm, spin=body.spin))
-    return [finding for each in found for finding in _beside_truth(drawn, each, course.is_alone)]
+    return [finding for each in found for finding in _beside_truth(drawn, each, setup.is_alone)]
 
 
-def draw(robot: str, seed: int, course: Course, chance: np.random.Generator) -> Drawn:
+def draw(robot: str, seed: int, setup: Setup, chance: np.random.Generator) -> Drawn:
     """Return a robot with friction, rotors, noise and delay drawn at random.
 
     Args:
         robot: Name of the experiment that it is from.
         seed: Of its encoders' noise.
-        course: How it will be moved.
+        setup: How it will be moved.
         chance: Draws.
     """
     path = find_resource(f"config/experiments/{robot}.yaml")
@@ -218,10 +218,10 @@ def draw(robot: str, seed: int, course: Course, chance: np.random.Generator) -> 
         }
     document: dict[str, Any] = {
         "extends": str(path),
-        "duration": course.duration,
+        "duration": setup.duration,
         "seed": seed,
         "robot": {"fixed_base": True, "joints": amendments},
-        "simulation": {"engine": course.engine},
+        "simulation": {"engine": setup.engine},
         "sensors": {"noise": float(chance.uniform(*_NOISES)), "encoder_counts": _COUNTS},
         "actuators": {"delay": delay},
         "reference": None,
@@ -242,11 +242,11 @@ def _loaded(document: Mapping[str, Any], plain: Experiment) -> Experiment:
 
 
 def excitation(
-    drawn: Drawn, arm: Sequence[str], course: Course, seed: int
+    drawn: Drawn, arm: Sequence[str], setup: Setup, seed: int
 ) -> tuple[JointTrajectory, dict[str, tuple[float, float]]]:
     """Return what ``hpid excite`` would do with these joints, and when each of them moves."""
     joints, start = drawn.experiment.world.joints, drawn.experiment.world.initial_positions
-    design = Design(duration=course.duration, are_together=not course.is_alone, seed=seed)
+    design = Design(duration=setup.duration, are_together=not setup.is_alone, seed=seed)
     planned = plan([_bounds(drawn, name) for name in arm], Wish(), design)
     states = np.zeros((3, len(planned.times), len(joints)))
     columns = [joints.index(name) for name in planned.names]

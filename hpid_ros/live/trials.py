@@ -266,22 +266,36 @@ class Trials:
             self._forget()
             self._folder = _new_folder(is_kept=is_kept)
             self._is_kept = is_kept
-            for number, variant in enumerate(variants):
-                found.append(await self._measured(number, nodes, wish, variant))
-            where = f"; recorded in {self._folder}" if is_kept else ""
-            last = f", now in force: {variants[-1].label}" if len(variants) > 1 else ""
-            self._say(f"done{last}{where}")
-        except (HpidError, OSError) as error:
+            await self._carry_out(nodes, wish, variants, found)
+            if found:
+                await self._show(variants, found)
+            if len(found) < len(variants) and any(each.values is not None for each in variants):
+                await self._session.send_if_other(before, "as before the trial")
+                for node, values in staged.items():  # what was chosen is still chosen
+                    for name, value in values.items():
+                        self._session.tuning.stage([node], name, value)
+        except OSError as error:
             self._say(str(error), is_bad=True)
         finally:
             self._motion, self.stage = None, Stage.IDLE
-        if found:
-            await self._show(variants, found)
-        if len(found) < len(variants) > 1:
-            await self._session.send_if_other(before, "as before the trial")
-            for node, values in staged.items():  # what was chosen is still chosen
-                for name, value in values.items():
-                    self._session.tuning.stage([node], name, value)
+
+    async def _carry_out(
+        self,
+        nodes: Sequence[str],
+        wish: MotionWish,
+        variants: Sequence[Variant],
+        found: list[Measured],
+    ) -> None:
+        """Carry out and measure one motion after the other, and say what became of them."""
+        try:
+            for number, variant in enumerate(variants):
+                found.append(await self._measured(number, nodes, wish, variant))
+        except (HpidError, OSError) as error:
+            self._say(str(error), is_bad=True)
+            return
+        where = f"; recorded in {self._folder}" if self._is_kept else ""
+        last = f", now in force: {variants[-1].label}" if len(variants) > 1 else ""
+        self._say(f"done{last}{where}")
 
     async def _show(self, variants: Sequence[Variant], found: Sequence[Measured]) -> None:
         """Make a result of the motions that came to their ends."""

@@ -13,12 +13,16 @@ from hpid_ros.control.settings.table import PARAMETERS, Value
 
 GAINS = ("gains.p", "gains.i", "gains.d")
 SLIDERS = (*GAINS, "mu", "norm.effort_scale")
-BANDWIDTH = "bandwidth"
-"""No parameter, but what turns the three gains at once."""
-
-_LARGEST_FACTOR = 1000.0
-_POWERS = {"gains.p": 2, "gains.i": 3, "gains.d": 1}  # of the bandwidth, on an inertia
 """The parameters that are turned most, each with a slider."""
+
+BANDWIDTH = "bandwidth"
+"""No parameter, but what turns the three gains at once: on an inertia the same loop, faster."""
+
+_POWERS = {
+    **{name: {name: 1} for name in GAINS},
+    BANDWIDTH: {"gains.p": 2, "gains.i": 3, "gains.d": 1},
+}
+_LARGEST_FACTOR = 1000.0
 
 _DECADES = 1.0  # of a gain's slider to either side of where it stood at first
 _NONE = 1e6  # of a limit
@@ -166,27 +170,7 @@ class Tuning:
 
         Args:
             nodes: Full names.
-            name: Of a gain.
-            factor: Positive.
-
-        Raises:
-            SettingError: A product is out of range; nothing is staged.
-        """
-        if not 0.0 < factor < math.inf:
-            raise SettingError(f"a factor must be positive, not {factor:g}")
-        products = {
-            node: _checked(name, factor * float(self.in_force[node][name])) for node in nodes
-        }
-        for node, product in products.items():
-            self.stage([node], name, product)
-
-    def stage_bandwidth(self, nodes: Sequence[str], factor: float) -> None:
-        """Choose gains of so many times the bandwidth in force, on each controller its own.
-
-        On an inertia the linear loop is then the same, so many times as fast.
-
-        Args:
-            nodes: Full names.
+            name: Of a gain, or :data:`BANDWIDTH`: p by its square, i by its cube, d by itself.
             factor: Positive, at most 1000.
 
         Raises:
@@ -194,28 +178,31 @@ class Tuning:
         """
         if not 0.0 < factor <= _LARGEST_FACTOR:
             raise SettingError(
-                f"a factor of the bandwidth must be positive and at most {_LARGEST_FACTOR:g}, "
-                f"not {factor:g}"
+                f"a factor must be positive and at most {_LARGEST_FACTOR:g}, not {factor:g}"
             )
-        products = {
-            (node, name): _checked(name, factor**power * float(self.in_force[node][name]))
+        products = [
+            (node, gain, _checked(gain, factor**power * float(self.in_force[node][gain])))
             for node in nodes
-            for name, power in _POWERS.items()
-        }
-        for (node, name), product in products.items():
-            self.stage([node], name, product)
-
-    def bandwidth_factor(self, node: str) -> float | None:
-        """Return how many times the bandwidth in force is chosen; None if gains differ in more."""
-        factors = [
-            (float(self.value(node, name)) / float(self.in_force[node][name])) ** (1.0 / power)
-            for name, power in _POWERS.items()
-            if float(self.in_force[node][name]) > 0.0
+            for gain, power in _POWERS[name].items()
         ]
-        if not factors:
-            return None
+        for node, gain, product in products:
+            self.stage([node], gain, product)
+
+    def factor(self, node: str, name: str) -> float | None:
+        """Return how many times what is in force is chosen; None where that is no one number.
+
+        Args:
+            node: Full name.
+            name: Of a gain, or :data:`BANDWIDTH`.
+        """
+        in_force = self.in_force[node]
+        factors = [
+            (float(self.value(node, gain)) / float(in_force[gain])) ** (1.0 / power)
+            for gain, power in _POWERS[name].items()
+            if float(in_force[gain]) > 0.0
+        ]
         alike = all(math.isclose(each, factors[0], rel_tol=_TOLERANCE) for each in factors)
-        return factors[0] if alike else None
+        return factors[0] if factors and alike else None
 
     def unstage(self, nodes: Sequence[str] = ()) -> None:
         """Forget what is staged, on these controllers or on all."""

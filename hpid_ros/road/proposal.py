@@ -204,8 +204,10 @@ def _read(
         if joint not in recording.joint_names or joint not in robot.joints:
             who = "the recording" if joint not in recording.joint_names else "the robot"
             warnings.append(f"{joint} is left out: {who} does not have it")
-        elif base is not None and base.is_moving and is_wheel(joint, question.robot, base):
-            warnings.append(f"{joint} is left out: {why_not_wheel(base, is_asked_for=True)}")
+        elif is_wheel(joint, question.robot, base) and (
+            reason := why_not_wheel(base, is_asked_for=True)
+        ):
+            warnings.append(f"{joint} is left out: {reason}")
         else:
             loops.append(controller.settings)
     if not loops:

@@ -96,7 +96,7 @@ class Knob:
 
     @property
     def _is_factor(self) -> bool:
-        return self.name in GAINS and len(self._chosen()) > 1
+        return self.name == BANDWIDTH or (self.name in GAINS and len(self._chosen()) > 1)
 
     def refresh(self) -> None:
         """Show what is chosen, unless somebody is typing here."""
@@ -120,17 +120,12 @@ class Knob:
 
     def _shown(self, nodes: Sequence[str]) -> tuple[float | None, bool]:
         """Return what is chosen, None where that is no one number, and whether it is staged."""
-        tuning, first = self._session.tuning, nodes[0]
-        if self.name == BANDWIDTH:
-            factor = tuning.bandwidth_factor(first)
-            return factor, factor is not None and not math.isclose(factor, 1.0)
-        value, in_force = (
-            float(each[self.name]) for each in (tuning.chosen(first), tuning.in_force[first])
-        )
-        is_staged = any(self.name in tuning.staged.get(node, {}) for node in nodes)
+        tuning = self._session.tuning
         if self._is_factor:
-            return value / in_force if in_force else 1.0, is_staged
-        return value, is_staged
+            factor = tuning.factor(nodes[0], self.name)
+            return factor, factor is not None and not math.isclose(factor, 1.0)
+        is_staged = any(self.name in tuning.staged.get(node, {}) for node in nodes)
+        return float(tuning.value(nodes[0], self.name)), is_staged
 
     def _range_of(self, node: str) -> Range:
         if self.name == BANDWIDTH:
@@ -192,9 +187,7 @@ class Knob:
         self._edited_at = time.monotonic()
         nodes, tuning = self._chosen(), self._session.tuning
         try:
-            if self.name == BANDWIDTH:
-                tuning.stage_bandwidth(nodes, value)
-            elif self._is_factor:
+            if self._is_factor:
                 tuning.stage_factor(nodes, self.name, value)
             else:
                 tuning.stage(nodes, self.name, value)

@@ -115,7 +115,8 @@ def test_a_motion_that_a_limit_stopped_is_not_tried_again():
     assert len(bench.motions) == 1
 
 
-def test_what_was_set_for_a_trial_is_set_back_when_it_is_cancelled():
+@pytest.mark.parametrize("variants", [(CHOSEN, IN_FORCE), (CHOSEN,)])
+def test_what_was_set_for_a_trial_is_set_back_when_it_is_cancelled(variants):
     async def cancel(bench):
         await bench.reach(Stage.READY)
         assert bench.graph.joints[NODE].settings.gains.p == 99.0
@@ -123,7 +124,7 @@ def test_what_was_set_for_a_trial_is_set_back_when_it_is_cancelled():
 
     bench = Bench()
     before = bench.graph.joints[NODE].settings.gains.p
-    assert bench.run(cancel, (CHOSEN, IN_FORCE)) == "cancelled"
+    assert bench.run(cancel, variants) == "cancelled"
     assert bench.graph.joints[NODE].settings.gains.p == before
 
 

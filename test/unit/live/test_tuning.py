@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hpid_ros.base.errors import SettingError
-from hpid_ros.live.tuning import Tuning, slider_range
+from hpid_ros.live.tuning import BANDWIDTH, Tuning, slider_range
 
 NODES = sorted(arm())
 
@@ -44,22 +44,22 @@ def test_a_factor_is_of_what_each_has_in_force_however_often_it_is_turned(tuning
 
 
 def test_the_bandwidth_turns_three_gains_and_is_told_of_them(tuning):
-    assert [tuning.bandwidth_factor(node) for node in NODES] == pytest.approx([1.0] * len(NODES))
+    assert [tuning.factor(node, BANDWIDTH) for node in NODES] == pytest.approx([1.0] * len(NODES))
     for factor in (3.0, 0.7, 1.5):
-        tuning.stage_bandwidth(NODES, factor)
+        tuning.stage_factor(NODES, BANDWIDTH, factor)
     for node in NODES:
         before, after = tuning.in_force[node], tuning.chosen(node)
         ratios = [after[f"gains.{each}"] / before[f"gains.{each}"] for each in "pid"]
         assert ratios == pytest.approx([1.5**2, 1.5**3, 1.5])
-        assert tuning.bandwidth_factor(node) == pytest.approx(1.5)
+        assert tuning.factor(node, BANDWIDTH) == pytest.approx(1.5)
     tuning.stage(NODES, "gains.d", 1.0)
-    assert tuning.bandwidth_factor(NODES[0]) is None
+    assert tuning.factor(NODES[0], BANDWIDTH) is None
 
 
 @pytest.mark.parametrize("factor", [0.0, -1.0, float("nan"), float("inf"), 1e200])
 def test_a_bandwidth_that_no_gains_have_stages_nothing(tuning, factor):
     with pytest.raises(SettingError):
-        tuning.stage_bandwidth(NODES, factor)
+        tuning.stage_factor(NODES, BANDWIDTH, factor)
     assert tuning.staged_sets(NODES) == {}
 
 
