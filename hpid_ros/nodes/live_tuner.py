@@ -79,9 +79,8 @@ USAGE = Usage(
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Run the page, the middleware's threads included, at a low priority."""
-    os.nice(_NICENESS)
-    return executor.run(lambda: [LiveTuner()], args, USAGE)
+    """Run the page."""
+    return executor.run(lambda: [LiveTuner()], args, USAGE, niceness=_NICENESS)
 
 
 if __name__ == "__main__":

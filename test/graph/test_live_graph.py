@@ -76,21 +76,33 @@ class Robot:
         )
 
     def tell(self, count, positions=(0.1, 0.2), velocity=True):
-        """Publish so many states of both joints; each is answered before the next one."""
+        """Publish so many states of both joints; each is answered before the next one.
+
+        The first is published until it is: the match may have been seen on one side only.
+        """
         for _ in range(count):
+            states = {}
             for (node, publisher), position in zip(self.topics.items(), positions, strict=True):
                 names = [JOINTS[node], "other"]
                 template = JointStateTemplate(names, position=True, velocity=velocity)
                 numbers = {"velocity": [0.5, 0.0]} if velocity else {}
-                publisher.publish(
-                    template.encode(self.stamp_ns, position=[position, 9.0], **numbers)
+                states[publisher] = template.encode(
+                    self.stamp_ns, position=[position, 9.0], **numbers
                 )
-            stamp_ns, self.stamp_ns = self.stamp_ns, self.stamp_ns + MS
-            self.harness.wait(
-                lambda stamp_ns=stamp_ns: (
-                    self.harness.commands and self.harness.commands[-1].stamp_ns == stamp_ns
-                )
-            )
+            if self.stamp_ns:
+                self._publish(states)
+            self.harness.wait(lambda states=states: self._is_answered(states), what="an answer")
+            self.stamp_ns += MS
+
+    def _publish(self, states):
+        for publisher, state in states.items():
+            publisher.publish(state)
+
+    def _is_answered(self, states):
+        if not self.stamp_ns:
+            self._publish(states)
+        commands = self.harness.commands
+        return bool(commands) and commands[-1].stamp_ns == self.stamp_ns
 
 
 @pytest.fixture

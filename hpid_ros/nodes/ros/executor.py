@@ -51,6 +51,7 @@ from hpid_ros.nodes.ros.process import (
 )
 from hpid_ros.nodes.ros.rclpy_internals import given_parameters
 from hpid_ros.nodes.ros.services import declared_names, guard_services
+from hpid_ros.nodes.ros.status import flush_events
 from hpid_ros.nodes.ros.supervisor import Supervisor
 from hpid_ros.nodes.ros.usage import Usage, is_asked_for
 
@@ -61,6 +62,7 @@ FAILED = 1
 """Exit code of a process that a callback ended, or whose joint another controller holds."""
 
 _WIND_DOWN_WITHIN = 4.5  # [s] from the request to the close of the nodes
+_EVENTS_WITHIN = 0.5  # [s] for a parent that is slow to read
 _SWITCH_INTERVAL = 5e-4  # [s]; how late a thread beside the loop (a decoder) makes a sample
 _DEADLINE = 86400.0  # [s]; any finite one: spinning goes on when it passes
 
@@ -225,6 +227,7 @@ def run(
     make_nodes: Callable[[], Sequence[ClosingNode]],
     args: Sequence[str] | None = None,
     usage: Usage | None = None,
+    niceness: int = 0,
 ) -> int:
     """Run nodes until a signal or one of them ends the process.
 
@@ -232,6 +235,7 @@ def run(
         make_nodes: Makes the nodes once the context is there.
         args: Command line with ROS arguments; None for that of the process.
         usage: What ``--help`` prints; nothing is started then.
+        niceness: By how much the process, the middleware's threads included, yields to others.
 
     Returns:
         The exit code where nothing was started: 0 for help, 2 when arguments cannot be used. Else
@@ -250,6 +254,7 @@ def run(
         if surplus:
             what = " ".join(surplus)
             return _refuse(f"unknown arguments {what}; parameters follow --ros-args -p")
+        os.nice(niceness)
         rclpy.init(args=command_line, signal_handler_options=SignalHandlerOptions.NO)
     except (RuntimeError, ValueError) as error:
         return _refuse(_ros_error(error))
@@ -257,6 +262,7 @@ def run(
     try:
         with Supervisor() as supervisor:
             code = _run_in_context(make_nodes, command_line, supervisor)
+        flush_events(_EVENTS_WITHIN)
         end_in_time()  # from here, and where no node was made
         rclpy.try_shutdown()
         if supervisor.ends_by is not None:

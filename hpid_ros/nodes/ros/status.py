@@ -8,7 +8,11 @@ from __future__ import annotations
 
 import json
 import os
+import select
 import stat
+import threading
+import time
+from collections import deque
 from collections.abc import Mapping
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -31,10 +35,64 @@ def _pipes() -> frozenset[int]:
 
 _HIGHEST = 1024  # the usual limit
 _HANDED_DOWN = _pipes()  # before this process has opened any of its own
+_WAITING = 1000  # lines, for a parent that does not read
+
+
+class _Outlet:
+    """The way to a parent, which all nodes of a process share and which makes none of them wait.
+
+    What a full pipe does not take waits for the next line, the last thousand lines of it.
+
+    Args:
+        fd: File descriptor of the pipe.
+    """
+
+    def __init__(self, fd: int) -> None:
+        self._fd = fd
+        self._room = select.poll()
+        self._room.register(fd, select.POLLOUT)
+        self._begun = b""
+        self._lines: deque[bytes] = deque(maxlen=_WAITING)
+        self._lock = threading.Lock()
+
+    def put(self, line: bytes) -> None:
+        with self._lock:
+            self._lines.append(line)
+            self._write(0.0)
+
+    def flush(self, within: float) -> None:
+        with self._lock:
+            self._write(within)
+
+    def _write(self, within: float) -> None:
+        deadline = time.monotonic() + within
+        while self._fd >= 0 and (self._begun or self._lines):
+            self._begun = self._begun or self._lines.popleft()
+            if not self._room.poll(max(0.0, deadline - time.monotonic()) * 1e3):
+                return
+            try:  # a pipe with room has it for so many bytes
+                written = os.write(self._fd, self._begun[: select.PIPE_BUF])
+            except OSError:  # the parent is gone; the node's own stop is not this pipe's business
+                self._fd = -1
+                return
+            self._begun = self._begun[written:]
+
+
+_OUTLETS: dict[int, _Outlet] = {}
+
+
+def flush_events(within: float) -> None:
+    """Give a parent that is slow to read this long to take what waits for it.
+
+    Args:
+        within: In [s].
+    """
+    for outlet in _OUTLETS.values():
+        outlet.flush(within)
 
 
 class StatusPipe:
-    """Writes events for a parent; does nothing when there is none.
+    """Writes events for a parent; does nothing when there is none, and waits for nobody to read.
 
     Args:
         node: The node; it gets the parameter ``status_fd``.
@@ -45,7 +103,9 @@ class StatusPipe:
             node, "status_fd", -1, "File descriptor for one JSON line per event; -1 for none"
         )
         # The parameters of a node that had a parent may have been dumped and given to this one.
-        self._fd = fd if fd in _HANDED_DOWN else -1
+        self._outlet = None
+        if fd in _HANDED_DOWN:
+            self._outlet = _OUTLETS[fd] = _OUTLETS.get(fd) or _Outlet(fd)
 
     def send(self, event: str, **values: object) -> None:
         """Write one event.
@@ -54,13 +114,8 @@ class StatusPipe:
             event: Its name.
             values: What belongs to it; numbers, texts, lists and mappings of those.
         """
-        if self._fd < 0:
-            return
-        line = json.dumps({"event": event, **values}) + "\n"
-        try:
-            os.write(self._fd, line.encode())
-        except OSError:  # the parent is gone; the node's own stop is not this pipe's business
-            self._fd = -1
+        if self._outlet is not None:
+            self._outlet.put((json.dumps({"event": event, **values}) + "\n").encode())
 
 
 OK = DiagnosticStatus.OK
