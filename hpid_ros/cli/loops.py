@@ -103,3 +103,20 @@ def judged_loops(options: argparse.Namespace, file: ParameterFile) -> list[Loop]
     loops = file.loops.values()
     known = {**file.inertias, **inertias_from(options, [each.joint for each in loops])}
     return [(each, inertia_of(each, known.get(each.joint))) for each in loops]
+
+
+def sliding_joints(options: argparse.Namespace, experiment: Experiment | None) -> frozenset[str]:
+    """Return the joints that slide, where a robot says so: ``--urdf``, or else the experiment's.
+
+    Args:
+        options: With what :func:`.add_robot_options` adds.
+        experiment: The file's, if it is one.
+
+    Raises:
+        RobotDescriptionError: The robot cannot be read.
+    """
+    from hpid_ros.cli.robot_options import load_robot
+
+    if options.urdf:
+        return load_robot(options.urdf).description.slides
+    return frozenset() if experiment is None else experiment.slides

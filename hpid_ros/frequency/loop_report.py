@@ -21,12 +21,14 @@ class LoopReport:
         found: Their margins.
         verdict: On the law whose multiplier moves.
         measured: The joint by a recording, and how far it is from the PID computed; or None.
+        is_slide: Whether the joint slides: its inertia is in kg.
     """
 
     family: LoopFamily
     found: FamilyMargins
     verdict: GainVerdict
     measured: tuple[MeasuredJoint, Distance] | None = None
+    is_slide: bool = False
 
     @property
     def pid(self) -> FamilyMargins:

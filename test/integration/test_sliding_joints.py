@@ -435,6 +435,21 @@ def test_check_gains_names_the_unit_of_each_inertia(run, experiment):
     assert "inertia m [kg m^2; kg: PID lift, hPID lift]" in " ".join(text.split()), (code, told)
 
 
+def test_margins_are_drawn_on_the_inertia_in_its_unit(run, experiment, tmp_path):
+    code, *told = run(
+        *("margins", experiment, "--controller", "PID"),
+        *("--friction", "lift=3", "turn=0.1", "--plot", tmp_path / "loop.svg"),
+    )
+    assert code == DONE, told
+    titles = {
+        joint: (tmp_path / f"loop-PID-{joint}.svg").read_text() for joint in ("lift", "turn")
+    }
+    assert "friction 3 N s/m" in titles["lift"]
+    assert re.search(r"inertia [0-9.]+ kg,", titles["lift"])
+    assert "friction 0.1 N m s/rad" in titles["turn"]
+    assert "N s/m" not in titles["turn"]
+
+
 def test_replay_has_newtons_for_a_joint_that_slides(run, result, tmp_path):
     import yaml
 

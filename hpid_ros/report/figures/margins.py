@@ -15,8 +15,10 @@ from matplotlib.ticker import MaxNLocator, MultipleLocator
 
 from hpid_ros.base.arrays import Numbers
 from hpid_ros.base.foreign_text import figure_text
+from hpid_ros.base.units import of_slide
 from hpid_ros.frequency.family import Case, FamilyMargins, LoopFamily
 from hpid_ros.frequency.loop import FrozenLoop
+from hpid_ros.frequency.loop_report import LoopReport
 from hpid_ros.frequency.margins import Margins, frequency_grid
 from hpid_ros.frequency.measured import MeasuredJoint, measured_loop
 from hpid_ros.frequency.plant import Complexes
@@ -49,17 +51,17 @@ _SHOWN = 0.98  # of the frequencies up to half the sampling frequency, where a h
 
 
 @figure_style()
-def margins_figure(
-    name: str, family: LoopFamily, found: FamilyMargins, measured: MeasuredJoint | None = None
-) -> Figure:
+def margins_figure(name: str, report: LoopReport) -> Figure:
     """Return Bode, Nyquist, |S| and |T| of a loop on the inertia where its PID is worst.
+
+    The band of a homogeneous law is over all its multipliers; a recording is drawn as points.
 
     Args:
         name: Of the loop.
-        family: Its frozen loops; the band of a homogeneous law is over all its multipliers.
-        found: Their margins.
-        measured: The joint by a recording, drawn as points.
+        report: What is known of it.
     """
+    family, found = report.family, report.found
+    measured = None if report.measured is None else report.measured[0]
     worst = _worst_of_pid(found)
     pid = family.loop(worst.inertia)
     least, largest = family.multipliers[0], family.multipliers[-1]
@@ -77,7 +79,7 @@ def margins_figure(
     _draw_nyquist(nyquist, lines, worst.margins, extreme)
     _draw_peak(panels[2], lines, _SENSITIVITY, worst.margins, extreme)
     _draw_peak(complementary, lines, _COMPLEMENTARY, worst.margins, extreme)
-    figure.suptitle(_title(name, family, worst), x=0.01, ha="left", fontsize=10.5)
+    figure.suptitle(_title(name, report, worst), x=0.01, ha="left", fontsize=10.5)
     handles = _handles(family, lines)
     legend_outside(figure, handles, "lower", len(handles))
     return laid_out(figure)
@@ -135,14 +137,16 @@ def _frequencies(loops: list[FrozenLoop]) -> Numbers:
     return np.geomspace(max(low, min(grid[0] for grid in grids)), _SHOWN * nyquist, 1500)
 
 
-def _title(name: str, family: LoopFamily, worst: Case) -> str:
-    joint = f"inertia {worst.inertia:.3g} kg m$^2$"
+def _title(name: str, report: LoopReport, worst: Case) -> str:
+    family = report.family
+    joint = f"inertia {worst.inertia:.3g} kg m^2"
     if family.inertia[0] != family.inertia[1]:
         joint += f", where the PID is worst in [{family.inertia[0]:.3g}, {family.inertia[1]:.3g}]"
     if family.friction:
         joint += f", friction {family.friction:.3g} N m s/rad"
     if family.delay:
         joint += f", delay {1e3 * family.delay:.3g} ms"
+    joint = of_slide(joint) if report.is_slide else joint.replace("m^2", "m$^2$")
     state = "" if worst.margins is not None else ": the PID is unstable"
     return f"{figure_text(name)}{state}\n{joint}"
 

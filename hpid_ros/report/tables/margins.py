@@ -8,6 +8,7 @@ from collections.abc import Iterable, Mapping
 from rich.console import Console, ConsoleOptions, RenderResult
 from rich.text import Text
 
+from hpid_ros.base.units import of_slide
 from hpid_ros.frequency.family import FamilyMargins
 from hpid_ros.frequency.loop_report import LoopReport
 from hpid_ros.frequency.measured import Distance, MeasuredJoint
@@ -139,7 +140,7 @@ def _lines(report: LoopReport) -> list[tuple[str, str]]:
         lines.append((report.verdict.reason, "red"))
     if report.measured is not None:
         lines.append((_measured_text(*report.measured), ""))
-    return lines
+    return [(of_slide(line), style) for line, style in lines] if report.is_slide else lines
 
 
 def _measured_text(joint: MeasuredJoint, apart: Distance) -> str:

@@ -14,7 +14,13 @@ from rich.text import Text
 from hpid_ros.base.errors import SettingError
 from hpid_ros.base.units import of_slide, unit_over
 from hpid_ros.cli.commands import DONE, FAILED
-from hpid_ros.cli.loops import judged_loops, loop_file, named_loops, shown_name
+from hpid_ros.cli.loops import (
+    judged_loops,
+    loop_file,
+    named_loops,
+    shown_name,
+    sliding_joints,
+)
 from hpid_ros.cli.robot_options import add_robot_options, load_robot
 from hpid_ros.control.norms import GOOD_SAMPLING_MARGIN
 from hpid_ros.report.tables.wide_table import TableColumn, WideTable
@@ -168,7 +174,8 @@ def run(options: argparse.Namespace) -> int:
     if options.json:
         print(json.dumps({name: each.as_mapping() for name, each in by_name.items()}, indent=2))
     else:
-        slides = _slides(options)
+        found = loop_file(options.file) if options.file else None
+        slides = sliding_joints(options, found and found.experiment)
         sliding = [
             name
             for name, settings in zip(by_name, loops.values(), strict=True)
@@ -181,14 +188,6 @@ def run(options: argparse.Namespace) -> int:
             print(finding.text)
     is_settling = all(each.is_settling for each in settling)
     return DONE if is_settling and all(each.is_certified for each in verdicts) else FAILED
-
-
-def _slides(options: argparse.Namespace) -> frozenset[str]:
-    """Return the joints that slide, where a robot says so."""
-    if options.urdf:
-        return load_robot(options.urdf).description.slides
-    experiment = loop_file(options.file).experiment if options.file else None
-    return frozenset() if experiment is None else experiment.slides
 
 
 def _settling(options: argparse.Namespace, loops: Mapping[str, LoopSettings]) -> list[Settling]:

@@ -13,7 +13,14 @@ from hpid_ros import __version__
 from hpid_ros.base.errors import HpidError, SettingError, unknown_name
 from hpid_ros.base.output_files import refuse_output, write_file
 from hpid_ros.cli.commands import DONE, FAILED
-from hpid_ros.cli.loops import LoopFile, judged_loops, loop_file, named_loops, shown_name
+from hpid_ros.cli.loops import (
+    LoopFile,
+    judged_loops,
+    loop_file,
+    named_loops,
+    shown_name,
+    sliding_joints,
+)
 from hpid_ros.cli.options import add_joints
 from hpid_ros.cli.robot_options import add_robot_options
 
@@ -117,10 +124,12 @@ def run(options: argparse.Namespace) -> int:
     reports: dict[str, LoopReport] = {}
     with joint_progress(TextConsole(stderr=True), "certified", len(judged)) as tell:
         verdicts = check_gains(judged, tell)
+    slides = sliding_joints(options, found.experiment)
     for name, family, verdict in zip(names, families, verdicts, strict=True):
         joint = measured.get(family.settings.joint)
         apart = None if joint is None else (joint, distance(_nearest(family, joint), joint))
-        reports[name] = LoopReport(family, family_margins(family), verdict, apart)
+        is_slide = family.settings.joint in slides
+        reports[name] = LoopReport(family, family_margins(family), verdict, apart, is_slide)
     written = _write(options, reports, charts)
     output_console().print(MarginTable(reports))
     for path in written:
@@ -350,8 +359,7 @@ def _write(
             from hpid_ros.report.figures.plots import render
 
             each = reports[name]
-            joint = None if each.measured is None else each.measured[0]
-            figure = margins_figure(name, each.family, each.found, joint)
+            figure = margins_figure(name, each)
             write_file(path, render(figure, path.suffix.lower().removeprefix(".")))
             written.append(path)
     except OSError as error:
