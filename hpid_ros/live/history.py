@@ -292,3 +292,28 @@ def extremes(times: Numbers, values: Numbers, most: int = 4) -> list[float]:
         places = sorted(ends)
         times, values = times[places], values[places]
     return [float(each) for pair in zip(times, values, strict=True) for each in pair]
+
+
+class RisingCount:
+    """Whether a count that a controller tells has grown lately.
+
+    Args:
+        within: What lately is, in [s].
+    """
+
+    def __init__(self, within: float) -> None:
+        self._within = within
+        self._count: int | None = None
+        self._grew_at = -math.inf
+
+    def tell(self, count: int, now: float) -> bool:
+        """Take the count of now, and tell whether it has grown lately; a lesser one begins anew.
+
+        Args:
+            count: The count.
+            now: In [s], on a clock that does not go back.
+        """
+        if self._count is not None and count > self._count:
+            self._grew_at = now
+        self._count = count
+        return now <= self._grew_at + self._within

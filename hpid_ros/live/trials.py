@@ -9,16 +9,11 @@ import shutil
 import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
 from datetime import datetime
 from enum import Enum
 from pathlib import Path
 from typing import NamedTuple, Protocol
 
-import numpy as np
-
-from hpid_ros.analysis.comparison import Comparison
-from hpid_ros.bags.selection import BagSelection
 from hpid_ros.base.errors import HpidError, RunError, SettingError
 from hpid_ros.excitation.bounds import Wish
 from hpid_ros.excitation.plan import Design, ExcitationPlan, plan
@@ -26,15 +21,12 @@ from hpid_ros.experiment.live.excitation import bounds_of, chosen
 from hpid_ros.experiment.live.graph import RunningController, RunningGraph
 from hpid_ros.experiment.live.watching import RELEASED, Ending
 from hpid_ros.live.session import LiveSession
+from hpid_ros.live.trial_results import TrialResult, Variant, measure_motion
 from hpid_ros.live.tuning import Values
-from hpid_ros.metrics.compare import compare
-from hpid_ros.metrics.measure import Measured, Measuring, measure
-from hpid_ros.recordings.series import JointSeries
+from hpid_ros.metrics.measure import Measured
 
 _LOOK_PERIOD = 0.05  # [s]
-_AFTER = 0.3  # [s] of a recording behind the motion that are measured
 _CERTIFIED_WITHIN, _ASKED_EVERY = 15.0, 1.5  # [s]
-_STANDS_WITHIN = 1e-9  # [rad]
 _LARGEST_TIME = 60.0  # [s]
 _GONE_FOR = 10.0  # [s] until a trial ends whose page is gone
 
@@ -99,36 +91,6 @@ Starter = Callable[
 """Begins a motion: what, whose, on which graph, into which bag, by which topic of states."""
 
 
-@dataclass(frozen=True)
-class Variant:
-    """What controllers are set to for one motion.
-
-    Attributes:
-        label: What it is called.
-        values: All loop parameters by node; None for what is in force.
-    """
-
-    label: str
-    values: Mapping[str, Values] | None = None
-
-
-@dataclass(frozen=True)
-class TrialResult:
-    """Motions that were measured.
-
-    Attributes:
-        variants: In their order.
-        runs: Of each.
-        comparison: Of all, ratios to the first.
-        bags: Their recordings.
-    """
-
-    variants: tuple[Variant, ...]
-    runs: tuple[Measured, ...]
-    comparison: Comparison
-    bags: tuple[Path, ...]
-
-
 class Trials:
     """One trial at a time, of the page that has the controllers in hand.
 
@@ -156,8 +118,14 @@ class Trials:
         self._is_kept = False
         self._is_held = self._is_held_over = self._is_released = False
         self._is_cancelled = False
-        self._here_at = 0.0
+        self._here_at = self._ends_at = 0.0
         self.number = self.count = 0
+
+    @property
+    def seconds_left(self) -> float | None:
+        """For how long the button has to be held from now on, in [s]; None while nothing moves."""
+        is_moving = self.stage is Stage.MOVING
+        return max(self._ends_at - time.monotonic(), 0.0) if is_moving else None
 
     def plan(self, nodes: Sequence[str], wish: MotionWish) -> ExcitationPlan:
         """Return the motion of joints, within their limits.
@@ -300,12 +268,9 @@ class Trials:
     async def _show(self, variants: Sequence[Variant], found: Sequence[Measured]) -> None:
         """Make a result of the motions that came to their ends."""
         try:
-            comparison = await asyncio.to_thread(compare, found)
+            self.result = await asyncio.to_thread(TrialResult.of, variants, found)
         except HpidError as error:
             self._say(str(error), is_bad=True)
-            return
-        bags = tuple(each.path for each in found)
-        self.result = TrialResult(tuple(variants)[: len(found)], tuple(found), comparison, bags)
 
     async def _measured(
         self, number: int, nodes: Sequence[str], wish: MotionWish, variant: Variant
@@ -332,7 +297,7 @@ class Trials:
             self._explain(ending, label)
         self.stage = Stage.MEASURING
         self._say(f"{label}: measuring, let go")
-        return await asyncio.to_thread(_measure, bag, variant.label, planned)
+        return await asyncio.to_thread(measure_motion, bag, variant.label, planned)
 
     async def _ending(self, motion: HeldMotion, label: str, duration: float) -> Ending:
         """Wait for a motion's end.
@@ -347,7 +312,7 @@ class Trials:
                 self.stage = Stage.READY
                 self._say(f"{label}: hold the button, {duration:.1f} s")
             elif motion.stage == "moving" and self.stage is not Stage.MOVING:
-                self.stage = Stage.MOVING
+                self.stage, self._ends_at = Stage.MOVING, time.monotonic() + duration
                 self._say(f"{label}: moving")
             if self._is_cancelled or self._is_left():
                 self.cancel()
@@ -413,32 +378,6 @@ class Trials:
         """Stop what is under way, and remove what nobody wanted to keep."""
         self.cancel()
         self._forget()
-
-
-def _measure(bag: Path, label: str, planned: ExcitationPlan) -> Measured:
-    """Measure a recording from the plan's start on.
-
-    What a joint was told before, which is still on the graph, is in the recording, too: so the
-    start is counted back from when the last reference came to rest.
-
-    Raises:
-        HpidError: The recording cannot be read, or no reference moves in it.
-    """
-    selection = BagSelection(joints=planned.names)
-    series = measure(bag, label, Measuring(selection)).series
-    assert series is not None
-    rests = [_rests_at(each) for each in series.joints if each.has_reference]
-    if not rests:
-        raise RunError(f"{label}: the recording tells no reference")
-    begin = max(max(rests) - max(each.end for each in planned.joints), 0.0)
-    end = begin + planned.duration + _AFTER
-    return measure(bag, label, Measuring(replace(selection, start=begin, end=end)))
-
-
-def _rests_at(series: JointSeries) -> float:
-    """Return when a reference changes for the last time, in [s]."""
-    moved = np.flatnonzero(np.abs(series.reference - series.reference[-1]) > _STANDS_WITHIN)
-    return float(series.time[moved[-1]]) if len(moved) else 0.0
 
 
 def _as_file(label: str) -> str:

@@ -3,23 +3,30 @@
 import os
 import signal
 import threading
+import time
 from functools import partial
 
 import numpy as np
 import pytest
 from harness.graph import ros_arguments
+from harness.simulated_graph import loop_settings
+from rcl_interfaces.msg import ParameterEvent
+from rcl_interfaces.srv import GetParameters
 from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.qos import qos_profile_parameter_events
 from rclpy.task import Future
 from sensor_msgs.msg import JointState
 
 from hpid_ros.control.settings.table import PARAMETERS
 from hpid_ros.live.graph import Samples
+from hpid_ros.nodes.parts.tuner import live_graph
 from hpid_ros.nodes.parts.tuner.live_graph import LiveGraph
 from hpid_ros.nodes.parts.tuner.orders import parameter
 from hpid_ros.nodes.ros.executor import ClosingNode
 from hpid_ros.nodes.ros.middleware import OFFERED
+from hpid_ros.nodes.ros.status import OK, Diagnostics
 from hpid_ros.wire import JointStateTemplate
 
 MS = 1_000_000
@@ -306,6 +313,8 @@ def test_controllers_are_stopped_and_come_back_with_the_parameters_that_they_hav
     robot.start(ELBOW, gains__p=3.0)
     harness.wait(lambda: graph.controllers()[ELBOW].is_here)
     assert found(harness, graph)[ELBOW].values["gains.p"] == 3.0
+    # Whoever is frozen before it has found the client never gets what is asked.
+    harness.wait(lambda: answered(harness, graph.set(ELBOW, {"gains.p": 3.5})).is_taken)
 
     process = harness.processes.nodes["elbow_controller"].process
     os.kill(process.pid, signal.SIGSTOP)
@@ -313,3 +322,64 @@ def test_controllers_are_stopped_and_come_back_with_the_parameters_that_they_hav
     assert answer == (False, "no answer within 2 s: it may have been taken")
     os.kill(process.pid, signal.SIGCONT)
     harness.wait(lambda: graph.controllers()[ELBOW].values["gains.p"] == 4.0)
+
+
+class Forgetful:
+    """A controller that is set while it answers what its parameters are, and that tells late."""
+
+    NAME = "/late_controller"
+
+    def __init__(self, harness):
+        self.node = Node(self.NAME[1:], context=harness.context, start_parameter_services=False)
+        harness.executor.add_node(self.node)
+        self.values = {
+            **{name: each.default for name, each in PARAMETERS.items()},
+            **loop_settings("elbow").to_parameters(),
+            **{"robot_description": "", "introspection_rate": 20.0, "require_certificate": False},
+        }
+        self.told = []  # while it answers
+        self._events = self.node.create_publisher(
+            ParameterEvent, "/parameter_events", qos_profile_parameter_events
+        )
+        self._diagnostics = Diagnostics(self.node, "elbow")
+        self.node.create_service(GetParameters, f"{self.NAME}/get_parameters", self._answer)
+
+    def _answer(self, request, response):
+        values = [self._message(name).value for name in request.names]
+        if self.told:
+            self.values["gains.p"] = self.told.pop()
+            changed = [self._message("gains.p")]
+            self._events.publish(ParameterEvent(node=self.NAME, changed_parameters=changed))
+        response.values = values
+        return response
+
+    def _message(self, name):
+        return parameter(name, self.values[name]).to_parameter_msg()
+
+    def tell_health(self):
+        self._diagnostics.publish(OK, "", {"missed samples": 0, "certified degrees": "none"})
+
+
+def test_what_was_read_before_a_set_does_not_hide_it(harness, graph):
+    late = Forgetful(harness)
+    late.told = [111.0]
+    harness.wait(lambda: late.NAME in graph.controllers(), what="it")
+    harness.wait(lambda: graph.controllers()[late.NAME].values["gains.p"] == 111.0, within=15.0)
+
+
+def test_a_controller_that_was_silent_is_read_anew(harness, graph, monkeypatch):
+    monkeypatch.setattr(live_graph, "_SILENT", 0.3)
+    late = Forgetful(harness)
+    harness.wait(lambda: late.NAME in graph.controllers(), what="it")
+
+    def is_heard():
+        late.tell_health()
+        return graph.controllers()[late.NAME].health is not None
+
+    harness.wait(is_heard)
+    late.values["gains.p"] = 112.0  # and nobody hears of it
+    since = time.monotonic()
+    harness.wait(lambda: time.monotonic() > since + 0.5)
+    assert graph.controllers()[late.NAME].values["gains.p"] != 112.0
+    late.tell_health()
+    harness.wait(lambda: graph.controllers()[late.NAME].values["gains.p"] == 112.0, within=15.0)

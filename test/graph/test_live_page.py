@@ -74,7 +74,8 @@ def test_a_joint_is_retuned_tried_with_two_settings_and_stopped(harness, page):
 
     page.keyboard.press("Escape")
     logged(page, "turn: deactivated")
-    positions(harness)  # while states go on
+    # What has waited for the test while it waited for the page is behind it then.
+    harness.wait(lambda: harness.commands and harness.commands[-1].effort == (0.0,), what="zero")
     harness.commands.clear()
     positions(harness)
     assert all(each.effort[0] == 0.0 for each in harness.commands)

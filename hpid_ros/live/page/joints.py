@@ -8,8 +8,10 @@ from collections.abc import Callable
 
 from nicegui import ui
 
+from hpid_ros.live.history import RisingCount
 from hpid_ros.live.session import LiveSession
 
+_MISSED_LATELY = 10.0  # [s]
 _SILENT_AFTER = 3.0  # [s] without a word on /diagnostics
 _COLUMNS = ("", "joint", "state", "mean |e|", "largest |e|", "IVC/s", "rms u", "missed", "")
 _LEVELS = ("ok", "warning", "error", "error")
@@ -19,7 +21,8 @@ _TIPS = {
     "largest |e|": "largest absolute error in the window",
     "IVC/s": "variation of the effort per second",
     "rms u": "root mean square of the effort",
-    "missed": "states that the controller has missed since its start",
+    "missed": "states that the controller has missed since its start; coloured where the last "
+    "10 s added some",
 }
 
 
@@ -111,6 +114,7 @@ class _Row:
                 with self._state:
                     self._tip = ui.tooltip("")
             self._figures = []
+            self._missed = RisingCount(_MISSED_LATELY)
             for _ in range(5):
                 with ui.element("td").classes("figure"):
                     self._figures.append(ui.label())
@@ -134,6 +138,9 @@ class _Row:
         )
         found = self._session.indices(self._node, window)
         missed = seen.health.values.get("missed samples", "") if seen.health else ""
+        if missed.isdecimal():
+            rises = self._missed.tell(int(missed), time.monotonic())
+            self._figures[-1].classes(replace="is-bad" if rises else "")
         texts = [_figure(each) for each in (found.itae_rate, found.error, found.ivc_rate)]
         for label, text in zip(
             self._figures, [*texts, _figure(found.effort), missed], strict=True

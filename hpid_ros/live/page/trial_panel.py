@@ -14,7 +14,8 @@ from hpid_ros.base.errors import HpidError
 from hpid_ros.excitation.plan import ExcitationPlan
 from hpid_ros.live.history import extremes
 from hpid_ros.live.session import LiveSession
-from hpid_ros.live.trials import KINDS, MotionWish, Stage, TrialResult, Trials, Variant
+from hpid_ros.live.trial_results import TrialResult, Variant
+from hpid_ros.live.trials import KINDS, MotionWish, Stage, Trials
 
 _IN_FORCE, _CHOSEN = "what is in force", "what is chosen"
 _BUCKETS = 300  # of a curve that is drawn
@@ -100,14 +101,21 @@ class TrialPanel:
         can_move = self._refresh_plan() if is_idle else True
         self._prepare.set_enabled(may and is_idle and can_move)
         self._hold.set_enabled(may and stage in (Stage.READY, Stage.MOVING))
-        which = f" ({self._trials.number} of {self._trials.count})" if not is_idle else ""
-        self._hold.set_text(f"Hold to run{which}")
+        self._hold.set_text(self._hold_text())
         self._cancel.set_enabled(not is_idle)
         self._said.set_text(self._trials.said)
         self._said.classes(replace="is-bad" if self._trials.is_bad else "advice")
         if self._trials.result is not self._shown:
             self._shown = self._trials.result
             self._show_result()
+
+    def _hold_text(self) -> str:
+        trials = self._trials
+        if trials.stage is Stage.IDLE:
+            return "Hold to run"
+        which = f"({trials.number} of {trials.count})"
+        left = trials.seconds_left
+        return f"Hold to run {which}" if left is None else f"Hold: {left:.0f} s {which}"
 
     def _offer(self) -> None:
         names = [_IN_FORCE, _CHOSEN, *self._session.tuning.snapshots]

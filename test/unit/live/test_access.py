@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hpid_ros.base.errors import SettingError
-from hpid_ros.live.access import LOOPBACK, Access, Guard, require_token
+from hpid_ros.live.page.access import LOOPBACK, Access, Guard, require_token
 
 TOKEN = "correct-horse-battery"
 HOST = "127.0.0.1:8080"

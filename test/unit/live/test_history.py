@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from hpid_ros.analysis.indices.integrals import itae, total_variation
 from hpid_ros.live.graph import Samples
-from hpid_ros.live.history import LONGEST, JointHistory, Track, extremes
+from hpid_ros.live.history import LONGEST, JointHistory, RisingCount, Track, extremes
 
 NONE = np.empty((0, 3))
 
@@ -121,3 +121,10 @@ def test_a_pid_has_no_norm_that_is_drawn():
     history = JointHistory(loop_settings("elbow", law="pid"))
     history.append(samples(0, 1, reference=0.1))
     assert history.drawn()["norm"] == []
+
+
+def test_a_count_rises_for_as_long_as_it_has_grown_lately():
+    count = RisingCount(10.0)
+    told = [(5, 0.0), (5, 1.0), (6, 2.0), (6, 12.0), (6, 12.1), (0, 13.0), (2, 14.0)]
+    rises = [count.tell(*each) for each in told]
+    assert rises == [False, False, True, True, False, False, True]

@@ -9,7 +9,8 @@ from hpid_ros.experiment.live.watching import RELEASED, Ending
 from hpid_ros.live import trials as module
 from hpid_ros.live.seen import as_running
 from hpid_ros.live.session import LiveSession
-from hpid_ros.live.trials import MotionWish, Stage, Trials, Variant
+from hpid_ros.live.trial_results import Variant
+from hpid_ros.live.trials import MotionWish, Stage, Trials
 
 NODE = next(iter(arm()))
 PAGE = "page"
@@ -152,3 +153,25 @@ def test_a_trial_ends_where_another_page_has_control_or_its_own_is_gone(is_taken
 
     monkeypatch.setattr(module, "_GONE_FOR", 0.2)
     assert Bench().run(leave) == "cancelled"
+
+
+def test_it_is_told_for_how_long_the_button_has_to_be_held():
+    left = []
+
+    async def hold(bench):
+        await bench.reach(Stage.READY)
+        left.append(bench.trials.seconds_left)
+        bench.trials.press(PAGE)
+        await bench.reach(Stage.MOVING)
+        left.append(bench.trials.seconds_left)
+        await asyncio.sleep(0.1)
+        left.append(bench.trials.seconds_left)
+        bench.trials.cancel()
+
+    bench = Bench()
+    bench.run(hold)
+    duration = bench.trials.plan([NODE], MotionWish()).duration
+    before, begun, later = left
+    assert before is bench.trials.seconds_left is None
+    assert 0.0 < later <= begun - 0.1
+    assert begun <= duration

@@ -60,9 +60,13 @@ class Discovery:
             self._ask(name)
         self._here = here
 
+    def is_reading(self, name: str) -> bool:
+        """Tell whether a node's parameters are being read: what comes may be old by then."""
+        return name in self._asked
+
     def read_anew(self, name: str) -> None:
-        """Read the parameters of a controller again, unless they are being read."""
-        if name in self._here and name not in self._asked:
+        """Read the parameters of a controller again, if it is here and they are not being read."""
+        if name in self._here and not self.is_reading(name):
             self._ask(name)
 
     def _nodes_with_parameters(self) -> set[str]:

@@ -39,6 +39,7 @@ from hpid_ros.wire.parameter_events import ParameterEvent
 _TICK = 0.05  # [s]
 _LOOK_FOR_TOPICS = 1.0  # [s]
 _DECLARED_WITHIN = 0.3  # [s] without a new one, after which a node has declared its parameters
+_SILENT = 3.0  # [s] without a word on /diagnostics, where controllers report once a second
 _CHANGES_KEPT = 1000
 _LIFECYCLE, _SAMPLES = "lifecycle", "samples"
 
@@ -170,8 +171,9 @@ class LiveGraph:
         self._orders.look()
         now = time.monotonic()
         for name in [name for name, due in self._stale.items() if now > due]:
-            del self._stale[name]
-            self._discovery.read_anew(name)
+            if not self._discovery.is_reading(name):
+                del self._stale[name]
+                self._discovery.read_anew(name)
         if now > self._next_look:
             self._next_look = now + _LOOK_FOR_TOPICS
             self._look_for_topics()
@@ -254,6 +256,8 @@ class LiveGraph:
         return self._node.count_publishers(topics.states.name) > 0
 
     def _on_event(self, event: ParameterEvent) -> None:
+        if self._discovery.is_reading(event.node):  # what is read may be older than this
+            self._read_anew(event.node)
         known = self._known.get(event.node)
         if known is None:
             return
@@ -280,6 +284,9 @@ class LiveGraph:
             if name not in self._unusable:
                 self._discovery.read_anew(name)
             return
+        before = self._known[name].seen.health
+        if before is not None and health.heard_at - before.heard_at > _SILENT:
+            self._read_anew(name)  # nobody knows what it was told meanwhile
         self._change(name, health=health, lifecycle=health.values.get(_LIFECYCLE, ""))
         self._orders.hear(name)
 

@@ -1,0 +1,92 @@
+"""What test motions are carried out with, and what their recordings say."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from hpid_ros.analysis.comparison import Comparison
+from hpid_ros.bags.selection import BagSelection
+from hpid_ros.base.errors import RunError
+from hpid_ros.excitation.plan import ExcitationPlan
+from hpid_ros.live.tuning import Values
+from hpid_ros.metrics.compare import compare
+from hpid_ros.metrics.measure import Measured, Measuring, measure
+from hpid_ros.recordings.series import JointSeries
+
+_AFTER = 0.3  # [s] of a recording behind the motion that are measured
+_STANDS_WITHIN = 1e-9  # [rad]
+
+
+@dataclass(frozen=True)
+class Variant:
+    """What controllers are set to for one motion.
+
+    Attributes:
+        label: What it is called.
+        values: All loop parameters by node; None for what is in force.
+    """
+
+    label: str
+    values: Mapping[str, Values] | None = None
+
+
+@dataclass(frozen=True)
+class TrialResult:
+    """Motions that were measured.
+
+    Attributes:
+        variants: In their order.
+        runs: Of each.
+        comparison: Of all, ratios to the first.
+        bags: Their recordings.
+    """
+
+    variants: tuple[Variant, ...]
+    runs: tuple[Measured, ...]
+    comparison: Comparison
+    bags: tuple[Path, ...]
+
+    @classmethod
+    def of(cls, variants: Sequence[Variant], runs: Sequence[Measured]) -> TrialResult:
+        """Compare the motions that came to their ends, the first so many of the variants.
+
+        Raises:
+            HpidError: They cannot be compared.
+        """
+        tried = tuple(variants)[: len(runs)]
+        return cls(tried, tuple(runs), compare(runs), tuple(each.path for each in runs))
+
+
+def measure_motion(bag: Path, label: str, planned: ExcitationPlan) -> Measured:
+    """Measure a recording from the plan's start on.
+
+    What a joint was told before, which is still on the graph, is in the recording, too: so the
+    start is counted back from when the last reference came to rest.
+
+    Args:
+        bag: The recording.
+        label: What it is called.
+        planned: The motion.
+
+    Raises:
+        HpidError: The recording cannot be read, or no reference moves in it.
+    """
+    selection = BagSelection(joints=planned.names)
+    series = measure(bag, label, Measuring(selection)).series
+    assert series is not None
+    rests = [_rests_at(each) for each in series.joints if each.has_reference]
+    if not rests:
+        raise RunError(f"{label}: the recording tells no reference")
+    begin = max(max(rests) - max(each.end for each in planned.joints), 0.0)
+    end = begin + planned.duration + _AFTER
+    return measure(bag, label, Measuring(replace(selection, start=begin, end=end)))
+
+
+def _rests_at(series: JointSeries) -> float:
+    """Return when a reference changes for the last time, in [s]."""
+    moved = np.flatnonzero(np.abs(series.reference - series.reference[-1]) > _STANDS_WITHIN)
+    return float(series.time[moved[-1]]) if len(moved) else 0.0
