@@ -104,10 +104,12 @@ class Answer(NamedTuple):
     Attributes:
         is_taken: Whether it did what was asked.
         reason: The node's own words where it did not, or why there is no answer.
+        is_certain: Whether it has said so; who did not answer may do it yet.
     """
 
     is_taken: bool
     reason: str = ""
+    is_certain: bool = True
 
 
 @dataclass(frozen=True)

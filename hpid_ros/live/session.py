@@ -20,7 +20,7 @@ from hpid_ros.live.adviser import AdviceClient
 from hpid_ros.live.desk import Desk, Limit
 from hpid_ros.live.graph import Answer, Graph, Samples, SeenController
 from hpid_ros.live.history import JointHistory, WindowIndices
-from hpid_ros.live.tuning import Tuning, Values, differences
+from hpid_ros.live.tuning import Tuning, Values, differences, same
 from hpid_ros.tuning.controller_files import parameters_from
 
 _SETS, _SETS_WITHIN = 5, 1.0  # acts of a person in [s]
@@ -86,6 +86,7 @@ class LiveSession:
         self._known: dict[tuple[str, bool], tuple[Values, Advice]] = {}
         self._asked: dict[tuple[str, bool], Values] = {}
         self._limit = Limit(_SETS, _SETS_WITHIN)
+        self._acting = asyncio.Lock()  # what one act replaces is what the one before it has set
         self._marked = 0
         self._here: dict[str, bool] = {}
         self._watched: tuple[str, ...] = ()
@@ -203,19 +204,20 @@ class LiveSession:
         Returns:
             Whether all took it.
         """
-        sets = self.tuning.staged_sets(nodes)
-        for node in sets:
-            objection = self.tuning.objection(node)
-            if objection:
-                self.say(f"{self.label(node)}: not sent: {objection}", is_bad=True)
+        async with self._acting:
+            sets = self.tuning.staged_sets(nodes)
+            for node in sets:
+                objection = self.tuning.objection(node)
+                if objection:
+                    self.say(f"{self.label(node)}: not sent: {objection}", is_bad=True)
+                    return False
+            if not sets:
+                self.say("nothing is staged")
                 return False
-        if not sets:
-            self.say("nothing is staged")
-            return False
-        return await self.send(sets, what or _summary(sets))
+            return await self._send(sets, what or _summary(sets))
 
-    async def send(self, sets: Mapping[str, Values], what: str, *, is_kept: bool = True) -> bool:
-        """Have controllers take sets. Where one refuses, the others get theirs back.
+    async def _send(self, sets: Mapping[str, Values], what: str, *, is_kept: bool = True) -> bool:
+        """Have controllers take sets. Where one does not, the others get theirs back.
 
         Args:
             sets: By node.
@@ -230,25 +232,45 @@ class LiveSession:
             return False
         before = {node: dict(self.tuning.in_force[node]) for node in sets}
         answers = await self._asked_all(sets)
-        taken = {node: sets[node] for node, answer in answers.items() if answer.is_taken}
         refused = {node: each.reason for node, each in answers.items() if not each.is_taken}
         if not refused:
-            for node, values in taken.items():
-                self.tuning.see(node, {**before[node], **values})
+            for node, values in sets.items():
+                self.tuning.see(node, {**self.tuning.in_force[node], **values})
             if is_kept:
-                self.tuning.note(what, taken, before)
+                self.tuning.note(what, sets, before)
             return True
         for node, reason in refused.items():
             self.say(f"{self.label(node)} refused: {reason}", is_bad=True)
-        if taken:
-            back = {node: {name: before[node][name] for name in taken[node]} for node in taken}
-            undone = await self._asked_all(back)
-            names = ", ".join(self.label(node) for node in taken)
-            self.say(f"{names}: set back, because another one refused")
-            for node, answer in undone.items():
-                if not answer.is_taken:
-                    self.say(f"{self.label(node)}: NOT set back: {answer.reason}", is_bad=True)
+        await self._set_back(sets, answers, before)
         return False
+
+    async def _set_back(
+        self,
+        sets: Mapping[str, Values],
+        answers: Mapping[str, Answer],
+        before: Mapping[str, Values],
+    ) -> None:
+        """Give those that took their sets, or may yet take them, what they had.
+
+        What somebody else has set meanwhile stays.
+        """
+        back: dict[str, Values] = {}
+        for node, answer in answers.items():
+            now = self.controllers[node]
+            if now.is_here and (answer.is_taken or not answer.is_certain):
+                known = {name: (value, before[node][name]) for name, value in sets[node].items()}
+                back[node] = {
+                    name: old
+                    for name, (new, old) in known.items()
+                    if same(now.values[name], new) or same(now.values[name], old)
+                }
+        undone = await self._asked_all({node: each for node, each in back.items() if each})
+        if any(each.is_taken for each in undone.values()):
+            names = ", ".join(self.label(node) for node in undone if undone[node].is_taken)
+            self.say(f"{names}: set back, because not every one took it")
+        for node, answer in undone.items():
+            if not answer.is_taken:
+                self.say(f"{self.label(node)}: NOT set back: {answer.reason}", is_bad=True)
 
     async def _asked_all(self, sets: Mapping[str, Values]) -> dict[str, Answer]:
         futures = [asyncio.wrap_future(self.graph.set(node, each)) for node, each in sets.items()]
@@ -256,32 +278,35 @@ class LiveSession:
 
     async def undo(self) -> bool:
         """Take the newest step back."""
-        try:
-            sets = self.tuning.undoing()
-        except SettingError as error:
-            self.say(str(error), is_bad=True)
+        async with self._acting:
+            try:
+                sets = self.tuning.undoing()
+            except SettingError as error:
+                self.say(str(error), is_bad=True)
+                return False
+            what = self.tuning.done[-1].what
+            if await self._send(sets, f"undo: {what}", is_kept=False):
+                self.tuning.undone()
+                self.say(f"undone: {what}")
+                return True
             return False
-        what = self.tuning.done[-1].what
-        if await self.send(sets, f"undo: {what}", is_kept=False):
-            self.tuning.undone()
-            self.say(f"undone: {what}")
-            return True
-        return False
 
     async def revert(self, nodes: Sequence[str]) -> bool:
         """Set controllers back to what they were when they were first seen."""
-        return await self._send_or_say(self.tuning.reverting(nodes), "back to the start")
+        async with self._acting:
+            return await self._send_or_say(self.tuning.reverting(nodes), "back to the start")
 
     async def restore(self, name: str) -> bool:
         """Set controllers to a snapshot."""
-        return await self._send_or_say(self.tuning.returning(name), f"snapshot {name}")
+        async with self._acting:
+            return await self._send_or_say(self.tuning.returning(name), f"snapshot {name}")
 
     async def _send_or_say(self, sets: Mapping[str, Values], what: str) -> bool:
         sets = {node: each for node, each in sets.items() if self._here.get(node)}
         if not sets:
             self.say(f"{what}: nothing differs")
             return True
-        return await self.send(sets, what)
+        return await self._send(sets, what)
 
     async def send_if_other(self, values: Mapping[str, Values], what: str) -> bool:
         """Have controllers take these values, where they have others.
@@ -293,12 +318,13 @@ class LiveSession:
         Returns:
             Whether they have them now.
         """
-        sets = {
-            node: other
-            for node, wanted in values.items()
-            if (other := differences(self.tuning.in_force[node], wanted))
-        }
-        return not sets or await self.send(sets, what)
+        async with self._acting:
+            sets = {
+                node: other
+                for node, wanted in values.items()
+                if (other := differences(self.tuning.in_force[node], wanted))
+            }
+            return not sets or await self._send(sets, what)
 
     async def stop(self) -> bool:
         """Deactivate every controller that is shown: each joint is left as its ``stop`` says."""

@@ -20,7 +20,7 @@ from rclpy.task import Future
 from sensor_msgs.msg import JointState
 
 from hpid_ros.control.settings.table import PARAMETERS
-from hpid_ros.live.graph import Samples
+from hpid_ros.live.graph import Answer, Samples
 from hpid_ros.nodes.parts.tuner import live_graph
 from hpid_ros.nodes.parts.tuner.live_graph import LiveGraph
 from hpid_ros.nodes.parts.tuner.orders import parameter
@@ -270,7 +270,7 @@ def test_a_set_is_taken_or_refused_as_a_whole_and_changes_by_anybody_are_seen(
     robot.tell(101)
     robot_time, _, _ = taken(harness, graph, ELBOW, 101)
     answer = answered(harness, graph.set(ELBOW, {"gains.p": 12, "mu": -0.1}))
-    assert answer == (True, "")
+    assert answer == Answer(True)
     seen = graph.controllers()[ELBOW]
     assert (seen.values["gains.p"], seen.settings.gains.p, seen.settings.mu) == (12.0, 12.0, -0.1)
     assert before.values["gains.p"] != 12.0
@@ -297,11 +297,11 @@ def test_controllers_are_stopped_and_come_back_with_the_parameters_that_they_hav
     harness, graph, robot
 ):
     found(harness, graph)
-    assert answered(harness, graph.change_state(ELBOW, "deactivate")) == (True, "")
+    assert answered(harness, graph.change_state(ELBOW, "deactivate")) == Answer(True)
     harness.wait(lambda: graph.controllers()[ELBOW].lifecycle == "inactive")
     refused = answered(harness, graph.change_state(ELBOW, "deactivate"))
-    assert refused == (True, f"{ELBOW} is inactive already")
-    assert answered(harness, graph.change_state(ELBOW, "activate")) == (True, "")
+    assert refused == Answer(True, f"{ELBOW} is inactive already")
+    assert answered(harness, graph.change_state(ELBOW, "activate")) == Answer(True)
     assert "explode" in answered(harness, graph.change_state(ELBOW, "explode")).reason
 
     assert answered(harness, graph.set(ELBOW, {"gains.p": 12.0})).is_taken
@@ -319,7 +319,8 @@ def test_controllers_are_stopped_and_come_back_with_the_parameters_that_they_hav
     process = harness.processes.nodes["elbow_controller"].process
     os.kill(process.pid, signal.SIGSTOP)
     answer = answered(harness, graph.set(ELBOW, {"gains.p": 4.0}))
-    assert answer == (False, "no answer within 2 s: it may have been taken")
+    line = "no answer within 2 s: it may have been taken"
+    assert answer == Answer(False, line, is_certain=False)
     os.kill(process.pid, signal.SIGCONT)
     harness.wait(lambda: graph.controllers()[ELBOW].values["gains.p"] == 4.0)
 

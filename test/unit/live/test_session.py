@@ -1,11 +1,13 @@
 """A session does what a person asks for, wholly or not at all, and tells what became of it."""
 
 import asyncio
+from concurrent.futures import Future
 
 import pytest
-from harness.simulated_graph import SimulatedGraph, arm
+from harness.simulated_graph import SimulatedGraph, arm, loop_settings
 
 from hpid_ros.base.errors import SettingError
+from hpid_ros.live.graph import Answer
 from hpid_ros.live.session import LiveSession
 
 NODES = sorted(arm())
@@ -134,3 +136,76 @@ def test_a_file_that_is_none_is_refused_in_one_line(session, text):
         session.load(text, "my/own.yaml")
     assert "\n" not in str(error.value)
     assert session.tuning.staged_sets(NODES) == {}
+
+
+class SlowGraph(SimulatedGraph):
+    """Answers after a moment; who is frozen does not, and does everything when it is thawed."""
+
+    def __init__(self, joints):
+        super().__init__(joints)
+        self.frozen = {}
+        self.meanwhile = lambda: None
+
+    def set(self, node, values):
+        answer = Future()
+        if node in self.frozen:
+            self.sets.append((node, dict(values)))
+            self.frozen[node].append(dict(values))
+            told = Answer(False, "no answer within 2 s: it may have been taken", is_certain=False)
+        else:
+            told = super().set(node, values).result()
+        asyncio.get_running_loop().call_later(0.05, self._tell, answer, told)
+        return answer
+
+    def _tell(self, answer, told):
+        once, self.meanwhile = self.meanwhile, lambda: None
+        once()
+        answer.set_result(told)
+
+    def thaw(self, node):
+        for values in self.frozen.pop(node):
+            super().set(node, values)
+
+    def degrees(self):
+        return [joint.settings.mu for joint in self.joints.values()]
+
+
+@pytest.fixture
+def slow():
+    made = LiveSession(SlowGraph(arm()), Unasked())
+    made.pulse()
+    return made
+
+
+def test_two_acts_at_once_are_done_one_after_the_other(slow):
+    async def act():
+        for mu in (-0.3, -0.4):
+            slow.tuning.stage(NODES, "mu", mu)
+            await asyncio.gather(slow.apply(NODES), slow.apply(NODES))  # a double click
+        assert len(slow.tuning.done) == 2
+        await asyncio.gather(slow.undo(), slow.undo())
+
+    asyncio.run(act())
+    assert slow.graph.degrees() == [-0.2] * 3
+    assert slow.tuning.done == []
+
+
+def test_who_was_frozen_does_not_take_alone_what_the_others_gave_back(slow):
+    slow.graph.frozen[NODES[1]] = []
+    slow.tuning.stage(NODES, "mu", -0.3)
+    assert not asyncio.run(slow.apply(NODES))
+    assert slow.graph.degrees() == [-0.2] * 3
+    slow.graph.thaw(NODES[1])
+    assert slow.graph.degrees() == [-0.2] * 3
+    assert any("arm_joint_2: NOT set back: no answer" in each for each in lines(slow))
+
+
+def test_what_somebody_else_sets_meanwhile_stays_when_others_refuse(slow):
+    def lower():
+        slow.graph.joints[NODES[0]].settings = loop_settings("arm_joint_1", 0.4, mu=0.0)
+
+    slow.graph.refusals[NODES[1]] = "no"
+    slow.graph.meanwhile = lower
+    slow.tuning.stage(NODES, "mu", -0.3)
+    assert not asyncio.run(slow.apply(NODES))
+    assert slow.graph.degrees() == [0.0, -0.2, -0.2]

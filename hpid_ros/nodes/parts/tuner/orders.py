@@ -137,7 +137,7 @@ class Orders:
         if result is None:
             self._doubt(controller)
             line = f"no answer within {_SET_WITHIN:g} s: it may have been taken"
-            answer.set_result(Answer(False, line))
+            answer.set_result(Answer(False, line, is_certain=False))
             return
         told = Answer(result.successful, result.reason)
         if not told.is_taken:
@@ -171,7 +171,7 @@ class Orders:
             state = self._known(controller).seen.lifecycle
             if told is None:
                 line = f"no answer within {within:g} s: it may have been done"
-                answer.set_result(Answer(False, line))
+                answer.set_result(Answer(False, line, is_certain=False))
             elif told.success:
                 answer.set_result(Answer(True))
             elif state in _SETTLED[transition]:
