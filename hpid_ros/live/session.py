@@ -254,23 +254,46 @@ class LiveSession:
 
         What somebody else has set meanwhile stays.
         """
-        back: dict[str, Values] = {}
+        back = {}
         for node, answer in answers.items():
-            now = self.controllers[node]
-            if now.is_here and (answer.is_taken or not answer.is_certain):
-                known = {name: (value, before[node][name]) for name, value in sets[node].items()}
+            if answer.is_taken or not answer.is_certain:
+                now, old = self.controllers[node].values, before[node]
                 back[node] = {
-                    name: old
-                    for name, (new, old) in known.items()
-                    if same(now.values[name], new) or same(now.values[name], old)
+                    name: old[name]
+                    for name, new in sets[node].items()
+                    if same(now[name], new) or same(now[name], old[name])
                 }
-        undone = await self._asked_all({node: each for node, each in back.items() if each})
-        if any(each.is_taken for each in undone.values()):
-            names = ", ".join(self.label(node) for node in undone if undone[node].is_taken)
-            self.say(f"{names}: set back, because not every one took it")
-        for node, answer in undone.items():
-            if not answer.is_taken:
+        await self._give_back(back, "because not every one took it")
+
+    async def give_back(self, values: Mapping[str, Values], why: str) -> bool:
+        """Have controllers take what they had, each for itself, whatever the others do.
+
+        Args:
+            values: By node.
+            why: In words.
+
+        Returns:
+            Whether all have it.
+        """
+        async with self._acting:
+            before = {node: dict(self.tuning.in_force[node]) for node in values}
+            taken = await self._give_back(values, why)
+            self.tuning.note(f"back {why}", taken, before)
+            return all(node in taken for node, each in values.items() if each)
+
+    async def _give_back(self, values: Mapping[str, Values], why: str) -> dict[str, Values]:
+        """Return what was taken."""
+        sets = {node: each for node, each in values.items() if each}
+        here = {node: each for node, each in sets.items() if self.controllers[node].is_here}
+        answers = dict.fromkeys(sets, Answer(False, "its controller has gone"))
+        answers |= await self._asked_all(here)
+        for node, answer in answers.items():
+            if answer.is_taken:
+                self.tuning.see(node, {**self.tuning.in_force[node], **sets[node]})
+                self.say(f"{self.label(node)}: set back, {why}")
+            else:
                 self.say(f"{self.label(node)}: NOT set back: {answer.reason}", is_bad=True)
+        return {node: each for node, each in sets.items() if answers[node].is_taken}
 
     async def _asked_all(self, sets: Mapping[str, Values]) -> dict[str, Answer]:
         futures = [asyncio.wrap_future(self.graph.set(node, each)) for node, each in sets.items()]

@@ -11,8 +11,9 @@ import numpy as np
 from hpid_ros.analysis.comparison import Comparison
 from hpid_ros.bags.selection import BagSelection
 from hpid_ros.base.errors import RunError
+from hpid_ros.control.settings.table import Value
 from hpid_ros.excitation.plan import ExcitationPlan
-from hpid_ros.live.tuning import Values
+from hpid_ros.live.tuning import Values, differences, same
 from hpid_ros.metrics.compare import compare
 from hpid_ros.metrics.measure import Measured, Measuring, measure
 from hpid_ros.recordings.series import JointSeries
@@ -32,6 +33,52 @@ class Variant:
 
     label: str
     values: Mapping[str, Values] | None = None
+
+
+class Tried:
+    """What a trial sets: what its variants differ in from what was there, and nothing else.
+
+    Args:
+        before: All loop parameters by node, before the trial.
+        variants: Of the trial.
+    """
+
+    def __init__(self, before: Mapping[str, Values], variants: Sequence[Variant]) -> None:
+        self._before = before
+        self._names = {
+            node: {
+                name
+                for each in variants
+                for name in differences(had, (each.values or {}).get(node, {}))
+            }
+            for node, had in before.items()
+        }
+        self._set: dict[str, dict[str, Value]] = {node: {} for node in before}
+
+    def wanted(self, variant: Variant) -> dict[str, Values]:
+        """Return what controllers are to be set to for a variant, by node."""
+        values = variant.values or {}
+        return {
+            node: {name: values[node][name] for name in names if name in values[node]}
+            for node, names in self._names.items()
+            if node in values
+        }
+
+    def note(self, values: Mapping[str, Values]) -> None:
+        """Take note of what was set."""
+        for node, each in values.items():
+            self._set[node] |= each
+
+    def to_give_back(self, in_force: Mapping[str, Values]) -> dict[str, Values]:
+        """Return what there was, of what is still as the trial has set it, by node."""
+        return {
+            node: {
+                name: self._before[node][name]
+                for name, value in tried.items()
+                if same(in_force[node][name], value) and not same(self._before[node][name], value)
+            }
+            for node, tried in self._set.items()
+        }
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ from hpid_ros.experiment.live.excitation import bounds_of, chosen
 from hpid_ros.experiment.live.graph import RunningController, RunningGraph
 from hpid_ros.experiment.live.watching import RELEASED, Ending
 from hpid_ros.live.session import LiveSession
-from hpid_ros.live.trial_results import TrialResult, Variant, measure_motion
+from hpid_ros.live.trial_results import TrialResult, Tried, Variant, measure_motion
 from hpid_ros.live.tuning import Values
 from hpid_ros.metrics.measure import Measured
 
@@ -211,7 +211,8 @@ class Trials:
 
         A motion whose button was released is prepared once more. When one ends for another
         reason, or is cancelled, so does the trial: controllers are set back to what they were
-        before, and what was measured until then is its result.
+        before, each that is there, and what was measured until then is its result. What somebody
+        else sets meanwhile stays.
 
         Args:
             page: Whose button is held.
@@ -229,19 +230,17 @@ class Trials:
         self.result, self.count = None, len(variants)
         staged = self._session.tuning.staged_sets(nodes)
         before = {node: dict(self._session.tuning.in_force[node]) for node in nodes}
+        tried = Tried(before, variants)
         found: list[Measured] = []
         try:
             self._forget()
             self._folder = _new_folder(is_kept=is_kept)
             self._is_kept = is_kept
-            await self._carry_out(nodes, wish, variants, found)
+            await self._carry_out(nodes, wish, variants, tried, found)
             if found:
                 await self._show(variants, found)
             if len(found) < len(variants) and any(each.values is not None for each in variants):
-                await self._session.send_if_other(before, "as before the trial")
-                for node, values in staged.items():  # what was chosen is still chosen
-                    for name, value in values.items():
-                        self._session.tuning.stage([node], name, value)
+                await self._set_back(tried, staged)
         except OSError as error:
             self._say(str(error), is_bad=True)
         finally:
@@ -252,11 +251,13 @@ class Trials:
         nodes: Sequence[str],
         wish: MotionWish,
         variants: Sequence[Variant],
+        tried: Tried,
         found: list[Measured],
     ) -> None:
         """Carry out and measure one motion after the other, and say what became of them."""
         try:
             for number, variant in enumerate(variants):
+                await self._set(number, variant, tried)
                 found.append(await self._measured(number, nodes, wish, variant))
         except (HpidError, OSError) as error:
             self._say(str(error), is_bad=True)
@@ -264,6 +265,16 @@ class Trials:
         where = f"; recorded in {self._folder}" if self._is_kept else ""
         last = f", now in force: {variants[-1].label}" if len(variants) > 1 else ""
         self._say(f"done{last}{where}")
+
+    async def _set_back(self, tried: Tried, staged: Mapping[str, Values]) -> None:
+        """Have controllers take what they had; what was chosen is still chosen."""
+        tuning = self._session.tuning
+        back = tried.to_give_back(tuning.in_force)
+        if not await self._session.give_back(back, "as before the trial"):
+            self._say(f"{self.said}; NOT every controller was set back", is_bad=True)
+        for node, values in staged.items():
+            for name, value in values.items():
+                tuning.stage([node], name, value)
 
     async def _show(self, variants: Sequence[Variant], found: Sequence[Measured]) -> None:
         """Make a result of the motions that came to their ends."""
@@ -280,10 +291,6 @@ class Trials:
         Raises:
             HpidError: It could not begin, was stopped by something else, or was cancelled.
         """
-        self.stage, self.number = Stage.PREPARING, number + 1
-        if variant.values is not None:
-            wanted = {node: variant.values[node] for node in nodes if node in variant.values}
-            await self._set(variant.label, wanted)
         assert self._folder is not None
         states = self._session.graph.states_topic(nodes[0])
         for attempt in itertools.count(1):
@@ -342,16 +349,18 @@ class Trials:
             self._here_at = now
         return desk.holder not in (None, self._page) or now - self._here_at > _GONE_FOR
 
-    async def _set(self, label: str, wanted: Mapping[str, Values]) -> None:
-        """Have controllers take values; those that want a certificate may compute it first.
+    async def _set(self, number: int, variant: Variant, tried: Tried) -> None:
+        """Have controllers take what is next; who wants a certificate may compute it first.
 
         Raises:
-            RunError: They do not take them.
+            RunError: They do not take it.
         """
-        seen = self._session.controllers
+        self.stage, self.number = Stage.PREPARING, number + 1
+        label, wanted, seen = variant.label, tried.wanted(variant), self._session.controllers
         patience = _CERTIFIED_WITHIN if any(seen[n].requires_certificate for n in wanted) else 0.0
         for _ in range(1 + round(patience / _ASKED_EVERY)):
             if await self._session.send_if_other(wanted, f"{label}, for the trial"):
+                tried.note(wanted)
                 return
             if self._is_cancelled:
                 raise RunError("cancelled")

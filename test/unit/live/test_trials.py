@@ -9,10 +9,10 @@ from hpid_ros.experiment.live.watching import RELEASED, Ending
 from hpid_ros.live import trials as module
 from hpid_ros.live.seen import as_running
 from hpid_ros.live.session import LiveSession
-from hpid_ros.live.trial_results import Variant
+from hpid_ros.live.trial_results import Tried, Variant
 from hpid_ros.live.trials import MotionWish, Stage, Trials
 
-NODE = next(iter(arm()))
+NODE, OTHER, *_ = arm()
 PAGE = "page"
 IN_FORCE, CHOSEN = Variant("in force"), Variant("chosen", {NODE: {"gains.p": 99.0}})
 
@@ -68,11 +68,11 @@ class Bench:
         self.motions.append(Motion(bag, self._reason))
         return self.motions[-1]
 
-    def run(self, course, variants=(IN_FORCE,)):
+    def run(self, course, variants=(IN_FORCE,), nodes=(NODE,)):
         """Carry a trial out while somebody does something."""
 
         async def both():
-            trial = self.trials.run(PAGE, [NODE], MotionWish(), variants, is_kept=False)
+            trial = self.trials.run(PAGE, list(nodes), MotionWish(), variants, is_kept=False)
             await asyncio.wait_for(asyncio.gather(trial, course(self)), 20.0)
 
         asyncio.run(both())
@@ -175,3 +175,47 @@ def test_it_is_told_for_how_long_the_button_has_to_be_held():
     assert before is bench.trials.seconds_left is None
     assert 0.0 < later <= begun - 0.1
     assert begun <= duration
+
+
+def test_who_is_left_is_set_back_where_the_controller_of_another_joint_ends_in_the_motion():
+    async def end_one(bench):
+        await bench.reach(Stage.READY)
+        bench.trials.press(PAGE)
+        await bench.reach(Stage.MOVING)
+        bench.graph.gone.add(OTHER)
+        bench.graph.refusals[OTHER] = "no answer within 2 s: it may have been taken"
+        bench.motions[0].press()
+
+    bench = Bench(f"the controller of {OTHER} has told no reference for 0.5 s")
+    before = bench.graph.joints[NODE].settings.gains.p
+    both = Variant("chosen", {NODE: {"gains.p": 99.0}, OTHER: {"gains.p": 49.0}})
+    said = bench.run(end_one, (both, IN_FORCE), [NODE, OTHER])
+    assert bench.graph.joints[NODE].settings.gains.p == before
+    assert "NOT every controller was set back" in said
+
+
+def test_a_trial_leaves_alone_what_somebody_else_sets_meanwhile():
+    async def lower_the_effort(bench):
+        await bench.reach(Stage.READY)
+        bench.graph.set(NODE, {"u_clamp_max": 5.0, "gains.d": 9.0})
+        bench.session.pulse()
+        bench.trials.press(PAGE)
+        await bench.reach(Stage.MOVING)
+        bench.motions[0].press()
+        await bench.reach(Stage.IDLE)
+
+    bench = Bench("a limit was reached")
+    before = bench.graph.joints[NODE].settings.to_parameters()
+    chosen = Variant("chosen", {NODE: {**before, "gains.p": 99.0, "gains.d": 8.5}})
+    bench.run(lower_the_effort, (chosen, Variant("in force", {NODE: before})))
+    settings = bench.graph.joints[NODE].settings
+    assert (settings.effort.u_clamp_max, settings.gains.d) == (5.0, 9.0)
+    assert settings.gains.p == before["gains.p"]
+
+
+def test_what_a_trial_sets_for_its_next_motion_is_only_what_its_motions_differ_in():
+    before = {NODE: {"gains.p": 80.0, "gains.d": 8.0, "u_clamp_max": 50.0}}
+    first, then = ({NODE: {**before[NODE], "gains.p": p}} for p in (80.0, 99.0))
+    tried = Tried(before, (Variant("in force", first), Variant("chosen", then)))
+    assert tried.wanted(Variant("chosen", then)) == {NODE: {"gains.p": 99.0}}
+    assert tried.wanted(Variant("in force", first)) == {NODE: {"gains.p": 80.0}}
