@@ -9,7 +9,7 @@ import subprocess
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -24,6 +24,7 @@ from hpid_ros.experiment.live.graph import RunningGraph
 RECORDER = "hpid_excitation_recorder"
 _ENDS_WITHIN = 8.0  # [s], the joints' stop included
 _LOOK_PERIOD = 0.05  # [s]
+_ENDINGS = ("done", "stopped", "failed")
 
 RELEASED = "the button was released"
 """Why a motion that is held has ended: nobody has said for a while that it is."""
@@ -191,9 +192,15 @@ def _stopped(
             f"{reason}; {mover.name} has not stopped the joints within {_ENDS_WITHIN:g} s: "
             f"{mover.unless_stopped}; deactivate their controllers"
         ) from None
-    ended = [each for each in process.read_events() if each["event"] in ("done", "stopped")]
-    is_at_rest = all(each["is_at_rest"] for each in ended)
+    told = [each for each in process.read_events() if each["event"] in _ENDINGS]
+    if not told and process.process.returncode:
+        raise RunError(f"{reason}; {_by_itself(mover, process)}; deactivate their controllers")
+    is_at_rest = all(each.get("is_at_rest", True) for each in told)
     return Ending(reason, is_interrupted, is_at_rest)
+
+
+def _by_itself(mover: Mover, process: NodeProcess) -> str:
+    return f"{mover.name} has ended by itself ({process.last_words()}): {mover.unless_stopped}"
 
 
 def _ending(mover: Mover, process: NodeProcess, tell: Tell) -> Ending | None:
@@ -203,11 +210,10 @@ def _ending(mover: Mover, process: NodeProcess, tell: Tell) -> Ending | None:
         if kind == "failed":
             raise RunError(f"nothing was moved: {event['reason']}")
         if kind in ("done", "stopped"):
-            process.process.wait(_ENDS_WITHIN)
+            with suppress(subprocess.TimeoutExpired):  # it has done what it was to do
+                process.process.wait(_ENDS_WITHIN)
             return Ending(str(event["reason"]), is_at_rest=bool(event["is_at_rest"]))
         tell(kind, float(event.get("seconds", 0.0)))
     if has_ended:
-        raise RunError(
-            f"{mover.name} has ended by itself ({process.last_words()}): {mover.unless_stopped}"
-        )
+        raise RunError(_by_itself(mover, process))
     return None
