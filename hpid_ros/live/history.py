@@ -131,10 +131,16 @@ class _Law:
         if self._limits is None:
             return np.column_stack([errors[:, 0], *(np.full(len(errors), np.nan),) * 2])
         mu = self.settings.mu
-        found = np.array([self._norm(error, rate) for _, error, rate in errors.tolist()])
+        found = np.array([self._of(error, rate) for _, error, rate in errors.tolist()])
         held = np.clip(found, *self._limits)
         with np.errstate(divide="ignore"):
             return np.column_stack([errors[:, 0], found, held**mu])
+
+    def _of(self, error: float, rate: float) -> float:
+        try:
+            return self._norm(error, rate)
+        except ArithmeticError:  # of what no joint does, but a message may say
+            return math.inf
 
 
 class JointHistory:
@@ -199,6 +205,8 @@ class JointHistory:
         fresh = self._states.within(float(begin), end)
         if len(fresh):
             known = self._references.within(fresh[0, 0] - _REFERENCES_APART, end)
+            if not len(known):  # what was told before the clock went back may come late
+                return
             there = np.interp(fresh[:, 0], known[:, 0], known[:, 1])
             self._errors.append(np.column_stack([fresh[:, 0], self._off(there - fresh[:, 1])]))
         times = references[:, 0]

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 from harness.simulated_graph import loop_settings
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from hpid_ros.analysis.indices.integrals import itae, total_variation
@@ -128,3 +128,31 @@ def test_a_count_rises_for_as_long_as_it_has_grown_lately():
     told = [(5, 0.0), (5, 1.0), (6, 2.0), (6, 12.0), (6, 12.1), (0, 13.0), (2, 14.0)]
     rises = [count.tell(*each) for each in told]
     assert rises == [False, False, True, True, False, False, True]
+
+
+@given(
+    st.lists(
+        st.tuples(st.lists(st.floats(0, 9), max_size=9), st.lists(st.floats(0, 99), max_size=9)),
+        min_size=1,
+        max_size=6,
+    ),
+    st.floats(allow_nan=False, allow_infinity=False),
+)
+@example([([0.0], [2.5, 0.5]), ([], [0.0])], 1.0)
+@example([([0.0, 0.1, 0.2], [0.0, 0.1])], 1e300)
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+def test_no_number_and_no_reference_that_is_late_ends_what_is_drawn(pieces, position):
+    history = JointHistory(loop_settings("elbow", mu=0.2))
+    for number, (states, references) in enumerate(pieces):
+        times = np.sort(states) + 10.0 * number
+        told = np.array(references)  # in any order, of any time
+        history.append(
+            Samples(
+                np.column_stack([times, np.full_like(times, position), 0.0 * times]),
+                np.empty((0, 2)),
+                np.column_stack([told, 0.0 * told, 0.0 * told]),
+            )
+        )
+        drawn = history.drawn()
+        assert all(np.isfinite(each).all() for each in drawn.values())
+    history.indices(5.0)
