@@ -178,8 +178,11 @@ class Trials:
         """Note that it is not held any more, or that the page is gone: a motion stops."""
         if page != self._page:
             return
+        was_pressed = self._is_held and not self._is_held_over
         self._is_held = self._is_held_over = False
-        if self._motion is not None and self._motion.stage == "moving":
+        # Who was pressed may move already, and not have said so yet.
+        begun = ("ready", "moving") if was_pressed else ("moving",)
+        if self._motion is not None and self._motion.stage in begun:
             self._is_released = True
             self._motion.release()
 
@@ -338,7 +341,7 @@ class Trials:
         rest = "" if ending.is_at_rest else "; the joints were not seen to rest"
         if self._is_cancelled:
             raise RunError(f"cancelled{rest}")
-        if ending.reason != RELEASED or rest:
+        if not ending.reason.startswith(RELEASED) or rest:
             raise RunError(f"stopped: {self._why(ending)}{rest}")
         self._say(f"{label}: stopped: {self._why(ending)}; hold it once more", is_bad=True)
 

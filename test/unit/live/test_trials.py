@@ -55,17 +55,17 @@ class Motion:
 class Bench:
     """Trials of one joint, and the motions that were begun."""
 
-    def __init__(self, reason=None):
+    def __init__(self, reason=None, motion=Motion):
         self.graph = MovedGraph(arm())
         self.session = LiveSession(self.graph, Unasked())
         self.session.pulse()
         self.session.desk.join(PAGE)
         self.motions = []
         self.trials = Trials(self.session, self._start)
-        self._reason = reason
+        self._reason, self._motion = reason, motion
 
     def _start(self, planned, controllers, graph, bag, states):
-        self.motions.append(Motion(bag, self._reason))
+        self.motions.append(self._motion(bag, self._reason))
         return self.motions[-1]
 
     def run(self, course, variants=(IN_FORCE,), nodes=(NODE,)):
@@ -219,3 +219,31 @@ def test_what_a_trial_sets_for_its_next_motion_is_only_what_its_motions_differ_i
     tried = Tried(before, (Variant("in force", first), Variant("chosen", then)))
     assert tried.wanted(Variant("chosen", then)) == {NODE: {"gains.p": 99.0}}
     assert tried.wanted(Variant("in force", first)) == {NODE: {"gains.p": 80.0}}
+
+
+class Tapped(Motion):
+    """Has not said yet that it moves when the button is let go."""
+
+    was_pressed = False
+
+    def press(self):
+        self.was_pressed = True
+
+    def release(self):
+        if self.stage != "ended":
+            self._end(f"{RELEASED} before anything moved")
+
+
+def test_who_lets_go_before_anything_is_seen_to_move_has_let_go():
+    async def tap(bench):
+        await bench.reach(Stage.READY)
+        bench.trials.press(PAGE)
+        assert bench.motions[0].was_pressed
+        bench.trials.release(PAGE)
+        assert bench.motions[0].stage == "ended"
+        await bench.reach(Stage.READY, motions=2)
+        bench.trials.release(PAGE)  # nobody has pressed it
+        assert bench.motions[1].stage == "ready"
+        bench.trials.cancel()
+
+    assert Bench(motion=Tapped).run(tap) == "cancelled"
