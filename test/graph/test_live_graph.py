@@ -31,6 +31,7 @@ from hpid_ros.wire import JointStateTemplate
 
 MS = 1_000_000
 ELBOW, WRIST = "/elbow_controller", "/arm/wrist_controller"
+MARK = 0.125  # [rad], nowhere else
 NOTHING = Samples(np.zeros((0, 3)), np.zeros((0, 2)), np.zeros((0, 3)))
 JOINTS = {ELBOW: "elbow", WRIST: "wrist"}
 
@@ -159,11 +160,18 @@ def watched(harness, graph, robot, *nodes):
         return not any(lacks.values())
 
     harness.wait(is_all_there, what="samples")
-    harness.wait(lambda: not any(map(_count, graph.take().values())), what="the last of them")
+    robot.tell(1, positions=(MARK, MARK))
+    seen = {node: {name: [] for name in lacks} for node in nodes}
 
+    def is_mark_there():
+        for node, samples in graph.take().items():
+            for name, rows in seen[node].items():
+                rows += getattr(samples, name).tolist()
+        times = {name: {row[0] for row in seen[nodes[0]][name]} for name in lacks}
+        marks = [[row[0] for row in seen[each]["states"] if row[1] == MARK] for each in nodes]
+        return all(marks) and all(marks[0][0] in each for each in times.values())
 
-def _count(samples):
-    return len(samples.states) + len(samples.efforts) + len(samples.references)
+    harness.wait(is_mark_there, what="the last of them")
 
 
 def test_our_controllers_are_found_in_every_namespace_and_watched(harness, graph, robot):
