@@ -365,8 +365,9 @@ class Forgetful:
     def _message(self, name):
         return parameter(name, self.values[name]).to_parameter_msg()
 
-    def tell_health(self):
-        self._diagnostics.publish(OK, "", {"missed samples": 0, "certified degrees": "none"})
+    def tell_health(self, samples=0):
+        figures = {"samples": samples, "missed samples": 0, "certified degrees": "none"}
+        self._diagnostics.publish(OK, "", figures)
 
 
 def test_what_was_read_before_a_set_does_not_hide_it(harness, graph):
@@ -392,3 +393,20 @@ def test_a_controller_that_was_silent_is_read_anew(harness, graph, monkeypatch):
     assert graph.controllers()[late.NAME].values["gains.p"] != 112.0
     late.tell_health()
     harness.wait(lambda: graph.controllers()[late.NAME].values["gains.p"] == 112.0, within=15.0)
+
+
+def test_a_controller_that_begins_anew_unheard_is_read_anew(harness, graph):
+    late = Forgetful(harness)
+    harness.wait(lambda: late.NAME in graph.controllers(), what="it")
+
+    def is_told(samples):
+        late.tell_health(samples)
+        health = graph.controllers()[late.NAME].health
+        return health is not None and health.values["samples"] == str(samples)
+
+    harness.wait(lambda: is_told(100))
+    late.values["gains.p"] = 113.0  # of another process, whose name was never gone
+    harness.wait(lambda: is_told(101))
+    assert graph.controllers()[late.NAME].values["gains.p"] != 113.0
+    harness.wait(lambda: is_told(7))
+    harness.wait(lambda: graph.controllers()[late.NAME].values["gains.p"] == 113.0, within=15.0)

@@ -285,8 +285,8 @@ class LiveGraph:
                 self._discovery.read_anew(name)
             return
         before = self._known[name].seen.health
-        if before is not None and health.heard_at - before.heard_at > _SILENT:
-            self._read_anew(name)  # nobody knows what it was told meanwhile
+        if before is not None and _may_be_other(before, health):
+            self._read_anew(name)
         self._change(name, health=health, lifecycle=health.values.get(_LIFECYCLE, ""))
         self._orders.hear(name)
 
@@ -295,6 +295,21 @@ class LiveGraph:
 
     def _read_anew(self, name: str) -> None:
         self._stale[name] = time.monotonic()
+
+
+def _may_be_other(before: Health, health: Health) -> bool:
+    """Tell whether nobody knows what a controller was told since it spoke last.
+
+    A process that begins anew has declared its parameters before anybody could hear it, and if it
+    was quick, nobody saw that it was gone. But it counts its samples from the first one.
+    """
+    is_anew = _samples(health) < _samples(before)
+    return is_anew or health.heard_at - before.heard_at > _SILENT
+
+
+def _samples(health: Health) -> int:
+    text = health.values.get(_SAMPLES, "")
+    return int(text) if text.isdecimal() else 0
 
 
 def _has_begun(seen: SeenController) -> bool:
