@@ -106,17 +106,25 @@ def judged_loops(options: argparse.Namespace, file: ParameterFile) -> list[Loop]
 
 
 def sliding_joints(options: argparse.Namespace, experiment: Experiment | None) -> frozenset[str]:
-    """Return the joints that slide, where a robot says so: ``--urdf``, or else the experiment's.
+    """Return the joints that slide: as ``--urdf`` says, or the experiment's robot, or ``--bag``.
 
     Args:
-        options: With what :func:`.add_robot_options` adds.
+        options: With what :func:`.add_robot_options` adds, and a bag where the command takes one.
         experiment: The file's, if it is one.
 
     Raises:
         RobotDescriptionError: The robot cannot be read.
+        BagError: The bag cannot.
     """
     from hpid_ros.cli.robot_options import load_robot
 
     if options.urdf:
         return load_robot(options.urdf).description.slides
-    return frozenset() if experiment is None else experiment.slides
+    if experiment is not None:
+        return experiment.slides
+    bag = getattr(options, "bag", None)
+    if bag is None:
+        return frozenset()
+    from hpid_ros.metrics.slides import sliding_joints as slides_of_bag
+
+    return slides_of_bag(bag, None).slides

@@ -4,6 +4,7 @@ import csv
 import io
 import json
 import re
+from argparse import Namespace
 from dataclasses import replace
 
 import numpy as np
@@ -15,6 +16,7 @@ from hpid_ros.analysis.indices.run import run_indices
 from hpid_ros.bags import BagWriter
 from hpid_ros.bags.metadata import SLIDES, recorded_slides, slides_entry
 from hpid_ros.cli.commands import BAD_INPUT, DONE
+from hpid_ros.cli.loops import sliding_joints
 from hpid_ros.cli.main import main
 from hpid_ros.metrics import measure
 from hpid_ros.recordings.series import RunSeries
@@ -433,6 +435,25 @@ def test_a_sweep_and_a_study_name_both_units(run, experiment, tmp_path):
 def test_check_gains_names_the_unit_of_each_inertia(run, experiment):
     code, text, told = run("check-gains", experiment)
     assert "inertia m [kg m^2; kg: PID lift, hPID lift]" in " ".join(text.split()), (code, told)
+
+
+@pytest.mark.parametrize("describes", [True, False])
+def test_identify_has_the_units_of_what_the_recording_knows_to_slide(
+    run, result, tmp_path, describes
+):
+    own = result / "bags" / "PID"
+    _, text, _ = run("identify", foreign_bag(tmp_path / "bag", ROBOT) if describes else own)
+    assert "lift: kg, N s/m and N, where joints that turn have kg m²" in text
+
+
+def test_margins_and_check_gains_ask_whoever_knows_what_slides(experiment, result):
+    for urdf, bag, slides in (
+        ("", result / "bags" / "PID", {"lift"}),
+        (str(experiment.with_name("lift.urdf")), None, {"lift"}),
+        ("", None, set()),
+    ):
+        assert sliding_joints(Namespace(urdf=urdf, bag=bag), None) == slides
+    assert sliding_joints(Namespace(urdf=""), None) == set()
 
 
 def test_margins_are_drawn_on_the_inertia_in_its_unit(run, experiment, tmp_path):

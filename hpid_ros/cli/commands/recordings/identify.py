@@ -114,6 +114,7 @@ def _found(options: argparse.Namespace, robot: GivenRobot | None) -> Findings:
     from hpid_ros.bags import read_run
     from hpid_ros.base.interrupts import raise_if_interrupted
     from hpid_ros.identification.identify import Method
+    from hpid_ros.metrics.slides import sliding_joints
     from hpid_ros.road.base import base_motion
     from hpid_ros.road.findings import findings_of
 
@@ -123,6 +124,9 @@ def _found(options: argparse.Namespace, robot: GivenRobot | None) -> Findings:
     selection = bag_selection(options, None if robot else asked, separates_runs=True)
     recording = read_run(
         options.bag, _LABEL, selection=selection, progress=lambda share: raise_if_interrupted()
+    )
+    recording = recording.with_slides(
+        sliding_joints(options.bag, None, selection.namespace).slides
     )
     base = base_motion(options.bag, selection.namespace or "")
     return findings_of(recording, robot, method, asked, str(options.urdf), str(options.bag), base)

@@ -11,6 +11,7 @@ from hpid_ros.base.errors import HpidError, SettingError
 from hpid_ros.base.output_files import refuse_output, write_file
 from hpid_ros.base.units import of_slide
 from hpid_ros.cli.commands import DONE, FAILED
+from hpid_ros.cli.loops import sliding_joints
 from hpid_ros.cli.robot_options import add_robot_options, inertias_from, load_robot
 
 if TYPE_CHECKING:
@@ -140,7 +141,7 @@ def _of_file(options: argparse.Namespace) -> int:
     recorded = _recorded(options.bag, loops)
     proposals, failures = _proposals(options, loops, file.inertias, recorded, told)
     comparison = _prediction(options, loops, proposals, recorded, told)
-    slides = _slides(options)
+    slides = sliding_joints(options, None)
     _write(options, loops, proposals, failures, comparison, slides)
     for loop in loops:
         joint = loop.joint
@@ -168,17 +169,6 @@ def _summary(proposal: Upgrade) -> list[str]:
     if settings.law == "pid":
         return [f"{settings.joint}: {proposal.reasons['law']}", *proposal.remarks]
     return [f"{settings.joint}: mu {settings.mu:+.2f}", proposal.reasons["mu"], *proposal.remarks]
-
-
-def _slides(options: argparse.Namespace) -> frozenset[str]:
-    """Return the joints that slide, where the robot or the recording says so."""
-    if options.urdf:
-        return load_robot(options.urdf).description.slides
-    if options.bag is None:
-        return frozenset()
-    from hpid_ros.metrics.slides import sliding_joints
-
-    return sliding_joints(options.bag, None).slides
 
 
 def _recorded(bag: Path | None, loops: Sequence[LoopSettings]) -> tuple[JointSeries, ...]:
