@@ -64,10 +64,13 @@ class Prediction:
     def total(self, key: str) -> Expected:
         """Return an index of all joints, the sum of theirs.
 
+        A joint of which nothing was recorded, as one that rested without an effort, has no ratio
+        and no share.
+
         Args:
             key: Of the index.
         """
-        each = [known[key] for known in self.joints.values()]
+        each = [known[key] for known in self.joints.values() if known[key].before != 0.0]
         before = math.fsum(one.before for one in each)
         after = math.fsum(one.after for one in each)
         simulated = math.fsum(one.before * one.fidelity for one in each)

@@ -1,0 +1,27 @@
+"""A prediction is of the joints of which something was recorded."""
+
+import math
+
+import pytest
+
+from hpid_ros.road.prediction import Expected, Prediction
+
+MOVING = {key: Expected(4.0, 0.5, 1.1) for key in ("ivc", "iavc", "itae")}
+
+
+def prediction(**joints):
+    return Prediction("bag", "smooth", joints)
+
+
+@pytest.mark.parametrize("fidelity", [math.nan, math.inf])
+def test_a_joint_that_rested_without_an_effort_is_no_reason_to_doubt_the_others(fidelity):
+    resting = dict.fromkeys(MOVING, Expected(0.0, math.nan, fidelity))
+    found = prediction(arm=MOVING, turn=resting)
+    assert found.is_credible
+    assert found.total("ivc") == pytest.approx((4.0, 0.5, 1.1))
+
+
+def test_a_joint_whose_model_is_wrong_is():
+    wrong = dict.fromkeys(MOVING, Expected(4.0, 0.5, 3.0))
+    assert not prediction(arm=MOVING, turn=wrong).is_credible
+    assert not prediction(turn=dict.fromkeys(MOVING, Expected(0.0, 1.0, 1.0))).is_credible
