@@ -161,7 +161,8 @@ def answer(question: Question, telling: Telling) -> Answer:
     )
     known = known_robot(question.robot, findings.joints, recording.joints)
     inertias = _inertias(question, known, loops, recording.joints)
-    checks = {each.joint: _check(each, inertias[each.joint], known) for each in loops}
+    period = _period(recording)
+    checks = {each.joint: pid_check(each, inertias[each.joint], known, period) for each in loops}
     has_velocities = measures_velocity(question.bag, loops[0].joint)
     if has_velocities and any(each.velocity.is_measured for each in loops):
         warnings.append(
@@ -255,18 +256,33 @@ def _inertias(
         ) from None
 
 
-def _check(settings: LoopSettings, inertia: tuple[float, float], known: KnownRobot) -> PidCheck:
-    """Return the margins of a PID on the joint as it was identified, the worst of both ends."""
+def pid_check(
+    settings: LoopSettings, inertia: tuple[float, float], known: KnownRobot, period: float
+) -> PidCheck:
+    """Return the margins of a PID on the joint as it was identified, the worst of both ends.
+
+    Args:
+        settings: As it ran; its ``control_period`` may never have been set.
+        inertia: Least and largest, in [kg m^2].
+        known: The joint.
+        period: At which states came, in [s].
+    """
     joint = known.robot.description.joints[settings.joint]
     delay = known.facts[settings.joint].delay if settings.joint in known.facts else 0
-    period = settings.timing.control_period
     try:
+        settings = settings.with_parameters({"control_period": period})
         inertia = inertia_of(settings, inertia)
         family = loop_family(settings, inertia, joint.damping, delay * period)
         ends = [margins_of(family.loop(each)) for each in family.inertia]
     except HpidError as error:
         return PidCheck(inertia, None, str(error))
     return PidCheck(inertia, min(ends, key=lambda each: each.disk))
+
+
+def _period(recording: RunSeries) -> float:
+    """Return the median time between two states, in [s]."""
+    stamps = recording.joints[0].state_stamps_ns
+    return float(np.median(np.diff(stamps))) * SECONDS_PER_NANOSECOND
 
 
 class _Trial:
@@ -329,7 +345,6 @@ class _Trial:
         return found
 
     def _simulated(self, loops: Mapping[str, Sequence[LoopSettings]]) -> list[RunSeries]:
-        stamps = self._recording.joints[0].state_stamps_ns
         robot = self._known.robot
         return simulate(
             robot.source,
@@ -339,7 +354,7 @@ class _Trial:
             robot.initial_positions,
             facts=self._known.facts,
             has_velocities=self._has_velocities,
-            period=float(np.median(np.diff(stamps))) * SECONDS_PER_NANOSECOND,
+            period=_period(self._recording),
             engine=_ENGINE,
         )
 

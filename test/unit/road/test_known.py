@@ -3,9 +3,11 @@
 import numpy as np
 import pytest
 
+from hpid_ros.control import LoopSettings
 from hpid_ros.identification.results import Estimate, JointIdentification
 from hpid_ros.recordings.series import JointSeries
 from hpid_ros.road.known import known_robot, position_noise
+from hpid_ros.road.proposal import pid_check
 from hpid_ros.robot.description import RobotDescription
 from hpid_ros.robot.given import GivenRobot
 
@@ -84,3 +86,16 @@ def test_jumps_and_gaps_are_no_noise():
     position = 1e-4 * chance.standard_normal(len(TIMES))
     position[1000:] += 0.5
     assert position_noise(series(position), 0.0) == pytest.approx(1e-4, rel=0.1)
+
+
+def test_a_pid_is_checked_at_the_rate_at_which_it_ran():
+    """``control_period`` is 1 ms in a parameter file that does not say it."""
+    robot = known(JointIdentification("a", estimates(inertia=0.05, delay=2.0 * PERIOD)))
+    pid = {"joint": "a", "law": "pid", "gains.p": 4.0, "gains.i": 1.0, "gains.d": 0.8}
+    unsaid, said = (
+        pid_check(LoopSettings.from_parameters({**pid, **more}), (0.1, 0.1), robot, 0.02)
+        for more in ({}, {"control_period": 0.02})
+    )
+    assert unsaid == said
+    fast = pid_check(LoopSettings.from_parameters(pid), (0.1, 0.1), robot, 0.001)
+    assert said.margins.phase < 0.9 * fast.margins.phase
