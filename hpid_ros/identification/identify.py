@@ -154,7 +154,7 @@ def _company(own: JointRecord, records: Sequence[JointRecord]) -> tuple[str, ...
     """Return who moves while a joint does, whose coupling nobody knows."""
     if len(own.time) < 2:
         return ()
-    edges = np.arange(own.time[0], own.time[-1] + _BIN, _BIN)
+    edges = _bins(own)
     busy = _is_busy(own, edges, _travel(own))
     if not busy.any():
         return ()
@@ -176,7 +176,7 @@ def _others_turn(own: JointRecord, records: Sequence[JointRecord]) -> list[Span]
     """Return when others move and a joint does not, which tells of it no more than their pull."""
     if len(own.time) < 2:
         return []
-    edges = np.arange(own.time[0], own.time[-1] + _BIN, _BIN)
+    edges = _bins(own)
     is_theirs = np.zeros(len(edges), dtype=np.bool_)
     for each in records:
         is_theirs |= _is_busy(each, edges, _travel(each))
@@ -184,12 +184,21 @@ def _others_turn(own: JointRecord, records: Sequence[JointRecord]) -> list[Span]
     return [Span(float(at), float(at) + _BIN) for at in edges[is_theirs]]
 
 
+def _bins(record: JointRecord) -> Numbers:
+    """Return when the pieces of time begin in which a joint has samples, in [s].
+
+    Of a clock that was set there may be years without any.
+    """
+    since = record.time - record.time[0]
+    return np.asarray(record.time[0] + _BIN * np.unique(np.floor(since / _BIN)))
+
+
 def _is_busy(record: JointRecord, edges: Numbers, travel: float) -> NDArray[np.bool_]:
     """Tell for each piece of time whether a joint moves by a part of a travel."""
     if len(record.time) < 2:
         return np.zeros(len(edges), dtype=np.bool_)
-    at = np.searchsorted(record.time, edges)
-    pieces = [record.position[a:b] for a, b in zip(at, [*at[1:], len(record.time)], strict=True)]
+    begins, ends = (np.searchsorted(record.time, each) for each in (edges, edges + _BIN))
+    pieces = [record.position[a:b] for a, b in zip(begins, ends, strict=True)]
     moved = np.array([float(np.ptp(each)) if len(each) else 0.0 for each in pieces])
     return np.asarray(moved > _BUSY * travel)
 

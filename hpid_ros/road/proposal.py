@@ -13,6 +13,7 @@ from hpid_ros.analysis import Comparison, run_indices
 from hpid_ros.analysis.quantities import INDICES
 from hpid_ros.bags import read_run
 from hpid_ros.bags.run.velocities import measures_velocity
+from hpid_ros.bags.selection import BagSelection
 from hpid_ros.base.errors import HpidError, RobotDescriptionError, SettingError, unknown_name
 from hpid_ros.base.interrupts import raise_if_interrupted
 from hpid_ros.base.units import SECONDS_PER_NANOSECOND
@@ -197,7 +198,12 @@ def _read(
     if question.goal is not None and question.goal not in GOALS:
         raise SettingError(unknown_name("goal", question.goal, GOALS))
     controllers = recorded_controllers(question.bag, question.parameters)
-    recording = read_run(question.bag, RECORDED, progress=lambda share: raise_if_interrupted())
+    recording = read_run(
+        question.bag,
+        RECORDED,
+        selection=BagSelection(separates_runs=True),  # which are no one motion
+        progress=lambda share: raise_if_interrupted(),
+    )
     robot = question.robot.description
     recording = recording.with_slides(robot.slides)
     loops, warnings = [], []

@@ -52,18 +52,16 @@ def inertia_ranges(
 
 
 def visited_poses(recorded: Sequence[JointSeries]) -> list[dict[str, float]]:
-    """Return poses of a recording, evenly spaced in time.
+    """Return poses of a recording, evenly spaced among its states: none in a long gap.
 
     Args:
         recorded: The joints, of one clock.
     """
     if not recorded:
         return []
-    stamps = np.linspace(
-        min(int(each.state_stamps_ns[0]) for each in recorded),
-        max(int(each.state_stamps_ns[-1]) for each in recorded),
-        _VISITED,
-    )
+    known = np.unique(np.concatenate([each.state_stamps_ns for each in recorded]))
+    places = np.linspace(0.0, len(known) - 1.0, _VISITED)
+    stamps = np.interp(places, np.arange(len(known)), known)
     columns = [np.interp(stamps, each.state_stamps_ns, each.position) for each in recorded]
     names = [each.joint for each in recorded]
     return [dict(zip(names, map(float, row), strict=True)) for row in zip(*columns, strict=True)]

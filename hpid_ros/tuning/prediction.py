@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from hpid_ros.analysis import Comparison, run_indices
 from hpid_ros.base.arrays import Numbers
-from hpid_ros.base.errors import RunError
+from hpid_ros.base.errors import RunError, SettingError
 from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.compensation.build import compensators
 from hpid_ros.control import JointLoop, LoopSettings
@@ -30,6 +30,8 @@ _STEP_DURATION = 3.0  # [s]
 _JUMP = 10.0  # times as far as from one sample to the next before and after
 _LEAST_JUMP = 1e-6  # [rad]
 _BEYOND_NS = 1_000_000
+_LONGEST_GAP = 1.0
+"""Between two recorded states, in [s]: beyond it the motion between them is anybody's guess."""
 PHYSICS_STEPS = 2
 """In a control period: half the time of four, and no ratio moved by more than 0.01."""
 
@@ -109,11 +111,14 @@ def simulate(
 
     Raises:
         RunError: A process died.
+        SettingError: The recording has a gap, or its clock jumped.
         HpidError: The robot lacks a joint, or cannot start where the recording does.
     """
     first = next(iter(loops.values()))
     joints = tuple(each.joint for each in first)
     series = {each.joint: each for each in recorded if each.joint in joints}
+    for each in series.values():
+        _require_one_motion(each)
     start = dict(initial_positions or {})
     start |= {name: float(each.position[0]) for name, each in series.items()}
     period_ns = round((period or first[0].timing.control_period) * NANOSECONDS)
@@ -152,6 +157,19 @@ def simulate(
         finally:
             pool.shutdown(wait=False, cancel_futures=True)
     return [found[label] for label in loops]
+
+
+def _require_one_motion(series: JointSeries) -> None:
+    """Refuse a recording that cannot be simulated as one motion."""
+    steps = np.diff(series.state_stamps_ns)
+    if not len(steps) or (longest := int(steps.max())) <= _LONGEST_GAP * NANOSECONDS:
+        return
+    at = float(series.time[int(steps.argmax())])
+    raise SettingError(
+        f"{series.joint!r} has no state for {longest / NANOSECONDS:.3g} s from {at:.3f} s on: "
+        "messages are missing, or the clock was set; to be simulated, a recording may have no "
+        f"gap above {_LONGEST_GAP:g} s"
+    )
 
 
 def _run(

@@ -326,6 +326,17 @@ def test_the_poses_of_a_recording_are_spread_over_its_time():
     assert visited_poses([]) == []
 
 
+def test_the_poses_of_two_recordings_are_of_these_and_not_of_the_time_between():
+    one = np.arange(0, 10_000_000_000, 10_000_000)
+    stamps = np.concatenate([one, one + 10**15])
+    position = np.sin(stamps % 10**12 * 1e-9)
+    series = JointSeries("elbow", stamps, position, position, stamps, position)
+    visited = [pose["elbow"] for pose in visited_poses([series])]
+    assert np.quantile(visited, [0.1, 0.9]) == pytest.approx(
+        np.quantile(position, [0.1, 0.9]), abs=0.05
+    )
+
+
 @pytest.mark.parametrize(
     ("series", "words"),
     [

@@ -89,6 +89,25 @@ def test_who_moves_at_the_same_time_is_named():
     assert found(one, after)[0].remarks == ()
 
 
+def test_years_between_two_samples_are_not_looked_through():
+    """A clock that begins in 1970 is set when the network comes."""
+    one, two = (record(Plant(), name=name, seed=seed) for name, seed in (("a", 1), ("b", 4)))
+    late = [
+        JointRecord(
+            each.joint,
+            np.append(each.time, 1e11),
+            np.append(each.position, each.position[-1]),
+            np.append(each.effort_time, 1e11),
+            np.append(each.effort, 0.0),
+            is_held=each.is_held,
+        )
+        for each in (one, two)
+    ]
+    known, jumped = found(one, two), found(*late)
+    assert [each.remarks for each in jumped] == [each.remarks for each in known]
+    assert values(jumped[0]) == pytest.approx(values(known[0]), rel=1e-3)
+
+
 def test_with_rigid_bodies_the_order_of_joints_does_not_matter():
     one, two = record(Plant(), name="a"), record(Plant(inertia=0.1), name="b", seed=4)
 

@@ -3,7 +3,10 @@
 import numpy as np
 import pytest
 
-from hpid_ros.tuning.prediction import recorded_motion
+from hpid_ros.base.errors import SettingError
+from hpid_ros.control import LoopSettings
+from hpid_ros.recordings.series import JointSeries
+from hpid_ros.tuning.prediction import recorded_motion, simulate
 
 PERIOD_NS = 2_000_000
 TIMES_NS = PERIOD_NS * np.arange(1500, dtype=np.int64)
@@ -39,3 +42,13 @@ def test_a_ramp_that_begins_is_no_jump():
     _, velocity = followed(reference)
     assert velocity.max() == pytest.approx(0.7, rel=1e-6)
     assert velocity.min() >= 0.0
+
+
+@pytest.mark.parametrize("later_ns", [1_500_000_000, 50 * 365 * 86_400 * 1_000_000_000])
+def test_a_recording_with_a_hole_is_no_motion_to_simulate(later_ns):
+    """Where a clock was set there may be years between two states: nobody simulates them."""
+    stamps = TIMES_NS + np.where(TIMES_NS > 1_000_000_000, later_ns, 0)
+    series = JointSeries("a", stamps, TIMES, TIMES, stamps, TIMES)
+    loops = {"PID": [LoopSettings.from_parameters({"joint": "a", "law": "pid"})]}
+    with pytest.raises(SettingError, match=r"'a' has no state for .* s from 1\.000 s on"):
+        simulate("no robot is needed", loops, [series])

@@ -175,8 +175,10 @@ def _recorded(bag: Path | None, loops: Sequence[LoopSettings]) -> tuple[JointSer
     if bag is None:
         return ()
     from hpid_ros.bags import read_run
+    from hpid_ros.bags.selection import BagSelection
 
-    return read_run(bag, "PID", joints=[each.joint for each in loops]).joints
+    selection = BagSelection(separates_runs=True)
+    return read_run(bag, "PID", joints=[each.joint for each in loops], selection=selection).joints
 
 
 def _proposals(
