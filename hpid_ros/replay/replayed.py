@@ -136,9 +136,9 @@ class _Replay:
             return
         near = next((each for each in (stamp_ns - 1, stamp_ns + 1) if each in stamps), None)
         states = self._record.states
-        if near is None and not states[0].stamp_ns < stamp_ns < states[-1].stamp_ns:
+        if near is None and not (states and states[0].stamp_ns < stamp_ns < states[-1].stamp_ns):
             self._outside += 1
-            self._is_begun_before |= stamp_ns < states[0].stamp_ns
+            self._is_begun_before |= bool(states) and stamp_ns < states[0].stamp_ns
         elif near is None:
             self._without_state += 1
         else:

@@ -46,6 +46,13 @@ def change(**values):
     )
 
 
+def test_a_joint_that_no_recorded_state_names_has_no_answer():
+    command = RecordedCommand(0, MS, 1.0, "somebody")
+    verdict = replay_joint(JointRecord(SETTINGS, [], [command], [], 0))
+    assert (verdict.equal, verdict.different, verdict.outside) == (0, 0, 1)
+    assert not verdict.is_the_law
+
+
 class Recorder:
     """Plays a controller and a recorder that hears some things earlier or later than it."""
 
