@@ -66,14 +66,15 @@ def require_distinct(joints: Sequence[str]) -> None:
     Raises:
         SettingError: Two of them would.
     """
-    names: dict[str, str] = {}
+    owners: dict[str, str] = {}
     for joint in joints:
-        other = names.setdefault(c_name(joint).casefold(), joint)
-        if names[c_name(joint).casefold()] is not joint:
-            raise SettingError(
-                f"joints {other!r} and {joint!r} would both be {c_name(joint)} in C: name one "
-                "of them with --joint"
-            )
+        for name in (c_name(joint), *file_names(joint)):
+            other = owners.setdefault(name.casefold(), joint)
+            if other is not joint:
+                raise SettingError(
+                    f"joints {other!r} and {joint!r} would both be {name} in C: name one of them "
+                    "with --joint"
+                )
 
 
 def c_files(settings: LoopSettings, precision: Precision, source: str) -> dict[str, str]:

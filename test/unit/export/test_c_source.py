@@ -141,6 +141,13 @@ def test_joints_of_one_name_in_c_are_refused():
         require_distinct(["a-1", "A_1"])
 
 
+@pytest.mark.parametrize("joints", [("arm", "arm_test"), ("arm_golden", "arm")])
+def test_joints_that_would_write_one_file_are_refused(joints):
+    require_distinct(["arm", "arm_2", "arm_golden_2"])
+    with pytest.raises(SettingError, match=r"would both be hpid_arm_(golden\.h|test\.c) in C"):
+        require_distinct(joints)
+
+
 @pytest.mark.parametrize(
     ("changes", "line"),
     [
