@@ -58,16 +58,18 @@ class Verification:
         joints: Of each joint, by key of the index.
         totals: Of all joints together.
         warnings: What the numbers must be read with, one line each.
+        others: What ran that was not proposed, one line a joint: then nothing was tested.
     """
 
     joints: dict[str, dict[str, Held]]
     totals: dict[str, Held]
     warnings: tuple[str, ...] = ()
+    others: tuple[str, ...] = ()
 
     @property
     def is_held(self) -> bool:
-        """Whether each judged index of all joints is near what was predicted."""
-        return all(self.totals[index.key].is_held for index in JUDGED)
+        """Whether the proposal ran, and each judged index of all joints is near the predicted."""
+        return not self.others and all(self.totals[index.key].is_held for index in JUDGED)
 
 
 def verify(prediction: Prediction, before: Path, after: Path) -> Verification:
@@ -90,13 +92,15 @@ def verify(prediction: Prediction, before: Path, after: Path) -> Verification:
     if all(math.isnan(comparison.ratio(_AFTER, each)) for each in JUDGED):
         why = "; ".join(mismatches(runs)) or "an effort or a reference is missing"
         raise SettingError(f"{before} and {after} cannot be compared: {why}")
+    others, warnings = _ran(prediction, after)
     return Verification(
         {
             name: {each.key: _held(prediction, comparison, each, name) for each in INDICES}
             for name in joints
         },
         {each.key: _held(prediction, comparison, each, None) for each in INDICES},
-        tuple(_warnings(prediction, comparison, measured, after)),
+        (*_warnings(prediction, comparison, measured), *warnings),
+        others,
     )
 
 
@@ -111,7 +115,7 @@ def _held(
 
 
 def _warnings(
-    prediction: Prediction, comparison: Comparison, measured: list[Measured], after: Path
+    prediction: Prediction, comparison: Comparison, measured: list[Measured]
 ) -> Iterator[str]:
     for each in measured:
         yield from each.defects
@@ -123,16 +127,16 @@ def _warnings(
                 f"the {index.symbol} before is {now:.4g} here, and was {then:.4g} when the "
                 f"prediction was made from {prediction.bag}"
             )
-    yield from _other_parameters(prediction, after)
 
 
-def _other_parameters(prediction: Prediction, after: Path) -> Iterator[str]:
-    """Yield what was not set as proposed, as far as the recording tells."""
+def _ran(prediction: Prediction, after: Path) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return what ran that was not proposed, and what the recording does not tell of it."""
     try:
         controllers = recorded_controllers(after)
     except HpidError:
-        yield "the recording after does not hold its controllers' parameters: taken as proposed"
-        return
+        line = "the recording after does not hold its controllers' parameters: taken as proposed"
+        return (), (line,)
+    others = []
     for joint, proposed in prediction.parameters.items():
         if joint not in controllers:
             continue
@@ -143,7 +147,8 @@ def _other_parameters(prediction: Prediction, after: Path) -> Iterator[str]:
             if name in _TOLD and not _is_same(ran.get(name), value)
         ]
         if unlike:
-            yield f"{joint} did not run what was proposed: {', '.join(unlike)}"
+            others.append(f"{joint} did not run what was proposed: {', '.join(unlike)}")
+    return tuple(others), ()
 
 
 _TOLD = ("law", "gains.p", "gains.i", "gains.d", "mu", "norm.type", "norm.effort_scale")

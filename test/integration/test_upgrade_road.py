@@ -167,6 +167,20 @@ def test_an_after_that_ran_something_else_is_told(travelled, capsys):
     assert verified(place, place / "before", place / "before") == FAILED
     said = " ".join(capsys.readouterr().out.split())
     assert "shoulder did not run what was proposed: law 'pid' for 'hpid'" in said
+    assert "The prediction is NOT tested: something else ran" in said
+
+
+def test_a_prediction_that_comes_true_without_the_proposal_is_not_held(
+    travelled, tmp_path, capsys
+):
+    _, place = travelled
+    document = json.loads((place / "upgrade.json").read_text())
+    for each in document["joints"].values():
+        for index in each["indices"].values():
+            index["after"], index["ratio"] = index["before"], 1.0
+    (tmp_path / "upgrade.json").write_text(json.dumps(document))
+    assert verified(tmp_path, place / "before", place / "before") == FAILED
+    assert "something else ran (IVC +0.0%, ITAE +0.0%)" in capsys.readouterr().out
 
 
 def refused(arguments, capsys):

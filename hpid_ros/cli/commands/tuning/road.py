@@ -205,7 +205,7 @@ def run_verify(options: argparse.Namespace) -> int:
     console.print(_held_table(found))
     console.print("over what was recorded before; off: measured over predicted", style="dim")
     console.print("")
-    for line in found.warnings:
+    for line in (*found.warnings, *found.others):
         console.print(f"! {shown(line)}", style="yellow", highlight=False, markup=False)
     console.print(_verdict(found))
     return DONE if found.is_held else FAILED
@@ -249,6 +249,8 @@ def _verdict(found: Verification) -> Text:
         f"{index.symbol} {held.off:+.1%}" if math.isfinite(held.off) else f"{index.symbol} unknown"
         for index, held in zip(JUDGED, judged, strict=True)
     )
+    if found.others:
+        return Text(f"The prediction is NOT tested: something else ran ({told}).", style="red")
     if found.is_held:
         return Text(f"The prediction held, within {HOLDS_WITHIN:.0%}: {told}.", style="green")
     return Text(f"The prediction did NOT hold within {HOLDS_WITHIN:.0%}: {told}.", style="red")
