@@ -13,6 +13,9 @@ from hpid_ros.control.settings.robot_limits import RobotLimits
 from hpid_ros.control.settings.table import Value
 from hpid_ros.experiment.live.graph import RunningController, RunningGraph
 
+SILENT_AFTER = 3.0
+"""Time without a word on ``/diagnostics`` in [s]; controllers report once a second."""
+
 
 class Health(NamedTuple):
     """What a controller has said of itself on ``/diagnostics``.

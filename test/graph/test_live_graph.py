@@ -378,7 +378,7 @@ def test_what_was_read_before_a_set_does_not_hide_it(harness, graph):
 
 
 def test_a_controller_that_was_silent_is_read_anew(harness, graph, monkeypatch):
-    monkeypatch.setattr(live_graph, "_SILENT", 0.3)
+    monkeypatch.setattr(live_graph, "SILENT_AFTER", 0.3)
     late = Forgetful(harness)
     harness.wait(lambda: late.NAME in graph.controllers(), what="it")
 

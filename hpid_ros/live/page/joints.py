@@ -8,11 +8,11 @@ from collections.abc import Callable
 
 from nicegui import ui
 
+from hpid_ros.live.graph import SILENT_AFTER
 from hpid_ros.live.history import RisingCount
 from hpid_ros.live.session import LiveSession
 
 _MISSED_LATELY = 10.0  # [s]
-_SILENT_AFTER = 3.0  # [s] without a word on /diagnostics
 _COLUMNS = ("", "joint", "state", "mean |e|", "largest |e|", "IVC/s", "rms u", "missed", "")
 _LEVELS = ("ok", "warning", "error", "error")
 
@@ -170,8 +170,8 @@ def _state(seen: object) -> tuple[str, str, str]:
         return lifecycle, "warning", "it controls nothing"
     if health is None:
         return lifecycle or "found", "ok", "it has said nothing on /diagnostics yet"
-    if time.monotonic() - health.heard_at > _SILENT_AFTER:
-        return "silent", "error", "nothing on /diagnostics for 3 s"
+    if time.monotonic() - health.heard_at > SILENT_AFTER:
+        return "silent", "error", f"nothing on /diagnostics for {SILENT_AFTER:g} s"
     return lifecycle or "active", _LEVELS[min(health.level, 3)], health.message
 
 

@@ -12,7 +12,14 @@ from typing import Any
 
 from hpid_ros.base.errors import HpidError, unknown_name
 from hpid_ros.control.settings.table import PARAMETERS, Value
-from hpid_ros.live.graph import Answer, Change, Health, Samples, SeenController
+from hpid_ros.live.graph import (
+    SILENT_AFTER,
+    Answer,
+    Change,
+    Health,
+    Samples,
+    SeenController,
+)
 from hpid_ros.live.seen import (
     MORE_PARAMETERS,
     RunningGraph,
@@ -39,7 +46,6 @@ from hpid_ros.wire.parameter_events import ParameterEvent
 _TICK = 0.05  # [s]
 _LOOK_FOR_TOPICS = 1.0  # [s]
 _DECLARED_WITHIN = 0.3  # [s] without a new one, after which a node has declared its parameters
-_SILENT = 3.0  # [s] without a word on /diagnostics, where controllers report once a second
 _CHANGES_KEPT = 1000
 _LIFECYCLE, _SAMPLES = "lifecycle", "samples"
 
@@ -304,7 +310,7 @@ def _may_be_other(before: Health, health: Health) -> bool:
     was quick, nobody saw that it was gone. But it counts its samples from the first one.
     """
     is_anew = _samples(health) < _samples(before)
-    return is_anew or health.heard_at - before.heard_at > _SILENT
+    return is_anew or health.heard_at - before.heard_at > SILENT_AFTER
 
 
 def _samples(health: Health) -> int:
