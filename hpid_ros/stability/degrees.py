@@ -7,13 +7,11 @@ one joint that differ in their degree.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Hashable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
 from typing import NamedTuple
 
-from hpid_ros.base.errors import GainError, NormError, RunError, SettingError
+from hpid_ros.base.errors import GainError, NormError, SettingError
+from hpid_ros.base.workers import side_by_side
 from hpid_ros.control import LoopSettings
 from hpid_ros.control.gains import Gains, is_hurwitz
 from hpid_ros.control.norms import NormFamily
@@ -111,20 +109,8 @@ def _computed(
     kinds: Sequence[LoopKind],
 ) -> Iterator[tuple[LoopKind, DegreeInterval | None]]:
     """Yield the interval of each kind as it becomes known, or None where there is none."""
-    jobs = min(len(kinds), len(os.sched_getaffinity(0)))
-    if jobs <= 1:
-        for kind in kinds:
-            yield kind, _interval(kind)
-        return
-    with ProcessPoolExecutor(jobs) as pool:
-        futures = {pool.submit(_interval, kind): kind for kind in kinds}
-        try:
-            for future in as_completed(futures):
-                yield futures[future], future.result()
-        except BrokenProcessPool:
-            raise RunError("a process died while degrees were certified") from None
-        finally:
-            pool.shutdown(wait=False, cancel_futures=True)
+    for place, interval in side_by_side(_interval, kinds):
+        yield kinds[place], interval
 
 
 def _interval(kind: LoopKind) -> DegreeInterval | None:

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
-import os
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from typing import Any
 
-from hpid_ros.base.errors import GainError, RunError, SettingError
+from hpid_ros.base.errors import GainError, SettingError
+from hpid_ros.base.workers import side_by_side
 from hpid_ros.control import HomogeneousPid, LoopSettings
 from hpid_ros.control.gains import is_hurwitz
 from hpid_ros.control.norms import GOOD_SAMPLING_MARGIN
@@ -88,13 +86,9 @@ def check_gains(
     for settings, inertia in loops:
         _require_inertia(settings.joint, inertia)
     found = certified_degrees(loops, tell)
-    if len(loops) <= 1:
-        return [_verdict(*loop, each) for loop, each in zip(loops, found, strict=True)]
-    try:
-        with ProcessPoolExecutor(min(len(loops), len(os.sched_getaffinity(0)))) as pool:
-            return list(pool.map(_verdict, *zip(*loops, strict=True), found))
-    except BrokenProcessPool:
-        raise RunError("a process died while gains were judged") from None
+    tasks = [(*loop, each) for loop, each in zip(loops, found, strict=True)]
+    verdicts = dict(side_by_side(_verdict, tasks, name=lambda task: task[0].joint))
+    return [verdicts[place] for place in range(len(tasks))]
 
 
 def judge(settings: LoopSettings, inertia: tuple[float, float]) -> GainVerdict:
@@ -120,8 +114,9 @@ def _require_inertia(joint: str, inertia: tuple[float, float]) -> None:
 
 
 def _verdict(
-    settings: LoopSettings, inertia: tuple[float, float], found: DegreeInterval | GainError
+    task: tuple[LoopSettings, tuple[float, float], DegreeInterval | GainError],
 ) -> GainVerdict:
+    settings, inertia, found = task
     low, high = inertia
     gains = settings.gains
     degree = settings.degree

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import multiprocessing.resource_tracker
-import signal
-import warnings
-from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Generator, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import partial
+from operator import attrgetter
 from types import TracebackType
 from typing import NamedTuple
 
@@ -17,8 +15,9 @@ import numpy as np
 from hpid_ros.analysis import RunIndices, run_indices
 from hpid_ros.analysis.quantities import EFFORT_L2, ERROR_L2, IAVC, ITAE, IVC, Fold, Quantity
 from hpid_ros.analysis.results import JointIndices
-from hpid_ros.base.errors import HpidError, RunError, SettingError
+from hpid_ros.base.errors import HpidError, SettingError
 from hpid_ros.base.interrupts import raise_if_interrupted
+from hpid_ros.base.workers import processors, side_by_side
 from hpid_ros.compensation.build import compensators
 from hpid_ros.control import JointLoop, LoopSettings
 from hpid_ros.experiment.description import Experiment
@@ -233,13 +232,6 @@ def in_processes(jobs: int | None) -> Runner:
     return partial(run_batch, jobs=jobs)
 
 
-def default_jobs() -> int:
-    """Return how many processors this process may use."""
-    from joblib import cpu_count  # type: ignore[import-untyped]
-
-    return int(cpu_count())
-
-
 def run_batch(tasks: Sequence[RunTask], jobs: int | None = None) -> Outcomes:
     """Run tasks and give their outcomes as they finish.
 
@@ -259,8 +251,8 @@ def run_batch(tasks: Sequence[RunTask], jobs: int | None = None) -> Outcomes:
     Raises:
         RunError: While iterating: a process died.
     """
-    jobs = min(default_jobs() if jobs is None else jobs, len(tasks))
-    return _one_by_one(tasks) if jobs <= 1 else _side_by_side(tasks, jobs)
+    jobs = processors() if jobs is None else jobs
+    return _one_by_one(tasks) if min(jobs, len(tasks)) <= 1 else _side_by_side(tasks, jobs)
 
 
 def _one_by_one(tasks: Sequence[RunTask]) -> Outcomes:
@@ -271,45 +263,15 @@ def _one_by_one(tasks: Sequence[RunTask]) -> Outcomes:
 
 
 def _side_by_side(tasks: Sequence[RunTask], jobs: int) -> Outcomes:
-    from joblib import Parallel, delayed, parallel_config
-    from joblib.externals.loky.backend import resource_tracker  # type: ignore[import-untyped]
-    from joblib.externals.loky.process_executor import (  # type: ignore[import-untyped]
-        BrokenProcessPool,
-    )
-
-    under_way: dict[int, None] = {}
-
-    def dispatched() -> Iterable[object]:
-        for place, task in enumerate(tasks):
-            under_way[place] = None
-            yield delayed(_work)(place, task)
-
-    # Each worker computes in one thread: more would fight for the same processors. Tasks are
-    # handed out one at a time, so that the names of those that a dead worker had are known.
-    with parallel_config("loky", n_jobs=jobs, inner_max_num_threads=1):
-        parallel = Parallel(
-            return_as="generator_unordered", pre_dispatch=jobs, batch_size=1, max_nbytes=None
-        )
-    outcomes: Outcomes | None = None
-    try:
-        # The first worker would start these, which clears the mask that it is to inherit.
-        multiprocessing.resource_tracker.ensure_running()
-        resource_tracker.ensure_running()
-        with _uninterruptible_children():
-            outcomes = parallel(dispatched())
-        for outcome in outcomes:
-            del under_way[outcome.place]
-            yield outcome
-    except BrokenProcessPool:
-        names = "; ".join(tasks[place].label for place in tuple(under_way))
-        raise RunError(f"a process died during one of these runs: {names}") from None
-    finally:
-        _close(outcomes)
+    work = side_by_side(_work, tasks, jobs, attrgetter("label"))
+    with closing(work):
+        for place, outcome in work:
+            yield outcome._replace(place=place)
 
 
-def _work(place: int, task: RunTask) -> Outcome:
+def _work(task: RunTask) -> Outcome:
     """Run a task in a worker process."""
-    return outcome_of(place, task, _keeper)
+    return outcome_of(0, task, _keeper)
 
 
 def outcome_of(place: int, task: RunTask, keeper: WorldKeeper) -> Outcome:
@@ -327,25 +289,3 @@ def outcome_of(place: int, task: RunTask, keeper: WorldKeeper) -> Outcome:
     except Exception as error:  # one bad run of a thousand is named; the others are wanted
         line = " ".join(f"{type(error).__name__}: {error}".split())
         return Outcome(place, None, line)
-
-
-@contextmanager
-def _uninterruptible_children() -> Iterator[None]:
-    """Let processes start that an interrupt from the terminal does not reach.
-
-    The terminal sends it to all; the parent alone answers it, and ends the others. Children
-    inherit the mask. An interrupt that comes meanwhile is held until the end.
-    """
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT,))
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
-def _close(outcomes: Outcomes | None) -> None:
-    """End the workers if anything is left to do."""
-    if outcomes is not None:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # joblib's advice to consume what was asked for
-            outcomes.close()

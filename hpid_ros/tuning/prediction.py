@@ -1,12 +1,11 @@
-"""Prediction of an upgrade, simulated in this process on the robot's model."""
+"""Prediction of an upgrade, simulated on the robot's model."""
 
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
+from functools import partial
+from operator import itemgetter
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -14,8 +13,9 @@ from numpy.typing import NDArray
 
 from hpid_ros.analysis import Comparison, run_indices
 from hpid_ros.base.arrays import Numbers
-from hpid_ros.base.errors import RunError, SettingError
+from hpid_ros.base.errors import SettingError
 from hpid_ros.base.units import NANOSECONDS
+from hpid_ros.base.workers import side_by_side
 from hpid_ros.compensation.build import compensators
 from hpid_ros.control import JointLoop, LoopSettings
 from hpid_ros.control.reference import Motion
@@ -143,20 +143,11 @@ def simulate(
     duration = max((float(each.time[-1]) for each in series.values()), default=_STEP_DURATION)
     periods = math.floor(duration * NANOSECONDS / period_ns)
     found = {}
-    with ProcessPoolExecutor(min(len(loops), len(os.sched_getaffinity(0)))) as pool:
-        futures = {
-            pool.submit(_run, label, world, each, motions, periods): label
-            for label, each in loops.items()
-        }
-        try:
-            for future in as_completed(futures):
-                found[futures[future]] = future.result()
-                tell(futures[future])
-        except BrokenProcessPool:
-            raise RunError("a process died while controllers were simulated") from None
-        finally:
-            pool.shutdown(wait=False, cancel_futures=True)
-    return [found[label] for label in loops]
+    work = partial(_run, world=world, motions=motions, periods=periods)
+    for place, run in side_by_side(work, list(loops.items()), name=itemgetter(0)):
+        found[place] = run
+        tell(run.label)
+    return [found[place] for place in range(len(loops))]
 
 
 def _require_one_motion(series: JointSeries) -> None:
@@ -173,12 +164,12 @@ def _require_one_motion(series: JointSeries) -> None:
 
 
 def _run(
-    label: str,
+    task: tuple[str, Sequence[LoopSettings]],
     world: WorldSettings,
-    settings: Sequence[LoopSettings],
     motions: Mapping[str, Column],
     periods: int,
 ) -> RunSeries:
+    label, settings = task
     loops = [JointLoop(each) for each in settings]
     for loop in loops:
         motion: Motion = motions[loop.settings.joint]
