@@ -46,7 +46,7 @@ compare: $(VENV)/.installed
 
 # Each file on one of so many processes, the long ones first; graphs have domains of their own.
 JOBS ?= 2
-SPREAD := -n $(JOBS) --dist loadfile --no-loadscope-reorder
+SPREAD := -n $(JOBS) --dist loadfile --no-loadscope-reorder --max-worker-restart 0
 
 thorough: PROFILE := --hypothesis-profile thorough
 thorough: test

@@ -1,11 +1,13 @@
 """Shared fixtures: short experiments, a graph that nobody else is on, and counted faults."""
 
+import faulthandler
 import os
 from collections import Counter
 from functools import partial
 from pathlib import Path
 
 import pytest
+from _pytest.faulthandler import fault_handler_stderr_fd_key
 from harness.experiments import write_experiment
 from harness.fork_server import ForkedPopen
 from harness.graph import Harness
@@ -22,6 +24,7 @@ settings.load_profile("suite")  # another one: pytest --hypothesis-profile thoro
 NodeProcess.popen = ForkedPopen  # of the suite's processes: nodes that it starts are forked
 
 FAULTS = pytest.StashKey()
+HUNG = 900.0  # [s], of one test: what pytest-timeout could not end waits outside of Python
 TESTS = Path(__file__).parent
 
 
@@ -84,6 +87,17 @@ def pytest_collection_modifyitems(config, items):
         others = [item for item in items if "faults" not in item.fixturenames]
         items[:] = [item for item in items if "faults" in item.fixturenames]
         config.hook.pytest_deselected(items=others)
+
+
+@pytest.hookimpl(wrapper=True, trylast=True)
+def pytest_runtest_protocol(item):
+    """Have a test that hangs for good say where, and cost its own process alone."""
+    stderr = item.config.stash[fault_handler_stderr_fd_key]
+    faulthandler.dump_traceback_later(HUNG, exit=True, file=stderr)
+    try:
+        return (yield)
+    finally:
+        faulthandler.cancel_dump_traceback_later()
 
 
 def pytest_terminal_summary(terminalreporter, config):
