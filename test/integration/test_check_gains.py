@@ -9,6 +9,7 @@ from harness.graph import ros_arguments
 from hpid_ros.base.resources import share_folder
 from hpid_ros.cli.commands import BAD_INPUT, DONE, FAILED
 from hpid_ros.cli.main import main
+from hpid_ros.experiment.graph.isolation import closed_environment, own_domain
 from hpid_ros.stability.certificate import Certificate
 from hpid_ros.stability.verdict import verify_certificate
 from hpid_ros.tuning.controller_files import settings_from_parameters
@@ -126,8 +127,11 @@ def test_running_controllers_are_found_and_checked(harness, capsys):
     }
 
 
-def test_an_empty_graph_is_said(harness, capsys):
-    assert main(["check-gains", "--live"]) == BAD_INPUT
+def test_an_empty_graph_is_said(monkeypatch, capsys):
+    with own_domain() as domain:
+        for name, value in closed_environment(domain).items():
+            monkeypatch.setenv(name, value)
+        assert main(["check-gains", "--live"]) == BAD_INPUT
     assert "the running graph has no joint controller" in capsys.readouterr().err
 
 
