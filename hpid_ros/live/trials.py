@@ -105,10 +105,11 @@ class Trials:
     Args:
         session: The session.
         start: Begins a motion.
+        within: Longest time without a word of the button, in [s]; then joints stop.
     """
 
-    def __init__(self, session: LiveSession, start: Starter) -> None:
-        self._session, self._start = session, start
+    def __init__(self, session: LiveSession, start: Starter, within: float) -> None:
+        self._session, self._start, self._within = session, start, within
         self.stage = Stage.IDLE
         self.said, self.is_bad = "", False
         self.result: TrialResult | None = None
@@ -373,7 +374,10 @@ class Trials:
 
     def _why(self, ending: Ending) -> str:
         if ending.reason == RELEASED and not self._is_released:
-            return "nothing was heard of the button for 0.4 s, page, network or computer are slow"
+            return (
+                f"nothing was heard of the button for {self._within:g} s, page, network or "
+                f"computer are slow (hpid live --button-timeout)"
+            )
         return ending.reason
 
     def _say(self, text: str, *, is_bad: bool = False) -> None:

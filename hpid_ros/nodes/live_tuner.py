@@ -38,11 +38,16 @@ class LiveTuner(executor.ClosingNode):
         )
         opens = read_only(self, "open_browser", True, "Open the page where there is a display")
         rate = read_number(self, "rate", 30.0, "Frames a second [Hz]", (5.0, 60.0))
+        within = read_number(
+            self, "button_timeout", 0.4, "Of a held button, then joints stop [s]", (0.2, 2.0)
+        )
         if not 0 <= port <= _LARGEST_PORT:
             raise SettingError(f"port must lie in [0, {_LARGEST_PORT}], not {port}")
         self._status = StatusPipe(self)
         self._graph = LiveGraph(self)
-        self._served = _serve(self._graph, host=host, port=port, token=token, rate=rate)
+        self._served = _serve(
+            self._graph, host=host, port=port, token=token, rate=rate, button_timeout=within
+        )
         self._tell(opens)
 
     def _tell(self, opens: bool) -> None:
@@ -70,7 +75,7 @@ USAGE = Usage(
     "live_tuner",
     "Serves a page on which a person sees, retunes, tries and stops running controllers.",
     "",
-    ["host", "port", "token", "open_browser", "rate", "status_fd"],
+    ["host", "port", "token", "open_browser", "rate", "button_timeout", "status_fd"],
     [
         *("joint_states", "joint_commands", "CONTROLLER/reference", "CONTROLLER/transition_event"),
         *("/diagnostics", "/parameter_events"),

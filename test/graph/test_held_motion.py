@@ -15,11 +15,11 @@ from harness.turntable import GAINS, INERTIA, URDF, positions, start_turntable, 
 from hpid_ros.control.settings.table import PARAMETERS
 from hpid_ros.excitation.bounds import Wish
 from hpid_ros.excitation.plan import Design, plan
-from hpid_ros.experiment.live.button import Button
+from hpid_ros.experiment.live.button import HELD_WITHIN, Button
 from hpid_ros.experiment.live.excitation import bounds_of, chosen
 from hpid_ros.experiment.live.held import HeldMotion
 from hpid_ros.live.seen import as_running, seen_controller
-from hpid_ros.nodes.parts.live.dead_man import WITHIN, DeadMan
+from hpid_ros.nodes.parts.live.dead_man import DeadMan
 
 NODE = "/turn_controller"
 
@@ -84,7 +84,7 @@ def pipe(monkeypatch):
 
 
 def test_a_button_is_held_as_long_as_presses_come_and_not_after_its_release(pipe, monkeypatch):
-    button, dead_man = Button(), DeadMan()
+    button, dead_man = Button(), DeadMan(HELD_WITHIN)
     now = [100.0]
     monkeypatch.setattr(time, "monotonic", lambda: now[0])
     button.press()  # there is nobody yet
@@ -93,7 +93,7 @@ def test_a_button_is_held_as_long_as_presses_come_and_not_after_its_release(pipe
         for _ in range(20):
             button.press()
             assert dead_man.is_held()
-            now[0] += 0.9 * WITHIN
+            now[0] += 0.9 * HELD_WITHIN
             assert dead_man.is_held()
         button.press()
         now[0] += 1e9  # the process stood still, and cannot know when it was pressed
@@ -103,7 +103,7 @@ def test_a_button_is_held_as_long_as_presses_come_and_not_after_its_release(pipe
         button.press()
         now[0] += 0.1
         assert dead_man.is_held()
-        now[0] += 1.1 * WITHIN
+        now[0] += 1.1 * HELD_WITHIN
         assert not dead_man.is_held()
         assert not dead_man.is_gone
         button.press()
@@ -118,7 +118,7 @@ def test_a_button_is_held_as_long_as_presses_come_and_not_after_its_release(pipe
 
 
 def test_a_button_that_was_released_before_there_is_a_process_is_gone_at_once(pipe):
-    button, dead_man = Button(), DeadMan()
+    button, dead_man = Button(), DeadMan(HELD_WITHIN)
     button.release()
     with button.held_for(pipe):
         assert not dead_man.is_held()
@@ -148,6 +148,16 @@ def test_joints_move_while_the_button_is_held_and_rest_when_it_is_not(bench):
         lambda: "hpid_exciter" not in bench.harness.node.get_node_names(), what="its end"
     )
     assert 0.005 < wait_for_rest(bench.harness) - rests < 0.3
+
+
+def test_whoever_allows_a_longer_time_may_press_less_often(bench):
+    motion = HeldMotion(*bench.order("patient", 0.0), within=2.0)
+    bench.reach(motion, lambda: motion.stage == "ready")
+    motion.press()
+    bench.reach(motion, lambda: motion.seconds > 3.0 * HELD_WITHIN)  # pressed once
+    assert motion.stage == "moving"
+    assert bench.ending(motion).reason == "the button was released"
+    assert motion.seconds < 4.0
 
 
 def hold_until_killed(file, seconds):

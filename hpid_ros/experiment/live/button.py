@@ -9,13 +9,21 @@ import threading
 import time
 from collections.abc import Iterator
 
+HELD_WITHIN = 0.4
+"""Longest time between two presses, in [s]; who holds the button presses several times in it."""
+
 _ENDS_WITHIN = 8.0  # [s] from the release
 
 
 class Button:
-    """Bytes on a process's standard input while somebody holds it, and its end afterwards."""
+    """Bytes on a process's standard input while somebody holds it, and its end afterwards.
 
-    def __init__(self) -> None:
+    Attributes:
+        within: Longest time between two presses, in [s]; then the joints stop.
+    """
+
+    def __init__(self, within: float = HELD_WITHIN) -> None:
+        self.within = within
         self._lock = threading.Lock()
         self._process: subprocess.Popen[bytes] | None = None
         self._released_at: float | None = None
@@ -26,7 +34,7 @@ class Button:
         return self._released_at is not None
 
     def press(self) -> None:
-        """Say that it is held: several times in 0.4 s, or the joints stop."""
+        """Say that it is held: several times in the time allowed, or joints stop."""
         with self._lock:
             if self._process is None or self._process.stdin is None or self.is_released:
                 return

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Literal
 
 from hpid_ros.excitation.plan import ExcitationPlan
-from hpid_ros.experiment.live.button import Button
+from hpid_ros.experiment.live.button import HELD_WITHIN, Button
 from hpid_ros.experiment.live.excitation import carry_out
 from hpid_ros.experiment.live.graph import RunningController, RunningGraph
 from hpid_ros.experiment.live.watching import Ending
@@ -20,7 +20,7 @@ class HeldMotion:
     """One motion, in a thread of its own; every method returns at once unless it says so.
 
     It begins with the first :meth:`press` after it is ``ready``, goes on while presses come at
-    least every 0.4 s, and otherwise the joints come to rest. It is recorded either way.
+    least as often as they must, and otherwise the joints come to rest. It is recorded either way.
 
     Args:
         plan: The motion.
@@ -28,6 +28,7 @@ class HeldMotion:
         graph: What runs.
         bag: Folder to create.
         states: Topic of the states.
+        within: Longest time between two presses, in [s].
 
     Attributes:
         bag: The recording, once it has ended.
@@ -42,11 +43,12 @@ class HeldMotion:
         graph: RunningGraph,
         bag: Path,
         states: str = "joint_states",
+        within: float = HELD_WITHIN,
     ) -> None:
         self.bag = bag
         self.stage: HeldStage = "preparing"
         self.seconds = 0.0
-        self._button = Button()
+        self._button = Button(within)
         self._ending: Ending | None = None
         self._failure: BaseException | None = None
         self._has_ended = threading.Event()

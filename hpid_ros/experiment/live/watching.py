@@ -97,7 +97,7 @@ def carried_out(
     with tempfile.TemporaryDirectory(prefix="hpid_live_") as folder:
         place = Path(folder)
         file = place / "plan.json"
-        whole = {**order, "recorder": RECORDER, "hold_to_run": button is not None}
+        whole = {**order, "recorder": RECORDER, "held_within": button and button.within}
         file.write_text(json.dumps(whole))
         with (
             NodeGroup(os.environ, place) as group,

@@ -11,6 +11,7 @@ import socket
 import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ from nicegui import Client, ui
 from nicegui import app as pages
 
 from hpid_ros.base.errors import SettingError
+from hpid_ros.experiment.live.button import HELD_WITHIN
 from hpid_ros.experiment.live.held import HeldMotion
 from hpid_ros.live.adviser import AdviceClient
 from hpid_ros.live.graph import Graph
@@ -45,12 +47,14 @@ class ServerSettings:
         port: 0 chooses a free one.
         token: That opens the page; empty draws one.
         rate: Frames a second.
+        button_timeout: Without a word of a button that is held, in [s]; then joints stop.
     """
 
     host: str = "127.0.0.1"
     port: int = 8080
     token: str = ""
     rate: float = 30.0
+    button_timeout: float = HELD_WITHIN
 
     def __post_init__(self) -> None:
         """Refuse what is not safe.
@@ -93,13 +97,13 @@ class Served:
         self._server.force_exit = True
 
 
-def serve(graph: Graph, settings: ServerSettings, start: Starter = HeldMotion) -> Served:
+def serve(graph: Graph, settings: ServerSettings, start: Starter | None = None) -> Served:
     """Serve the page of a graph, in a thread of its own.
 
     Args:
         graph: The running graph.
         settings: How.
-        start: Begins a motion.
+        start: Begins a motion; None for those that are carried out on the graph.
 
     Raises:
         SettingError: The address cannot be listened at.
@@ -110,7 +114,8 @@ def serve(graph: Graph, settings: ServerSettings, start: Starter = HeldMotion) -
     hosts = LOOPBACK if settings.host in LOOPBACK else ()
     advice = AdviceClient()
     session = LiveSession(graph, advice)
-    trials = Trials(session, start)
+    within = settings.button_timeout
+    trials = Trials(session, start or partial(HeldMotion, within=within), within)
     api = _api(session, Frames(session, trials, 1.0 / settings.rate))
     pages.add_static_files("/assets", str(ASSETS))
     ui.run_with(

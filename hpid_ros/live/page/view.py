@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from collections.abc import Sequence
 from datetime import datetime
 
@@ -11,9 +12,10 @@ from nicegui import ui
 from hpid_ros.live.page.joints import JointTable
 from hpid_ros.live.page.panel import TuningPanel
 from hpid_ros.live.session import LiveSession
-from hpid_ros.live.trials import Trials
+from hpid_ros.live.trials import Stage, Trials
 
 _REFRESH_PERIOD = 0.3  # [s]
+_HELD_REFRESH_PERIOD = 1.0  # [s]: a browser that renders all the time does not hear a button
 _WINDOWS = (2, 5, 10, 20, 60)  # [s]
 
 _HEAD = """
@@ -40,12 +42,13 @@ class PageView:
         self._page = self._client.id
         self._dark = ui.dark_mode(None)
         self._logged = 0
+        self._refreshed_at = float("-inf")
         self._table: JointTable
         self._panel: TuningPanel
         ui.echart({}).style("display: none")  # brings the chart library onto the page
         ui.add_head_html(_HEAD)
         self._build()
-        ui.timer(_REFRESH_PERIOD, self._refresh)
+        ui.timer(_REFRESH_PERIOD, self._refresh_in_time)
         begin = f"window.hpidLive.start({json.dumps(self._page)})"
         script = f"""
             if (window.hpidLive) {begin};
@@ -159,7 +162,13 @@ class PageView:
         )
         self._panel.changed()
 
+    def _refresh_in_time(self) -> None:
+        is_moving = self._trials.stage is Stage.MOVING
+        if not is_moving or time.monotonic() - self._refreshed_at >= _HELD_REFRESH_PERIOD:
+            self._refresh()
+
     def _refresh(self) -> None:
+        self._refreshed_at = time.monotonic()
         desk = self._session.desk
         if self._may_edit:
             others = f", {desk.pages - 1} more look on" if desk.pages > 1 else ""

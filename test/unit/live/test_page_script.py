@@ -22,8 +22,9 @@ ASSETS = ROOT / "hpid_ros" / "live" / "page" / "assets"
 
 
 def evaluate(program, data=None):
-    """Return what a program returns, with the module's names and ``given`` at hand."""
-    source = (ASSETS / "curves.js").read_text().replace("export ", "")
+    """Return what a program returns, with the modules' names and ``given`` at hand."""
+    source = "".join((ASSETS / each).read_text() for each in ("curves.js", "turns.js"))
+    source = source.replace("export ", "")
     said = subprocess.run(
         [NODE, "-"],
         input=f"{source}\nconst given = {json.dumps(data)};\n"
@@ -86,3 +87,60 @@ def test_program_and_style_are_formatted_and_linted():
         [BIOME, "ci", str(ASSETS)], cwd=ROOT, capture_output=True, text=True, check=False
     )
     assert said.returncode == 0, said.stdout + said.stderr
+
+
+DRAWN = """
+// Frames of the screen every 16 ms unless something takes longer; what is drawn takes its time.
+const [costs, frames, heldFrom] = given;
+let now = 0, rounds = 0;
+const turns = new Turns(), drawn = [], stretches = [];
+for (let at = 0; at < frames; at += 1) {
+  const began = now;
+  const draw = (chart) => { now += costs[chart]; drawn.push([chart, now]); };
+  rounds += turns.take([...costs.keys()], true, at >= heldFrom, draw, () => now);
+  stretches.push(now - began);
+  now = Math.max(now, began + 16);
+}
+return { rounds, drawn, stretches, now };
+"""
+
+
+@given(
+    costs=st.lists(st.integers(0, 300), min_size=1, max_size=6),
+    held=st.one_of(st.just(0), st.just(10_000)),
+)
+@settings(max_examples=15)
+def test_charts_are_drawn_in_turn_and_never_long_at_a_stretch(costs, held):
+    found = evaluate(DRAWN, [costs, 2000, held])
+    order = [chart for chart, _ in found["drawn"]]
+    assert order == [place % len(costs) for place in range(len(order))]
+    assert len(order) > len(costs)  # more than once each
+    # No drawing begins after 12 ms: beside the last one, that is all that a key waits for.
+    assert max(found["stretches"]) <= 12 + max(costs)
+    spent = sum(found["stretches"])
+    share = 12 if held == 0 else 4
+    rounds = found["rounds"]
+    assert spent * (1 + share) <= found["now"] + (1 + share) * sum(costs)  # the last pause is cut
+    assert 50 * (rounds - 1) + spent <= found["now"] + sum(costs)
+
+
+def test_a_fast_computer_draws_all_charts_twenty_times_a_second_and_a_slow_one_goes_on():
+    fast = evaluate(DRAWN, [[1, 1, 1, 1], 1000, 10_000])
+    assert fast["rounds"] / fast["now"] * 1000 > 15
+    assert max(fast["stretches"]) == 4  # all of them at once
+    slow = evaluate(DRAWN, [[90, 90, 90, 90], 1000, 0])
+    assert slow["rounds"] >= 2
+    assert max(slow["stretches"]) == 90
+
+
+def test_a_new_choice_of_joints_is_drawn_at_once():
+    drawn = """
+    const turns = new Turns(), drawn = [];
+    let now = 0;
+    const take = (isWanted) => turns.take(
+      ["a", "b"], isWanted, false, (chart) => { drawn.push(chart); now += 20; }, () => now);
+    const begun = [take(false), take(true), take(true), take(true)];
+    turns.restart();
+    return [...begun, take(true), drawn.join("")];
+    """
+    assert evaluate(drawn) == [False, True, False, False, True, "aba"]

@@ -61,7 +61,7 @@ class Bench:
         self.session.pulse()
         self.session.desk.join(PAGE)
         self.motions = []
-        self.trials = Trials(self.session, self._start)
+        self.trials = Trials(self.session, self._start, 0.4)
         self._reason, self._motion = reason, motion
 
     def _start(self, planned, controllers, graph, bag, states):

@@ -40,6 +40,13 @@ def add(commands: Any) -> None:
     parser.add_argument(
         "--rate", type=float, default=30.0, metavar="HZ", help="frames a second, 5 to 60 (30)"
     )
+    parser.add_argument(
+        "--button-timeout",
+        type=float,
+        default=0.4,
+        metavar="S",
+        help="joints stop when nothing was heard of a held button for so long, 0.2 to 2 (0.4)",
+    )
     parser.set_defaults(command=run)
 
 
@@ -72,6 +79,7 @@ def _given(options: argparse.Namespace) -> list[str]:
         "token": _text(options.token),
         "open_browser": str(not options.no_browser).lower(),
         "rate": float(options.rate),
+        "button_timeout": float(options.button_timeout),
     }
     return [text for name, value in parameters.items() for text in ("-p", f"{name}:={value}")]
 

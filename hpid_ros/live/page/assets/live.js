@@ -1,10 +1,9 @@
 import { echarts } from "nicegui-echart";
 import { Curves, roundLimits } from "./curves.js";
+import { Turns } from "./turns.js";
 
 const LOST_AFTER = 1500; // [ms] without a frame
-const DRAWN_EVERY = 50; // [ms]
 const HELD_EVERY = 100; // [ms]
-const DRAWING_SHARE = 4; // a slow computer does not draw all the time: there are buttons, too
 
 /** Colours that people who see red and green alike tell apart (Okabe and Ito), for both themes. */
 const COLOURS = [
@@ -48,13 +47,11 @@ class LivePage {
     this.seconds = 10;
     this.isPaused = false;
     this.heard = performance.now();
-    this.drawn = 0;
-    this.cost = 0;
+    this.turns = new Turns();
     this.isDirty = false;
     this.charts = new Map();
     this.socket = null;
     this.held = null;
-    this.frozen = null;
     this.frames = 0;
     this.isTaken = false;
   }
@@ -63,14 +60,8 @@ class LivePage {
     this.page = page;
     this.connect();
     setInterval(() => this.look(), 250);
-    const draw = (time) => {
-      const pause = Math.max(DRAWN_EVERY, DRAWING_SHARE * this.cost);
-      if (this.isDirty && !this.isPaused && time - this.drawn >= pause) {
-        this.isDirty = false;
-        this.draw();
-        this.drawn = performance.now();
-        this.cost = this.drawn - time;
-      }
+    const draw = () => {
+      this.draw();
       requestAnimationFrame(draw);
     };
     requestAnimationFrame(draw);
@@ -194,9 +185,9 @@ class LivePage {
     this.seconds = seconds;
     this.isDirty = true;
     this.isPaused = false;
+    this.turns.restart();
     for (const chart of this.charts.values()) {
       chart.clear();
-      chart.laidOut = false;
     }
   }
 
@@ -223,11 +214,15 @@ class LivePage {
 
   draw() {
     const isDark = document.body.classList.contains("body--dark");
-    for (const each of CHARTS) {
+    const draw = (each) => {
       const chart = this.chart(each.id);
       if (chart && chart.getWidth() > 0) {
         this.drawOne(chart, each, isDark);
       }
+    };
+    const isWanted = this.isDirty && !this.isPaused;
+    if (this.turns.take(CHARTS, isWanted, this.held !== null, draw)) {
+      this.isDirty = false;
     }
   }
 

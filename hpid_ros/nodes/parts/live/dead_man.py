@@ -7,9 +7,6 @@ import select
 import sys
 import time
 
-WITHIN = 0.4
-"""Longest time between two bytes in [s]; whoever holds the button writes several in that time."""
-
 _AT_ONCE = 65536
 
 
@@ -18,9 +15,13 @@ class DeadMan:
 
     Attributes:
         is_gone: Whether nothing can come any more.
+
+    Args:
+        within: Longest time between two bytes, in [s].
     """
 
-    def __init__(self) -> None:
+    def __init__(self, within: float) -> None:
+        self._within = within
         self.is_gone = False
         self._input = sys.stdin.fileno()
         self._last = -float("inf")
@@ -30,7 +31,7 @@ class DeadMan:
         now = time.monotonic()
         if self._has_come():
             self._last = now
-        return not self.is_gone and now - self._last < WITHIN
+        return not self.is_gone and now - self._last < self._within
 
     def forget(self) -> None:
         """Take it for not held until a byte comes."""

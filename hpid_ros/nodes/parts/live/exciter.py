@@ -2,7 +2,7 @@
 
 It commands no joint: it tells the controllers a trajectory, and, when a limit is reached, when
 anything comes in between or when it is asked to end, another one on which they stop and hold. With
-``hold_to_run`` it begins when somebody presses a button, and stops when the button is released.
+``held_within`` it begins when somebody presses a button, and stops when the button is released.
 """
 
 from __future__ import annotations
@@ -51,7 +51,8 @@ class Exciter(executor.ClosingNode):
         order = read_order(self)
         self._plan = plan = ExcitationPlan.from_mapping(order["plan"])
         self._recorder = str(order.get("recorder", ""))
-        self._button = DeadMan() if order.get("hold_to_run") else None
+        within = order.get("held_within")
+        self._button = None if within is None else DeadMan(float(within))
         self._ready_at: float | None = None
         self._controllers = {each.bounds.controller for each in plan.joints}
         self._follower = GoalFollower(
