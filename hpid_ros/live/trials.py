@@ -115,6 +115,7 @@ class Trials:
         self.result: TrialResult | None = None
         self._page = ""
         self._motion: HeldMotion | None = None
+        self._tried: Tried | None = None
         self._folder: Path | None = None
         self._is_kept = False
         self._is_held = self._is_held_over = self._is_released = False
@@ -193,6 +194,13 @@ class Trials:
         if self._motion is not None:
             self._motion.release()
 
+    def unfinished(self) -> list[str]:
+        """Return the joints whose controllers have what a trial that is under way has set."""
+        if self._tried is None:
+            return []
+        back = self._tried.to_give_back(self._session.tuning.in_force)
+        return [self._session.label(node) for node, values in back.items() if values]
+
     async def keep(self, variant: Variant) -> None:
         """Have controllers keep what they were tried with."""
         if variant.values is None:
@@ -234,7 +242,7 @@ class Trials:
         self.result, self.count = None, len(variants)
         staged = self._session.tuning.staged_sets(nodes)
         before = {node: dict(self._session.tuning.in_force[node]) for node in nodes}
-        tried = Tried(before, variants)
+        self._tried = tried = Tried(before, variants)
         found: list[Measured] = []
         try:
             self._forget()
@@ -248,7 +256,7 @@ class Trials:
         except OSError as error:
             self._say(str(error), is_bad=True)
         finally:
-            self._motion, self.stage = None, Stage.IDLE
+            self._motion, self._tried, self.stage = None, None, Stage.IDLE
 
     async def _carry_out(
         self,

@@ -9,15 +9,19 @@ import webbrowser
 from collections.abc import Sequence
 from typing import Any
 
+from rclpy.task import Future
+
 from hpid_ros.base.errors import SettingError
 from hpid_ros.nodes.parts.tuner.live_graph import LiveGraph
 from hpid_ros.nodes.ros import executor
 from hpid_ros.nodes.ros.parameters import read_number, read_only
 from hpid_ros.nodes.ros.status import StatusPipe
+from hpid_ros.nodes.ros.steady_timer import steady_timer
 from hpid_ros.nodes.ros.usage import Usage
 
 _LARGEST_PORT = 65535
 _NICENESS = 10  # controllers come first
+_LOOK_PERIOD = 0.05  # [s]
 _DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY")
 
 
@@ -58,9 +62,28 @@ class LiveTuner(executor.ClosingNode):
             # A browser that nobody has used yet takes seconds.
             threading.Thread(target=webbrowser.open, args=(url,), daemon=True).start()
 
+    def wind_down(self) -> Future | None:
+        """Cancel a trial that is under way."""
+        if not self._served.is_trying:
+            return None
+        self._served.cancel()
+        has_ended = Future()
+
+        def look() -> None:
+            if not self._served.is_trying and not has_ended.done():
+                has_ended.set_result(None)
+
+        steady_timer(self, _LOOK_PERIOD, look)
+        return has_ended
+
     def close(self) -> None:
         """End the page; nothing is told to any controller."""
-        self._served.stop()
+        tried = self._served.stop()
+        if tried:
+            print(
+                f"hpid live: {', '.join(tried)}: what a trial has set is still in force",
+                file=sys.stderr,
+            )
         self._graph.close()
 
 

@@ -1,11 +1,13 @@
 """The live page on a real graph, as a person uses it: retuned, tried with two settings, left."""
 
 import re
+import signal
 
 import pytest
 from harness.browser import launched
 from harness.graph import ros_arguments
-from harness.turntable import INERTIA, positions, start_turntable, wait_for_rest
+from harness.turntable import GAINS, INERTIA, positions, start_turntable, wait_for_rest
+from rcl_interfaces.srv import GetParameters
 
 expect = pytest.importorskip("playwright.sync_api", reason="pip install playwright").expect
 pytestmark = [pytest.mark.slow, pytest.mark.alone]  # a browser is slow beside other tests
@@ -15,12 +17,17 @@ NODE = "turn_controller"
 
 
 @pytest.fixture
-def page(harness, tmp_path):
-    """Return the page of the turntable's controller, opened."""
+def tuner(harness, tmp_path):
+    """Return the page's process, beside the turntable and its controller."""
     start_turntable(harness, tmp_path, inertia=INERTIA, require_certificate=True)
-    tuner = harness.processes.start(
+    return harness.processes.start(
         "live_tuner", "live_tuner", ros_arguments(port=0, open_browser=False, rate=10.0)
     )
+
+
+@pytest.fixture
+def page(harness, tuner):
+    """Return the page of the turntable's controller, opened."""
     events = []
     harness.wait(lambda: events.extend(tuner.read_events()) or events, what="the page")
     with launched() as browser:
@@ -111,3 +118,30 @@ def test_what_is_not_certified_is_seen_before_it_is_sent_and_refused_in_the_node
         apply.click()
     assert refused.count()
     page.get_by_text("chosen, not sent").wait_for()  # it is still there to be changed
+
+
+def test_a_page_that_is_ended_during_a_trial_sets_back_what_was_tried(harness, tuner, page):
+    before = GAINS["gains__p"]
+    type_into(page, "proportional gain", before + 5.0)
+    page.get_by_role("tab", name="Try").click()
+    page.get_by_role("combobox", name="first with").click()
+    page.get_by_role("option", name="what is chosen").click()
+    page.get_by_role("button", name="Get ready").click()
+    hold = page.get_by_role("button", name="hold to run, release to stop")
+    page.get_by_text(re.compile("^chosen: hold the button")).wait_for()
+    assert proportional_gain(harness) == before + 5.0
+    expect(hold).to_be_enabled(timeout=LATE)
+    hold.hover()
+    page.mouse.down()
+    page.get_by_text("chosen: moving", exact=True).wait_for()
+    tuner.process.send_signal(signal.SIGINT)  # Ctrl-C, while joints move
+    harness.wait(lambda: tuner.process.poll() is not None, what="the page's end")
+    assert tuner.process.returncode == 0
+    assert proportional_gain(harness) == before
+    assert "still in force" not in tuner.log.read_text()
+    wait_for_rest(harness)
+
+
+def proportional_gain(harness):
+    request = GetParameters.Request(names=["gains.p"])
+    return harness.call(GetParameters, f"{NODE}/get_parameters", request).values[0].double_value

@@ -9,7 +9,6 @@ import math
 import secrets
 import socket
 import threading
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -28,7 +27,7 @@ from hpid_ros.live.graph import Graph
 from hpid_ros.live.page.access import LOOPBACK, Access, Guard, require_token
 from hpid_ros.live.page.view import PageView
 from hpid_ros.live.session import LiveSession, Mark
-from hpid_ros.live.trials import Starter, Trials
+from hpid_ros.live.trials import Stage, Starter, Trials
 
 ASSETS = Path(__file__).parent / "assets"
 
@@ -83,18 +82,35 @@ class Served:
         url: str,
         server: uvicorn.Server,
         thread: threading.Thread,
-        closes: Sequence[Callable[[], None]],
+        trials: Trials,
+        advice: AdviceClient,
     ) -> None:
         self.url = url
-        self._server, self._thread, self._closes = server, thread, closes
+        self._server, self._thread = server, thread
+        self._trials, self._advice = trials, advice
 
-    def stop(self) -> None:
-        """End the server and what it has begun; no parameter and no state is changed."""
-        for close in self._closes:
-            close()
+    @property
+    def is_trying(self) -> bool:
+        """Whether a trial is under way."""
+        return self._trials.stage is not Stage.IDLE
+
+    def cancel(self) -> None:
+        """Have a trial end: joints come to rest, controllers get back what it has set."""
+        self._trials.cancel()
+
+    def stop(self) -> list[str]:
+        """End the server and what it has begun; no parameter and no state is changed.
+
+        Returns:
+            The joints whose controllers keep what a trial has set, as it could not end in time.
+        """
+        tried = self._trials.unfinished()
+        self._trials.close()
+        self._advice.close()
         self._server.should_exit = True
         self._thread.join(_ENDS_WITHIN)
         self._server.force_exit = True
+        return tried
 
 
 def serve(graph: Graph, settings: ServerSettings, start: Starter | None = None) -> Served:
@@ -156,7 +172,7 @@ def serve(graph: Graph, settings: ServerSettings, start: Starter | None = None) 
         raise SettingError(f"the page's server did not start{why}")
     shown = "127.0.0.1" if settings.host in LOOPBACK else settings.host
     url = f"http://{shown}:{port}/?token={token}"
-    return Served(url, server, thread, (trials.close, advice.close))
+    return Served(url, server, thread, trials, advice)
 
 
 def _listener(settings: ServerSettings) -> socket.socket:

@@ -128,23 +128,20 @@ class TrialPanel:
         nodes = self._chosen()
         about = (tuple(nodes), self._wish, self._stands(nodes))
         if about == self._planned_of:
-            return self._can_move
-        self._planned_of = about
+            return True
         try:
             planned = self._trials.plan(nodes, self._wish)
         except HpidError as error:
             self._plan_text.set_text(str(error))
             self._preview.set_visibility(False)
-            self._can_move = False
+            self._planned_of = None  # why not may pass, as where no state had come yet
             return False
-        self._can_move = True
+        self._planned_of = about
         self._preview.set_visibility(True)
         self._plan_text.set_text(_plan_text(planned))
         self._preview.options.update(_curves_options(_plan_curves(planned)))
         self._preview.update()
         return True
-
-    _can_move = False
 
     def _stands(self, nodes: Sequence[str]) -> tuple[float, ...]:
         """Return where joints are, so coarsely that noise plans nothing anew."""

@@ -121,11 +121,14 @@ def test_what_was_set_for_a_trial_is_set_back_when_it_is_cancelled(variants):
     async def cancel(bench):
         await bench.reach(Stage.READY)
         assert bench.graph.joints[NODE].settings.gains.p == 99.0
+        assert bench.trials.unfinished() == [bench.session.label(NODE)]
         bench.trials.cancel()
 
     bench = Bench()
     before = bench.graph.joints[NODE].settings.gains.p
+    assert bench.trials.unfinished() == []
     assert bench.run(cancel, variants) == "cancelled"
+    assert bench.trials.unfinished() == []
     assert bench.graph.joints[NODE].settings.gains.p == before
 
 
