@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable
 
 
@@ -39,7 +39,7 @@ class Desk:
     """
 
     def __init__(self) -> None:
-        self._pages: list[str] = []
+        self._pages: Counter[str] = Counter()
         self._holder: str | None = None
         self._last: str | None = None
 
@@ -54,9 +54,11 @@ class Desk:
         return len(self._pages)
 
     def join(self, page: str) -> None:
-        """Let a page look on; it has the desk if no other page is there, or if it had it last."""
-        if page not in self._pages:
-            self._pages.append(page)
+        """Let a page look on; it has the desk if no other page is there, or if it had it last.
+
+        A page that was cut off may join once more before it has left.
+        """
+        self._pages[page] += 1
         if len(self._pages) == 1 or (self._holder is None and self._last == page):
             self._holder = self._last = page
 
@@ -66,10 +68,12 @@ class Desk:
             self._holder = self._last = page
 
     def leave(self, page: str) -> None:
-        """Forget a page. What it had in hand nobody has, until somebody takes it."""
-        if page in self._pages:
-            self._pages.remove(page)
-        if self._holder == page:
+        """Forget a page that has left as often as it has joined.
+
+        What it had in hand nobody has, until somebody takes it.
+        """
+        self._pages -= Counter([page])
+        if self._holder not in self._pages:
             self._holder = None
 
     def holds(self, page: str) -> bool:

@@ -40,6 +40,22 @@ def test_a_page_that_was_cut_off_gets_it_back_unless_somebody_has_taken_it():
     assert desk.holds("b")
 
 
+def test_a_page_that_is_back_before_its_old_connection_is_found_to_be_dead_keeps_it():
+    desk = Desk()
+    desk.join("a")
+    desk.join("b")
+    desk.join("a")
+    assert desk.pages == 2
+    desk.leave("a")  # of the old one
+    assert desk.holds("a")
+    desk.take("b")
+    desk.take("a")
+    assert desk.holds("a")
+    desk.leave("a")
+    assert desk.holder is None
+    assert desk.pages == 1
+
+
 def test_a_page_that_is_opened_when_none_is_has_it():
     desk = Desk()
     desk.join("a")
