@@ -71,13 +71,14 @@ def controllers_of(document: object, where: str, namespace: str = "") -> dict[st
         namespace: Where they are; those that are said to be elsewhere do not count.
 
     Raises:
-        HpidError: It has none, or one that cannot be used.
+        HpidError: It has none, two of one joint, or one that cannot be used.
     """
     robots = {
         name.rpartition("/")[2]: str(own.get("robot_description", ""))
         for name, own in node_sections(document if isinstance(document, Mapping) else {}).items()
     }
-    controllers = {}
+    controllers: dict[str, Controller] = {}
+    names: dict[str, str] = {}
     for name, settings in settings_from_parameters(document, where).items():
         node = name.rpartition("/")[2]
         if name.startswith("/") and "*" not in name and not is_below(name, namespace):
@@ -85,6 +86,12 @@ def controllers_of(document: object, where: str, namespace: str = "") -> dict[st
         robot = robots.get(node, "") or robots.get("**", "")
         limits = _limits(robot, settings.joint)
         settings = _in_force(settings, limits, robot)
+        if settings.joint in controllers:
+            raise SettingError(
+                f"{where} has two controllers of {settings.joint!r}: {names[settings.joint]} and "
+                f"{name}; give a parameter file with the one that drove it (--params FILE)"
+            )
+        names[settings.joint] = name
         controllers[settings.joint] = Controller(node, settings, limits, robot)
     if not controllers:
         raise SettingError(f"{where} has no joint controller below namespace {namespace}")
