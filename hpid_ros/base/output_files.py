@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
 
-from hpid_ros.base.errors import ResultExistsError
+from hpid_ros.base.errors import ResultExistsError, SettingError
 
 
 def refuse_output(path: Path, *, force: bool, inputs: Iterable[Path], option: str) -> None:
@@ -36,6 +36,30 @@ def refuse_output(path: Path, *, force: bool, inputs: Iterable[Path], option: st
         raise ResultExistsError(
             f"{path} exists; name another with {option} or replace it with --force"
         )
+
+
+def refuse_outputs(
+    outputs: Iterable[tuple[str, Path | None]], *, force: bool, inputs: Iterable[Path]
+) -> None:
+    """Refuse files that are in the way, or in each other's, as :func:`refuse_output` does.
+
+    Args:
+        outputs: The option and the file of each; None where it was not given.
+        force: As there.
+        inputs: As there.
+
+    Raises:
+        ResultExistsError: As there.
+        SettingError: Two options name one file.
+    """
+    read, taken = list(inputs), dict[Path, str]()
+    for option, path in outputs:
+        if path is None:
+            continue
+        other = taken.setdefault(path.resolve(), option)
+        if other != option:
+            raise SettingError(f"{other} and {option} must name different files, not both {path}")
+        refuse_output(path, force=force, inputs=read, option=option)
 
 
 def write_file(path: Path, content: str | bytes) -> None:

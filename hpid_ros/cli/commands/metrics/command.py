@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from hpid_ros import __version__
 from hpid_ros.base.errors import SettingError, unknown_name
-from hpid_ros.base.output_files import refuse_output, write_file
+from hpid_ros.base.output_files import refuse_outputs, write_file
 
 if TYPE_CHECKING:
     from hpid_ros.analysis.signals import Gains
@@ -51,9 +51,8 @@ def refuse_existing(options: argparse.Namespace) -> None:
         if form not in ("png", "pdf", "svg"):
             raise SettingError(unknown_name("figure format", form, ("png", "pdf", "svg")))
     inputs = _inputs(options)
-    for option, path in (("--save", options.save), ("--report", options.report)):
-        if path is not None:
-            refuse_output(path, force=options.force, inputs=inputs, option=option)
+    outputs = [("--save", options.save), ("--report", options.report)]
+    refuse_outputs(outputs, force=options.force, inputs=inputs)
     if options.figures is not None:
         from hpid_ros.experiment.result.folder import check_place
 

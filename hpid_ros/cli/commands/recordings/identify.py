@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hpid_ros.base.errors import SettingError
-from hpid_ros.base.output_files import refuse_output, write_file
+from hpid_ros.base.output_files import refuse_outputs, write_file
 from hpid_ros.cli.bag_options import add_time, add_topics, bag_selection
 from hpid_ros.cli.commands import DONE, FAILED
 from hpid_ros.cli.options import add_joints
@@ -101,13 +101,8 @@ def _check(options: argparse.Namespace) -> None:
     if options.plot is not None and options.plot.suffix.lower() not in _FORMATS:
         raise SettingError(f"--plot must end in {', '.join(_FORMATS)}, not {options.plot.name!r}")
     inputs = [options.bag, *([Path(options.urdf)] if options.urdf else [])]
-    outputs = {"-o": options.output, "--json": options.json, "--plot": options.plot}
-    named = [path.resolve() for path in outputs.values() if path is not None]
-    if len(set(named)) < len(named):
-        raise SettingError("-o, --json and --plot must name different files")
-    for option, path in outputs.items():
-        if path is not None:
-            refuse_output(path, force=options.force, inputs=inputs, option=option)
+    outputs = [("-o", options.output), ("--json", options.json), ("--plot", options.plot)]
+    refuse_outputs(outputs, force=options.force, inputs=inputs)
 
 
 def _found(options: argparse.Namespace, robot: GivenRobot | None) -> Findings:

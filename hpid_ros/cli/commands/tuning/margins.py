@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from hpid_ros import __version__
 from hpid_ros.base.errors import HpidError, SettingError, unknown_name
-from hpid_ros.base.output_files import refuse_output, write_file
+from hpid_ros.base.output_files import refuse_outputs, write_file
 from hpid_ros.cli.commands import DONE, FAILED
 from hpid_ros.cli.loops import (
     LoopFile,
@@ -141,9 +141,7 @@ def _refuse_in_the_way(options: argparse.Namespace, charts: Mapping[str, Path]) 
     """Refuse outputs that would replace something, before any work is done for them."""
     inputs = [each for each in (options.file, options.bag) if each is not None]
     wanted = [("--json", options.json), *(("--plot", path) for path in charts.values())]
-    for option, path in wanted:
-        if path is not None:
-            refuse_output(path, force=options.force, inputs=inputs, option=option)
+    refuse_outputs(wanted, force=options.force, inputs=inputs)
 
 
 def _chosen(file: ParameterFile, found: LoopFile, options: argparse.Namespace) -> ParameterFile:
