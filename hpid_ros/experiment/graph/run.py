@@ -32,6 +32,7 @@ from hpid_ros.simulation.world.gripper import task_topics
 _START_WITHIN = 60.0  # [s] from the first process to the first state
 _START_EACH = 3.0  # [s] more for each process: they find each other two by two
 _RECORD_WITHIN = 10.0  # [s] from the last answer, or from one message more in the bag, to the next
+_LEAVE_WITHIN = 10.0  # [s] for all nodes to leave and to say how long they took
 _CLOSE_WITHIN = 30.0  # [s] for the recorder to finish the bag
 
 _NODE_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]{0,200}")
@@ -230,7 +231,7 @@ def run_on_graph(
             # First, so that the zero efforts with which the controllers leave are not in the bag.
             group.stop([nodes.recorder], patience=_CLOSE_WITHIN)
         processes = len(group.nodes)
-        group.stop()
+        group.stop(patience=_LEAVE_WITHIN)
         run.take_last_events()
         finished = run.events[nodes.bridge, "finished"]
         timing = run_timing(finished, run.timing)
