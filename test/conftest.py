@@ -24,7 +24,7 @@ settings.load_profile("suite")  # another one: pytest --hypothesis-profile thoro
 NodeProcess.popen = ForkedPopen  # of the suite's processes: nodes that it starts are forked
 
 FAULTS = pytest.StashKey()
-HUNG = 900.0  # [s], of one test: what pytest-timeout could not end waits outside of Python
+HUNG = 300.0  # [s] beyond a test's timeout: what that could not end waits outside of Python
 TESTS = Path(__file__).parent
 
 
@@ -91,9 +91,11 @@ def pytest_collection_modifyitems(config, items):
 
 @pytest.hookimpl(wrapper=True, trylast=True)
 def pytest_runtest_protocol(item):
-    """Have a test that hangs for good say where, and cost its own process alone."""
+    """Have a test that hangs for good say where, and end its process."""
+    own = item.get_closest_marker("timeout")
+    timeout = float(own.args[0] if own else item.config.getini("timeout"))
     stderr = item.config.stash[fault_handler_stderr_fd_key]
-    faulthandler.dump_traceback_later(HUNG, exit=True, file=stderr)
+    faulthandler.dump_traceback_later(timeout + HUNG, exit=True, file=stderr)
     try:
         return (yield)
     finally:

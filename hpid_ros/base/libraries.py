@@ -1,7 +1,8 @@
 """Libraries that a robot's controllers do without: one line where one is missing.
 
-But for Pinocchio rosdep has no package of them, so ``package.xml`` does not name them. Whoever
-imports one does so where it is needed; the shells put :func:`optional_libraries` around that.
+But for Pinocchio and joblib rosdep has no package of them, so ``package.xml`` names no other.
+Whoever imports one does so where it is needed; the shells put :func:`optional_libraries` around
+that.
 """
 
 from __future__ import annotations
@@ -35,6 +36,7 @@ OPTIONAL = {
         ("nicegui", "fastapi", "starlette", "uvicorn"),
         Library("the live page", "'hpid_ros[live]'"),
     ),
+    "joblib": Library("more than one process at a time (--jobs 1 needs none)", "joblib"),
     "distributed": Library("a batch on a Dask cluster", "distributed"),
     "lz4": Library("reading bags compressed with lz4", "lz4"),
     "backports": Library("reading bags compressed with zstd", "backports.zstd"),

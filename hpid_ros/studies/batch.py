@@ -6,7 +6,6 @@ from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import partial
-from operator import attrgetter
 from types import TracebackType
 from typing import NamedTuple
 
@@ -263,15 +262,16 @@ def _one_by_one(tasks: Sequence[RunTask]) -> Outcomes:
 
 
 def _side_by_side(tasks: Sequence[RunTask], jobs: int) -> Outcomes:
-    work = side_by_side(_work, tasks, jobs, attrgetter("label"))
+    numbered = list(enumerate(tasks))
+    work = side_by_side(_work, numbered, jobs, name=lambda each: each[1].label)
     with closing(work):
-        for place, outcome in work:
-            yield outcome._replace(place=place)
+        for _, outcome in work:
+            yield outcome
 
 
-def _work(task: RunTask) -> Outcome:
+def _work(numbered: tuple[int, RunTask]) -> Outcome:
     """Run a task in a worker process."""
-    return outcome_of(0, task, _keeper)
+    return outcome_of(*numbered, _keeper)
 
 
 def outcome_of(place: int, task: RunTask, keeper: WorldKeeper) -> Outcome:

@@ -9,7 +9,7 @@ from harness.bags import small_log, write_bag
 from hpid_ros.base.errors import LibraryError
 from hpid_ros.base.libraries import OPTIONAL, optional_libraries
 
-WITHOUT_PACKAGE = OPTIONAL.keys() - {"pinocchio"}  # rosdep knows Pinocchio
+WITHOUT_PACKAGE = OPTIONAL.keys() - {"pinocchio", "joblib"}  # rosdep knows these
 
 
 COMMAND = "from hpid_ros.cli.main import main; sys.exit(main(sys.argv[1:]))"
@@ -62,6 +62,17 @@ def test_the_simulated_robot_says_what_it_lacks(experiment_file, tmp_path):
     (line,) = ended.stderr.splitlines()
     assert "engine mujoco is not installed: pip install mujoco" in line
     assert not (tmp_path / "result").exists()
+
+
+def test_without_joblib_there_is_one_process_at_a_time(experiment_file, tmp_path):
+    command = ("sweep", experiment_file(duration=0.05), "--vary", "mu=-0.1,0.1", "--seeds", "1")
+    ended = barred(*command, "-o", tmp_path / "one", libraries={"joblib"})
+    assert ended.returncode == 0
+    ended = barred(*command, "-o", tmp_path / "two", "--jobs", "2", libraries={"joblib"})
+    assert ended.returncode == 2
+    line = ended.stderr.splitlines()[-1]
+    assert "more than one process at a time (--jobs 1 needs none) needs joblib" in line
+    assert "Traceback" not in ended.stderr
 
 
 def test_a_module_that_nobody_may_lack_is_no_optional_one():
