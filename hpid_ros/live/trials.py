@@ -222,9 +222,9 @@ class Trials:
         """Carry out one motion for each variant, and measure them.
 
         A motion whose button was released is prepared once more. When one ends for another
-        reason, or is cancelled, so does the trial: controllers are set back to what they were
-        before, each that is there, and what was measured until then is its result. What somebody
-        else sets meanwhile stays.
+        reason, or is cancelled, so does the trial, also while its last motion is measured:
+        controllers are set back to what they were before, each that is there, and what was
+        measured until then is its result. What somebody else sets meanwhile stays.
 
         Args:
             page: Whose button is held.
@@ -248,10 +248,13 @@ class Trials:
             self._forget()
             self._folder = _new_folder(is_kept=is_kept)
             self._is_kept = is_kept
-            await self._carry_out(nodes, wish, variants, tried, found)
+            is_done = await self._carry_out(nodes, wish, variants, tried, found)
             if found:
                 await self._show(variants, found)
-            if len(found) < len(variants) and any(each.values is not None for each in variants):
+            if is_done and self._is_cancelled:  # while its result was made
+                self._say("cancelled", is_bad=True)
+            has_set = any(each.values is not None for each in variants)
+            if has_set and (self._is_cancelled or not is_done):
                 await self._set_back(tried, staged)
         except OSError as error:
             self._say(str(error), is_bad=True)
@@ -265,18 +268,21 @@ class Trials:
         variants: Sequence[Variant],
         tried: Tried,
         found: list[Measured],
-    ) -> None:
-        """Carry out and measure one motion after the other, and say what became of them."""
+    ) -> bool:
+        """Carry out and measure one motion after the other, and tell whether all were."""
         try:
             for number, variant in enumerate(variants):
                 await self._set(number, variant, tried)
                 found.append(await self._measured(number, nodes, wish, variant))
+                if self._is_cancelled:
+                    raise RunError("cancelled")
         except (HpidError, OSError) as error:
             self._say(str(error), is_bad=True)
-            return
+            return False
         where = f"; recorded in {self._folder}" if self._is_kept else ""
         last = f", now in force: {variants[-1].label}" if len(variants) > 1 else ""
         self._say(f"done{last}{where}")
+        return True
 
     async def _set_back(self, tried: Tried, staged: Mapping[str, Values]) -> None:
         """Have controllers take what they had; what was chosen is still chosen."""

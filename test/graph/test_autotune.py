@@ -18,7 +18,7 @@ MS = 1_000_000
 
 
 def test_a_relay_test_finds_the_inertia_and_proposes_gains(harness, tmp_path, capsys):
-    start_turntable(harness, tmp_path)
+    start_turntable(harness, tmp_path, "lockstep")
     bag, file = tmp_path / "bag", tmp_path / "tuned.yaml"
     command = ["autotune", "--live", "--bag", str(bag), "-o", str(file)]
     assert main([*command, "--yes"]) == 0
@@ -41,10 +41,11 @@ def test_a_relay_that_is_interrupted_gives_the_joint_back(harness, tmp_path):
     graph = running_graph()
     (controller,) = graph.controllers.values()
     bounds, gains = bounds_of(controller, INERTIA), controller.settings.gains
-    planned = planned_relay(bounds, gains.d / gains.p, 0.004, RelayWish(cycles=30))
+    wish = RelayWish(effort=0.5, cycles=30)  # gentle: a busy machine may be late by 0.2 s
+    planned = planned_relay(bounds, gains.d / gains.p, 0.004, wish)
 
     def told(event, seconds):
-        if event == "at" and seconds > 1.0:
+        if event == "at" and seconds > 3.0:
             raise KeyboardInterrupt
 
     ending = carry_out_relay(planned, controller, graph, tmp_path / "bag", "joint_states", told)

@@ -21,8 +21,11 @@ URDF = f"""<robot name="turntable">
 GAINS = {"gains__p": 21.6, "gains__i": 86.0, "gains__d": 1.8}
 
 
-def start_turntable(harness, folder, **more):
-    """Start the robot and its controller, with more parameters, and wait until they run."""
+def start_turntable(harness, folder, mode="realtime", **more):
+    """Start the robot and its controller, with more parameters, and wait until they run.
+
+    In ``lockstep`` it waits for a controller that is late, as on a busy machine.
+    """
     urdf = folder / "turntable.urdf"
     urdf.write_text(URDF)
     harness.seen = []
@@ -43,7 +46,7 @@ def start_turntable(harness, folder, **more):
     harness.processes.start(
         "bridge",
         "mujoco_bridge",
-        ros_arguments(mode="realtime", physics_steps=2, wait_for_subscribers=2, **of_bridge),
+        ros_arguments(mode=mode, physics_steps=2, wait_for_subscribers=2, **of_bridge),
     )
     harness.wait(lambda: len(harness.seen) > 10 and harness.commands, what="the robot")
 

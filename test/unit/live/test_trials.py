@@ -132,6 +132,37 @@ def test_what_was_set_for_a_trial_is_set_back_when_it_is_cancelled(variants):
     assert bench.graph.joints[NODE].settings.gains.p == before
 
 
+@pytest.mark.parametrize("place", ["measure_motion", "TrialResult.of"])
+def test_a_trial_that_is_cancelled_while_its_last_motion_is_measured_sets_back(place, monkeypatch):
+    bench = Bench("")  # a motion that is pressed twice comes to its end
+    before = bench.graph.joints[NODE].settings.gains.p
+    in_force = Variant("in force", {NODE: bench.graph.joints[NODE].settings.to_parameters()})
+
+    def measured(*_):
+        if place == "measure_motion" and len(bench.motions) == 2:
+            bench.trials.cancel()
+
+    def result(*_):
+        if place == "TrialResult.of":
+            bench.trials.cancel()
+        return "what was found"
+
+    monkeypatch.setattr(module, "measure_motion", measured)
+    monkeypatch.setattr(module.TrialResult, "of", result)
+
+    async def hold(bench):
+        for motion in (1, 2):
+            await bench.reach(Stage.READY, motion)
+            bench.trials.release(PAGE)  # of the motion before
+            bench.trials.press(PAGE)
+            await bench.reach(Stage.MOVING, motion)
+            bench.trials.press(PAGE)
+
+    assert bench.run(hold, (in_force, CHOSEN)) == "cancelled"
+    assert bench.trials.result == "what was found"
+    assert bench.graph.joints[NODE].settings.gains.p == before
+
+
 @pytest.mark.parametrize("motions", [0, 1])
 def test_a_trial_that_is_cancelled_before_it_is_ready_does_not_become_ready(motions):
     async def cancel_at_once(bench):
