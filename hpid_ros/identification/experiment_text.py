@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
+from hpid_ros.base.foreign_text import shown
 from hpid_ros.identification.results import (
     COULOMB,
     INERTIA,
@@ -66,7 +67,7 @@ def experiment_text(
         origin: The robot; None without one.
         header: Lines of comment.
     """
-    lines = [f"# {line}" for line in header]
+    lines = [f"# {shown(line)}" for line in header]
     if origin is not None and origin.key == "extends":
         lines.append(f"extends: {_quoted(origin.file)}")
     lines.append("robot:")

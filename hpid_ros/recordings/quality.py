@@ -131,8 +131,8 @@ class RecordingQuality:
         return is_whole and all(each.is_complete for each in self.joints.values())
 
     @property
-    def lines(self) -> tuple[str, ...]:
-        """One line for each thing that concerns more than one joint."""
+    def missing_lines(self) -> tuple[str, ...]:
+        """One line for each thing that is known to be missing."""
         missed = [
             f"the recorder missed {count} messages on {topic}"
             for topic, count in self.missed.items()
@@ -142,4 +142,9 @@ class RecordingQuality:
                 f"the recorder stood still for {self.stood_still:.1f} s: more messages of that "
                 "time may be missing than were counted"
             )
-        return (*self.unreadable, *missed, *self.notes)
+        return (*self.unreadable, *missed)
+
+    @property
+    def lines(self) -> tuple[str, ...]:
+        """One line for each thing that concerns more than one joint."""
+        return (*self.missing_lines, *self.notes)

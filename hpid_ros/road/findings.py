@@ -35,12 +35,14 @@ class Findings:
         sources: Where each joint's efforts are from.
         slides: Joints that slide.
         moved: What the motors move over the recording's poses, by joint, with a robot.
+        missing: One line for each thing that the whole recording is known to lack.
     """
 
     joints: tuple[JointIdentification, ...]
     sources: Mapping[str, str]
     slides: tuple[str, ...] = ()
     moved: Mapping[str, MovedInertia] = field(default_factory=dict)
+    missing: tuple[str, ...] = ()
 
 
 def findings_of(
@@ -69,14 +71,15 @@ def findings_of(
     for joint in asked or ():
         if joint not in recording.joint_names:
             raise SettingError(unknown_name("joint", joint, recording.joint_names))
-    records = _records(recording)
+    records, missing = _records(recording), recording.quality.missing_lines
     wheels = _wheels(records, robot, base, asked)
     if robot is None:
         alone = [each.joint for each in records if each.joint not in wheels]
         found = _with_losses(identify(records, method=method, wanted=alone), recording)
         slides = tuple(name for name in recording.joint_names if name in recording.slides)
+        every = _in_order([*found, *wheels.values()], records)
         return Findings(
-            _in_order([*found, *wheels.values()], records), _sources(recording), slides
+            every, _sources(recording), slides, missing=recording.quality.missing_lines
         )
     joints = robot.description.joints
     records = [each for each in records if each.joint in joints]
@@ -98,7 +101,8 @@ def findings_of(
     refused = [each for joint, each in wheels.items() if joint in wanted]
     found = _in_order([*found, *refused], records)
     slides = tuple(name for name in wanted if joints[name].is_slide)
-    return Findings(found, _sources(recording), slides, _moved(robot, recording, found))
+    moved = _moved(robot, recording, found)
+    return Findings(found, _sources(recording), slides, moved, missing)
 
 
 def _with_losses(

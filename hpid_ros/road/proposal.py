@@ -241,6 +241,7 @@ def _read(
         )
     if base is not None and base.is_moving:
         warnings.append(remark_on_base(base))
+    warnings.extend(recording.quality.missing_lines)
     return recording, loops, warnings
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Collection, Mapping, Sequence
 
+from hpid_ros.base.foreign_text import shown
 from hpid_ros.base.names import ANYWHERE, controller_name
 from hpid_ros.base.units import of_slide, unit_over
 from hpid_ros.control import LoopSettings
@@ -33,11 +34,11 @@ def upgrade_text(
     """
     settings = [each.settings if isinstance(each, Upgrade) else each for each in loops]
     joints = ", ".join(each.joint for each in settings)
-    lines = [*(f"# {line}".rstrip() for line in header), ""]
+    lines = [*(f"# {shown(line)}".rstrip() for line in header), ""]
     lines += [f"{ANYWHERE}joint_controllers:", "  ros__parameters:", f"    joints: [{joints}]"]
     lines += _inertia_ranges([each for each in loops if isinstance(each, Upgrade)], slides)
     for each, own in zip(loops, settings, strict=True):
-        said = [f"# {note}" for note in notes.get(own.joint, ())]
+        said = [f"# {shown(note)}" for note in notes.get(own.joint, ())]
         parameters = _parameters(own, each.reasons if isinstance(each, Upgrade) else {})
         if own.joint in slides:
             said, parameters = ([of_slide(line) for line in part] for part in (said, parameters))

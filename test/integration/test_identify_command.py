@@ -9,6 +9,7 @@ from harness.bags import odometry, write_bag
 from harness.motions import Plant, motion, needed
 
 from hpid_ros.bags import BagWriter
+from hpid_ros.bags.metadata import missed_entries
 from hpid_ros.base.resources import share_folder
 from hpid_ros.cli.main import main
 from hpid_ros.experiment.description import load_experiment
@@ -21,10 +22,11 @@ PLANT = Plant(inertia=0.05, viscous=0.2, coulomb=0.1, offset=0.02, delay=0.004)
 URDF = share_folder() / "urdf" / "mobile_manipulator.urdf"
 
 
-def write(path, runs=1, seconds=10.0, effort_in_states=False, missed=()):
+def write(path, runs=1, seconds=10.0, effort_in_states=False, missed=(), lost=0):
     """Write a bag: the first joint moves, the other one stands still; each run begins at 1 s.
 
-    States of which the controllers missed the command are numbers in each run.
+    States of which the controllers missed the command are numbers in each run; the recorder says
+    that it lost some states.
     """
     times = 1.0 + np.arange(0.0, seconds, PERIOD_NS * 1e-9)
     state = JointStateTemplate(JOINTS, position=True, effort=effort_in_states)
@@ -46,6 +48,9 @@ def write(path, runs=1, seconds=10.0, effort_in_states=False, missed=()):
                     if k in missed:
                         continue
                     bag.write(topics[1], log, command.encode(stamp, effort=efforts))
+        if lost:
+            for name, text in missed_entries({"/joint_states": lost}, 0.0).items():
+                bag.describe(name, text)
     return path
 
 
@@ -77,6 +82,17 @@ def test_a_bag_gives_numbers_and_a_still_joint_a_reason(bag, tmp_path, capsys):
     assert moving["estimates"]["inertia"]["unit"] == "kg m^2"
     assert still["estimates"] == {}
     assert still["not_told"]
+
+
+def test_what_its_recorder_missed_is_told_with_the_numbers(tmp_path, capsys):
+    bag = write(tmp_path / "bag", lost=7)
+    files = ["--json", tmp_path / "found.json", "-o", tmp_path / "found.yaml"]
+    code, out, _ = identify(capsys, bag, *files)
+    line = "the recorder missed 7 messages on /joint_states"
+    assert code == 0
+    assert line in out
+    assert json.loads((tmp_path / "found.json").read_text())["missing"] == [line]
+    assert f"# Not whole: {line}.\n" in (tmp_path / "found.yaml").read_text()
 
 
 def test_of_states_without_commands_the_numbers_say_that_they_are_a_guess(bag, tmp_path, capsys):

@@ -9,7 +9,7 @@ import yaml
 from harness.bags import MS, command, odometry, ramp, state, trajectory, write_bag
 
 from hpid_ros.bags import read_run
-from hpid_ros.bags.metadata import PARAMETERS, read_metadata
+from hpid_ros.bags.metadata import PARAMETERS, missed_entries, read_metadata
 from hpid_ros.base.resources import share_folder
 from hpid_ros.cli.main import main
 from hpid_ros.experiment.description import load_experiment
@@ -231,20 +231,28 @@ def test_a_run_is_narrowed_to_some_of_its_joints(place):
 
 
 def test_where_the_model_is_wrong_nothing_is_proposed(place, tmp_path, capsys):
-    nodes = {}
+    bag, nodes = tmp_path / "bag", {}
+    shutil.copytree(place / "before", bag)
+    metadata = yaml.safe_load((bag / "metadata.yaml").read_text())
+    own = metadata["rosbag2_bagfile_information"]["custom_data"]
+    own |= missed_entries({"/joint_states": 7}, 0.0)
+    (bag / "metadata.yaml").write_text(yaml.safe_dump(metadata))
     for name, gains in GAINS.items():
         other = {key: 8.0 * value for key, value in gains.items()}  # which did not run
         nodes[f"{name}_controller"] = {
             "ros__parameters": {"joint": name, "law": "pid", "gains": other}
         }
     (tmp_path / "other.yaml").write_text(yaml.safe_dump(nodes))
-    command = ["upgrade", str(place / "before"), *robot(place), "--goal", "smooth"]
+    command = ["upgrade", str(bag), *robot(place), "--goal", "smooth"]
     command += ["--params", str(tmp_path / "other.yaml"), "-o", str(tmp_path / "new.yaml")]
     assert main(command) == FAILED
     said = " ".join(capsys.readouterr().out.split())
     assert "Nothing is proposed: the simulation of your PID is far from what was recorded" in said
     assert [each.name for each in tmp_path.glob("new.*")] == ["new.html"]
-    assert "hpid replay" in (tmp_path / "new.html").read_text()
+    page = (tmp_path / "new.html").read_text()
+    assert "hpid replay" in page
+    for told in (said, page):
+        assert "the recorder missed 7 messages on /joint_states" in told
 
 
 def test_what_is_not_for_a_bag_or_in_the_way_is_one_line(travelled, tmp_path, capsys):

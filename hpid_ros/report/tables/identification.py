@@ -37,6 +37,7 @@ def report(
     sources: Mapping[str, str],
     slides: Sequence[str],
     moved: Mapping[str, MovedInertia],
+    missing: Sequence[str] = (),
 ) -> Iterator[WideTable | Text | str]:
     """Yield what to print.
 
@@ -45,6 +46,7 @@ def report(
         sources: Where each joint's efforts are from.
         slides: Joints that slide.
         moved: What motors move, by joint, where a robot is known.
+        missing: What the recording lacks, in lines.
     """
     has_robot = bool(moved)
     yield _table(found, moved)
@@ -56,6 +58,8 @@ def report(
         names = [name for name, of in used.items() if of == source]
         whose = "" if len(names) == len(used) else f" of {', '.join(map(shown, names))}"
         yield f"efforts{whose}: {shown(source)}"
+    for line in missing:
+        yield Text(f"! {shown(line)}", style="yellow")
     for each in found:
         yield ""
         yield from _of_joint(each, each.joint in slides)

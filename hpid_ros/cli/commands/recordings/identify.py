@@ -87,7 +87,8 @@ def run(options: argparse.Namespace) -> int:
     robot = load_robot(options.urdf) if options.urdf else None
     found = _found(options, robot)
     console = output_console()
-    for part in report(found.joints, found.sources, found.slides, found.moved):
+    parts = report(found.joints, found.sources, found.slides, found.moved, found.missing)
+    for part in parts:
         console.print(part, soft_wrap=isinstance(part, str), highlight=False, markup=False)
     for path in _written(options, robot, found):
         console.print(f"written: {path}", markup=False, soft_wrap=True, highlight=False)
@@ -136,7 +137,12 @@ def _written(options: argparse.Namespace, robot: GivenRobot | None, found: Findi
         contents[options.output] = _yaml(options, robot, found)
     if options.json is not None:
         joints = as_mapping(found.joints, found.sources, found.slides, found.moved)
-        document = {"bag": str(options.bag), "urdf": options.urdf, "joints": joints}
+        document = {
+            "bag": str(options.bag),
+            "urdf": options.urdf,
+            "missing": list(found.missing),
+            "joints": joints,
+        }
         contents[options.json] = json.dumps(document, indent=2) + "\n"
     if options.plot is not None:
         from hpid_ros.report.figures.identification import identification_figure, saved
@@ -157,6 +163,7 @@ def _yaml(options: argparse.Namespace, robot: GivenRobot | None, found: Findings
 
     header = [
         f"Identified from {options.bag.name}.",
+        *(f"Not whole: {each}." for each in found.missing),
         "An experiment says extends: and this file's name, or has these lines; check-gains and",
         "upgrade take it as --inertia and, where it names a robot, as --urdf.",
     ]
