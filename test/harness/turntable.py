@@ -24,7 +24,8 @@ GAINS = {"gains__p": 21.6, "gains__i": 86.0, "gains__d": 1.8}
 def start_turntable(harness, folder, mode="realtime", **more):
     """Start the robot and its controller, with more parameters, and wait until they run.
 
-    In ``lockstep`` it waits for a controller that is late, as on a busy machine.
+    In ``lockstep`` it waits for a controller that is late, as on a busy machine, and the
+    controller for a robot that is.
     """
     urdf = folder / "turntable.urdf"
     urdf.write_text(URDF)
@@ -36,6 +37,8 @@ def start_turntable(harness, folder, mode="realtime", **more):
         ALL_COMMANDS,
         raw=True,
     )
+    if mode == "lockstep":
+        more = {"state_clock": "simulated", "state_watchdog": False, **more}
     of_controller = {"joint": "turn", "law": "pid", "robot_description": urdf, **GAINS, **more}
     harness.processes.start(
         "turn_controller",
