@@ -39,6 +39,10 @@ _SHARED = 100.0
 _MOST_SPIN = 2.0  # of what the gears' ratios say; more is something else
 _USEFUL_SCALE = 0.2
 _OTHER_UNIT = 0.05
+_REVERSED = (
+    "the effort's scale is negative: what was recorded pushes against the motion that it causes: "
+    "motor, encoder or recording has the other sign; under a controller the joint would run away"
+)
 _NO_UNIT = (
     "it is not 1: the masses are others, a load is carried, or the efforts are in another unit "
     "(effort unit any)"
@@ -127,6 +131,8 @@ def findings(
         )
         return _with(facts, {}, {record.joint: reason})
     estimates = _estimates(equation, choice)
+    if _is_reversed(estimates.get(EFFORT_SCALE)):
+        facts = replace(facts, remarks=(*facts.remarks, _REVERSED))
     untold = {name: each.reason for name, each in estimates.items() if each.reason}
     if not choice.model.has_coulomb:
         untold[COULOMB] = (
@@ -139,6 +145,10 @@ def findings(
             f"{_HELP[GRAVITY_SIN]}"
         )
     return _with(facts, estimates, untold)
+
+
+def _is_reversed(scale: Estimate | None) -> bool:
+    return scale is not None and scale.is_told and scale.high < 0.0
 
 
 def _with(

@@ -161,18 +161,20 @@ def test_what_spinning_rotors_pull_is_found_whichever_way_they_turn(share):
             assert inertia.half_width < 0.6 * before.estimates["inertia"].half_width
 
 
-def test_efforts_in_a_unit_of_their_own_are_scaled_by_the_masses():
+@pytest.mark.parametrize("scale", [2.5, -2.5])
+def test_efforts_in_a_unit_of_their_own_are_scaled_by_the_masses(scale):
     plant = Plant(gravity_sin=3.0, gravity_cos=1.0)
     one = record(plant, amplitude=0.5)
     currents = JointRecord(
-        "joint", one.time, one.position, one.time, one.effort / 2.5, is_held=False
+        "joint", one.time, one.position, one.time, one.effort / scale, is_held=False
     )
 
     def link(q, v, a):
         return 0.2 * a + 3.0 * np.sin(q) + 1.0 * np.cos(q)
 
     (result,) = found(currents, rigid_body=link, method=Method(has_scale=True))
-    assert result.estimates["effort_scale"].value == pytest.approx(2.5, rel=5e-3)
+    assert result.estimates["effort_scale"].value == pytest.approx(scale, rel=5e-3)
+    assert any("has the other sign" in each for each in result.remarks) == (scale < 0.0)
     assert result.estimates["inertia"].value == pytest.approx(0.3, rel=2e-2)
     assert result.estimates["coulomb"].value == pytest.approx(0.6, rel=2e-2)
     (told,) = found(currents, rigid_body=link)
