@@ -14,6 +14,7 @@ from pathlib import Path
 
 import pytest
 import yaml
+from harness.interrupts import heeded_interrupts
 from hypothesis import given
 from hypothesis import strategies as st
 from mcap.reader import make_reader
@@ -23,7 +24,6 @@ from rosbags.rosbag2.storage_mcap import McapWriter
 
 from hpid_ros.bags import BagReader, BagTopic, BagWriter, TopicQos
 from hpid_ros.base.errors import BagError, ResultExistsError
-from hpid_ros.base.interrupts import heed_interrupts
 from hpid_ros.wire.joint_state import JointStateTemplate
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
@@ -58,19 +58,12 @@ def test_an_interrupt_in_the_middle_of_a_chunk_waits_for_its_end(tmp_path, monke
         os.kill(os.getpid(), signal.SIGTERM)
         return checksum(data)
 
-    before = {each: signal.getsignal(each) for each in (signal.SIGINT, signal.SIGTERM)}
-    heed_interrupts()
-    bag = BagWriter(tmp_path / "bag")
-    bag.write(add_joint_commands(bag), MS, COMMAND.encode(MS, effort=[1.0]))
-    try:
+    with heeded_interrupts(), BagWriter(tmp_path / "bag") as bag:
+        bag.write(add_joint_commands(bag), MS, COMMAND.encode(MS, effort=[1.0]))
         with monkeypatch.context() as patched:
             patched.setattr(zlib, "crc32", interrupted)
             with pytest.raises(KeyboardInterrupt):
                 bag.flush()
-    finally:
-        bag.close()
-        for number, handler in before.items():
-            signal.signal(number, handler)
     assert len(read_raw(tmp_path / "bag")) == 1
 
 

@@ -4,18 +4,15 @@ import os
 import signal
 
 import pytest
+from harness.interrupts import heeded_interrupts
 
-from hpid_ros.base.interrupts import heed_interrupts, raise_if_interrupted, uninterrupted
+from hpid_ros.base.interrupts import raise_if_interrupted, uninterrupted
 
 
 @pytest.fixture(autouse=True)
 def handlers():
-    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
-    heed_interrupts()
-    yield
-    heed_interrupts()
-    for number, handler in before.items():
-        signal.signal(number, handler)
+    with heeded_interrupts():
+        yield
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
