@@ -24,6 +24,7 @@ from hpid_ros.base.resources import share_folder
 from hpid_ros.nodes.ros.process import LAUNCH
 
 MS = 1_000_000
+LISTENS_WITHIN = 150.0  # [s]; nine processes start at once, perhaps on a busy machine
 EXECUTABLES = (
     *("joint_controller", "joint_controllers", "single_process", "joint_command_merger"),
     *(f"{engine}_bridge" for engine in INSTALLED),
@@ -120,7 +121,9 @@ class Graph:
         A controller's services are there before its subscription, which brings parameters along.
         """
         if node.endswith("controller"):
-            self._harness.wait(lambda: self._hears_states(node), what=f"{node} to listen")
+            self._harness.wait(
+                lambda: self._hears_states(node), LISTENS_WITHIN, f"{node} to listen"
+            )
         names = sorted(self._call(node, ListParameters, "list_parameters").result.names)
         values = self._call(node, GetParameters, "get_parameters", names=names).values
         assert len(values) == len(names)
