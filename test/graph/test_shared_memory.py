@@ -47,12 +47,30 @@ def test_what_is_left_of_a_segment_or_port_goes(tmp_path, file):
     assert not list(tmp_path.iterdir())
 
 
+def test_a_port_whose_listener_begins_meanwhile_stays(tmp_path, monkeypatch):
+    """Who only writes makes a port without a lock; its reader may come at any time."""
+    files, unlink, refused = leave(tmp_path, PORT), Path.unlink, []
+
+    def listen(path, missing_ok=False):
+        with (tmp_path / f"{PORT}_el").open("wb") as lock:
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                refused.append(path)
+        unlink(path, missing_ok=missing_ok)
+
+    monkeypatch.setattr(Path, "unlink", listen)
+    assert clear_dead(tmp_path, least_age=0.0) == 1
+    assert refused[: len(files)] == files
+
+
 def test_what_was_just_made_stays(tmp_path):
     leave(tmp_path, SEGMENT)
     assert clear_dead(tmp_path) == 0
     assert clear_dead(tmp_path / "nowhere") == 0
 
 
+@pytest.mark.alone  # whoever just starts in another process would lose what it holds no lock of
 def test_a_living_node_keeps_its_shared_memory_and_a_killed_one_does_not(harness):
     process = harness.start_controller(gains__p=1.0, gains__d=1.0, law="pid").process
     harness.ask(0, 0.0)

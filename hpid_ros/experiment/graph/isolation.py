@@ -20,7 +20,7 @@ import re
 import tempfile
 import time
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 from hpid_ros.base.errors import RunError
@@ -48,38 +48,48 @@ def clear_dead(folder: Path = SHARED_MEMORY, least_age: float = YOUNG) -> int:
         return 0
     names = {entry.name for entry in folder.iterdir()}
     things = {match[1] for name in names if (match := _FILE.fullmatch(name))}
-    return sum(_remove_if_dead(folder, name, names, least_age) for name in sorted(things))
+    return sum(_remove_if_dead(folder, name, least_age) for name in sorted(things))
 
 
-def _remove_if_dead(folder: Path, name: str, names: set[str], least_age: float) -> bool:
-    files = [name, *(name + lock for lock in _LOCKS), f"sem.{name}_mutex"]
-    paths = [folder / file for file in files if file in names]
+def _remove_if_dead(folder: Path, name: str, least_age: float) -> bool:
+    """Remove what nobody holds, while nobody can begin to.
+
+    Who listens locks one of the two files, which need not exist yet: so they are made and held
+    until all is gone. Who starts at that moment finds the port taken, and takes the next one.
+    """
+    locks = [folder / (name + lock) for lock in _LOCKS]
+    others = [folder / name, folder / f"sem.{name}_mutex"]
     try:
-        if any(_is_young(path, least_age) for path in paths):
+        there = [path for path in (*others, *locks) if path.exists()]
+        if any(_is_young_or_foreign(path, least_age) for path in there):
             return False
-        if any(_is_held(folder / (name + lock)) for lock in _LOCKS if name + lock in names):
-            return False
-        for path in paths:
-            path.unlink(missing_ok=True)
+        with ExitStack() as held:
+            if not all(_is_taken(path, held) for path in locks):
+                for path in set(locks) - set(there):
+                    path.unlink(missing_ok=True)
+                return False
+            for path in (*others, *locks):
+                path.unlink(missing_ok=True)
     except (PermissionError, FileNotFoundError):  # another user's, or somebody else was faster
         return False
     return True
 
 
-def _is_young(path: Path, least_age: float) -> bool:
+def _is_young_or_foreign(path: Path, least_age: float) -> bool:
     status = path.stat()
-    return time.time() - max(status.st_mtime, status.st_ctime) < least_age
+    age = time.time() - max(status.st_mtime, status.st_ctime)
+    return age < least_age or status.st_uid != os.getuid()
 
 
-def _is_held(path: Path) -> bool:
-    descriptor = os.open(path, os.O_RDWR | os.O_CLOEXEC)
+def _is_taken(path: Path, held: ExitStack) -> bool:
+    """Take a lock until the end of a block, and tell whether it could be had."""
+    descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+    held.callback(os.close, descriptor)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
-        return True
-    finally:
-        os.close(descriptor)
-    return False
+        return False
+    return True
 
 
 CLOSED_MODE: Mapping[str, str] = {
