@@ -40,7 +40,7 @@ _MOST_SPIN = 2.0  # of what the gears' ratios say; more is something else
 _USEFUL_SCALE = 0.2
 _OTHER_UNIT = 0.05
 _REVERSED = (
-    "the effort's scale is negative: what was recorded pushes against the motion that it causes: "
+    "the effort's scale is negative, what was recorded pushes against the motion that it causes: "
     "motor, encoder or recording has the other sign; under a controller the joint would run away"
 )
 _NO_UNIT = (

@@ -78,9 +78,7 @@ def findings_of(
         found = _with_losses(identify(records, method=method, wanted=alone), recording)
         slides = tuple(name for name in recording.joint_names if name in recording.slides)
         every = _in_order([*found, *wheels.values()], records)
-        return Findings(
-            every, _sources(recording), slides, missing=recording.quality.missing_lines
-        )
+        return Findings(every, _sources(recording), slides, missing=missing)
     joints = robot.description.joints
     records = [each for each in records if each.joint in joints]
     if not records:

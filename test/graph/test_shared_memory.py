@@ -36,7 +36,7 @@ def test_what_is_held_stays(tmp_path, lock, kind):
     with (tmp_path / (PORT + lock)).open("rb+") as held:
         fcntl.flock(held, kind)
         assert clear_dead(tmp_path, least_age=0.0) == 0
-        assert all(file.exists() for file in files)
+        assert sorted(tmp_path.iterdir()) == sorted(files)  # nor does anything come
     assert clear_dead(tmp_path, least_age=0.0) == 1
 
 
@@ -47,7 +47,24 @@ def test_what_is_left_of_a_segment_or_port_goes(tmp_path, file):
     assert not list(tmp_path.iterdir())
 
 
-def test_a_port_whose_listener_begins_meanwhile_stays(tmp_path, monkeypatch):
+@pytest.mark.parametrize("lock", ["_el", "_sl"])
+def test_who_begins_before_a_lock_could_be_made_keeps_it(tmp_path, monkeypatch, lock):
+    files, begun = leave(tmp_path, PORT), []
+
+    def opened(path, *others):
+        if not begun and str(path).endswith(lock):
+            begun.append(os.dup(os_open(path, os.O_RDWR | os.O_CREAT, 0o644)))
+            fcntl.flock(begun[0], fcntl.LOCK_EX)
+        return os_open(path, *others)
+
+    os_open = os.open
+    monkeypatch.setattr(os, "open", opened)
+    assert clear_dead(tmp_path, least_age=0.0) == 0
+    assert sorted(tmp_path.iterdir()) == sorted([*files, tmp_path / f"{PORT}{lock}"])
+    os.close(begun[0])
+
+
+def test_who_begins_while_a_port_is_removed_does_not_get_it(tmp_path, monkeypatch):
     """Who only writes makes a port without a lock; its reader may come at any time."""
     files, unlink, refused = leave(tmp_path, PORT), Path.unlink, []
 

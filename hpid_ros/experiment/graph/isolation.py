@@ -54,25 +54,30 @@ def clear_dead(folder: Path = SHARED_MEMORY, least_age: float = YOUNG) -> int:
 def _remove_if_dead(folder: Path, name: str, least_age: float) -> bool:
     """Remove what nobody holds, while nobody can begin to.
 
-    Who listens locks one of the two files, which need not exist yet: so they are made and held
-    until all is gone. Who starts at that moment finds the port taken, and takes the next one.
+    Who listens locks one of the two files, which need not exist yet: where nobody holds the one
+    that does, the other is made and held, too, until all is gone. Who starts at that moment finds
+    the port taken, and takes the next one.
     """
     locks = [folder / (name + lock) for lock in _LOCKS]
     others = [folder / name, folder / f"sem.{name}_mutex"]
     try:
         there = [path for path in (*others, *locks) if path.exists()]
-        if any(_is_young_or_foreign(path, least_age) for path in there):
+        if not there or any(_is_young_or_foreign(path, least_age) for path in there):
             return False
         with ExitStack() as held:
-            if not all(_is_taken(path, held) for path in locks):
-                for path in set(locks) - set(there):
-                    path.unlink(missing_ok=True)
-                return False
-            for path in (*others, *locks):
+            taken: list[Path] = []
+            for path in sorted(locks, key=there.__contains__, reverse=True):
+                if not _is_taken(path, held):  # and what this has made must not stay
+                    gone = [each for each in taken if each not in there]
+                    break
+                taken.append(path)
+            else:
+                gone = [*others, *locks]
+            for path in gone:
                 path.unlink(missing_ok=True)
     except (PermissionError, FileNotFoundError):  # another user's, or somebody else was faster
         return False
-    return True
+    return len(taken) == len(locks)
 
 
 def _is_young_or_foreign(path: Path, least_age: float) -> bool:
