@@ -2,6 +2,7 @@
 #   make compare   set up .venv and run the paper's comparison
 #   make test      set up .venv with the test extras and run the suite
 # PYTHON=python3.12 chooses the interpreter; make install sets .venv up and runs nothing.
+#   make busy      tests of nodes once more, beside two busy loops; tools/repeat_tests.sh repeats all
 # For every save:
 #   make quick     the unit tests alone
 # Before a release:
@@ -16,7 +17,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: install compare test quick thorough faults bench lint docs clean
+.PHONY: install compare test busy quick thorough faults bench lint docs clean
 
 $(BIN)/python:
 	$(PYTHON) -m venv $(VENV)
@@ -51,14 +52,26 @@ SPREAD := -n $(JOBS) --dist loadfile --no-loadscope-reorder --max-worker-restart
 thorough: PROFILE := --hypothesis-profile thorough
 thorough: test
 
-# What keeps the time of the wall has the machine to itself.
+# In three parts, each of which runs whatever became of the others: what keeps the time of the wall
+# has the machine to itself, and the closed mode its own process.
 test: $(VENV)/.test-installed
 ifeq ($(strip $(ARGS)),)
-	$(BIN)/python -m pytest $(PROFILE) $(SPREAD) -m "not alone"
-	$(BIN)/python -m pytest $(PROFILE) -m alone
+	@failed=; \
+	$(BIN)/python -m pytest $(PROFILE) $(SPREAD) -m "not alone and not closed" || failed="$$failed main"; \
+	$(BIN)/python -m pytest $(PROFILE) -m closed || failed="$$failed closed"; \
+	$(BIN)/python -m pytest $(PROFILE) -m "alone and not closed" || failed="$$failed alone"; \
+	test -z "$$failed" || { echo "failed:$$failed"; exit 1; }
 else
 	$(BIN)/python -m pytest $(ARGS)
 endif
+
+# Nodes on graphs and faults, beside two busy loops.
+busy: $(VENV)/.test-installed
+	@(while :; do :; done) & first=$$!; (while :; do :; done) & second=$$!; \
+	trap "kill $$first $$second" EXIT; failed=0; \
+	$(BIN)/python -m pytest $(SPREAD) -m "(graph or faults) and not alone" $(ARGS) || failed=1; \
+	$(BIN)/python -m pytest -m "closed and not alone" $(ARGS) || failed=1; \
+	exit $$failed
 
 quick: $(VENV)/.test-installed
 	$(BIN)/python -m pytest $(SPREAD) -m "unit and not slow" -q $(ARGS)

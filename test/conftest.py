@@ -2,6 +2,7 @@
 
 import faulthandler
 import os
+import signal
 from collections import Counter
 from functools import partial
 from pathlib import Path
@@ -10,10 +11,10 @@ import pytest
 from _pytest.faulthandler import fault_handler_stderr_fd_key
 from harness.experiments import write_experiment
 from harness.fork_server import ForkedPopen
-from harness.graph import Harness
+from harness.graph import Harness, loopback_environment
 from hypothesis import settings
 
-from hpid_ros.experiment.graph.isolation import closed_environment, own_domain
+from hpid_ros.experiment.graph.isolation import own_domain
 from hpid_ros.experiment.graph.processes import NodeProcess
 
 # A busy machine is not a failure. Every run draws other examples, so that many runs see many.
@@ -21,6 +22,7 @@ settings.register_profile("suite", deadline=None, max_examples=25)
 settings.register_profile("thorough", deadline=None, max_examples=500)
 settings.load_profile("suite")  # another one: pytest --hypothesis-profile thorough
 
+signal.signal(signal.SIGHUP, signal.SIG_DFL)  # under nohup nodes would ignore it, as they should
 NodeProcess.popen = ForkedPopen  # of the suite's processes: nodes that it starts are forked
 
 FAULTS = pytest.StashKey()
@@ -36,10 +38,16 @@ def experiment_file(tmp_path):
 
 
 @pytest.fixture
-def harness(tmp_path):
+def environment_of():
+    """Return what makes the environment of a graph; a module may have another one."""
+    return loopback_environment
+
+
+@pytest.fixture
+def harness(tmp_path, environment_of):
     """Return a node of the test and a group of processes, on a domain of their own."""
     with own_domain() as domain:
-        environment = closed_environment(domain)
+        environment = environment_of(domain)
         before = dict(os.environ)
         os.environ.update(environment)
         try:

@@ -17,7 +17,6 @@ from std_msgs.msg import Float64
 from trajectory_msgs.msg import JointTrajectory
 
 from hpid_ros.control import LOOP_PARAMETERS
-from hpid_ros.experiment.graph.isolation import network_sockets
 from hpid_ros.nodes.ros.middleware import LATCHED, RARE
 from hpid_ros.nodes.ros.trajectories import to_message
 from hpid_ros.robot.description import RobotDescription
@@ -164,12 +163,6 @@ def test_trajectory_and_setpoint_reach_the_loop(harness):
         return abs(harness.ask(next(stamps), 0.25)) < 0.2
 
     harness.wait(holds, what="the loop to hold the setpoint")
-
-
-def test_no_network_socket_is_opened_in_the_closed_mode(harness):
-    process = harness.start_controller(law="pid", **GAINS)
-    harness.ask(0, 0.0)
-    assert network_sockets(process.pid) == set()
 
 
 def descriptions(harness):

@@ -131,15 +131,18 @@ def answered(harness, future):
     return future.result()
 
 
-def taken(harness, graph, node, states):
-    """Return the samples of a node once it has so many states."""
+def taken(harness, graph, node, **least):
+    """Return the samples of a node once it has so many of each kind."""
     parts = []
 
     def is_enough():
         parts.append(graph.take()[node])
-        return sum(len(part.states) for part in parts) >= states
+        return all(
+            sum(len(getattr(part, kind)) for part in parts) >= count
+            for kind, count in least.items()
+        )
 
-    harness.wait(is_enough, what=f"{states} states of {node}")
+    harness.wait(is_enough, what=f"{least} of {node}")
     parts.append(graph.take()[node])
     return [
         np.concatenate([getattr(part, name) for part in parts])
@@ -193,7 +196,9 @@ def test_our_controllers_are_found_in_every_namespace_and_watched(harness, graph
     robot.tell(300)
     robot.tell(1, positions=(7.0, 0.2))  # a peak of one sample
     robot.tell(300)
-    states, efforts, references = taken(harness, graph, ELBOW, 601)
+    states, efforts, references = taken(
+        harness, graph, ELBOW, states=601, efforts=601, references=601
+    )
     assert states[:, 0] - states[0, 0] == pytest.approx(np.arange(601) * 1e-3)
     assert np.flatnonzero(states[:, 1] == 7.0).tolist() == [300]
     assert set(states[:, 2]) == {0.5}
@@ -225,7 +230,7 @@ def test_a_clock_that_goes_back_begins_anew_and_what_was_before_is_left_out(harn
     watched(harness, graph, robot, ELBOW)
     robot.stamp_ns = 50_000 * MS
     robot.tell(20)
-    taken(harness, graph, ELBOW, 20)
+    taken(harness, graph, ELBOW, states=20)
     robot.tell(5)
     robot.stamp_ns = 1_000 * MS
     robot.tell(10, velocity=False)
@@ -277,7 +282,7 @@ def test_a_set_is_taken_or_refused_as_a_whole_and_changes_by_anybody_are_seen(
     before = found(harness, graph)[ELBOW]
     watched(harness, graph, robot, ELBOW)
     robot.tell(101)
-    robot_time, _, _ = taken(harness, graph, ELBOW, 101)
+    robot_time, _, _ = taken(harness, graph, ELBOW, states=101)
     answer = answered(harness, graph.set(ELBOW, {"gains.p": 12, "mu": -0.1}))
     assert answer == Answer(True)
     seen = graph.controllers()[ELBOW]

@@ -1,6 +1,7 @@
 """A node inside the test that talks to real nodes in real processes."""
 
 import time
+from pathlib import Path
 
 import rclpy
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
@@ -9,6 +10,8 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 
+from hpid_ros.base.names import PROFILE_FILES
+from hpid_ros.experiment.graph.isolation import closed_environment
 from hpid_ros.experiment.graph.processes import NodeGroup
 from hpid_ros.nodes.ros.middleware import OFFERED
 from hpid_ros.wire import JointStateTemplate, decode_joint_state
@@ -20,6 +23,14 @@ _VALUES = {
     int: (ParameterType.PARAMETER_INTEGER, "integer_value"),
     str: (ParameterType.PARAMETER_STRING, "string_value"),
 }
+
+
+def loopback_environment(domain):
+    """Return the environment of a graph in which processes may be killed and frozen."""
+    environment = closed_environment(domain)
+    del environment["FASTDDS_BUILTIN_TRANSPORTS"]
+    profile = str(Path(__file__).with_name("loopback.xml"))
+    return environment | dict.fromkeys(PROFILE_FILES, profile)
 
 
 class Harness:

@@ -116,6 +116,7 @@ _OPENING = (
     "ROS_SECURITY_ENCLAVE_OVERRIDE",
 )
 _DOMAINS = range(1, 102)
+_FIRST_PORT, _PORTS_OF_A_DOMAIN = 7400, 250  # of the DDSI-RTPS specification
 _SOCKET_TABLES = ("tcp", "tcp6", "udp", "udp6", "raw", "raw6")
 
 
@@ -136,7 +137,7 @@ def closed_environment(domain: int) -> dict[str, str]:
 
 @contextmanager
 def own_domain() -> Iterator[int]:
-    """Reserve a ROS domain that no other experiment on this machine has, free of dead ports.
+    """Reserve a ROS domain that nobody else on this machine uses, free of dead ports.
 
     It is the one whose last use is the longest ago: what a process that was killed there left
     behind has then been cleared.
@@ -150,7 +151,8 @@ def own_domain() -> Iterator[int]:
     folder = Path(tempfile.gettempdir()) / f"hpid_ros_domains_{os.getuid()}"
     folder.mkdir(mode=0o700, exist_ok=True)
     clear_dead()
-    for domain in sorted(_DOMAINS, key=lambda each: _last_use(folder / str(each))):
+    free = set(_DOMAINS) - _domains_in_use()
+    for domain in sorted(free, key=lambda each: _last_use(folder / str(each))):
         lock = os.open(folder / str(domain), os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -164,6 +166,19 @@ def own_domain() -> Iterator[int]:
             os.close(lock)
         return
     raise RunError(f"all ROS domains from {_DOMAINS[0]} to {_DOMAINS[-1]} are taken")
+
+
+def _domains_in_use() -> set[int]:
+    """Return the domains in which somebody listens by UDP, or has listened in shared memory."""
+    ports = {
+        int(line.split()[1].rpartition(":")[2], 16)
+        for table in (Path("/proc/net/udp"), Path("/proc/net/udp6"))
+        if table.exists()
+        for line in table.read_text().splitlines()[1:]
+    }
+    locks = SHARED_MEMORY.glob("fastrtps_port*_[es]l")
+    ports |= {int(re.sub(r"\D", "", lock.name)) for lock in locks}
+    return {(port - _FIRST_PORT) // _PORTS_OF_A_DOMAIN for port in ports}
 
 
 def _last_use(lock: Path) -> float:

@@ -9,6 +9,7 @@ nodes close while the context still lives, and the context is shut down last.
 
 from __future__ import annotations
 
+import contextlib
 import gc
 import math
 import os
@@ -19,11 +20,12 @@ import time
 import traceback
 from collections.abc import Callable, Sequence
 from copy import copy
-from typing import Any
+from typing import Any, ClassVar
 
 import rclpy
 from rcl_interfaces.msg import ParameterValue
 from rclpy.exceptions import (
+    InvalidHandle,
     InvalidParameterValueException,
     NameValidationException,
     ParameterException,
@@ -74,6 +76,7 @@ class ClosingNode(Node):
 
     Attributes:
         sources: The parameter files of the process.
+        made: All nodes of the process, in part or in whole.
 
     Args:
         name: Node name.
@@ -85,6 +88,13 @@ class ClosingNode(Node):
 
     supervisor: Supervisor | None = None
     sources = ParameterSources()
+    made: ClassVar[list[Node]] = []
+
+    def __new__(cls, *_: Any, **__: Any) -> ClosingNode:
+        """Remember what is made in this process: also a node that is refused is destroyed."""
+        node = super().__new__(cls)
+        cls.made.append(node)
+        return node
 
     def __init__(self, name: str, **options: Any) -> None:
         super().__init__(name, **options)
@@ -263,7 +273,9 @@ def run(
         with Supervisor() as supervisor:
             code = _run_in_context(make_nodes, command_line, supervisor)
         flush_events(_EVENTS_WITHIN)
-        end_in_time()  # from here, and where no node was made
+        end_in_time()
+        for node in ClosingNode.made:
+            _destroy(node)
         rclpy.try_shutdown()
         if supervisor.ends_by is not None:
             _end_by(supervisor.ends_by)
@@ -327,10 +339,8 @@ def _run_in_context(
         is_closed = [_done(node.leave_at_once) for node in nodes]
         supervisor.are_left = True
         is_closed += [_done(node.close) for node in nodes]
-        end_in_time()
+        end_in_time()  # what is left is the middleware's
         _done(executor.shutdown)
-        for node in nodes:
-            _done(node.destroy_node)
     return supervisor.code or int(not all(is_closed))
 
 
@@ -342,6 +352,16 @@ def _wind_down(executor: Executor, nodes: Sequence[ClosingNode], supervisor: Sup
     for waited in waits:
         if waited is not None:
             executor.spin_until_future_complete(waited, max(0.0, deadline - time.monotonic()))
+
+
+def _destroy(node: Node) -> None:
+    """Destroy a node: a process that ends with its participant alive stalls all others' discovery.
+
+    Fast DDS takes a participant in shared memory that has gone without a word for a listener that
+    is stuck, and opens anew all that it listened to (docs/faults.md).
+    """
+    with contextlib.suppress(AttributeError, InvalidHandle):  # half made, or destroyed already
+        node.destroy_node()
 
 
 def _done(step: Callable[[], None]) -> bool:

@@ -99,13 +99,16 @@ def subscribe_raw(
 
 
 def load_profile() -> None:
-    """Let Fast DDS load ``config/fastdds_nodes.xml``, unless a file of profiles is named already.
+    """Let Fast DDS load ``config/fastdds_nodes.xml``, and leave shared memory out.
 
-    To be called before the middleware is. Other middlewares know nothing of it. Without it all
-    works, and acknowledgements take longer: a package that lacks the file is no reason to end.
+    Nothing is changed where the user named a file of profiles or transports. In shared memory a
+    process that is killed stalls the discovery of all others, or ends it (docs/faults.md); sockets
+    go with their process. To be called before the middleware is loaded; other ones ignore both.
+    Without the file acknowledgements take longer: no reason to end.
     """
     if any(os.environ.get(name) for name in PROFILE_FILES):
         return
+    os.environ.setdefault("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
     with contextlib.suppress(ResourceError):
         profile = str(find_resource("config/fastdds_nodes.xml"))
         os.environ.update(dict.fromkeys(PROFILE_FILES, profile))

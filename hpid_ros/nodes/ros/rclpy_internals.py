@@ -59,6 +59,14 @@ def lifecycle_state(node: LifecycleNode) -> str:
     return str(label)
 
 
+def destroy_lifecycle(node: LifecycleNode) -> None:
+    """Destroy what ``Node.destroy_node`` leaves of a managed node: its state machine.
+
+    Uses ``LifecycleNodeMixin._state_machine``, which holds the node in the middleware.
+    """
+    _private(node, "_state_machine", "the lifecycle").destroy_when_not_in_use()
+
+
 def service_callback(service: Service) -> ServiceCallback:
     """Return what answers the requests of a service, also of those that rclpy makes itself.
 

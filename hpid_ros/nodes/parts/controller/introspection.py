@@ -7,7 +7,7 @@ from sensor_msgs.msg import JointState
 
 from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.control import JointLoop
-from hpid_ros.nodes.ros.middleware import RARE
+from hpid_ros.nodes.ros.middleware import OFFERED, RARE
 from hpid_ros.nodes.ros.parameters import read_number
 from hpid_ros.wire import JointStateTemplate
 
@@ -38,9 +38,10 @@ class Introspection:
         self._last_ns: int | None = None
         if not self._is_on:
             return
-        self._reference = node.create_publisher(JointState, "~/reference", RARE)
-        self._terms = node.create_publisher(JointState, "~/terms", RARE)
-        self._estimate = node.create_publisher(JointState, "~/estimate", RARE)
+        profile = OFFERED if rate < 0.0 else RARE  # each sample: as many may wait as states may
+        self._reference = node.create_publisher(JointState, "~/reference", profile)
+        self._terms = node.create_publisher(JointState, "~/terms", profile)
+        self._estimate = node.create_publisher(JointState, "~/estimate", profile)
         self._estimate_template = JointStateTemplate(
             [joint], position=True, velocity=True, effort=True
         )

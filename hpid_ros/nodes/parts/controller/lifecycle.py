@@ -10,7 +10,7 @@ from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackRet
 from hpid_ros.base.errors import ClaimError
 from hpid_ros.nodes.ros import executor
 from hpid_ros.nodes.ros.parameters import read_only
-from hpid_ros.nodes.ros.rclpy_internals import lifecycle_state
+from hpid_ros.nodes.ros.rclpy_internals import destroy_lifecycle, lifecycle_state
 
 
 class ManagedNode(LifecycleNode, executor.ClosingNode):
@@ -96,6 +96,11 @@ class ManagedNode(LifecycleNode, executor.ClosingNode):
     def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Become unconfigured after a transition that raised."""
         return self._do(self._leave, self.dispose)
+
+    def destroy_node(self) -> None:
+        """Destroy the node and its state machine, which would keep it on the graph."""
+        super().destroy_node()
+        destroy_lifecycle(self)
 
     def _leave(self) -> None:
         if self.is_active:

@@ -171,8 +171,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Print what the graph has."""
     topics = list(sys.argv[1:] if arguments is None else arguments)
     rclpy.init(args=[])
+    node = rclpy.create_node("hpid_graph_reader")
     try:
-        node = rclpy.create_node("hpid_graph_reader")
         document: dict[str, Any] = {
             "controllers": {
                 name: {"ros__parameters": values}
@@ -186,6 +186,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             document |= {"joints": listener.joints(), "has_commands": listener.has_commands}
         print(json.dumps(document))
     finally:
+        node.destroy_node()
         rclpy.try_shutdown()
     return 0
 

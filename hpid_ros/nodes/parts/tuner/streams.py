@@ -9,17 +9,23 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from rclpy.subscription import Subscription
 
 from hpid_ros.nodes.parts.tuner.topics import KINDS, Topic
+from hpid_ros.nodes.ros.executor import ClosingNode
 from hpid_ros.nodes.ros.rclpy_internals import taker
 
 KEPT = 10_000
 """Messages of a topic that are kept until somebody takes them: eight joints at 1 kHz for 1.2 s."""
 
-_PROFILE = QoSProfile(
-    history=HistoryPolicy.KEEP_LAST,
-    depth=KEPT,
-    reliability=ReliabilityPolicy.BEST_EFFORT,
-    durability=DurabilityPolicy.VOLATILE,
-)
+_PROFILES = {
+    is_reliable: QoSProfile(
+        history=HistoryPolicy.KEEP_LAST,
+        depth=KEPT,
+        reliability=reliability,
+        durability=DurabilityPolicy.VOLATILE,
+    )
+    for is_reliable, reliability in enumerate(
+        (ReliabilityPolicy.BEST_EFFORT, ReliabilityPolicy.RELIABLE)
+    )
+}
 
 
 class Streams:
@@ -40,6 +46,7 @@ class Streams:
             start_parameter_services=False,
             enable_rosout=False,
         )
+        ClosingNode.made.append(self._node)  # for a process that ends without closing it
         self._subscriptions: dict[Topic, tuple[Subscription, Callable[[], bytes | None]]] = {}
         self._taken: dict[Topic, list[bytes]] = {}
 
@@ -52,7 +59,11 @@ class Streams:
             self._taken.pop(topic, None)
         for topic in wanted - set(self._subscriptions):
             made = self._node.create_subscription(
-                KINDS[topic.type], topic.name, _ignore, _PROFILE, raw=True
+                KINDS[topic.type],
+                topic.name,
+                _ignore,
+                _PROFILES[topic.is_reliable],
+                raw=True,
             )
             self._subscriptions[topic] = made, taker(made)
 

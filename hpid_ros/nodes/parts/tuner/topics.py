@@ -24,10 +24,12 @@ class Topic(NamedTuple):
     Attributes:
         name: Its full name.
         type: One of :data:`KINDS`.
+        is_reliable: Whether what was lost is sent again.
     """
 
     name: str
     type: str
+    is_reliable: bool = False
 
 
 class ControllerTopics(NamedTuple):
@@ -62,7 +64,7 @@ def controller_topics(node: Node, controller: str) -> tuple[ControllerTopics, bo
     topics = ControllerTopics(
         states or Topic(f"{space}/{_STATES}", JOINT_STATE),
         commands or Topic(f"{space}/{_COMMANDS}", JOINT_STATE),
-        Topic(f"{controller}/reference", JOINT_STATE),
+        Topic(f"{controller}/reference", JOINT_STATE, is_reliable=True),
     )
     return topics, states is not None and commands is not None
 

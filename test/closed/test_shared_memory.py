@@ -2,11 +2,13 @@
 
 import fcntl
 import os
+import socket
 from pathlib import Path
 
 import pytest
 
-from hpid_ros.experiment.graph.isolation import SHARED_MEMORY, clear_dead
+from hpid_ros.base.errors import RunError
+from hpid_ros.experiment.graph.isolation import SHARED_MEMORY, clear_dead, own_domain
 
 SEGMENT, PORT = "fastrtps_0123456789abcdef", "fastrtps_port7651"
 
@@ -108,3 +110,19 @@ def test_a_living_node_keeps_its_shared_memory_and_a_killed_one_does_not(harness
     assert not all(path.exists() for path in alive)
     # The test's own node lives on.
     assert any(path.exists() for path in mapped(os.getpid()))
+
+
+def test_a_domain_in_which_somebody_listens_is_nobody_elses(tmp_path, monkeypatch):
+    """A robot's graph has reserved none."""
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    monkeypatch.setattr("hpid_ros.experiment.graph.isolation._DOMAINS", (90, 91))
+    monkeypatch.setattr("hpid_ros.experiment.graph.isolation.SHARED_MEMORY", tmp_path)
+    with own_domain() as first, own_domain() as second:
+        assert (first, second) == (90, 91)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as robot:
+        robot.bind(("127.0.0.1", 7400 + 250 * 90 + 10))
+        with own_domain() as domain:
+            assert domain == 91
+        leave(tmp_path, f"fastrtps_port{7400 + 250 * 91}", "_sl")
+        with pytest.raises(RunError), own_domain():
+            pass

@@ -1,0 +1,204 @@
+"""Do nodes find each other: ``python -m benchmarks.discovery [--ends KIND ...] [--number N]``.
+
+Some processes watch a graph of their own while controllers come and go beside them, each of which
+ends in one of the ways below; after every end a new controller must be found by all. Prints for
+each kind of end how long that took. Exit codes: 0 all were found in time, 1 one was not, 2
+unusable arguments, 130 interrupted.
+
+=======  =========================================================================================
+end      SIGTERM, as a launch ends a node
+refuse   parameters that are refused
+rival    the joint is another controller's
+kill     SIGKILL
+freeze   SIGSTOP for 2.5 s, then SIGTERM
+=======  =========================================================================================
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import random
+import select
+import signal
+import statistics
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import NoReturn
+
+import rclpy
+
+from hpid_ros.base.interrupts import heed_interrupts
+from hpid_ros.experiment.graph.isolation import closed_environment, own_domain
+from hpid_ros.nodes import joint_controller
+from hpid_ros.nodes.ros.process import end
+
+ENDS = ("end", "refuse", "rival", "kill", "freeze")
+TRANSPORTS = {  # what is asked of Fast DDS beyond the domain
+    "closed": {},
+    "udp": {"FASTDDS_BUILTIN_TRANSPORTS": "UDPv4"},
+    "default": {"FASTDDS_BUILTIN_TRANSPORTS": "DEFAULT"},  # UDP, and shared memory beside it
+}
+_LOST_AFTER = 30.0  # [s]
+_FROZEN = 2.5  # [s]
+_PRESENT = (0.2, 1.5)  # [s] that a controller is there before it is killed or frozen
+_OUTPUT = os.devnull
+_FAILED, _INTERRUPTED = 1, 130
+
+
+class _Children:
+    """Processes forked from this one, which has imported everything and started no middleware."""
+
+    def __init__(self) -> None:
+        self.pids: set[int] = set()
+
+    def fork(self, act: Callable[[], object]) -> int:
+        pid = os.fork()
+        if not pid:
+            output = os.open(_OUTPUT, os.O_WRONLY)
+            os.dup2(output, 1)
+            os.dup2(output, 2)
+            signal.signal(signal.SIGINT, signal.SIG_IGN)
+            act()
+            end(0)
+        self.pids.add(pid)
+        return pid
+
+    def send(self, pid: int, number: signal.Signals) -> None:
+        os.kill(pid, number)
+
+    def wait(self, pid: int) -> None:
+        os.waitpid(pid, 0)
+        self.pids.discard(pid)
+
+    def end(self) -> None:
+        for pid in list(self.pids):
+            os.kill(pid, signal.SIGKILL)
+            self.wait(pid)
+
+
+def _watch(pipe: int) -> NoReturn:
+    """Write a byte for every controller ``probe_N`` that is seen for the first time."""
+    rclpy.init(args=[])
+    node = rclpy.create_node(f"watcher_{os.getpid()}")
+    seen: set[str] = set()
+    while True:
+        rclpy.spin_once(node, timeout_sec=0.01)
+        for name in set(node.get_node_names()) - seen:
+            seen.add(name)
+            if name.startswith("probe_"):
+                os.write(pipe, f"{name.removeprefix('probe_')}\n".encode())
+
+
+def _control(name: str, *parameters: str) -> Callable[[], object]:
+    given = [word for each in parameters for word in ("-p", each)]
+    return lambda: joint_controller.main(
+        ["joint_controller", "--ros-args", "-r", f"__node:={name}", *given]
+    )
+
+
+class _Graph:
+    """Watchers, a controller that stays, and what comes and goes."""
+
+    def __init__(self, children: _Children, watchers: int) -> None:
+        self._children, self._watchers = children, watchers
+        self._reader, writer = os.pipe()
+        for _ in range(watchers):
+            children.fork(lambda: _watch(writer))
+        children.fork(_control("resident", "joint:=taken", "gains.p:=1.0"))
+        self._number = 0
+        self._found: dict[int, int] = {}
+
+    def disturb(self, kind: str, number: int) -> None:
+        children = self._children
+        joint = "joint:=taken" if kind == "rival" else f"joint:=visitor_{number}"
+        refused = ("mu:=0.9",) if kind == "refuse" else ()
+        pid = children.fork(_control(f"visitor_{number}", joint, "gains.p:=1.0", *refused))
+        if kind not in ("refuse", "rival"):
+            time.sleep(random.uniform(*_PRESENT))
+        if kind == "kill":
+            children.send(pid, signal.SIGKILL)
+        if kind == "freeze":
+            children.send(pid, signal.SIGSTOP)
+            time.sleep(_FROZEN)
+            children.send(pid, signal.SIGCONT)
+        if kind in ("end", "freeze"):
+            children.send(pid, signal.SIGTERM)
+        children.wait(pid)
+
+    def probe(self) -> float | None:
+        """Return how long a new controller took to be found by all in [s], None if for ever."""
+        self._number += 1
+        number, begun = self._number, time.monotonic()
+        pid = self._children.fork(_control(f"probe_{number}", f"joint:=probe_{number}"))
+        while self._found.get(number, 0) < self._watchers:
+            left = begun + _LOST_AFTER - time.monotonic()
+            if left <= 0.0:
+                break
+            if select.select([self._reader], [], [], left)[0]:
+                for each in os.read(self._reader, 4096).split():
+                    self._found[int(each)] = self._found.get(int(each), 0) + 1
+        took = time.monotonic() - begun
+        self._children.send(pid, signal.SIGTERM)
+        self._children.wait(pid)
+        return took if self._found.get(number, 0) == self._watchers else None
+
+
+@contextmanager
+def _graph(transport: str, watchers: int) -> Iterator[_Graph]:
+    children = _Children()
+    with own_domain() as domain:
+        os.environ.update(closed_environment(domain) | TRANSPORTS[transport])
+        try:
+            graph = _Graph(children, watchers)
+            graph.probe()  # until all is there
+            yield graph
+        finally:
+            children.end()
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="benchmarks.discovery", description=__doc__)
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    parser.add_argument("--ends", nargs="+", choices=ENDS, default=ENDS, metavar="KIND")
+    parser.add_argument("--number", type=int, default=100, help="ends of each kind")
+    parser.add_argument("--watchers", type=int, default=4)
+    parser.add_argument("--transport", choices=TRANSPORTS, default="closed")
+    parser.add_argument("--within", type=float, default=3.0, help="in time, in [s]")
+    return parser
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Measure, print a line for each kind of end, and say whether all were found in time."""
+    options = _parser().parse_args(arguments)
+    heed_interrupts()
+    late = 0
+    print(f"{'ends':8}{'number':>7}{'median':>8}{'99 %':>8}{'largest':>9}{'late':>6}{'never':>7}")
+    try:
+        for kind in options.ends:
+            with _graph(options.transport, options.watchers) as graph:
+                took = []
+                for number in range(options.number):
+                    graph.disturb(kind, number)
+                    took.append(graph.probe())
+            found = sorted(each for each in took if each is not None)
+            never = len(took) - len(found)
+            late_ones = sum(each > options.within for each in found)
+            late += never + late_ones
+            figures = [
+                statistics.median(found or [float("nan")]),
+                found[int(0.99 * len(found))] if found else float("nan"),
+                max(found, default=float("nan")),
+            ]
+            median, high, largest = (f"{each:.2f}" for each in figures)
+            counts = f"{late_ones:6}{never:7}"
+            print(f"{kind:8}{len(took):7}{median:>8}{high:>8}{largest:>9}{counts}", flush=True)
+    except KeyboardInterrupt:
+        return _INTERRUPTED
+    return _FAILED if late else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,10 @@
+"""Graphs in the closed mode; Fast DDS reads its profile once a process, so they have their own."""
+
+import pytest
+
+from hpid_ros.experiment.graph.isolation import closed_environment
+
+
+@pytest.fixture
+def environment_of():
+    return closed_environment
