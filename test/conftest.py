@@ -22,7 +22,8 @@ settings.register_profile("suite", deadline=None, max_examples=25)
 settings.register_profile("thorough", deadline=None, max_examples=500)
 settings.load_profile("suite")  # another one: pytest --hypothesis-profile thorough
 
-signal.signal(signal.SIGHUP, signal.SIG_DFL)  # under nohup nodes would ignore it, as they should
+for number in (signal.SIGHUP, signal.SIGQUIT):  # nodes ignore what nohup or a shell had ignored
+    signal.signal(number, signal.SIG_DFL)
 NodeProcess.popen = ForkedPopen  # of the suite's processes: nodes that it starts are forked
 
 FAULTS = pytest.StashKey()

@@ -29,6 +29,7 @@ RATIOS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.85, 0.9, 0.95)
 LIMIT = 0.495
 TRANSIENT_GAINS = Gains(p=3.0, i=1.0, d=3.0)  # three poles at -1/s
 DEGREES = (0.0, -0.3, 0.3)
+POINTS = 8  # of a transient, in each step of the solver
 NAMES = {0.0: "PID", -0.3: "hPID, mu = -0.3", 0.3: "hPID, mu = +0.3"}
 
 
@@ -86,7 +87,10 @@ def draw_ranges():
 
 
 def transient(degree, start, duration, end):
-    """Return times and sizes max(|e|, |de/dt|) of the ideal loop, until all is below the end."""
+    """Return times and sizes max(|e|, |de/dt|) of the ideal loop, until all is below the end.
+
+    Each step of the solver is divided, so that straight lines between the points will do.
+    """
     norm = WeightedNorm(degree, 1.0, 1.0)
 
     def arrived(_, x):
@@ -101,16 +105,23 @@ def transient(degree, start, duration, end):
         rtol=1e-8,
         atol=1e-3 * end,
         events=arrived,
+        dense_output=True,
     )
-    return solution.t, np.abs(solution.y[:2]).max(axis=0)
+    steps = np.arange(solution.t.size)
+    times = np.interp(np.linspace(0.0, steps[-1], POINTS * steps[-1] + 1), steps, solution.t)
+    return times, np.abs(solution.sol(times)[:2]).max(axis=0)
 
 
 def last_above(times, sizes, level):
-    """Return when the size stays below a level for good."""
+    """Return when the size stays below a level for good, between points by its logarithm."""
     above = np.flatnonzero(sizes > level)
     if not above.size:
         return 0.0
-    return times[above[-1]] if above[-1] + 1 < sizes.size else np.inf
+    last = above[-1]
+    if last + 1 == sizes.size:
+        return np.inf
+    logs = np.log(sizes[last : last + 2] / level)
+    return times[last] + (times[last + 1] - times[last]) * logs[0] / (logs[0] - logs[1])
 
 
 def draw_classes():

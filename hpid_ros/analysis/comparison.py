@@ -199,6 +199,22 @@ class Comparison:
         """
         return {quantity: verdict(self.ratio(label, quantity)) for quantity in PAPER}
 
+    def worse_joints(self, label: str) -> dict[Quantity, tuple[int, int]]:
+        """Return in how many joints each of the paper's numbers got worse, and of how many.
+
+        Without those that no joint has a ratio of.
+
+        Args:
+            label: The run.
+        """
+        counts = {}
+        for quantity in PAPER:
+            kinds = [verdict(self.ratio(label, quantity, joint)) for joint in self.joint_names]
+            known = len(kinds) - kinds.count(Verdict.UNKNOWN)
+            if known:
+                counts[quantity] = (kinds.count(Verdict.WORSE), known)
+        return counts
+
     def judgement(self, label: str) -> Judgement:
         """Return what the paper's five numbers together say of a run beside the baseline.
 
@@ -316,13 +332,16 @@ def answer(comparison: Comparison) -> str:
 
 
 def verdict_lines(comparison: Comparison) -> Iterator[str]:
-    """Yield for each run but the baseline one short line: its verdict, and what speaks for it.
+    """Yield each run's verdict, and in how many joints each number is worse.
 
     Args:
         comparison: The comparison.
     """
     for run in comparison.others:
         yield _verdict_line(comparison, run.label)
+        counts = _worse_joints(comparison, run.label, "/")
+        if counts:
+            yield f"  Joints in which it is worse: {', '.join(counts)}."
 
 
 def _verdict_line(comparison: Comparison, label: str) -> str:
@@ -339,6 +358,14 @@ def _verdict_line(comparison: Comparison, label: str) -> str:
         if symbols:
             parts.append(f"{kind.value} in {', '.join(symbols)}")
     return f"{head} {'; '.join(parts)}."
+
+
+def _worse_joints(comparison: Comparison, label: str, of: str) -> list[str]:
+    """Return the counts of a run as texts, none where one joint is all."""
+    if len(comparison.joint_names) == 1:
+        return []
+    counts = comparison.worse_joints(label)
+    return [f"{each.symbol} {worse}{of}{known}" for each, (worse, known) in counts.items()]
 
 
 def _is_compared(comparison: Comparison, label: str) -> bool:
@@ -360,6 +387,9 @@ def _sentences(comparison: Comparison, label: str) -> str:
         ]
         if changes:
             sentences.append(f"{kind.value.capitalize()}: {enumerate_words(changes)}.")
+    counts = _worse_joints(comparison, label, " of ")
+    if counts:
+        sentences.append(f"Joints in which it is worse: {', '.join(counts)}.")
     unknown = [each for each, kind in verdicts.items() if kind is Verdict.UNKNOWN]
     if unknown:
         symbols = enumerate_words([each.symbol for each in unknown])

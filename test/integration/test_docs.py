@@ -3,6 +3,7 @@
 import importlib.util
 import re
 
+import numpy as np
 import pytest
 from harness.places import ROOT
 
@@ -97,11 +98,40 @@ def test_every_page_is_in_the_sites_contents():
     assert {page for page in pages if not re.search(rf"^{page}$", index, re.MULTILINE)} == set()
 
 
-def test_the_tables_of_experiment_files_are_what_the_package_declares():
-    name = "make_experiment_tables"
+def tool_named(name):
     spec = importlib.util.spec_from_file_location(name, ROOT / "tools" / f"{name}.py")
     tool = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(tool)
+    return tool
+
+
+def test_the_tables_of_experiment_files_are_what_the_package_declares():
+    name = "make_experiment_tables"
+    tool = tool_named(name)
     text = tool.PAGE.read_text()
     assert {match["name"] for match in tool.BLOCK.finditer(text)} == set(tool.TABLES)
     assert tool.page(text) == text, f"python tools/{name}.py writes it"
+
+
+def exact_time_of_the_pid(level):
+    """Return when max(|e|, |de/dt|) stays below a level, from e = 1, de/dt = 0.
+
+    Gains 3, 1, 3 on a unit inertia have a triple pole at -1/s, so that the solution from (1, 0, 0)
+    is e = exp(-t) (1 + t - t^2).
+    """
+    t = np.linspace(0.0, 40.0, 400_001)
+    sizes = np.exp(-t) * np.maximum(np.abs(1.0 + t - t**2), np.abs(t**2 - 3.0 * t))
+    return t[np.flatnonzero(sizes > level)[-1] + 1]
+
+
+def test_the_theorys_times_of_the_pid_are_the_exact_ones():
+    exact = [exact_time_of_the_pid(10.0**-k) for k in (2, 4, 6, 8, 1, 3, 6)]
+    tool = tool_named("draw_theory")
+    near = tool.transient(0.0, 1.0, 30.0, 1e-12)
+    found = [tool.last_above(*near, 10.0**-k) for k in (2, 4, 6, 8)]
+    for start in (1e1, 1e3, 1e6):
+        found.append(tool.last_above(*tool.transient(0.0, start, 1e4, 0.1), 1.0))
+    assert found == pytest.approx(exact, abs=1e-3)
+    (row,) = re.findall(r"^\| PID \|.+", (ROOT / "docs" / "theory.md").read_text(), re.MULTILINE)
+    documented = [float(each) for each in re.findall(r"([\d.]+) s", row)]
+    assert documented == pytest.approx(exact, abs=6e-3)

@@ -14,7 +14,15 @@ from hypothesis import strategies as st
 from rich.console import Console
 
 from hpid_ros.analysis.comparability import common_cuts
-from hpid_ros.analysis.comparison import Comparison, Judgement, Verdict, answer, ratio, verdict
+from hpid_ros.analysis.comparison import (
+    Comparison,
+    Judgement,
+    Verdict,
+    answer,
+    ratio,
+    verdict,
+    verdict_lines,
+)
 from hpid_ros.analysis.indices.run import IndexSettings, run_indices
 from hpid_ros.analysis.quantities import (
     CHATTER,
@@ -59,6 +67,15 @@ def test_ratios_are_over_the_first_run(paper):
     assert paper.ratio("hPID", IAVC) == (65 + 68 + 50 + 65) / (114 + 142 + 43 + 67)
     assert paper.ratio("hPID", EFFORT_L2) == 329.459 / 423.933
     assert paper.ratio("PID", ERROR_L2) == 1.0
+
+
+def test_a_verdict_says_in_how_many_joints_each_number_got_worse(paper):
+    """As in the paper's table: a sum hides that joint 3 has more jumps."""
+    assert paper.worse_joints("hPID") == {IVC: (1, 4), IAVC: (1, 4), ITAE: (1, 4)}
+    assert "IVC 1/4, IAVC 1/4, ITAE 1/4." in list(verdict_lines(paper))[1]
+    assert "IVC 1 of 4, IAVC 1 of 4, ITAE 1 of 4." in answer(paper)
+    alone = Comparison((run("a", [(1, 1, 1)]), run("b", [(2, 2, 2)])))
+    assert len(list(verdict_lines(alone))) == 1
 
 
 @given(st.floats(0.0, 1e300), st.floats(0.0, 1e300))
