@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -189,15 +190,25 @@ def _of_bag(
     if cut is not None:
         numbers = replace(numbers, cut=cut.text)
     hand, unfollowed = _end_effector(how.robot, series)
+    parameters = saved_parameters(source.path)
+    mislabelled = _mislabelled(str(source.label), parameters)
     return Measured(
         (numbers,),
         series if how.keeps_series else None,
         source.path,
-        saved_parameters(source.path),
-        (*quality_lines(series), *known.doubts, *unfollowed),
+        parameters,
+        (*mislabelled, *quality_lines(series), *known.doubts, *unfollowed),
         None if hand is None else hand.figures(),
         None if hand is None else hand.path(_PATH_POINTS),
     )
+
+
+def _mislabelled(label: str, parameters: Mapping[str, Mapping[str, object]]) -> Iterator[str]:
+    """Yield a line where a label names one law and the recorded controllers ran another."""
+    words = re.findall("h?pid", label.lower())
+    ran = {str(each["law"]) for each in parameters.values() if "law" in each}
+    if words and len(ran) == 1 and ran.isdisjoint(words):
+        yield f"run {label!r}: its controllers ran law {ran.pop()!r}: were two labels exchanged?"
 
 
 def _end_effector(

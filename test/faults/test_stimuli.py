@@ -4,7 +4,7 @@ import pytest
 
 from benchmarks.stimuli import STIMULI, a_joint
 
-pytestmark = pytest.mark.alone
+pytestmark = [pytest.mark.alone, pytest.mark.closed]  # its joint is a node of this process
 
 DAMPING = 20.0 * 0.5  # of the joint at the trajectory's speed, in [N m]
 BOUNDS = {

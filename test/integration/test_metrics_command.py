@@ -93,6 +93,15 @@ def test_labels_name_the_bags_and_equal_labels_are_repeats(run, result):
     assert json.loads(by_group)["runs"]["one"] == folded
 
 
+def test_labels_that_were_exchanged_are_noticed_by_the_law_that_ran(run, result):
+    bags = [result / "bags" / "PID", result / "bags" / "hPID"]
+    _, _, errors = run(*bags, "--labels", "hPID", "PID")
+    assert "run 'hPID': its controllers ran law 'pid': were two labels exchanged?" in errors
+    assert "run 'PID': its controllers ran law 'hpid': were two labels exchanged?" in errors
+    for labels in (("PID", "hPID"), ("before", "after"), ("pid_tuned", "hpid_tuned")):
+        assert run(*bags, "--labels", *labels)[2] == ""
+
+
 def test_a_label_in_the_bags_metadata_is_taken(run, result, tmp_path):
     import yaml
 
