@@ -68,7 +68,7 @@ endif
 # Nodes on graphs and faults, beside two busy loops.
 busy: $(VENV)/.test-installed
 	@(while :; do :; done) & first=$$!; (while :; do :; done) & second=$$!; \
-	trap "kill $$first $$second" EXIT; failed=0; \
+	trap "kill $$first $$second" EXIT; trap "exit 1" INT TERM; failed=0; \
 	$(BIN)/python -m pytest $(SPREAD) -m "(graph or faults) and not alone" $(ARGS) || failed=1; \
 	$(BIN)/python -m pytest -m "closed and not alone" $(ARGS) || failed=1; \
 	exit $$failed
