@@ -341,7 +341,7 @@ def verdict_lines(comparison: Comparison) -> Iterator[str]:
         yield _verdict_line(comparison, run.label)
         counts = _worse_joints(comparison, run.label, "/")
         if counts:
-            yield f"  Joints in which it is worse: {', '.join(counts)}."
+            yield f"  Joints it is worse in: {', '.join(counts)}."
 
 
 def _verdict_line(comparison: Comparison, label: str) -> str:
@@ -389,7 +389,7 @@ def _sentences(comparison: Comparison, label: str) -> str:
             sentences.append(f"{kind.value.capitalize()}: {enumerate_words(changes)}.")
     counts = _worse_joints(comparison, label, " of ")
     if counts:
-        sentences.append(f"Joints in which it is worse: {', '.join(counts)}.")
+        sentences.append(f"Joints it is worse in: {', '.join(counts)}.")
     unknown = [each for each, kind in verdicts.items() if kind is Verdict.UNKNOWN]
     if unknown:
         symbols = enumerate_words([each.symbol for each in unknown])
