@@ -69,8 +69,12 @@ def is_for(section: str, node: str) -> bool:
     return re.fullmatch(pattern, node) is not None
 
 
+ALLOW_RELAY = "allow_relay"
+"""Parameter of a controller: whether ``~/relay`` is obeyed."""
+
 NODE_PARAMETERS = frozenset(
     {
+        ALLOW_RELAY,
         "autostart",
         "certify",
         "claim",

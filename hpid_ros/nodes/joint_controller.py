@@ -8,13 +8,14 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
-from rcl_interfaces.msg import SetParametersResult
+from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.task import Future
 
 from hpid_ros.base.errors import ClaimError, MessageError, SettingError
+from hpid_ros.base.names import ALLOW_RELAY
 from hpid_ros.control import JointLoop
 from hpid_ros.control.interludes.relay import RelayRequest
 from hpid_ros.control.interludes.supervision import SupervisedLoop
@@ -82,6 +83,8 @@ class JointController(ManagedNode):
         self._needs_reference = read_only(
             self, "wait_for_reference", False, "Do not start before there is a trajectory"
         )
+        text = "Whether ~/relay is obeyed: a relay drives the joint within its effort limits"
+        self.declare_parameter(ALLOW_RELAY, False, ParameterDescriptor(description=text))
         is_claiming = claims_joint(self)
         sender = sender_of(self, is_claiming)
         self._commands = Commands(make_sink(self, self.joint, sender))
@@ -255,6 +258,8 @@ class JointController(ManagedNode):
         if request is None:
             self._loop.end_relay("it was told to end")
             return
+        if not self.get_parameter(ALLOW_RELAY).value:
+            raise SettingError(f"relays are not allowed: {ALLOW_RELAY} is false")
         if not self.is_active:
             raise SettingError(_INACTIVE)
         self._loop.begin_relay(request)
@@ -265,6 +270,8 @@ class JointController(ManagedNode):
         return self._tuning.verdict(changes, self._certification.require)
 
     def _retune(self, changes: Sequence[Parameter]) -> None:
+        if any(each.name == ALLOW_RELAY and not each.value for each in changes):
+            self._loop.end_relay("relays are not allowed any more")
         if not concern_the_loop(changes):
             return
         settings = self._tuning.with_changes(changes)
@@ -332,7 +339,7 @@ class JointController(ManagedNode):
 
 OWN_PARAMETERS = (
     *("command_interface", "claim", "robot_description", "autostart", "stop", "stop_duration"),
-    *("state_watchdog", "certify", "require_certificate", "introspection_rate"),
+    *("state_watchdog", "certify", "require_certificate", ALLOW_RELAY, "introspection_rate"),
     *("wait_for_command_subscribers", "wait_for_reference"),
     *("realtime_priority", "cpu_affinity", "status_fd"),
 )

@@ -1,8 +1,11 @@
 """A relay test of a real controller on a simulated joint, and what is proposed after it."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from harness.turntable import INERTIA, start_turntable, wait_for_rest
+from rcl_interfaces.srv import GetParameters
 from std_msgs.msg import Float64MultiArray
 
 from hpid_ros.bags import read_run
@@ -15,6 +18,14 @@ from hpid_ros.nodes.ros.middleware import RARE
 from hpid_ros.tuning.controller_files import settings_from_parameter_file
 
 MS = 1_000_000
+REFUSED = "reference refused: relays are not allowed: allow_relay is false"
+BEGUN = "a relay of 1 N m drives the joint"
+
+
+def allows_relays(harness):
+    request = GetParameters.Request(names=["allow_relay"])
+    (value,) = harness.call(GetParameters, "turn_controller/get_parameters", request).values
+    return value.bool_value
 
 
 def test_a_relay_test_finds_the_inertia_and_proposes_gains(harness, tmp_path, capsys):
@@ -34,6 +45,7 @@ def test_a_relay_test_finds_the_inertia_and_proposes_gains(harness, tmp_path, ca
     assert 1.8 * amplitude < np.max(np.abs(np.diff(effort))) < 2.1 * amplitude
     graph = running_graph()
     assert graph.controllers["turn"].settings.gains.p == 21.6  # nobody has set anything
+    assert not allows_relays(harness)
 
 
 def test_a_relay_that_is_interrupted_gives_the_joint_back(harness, tmp_path):
@@ -51,6 +63,7 @@ def test_a_relay_that_is_interrupted_gives_the_joint_back(harness, tmp_path):
     ending = carry_out_relay(planned, controller, graph, tmp_path / "bag", "joint_states", told)
     assert ending.is_interrupted
     wait_for_rest(harness)
+    assert not allows_relays(harness)
     found = relay_findings(tmp_path / "bag", controller, planned)
     assert found.cycle.inertia == pytest.approx(INERTIA, rel=0.2)
 
@@ -66,7 +79,12 @@ def test_a_relay_that_is_interrupted_gives_the_joint_back(harness, tmp_path):
 )
 def test_a_relay_that_cannot_be_is_refused_and_the_joint_held(harness, numbers, line):
     controller = harness.start_controller(
-        law="pid", gains__p=10.0, gains__d=1.0, u_clamp_max=20.0, u_clamp_min=-20.0
+        law="pid",
+        gains__p=10.0,
+        gains__d=1.0,
+        u_clamp_max=20.0,
+        u_clamp_min=-20.0,
+        allow_relay=True,
     )
     publisher = harness.node.create_publisher(Float64MultiArray, "elbow_controller/relay", RARE)
     harness.wait(publisher.get_subscription_count, what="the subscription")
@@ -75,3 +93,23 @@ def test_a_relay_that_cannot_be_is_refused_and_the_joint_held(harness, numbers, 
     harness.wait(lambda: line in controller.log.read_text(), what="the refusal")
     for k in range(2, 40):
         assert harness.ask(k * MS, 0.5) == 0.0
+
+
+def test_a_relay_is_taken_only_while_it_is_allowed(harness):
+    controller = harness.start_controller(law="pid", gains__p=10.0, gains__d=1.0)
+    publisher = harness.node.create_publisher(Float64MultiArray, "elbow_controller/relay", RARE)
+    harness.wait(publisher.get_subscription_count, what="the subscription")
+    assert harness.ask(MS, 0.5) == 0.0
+    relay = Float64MultiArray(data=[1.0, 0.01, 0.5, 20.0, 30.0])
+    publisher.publish(relay)
+    harness.wait(lambda: REFUSED in controller.log.read_text(), what="the refusal")
+    assert [harness.ask(k * MS, 0.5) for k in range(2, 40)] == [0.0] * 38
+    assert harness.set_parameters("elbow_controller", allow_relay=True)[0]
+    publisher.publish(relay)
+    harness.wait(lambda: BEGUN in controller.log.read_text(), what="the relay")
+    efforts = [harness.ask(k * MS, 0.5) for k in range(40, 500)]
+    assert abs(efforts[-1]) == 1.0
+    assert harness.set_parameters("elbow_controller", allow_relay=False)[0]
+    efforts = [harness.ask(k * MS, 0.5) for k in range(500, 1000)]
+    assert efforts[-1] == 0.0
+    assert max(abs(one - other) for one, other in pairwise(efforts)) < 0.1  # no jump

@@ -7,6 +7,7 @@ from typing import Any
 from rclpy.node import Node
 
 from hpid_ros.base.durations import Durations
+from hpid_ros.base.names import ALLOW_RELAY
 from hpid_ros.base.units import of_slide
 from hpid_ros.control import JointLoop
 from hpid_ros.control.interludes.relay import RelayRequest
@@ -222,6 +223,7 @@ class ControllerHealth:
                 **self._timing.recent(),
                 **(self._model.readings() if self._model else {"compensation": "none"}),
                 "relay": self._relay(),
+                "relays allowed": self._node.get_parameter(ALLOW_RELAY).value,
                 "scheduling": self.scheduling,
                 "last fault": self._diagnostics.last_fault,
                 "last irregular state": self.unit(loop.last_fault) or "none",

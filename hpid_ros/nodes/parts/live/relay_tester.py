@@ -7,9 +7,12 @@ import time
 from collections.abc import Sequence
 
 from diagnostic_msgs.msg import DiagnosticArray
+from rcl_interfaces.srv import SetParameters
+from rclpy.parameter import Parameter
 from rclpy.task import Future
 from std_msgs.msg import Float64MultiArray
 
+from hpid_ros.base.names import ALLOW_RELAY
 from hpid_ros.control.interludes.relay import DONE
 from hpid_ros.nodes.parts.live.order import read_order
 from hpid_ros.nodes.ros import executor
@@ -20,11 +23,12 @@ from hpid_ros.nodes.ros.steady_timer import steady_timer
 _LOOK_PERIOD = 0.05  # [s]
 _READY_WITHIN = 15.0  # [s]
 _ANSWERS_WITHIN = 3.0  # [s]; a controller tells how it is once a second
+_TAKEN_BACK_WITHIN = 1.0  # [s]
 _IN_FORCE = "; in force"
 
 
 class RelayTester(executor.ClosingNode):
-    """Publishes one request, and listens to the controller's diagnostics.
+    """Allows relays, asks for one, listens to how it goes, and forbids them again.
 
     Raises:
         SettingError: There is no order that can be used.
@@ -39,6 +43,7 @@ class RelayTester(executor.ClosingNode):
         self._publisher = self.create_publisher(
             Float64MultiArray, f"{self._controller}/relay", RARE
         )
+        self._setter = self.create_client(SetParameters, f"{self._controller}/set_parameters")
         self._states = subscribe_raw(self, "joint_states", lambda raw: None, NEWEST_STATES)
         self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, RARE)
         self._status = StatusPipe(self)
@@ -47,7 +52,9 @@ class RelayTester(executor.ClosingNode):
         self._born = self._heard = time.monotonic()
         self._begun: float | None = None
         self._was_in_force = self._is_over = False
-        self._ending: Future | None = None
+        self._allowed: Future | None = None
+        self._code, self._leave_at = 0, 0.0
+        self._left = Future()
         steady_timer(self, _LOOK_PERIOD, self._look)
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
@@ -71,15 +78,16 @@ class RelayTester(executor.ClosingNode):
     def _look(self) -> None:
         now = time.monotonic()
         if self._is_over:
-            return
-        if self._begun is None:
+            if now > self._leave_at:
+                self._leave()
+        elif self._begun is None:
             lacking = self._lacking()
-            if not lacking:
-                self._begin(now)
-            elif now - self._born > _READY_WITHIN:
+            if lacking and now - self._born > _READY_WITHIN:
                 self._status.send("failed", reason=lacking)
-                self._is_over = True
-                self.request_stop(executor.FAILED)
+                self._finish(executor.FAILED)
+            elif not lacking and self._allowed is None:
+                self._allowed = self._allow(is_allowed=True)
+                self._allowed.add_done_callback(self._begin)
         elif now - self._heard > _ANSWERS_WITHIN:
             self._end(f"{self._controller} has told nothing for {_ANSWERS_WITHIN:g} s")
         else:
@@ -92,12 +100,29 @@ class RelayTester(executor.ClosingNode):
             return f"{self._controller} is not active ({lifecycle or 'it tells nothing'})"
         if not self._publisher.get_subscription_count():
             return f"{self._controller} does not hear ~/relay"
+        if not self._setter.service_is_ready():
+            return f"{self._controller} does not take parameters"
         infos = self.get_subscriptions_info_by_topic(self._states.topic_name)
         if self._recorder not in {info.node_name for info in infos}:
             return "the recorder does not hear the states"
+        if self._allowed is not None:
+            return f"{self._controller} has not answered {ALLOW_RELAY}"
         return ""
 
-    def _begin(self, now: float) -> None:
+    def _allow(self, *, is_allowed: bool) -> Future:
+        """Set the parameter that lets ``~/relay`` in."""
+        parameter = Parameter(ALLOW_RELAY, value=is_allowed).to_parameter_msg()
+        return self._setter.call_async(SetParameters.Request(parameters=[parameter]))
+
+    def _begin(self, allowed: Future) -> None:
+        if self._is_over:
+            return
+        (result,) = allowed.result().results
+        if not result.successful:
+            self._status.send("failed", reason=f"{self._controller}: {result.reason}")
+            self._finish(executor.FAILED)
+            return
+        now = time.monotonic()
         self._refused = self._told.get("refused references", "")
         self._begun = self._heard = now
         self._status.send("begun")
@@ -106,20 +131,31 @@ class RelayTester(executor.ClosingNode):
     def _end(self, reason: str) -> None:
         if self._is_over:
             return
-        self._is_over = True
         event = "stopped" if reason else "done"
         self._status.send(event, reason=reason, is_at_rest=True)
-        if self._ending is not None:
-            self._ending.set_result(None)
-        self.request_stop(executor.FAILED if reason else 0)
+        self._finish(executor.FAILED if reason else 0)
+
+    def _finish(self, code: int) -> None:
+        """Take the permission back, if it was asked for, and leave."""
+        self._is_over, self._code = True, code
+        self._leave_at = time.monotonic() + _TAKEN_BACK_WITHIN
+        if self._allowed is None:
+            self._leave()
+        else:
+            self._allow(is_allowed=False).add_done_callback(lambda _: self._leave())
+
+    def _leave(self) -> None:
+        if not self._left.done():
+            self._left.set_result(None)
+            self.request_stop(self._code)
 
     def wind_down(self) -> Future | None:
-        """Have the relay give back, and wait until it has."""
-        if self._begun is None or self._is_over:
-            return None
-        self._publisher.publish(Float64MultiArray())
-        self._ending = Future()
-        return self._ending
+        """Have the relay give back, wait until it has, and forbid relays again."""
+        if self._begun is not None and not self._is_over:
+            self._publisher.publish(Float64MultiArray())
+        elif not self._is_over:
+            self._finish(executor.FAILED)
+        return self._left
 
 
 def main(args: Sequence[str] | None = None) -> int:
