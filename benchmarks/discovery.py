@@ -2,8 +2,9 @@
 
 Some processes watch a graph of their own while controllers come and go beside them, each of which
 ends in one of the ways below; after every end a new controller must be found by all. Prints for
-each kind of end how long that took. Exit codes: 0 all were found in time, 1 one was not, 2
-unusable arguments, 130 interrupted.
+each kind of end how long that took, and how many controllers somebody lists 30 s after they ended:
+the middleware may take a node's last message after it has seen its participant end. Exit codes: 0
+all were found in time, 1 one was not, 2 unusable arguments, 130 interrupted.
 
 =======  =========================================================================================
 end      SIGTERM, as a launch ends a node
@@ -24,6 +25,7 @@ import signal
 import statistics
 import sys
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import NoReturn
@@ -80,16 +82,17 @@ class _Children:
 
 
 def _watch(pipe: int) -> NoReturn:
-    """Write a byte for every controller ``probe_N`` that is seen for the first time."""
+    """Write ``+N`` when a controller ``probe_N`` is there, and ``-N`` when it has gone."""
     rclpy.init(args=[])
     node = rclpy.create_node(f"watcher_{os.getpid()}")
     seen: set[str] = set()
     while True:
         rclpy.spin_once(node, timeout_sec=0.01)
-        for name in set(node.get_node_names()) - seen:
-            seen.add(name)
-            if name.startswith("probe_"):
-                os.write(pipe, f"{name.removeprefix('probe_')}\n".encode())
+        here = {name for name in node.get_node_names() if name.startswith("probe_")}
+        for sign, names in (("+", here - seen), ("-", seen - here)):
+            for name in names:
+                os.write(pipe, f"{sign}{name.removeprefix('probe_')}\n".encode())
+        seen = here
 
 
 def _control(name: str, *parameters: str) -> Callable[[], object]:
@@ -109,7 +112,7 @@ class _Graph:
             children.fork(lambda: _watch(writer))
         children.fork(_control("resident", "joint:=taken", "gains.p:=1.0"))
         self._number = 0
-        self._found: dict[int, int] = {}
+        self._told: Counter[str] = Counter()
 
     def disturb(self, kind: str, number: int) -> None:
         children = self._children
@@ -133,17 +136,27 @@ class _Graph:
         self._number += 1
         number, begun = self._number, time.monotonic()
         pid = self._children.fork(_control(f"probe_{number}", f"joint:=probe_{number}"))
-        while self._found.get(number, 0) < self._watchers:
-            left = begun + _LOST_AFTER - time.monotonic()
-            if left <= 0.0:
-                break
-            if select.select([self._reader], [], [], left)[0]:
-                for each in os.read(self._reader, 4096).split():
-                    self._found[int(each)] = self._found.get(int(each), 0) + 1
+        is_found = self._all_tell([f"+{number}"])
         took = time.monotonic() - begun
         self._children.send(pid, signal.SIGTERM)
         self._children.wait(pid)
-        return took if self._found.get(number, 0) == self._watchers else None
+        return took if is_found else None
+
+    def ghosts(self) -> int:
+        """Return how many controllers that have ended are listed by somebody, and stay so."""
+        wanted = [f"-{number}" for number in range(1, self._number + 1)]
+        self._all_tell(wanted)
+        return sum(self._told[each] < self._watchers for each in wanted)
+
+    def _all_tell(self, wanted: Sequence[str]) -> bool:
+        deadline = time.monotonic() + _LOST_AFTER
+        while any(self._told[each] < self._watchers for each in wanted):
+            left = deadline - time.monotonic()
+            if left <= 0.0:
+                return False
+            if select.select([self._reader], [], [], left)[0]:
+                self._told.update(os.read(self._reader, 1 << 16).decode().split())
+        return True
 
 
 @contextmanager
@@ -175,7 +188,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = _parser().parse_args(arguments)
     heed_interrupts()
     late = 0
-    print(f"{'ends':8}{'number':>7}{'median':>8}{'99 %':>8}{'largest':>9}{'late':>6}{'never':>7}")
+    counted = f"{'late':>6}{'never':>7}{'ghosts':>8}"
+    print(f"{'ends':8}{'number':>7}{'median':>8}{'99 %':>8}{'largest':>9}{counted}")
     try:
         for kind in options.ends:
             with _graph(options.transport, options.watchers) as graph:
@@ -183,6 +197,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 for number in range(options.number):
                     graph.disturb(kind, number)
                     took.append(graph.probe())
+                ghosts = graph.ghosts()
             found = sorted(each for each in took if each is not None)
             never = len(took) - len(found)
             late_ones = sum(each > options.within for each in found)
@@ -193,7 +208,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 max(found, default=float("nan")),
             ]
             median, high, largest = (f"{each:.2f}" for each in figures)
-            counts = f"{late_ones:6}{never:7}"
+            counts = f"{late_ones:6}{never:7}{ghosts:8}"
             print(f"{kind:8}{len(took):7}{median:>8}{high:>8}{largest:>9}{counts}", flush=True)
     except KeyboardInterrupt:
         return _INTERRUPTED

@@ -71,11 +71,11 @@ class Discovery:
 
     def _nodes_with_parameters(self) -> set[str]:
         services = self._node.get_service_names_and_types()
-        names = {name.removesuffix(_SERVICE) for name, types in services if _TYPE in types}
-        # A service that has a client is in this list, also where its node has gone.
-        nodes = self._node.get_node_names_and_namespaces()
-        here = {f"{space.rstrip('/')}/{name}" for name, space in nodes}
-        return (names & here) - {self._own_name}
+        asked = [name for name, types in services if name.endswith(_SERVICE) and _TYPE in types]
+        # A service that has a client is in this list, also where its node has gone; and so are
+        # nodes' names, by messages that the middleware may take after their participant's end.
+        here = {name.removesuffix(_SERVICE) for name in asked if self._node.count_services(name)}
+        return here - {self._own_name}
 
     def _forget(self, names: Iterable[str]) -> None:
         for name in sorted(names):
