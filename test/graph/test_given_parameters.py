@@ -206,7 +206,7 @@ def test_every_executable_starts_from_its_dump_and_takes_it_back(harness, tmp_pa
     for process in processes.values():
         process.process.terminate()
     for name, process in processes.items():
-        assert process.process.wait(60) == 0, name
+        assert process.process.wait(60) == 0, (tmp_path / f"{name}_first.log").read_text()
     log = (tmp_path / "joint_controllers_first.log").read_text()
     assert "number of timers" not in log
 
