@@ -5,7 +5,8 @@ friction, delay, encoder noise, the gains of a PID placed by a bandwidth that is
 motion through random places, smooth or in steps, and the goal. Records a run under the PID in
 process, takes the road from that bag and a URDF without rotors and friction, records what was
 proposed on the drawn robot with other noise, and prints what was predicted beside what was
-measured, in Markdown.
+measured, in Markdown. ``strange`` instead of a robot draws from :mod:`benchmarks.strange_plants`,
+of which the package's simulators know nothing.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from __future__ import annotations
 import argparse
 import sys
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
@@ -23,10 +24,17 @@ from xml.etree import ElementTree
 import numpy as np
 import yaml
 
+from benchmarks import strange_plants
 from hpid_ros.analysis.quantities import ITAE, IVC
+from hpid_ros.bags.message_types import JOINT_STATE, JOINT_TRAJECTORY, encode_joint_trajectory
+from hpid_ros.bags.metadata import PARAMETERS
+from hpid_ros.bags.writer import BagWriter, TopicQos
+from hpid_ros.base.errors import HpidError
 from hpid_ros.base.resources import find_resource
+from hpid_ros.control import JointLoop, LoopSettings
 from hpid_ros.experiment.description import Experiment, load_experiment
 from hpid_ros.experiment.in_process import run_without_ros
+from hpid_ros.experiment.parameter_files import controllers_text
 from hpid_ros.experiment.progress import NoProgress
 from hpid_ros.road.prediction import Prediction, prediction_of
 from hpid_ros.road.proposal import Answer, Question, Telling, answer
@@ -35,9 +43,12 @@ from hpid_ros.robot.amendments import JointAmendment, amended
 from hpid_ros.robot.description import RobotDescription
 from hpid_ros.robot.dynamics import Dynamics
 from hpid_ros.robot.given import GivenRobot
+from hpid_ros.trajectory.generators import minimum_jerk, step
 from hpid_ros.tuning.upgrade import GOALS
+from hpid_ros.wire import JointStateTemplate
 
 ROBOTS = ("paper", "iiwa", "panda")
+STRANGE = "strange"
 _MASSES = (0.7, 1.4)  # times as the robot's
 _ROTORS = (0.7, 1.4)
 _BANDWIDTHS = (7.0, 14.0)  # [rad/s], of the triple pole that gains are placed by
@@ -68,14 +79,16 @@ class Drawn(NamedTuple):
     """A robot drawn at random, and what its owner knows.
 
     Attributes:
-        experiment: In which it moves under its PID.
-        bare: Its description without rotors and friction.
-        motion: Kind of its reference.
+        controllers: Its PIDs.
+        record: Has it move under controllers and writes a bag, with a seed of its noise.
+        given: What its owner knows.
+        motion: What it does.
         goal: What its owner wants.
     """
 
-    experiment: Experiment
-    bare: RobotDescription
+    controllers: tuple[LoopSettings, ...]
+    record: Callable[[Sequence[LoopSettings], Path, int], None]
+    given: GivenRobot
     motion: str
     goal: str
 
@@ -100,7 +113,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Print the table."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.road", description=__doc__)
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
-    parser.add_argument("robots", nargs="*", default=ROBOTS, metavar="ROBOT", help="(all)")
+    parser.add_argument(
+        "robots", nargs="*", default=ROBOTS, metavar="ROBOT", help="(all but strange)"
+    )
     parser.add_argument("--seeds", type=int, default=10, help="robots to draw in all (10)")
     parser.add_argument("--first", type=int, default=1, help="the first seed (1)")
     parser.add_argument("--goal", choices=tuple(GOALS), help="of all (drawn)")
@@ -119,7 +134,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for seed in range(options.first, options.first + options.seeds):
         robot = options.robots[seed % len(options.robots)]
         drawn = draw(robot, seed, options.engine, options.wrong_links)
-        travelled = travel(drawn, seed, options.goal)
+        try:
+            travelled = travel(drawn, seed, options.goal)
+        except HpidError as error:
+            print(f"| {robot} | {seed} | {drawn.motion} | {error} |", flush=True)
+            continue
         held += travelled.verification.is_held
         kept += travelled.found.is_kept
         print(_row(robot, seed, travelled), flush=True)
@@ -154,24 +173,16 @@ def travel(drawn: Drawn, seed: int, goal: str | None = None) -> Travelled:
     """
     with tempfile.TemporaryDirectory() as folder:
         before, after = Path(folder) / "before", Path(folder) / "after"
-        run_without_ros(drawn.experiment, "PID", before, NoProgress())
-        start = drawn.experiment.world.initial_positions
-        given = GivenRobot(drawn.bare.xml, drawn.bare, True, start)
+        drawn.record(drawn.controllers, before, seed)
         telling = Telling(lambda phase: None, lambda count: nullcontext(lambda joints: None))
         goal = goal or drawn.goal
-        found = answer(Question(before, given, "drawn.urdf", goal), telling)
+        found = answer(Question(before, drawn.given, "drawn.urdf", goal), telling)
         if found.is_kept and goal == "balanced":
-            found = answer(Question(before, given, "drawn.urdf", "smooth"), telling)
+            found = answer(Question(before, drawn.given, "drawn.urdf", "smooth"), telling)
         prediction = prediction_of(found)
-        world = replace(drawn.experiment.world, seed=seed + 1_000_000)
-        proposed = {
-            "hPID": tuple(
-                next((new for new in found.settings if new.joint == each.joint), each)
-                for each in drawn.experiment.controllers["PID"]
-            )
-        }
-        again = replace(drawn.experiment, world=world, controllers=proposed)
-        run_without_ros(again, "hPID", after, NoProgress())
+        new = {each.joint: each for each in found.settings}
+        proposed = [new.get(each.joint, each) for each in drawn.controllers]
+        drawn.record(proposed, after, seed + 1_000_000)
         return Travelled(drawn.motion, found, prediction, verify(prediction, before, after))
 
 
@@ -179,11 +190,13 @@ def draw(robot: str, seed: int, engine: str = "mujoco", wrong_links: float = 0.0
     """Return a robot with all drawn at random that a recording has to tell.
 
     Args:
-        robot: Name of the experiment that it is from.
+        robot: Name of the experiment that it is from, or :data:`STRANGE`.
         seed: Of all that is drawn.
         engine: Who computes its physics.
         wrong_links: Share by which the masses that its owner knows are wrong at most.
     """
+    if robot == STRANGE:
+        return _draw_strange(seed)
     chance = np.random.default_rng([seed, *robot.encode()])
     plain = load_experiment(find_resource(f"config/experiments/{robot}.yaml"))
     source = RobotDescription.load(plain.world.robot_description)
@@ -206,11 +219,68 @@ def draw(robot: str, seed: int, engine: str = "mujoco", wrong_links: float = 0.0
         "actuators": {"delay": int(chance.integers(0, _DELAYS))},
         "reference": _reference(plain, drawn, motion, chance),
         "controllers": {"joints": _gains(drawn, arm, plain.world.initial_positions, chance)},
-        "compare": {"PID": {"law": "pid"}, "hPID": {"law": "pid"}},
+        "compare": {"PID": {"law": "pid"}},
     }
     goal = str(chance.choice(tuple(GOALS)))
     known = _with_other_masses(heavy, (1.0 - wrong_links, 1.0 + wrong_links), chance)
-    return Drawn(_loaded(document, drawn), amended(known, nothing, {}, {}), motion, goal)
+    bare = amended(known, nothing, {}, {})
+    experiment = _loaded(document, drawn)
+
+    def record(controllers: Sequence[LoopSettings], bag: Path, noise: int) -> None:
+        world = replace(experiment.world, seed=noise)
+        run = replace(experiment, world=world, controllers={"run": tuple(controllers)})
+        run_without_ros(run, "run", bag, NoProgress())
+
+    given = GivenRobot(bare.xml, bare, True, experiment.world.initial_positions)
+    return Drawn(experiment.controllers["PID"], record, given, motion, goal)
+
+
+def _draw_strange(seed: int) -> Drawn:
+    chance = np.random.default_rng([seed, *STRANGE.encode()])
+    plant = strange_plants.drawn(seed)
+    motion = str(chance.choice(_MOTIONS))
+    places = chance.uniform(-_REACH[motion], _REACH[motion], _STOPS)
+    start = float(chance.uniform(-1.0, 1.0))
+    times, positions = [_LEG * k for k in range(_STOPS + 1)], [start, *(start + places)]
+    make = minimum_jerk if motion == "minimum_jerk" else step
+    trajectory = make(times, {"arm": positions})
+    bandwidth = float(chance.uniform(*_BANDWIDTHS))
+    inertia = plant.inertia * float(chance.uniform(*_MISPLACED))
+    limit = float(np.ceil(3.0 * plant.mass * strange_plants.GRAVITY * plant.length))
+    values = {"joint": "arm", "law": "pid", "u_clamp_max": limit, "u_clamp_min": -limit}
+    gains = zip("pid", (3.0 * bandwidth**2, bandwidth**3, 3.0 * bandwidth), strict=True)
+    controller = LoopSettings.from_parameters(
+        values | {f"gains.{name}": gain * inertia for name, gain in gains}
+    )
+    period = controller.timing.control_period
+    template, command = (
+        JointStateTemplate(["arm"], position=True),
+        JointStateTemplate(["arm"], effort=True),
+    )
+
+    def record(controllers: Sequence[LoopSettings], bag: Path, noise: int) -> None:
+        loop, moving = (
+            JointLoop(controllers[0]),
+            strange_plants.Motion(plant, period, start, noise),
+        )
+        loop.follow(trajectory.column("arm"))
+        with BagWriter(bag, metadata={PARAMETERS: controllers_text(controllers)}) as writer:
+            latched = TopicQos(transient_local=True, depth=1)
+            reference = writer.add_topic("/joint_trajectory", JOINT_TRAJECTORY, latched)
+            commands = writer.add_topic("/joint_commands", JOINT_STATE)
+            states = writer.add_topic("/joint_states", JOINT_STATE)
+            writer.write(reference, 1, encode_joint_trajectory(trajectory))
+            for stamp in range(0, round(_STOPS * _LEG * 1e9), round(period * 1e9)):
+                at = moving.read()
+                effort = loop.step(stamp, at)
+                writer.write(states, stamp + 1, template.encode(stamp, position=(at,)))
+                writer.write(commands, stamp + 1, command.encode(stamp, effort=(effort,)))
+                moving.step(effort)
+
+    urdf = plant.urdf(limit)
+    given = GivenRobot(urdf, RobotDescription.load(urdf), True, {"arm": start})
+    goal = str(chance.choice(tuple(GOALS)))
+    return Drawn((controller,), record, given, f"{motion}, {plant.kind}", goal)
 
 
 def _with_other_masses(

@@ -1,0 +1,215 @@
+"""Joints as the package's simulators have none: what a prediction has to hold on nevertheless.
+
+One link on one motor, integrated here: friction that creeps, sticks, differs by direction or
+grows with the load, ripple, a flexible or loose transmission, a drive that saturates, is late or
+has few steps, coarse or noisy encoders, a link of another mass than its URDF says. The controller
+is the package's loop; all else is written for this purpose alone.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+GRAVITY = 9.81
+_SUBSTEPS = 20
+_STICTION_SPEED = 0.05  # [rad/s], at which Stribeck friction has fallen to 1/e
+
+
+@dataclass(frozen=True)
+class Plant:
+    """A joint that turns about a horizontal axis.
+
+    Attributes:
+        kind: In a word or two.
+        mass: Of the link, a point, in [kg].
+        length: Its distance from the axis, in [m].
+        rotor: Reflected, in [kg m^2].
+        viscous: In [N m s/rad].
+        coulomb: In [N m].
+        stiction: Beside it when creeping, in [N m].
+        one_way: Share by which friction is more forward, and less backward.
+        load_share: Of the motor's effort, lost in the gear.
+        ripple: Of the motor's torque, in [N m], seven times a turn.
+        stiffness: Between rotor and link, in [N m/rad]; 0 is rigid.
+        play: Between rotor and link, in [rad].
+        limit: Of what the drive gives whatever is asked for, in [N m].
+        effort_step: Of what the drive gives, in [N m]; 0 is none.
+        delay: By which it acts late, in control periods.
+        lag: Time constant of the drive, in [s].
+        counts: Of the encoder, per turn, on the motor's side; 0 is none.
+        noise: Standard deviation of the measured position, in [rad].
+        known_mass: What the URDF says, over the truth.
+    """
+
+    kind: str
+    mass: float = 2.0
+    length: float = 0.35
+    rotor: float = 0.12
+    viscous: float = 0.2
+    coulomb: float = 0.35
+    stiction: float = 0.0
+    one_way: float = 0.0
+    load_share: float = 0.0
+    ripple: float = 0.0
+    stiffness: float = 0.0
+    play: float = 0.0
+    limit: float = math.inf
+    effort_step: float = 0.0
+    delay: int = 0
+    lag: float = 0.0
+    counts: int = 2**16
+    noise: float = 2e-5
+    known_mass: float = 1.0
+
+    @property
+    def inertia(self) -> float:
+        """All that the motor moves, in [kg m^2]."""
+        return self.rotor + self.mass * self.length**2
+
+    def urdf(self, effort: float) -> str:
+        """Return what the owner knows: the link, and a limit of the effort."""
+        mass = self.mass * self.known_mass
+        tiny = 1e-6
+        return f"""<robot name="strange"><link name="stand"/><link name="arm"><inertial>
+<origin xyz="0 0 {-self.length}"/><mass value="{mass}"/>
+<inertia ixx="{tiny}" iyy="{tiny}" izz="{tiny}" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<joint name="arm" type="revolute"><parent link="stand"/><child link="arm"/><axis xyz="0 1 0"/>
+<limit lower="-3" upper="3" effort="{effort}" velocity="20"/></joint></robot>"""
+
+
+class Motion:
+    """A plant that moves.
+
+    Args:
+        plant: What moves.
+        period: Of the control, in [s].
+        start: Position, in [rad].
+        seed: Of its noise.
+    """
+
+    def __init__(self, plant: Plant, period: float, start: float, seed: int) -> None:
+        self._plant, self._dt = plant, period / _SUBSTEPS
+        self._rotor = self._link = start
+        self._rotor_speed = self._link_speed = 0.0
+        self._chance = np.random.default_rng(seed)
+        self._under_way = deque([0.0] * plant.delay)
+        self._torque = 0.0
+
+    def read(self) -> float:
+        """Return the position as the encoder tells it, in [rad]."""
+        plant = self._plant
+        at = self._rotor + plant.noise * float(self._chance.standard_normal())
+        if not plant.counts:
+            return at
+        count = math.tau / plant.counts
+        return round(at / count) * count
+
+    def step(self, effort: float) -> None:
+        """Move on by one control period under an effort, in [N m]."""
+        plant = self._plant
+        self._under_way.append(effort)
+        asked = self._under_way.popleft()
+        if plant.effort_step:
+            asked = round(asked / plant.effort_step) * plant.effort_step
+        asked = min(max(asked, -plant.limit), plant.limit)
+        for _ in range(_SUBSTEPS):
+            if plant.lag:
+                self._torque += (asked - self._torque) * self._dt / plant.lag
+            else:
+                self._torque = asked
+            if plant.stiffness:
+                self._move_both()
+            else:
+                self._move_rigid()
+
+    def _friction(self, speed: float) -> float:
+        plant = self._plant
+        level = plant.coulomb + plant.load_share * abs(self._torque)
+        level += plant.stiction * math.exp(-((speed / _STICTION_SPEED) ** 2))
+        return level * (1.0 + math.copysign(plant.one_way, speed))
+
+    def _weight(self, at: float) -> float:
+        plant = self._plant
+        return -plant.mass * GRAVITY * plant.length * math.sin(at)
+
+    def _slowed(self, speed: float, torque: float, inertia: float) -> float:
+        """Return the next speed; what is slower than friction can stop in a step, sticks."""
+        free = speed + self._dt * (torque - self._plant.viscous * speed) / inertia
+        loss = self._dt * self._friction(free) / inertia
+        return math.copysign(max(abs(free) - loss, 0.0), free)
+
+    def _drive(self) -> float:
+        return self._torque + self._plant.ripple * math.sin(7.0 * self._rotor)
+
+    def _move_rigid(self) -> None:
+        torque = self._drive() + self._weight(self._rotor)
+        self._rotor_speed = self._slowed(self._rotor_speed, torque, self._plant.inertia)
+        self._rotor += self._dt * self._rotor_speed
+
+    def _move_both(self) -> None:
+        plant = self._plant
+        twist, slip = self._rotor - self._link, self._rotor_speed - self._link_speed
+        half = 0.5 * plant.play
+        is_touching = abs(twist) >= half
+        stretch = twist - math.copysign(half, twist) if is_touching else 0.0
+        own = plant.mass * plant.length**2
+        damping = 0.05 * math.sqrt(plant.stiffness * own) if is_touching else 0.0
+        passed = plant.stiffness * stretch + damping * slip
+        self._rotor_speed = self._slowed(self._rotor_speed, self._drive() - passed, plant.rotor)
+        self._link_speed += self._dt * (passed + self._weight(self._link)) / own
+        self._rotor += self._dt * self._rotor_speed
+        self._link += self._dt * self._link_speed
+
+
+_PLAIN = Plant("Coulomb friction")
+
+PLANTS = (
+    _PLAIN,
+    replace(_PLAIN, kind="weak drive", limit=5.0),
+    replace(_PLAIN, kind="stiction", stiction=0.4),
+    replace(_PLAIN, kind="one-way friction", one_way=0.4),
+    replace(_PLAIN, kind="lossy gear", load_share=0.15),
+    replace(_PLAIN, kind="ripple", ripple=0.3),
+    replace(_PLAIN, kind="flexible", stiffness=1500.0),
+    replace(_PLAIN, kind="play", stiffness=6000.0, play=2e-3),
+    replace(_PLAIN, kind="late", delay=4),
+    replace(_PLAIN, kind="lagging drive", lag=4e-3),
+    replace(_PLAIN, kind="few effort steps", effort_step=0.1),
+    replace(_PLAIN, kind="coarse encoder", counts=2**12, noise=0.0),
+    replace(_PLAIN, kind="fine encoder", counts=2**20, noise=1e-6),
+    replace(_PLAIN, kind="noisy encoder", counts=0, noise=2e-4),
+    replace(_PLAIN, kind="heavier than said", known_mass=0.85),
+    replace(_PLAIN, kind="hardly any friction", coulomb=0.02, viscous=0.02),
+)
+
+
+def drawn(seed: int) -> Plant:
+    """Return a plant of one of the kinds, its numbers drawn, with a second strangeness or none.
+
+    Args:
+        seed: Of all that is drawn; the kind goes with it, too.
+    """
+    chance = np.random.default_rng([seed, 7])
+    plant = PLANTS[seed % len(PLANTS)]
+    scale = float(np.exp(chance.uniform(math.log(0.5), math.log(2.0))))
+    changes: dict[str, float | int] = {
+        "mass": plant.mass * scale,
+        "rotor": plant.rotor * scale * float(chance.uniform(0.5, 1.5)),
+        "viscous": plant.viscous * scale * float(chance.uniform(0.3, 2.0)),
+        "coulomb": plant.coulomb * scale * float(chance.uniform(0.3, 1.5)),
+        "stiction": plant.stiction * scale,
+        "ripple": plant.ripple * scale,
+        "limit": plant.limit * scale,
+        "stiffness": plant.stiffness * scale,
+        "effort_step": plant.effort_step * scale,
+    }
+    if plant.counts == _PLAIN.counts:
+        changes["counts"] = 2 ** int(chance.integers(14, 21))
+        changes["noise"] = float(np.exp(chance.uniform(math.log(2e-6), math.log(1e-4))))
+    if not plant.delay:
+        changes["delay"] = int(chance.integers(0, 3))
+    return replace(plant, **changes)  # type: ignore[arg-type]
