@@ -16,7 +16,6 @@ from harness.engines import BRIDGE, INSTALLED, needs_bullet
 from harness.fork_server import run_node
 from harness.graph import ros_arguments
 from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters, SetParameters
-from rclpy.node import NodeNameNonExistentError
 from rclpy.parameter import parameter_dict_from_yaml_file, parameter_value_to_python
 from std_msgs.msg import Float64MultiArray
 
@@ -131,13 +130,7 @@ class Graph:
 
     def _hears_states(self, node):
         namespace, _, name = node.rpartition("/")
-        try:
-            topics = self._harness.node.get_subscriber_names_and_types_by_node(
-                name, namespace or "/"
-            )
-        except NodeNameNonExistentError:
-            return False
-        return f"{namespace}/joint_states" in dict(topics)
+        return self._harness.subscribes(name, f"{namespace}/joint_states", namespace or "/")
 
     def load(self, node, file):
         """Do what ``ros2 param load`` does, and return the reasons of what was refused."""

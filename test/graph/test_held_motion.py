@@ -144,9 +144,7 @@ def test_joints_move_while_the_button_is_held_and_rest_when_it_is_not(bench):
     file = bench.folder / "order"
     file.write_bytes(pickle.dumps(bench.order("killed", rests)))
     hold_until_killed(file, 1.0)
-    bench.harness.wait(
-        lambda: "hpid_exciter" not in bench.harness.node.get_node_names(), what="its end"
-    )
+    bench.harness.wait(lambda: not bench.harness.is_there("hpid_exciter"), what="its end")
     assert 0.005 < wait_for_rest(bench.harness) - rests < 0.3
 
 

@@ -49,9 +49,8 @@ def launch(harness, tmp_path):
 
 
 def nodes(harness, namespace):
-    return {
-        name for name, where in harness.node.get_node_names_and_namespaces() if where == namespace
-    }
+    endpoints = harness.node.get_publishers_info_by_topic("/parameter_events")
+    return {each.node_name for each in endpoints if each.node_namespace == namespace}
 
 
 @pytest.mark.parametrize("ending", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])

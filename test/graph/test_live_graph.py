@@ -9,6 +9,7 @@ from functools import partial
 
 import numpy as np
 import pytest
+import rclpy
 from harness.graph import ros_arguments
 from harness.simulated_graph import loop_settings
 from rcl_interfaces.msg import ParameterEvent
@@ -25,6 +26,7 @@ from hpid_ros.live.graph import Answer, Samples
 from hpid_ros.nodes.parts.tuner import live_graph, orders
 from hpid_ros.nodes.parts.tuner.live_graph import LiveGraph
 from hpid_ros.nodes.parts.tuner.orders import parameter
+from hpid_ros.nodes.parts.tuner.topics import controller_topics
 from hpid_ros.nodes.ros.executor import ClosingNode
 from hpid_ros.nodes.ros.middleware import OFFERED
 from hpid_ros.nodes.ros.status import OK, Diagnostics
@@ -212,6 +214,17 @@ def test_our_controllers_are_found_in_every_namespace_and_watched(harness, graph
     for publisher in robot.topics.values():
         harness.wait(lambda each=publisher: each.get_subscription_count() == 1)
     assert graph.take() == {}
+
+
+def test_another_node_of_the_same_name_does_not_hide_a_controllers_topics(harness):
+    """As a dead one may, whose name the middleware keeps; which one it finds first is chance."""
+    context = rclpy.Context()
+    rclpy.init(args=[], context=context, domain_id=harness.context.get_domain_id())
+    other = rclpy.create_node("elbow_controller", context=context)
+    harness.start_controller()
+    harness.wait(lambda: controller_topics(harness.node, ELBOW)[1], what="its topics")
+    other.destroy_node()
+    rclpy.shutdown(context=context)
 
 
 def test_numbers_are_sent_in_the_types_that_controllers_declare():

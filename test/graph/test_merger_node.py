@@ -468,7 +468,7 @@ def test_refused_sets_of_parameters_and_transitions_are_counted(harness, told):
 def test_a_merger_that_is_not_active_does_not_listen(harness, control):
     control.load(ORDER)
     start_merger(harness, autostart=False)
-    harness.wait(lambda: MERGER in harness.node.get_node_names(), WITHIN, "the node")
+    harness.wait(lambda: harness.is_there(MERGER), WITHIN, "the node")
     assert state(harness, MERGER) == "unconfigured"
     command = Commander(harness)
     command(EFFORTS)

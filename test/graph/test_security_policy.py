@@ -90,7 +90,7 @@ def test_only_controllers_may_command_and_only_the_robot_may_tell_states():
 def test_a_node_does_nothing_that_its_enclave_forbids(harness, node, executable, parameters):
     harness.processes.start(node, executable, ros_arguments(**parameters))
     graph = harness.node
-    harness.wait(lambda: node in graph.get_node_names(), what=node)
+    harness.wait(lambda: harness.is_there(node), what=node)
     asked = (
         ("publish", graph.get_publisher_names_and_types_by_node),
         ("subscribe", graph.get_subscriber_names_and_types_by_node),

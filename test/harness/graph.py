@@ -75,6 +75,15 @@ class Harness:
             self.executor.spin_once(timeout_sec=0.02)
             assert time.monotonic() < deadline, f"waited {within} s in vain for {what}"
 
+    def is_there(self, name, namespace="/"):
+        """Tell whether a node publishes: its name alone may stay listed when it has gone."""
+        endpoints = self.node.get_publishers_info_by_topic("/parameter_events")
+        return _has(endpoints, name, namespace)
+
+    def subscribes(self, name, topic, namespace="/"):
+        """Tell whether a node subscribes to a topic."""
+        return _has(self.node.get_subscriptions_info_by_topic(topic), name, namespace)
+
     def start_controller(self, name="elbow_controller", joint="elbow", **parameters):
         """Start a controller and wait until it listens to the states.
 
@@ -141,6 +150,10 @@ class Harness:
         answer = self.call(service, f"{node}/{name}", request)
         result = answer.result if atomically else answer.results[0]
         return result.successful, result.reason
+
+
+def _has(endpoints, name, namespace):
+    return (name, namespace) in {(each.node_name, each.node_namespace) for each in endpoints}
 
 
 def _parameter(name, value):

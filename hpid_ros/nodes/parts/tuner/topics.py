@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
-from rclpy.node import Node, NodeNameNonExistentError
+from rclpy.node import Node
+from rclpy.topic_endpoint_info import TopicEndpointInfo
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64, Float64MultiArray
 
@@ -57,8 +58,27 @@ def controller_topics(node: Node, controller: str) -> tuple[ControllerTopics, bo
         controller: Full name of the controller.
     """
     space, _, name = controller.rpartition("/")
-    listens = _topics(node.get_subscriber_names_and_types_by_node, name, space)
-    tells = _topics(node.get_publisher_names_and_types_by_node, name, space)
+    known = [
+        Topic(topic, kind)
+        for topic, kinds in node.get_topic_names_and_types()
+        for kind in kinds
+        if kind in KINDS
+    ]
+
+    def of_controller(find: Callable[[str], list[TopicEndpointInfo]]) -> list[Topic]:
+        """Go by endpoints: a dead node's name may be left, and hide a new node of that name."""
+        who = (name, space or "/")
+        return [
+            each
+            for each in known
+            if any(
+                (*who, each.type) == (info.node_name, info.node_namespace, info.topic_type)
+                for info in find(each.name)
+            )
+        ]
+
+    listens = of_controller(node.get_subscriptions_info_by_topic)
+    tells = of_controller(node.get_publishers_info_by_topic)
     states = _chosen(listens, controller, _STATES, (JOINT_STATE,))
     commands = _chosen(tells, controller, _COMMANDS, tuple(KINDS))
     topics = ControllerTopics(
@@ -67,14 +87,6 @@ def controller_topics(node: Node, controller: str) -> tuple[ControllerTopics, bo
         Topic(f"{controller}/reference", JOINT_STATE, is_reliable=True),
     )
     return topics, states is not None and commands is not None
-
-
-def _topics(ask: Any, name: str, space: str) -> list[Topic]:
-    try:
-        found = ask(name, space or "/")
-    except NodeNameNonExistentError:  # it has gone
-        return []
-    return [Topic(topic, kind) for topic, kinds in found for kind in kinds if kind in KINDS]
 
 
 def _chosen(
