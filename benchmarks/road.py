@@ -130,7 +130,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     print(f"| {' | '.join(_HEADINGS)} |")
     print("|---" * len(_HEADINGS) + "|")
-    held = kept = 0
+    held = kept = refused = 0
+    intervals = {index: [0, 0] for index in (IVC, ITAE)}
     for seed in range(options.first, options.first + options.seeds):
         robot = options.robots[seed % len(options.robots)]
         drawn = draw(robot, seed, options.engine, options.wrong_links)
@@ -139,10 +140,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
         except HpidError as error:
             print(f"| {robot} | {seed} | {drawn.motion} | {error} |", flush=True)
             continue
+        if not travelled.prediction.is_credible:
+            refused += 1
+        elif not travelled.found.is_kept:
+            for index, counts in intervals.items():
+                known = travelled.prediction.total(index.key)
+                measured = travelled.verification.totals[index.key].measured
+                counts[known.low <= measured <= known.high] += 1
         held += travelled.verification.is_held
         kept += travelled.found.is_kept
         print(_row(robot, seed, travelled), flush=True)
     print(f"\n{held} of {options.seeds} within {HOLDS_WITHIN:.0%}; {kept} kept their PID")
+    for index, (off, inside) in intervals.items():
+        print(f"{index.symbol}: {inside} of {off + inside} intervals of proposals hold")
+    print(f"{refused} far from what was recorded: nothing is proposed")
     return 0
 
 
@@ -158,7 +169,9 @@ def _row(robot: str, seed: int, travelled: Travelled) -> str:
     ]
     for index in (IVC, ITAE):
         held = verification.totals[index.key]
-        cells += [f"{held.predicted:.3f}", f"{held.measured:.3f}", f"{held.off:+.1%}"]
+        known = prediction.total(index.key)
+        predicted = f"{held.predicted:.3f} ({known.low:.2f} to {known.high:.2f})"
+        cells += [predicted, f"{held.measured:.3f}", f"{held.off:+.1%}"]
     cells += [f"{prediction.total(index.key).fidelity:.3f}" for index in (IVC, ITAE)]
     return f"| {' | '.join((*cells, 'yes' if verification.is_held else 'NO'))} |"
 

@@ -18,6 +18,7 @@ from hpid_ros.identification.kernel import Kernel
 from hpid_ros.identification.motion import Grid, Motion, joined, motion_of
 from hpid_ros.identification.records import JointRecord, Span, halves, spans
 from hpid_ros.identification.results import INERTIA, JointIdentification
+from hpid_ros.identification.saturation import saturation
 
 RigidBody = Callable[[Numbers, Numbers, Numbers], Numbers]
 """Efforts that rigid bodies need, (K, R), in [N m], for the positions, velocities and
@@ -116,11 +117,13 @@ class _Prepared(NamedTuple):
     rows: _Rows = _Rows([], [], [])
     times: Numbers = np.empty(0)
     equation: Equation | None = None
+    limit: float = math.inf
 
     def findings(self, how: Method) -> JointIdentification:
         if self.equation is None:
             return nothing(self.record, self.reason)
-        return findings(self.record, self.equation, self.times, how.has_scale)
+        found = findings(self.record, self.equation, self.times, how.has_scale)
+        return replace(found, effort_limit=self.limit)
 
 
 def _with_spin(
@@ -231,16 +234,22 @@ def _prepared(
     terms = Terms.of(
         rows.motions[place], rigid, lambda of: _smoothed(rows, kernel, place, of), _PADDING
     )
-    equation = Equation(
-        terms.without([(times >= each.begin) & (times < each.end) for each in left_out]),
-        lambda delay: _effort(own, rows, kernel, delay),
-        period=own.period,
-        cutoff=kernel.cutoff,
-        longest_delay=how.longest_delay,
-    )
-    if equation.used_rows < _LEAST_ROWS:
+    terms = terms.without([(times >= each.begin) & (times < each.end) for each in left_out])
+
+    def equation(limit: float) -> Equation:
+        acting = own if limit == math.inf else replace(own, effort=own.effort.clip(-limit, limit))
+        return Equation(
+            terms,
+            lambda delay: _effort(acting, rows, kernel, delay),
+            period=own.period,
+            cutoff=kernel.cutoff,
+            longest_delay=how.longest_delay,
+        )
+
+    if equation(math.inf).used_rows < _LEAST_ROWS:
         return _Prepared(own, _TOO_SLOW)
-    return _Prepared(own, "", rows, times, equation)
+    limit = saturation(own, equation) if own.is_held else math.inf
+    return _Prepared(own, "", rows, times, equation(limit), limit)
 
 
 def _why_not(record: JointRecord, moving: float) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -114,6 +115,7 @@ class JointIdentification:
         travel: How far the joint moved between its ends, in [rad].
         speed: Largest speed, in [rad/s].
         acceleration: Largest acceleration, in [rad/s^2].
+        effort_limit: What acts of a larger command, in [N m]; infinite if no command shows one.
         fit: To draw.
     """
 
@@ -133,6 +135,7 @@ class JointIdentification:
     travel: float = 0.0
     speed: float = 0.0
     acceleration: float = 0.0
+    effort_limit: float = math.inf
     fit: Fit | None = None
 
     @property

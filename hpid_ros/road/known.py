@@ -63,7 +63,11 @@ def known_robot(
         recorded: The recording that it was found in.
     """
     series = {each.joint: each for each in recorded}
-    amendments = {each.joint: _amendment(each) for each in found if each.is_found}
+    amendments = {
+        each.joint: _amendment(each, robot.description.joints[each.joint].effort)
+        for each in found
+        if each.is_found
+    }
     facts = {}
     for each in found:
         own = series[each.joint]
@@ -102,14 +106,15 @@ def _period(series: JointSeries) -> float:
     return float(np.median(np.diff(series.state_stamps_ns))) * SECONDS_PER_NANOSECOND
 
 
-def _amendment(found: JointIdentification) -> JointAmendment:
-    """Return a joint's rotor and friction; what is not known stays as the robot has it."""
+def _amendment(found: JointIdentification, limit: float) -> JointAmendment:
+    """Return a joint's rotor, friction and limit; what is not known stays as the robot has it."""
     rotor = _possible(found.estimates.get(INERTIA))
     return JointAmendment(
         rotor_inertia=rotor,
         gear_ratio=None if rotor is None else 1.0,
         damping=_possible(found.estimates.get(VISCOUS)),
         friction=_possible(found.estimates.get(COULOMB)),
+        effort=found.effort_limit if found.effort_limit < (limit or math.inf) else None,
     )
 
 
@@ -150,6 +155,8 @@ def _assumptions(found: JointIdentification, series: JointSeries) -> Iterator[st
     if offset is not None and abs(offset.value) > _MUCH * largest:
         load = f"a constant load of {offset.value:.3g} N m"
         yield f"{load} is not simulated: the integral carries it"
+    if found.effort_limit < math.inf:
+        yield f"its drive gives at most {found.effort_limit:.3g} N m, whatever is commanded"
     if found.told(STRIBECK) is not None:
         yield "friction that grows when creeping (Stribeck) is not simulated"
     yield from found.remarks

@@ -99,7 +99,7 @@ def summary(found: Answer, prediction: Prediction) -> str:
         return text
     laws = [each.law == "hpid" for each in found.settings]
     which = "all joints" if all(laws) else f"{sum(laws)} of {len(laws)} joints"
-    told = " and ".join(_change(each, prediction.total(each.key).ratio) for each in (IVC, ITAE))
+    told = " and ".join(_expected(each, prediction.total(each.key)) for each in (IVC, ITAE))
     return (
         f"A homogeneous PID with your gains for {which}, goal {found.goal}: expected over all "
         f"joints {told}."
@@ -113,6 +113,13 @@ def _change(index: Quantity, ratio: float) -> str:
     return (
         f"{abs(share):.0f} % {'less' if share < 0.0 else 'more'} {index.meaning} ({index.symbol})"
     )
+
+
+def _expected(index: Quantity, expected: Expected) -> str:
+    ends = [100.0 * (each - 1.0) for each in (expected.low, expected.high)]
+    if not all(map(math.isfinite, ends)):
+        return _change(index, expected.ratio)
+    return f"{_change(index, expected.ratio)} ({ends[0]:+.0f} to {ends[1]:+.0f} %)"
 
 
 def doubts(found: Answer, prediction: Prediction) -> list[str]:
@@ -134,7 +141,10 @@ def doubts(found: Answer, prediction: Prediction) -> list[str]:
             degrees = math.degrees(check.margins.phase)
             lines.append(f"{joint}: your PID has a phase margin of only {degrees:.0f} degrees")
     for index in (IVC, ITAE):
-        off = prediction.total(index.key).fidelity - 1.0
+        total = prediction.total(index.key)
+        if not (found.is_kept or total.is_certain):
+            lines.append(f"{index.symbol} may rise or fall: its interval contains no change")
+        off = total.fidelity - 1.0
         if not abs(off) <= _DOUBTFUL:
             lines.append(
                 f"the model does not have your robot right: your PID, simulated, has "

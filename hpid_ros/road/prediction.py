@@ -11,9 +11,9 @@ from typing import Any, NamedTuple
 
 from hpid_ros import __version__
 from hpid_ros.analysis import RunIndices
-from hpid_ros.analysis.quantities import INDICES, ITAE, IVC
+from hpid_ros.analysis.quantities import INDICES
 from hpid_ros.base.errors import SettingError
-from hpid_ros.road.proposal import PREDICTED, RECORDED, SIMULATED, Answer
+from hpid_ros.road.proposal import JUDGED, PREDICTED, RECORDED, SIMULATED, Answer
 
 KIND = "hpid_ros/prediction"
 """What a file of this kind says it is."""
@@ -31,16 +31,34 @@ class Expected(NamedTuple):
         ratio: What it becomes, over that: of the simulations, in which what the model lacks is
             in both.
         fidelity: Of the simulated PID over the measured one: 1 where the model is right.
+        doubt: Half of the interval of the ratio's logarithm: what is measured lies within in nine
+            of ten strange plants (``python -m benchmarks.road strange``).
     """
 
     before: float
     ratio: float
     fidelity: float
+    doubt: float = 0.0
 
     @property
     def after(self) -> float:
         """What is expected to be measured."""
         return self.before * self.ratio
+
+    @property
+    def low(self) -> float:
+        """Lower end of the ratio's interval."""
+        return self.ratio * math.exp(-self.doubt)
+
+    @property
+    def high(self) -> float:
+        """Upper end of it."""
+        return self.ratio * math.exp(self.doubt)
+
+    @property
+    def is_certain(self) -> bool:
+        """Whether the interval lies on one side of no change."""
+        return self.high < 1.0 or self.low > 1.0
 
 
 @dataclass(frozen=True)
@@ -74,12 +92,15 @@ class Prediction:
         before = math.fsum(one.before for one in each)
         after = math.fsum(one.after for one in each)
         simulated = math.fsum(one.before * one.fidelity for one in each)
-        return Expected(before, _over(after, before), _over(simulated, before))
+        doubt = math.fsum(one.after * one.doubt for one in each)
+        return Expected(
+            before, _over(after, before), _over(simulated, before), _over(doubt, after)
+        )
 
     @property
     def is_credible(self) -> bool:
         """Whether the simulated PID is anything like the recorded one."""
-        totals = [self.total(index.key).fidelity for index in (IVC, ITAE)]
+        totals = [self.total(index.key).fidelity for index in JUDGED]
         return all(1.0 / _FAR <= each <= _FAR for each in totals)
 
     def as_text(self) -> str:
@@ -115,19 +136,26 @@ def prediction_of(found: Answer) -> Prediction:
     return Prediction(
         found.question.bag.name,
         found.goal,
-        {name: _expected(name, recorded, simulated, proposed) for name in names},
+        {
+            name: _expected(name, recorded, simulated, proposed, found.doubts[name])
+            for name in names
+        },
         {each.joint: dict(each.to_parameters()) for each in found.settings},
         tuple(name for name in names if name in found.question.robot.description.slides),
     )
 
 
 def _expected(
-    joint: str, recorded: RunIndices, simulated: RunIndices, proposed: RunIndices
+    joint: str,
+    recorded: RunIndices,
+    simulated: RunIndices,
+    proposed: RunIndices,
+    doubt: float,
 ) -> dict[str, Expected]:
     values = {}
     for index in INDICES:
         before, model, after = (run.value(index, joint) for run in (recorded, simulated, proposed))
-        values[index.key] = Expected(before, _over(after, model), _over(model, before))
+        values[index.key] = Expected(before, _over(after, model), _over(model, before), doubt)
     return values
 
 

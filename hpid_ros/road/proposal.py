@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
 
-from hpid_ros.analysis import Comparison, run_indices
-from hpid_ros.analysis.quantities import INDICES
+from hpid_ros.analysis import Comparison, RunIndices, run_indices
+from hpid_ros.analysis.quantities import INDICES, ITAE, IVC
 from hpid_ros.bags import read_run
 from hpid_ros.bags.run.velocities import measures_velocity
 from hpid_ros.bags.selection import BagSelection
@@ -35,7 +38,7 @@ from hpid_ros.road.known import KnownRobot, known_robot
 from hpid_ros.robot.given import GivenRobot
 from hpid_ros.stability.gain_check import inertia_of
 from hpid_ros.tuning.inertias import inertia_ranges, visited_poses
-from hpid_ros.tuning.prediction import simulate
+from hpid_ros.tuning.prediction import JointFacts, simulate
 from hpid_ros.tuning.proposals import Certifying, Proposals, effort_limits, propose
 from hpid_ros.tuning.upgrade import GOALS, Upgrade, worthwhile
 
@@ -46,6 +49,19 @@ DEFAULT_GOAL = "balanced"
 """The one that lowers both: what nobody has to choose."""
 
 _ENGINE = "mujoco"  # its joints have armatures: a rotor is simulated as it was identified
+
+JUDGED = (IVC, ITAE)
+"""The indices that a prediction has to hold for, of all joints together."""
+
+_LEAST_DOUBT, _DOUBT_OF_MISFIT = 0.04, 0.55
+"""Of the logarithm of a ratio, and of the largest logarithm by which a simulated PID misses an
+index: what the strange plants 16 to 47 need (``python -m benchmarks.road strange``)."""
+_NEAR = 0.03  # of the variation of an effort: the noise is left as it is
+_CLOSE_ENOUGH = 0.1  # of it: a noise that does not bring it as close explains nothing
+_NOISE_TRIALS = 6
+_WINDOWS, _QUIET = 60, 0.7
+_MOST_COUNTS = 0.5  # of noise: more would be seen in the position
+_MOST_TIMES = 2.0  # what the position shows
 
 
 class Question(NamedTuple):
@@ -111,6 +127,7 @@ class Answer:
         runs: The recording, its simulation, and the proposal's.
         others: What other goals would bring, where nothing is gained and nobody named one: the
             indices of all joints over the PID's, by goal and key.
+        doubts: Half of the interval of the logarithm of each joint's ratios, by joint.
         warnings: What the numbers must be read with, one line each.
     """
 
@@ -124,6 +141,7 @@ class Answer:
     proposals: Proposals
     runs: tuple[RunSeries, RunSeries, RunSeries]
     others: Mapping[str, Mapping[str, float]]
+    doubts: Mapping[str, float]
     warnings: tuple[str, ...] = ()
 
     @property
@@ -170,7 +188,8 @@ def answer(question: Question, telling: Telling) -> Answer:
             "velocities are those that the robot measured: they are simulated as differences of "
             "its positions, whose noise may be another"
         )
-    trial = _Trial(known, loops, recording, inertias, telling, has_velocities)
+    limits = effort_limits(question.robot.description)  # what a recording shows may be a load's
+    trial = _Trial(known, loops, recording, inertias, telling, has_velocities, limits)
     goal = question.goal or DEFAULT_GOAL
     proposals, predicted = trial.of(goal)
     others: dict[str, dict[str, float]] = {}
@@ -181,12 +200,13 @@ def answer(question: Question, telling: Telling) -> Answer:
         goal,
         recording,
         findings,
-        known,
+        trial.known,
         tuple(loops),
         checks,
         proposals,
         (recording.narrowed([each.joint for each in loops]), trial.before, predicted),
         others,
+        trial.doubts,
         tuple(warnings),
     )
 
@@ -292,6 +312,54 @@ def _period(recording: RunSeries) -> float:
     return float(np.median(np.diff(stamps))) * SECONDS_PER_NANOSECOND
 
 
+def _ratio(value: float, other: float) -> float:
+    return value / other if other else 1.0
+
+
+def _quiet_variation(series: JointSeries) -> float:
+    """Return how much an effort varies in a window of time, the liveliest left out, in [N m].
+
+    They are those in which what a model lacks, as a spring, answers a step.
+    """
+    windows = np.array_split(np.abs(np.diff(series.effort)), _WINDOWS)
+    each = np.sort([float(window.sum()) for window in windows])
+    return float(each[: round(_QUIET * _WINDOWS)].mean())
+
+
+class _NoiseSearch(NamedTuple):
+    """The noise of one joint's position that makes its effort vary as recorded, bisected.
+
+    What is less than a fifth of a count is not seen in the position, but it is in the effort:
+    close to the edge between two counts it decides how often the position goes to and fro.
+
+    Attributes:
+        facts: What is tried next.
+        low: Noise with too little variation, in [rad].
+        high: Noise with too much, in [rad].
+        best: What came closest and within what is near; None so far.
+        off: By how much, as a share.
+    """
+
+    facts: JointFacts
+    low: float
+    high: float
+    best: JointFacts | None = None
+    off: float = _CLOSE_ENOUGH
+
+    @classmethod
+    def begun(cls, facts: JointFacts) -> _NoiseSearch:
+        largest = max(_MOST_COUNTS * (facts.resolution or 0.0), _MOST_TIMES * facts.noise)
+        return cls(facts._replace(noise=largest / 4.0), 0.0, largest)
+
+    def told(self, value: float, target: float) -> _NoiseSearch:
+        """Return the next step once a simulation has said how much the effort varies."""
+        tried, off = self.facts.noise, abs(value / target - 1.0)
+        low, high = (tried, self.high) if value < target else (self.low, tried)
+        best, least = (self.facts, off) if off < self.off else (self.best, self.off)
+        middle = math.sqrt(low * high) if low > 0.0 else high / 4.0
+        return _NoiseSearch(self.facts._replace(noise=middle), low, high, best, least)
+
+
 class _Trial:
     """Proposals for a robot, and their simulations."""
 
@@ -303,19 +371,71 @@ class _Trial:
         inertias: Mapping[str, tuple[float, float]],
         telling: Telling,
         has_velocities: bool,
+        limits: Mapping[str, float],
     ) -> None:
         self._has_velocities = has_velocities
-        self._known, self._loops, self._recording = known, loops, recording
+        self.known, self._loops, self._recording = known, loops, recording
         self._inertias, self._telling = inertias, telling
-        self._limits = effort_limits(known.robot.description)
-        self._before: RunSeries | None = None
+        self._limits = limits
 
-    @property
+    @cached_property
+    def _target(self) -> RunIndices:
+        return run_indices(self._recording.narrowed([each.joint for each in self._loops]))
+
+    @cached_property
+    def doubts(self) -> dict[str, float]:
+        """Half of the interval of the logarithm of a ratio, by joint.
+
+        By how far the simulated PID is from the recorded one, also before noise was fitted.
+        """
+        simulated, found = run_indices(self.before), {}
+        for name, explained in self._explained.items():
+            ratios = [explained]
+            ratios += [
+                _ratio(simulated.value(x, name), self._target.value(x, name)) for x in JUDGED
+            ]
+            misfits = [abs(math.log(x)) if 0.0 < x < math.inf else math.inf for x in ratios]
+            found[name] = _LEAST_DOUBT + _DOUBT_OF_MISFIT * max(misfits)
+        return found
+
+    def _doubt(self, goal: str, joint: str) -> float:
+        """Return the doubt that a gain must exceed: of all joints where they count together."""
+        if goal != "balanced":
+            return self.doubts[joint]
+        sizes = {name: self._target.value(IVC, name) for name in self.doubts}
+        whole = math.fsum(sizes.values())
+        return math.fsum(sizes[x] * self.doubts[x] for x in sizes if sizes[x]) / (whole or 1.0)
+
+    @cached_property
     def before(self) -> RunSeries:
-        """The PID, simulated."""
-        if self._before is None:
-            (self._before,) = self._simulated({SIMULATED: self._loops})
-        return self._before
+        """The PID, simulated with the noise that explains how its efforts vary."""
+        (plain,) = self._simulated({SIMULATED: self._loops})
+        names, target = [each.joint for each in self._loops], self._target
+        self._explained = {
+            name: _ratio(run_indices(plain).value(IVC, name), target.value(IVC, name))
+            for name in names
+        }
+        aims = {each.joint: _quiet_variation(each) for each in self._recording.joints}
+        was = {each.joint: _quiet_variation(each) for each in plain.joints}
+        search = {
+            name: _NoiseSearch.begun(self.known.facts[name])
+            for name in names
+            if name in self.known.facts and not abs(_ratio(was[name], aims[name]) - 1.0) <= _NEAR
+        }
+        best = plain
+        for _ in range(_NOISE_TRIALS if search else 0):
+            facts = {name: each.facts for name, each in search.items()}
+            (run,) = self._simulated({SIMULATED: self._loops}, facts)
+            for each in run.joints:
+                if each.joint in search:
+                    search[each.joint] = search[each.joint].told(
+                        _quiet_variation(each), aims[each.joint]
+                    )
+        found = {name: each.best for name, each in search.items() if each.best is not None}
+        if found:
+            self.known = replace(self.known, facts={**self.known.facts, **found})
+            (best,) = self._simulated({SIMULATED: self._loops})
+        return best
 
     def of(self, goal: str) -> tuple[Proposals, RunSeries]:
         """Return what is proposed for a goal, and its simulation."""
@@ -325,18 +445,16 @@ class _Trial:
             self._loops, self._inertias, recorded, self._limits, goal, tell.certifying
         )
         tell.phase("simulating the identified robot")
-        wanted: dict[str, Sequence[LoopSettings]] = {}
-        if self._before is None:
-            wanted[SIMULATED] = self._loops
-        wanted[PREDICTED] = _after(self._loops, proposals.found)
-        *before, after = self._simulated(wanted)
-        if before:
-            (self._before,) = before
-        both = Comparison((run_indices(self.before), run_indices(after)))
-        found = {name: worthwhile(each, goal, both) for name, each in proposals.found.items()}
+        before = self.before  # first: it fits the noise
+        (after,) = self._simulated({PREDICTED: _after(self._loops, proposals.found)})
+        both = Comparison((run_indices(before), run_indices(after)))
+        found = {
+            name: worthwhile(each, goal, both, self._doubt(goal, name))
+            for name, each in proposals.found.items()
+        }
         kept = Proposals(found, proposals.failures)
         if not _changed(found):
-            return kept, replace(self.before, label=PREDICTED)
+            return kept, replace(before, label=PREDICTED)
         if any(each.settings.law == "pid" for each in found.values()):
             (after,) = self._simulated({PREDICTED: _after(self._loops, found)})
         return kept, after
@@ -351,15 +469,19 @@ class _Trial:
                 found[goal] = {each.key: both.ratio(after.label, each) for each in INDICES}
         return found
 
-    def _simulated(self, loops: Mapping[str, Sequence[LoopSettings]]) -> list[RunSeries]:
-        robot = self._known.robot
+    def _simulated(
+        self,
+        loops: Mapping[str, Sequence[LoopSettings]],
+        facts: Mapping[str, JointFacts] = MappingProxyType({}),
+    ) -> list[RunSeries]:
+        robot = self.known.robot
         return simulate(
             robot.source,
             loops,
             self._recording.joints,
             robot.fixed_base,
             robot.initial_positions,
-            facts=self._known.facts,
+            facts={**self.known.facts, **facts},
             has_velocities=self._has_velocities,
             period=_period(self._recording),
             engine=_ENGINE,

@@ -10,16 +10,14 @@ from typing import NamedTuple
 
 from hpid_ros.analysis.comparability import mismatches
 from hpid_ros.analysis.comparison import Comparison
-from hpid_ros.analysis.quantities import INDICES, ITAE, IVC, Quantity
+from hpid_ros.analysis.quantities import INDICES, Quantity
 from hpid_ros.bags.selection import BagSelection
 from hpid_ros.base.errors import HpidError, SettingError
 from hpid_ros.metrics.measure import Measured, Measuring, measure_all
 from hpid_ros.metrics.sources import Source
 from hpid_ros.replay.controllers import recorded_controllers
 from hpid_ros.road.prediction import Prediction
-
-JUDGED = (IVC, ITAE)
-"""The indices that a prediction has to hold for, of all joints together."""
+from hpid_ros.road.proposal import JUDGED
 
 HOLDS_WITHIN = 0.1
 """Share of what was predicted that a measured index may be off."""

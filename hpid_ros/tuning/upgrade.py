@@ -242,17 +242,20 @@ def upgrade(
     return found
 
 
-def worthwhile(each: Upgrade, goal: str, prediction: Comparison | None) -> Upgrade:
+def worthwhile(
+    each: Upgrade, goal: str, prediction: Comparison | None, doubt: float = 0.0
+) -> Upgrade:
     """Return a proposal, or the PID where there is nothing to gain.
 
     There is something to gain where another degree than 0 qualifies and, as far as a prediction
-    says, each of the goal's indices falls by at least 2 %: the joint's own, or, with the goal
-    ``balanced``, that of all joints together.
+    says, each of the goal's indices falls by at least 2 %, and by more than is in doubt: the
+    joint's own, or, with the goal ``balanced``, that of all joints together.
 
     Args:
         each: The proposal.
         goal: One of :data:`GOALS`.
         prediction: The PID, then the proposals, simulated on the robot; None if not known.
+        doubt: Half of the interval of the logarithm of a ratio.
     """
     settings = each.settings
     if settings.mu == 0.0:
@@ -262,14 +265,18 @@ def worthwhile(each: Upgrade, goal: str, prediction: Comparison | None) -> Upgra
     else:
         joint = None if goal == "balanced" else settings.joint
         label = prediction.others[0].label
+        enough = min(1.0 - _LEAST_GAIN, math.exp(-doubt))
         ratios = {index: prediction.ratio(label, index, joint) for index in GOALS[goal]}
-        short = {index: r for index, r in ratios.items() if r > 1.0 - _LEAST_GAIN}
+        short = {index: r for index, r in ratios.items() if r > enough}
         if not short:
             return each
         index, ratio = next(iter(short.items()))
         why = (
             f"with mu {settings.mu:+.2f} the predicted {index.symbol} is {ratio:.3f} of the PID's"
         )
+        if doubt:
+            factor = math.exp(doubt)
+            why += f", between {ratio / factor:.3g} and {ratio * factor:.3g}"
     reasons = {**each.reasons, "law": f"nothing to gain, keep your PID: {why}", "mu": "linear"}
     kept = replace(settings, law="pid", mu=0.0)
     return replace(each, settings=kept, reasons=reasons)

@@ -171,6 +171,15 @@ def test_a_pid_that_feels_sampling_is_told_so(goal):
         assert "nothing to gain, keep your PID: goal fast: no other degree" in kept.reasons["law"]
 
 
+@pytest.mark.parametrize(("doubt", "is_kept"), [(0.0, False), (0.04, False), (0.2, True)])
+def test_where_a_gain_is_less_than_the_doubt_the_pid_is_kept(doubt, is_kept):
+    found = upgrade(pid(), (0.1, 0.2), "smooth")
+    judged = worthwhile(found, "smooth", prediction(elbow=0.9), doubt)
+    assert (judged.settings.law == "pid") == is_kept
+    if is_kept:
+        assert "between 0.737 and 1.1" in judged.reasons["law"]
+
+
 def prediction(**ratios):
     """Return a comparison whose hPID has these multiples of every index of the PID's."""
     runs = []

@@ -245,6 +245,19 @@ def test_stribeck_friction_is_found_where_it_is_and_only_there():
     ]
 
 
+def test_a_drive_that_gives_less_than_it_is_asked_for_is_found():
+    plant = Plant()
+    true = record(plant, np.arange(0.0, 15.0, 0.004))
+    acting = JointRecord("joint", true.time, true.position, true.time, true.effort)
+    limit = 0.8 * float(np.abs(true.effort).max())
+    asked = np.where(np.abs(true.effort) > limit, 2.5 * true.effort, true.effort)
+    weak = JointRecord("joint", true.time, true.position, true.time, asked)
+    (plain,), (saturated,) = found(acting), found(weak)
+    assert plain.effort_limit == np.inf
+    assert saturated.effort_limit == pytest.approx(limit, rel=0.1)
+    assert values(saturated)["inertia"] == pytest.approx(plant.inertia, rel=0.1)
+
+
 def test_gaps_uneven_stamps_and_stamps_too_close_do_little():
     chance = np.random.default_rng(3)
     times = np.sort(np.arange(0.0, 30.0, 2e-3) + chance.uniform(-5e-4, 5e-4, 15000))

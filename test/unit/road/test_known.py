@@ -7,9 +7,10 @@ from hpid_ros.control import LoopSettings
 from hpid_ros.identification.results import Estimate, JointIdentification
 from hpid_ros.recordings.series import JointSeries
 from hpid_ros.road.known import known_robot, position_noise
-from hpid_ros.road.proposal import pid_check
+from hpid_ros.road.proposal import _NoiseSearch, pid_check
 from hpid_ros.robot.description import RobotDescription
 from hpid_ros.robot.given import GivenRobot
+from hpid_ros.tuning.prediction import JointFacts
 
 PERIOD = 2e-3
 TIMES = np.arange(0.0, 8.0, PERIOD)
@@ -99,3 +100,25 @@ def test_a_pid_is_checked_at_the_rate_at_which_it_ran():
     assert unsaid == said
     fast = pid_check(LoopSettings.from_parameters(pid), (0.1, 0.1), robot, 0.001)
     assert said.margins.phase < 0.9 * fast.margins.phase
+
+
+@pytest.mark.parametrize("noise", [0.02, 0.1, 0.4])
+def test_noise_below_a_count_is_found_by_how_the_effort_varies(noise):
+    search = _NoiseSearch.begun(JointFacts(0, 0.0, 1.0))
+    for _ in range(8):
+        search = search.told(3.0 + search.facts.noise, 3.0 + noise)
+    assert search.best.noise == pytest.approx(noise, rel=0.1)
+
+
+def test_noise_that_explains_nothing_is_not_taken():
+    search = _NoiseSearch.begun(JointFacts(0, 0.0, 1.0))
+    for _ in range(8):
+        search = search.told(1.0, 3.0)
+    assert search.best is None
+
+
+def test_a_drive_that_saturates_is_simulated_with_its_limit():
+    weak = JointIdentification("a", estimates(inertia=0.05), effort_limit=4.0)
+    assert known(weak).robot.description.joints["a"].effort == 4.0
+    strong = JointIdentification("a", estimates(inertia=0.05), effort_limit=40.0)
+    assert known(strong).robot.description.joints["a"].effort == 9.0

@@ -156,7 +156,10 @@ def _notes(found: Answer, prediction: Prediction, joint: str) -> Iterator[str]:
         return
     yield from found.proposals.found[joint].remarks
     yield from found.known.assumptions.get(joint, ())
-    ratios = (f"{q.symbol} {prediction.joints[joint][q.key].ratio:.3f}" for q in INDICES)
+    expected = ((q.symbol, prediction.joints[joint][q.key]) for q in INDICES)
+    ratios = (
+        f"{name} {each.ratio:.3f} ({each.low:.2f} to {each.high:.2f})" for name, each in expected
+    )
     yield f"Expected over the PID: {', '.join(ratios)}."
 
 
@@ -171,8 +174,9 @@ def _table(found: Answer, prediction: Prediction) -> WideTable:
         known = [prediction.joints[name][index.key] for name in names]
         known.append(prediction.total(index.key))
         columns += [
-            TableColumn(f"{index.symbol} was", [f"{each.before:.4g}" for each in known]),
-            TableColumn("ratio", [f"{each.ratio:.3f}" for each in known]),
+            TableColumn(f"{index.symbol} ratio", [f"{each.ratio:.3f}" for each in known]),
+            TableColumn("from", [f"{each.low:.2f}" for each in known]),
+            TableColumn("to", [f"{each.high:.2f}" for each in known]),
         ]
     rows = TableColumn("joint", [*map(shown, names), "all"], is_text=True)
     return WideTable([rows], columns)
@@ -242,7 +246,8 @@ def _off(each: Sequence[Held]) -> list[str | Text]:
 
 
 def _verdict(found: Verification) -> Text:
-    from hpid_ros.road.verification import HOLDS_WITHIN, JUDGED
+    from hpid_ros.road.proposal import JUDGED
+    from hpid_ros.road.verification import HOLDS_WITHIN
 
     judged = [found.totals[index.key] for index in JUDGED]
     told = ", ".join(
