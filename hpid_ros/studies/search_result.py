@@ -103,7 +103,7 @@ class SearchResult:
             cells = [each.ratios.get(key, "") for key in keys]
             cost = each.cost if math.isfinite(each.cost) else ""
             last = each.last_error if math.isfinite(each.last_error) else ""
-            values = [each.values[name] for name in names]
+            values = [each.values.get(name, "") for name in names]  # one joint has no distribution
             rows.append([each.number, each.stage, *values, cost, *cells, last, each.note])
         return csv_text(rows)
 

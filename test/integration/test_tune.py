@@ -18,7 +18,7 @@ from hpid_ros.stability import degrees as degree_check
 from hpid_ros.studies import batch
 from hpid_ros.studies.batch import in_processes, run_batch, simulated_indices
 from hpid_ros.studies.search import Evaluation, Search, SearchPlan
-from hpid_ros.studies.search_result import compare_entry
+from hpid_ros.studies.search_result import SearchResult, compare_entry
 from hpid_ros.studies.search_space import (
     Cost,
     SearchSpace,
@@ -232,6 +232,7 @@ def test_refining_a_joint_changes_no_other(experiment):
         for before, after in zip(first.loops, each.loops, strict=False):
             assert before == after or after.joint == ARM[0]
     assert search.best.cost <= first.cost
+    assert len(list(csv.DictReader(SearchResult(search, "best").points_csv().splitlines()))) == 30
 
 
 def test_what_is_saved_depends_neither_on_the_jobs_nor_on_the_day(path, tmp_path, capsys):
