@@ -29,6 +29,8 @@ _LOOK_PERIOD = 0.05  # [s]
 _CERTIFIED_WITHIN, _ASKED_EVERY = 15.0, 1.5  # [s]
 _LARGEST_TIME = 60.0  # [s]
 _GONE_FOR = 10.0  # [s] until a trial ends whose page is gone
+_CANCELLED = "cancelled"
+_BY_STOP = "ended by Stop: activate the joints, then get ready again"
 
 
 class MotionWish(NamedTuple):
@@ -60,9 +62,10 @@ class Stage(Enum):
 
     IDLE = "nothing is under way"
     PREPARING = "preparing"
-    READY = "ready: hold the button"
+    READY = "ready"
     MOVING = "moving"
     MEASURING = "measuring"
+    ENDING = "ending"
 
 
 class HeldMotion(Protocol):
@@ -95,7 +98,6 @@ class Trials:
     """One trial at a time, of the page that has the controllers in hand.
 
     Attributes:
-        stage: How far it is.
         said: What happened last, in a line.
         is_bad: Whether that is a failure.
         result: Of the last one, if it came to its end.
@@ -110,7 +112,7 @@ class Trials:
 
     def __init__(self, session: LiveSession, start: Starter, within: float) -> None:
         self._session, self._start, self._within = session, start, within
-        self.stage = Stage.IDLE
+        self._stage = Stage.IDLE
         self.said, self.is_bad = "", False
         self.result: TrialResult | None = None
         self._page = ""
@@ -118,10 +120,18 @@ class Trials:
         self._tried: Tried | None = None
         self._folder: Path | None = None
         self._is_kept = False
-        self._is_held = self._is_held_over = self._is_released = False
-        self._is_cancelled = False
+        self._is_held = self._is_released = False
+        self._is_ignored = False  # a press too early, or of the motion before, until it is let go
+        self._call = ""  # what the button is for, once the motion is ready
+        self._end = ""  # why the trial is to end
         self._here_at = self._ends_at = 0.0
         self.number = self.count = 0
+
+    @property
+    def stage(self) -> Stage:
+        """How far it is."""
+        is_ending = self._end and self._stage is not Stage.IDLE
+        return Stage.ENDING if is_ending else self._stage
 
     @property
     def seconds_left(self) -> float | None:
@@ -150,10 +160,8 @@ class Trials:
             raise SettingError(
                 f"a motion may last up to {_LARGEST_TIME:g} s, not {wish.duration:g}"
             )
-        seen = self._session.controllers
-        for node in nodes:
-            if seen[node].lifecycle not in ("", "active"):
-                raise SettingError(f"{self._session.label(node)} is {seen[node].lifecycle}")
+        if inactive := self._inactive(nodes):
+            raise SettingError(inactive)
         graph = self._session.graph.running(nodes, self._state_of)
         controllers = chosen(graph, [])
         bounds = [bounds_of(each, None) for each in controllers]
@@ -168,31 +176,58 @@ class Trials:
     # The button
 
     def press(self, page: str) -> None:
-        """Note that a page's button is held; of the page whose trial it is."""
-        motion = self._motion
-        if motion is None or page != self._page or self._is_held_over:
+        """Note that a page's button is held; of the page whose trial it is.
+
+        A press that comes before the motion is ready does not count until it is let go.
+        """
+        if page != self._page or self._is_ignored or self._end or self.stage is Stage.IDLE:
             return
-        if motion.stage in ("ready", "moving"):
+        motion = self._motion
+        if motion is not None and motion.stage in ("ready", "moving"):
             self._is_held = True
             motion.press()
+        elif not self._is_held:
+            self._is_ignored = True
+            self._say(
+                "not ready yet: let go, and press again when the button is green", is_bad=True
+            )
 
     def release(self, page: str) -> None:
         """Note that it is not held any more, or that the page is gone: a motion stops."""
         if page != self._page:
             return
-        was_pressed = self._is_held and not self._is_held_over
-        self._is_held = self._is_held_over = False
+        was_pressed, was_ignored = self._is_held, self._is_ignored
+        self._is_held = self._is_ignored = False
+        if was_ignored and self.stage is Stage.READY:
+            self._say(self._call)
         # Who was pressed may move already, and not have said so yet.
         begun = ("ready", "moving") if was_pressed else ("moving",)
         if self._motion is not None and self._motion.stage in begun:
             self._is_released = True
             self._motion.release()
 
-    def cancel(self) -> None:
-        """End what is under way."""
-        self._is_cancelled = True
+    def cancel(self, why: str = _CANCELLED) -> None:
+        """End what is under way: from now on no press moves anything.
+
+        Args:
+            why: What is said of it; the first reason stands.
+        """
+        if self.stage is Stage.IDLE:
+            return
+        if not self._end:
+            self._end = self.said = why
+            self.is_bad = True
         if self._motion is not None:
             self._motion.release()
+
+    async def stop(self) -> bool:
+        """End what is under way, and deactivate every controller that is shown.
+
+        Returns:
+            Whether all are.
+        """
+        self.cancel(_BY_STOP)
+        return await self._session.stop()
 
     def unfinished(self) -> list[str]:
         """Return the joints whose controllers have what a trial that is under way has set."""
@@ -236,8 +271,9 @@ class Trials:
         if self.stage is not Stage.IDLE:
             self._say("another trial is under way", is_bad=True)
             return
-        self._page, self.stage = page, Stage.PREPARING
-        self._is_held = self._is_held_over = self._is_cancelled = False
+        self._page, self._stage = page, Stage.PREPARING
+        self._is_held = self._is_ignored = False
+        self._end = ""
         self._here_at = time.monotonic()
         self.result, self.count = None, len(variants)
         staged = self._session.tuning.staged_sets(nodes)
@@ -251,15 +287,15 @@ class Trials:
             is_done = await self._carry_out(nodes, wish, variants, tried, found)
             if found:
                 await self._show(variants, found)
-            if is_done and self._is_cancelled:  # while its result was made
-                self._say("cancelled", is_bad=True)
+            if is_done and self._end:  # while its result was made
+                self._say(self._end, is_bad=True)
             has_set = any(each.values is not None for each in variants)
-            if has_set and (self._is_cancelled or not is_done):
+            if has_set and (self._end or not is_done):
                 await self._set_back(tried, staged)
         except OSError as error:
             self._say(str(error), is_bad=True)
         finally:
-            self._motion, self._tried, self.stage = None, None, Stage.IDLE
+            self._motion, self._tried, self._stage = None, None, Stage.IDLE
 
     async def _carry_out(
         self,
@@ -274,10 +310,10 @@ class Trials:
             for number, variant in enumerate(variants):
                 await self._set(number, variant, tried)
                 found.append(await self._measured(number, nodes, wish, variant))
-                if self._is_cancelled:
-                    raise RunError("cancelled")
+                self._require_wanted()
         except (HpidError, OSError) as error:
-            self._say(str(error), is_bad=True)
+            text = str(error)
+            self._say(text if self._end in text else f"{self._end}; {text}", is_bad=True)
             return False
         where = f"; recorded in {self._folder}" if self._is_kept else ""
         last = f", now in force: {variants[-1].label}" if len(variants) > 1 else ""
@@ -312,37 +348,45 @@ class Trials:
         assert self._folder is not None
         states = self._session.graph.states_topic(nodes[0])
         for attempt in itertools.count(1):
+            self._require_wanted()
             planned, controllers, graph = self._planned(nodes, wish)
             label = variant.label if attempt == 1 else f"{variant.label}, attempt {attempt}"
             bag = self._folder / f"{number + 1}_{_as_file(label)}"
             motion = self._start(planned, controllers, graph, bag, states)
-            ending = await self._ending(motion, label, planned.duration)
+            ending = await self._ending(motion, nodes, label, planned.duration)
             if not ending.reason:
                 break
             self._explain(ending, label)
-        self.stage = Stage.MEASURING
+        self._stage = Stage.MEASURING
         self._say(f"{label}: measuring, let go")
         return await asyncio.to_thread(measure_motion, bag, variant.label, planned)
 
-    async def _ending(self, motion: HeldMotion, label: str, duration: float) -> Ending:
+    async def _ending(
+        self, motion: HeldMotion, nodes: Sequence[str], label: str, duration: float
+    ) -> Ending:
         """Wait for a motion's end.
 
         Raises:
             RunError: It could not begin, or a process has ended.
         """
-        self._motion, self.stage, self._is_released = motion, Stage.PREPARING, False
+        self._motion, self._stage, self._is_released = motion, Stage.PREPARING, False
         self._say(f"{label}: preparing")
         while motion.stage != "ended":
-            if motion.stage == "ready" and self.stage is Stage.PREPARING:
-                self.stage = Stage.READY
-                self._say(f"{label}: hold the button, {duration:.1f} s")
-            elif motion.stage == "moving" and self.stage is not Stage.MOVING:
-                self.stage, self._ends_at = Stage.MOVING, time.monotonic() + duration
-                self._say(f"{label}: moving")
-            if self._is_cancelled or self._is_left():
+            if self._end or self._is_left():
                 self.cancel()
+            elif inactive := self._inactive(nodes):
+                self.cancel(inactive)
+            if motion.stage == "ready" and self.stage is Stage.PREPARING:
+                self._stage = Stage.READY
+                self._call = f"{label}: hold the button, {duration:.1f} s"
+                too_early = f"{label}: ready: let go, then hold the button"
+                self._say(too_early if self._is_ignored else self._call)
+            elif motion.stage == "moving" and self.stage in (Stage.PREPARING, Stage.READY):
+                self._stage, self._ends_at = Stage.MOVING, time.monotonic() + duration
+                self._say(f"{label}: moving")
             await asyncio.sleep(_LOOK_PERIOD)
-        self._is_held_over = self._is_held  # the next motion wants a press of its own
+        self._is_ignored |= self._is_held  # the next motion wants a press of its own
+        self._is_held = False
         ending = motion.ending
         assert ending is not None
         return ending
@@ -354,11 +398,28 @@ class Trials:
             RunError: It is not to be tried once more.
         """
         rest = "" if ending.is_at_rest else "; the joints were not seen to rest"
-        if self._is_cancelled:
-            raise RunError(f"cancelled{rest}")
+        if self._end:
+            raise RunError(f"{self._end}{rest}")
         if not ending.reason.startswith(RELEASED) or rest:
             raise RunError(f"stopped: {self._why(ending)}{rest}")
         self._say(f"{label}: stopped: {self._why(ending)}; hold it once more", is_bad=True)
+
+    def _require_wanted(self) -> None:
+        """Go on only where nobody has ended the trial.
+
+        Raises:
+            RunError: Somebody has.
+        """
+        if self._end:
+            raise RunError(self._end)
+
+    def _inactive(self, nodes: Sequence[str]) -> str:
+        """Return which joint its controller does not control, in words; nothing if all do."""
+        seen = self._session.controllers
+        for node in nodes:
+            if seen[node].lifecycle not in ("", "active"):
+                return f"{self._session.label(node)} is {seen[node].lifecycle}: activate it first"
+        return ""
 
     def _is_left(self) -> bool:
         """Tell whether another page has control, or the trial's own has been gone for a while."""
@@ -373,15 +434,15 @@ class Trials:
         Raises:
             RunError: They do not take it.
         """
-        self.stage, self.number = Stage.PREPARING, number + 1
+        self._require_wanted()
+        self._stage, self.number = Stage.PREPARING, number + 1
         label, wanted, seen = variant.label, tried.wanted(variant), self._session.controllers
         patience = _CERTIFIED_WITHIN if any(seen[n].requires_certificate for n in wanted) else 0.0
         for _ in range(1 + round(patience / _ASKED_EVERY)):
             if await self._session.send_if_other(wanted, f"{label}, for the trial"):
                 tried.note(wanted)
                 return
-            if self._is_cancelled:
-                raise RunError("cancelled")
+            self._require_wanted()
             if patience:
                 await asyncio.sleep(_ASKED_EVERY)
         raise RunError(f"{label} was refused")

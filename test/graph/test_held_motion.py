@@ -10,6 +10,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from harness.health import change
 from harness.turntable import GAINS, INERTIA, URDF, positions, start_turntable, wait_for_rest
 
 from hpid_ros.control.settings.table import PARAMETERS
@@ -146,6 +147,34 @@ def test_joints_move_while_the_button_is_held_and_rest_when_it_is_not(bench):
     hold_until_killed(file, 1.0)
     bench.harness.wait(lambda: not bench.harness.is_there("hpid_exciter"), what="its end")
     assert 0.005 < wait_for_rest(bench.harness) - rests < 0.3
+
+
+def test_a_press_cannot_move_a_stopped_joint(bench):
+    motion = HeldMotion(*bench.order("pressed", 0.0))
+    bench.reach(motion, lambda: motion.stage == "ready")
+    assert change(bench.harness, "deactivate", NODE)
+    bench.harness.seen.clear()
+    bench.harness.commands.clear()
+    bench.reach(motion, lambda: False, press=True)  # until it ends by itself
+    assert motion.ending.reason
+    assert all(each.effort[0] == 0.0 for each in bench.harness.commands)
+    assert np.ptp([each.position[0] for each in bench.harness.seen]) == 0.0
+
+    # Nor does what was told meanwhile move it when it is active again.
+    assert change(bench.harness, "activate", NODE)
+    assert np.ptp(positions(bench.harness, 1.0)) < 1e-3
+
+
+def test_a_motion_that_is_let_go_after_its_joint_was_stopped_ends_at_once(bench):
+    motion = HeldMotion(*bench.order("released", 0.0))
+    bench.reach(motion, lambda: motion.stage == "ready")
+    assert change(bench.harness, "deactivate", NODE)
+    positions(bench.harness)  # until the motion knows that nobody tells a reference
+    began = time.monotonic()
+    motion.release()
+    assert bench.ending(motion).reason == "the button was released before anything moved"
+    assert time.monotonic() - began < 5.0  # not after all that it would wait for
+    assert not bench.harness.is_there("hpid_exciter")
 
 
 def test_whoever_allows_a_longer_time_may_press_less_often(bench):

@@ -3,6 +3,7 @@
 import re
 import signal
 
+import numpy as np
 import pytest
 from harness.browser import launched
 from harness.graph import ros_arguments
@@ -86,6 +87,37 @@ def test_a_joint_is_retuned_tried_with_two_settings_and_stopped(harness, page):
     harness.commands.clear()
     positions(harness)
     assert all(each.effort[0] == 0.0 for each in harness.commands)
+
+
+def test_stop_ends_what_is_ready_and_a_press_cannot_move_a_stopped_joint(harness, page):
+    page.get_by_role("tab", name="Try").click()
+    hold = page.get_by_role("button", name="hold to run, release to stop")
+    expect(hold).to_be_disabled()
+    page.get_by_role("button", name="Get ready").click()
+    page.get_by_text("in force: preparing", exact=True).wait_for()
+    hold.hover()
+    page.mouse.down()  # too early, and held on
+    logged(page, "trial: not ready yet: let go, and press again when the button is green")
+    page.get_by_text("in force: ready: let go, then hold the button", exact=True).wait_for()
+    assert positions(harness).std() < 1e-4
+    page.mouse.up()
+    page.get_by_text(re.compile("^in force: hold the button")).wait_for()
+    expect(hold).to_be_enabled()
+
+    page.keyboard.press("Escape")
+    page.get_by_text(re.compile("^ended by Stop")).wait_for()
+    expect(hold).to_be_disabled()
+    logged(page, "turn: deactivated")
+    page.evaluate("setInterval(() => window.hpidLive.socket.send('hold'), 50)")  # all the same
+    harness.wait(lambda: not harness.is_there("hpid_exciter"), what="the motion's end")
+    page.get_by_text("turn is inactive: activate it first", exact=True).wait_for()
+    expect(page.get_by_role("button", name="Get ready")).to_be_disabled()
+    harness.commands.clear()
+    assert np.ptp(positions(harness)) == 0.0
+    assert all(each.effort == (0.0,) for each in harness.commands)
+    page.get_by_role("button", name="activate turn", exact=True).click()
+    logged(page, "turn: activated")
+    assert positions(harness, 1.0).std() < 1e-4
 
 
 def hold_until(page, label, stage):

@@ -132,7 +132,7 @@ def serve(graph: Graph, settings: ServerSettings, start: Starter | None = None) 
     session = LiveSession(graph, advice)
     within = settings.button_timeout
     trials = Trials(session, start or partial(HeldMotion, within=within), within)
-    api = _api(session, Frames(session, trials, 1.0 / settings.rate))
+    api = _api(trials, Frames(session, trials, 1.0 / settings.rate))
     pages.add_static_files("/assets", str(ASSETS))
     ui.run_with(
         api,
@@ -190,7 +190,7 @@ def _listener(settings: ServerSettings) -> socket.socket:
     return listener
 
 
-def _api(session: LiveSession, frames: Frames) -> FastAPI:
+def _api(trials: Trials, frames: Frames) -> FastAPI:
     @contextlib.asynccontextmanager
     async def lifespan(_: FastAPI) -> Any:
         task = asyncio.create_task(frames.run())
@@ -205,7 +205,7 @@ def _api(session: LiveSession, frames: Frames) -> FastAPI:
 
     @api.post("/stop")
     async def stop() -> dict[str, bool]:
-        return {"stopped": await session.stop()}
+        return {"stopped": await trials.stop()}
 
     return api
 

@@ -100,9 +100,13 @@ class TrialPanel:
         self._offer()
         can_move = self._refresh_plan() if is_idle else True
         self._prepare.set_enabled(may and is_idle and can_move)
-        self._hold.set_enabled(may and stage in (Stage.READY, Stage.MOVING))
+        # Before it is green it takes a press, too, so that one that is too early has an answer.
+        is_ready = stage in (Stage.READY, Stage.MOVING)
+        self._hold.set_enabled(may and stage not in (Stage.IDLE, Stage.ENDING))
+        colour = "positive" if is_ready else "grey"
+        self._hold.props(f"color={colour} aria-disabled={str(not is_ready).lower()}")
         self._hold.set_text(self._hold_text())
-        self._cancel.set_enabled(not is_idle)
+        self._cancel.set_enabled(not is_idle and stage is not Stage.ENDING)
         self._said.set_text(self._trials.said)
         self._said.classes(replace="is-bad" if self._trials.is_bad else "advice")
         if self._trials.result is not self._shown:
@@ -113,6 +117,8 @@ class TrialPanel:
         trials = self._trials
         if trials.stage is Stage.IDLE:
             return "Hold to run"
+        if trials.stage is Stage.ENDING:
+            return "Ending"
         which = f"({trials.number} of {trials.count})"
         left = trials.seconds_left
         return f"Hold to run {which}" if left is None else f"Hold: {left:.0f} s {which}"
@@ -126,7 +132,8 @@ class TrialPanel:
     def _refresh_plan(self) -> bool:
         """Show the motion that would be carried out, and return whether there is one."""
         nodes = self._chosen()
-        about = (tuple(nodes), self._wish, self._stands(nodes))
+        states = tuple(self._session.controllers[node].lifecycle for node in nodes)
+        about = (tuple(nodes), self._wish, self._stands(nodes), states)
         if about == self._planned_of:
             return True
         try:

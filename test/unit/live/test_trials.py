@@ -5,6 +5,7 @@ import asyncio
 import pytest
 from harness.simulated_graph import SimulatedGraph, arm
 
+from hpid_ros.base.errors import HpidError
 from hpid_ros.experiment.live.watching import RELEASED, Ending
 from hpid_ros.live import trials as module
 from hpid_ros.live.seen import as_running
@@ -281,3 +282,97 @@ def test_who_lets_go_before_anything_is_seen_to_move_has_let_go():
         bench.trials.cancel()
 
     assert Bench(motion=Tapped).run(tap) == "cancelled"
+
+
+@pytest.mark.parametrize("stage", [Stage.PREPARING, Stage.READY, Stage.MOVING])
+def test_stop_ends_a_trial_at_once_and_no_press_moves_anything_afterwards(stage):
+    async def stop(bench):
+        await bench.reach(Stage.PREPARING, motions=1)
+        if stage is not Stage.PREPARING:
+            await bench.reach(Stage.READY)
+        if stage is Stage.MOVING:
+            bench.trials.press(PAGE)
+            await bench.reach(Stage.MOVING)
+        stopping = asyncio.ensure_future(bench.trials.stop())
+        await asyncio.sleep(0)
+        assert bench.trials.stage is Stage.ENDING  # nothing has been waited for
+        assert bench.trials.said.startswith("ended by Stop")
+        (motion,) = bench.motions
+        assert motion.stage == "ended"
+        for _ in range(3):
+            bench.trials.press(PAGE)
+            await asyncio.sleep(0.02)
+            assert motion.presses == (stage is Stage.MOVING)
+        assert await stopping
+
+    bench = Bench(motion=Counted)
+    assert bench.run(stop).startswith("ended by Stop: activate the joints")
+    assert len(bench.motions) == 1
+    assert not any(each.is_active for each in bench.graph.joints.values())
+    bench.trials.press(PAGE)
+    assert bench.trials.said.startswith("ended by Stop")
+    with pytest.raises(HpidError, match="is inactive: activate it first"):
+        bench.trials.plan([NODE], MotionWish())
+
+
+class Counted(Motion):
+    """Counts presses, those in vain, too."""
+
+    presses = 0
+
+    def press(self):
+        self.presses += 1
+        super().press()
+
+
+def test_stop_without_a_trial_says_nothing_of_one():
+    bench = Bench()
+    assert asyncio.run(bench.trials.stop())
+    assert (bench.trials.stage, bench.trials.said) == (Stage.IDLE, "")
+
+
+def test_a_motion_of_a_joint_that_somebody_else_deactivates_ends_before_it_is_pressed():
+    async def deactivate(bench):
+        await bench.reach(Stage.READY)
+        bench.graph.change_state(NODE, "deactivate")
+
+    bench = Bench()
+    label = bench.session.label(NODE)
+    assert bench.run(deactivate) == f"{label} is inactive: activate it first"
+
+
+def test_a_press_that_is_too_early_is_answered_and_does_not_count_until_it_is_let_go():
+    async def press_early(bench):
+        trials = bench.trials
+        await bench.reach(Stage.PREPARING, motions=1)
+        trials.press(PAGE)
+        assert trials.said.startswith("not ready yet: let go, and press again")
+        while trials.stage is not Stage.READY:
+            trials.press(PAGE)
+            await asyncio.sleep(0.02)
+        assert trials.said == "in force: ready: let go, then hold the button"
+        trials.press(PAGE)
+        assert bench.motions[0].stage == "ready"
+        trials.release(PAGE)
+        assert trials.said.startswith("in force: hold the button")
+        trials.press(PAGE)
+        await bench.reach(Stage.MOVING)
+        trials.cancel()
+
+    bench = Bench()
+    bench.run(press_early)
+    early = [each for each in bench.session.log if "not ready yet" in each.text]
+    assert len(early) == 1  # however long it is held
+
+
+def test_a_press_that_is_too_early_and_let_go_is_followed_by_a_call_to_hold():
+    async def tap(bench):
+        await bench.reach(Stage.PREPARING, motions=1)
+        bench.trials.press(PAGE)
+        bench.trials.release(PAGE)
+        assert bench.motions[0].stage == "preparing"
+        await bench.reach(Stage.READY)
+        assert bench.trials.said.startswith("in force: hold the button")
+        bench.trials.cancel()
+
+    Bench().run(tap)

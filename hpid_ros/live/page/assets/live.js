@@ -117,7 +117,7 @@ class LivePage {
   }
 
   hold(button) {
-    if (this.held || button.disabled || button.getAttribute("aria-disabled") === "true") {
+    if (this.held || button.disabled) {
       return;
     }
     button.classList.add("held");

@@ -198,6 +198,9 @@ class Exciter(executor.ClosingNode):
             self._status.send("at", seconds=feedback.since_start_ns * 1e-9)
 
     def _begin_when_ready(self) -> None:
+        if self._button is not None and not self._button.is_held() and self._button.is_gone:
+            self._leave_unmoved("the button was released before anything moved")
+            return
         lacking = self._lacking()
         if lacking:
             if time.monotonic() - (self._ready_at or self._born) > _READY_WITHIN:
@@ -224,9 +227,7 @@ class Exciter(executor.ClosingNode):
             self._status.send("ready")
         if button.is_held():
             return True
-        if button.is_gone:
-            self._leave_unmoved("the button was released before anything moved")
-        elif time.monotonic() - self._ready_at > _PRESSED_WITHIN:
+        if time.monotonic() - self._ready_at > _PRESSED_WITHIN:
             self._leave_unmoved(f"nobody pressed the button within {_PRESSED_WITHIN:g} s")
         return False
 
