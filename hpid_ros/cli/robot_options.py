@@ -63,15 +63,13 @@ def identified_robot(file: Path) -> GivenRobot | None:
     values = document.values
     if not isinstance(values, Mapping) or "robot" not in values or "compare" in values:
         return None
-    try:
+    with document.blaming(SettingError):
         section = Section(values["robot"], "robot", SettingError)
         robot = take_record(RobotSection, section)
         section.finish()
         known = robot.load(
             lambda name: RobotDescription.load(find_resource(name, document.folders))
         )
-    except HpidError as error:
-        raise SettingError(f"{file}: {error}") from None
     return GivenRobot(known.xml, known, robot.fixed_base, robot.initial_positions)
 
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -35,16 +36,49 @@ class Document(NamedTuple):
         values: The merged document, without :data:`EXTENDS`.
         text: The file as it stands where it extends nothing, else the merged document as YAML.
         files: The file, then what it extends, then what that extends, ...
+        path: The file, as it was named.
+        origins: The file that each entry comes from, by the entry's dotted place; of a mapping
+            the uppermost that has it. Empty where the file extends nothing.
     """
 
     values: Any
     text: str
     files: tuple[Path, ...]
+    path: Path
+    origins: Mapping[str, Path]
 
     @property
     def folders(self) -> tuple[Path, ...]:
         """Where files that the document names are looked for: beside each of its files."""
         return tuple(dict.fromkeys(file.parent for file in self.files))
+
+    def blamed(self, line: str) -> Path:
+        """Return the file in which the entry stands that an error is about; else the upper one.
+
+        Args:
+            line: The error's. It begins with the place of the entry, or with ``unknown key`` and
+                the place; after a place and a colon an entry within it may be named.
+        """
+        line = line.removeprefix("unknown key '")
+        places = [each for each in self.origins if _begins_with(line, each)]
+        if not places:
+            return self.path
+        place = max(places, key=len)
+        named = re.match(r": (?:unknown [\w ]+ ')?([\w-]+)", line[len(place) :])
+        inner = f"{place}.{named[1]}" if named else place
+        return self.origins.get(inner, self.origins[place])
+
+    @contextmanager
+    def blaming(self, kind: type[HpidError]) -> Iterator[None]:
+        """Raise what the block raises as an error that names the file of the entry.
+
+        Args:
+            kind: The error.
+        """
+        try:
+            yield
+        except HpidError as error:
+            raise kind(f"{self.blamed(str(error))}: {error}") from None
 
 
 def load_yaml(path: str | Path, error: type[HpidError]) -> Any:
@@ -89,7 +123,7 @@ def _load(path: Path, extending: tuple[Path, ...], error: type[HpidError]) -> Do
     text = _read(path, error)
     values = _parsed(path, text, error)
     if not isinstance(values, Mapping) or EXTENDS not in values:
-        return Document(values, text, (file,))
+        return Document(values, text, (file,), path, {})
     base = _load(_extended(values[EXTENDS], file, error), (*extending, file), error)
     if not isinstance(base.values, Mapping):
         raise error(f"{file}: {EXTENDS}: {base.files[0]} is not a mapping")
@@ -99,7 +133,24 @@ def _load(path: Path, extending: tuple[Path, ...], error: type[HpidError]) -> Do
     except error as refusal:
         raise error(f"{file}: {refusal}") from None
     dumped = yaml.safe_dump(merged, sort_keys=False, allow_unicode=True)
-    return Document(merged, dumped, (file, *base.files))
+    lowest = dict.fromkeys(_places(base.values), base.path)
+    origins = {**lowest, **base.origins, **dict.fromkeys(_places(changes), path)}
+    return Document(merged, dumped, (file, *base.files), path, origins)
+
+
+def _places(values: Mapping[str, Any], where: str = "") -> Iterator[str]:
+    """Yield the dotted place of each entry, those of mappings within it too."""
+    for key, value in values.items():
+        place = f"{where}.{key}" if where else str(key)
+        yield place
+        if isinstance(value, Mapping):
+            yield from _places(value, place)
+
+
+def _begins_with(line: str, place: str) -> bool:
+    """Tell whether a line begins with a place, and not with a longer word."""
+    rest = line[len(place) :]
+    return line.startswith(place) and not (rest[:1].isalnum() or rest.startswith("_"))
 
 
 def _extended(name: object, file: Path, error: type[HpidError]) -> Path:

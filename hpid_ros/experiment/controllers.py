@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 from hpid_ros.base.errors import ExperimentError, HpidError, unknown_name
 from hpid_ros.base.names import require_label
@@ -74,6 +76,16 @@ _JOINTS = "joints"
 Parameters = dict[str, object]
 
 
+class Layer(NamedTuple):
+    """Parameters that a section has, by dotted name, and its place."""
+
+    where: str
+    values: Parameters
+
+
+_NOTHING = Layer("", {})
+
+
 def controllers_from(root: Section, world: WorldSettings) -> dict[str, tuple[LoopSettings, ...]]:
     """Return the settings of each driven joint for each controller, by label.
 
@@ -105,7 +117,8 @@ def controllers_from(root: Section, world: WorldSettings) -> dict[str, tuple[Loo
         own_changes = _by_joint(compared.section(label), world)
         loops = []
         for joint, counts in zip(joints, world.counts, strict=True):
-            layers = (common, own.get(joint.name, {}), changes, own_changes.get(joint.name, {}))
+            one, change = own.get(joint.name), own_changes.get(joint.name)
+            layers = (common, one or _NOTHING, changes, change or _NOTHING)
             loops.append(_settings(label, joint, counts, world, layers))
         result[label] = tuple(loops)
     return result
@@ -133,7 +146,7 @@ def judged_from(root: Section, joints: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(joint for joint in joints if joint in named)
 
 
-def _by_joint(section: Section, world: WorldSettings) -> dict[str, Parameters]:
+def _by_joint(section: Section, world: WorldSettings) -> dict[str, Layer]:
     """Return what ``joints`` in a section says of single joints, by joint."""
     each = section.section(_JOINTS, {})
     for joint in each.items():
@@ -142,7 +155,7 @@ def _by_joint(section: Section, world: WorldSettings) -> dict[str, Parameters]:
     return {joint: _parameters(each, joint) for joint in each.items()}
 
 
-def _parameters(section: Section, key: str, but: str = "") -> Parameters:
+def _parameters(section: Section, key: str, but: str = "") -> Layer:
     """Return a section of loop parameters, nested or dotted, by dotted name, but for one key."""
     flat: Parameters = {}
     inner = section.section(key, {})
@@ -157,7 +170,7 @@ def _parameters(section: Section, key: str, but: str = "") -> Parameters:
                 known = [inner.place(p) for p in PARAMETERS if p != "joint"]
                 raise ExperimentError(unknown_name("key", place, known))
             flat[dotted] = entry
-    return flat
+    return Layer(inner.where, flat)
 
 
 def _settings(
@@ -165,7 +178,7 @@ def _settings(
     joint: JointDescription,
     counts: int,
     world: WorldSettings,
-    layers: tuple[Parameters, ...],
+    layers: Sequence[Layer],
 ) -> LoopSettings:
     """Return one joint's settings; later layers win, and the robot gives the defaults."""
     values: Parameters = {
@@ -176,8 +189,18 @@ def _settings(
     if joint.effort < LOOP_PARAMETERS["u_clamp_max"].maximum:
         values |= {"u_clamp_max": joint.effort, "u_clamp_min": -joint.effort}
     for layer in layers:
-        values.update(layer)
+        values.update(layer.values)
     try:
         return with_robot(LoopSettings.from_parameters(values), world)
     except HpidError as error:
-        raise ExperimentError(f"controller {label!r}, joint {joint.name!r}: {error}") from None
+        where = f"{_place(str(error), layers)}controller {label!r}, joint {joint.name!r}"
+        raise ExperimentError(f"{where}: {error}") from None
+
+
+def _place(line: str, layers: Sequence[Layer]) -> str:
+    """Return where the parameter stands that a line begins with, and a colon; else nothing."""
+    for layer in reversed(layers):
+        for name in layer.values:
+            if re.match(rf"(the degree )?{re.escape(name)}(?![\w.])", line):
+                return f"{layer.where}.{name}: "
+    return ""

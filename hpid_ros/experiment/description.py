@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from hpid_ros.base.errors import ExperimentError, HpidError
+from hpid_ros.base.errors import ExperimentError, TrajectoryError
 from hpid_ros.base.names import require_label
 from hpid_ros.base.resources import find_resource
 from hpid_ros.base.units import NANOSECONDS
@@ -131,14 +131,11 @@ def load_experiment(path: str | Path, engine: str | None = None) -> Experiment:
         ExperimentError: Something is missing, unknown or impossible; the line names the file
             and the place in it.
     """
-    file = Path(path)
-    document = load_document(file, ExperimentError)
-    try:
+    document = load_document(path, ExperimentError)
+    with document.blaming(ExperimentError):
         root = Section(_with_engine(document.values, engine), "", ExperimentError)
         experiment = _experiment(document, root)
         root.finish()
-    except HpidError as error:
-        raise ExperimentError(f"{file}: {error}") from None
     return experiment
 
 
@@ -152,11 +149,12 @@ def load_reference(path: str | Path) -> JointTrajectory:
         HpidError: It is not there, or has no usable reference.
     """
     document = load_document(path, ExperimentError)
-    return planned_reference(
-        document.values,
-        f"{path}: reference",
-        lambda name: RobotDescription.load(find_resource(name, document.folders)),
-    ).trajectory
+    with document.blaming(TrajectoryError):
+        return planned_reference(
+            document.values,
+            "reference",
+            lambda name: RobotDescription.load(find_resource(name, document.folders)),
+        ).trajectory
 
 
 def _with_engine(values: Any, engine: str | None) -> Any:

@@ -46,11 +46,12 @@ class TrajectoryPublisher(executor.ClosingNode):
         if not path:
             raise SettingError("the parameter reference_file must name a YAML file, it is empty")
         document = load_document(str(path), TrajectoryError)
-        trajectory, _ = planned_reference(
-            document.values,
-            f"{path}: reference",
-            lambda name: RobotDescription.load(find_resource(name, document.folders)),
-        )
+        with document.blaming(TrajectoryError):
+            trajectory, _ = planned_reference(
+                document.values,
+                "reference",
+                lambda name: RobotDescription.load(find_resource(name, document.folders)),
+            )
         self._trajectory = trajectory
         self._start_ns: int | None = None
         self._is_under_way = False

@@ -67,4 +67,4 @@ def _bags(result: Path) -> dict[str, Path]:
 
 def _world(file: Path) -> WorldSettings:
     document = load_document(file, SettingError)
-    return world_of(document.values, str(file), document.folders).world
+    return world_of(document.values, document).world

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -13,6 +14,7 @@ from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.documents.descriptions import json_schema, layered_schema
 from hpid_ros.documents.records import Record, quantity, take_layered, take_record, to_mapping
 from hpid_ros.documents.sections import Section
+from hpid_ros.documents.yaml_files import Document
 from hpid_ros.planning import PlannedReference, planned_reference
 from hpid_ros.robot.configuration import RobotSection, Wheels
 from hpid_ros.robot.description import RobotDescription
@@ -118,31 +120,31 @@ def read_world(root: Section, folders: Sequence[Path]) -> WorldFile:
         workplace=_workplace(root.section("scene", {}), reference),
         base=_base(robot, known),
     )
-    world.start(known)
+    try:
+        world.start(known)
+    except HpidError as error:
+        raise ExperimentError(f"robot.{error}") from None
     for link in world.links:
         known.link(link)
     return WorldFile(world, control, reference)
 
 
-def world_of(values: Any, file: str, folders: Sequence[Path]) -> WorldFile:
+def world_of(values: Any, document: Document | None) -> WorldFile:
     """Return the world of a whole document; what is an experiment's in it is passed over.
 
     Args:
         values: The document.
-        file: Where it stands, for messages; empty if nowhere.
-        folders: As for :func:`read_world`.
+        document: Where they stand; None if nowhere.
 
     Raises:
         SettingError: An entry is unknown or impossible; the line names file and place.
     """
-    try:
+    with nullcontext() if document is None else document.blaming(SettingError):
         root = Section(values, "", SettingError)
         for key in _OF_EXPERIMENTS:
             root.take(key, None)
-        found = read_world(root, folders)
+        found = read_world(root, () if document is None else document.folders)
         root.finish()
-    except HpidError as error:
-        raise SettingError(f"{file}: {error}" if file else str(error)) from None
     return found
 
 

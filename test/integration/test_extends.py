@@ -6,12 +6,13 @@ from pathlib import Path
 import pytest
 import yaml
 
-from hpid_ros.base.errors import ExperimentError, TrajectoryError
+from hpid_ros.base.errors import ExperimentError, SettingError, TrajectoryError
 from hpid_ros.base.resources import share_folder
 from hpid_ros.documents.yaml_files import load_document
 from hpid_ros.experiment.compare import compare
-from hpid_ros.experiment.description import load_experiment
+from hpid_ros.experiment.description import load_experiment, load_reference
 from hpid_ros.experiment.progress import NoProgress
+from hpid_ros.simulation.world_file import world_of
 
 PAPER = share_folder() / "config" / "experiments" / "paper.yaml"
 
@@ -197,3 +198,120 @@ def test_judged_joints_are_in_the_robot_s_order_and_all_by_default(write):
     path = write("all.yaml", "extends: paper.yaml\njudge: null\n")
     experiment = load_experiment(path)
     assert experiment.judged == experiment.world.joints
+
+
+BAD = {
+    "unknown key": ("robot: {paylod: 2.0}", "unknown key 'robot.paylod'"),
+    "unknown key at the top": ("durations: 2.0", "unknown key 'durations'"),
+    "unknown parameter": ("compare: {hPID: {gains: {q: 2.0}}}", "'compare.hPID.gains.q'"),
+    "unknown joint": (
+        "controllers: {joints: {arm_joint_9: {inertia: 1.0}}}",
+        "controllers.joints: unknown joint 'arm_joint_9'",
+    ),
+    "joint that is not there": (
+        "robot: {initial_positions: {arm_joint_9: 0.1}}",
+        "robot.initial_positions: unknown joint 'arm_joint_9'",
+    ),
+    "out of range": ("robot: {payload: -2.0}", "robot.payload must be at least 0, not -2.0"),
+    "of another kind": ("seed: many", "seed must be a whole number"),
+    "no mapping": ("sensors: 3", "sensors must be a mapping"),
+    "unknown choice": ("simulation: {engine: dart}", "simulation.engine: unknown engine 'dart'"),
+    "in a list": (
+        "disturbances: {payload: [{time: -1.0, mass: 1.0}]}",
+        "disturbances.payload[0].time must be",
+    ),
+    "parameter out of range": (
+        "compare: {hPID: {mu: 0.5}}",
+        "compare.hPID.mu: controller 'hPID', joint ",
+    ),
+    "parameter of one joint": (
+        "controllers: {joints: {arm_joint_1: {gains: {p: many}}}}",
+        "controllers.joints.arm_joint_1.gains.p: controller ",
+    ),
+}
+LEVELS = ("own.yaml", "middle.yaml", "base.yaml")
+BY_FILE = {  # each touches the section, so that the section alone says nothing
+    "own.yaml": "extends: middle.yaml\nrobot: {fixed_base: false, initial_positions: {}}\n"
+    "controllers: {joints: {arm_joint_1: {velocity_filter_time_constant: 0.01}}}\n",
+    "middle.yaml": "extends: base.yaml\ncompare: {hPID: {mu: -0.1}}\n",
+    "base.yaml": "extends: paper.yaml\nseed: 3\n",
+}
+
+
+def laid_over(text, bad):
+    """Return a file's text with other entries laid over it."""
+
+    def merged(lower, upper):
+        both = isinstance(lower, dict) and isinstance(upper, dict)
+        return (
+            {**lower, **{k: merged(lower.get(k), v) for k, v in upper.items()}} if both else upper
+        )
+
+    return yaml.safe_dump(merged(yaml.safe_load(text), yaml.safe_load(bad)), sort_keys=False)
+
+
+@pytest.mark.parametrize("level", LEVELS)
+@pytest.mark.parametrize("kind", BAD)
+def test_a_bad_entry_is_blamed_on_the_file_that_has_it(write, tmp_path, level, kind):
+    bad, words = BAD[kind]
+    others = dict(BY_FILE)
+    if kind == "parameter out of range" and level == "base.yaml":
+        others["middle.yaml"] = "extends: base.yaml\n"  # else it would be overridden
+    for name, text in others.items():
+        write(name, laid_over(text, bad) if name == level else text)
+    with pytest.raises(ExperimentError) as refusal:
+        load_experiment(tmp_path / "own.yaml")
+    assert str(refusal.value).startswith(f"{tmp_path / level}: ")
+    assert words in str(refusal.value)
+    assert "\n" not in str(refusal.value)
+
+
+def test_a_bad_entry_that_is_overridden_is_nobody_s_fault_and_a_worse_one_the_upper_file_s(write):
+    write("base.yaml", "extends: paper.yaml\nrobot: {payload: -1.0}\nseed: few\n")
+    path = write("own.yaml", "extends: base.yaml\nrobot: {payload: 0.5}\nseed: 2\n")
+    assert load_experiment(path).world.payload_mass == 0.5
+    write("own.yaml", "extends: base.yaml\nrobot: {payload: -2.0}\nseed: 2\n")
+    with pytest.raises(ExperimentError, match=r"own\.yaml: robot.payload .* not -2.0"):
+        load_experiment(path)
+
+
+def test_what_a_file_removes_is_missing_there(write):
+    write("base.yaml", "extends: paper.yaml\nreference: {kind: null}\n")
+    path = write("own.yaml", "extends: base.yaml\nname: own\n")
+    with pytest.raises(ExperimentError, match=r"base\.yaml: reference.kind is missing"):
+        load_experiment(path)
+
+
+def test_whoever_reads_only_a_part_blames_the_same_file(write):
+    write("base.yaml", "extends: paper.yaml\nreference: {kind: none}\nrobot: {payload: -1}\n")
+    path = write("own.yaml", "extends: base.yaml\nreference: {}\nrobot: {}\n")
+    with pytest.raises(TrajectoryError, match=r"base\.yaml: reference.kind: unknown kind 'none'"):
+        load_reference(path)
+    write("base.yaml", "extends: paper.yaml\nrobot: {payload: -1}\n")
+    document = load_document(write("own.yaml", "extends: base.yaml\nname: own\n"), SettingError)
+    with pytest.raises(SettingError, match=r"base\.yaml: robot.payload must be"):
+        world_of(document.values, document)
+
+
+def test_the_file_is_named_as_it_was_given(write, monkeypatch):
+    path = write("own.yaml", "extends: paper.yaml\nseed: few\n")
+    monkeypatch.chdir(path.parent)
+    with pytest.raises(ExperimentError, match=r"^own\.yaml: seed must be"):
+        load_experiment("own.yaml")
+
+
+def test_of_names_that_begin_alike_the_longest_is_meant(write):
+    write("base.yaml", "compare: {PID: {a: 1}, PID 2: {a: 1}, PID.2: {b: {c: 1}}}\nseed: 1\n")
+    path = write("own.yaml", "extends: base.yaml\ncompare: {PID: {b: 1}}\nseeds: 1\n")
+    document = load_document(path, ExperimentError)
+    for line, name in {
+        "compare.PID.a is wrong": "base.yaml",
+        "compare.PID.b is wrong": "own.yaml",
+        "compare.PID 2.a is wrong": "base.yaml",
+        "compare.PID.2.b.c is wrong": "base.yaml",
+        "compare.PID.other is wrong": "own.yaml",
+        "seed is wrong": "base.yaml",
+        "seeds is wrong": "own.yaml",
+        "something else is wrong": "own.yaml",
+    }.items():
+        assert document.blamed(line).name == name, line

@@ -100,7 +100,7 @@ def read_world_file(node: Node, engine: str) -> WorldFile:
         Parameter.Type.INTEGER_ARRAY,
         "Encoder counts per revolution of each driven joint; 0 measures exactly",
     )
-    found = world_of(values, file, () if document is None else document.folders)
+    found = world_of(values, document)
     world, joints = found.world, found.world.joints
     if positions:
         along = _along(joints, "initial_positions", positions)
