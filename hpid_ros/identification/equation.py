@@ -37,8 +37,9 @@ _DOUBTS = (0.005, 0.02, 0.1)
 """Largest share of a row's weight where the direction may be in doubt: the strictest that leaves
 rows enough. A joint that sticks at a reversal is taken to creep there by whatever smooths."""
 _ENOUGH_ROWS = 100
-_MOST_GROWTH = 2.0
-_MOST_MISFIT = 1.2
+_MOST_GROWTH = 1000.0
+"""Of a variance: noise that is fed back biases samples between by more than that widens."""
+_MOST_MISFIT = 3.0
 _LEAST_SINGULAR = 1e-6
 _STEPS_PER_PERIOD = 8.0  # of the cut-off frequency, in the coarse search
 _NEWTON_STEPS = 6
@@ -55,7 +56,9 @@ class Terms(NamedTuple):
         sign: Direction, smoothed, (R,).
         doubt: Share of each row's weight where the direction is in doubt, (R,); 1 between spans.
         rigid: Effort of the rigid bodies for either half, (2, R); None if unknown.
-        reference: What the reference did, (B, R); nothing, (0, R), where nobody knows it.
+        static: What they need at rest, (R,), without the noise of accelerations; None likewise.
+        reference: What the reference and friction did, (B, R); nothing, (0, R), where nobody
+            knows the reference.
         stribeck: Returns the smoothed column of Stribeck friction, (R,), for its speed [rad/s].
         spin: Effort that rotors need beside their inertia, (R,); None if unknown.
     """
@@ -64,6 +67,7 @@ class Terms(NamedTuple):
     sign: Numbers
     doubt: Numbers
     rigid: Numbers | None
+    static: Numbers | None
     reference: Numbers
     stribeck: Callable[[float], Numbers]
     spin: Numbers | None = None
@@ -73,6 +77,7 @@ class Terms(NamedTuple):
         cls,
         motions: Sequence[Motion],
         rigid: Sequence[Numbers] | None,
+        static: Sequence[Numbers] | None,
         smoothed: Callable[[Callable[[Numbers], Numbers]], Numbers],
         padding: int,
     ) -> Terms:
@@ -81,6 +86,7 @@ class Terms(NamedTuple):
         Args:
             motions: Of the joint, by span.
             rigid: Effort of the rigid bodies, by span.
+            static: What they need at rest, by span.
             smoothed: Returns a function of the finely sampled velocity, smoothed at all rows.
             padding: Rows between two spans.
         """
@@ -90,6 +96,7 @@ class Terms(NamedTuple):
             joined([each.sign for each in motions], padding),
             1.0 - known,
             None if rigid is None else joined(rigid, padding),
+            None if static is None else joined(static, padding),
             joined([each.reference for each in motions], padding),
             lambda speed: smoothed(lambda v: np.sign(v) * np.exp(-((v / speed) ** 2))),
         )
@@ -271,8 +278,8 @@ class Equation:
     def _instruments(self, model: Model, columns: Numbers) -> Numbers | None:
         """Return instruments from the reference, (P, R); None where they would be weak.
 
-        They are weak where they multiply a coefficient's variance, as those of a single sine do,
-        whose answer has no more than two numbers.
+        They are weak where they multiply a coefficient's variance many times, as those of a single
+        sine do, whose answer has no more than two numbers.
         """
         if not self._may_use_reference:
             return None
@@ -280,6 +287,12 @@ class Equation:
         noisy = self._noisy(model)
         for place in noisy:
             instruments[place] = self._of_reference(columns[place])
+        if model.has_scale:
+            assert self.terms.static is not None
+            place = self.names(model).index(EFFORT_SCALE)
+            moving = columns[place] - self.terms.static
+            instruments[place] = self.terms.static + self._of_reference(moving)
+            noisy.append(place)
         growth = _variance_growth(instruments * self.weight, columns * self.weight)[noisy]
         return instruments if float(np.max(growth)) < _MOST_GROWTH else None
 

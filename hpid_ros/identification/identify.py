@@ -230,9 +230,10 @@ def _prepared(
     if sum(grid.rows for grid in rows.grids) < _LEAST_ROWS:
         return _Prepared(own, _too_short(own, kernel))
     rigid = None if rigid_body is None else _rigid(rows, rigid_body, place)
+    static = None if rigid_body is None else _static(rows, rigid_body, place)
     times = joined([grid.times for grid in rows.grids], _PADDING)
     terms = Terms.of(
-        rows.motions[place], rigid, lambda of: _smoothed(rows, kernel, place, of), _PADDING
+        rows.motions[place], rigid, static, lambda of: _smoothed(rows, kernel, place, of), _PADDING
     )
     terms = terms.without([(times >= each.begin) & (times < each.end) for each in left_out])
 
@@ -319,6 +320,16 @@ def _rigid(rows: _Rows, rigid_body: RigidBody, place: int) -> list[Numbers]:
             for half in (0, 1)
         ]
         found.append(np.stack([each[place] for each in both]))
+    return found
+
+
+def _static(rows: _Rows, rigid_body: RigidBody, place: int) -> list[Numbers]:
+    """Return what rigid bodies need of one joint at rest, for each span, (R,)."""
+    found = []
+    for span in range(len(rows.grids)):
+        position = np.stack([joint[span].mean[0] for joint in rows.motions])
+        rest = np.zeros_like(position)
+        found.append(rigid_body(position, rest, rest)[place])
     return found
 
 

@@ -15,7 +15,8 @@ from hpid_ros.identification.records import Halves
 _ROUNDING = 1e-6  # cells: what stamps in floating point may be off
 _ROWS_PER_PERIOD = 4  # of the kernel's cut-off frequency
 _LAGS = (0, 1, 2, 3, 4, 6, 8, 11, 15, 20)
-"""Of the reference, in quarters of the cut-off's period: how a loop answers it, by few numbers."""
+"""Of reference and friction, in quarters of the cut-off's period: how a loop answers, in few
+numbers."""
 _SLOW_NOISE = 5.0  # standard deviations of the velocity's noise
 _SLOW_SHARE = 0.2  # of its root mean square
 
@@ -114,8 +115,9 @@ class Motion(NamedTuple):
         sign: Direction of its motion, smoothed, (R,); 1 or -1 but around a reversal.
         slow: Which share of a row's weight lies where the direction is in doubt, (R,).
         velocity: At every cell, (K,), in [rad/s].
-        reference: Velocity and acceleration of the reference now and at some times before,
-            (B, R); nothing, (0, R), where nobody knows it.
+        reference: Velocity and acceleration of the reference, and the direction of the motion,
+            to which a loop answers as well, now and at some times before, (B, R); nothing,
+            (0, R), where nobody knows the reference.
     """
 
     halves: Numbers
@@ -158,17 +160,20 @@ def motion_of(cells: Halves, grid: Grid, kernel: Kernel) -> Motion:
     slow = np.convolve(is_slow, weights / weights.sum(), "same")
     rows = grid.begin + grid.stride * np.arange(grid.rows)
     sign = grid.smoothed(np.sign(velocity), kernel)
-    return Motion(both, sign, slow[rows], velocity, _reference(cells.reference, grid, kernel))
+    direction = np.where(is_slow, 0.0, np.sign(velocity))
+    reference = _reference(cells.reference, direction, grid, kernel)
+    return Motion(both, sign, slow[rows], velocity, reference)
 
 
-def _reference(cells: Numbers, grid: Grid, kernel: Kernel) -> Numbers:
+def _reference(cells: Numbers, direction: Numbers, grid: Grid, kernel: Kernel) -> Numbers:
     if not len(cells):
         return np.empty((0, grid.rows))
     found = []
     for lag in _LAGS:
         shift = round(lag / (_ROWS_PER_PERIOD * kernel.cutoff) / grid.length)
-        late = np.concatenate([np.full(shift, cells[0]), cells[: len(cells) - shift]])
-        found += [grid.smoothed(late, kernel, order) for order in (1, 2)]
+        for source, orders in ((cells, (1, 2)), (direction, (0,))):
+            late = np.concatenate([np.full(shift, source[0]), source[: len(source) - shift]])
+            found += [grid.smoothed(late, kernel, order) for order in orders]
     return np.array(found)
 
 

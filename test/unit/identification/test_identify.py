@@ -1,13 +1,23 @@
 """What is found of a joint whose truth is known."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from harness.motions import Plant, motion, record
 
+from benchmarks.strange_plants import GRAVITY, PLANTS
+from benchmarks.strange_plants import Motion as MovingPlant
 from hpid_ros.base.errors import SettingError
+from hpid_ros.control import JointLoop, LoopSettings
 from hpid_ros.identification.identify import Method, identify
 from hpid_ros.identification.records import JointRecord
+from hpid_ros.trajectory.generators import minimum_jerk
 
+PID = {
+    **{"joint": "arm", "law": "pid", "u_clamp_max": 21.0, "u_clamp_min": -21.0},
+    **{"gains.p": 100.0, "gains.i": 330.0, "gains.d": 10.0},
+}
 NAMES = ("inertia", "viscous", "coulomb", "offset", "delay")
 
 
@@ -179,6 +189,52 @@ def test_efforts_in_a_unit_of_their_own_are_scaled_by_the_masses(scale):
     assert result.estimates["coulomb"].value == pytest.approx(0.6, rel=2e-2)
     (told,) = found(currents, rigid_body=link)
     assert "not 1" in told.untold["effort_scale"]
+
+
+def scale_of(seed):
+    """Return the effort's scale, which is 1, by a link's inertia and noisy positions."""
+    one = record(Plant(gravity_sin=3.0), seed=seed, noise=2e-3, amplitude=0.5)
+    aim = motion(one.time, seed, 0.5)[0]
+    own = JointRecord("joint", one.time, one.position, one.time, one.effort, aim, is_held=False)
+
+    def link(q, v, a):
+        return 0.4 * a + 3.0 * np.sin(q)
+
+    (result,) = found(own, rigid_body=link, method=Method(cutoff=8.0))
+    return result.estimates["effort_scale"]
+
+
+def test_noise_does_not_bias_the_efforts_scale():
+    """Their links' accelerations are as noisy as the rotors'."""
+    scales = [scale_of(seed) for seed in range(12)]
+    assert np.mean([each.value for each in scales]) == pytest.approx(1.0, abs=8e-3)
+    assert sum(each.low <= 1.0 <= each.high for each in scales) >= 10
+
+
+def test_noise_that_a_controller_feeds_back_does_not_bias_viscous_friction_and_delay():
+    """Between rests, where the reference alone hardly tells delay from viscous friction."""
+    plant = replace(PLANTS[0], noise=2e-5, counts=0)
+    loop = JointLoop(LoopSettings.from_parameters(PID))
+    places = [0.3, -0.2, 0.4, -0.1, 0.3]
+    column = minimum_jerk([2.0 * k for k in range(5)], {"arm": places}).column("arm")
+    loop.follow(column)
+    aim, moving = column.start(0, places[0]), MovingPlant(plant, 1e-3, places[0], 1)
+    rows = []
+    for stamp in range(0, 8_000_000_000, 1_000_000):
+        position = moving.read()
+        effort = loop.step(stamp, position)
+        rows.append((stamp * 1e-9, position, effort, aim.sample(stamp).position))
+        moving.step(effort)
+    time, position, effort, reference = np.array(rows).T
+
+    def link(q, v, a):
+        return plant.mass * plant.length * (plant.length * a + GRAVITY * np.sin(q))
+
+    own = JointRecord("arm", time, position, time, effort, reference)
+    (result,) = found(own, rigid_body=link)
+    truth = {"viscous": plant.viscous, "delay": -0.5e-3 / 20}  # half a step of the integration
+    for name, value in truth.items():
+        assert result.estimates[name].low <= value <= result.estimates[name].high
 
 
 def test_a_joint_that_stands_still_gets_a_reason_and_no_number():
