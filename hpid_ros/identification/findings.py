@@ -47,6 +47,9 @@ _NO_UNIT = (
     "it is not 1: the masses are others, a load is carried, or the efforts are in another unit "
     "(effort unit any)"
 )
+_ON_DOUBTED_SCALE = (
+    "it stands on the efforts' scale, which is doubted; effort unit any takes the scale as found"
+)
 _INSTRUMENTS = {True: "answer to the reference", False: "samples between"}
 _ALIKE = {
     INERTIA: "inertia",
@@ -71,6 +74,7 @@ _HELP = {
     EFFORT_SCALE: "move links with mass, through poses with different gravity",
     DELAY: "reverse faster: a sine of 1 to 3 Hz, or a multisine",
 }
+_UNFELT = f"the links are hardly felt: {_HELP[EFFORT_SCALE]}"
 
 
 class _Choice(NamedTuple):
@@ -261,6 +265,12 @@ def _estimates(equation: Equation, choice: _Choice) -> dict[str, Estimate]:
         found = _scaled(found)
     elif equation.terms.rigid is not None:
         found[EFFORT_SCALE] = _scale_beside(equation, choice)
+        if found[EFFORT_SCALE].reason == _NO_UNIT:
+            found |= {
+                name: replace(each, reason=each.reason or _ON_DOUBTED_SCALE)
+                for name, each in found.items()
+                if name != DELAY
+            }
     return {name: found[name] for name in PARAMETERS if name in found}
 
 
@@ -274,7 +284,9 @@ def _scale_beside(equation: Equation, choice: _Choice) -> Estimate:
     inverse = Estimate(value, width, _doubt(equation, free, place, value, width))
     scale = _scaled({EFFORT_SCALE: inverse})[EFFORT_SCALE]
     if scale.is_told and (scale.low > 1.0 + _OTHER_UNIT or scale.high < 1.0 - _OTHER_UNIT):
-        return replace(scale, reason=_NO_UNIT)
+        level = float(np.std(equation.effort(choice.delay)[equation.weight > 0.0]))
+        is_felt = choice.fit.rms**2 - free.fit.rms**2 > (_FELT * level) ** 2
+        return replace(scale, reason=_NO_UNIT if is_felt else _UNFELT)
     return scale
 
 

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
+from hpid_ros.base.arrays import Numbers
 from hpid_ros.base.errors import SettingError, unknown_name
+from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.identification.experiment_text import MovedInertia
 from hpid_ros.identification.findings import nothing
 from hpid_ros.identification.identify import Method, identify
@@ -24,6 +27,13 @@ from hpid_ros.robot.inverse_dynamics import InverseDynamics
 from hpid_ros.tuning.inertias import visited_poses
 
 _FEW_UNANSWERED = 0.01  # of the states; idle machines lose less
+_MANY = 0.05  # of the states or commands of a joint: numbers are of what is left
+_GAP = 1.5  # periods
+_PAUSE = 1.0  # [s]: nobody recorded meanwhile
+_REPEATING = 0.5  # of the measured efforts: where more change, they are measured anew
+_REGULAR = 0.8  # of the holds: those of a sensor with few steps depend on the motion
+_LEAST_HOLDS = 20
+_MILLISECONDS = 1e3
 
 
 @dataclass(frozen=True)
@@ -71,7 +81,8 @@ def findings_of(
     for joint in asked or ():
         if joint not in recording.joint_names:
             raise SettingError(unknown_name("joint", joint, recording.joint_names))
-    records, missing = _records(recording), recording.quality.missing_lines
+    records = _records(recording)
+    missing = (*recording.quality.missing_lines, *_losses(recording), *_holds(records, recording))
     wheels = _wheels(records, robot, base, asked)
     if robot is None:
         alone = [each.joint for each in records if each.joint not in wheels]
@@ -101,6 +112,62 @@ def findings_of(
     slides = tuple(name for name in wanted if joints[name].is_slide)
     moved = _moved(robot, recording, found)
     return Findings(found, _sources(recording), slides, moved, missing)
+
+
+def _losses(recording: RunSeries) -> Iterator[str]:
+    """Yield a line for each kind of sample of which many are missing, with the joints."""
+    lost: dict[str, list[str]] = {}
+    for each in recording.joints:
+        commands, quality = each.command_stamps_ns, recording.quality.joints[each.joint]
+        shares = {"of the states are missing": _missing(each.state_stamps_ns)}
+        if not quality.effort.startswith(MEASURED):
+            shares["of the commands are missing"] = _missing(commands)
+            if quality.answers_states and len(commands):
+                alone = float(np.mean(~np.isin(commands, each.state_stamps_ns)))
+                shares["of the commands answer no state that was recorded"] = alone
+        for what, share in shares.items():
+            if share >= _MANY:
+                lost.setdefault(f"{share:.0%} {what}", []).append(each.joint)
+    for what, joints in lost.items():
+        yield f"{', '.join(joints)}: {what}"
+
+
+def _missing(stamps_ns: NDArray[np.int64]) -> float:
+    """Return the share of samples that would fill the gaps between stamps, pauses aside."""
+    steps = np.diff(stamps_ns) / NANOSECONDS
+    if not len(steps):
+        return 0.0
+    period = float(np.median(steps))
+    gaps = steps[(steps > _GAP * period) & (steps < _PAUSE)]
+    lost = float(np.sum(np.round(gaps / period) - 1.0))
+    return lost / (lost + len(stamps_ns))
+
+
+def _holds(records: Sequence[JointRecord], recording: RunSeries) -> Iterator[str]:
+    """Yield a line for measured efforts that are held, with the joints."""
+    sources, held = _sources(recording), dict[str, list[str]]()
+    for each in records:
+        if each.is_held and sources[each.joint].startswith(MEASURED):
+            changes = each.effort_time[1:][np.diff(each.effort) != 0.0]
+            hold = float(np.median(np.diff(changes))) * _MILLISECONDS
+            line = (
+                f"the measured efforts repeat, for {hold:.3g} ms each, and are taken as held: if "
+                f"they are only measured so seldom, they and the delay are {hold / 2.0:.3g} ms off"
+            )
+            held.setdefault(line, []).append(each.joint)
+    for line, joints in held.items():
+        yield f"{', '.join(joints)}: {line}"
+
+
+def _is_held(effort: Numbers, source: str) -> bool:
+    """Tell whether efforts act until the next one: commands, and measured ones that repeat."""
+    if not source.startswith(MEASURED):
+        return True
+    changes = np.flatnonzero(np.diff(effort))
+    holds = np.diff(changes)
+    if len(holds) < _LEAST_HOLDS or len(changes) > _REPEATING * len(effort):
+        return False
+    return bool(np.mean(np.abs(holds - np.median(holds)) <= 1.0) > _REGULAR)
 
 
 def _with_losses(
@@ -160,7 +227,7 @@ def _records(recording: RunSeries) -> list[JointRecord]:
             seconds_since(each.command_stamps_ns, recording.start_ns),
             each.effort,
             each.reference,
-            is_held=not sources[each.joint].startswith(MEASURED),
+            is_held=_is_held(each.effort, sources[each.joint]),
         )
         for each in recording.joints
     ]

@@ -48,8 +48,8 @@ def report(
         moved: What motors move, by joint, where a robot is known.
         missing: What the recording lacks, in lines.
     """
-    has_robot = bool(moved)
-    yield _table(found, moved)
+    has_robot = bool(moved) or any(EFFORT_SCALE in each.estimates for each in found)
+    yield _table(found, moved, has_robot)
     yield Text(_caption(has_robot), style="dim")
     if slides:
         yield f"{', '.join(map(shown, slides))}: {_OF_SLIDES}"
@@ -78,9 +78,12 @@ def _caption(has_robot: bool) -> str:
     )
 
 
-def _table(found: Sequence[JointIdentification], moved: Mapping[str, MovedInertia]) -> WideTable:
-    columns = [TableColumn("rotor" if moved else "inertia", [_cell(e, INERTIA) for e in found])]
-    if moved:
+def _table(
+    found: Sequence[JointIdentification], moved: Mapping[str, MovedInertia], has_robot: bool
+) -> WideTable:
+    inertia = "rotor" if has_robot else "inertia"
+    columns = [TableColumn(inertia, [_cell(each, INERTIA) for each in found])]
+    if has_robot:
         columns.append(TableColumn("moves", [_range(moved.get(each.joint)) for each in found]))
     columns += [
         TableColumn("viscous", [_cell(each, VISCOUS) for each in found]),
@@ -105,8 +108,7 @@ def _cell(each: JointIdentification, name: str, factor: float = 1.0) -> str:
     estimate = each.estimates.get(name)
     if estimate is None:
         return _NONE
-    text = with_interval(factor * estimate.value, factor * estimate.half_width)
-    return text if estimate.is_told else f"({text})"
+    return _plain(estimate, factor)
 
 
 def with_interval(value: float, half_width: float) -> str:
@@ -137,11 +139,12 @@ def _of_joint(each: JointIdentification, is_slide: bool) -> Iterator[str]:
         yield f"{name}:"
     yield from (f"  {shown(line)}" for line in each.remarks)
     yield from (f"  {line}" for line in _further(each, is_slide))
-    for what, reason in each.untold.items():
-        if what == each.joint:
+    for reason in dict.fromkeys(each.untold.values()):
+        names = [name for name, why in each.untold.items() if why == reason]
+        if names == [each.joint]:
             yield f"  nothing found: {reason}"
         else:
-            yield f"  {_words(what)} not told: {reason}"
+            yield f"  {', '.join(map(_words, names))} not told: {reason}"
 
 
 def _further(each: JointIdentification, is_slide: bool) -> Iterator[str]:
@@ -166,8 +169,9 @@ def _further(each: JointIdentification, is_slide: bool) -> Iterator[str]:
         )
 
 
-def _plain(estimate: Estimate) -> str:
-    return with_interval(estimate.value, estimate.half_width)
+def _plain(estimate: Estimate, factor: float = 1.0) -> str:
+    text = with_interval(factor * estimate.value, factor * estimate.half_width)
+    return text if estimate.is_told else f"({text})"
 
 
 def _words(name: str) -> str:

@@ -1,17 +1,21 @@
 """What is found of a joint whose truth is known."""
 
 from dataclasses import replace
+from io import StringIO
 
 import numpy as np
 import pytest
 from harness.motions import Plant, motion, record
+from rich.console import Console
 
 from benchmarks.strange_plants import GRAVITY, PLANTS
 from benchmarks.strange_plants import Motion as MovingPlant
 from hpid_ros.base.errors import SettingError
 from hpid_ros.control import JointLoop, LoopSettings
+from hpid_ros.identification.experiment_text import Origin, experiment_text
 from hpid_ros.identification.identify import Method, identify
 from hpid_ros.identification.records import JointRecord
+from hpid_ros.report.tables.identification import as_mapping, report
 from hpid_ros.trajectory.generators import minimum_jerk
 
 PID = {
@@ -189,6 +193,30 @@ def test_efforts_in_a_unit_of_their_own_are_scaled_by_the_masses(scale):
     assert result.estimates["coulomb"].value == pytest.approx(0.6, rel=2e-2)
     (told,) = found(currents, rigid_body=link)
     assert "not 1" in told.untold["effort_scale"]
+    assert set(told.estimates) - set(told.untold) == {"delay"}
+
+
+def test_what_stands_on_a_doubted_scale_is_in_brackets_and_in_no_file():
+    one = record(Plant(gravity_sin=3.0), amplitude=0.5)
+    weak = JointRecord("joint", one.time, one.position, one.time, 0.8 * one.effort, is_held=False)
+
+    def link(q, v, a):
+        return 0.2 * a + 3.0 * np.sin(q)
+
+    (right,), (doubted,) = found(one, rigid_body=link), found(weak, rigid_body=link)
+    for result, is_told in ((right, True), (doubted, False)):
+        console = Console(width=120, file=StringIO())
+        for part in report([result], {}, (), {}):
+            console.print(part, markup=False)
+        row = next(line for line in console.file.getvalue().splitlines() if "%" in line)
+        assert row.count("(") == (0 if is_told else 4)  # rotor, viscous, Coulomb, load
+        origin = Origin("description", "robot.urdf")
+        text = experiment_text([result], {}, (), {}, origin, ())
+        assert ("      friction: " in text) == is_told
+        assert ("efforts' scale, which is doubted" in text) != is_told
+        document = as_mapping([result], {}, (), {})["joint"]
+        assert bool(document["estimates"]["inertia"]["reason"]) != is_told
+        assert ("coulomb" in document["not_told"]) != is_told
 
 
 def scale_of(seed):
