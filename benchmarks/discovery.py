@@ -2,12 +2,14 @@
 
 Some processes watch a graph of their own while controllers come and go beside them, each of which
 ends in one of the ways below; after every end a new controller must be found by all. Prints for
-each kind of end how long that took, and how many controllers somebody lists 30 s after they ended:
-the middleware may take a node's last message after it has seen its participant end. Exit codes: 0
-all were found in time, 1 one was not, 2 unusable arguments, 130 interrupted.
+each kind of end how long that took, how many controllers somebody lists 30 s after they ended (the
+middleware may take a node's last message after it has seen its participant end), and how many were
+stuck when they ended. Exit codes: 0 all were found in time, 1 one was not, 2 unusable arguments,
+130 interrupted. ``--lease 0.6`` shows what looking for overdue participants does (docs/faults.md).
 
 =======  =========================================================================================
 end      SIGTERM, as a launch ends a node
+launch   SIGTERM to eight at once, as a launch ends a robot
 refuse   parameters that are refused
 rival    the joint is another controller's
 kill     SIGKILL
@@ -20,24 +22,28 @@ from __future__ import annotations
 import argparse
 import os
 import random
+import re
 import select
 import signal
 import statistics
 import sys
+import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from typing import NoReturn
 
 import rclpy
 
 from hpid_ros.base.interrupts import heed_interrupts
+from hpid_ros.base.names import PROFILE_FILES
 from hpid_ros.experiment.graph.isolation import closed_environment, own_domain
 from hpid_ros.nodes import joint_controller
 from hpid_ros.nodes.ros.process import end
 
-ENDS = ("end", "refuse", "rival", "kill", "freeze")
+ENDS = ("end", "launch", "refuse", "rival", "kill", "freeze")
 TRANSPORTS = {  # what is asked of Fast DDS beyond the domain
     "closed": {},
     "udp": {"FASTDDS_BUILTIN_TRANSPORTS": "UDPv4"},
@@ -45,6 +51,7 @@ TRANSPORTS = {  # what is asked of Fast DDS beyond the domain
 }
 _LOST_AFTER = 30.0  # [s]
 _FROZEN = 2.5  # [s]
+_LAUNCHED = 8
 _PRESENT = (0.2, 1.5)  # [s] that a controller is there before it is killed or frozen
 _OUTPUT = os.devnull
 _FAILED, _INTERRUPTED = 1, 130
@@ -71,9 +78,11 @@ class _Children:
     def send(self, pid: int, number: signal.Signals) -> None:
         os.kill(pid, number)
 
-    def wait(self, pid: int) -> None:
-        os.waitpid(pid, 0)
+    def wait(self, pid: int) -> int:
+        """Return the exit code, once it has ended; negative for a signal."""
+        _, status = os.waitpid(pid, 0)
         self.pids.discard(pid)
+        return os.waitstatus_to_exitcode(status)
 
     def end(self) -> None:
         for pid in list(self.pids):
@@ -112,24 +121,29 @@ class _Graph:
             children.fork(lambda: _watch(writer))
         children.fork(_control("resident", "joint:=taken", "gains.p:=1.0"))
         self._number = 0
+        self.stuck = 0
         self._told: Counter[str] = Counter()
 
     def disturb(self, kind: str, number: int) -> None:
-        children = self._children
-        joint = "joint:=taken" if kind == "rival" else f"joint:=visitor_{number}"
-        refused = ("mu:=0.9",) if kind == "refuse" else ()
-        pid = children.fork(_control(f"visitor_{number}", joint, "gains.p:=1.0", *refused))
-        if kind not in ("refuse", "rival"):
-            time.sleep(random.uniform(*_PRESENT))
-        if kind == "kill":
-            children.send(pid, signal.SIGKILL)
+        children, is_refused = self._children, kind in ("refuse", "rival")
+        names = [f"visitor_{number}_{k}" for k in range(_LAUNCHED if kind == "launch" else 1)]
+        more = ("gains.p:=1.0", "mu:=0.9") if kind == "refuse" else ("gains.p:=1.0",)
+        pids = [
+            children.fork(_control(name, f"joint:={'taken' if kind == 'rival' else name}", *more))
+            for name in names
+        ]
+        if not is_refused:
+            time.sleep(random.uniform(*_PRESENT) + (kind == "launch"))
         if kind == "freeze":
-            children.send(pid, signal.SIGSTOP)
+            children.send(pids[0], signal.SIGSTOP)
             time.sleep(_FROZEN)
-            children.send(pid, signal.SIGCONT)
-        if kind in ("end", "freeze"):
-            children.send(pid, signal.SIGTERM)
-        children.wait(pid)
+            children.send(pids[0], signal.SIGCONT)
+        if not is_refused:
+            for pid in pids:
+                children.send(pid, signal.SIGKILL if kind == "kill" else signal.SIGTERM)
+        codes = [children.wait(pid) for pid in pids]
+        if kind != "kill" and not is_refused:
+            self.stuck += sum(code != 0 for code in codes)
 
     def probe(self) -> float | None:
         """Return how long a new controller took to be found by all in [s], None if for ever."""
@@ -139,7 +153,7 @@ class _Graph:
         is_found = self._all_tell([f"+{number}"])
         took = time.monotonic() - begun
         self._children.send(pid, signal.SIGTERM)
-        self._children.wait(pid)
+        self.stuck += self._children.wait(pid) != 0
         return took if is_found else None
 
     def ghosts(self) -> int:
@@ -160,12 +174,19 @@ class _Graph:
 
 
 @contextmanager
-def _graph(transport: str, watchers: int) -> Iterator[_Graph]:
+def _graph(options: argparse.Namespace) -> Iterator[_Graph]:
     children = _Children()
-    with own_domain() as domain:
-        os.environ.update(closed_environment(domain) | TRANSPORTS[transport])
+    with own_domain() as domain, tempfile.NamedTemporaryFile("w", suffix=".xml") as profile:
+        os.environ.update(closed_environment(domain) | TRANSPORTS[options.transport])
+        if options.lease is not None:
+            text = Path(os.environ[PROFILE_FILES[0]]).read_text()
+            seconds, rest = divmod(round(options.lease * 1e9), 10**9)
+            lease = f"<leaseDuration><sec>{seconds}</sec><nanosec>{rest}</nanosec></leaseDuration>"
+            profile.write(re.sub("<leaseDuration>.*</leaseDuration>", lease, text))
+            profile.flush()
+            os.environ.update(dict.fromkeys(PROFILE_FILES, profile.name))
         try:
-            graph = _Graph(children, watchers)
+            graph = _Graph(children, options.watchers)
             graph.probe()  # until all is there
             yield graph
         finally:
@@ -179,6 +200,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--number", type=int, default=100, help="ends of each kind")
     parser.add_argument("--watchers", type=int, default=4)
     parser.add_argument("--transport", choices=TRANSPORTS, default="closed")
+    parser.add_argument("--lease", type=float, help="of every participant, in [s] (an hour)")
     parser.add_argument("--within", type=float, default=3.0, help="in time, in [s]")
     return parser
 
@@ -188,11 +210,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = _parser().parse_args(arguments)
     heed_interrupts()
     late = 0
-    counted = f"{'late':>6}{'never':>7}{'ghosts':>8}"
+    counted = f"{'late':>6}{'never':>7}{'ghosts':>8}{'stuck':>7}"
     print(f"{'ends':8}{'number':>7}{'median':>8}{'99 %':>8}{'largest':>9}{counted}")
     try:
         for kind in options.ends:
-            with _graph(options.transport, options.watchers) as graph:
+            with _graph(options) as graph:
                 took = []
                 for number in range(options.number):
                     graph.disturb(kind, number)
@@ -208,7 +230,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 max(found, default=float("nan")),
             ]
             median, high, largest = (f"{each:.2f}" for each in figures)
-            counts = f"{late_ones:6}{never:7}{ghosts:8}"
+            counts = f"{late_ones:6}{never:7}{ghosts:8}{graph.stuck:7}"
             print(f"{kind:8}{len(took):7}{median:>8}{high:>8}{largest:>9}{counts}", flush=True)
     except KeyboardInterrupt:
         return _INTERRUPTED

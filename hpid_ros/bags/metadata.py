@@ -1,9 +1,10 @@
 """``metadata.yaml`` of a bag: what it says, and what its recorder missed.
 
 A recorder that was slower than what it recorded, or frozen for a while, knows from the middleware
-how many messages it never got. Where it stood still for longer than a publisher's lease (5 s with
-the profile of an experiment, else 20 s) the two forget each other, and nobody counts: how long it
-stood still is told, too. The stamps of a stream show all that as gaps, where they are regular.
+how many messages it never got. Where it stood still for longer than a publisher's lease (an hour
+with the profile of an experiment, else 20 s) the two forget each other, and nobody counts: how
+long it stood still is told, too. The stamps of a stream show all that as gaps, where they are
+regular.
 """
 
 from __future__ import annotations

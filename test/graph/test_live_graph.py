@@ -348,7 +348,7 @@ def test_controllers_are_stopped_and_come_back_with_the_parameters_that_they_hav
     values = itertools.count(4.0)
 
     def takes_late():
-        """Return whether a frozen controller took a set: not if that lasts a lease of 5 s."""
+        """Return whether a frozen controller took a set: not if it found its client late."""
         value = next(values)
         os.kill(process.pid, signal.SIGSTOP)
         answer = answered(harness, graph.set(ELBOW, {"gains.p": value}))
