@@ -93,7 +93,7 @@ def load_yaml(path: str | Path, error: type[HpidError]) -> Any:
             larger or deeper than any file that people write (:data:`LARGEST_FILE`,
             :data:`MOST_NODES`, :data:`MOST_LEVELS`).
     """
-    return _parsed(path, _read(path, error), error)
+    return parse_yaml(path, _read(path, error), error)
 
 
 def load_document(path: str | Path, error: type[HpidError]) -> Document:
@@ -121,7 +121,7 @@ def _load(path: Path, extending: tuple[Path, ...], error: type[HpidError]) -> Do
         chain = " -> ".join(each.name for each in (*extending, file))
         raise error(f"{extending[0]}: {EXTENDS} goes round in a circle: {chain}")
     text = _read(path, error)
-    values = _parsed(path, text, error)
+    values = parse_yaml(path, text, error)
     if not isinstance(values, Mapping) or EXTENDS not in values:
         return Document(values, text, (file,), path, {})
     base = _load(_extended(values[EXTENDS], file, error), (*extending, file), error)
@@ -200,7 +200,8 @@ def _read(path: str | Path, error: type[HpidError]) -> str:
         raise error(f"cannot read {path}: it is not UTF-8 text") from None
 
 
-def _parsed(path: str | Path, text: str, error: type[HpidError]) -> Any:
+def parse_yaml(path: str | Path, text: str, error: type[HpidError]) -> Any:
+    """Return what a text says; ``path`` is what errors call it, else as :func:`load_yaml`."""
     try:
         return _document(text)
     except yaml.YAMLError as cause:

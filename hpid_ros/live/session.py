@@ -10,11 +10,12 @@ import time
 from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import yaml
 
 from hpid_ros.base.errors import SettingError
+from hpid_ros.documents.yaml_files import parse_yaml
 from hpid_ros.live.advice import Advice
 from hpid_ros.live.adviser import AdviceClient
 from hpid_ros.live.desk import Desk, Limit
@@ -395,13 +396,10 @@ class LiveSession:
         Raises:
             SettingError: It cannot be used.
         """
-        try:
-            content: Any = yaml.safe_load(text)
-        except yaml.YAMLError as error:
-            line = " ".join(str(error).split())
-            raise SettingError(f"{Path(name).name} is no YAML: {line}") from None
-        nodes = self.tuning.stage_loops(parameters_from(content, Path(name).name).loops)
-        self.say(f"{Path(name).name}: staged for {', '.join(map(self.label, nodes))}")
+        name = Path(name).name
+        content = parse_yaml(name, text, SettingError)
+        nodes = self.tuning.stage_loops(parameters_from(content, name).loops)
+        self.say(f"{name}: staged for {', '.join(map(self.label, nodes))}")
         return nodes
 
 

@@ -6,18 +6,16 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-import yaml
-
 from hpid_ros.bags.columns.storage import Storage
 from hpid_ros.bags.metadata import PARAMETERS
 from hpid_ros.bags.parameter_events import parameter_changes
 from hpid_ros.bags.run.topics import is_below
 from hpid_ros.base.errors import BagError, SettingError
-from hpid_ros.base.names import node_sections
+from hpid_ros.base.names import ALLOW_RELAY, node_sections
 from hpid_ros.base.resources import find_resource
 from hpid_ros.control import LoopSettings
 from hpid_ros.control.settings.robot_limits import RobotLimits
-from hpid_ros.documents.yaml_files import load_yaml
+from hpid_ros.documents.yaml_files import load_yaml, parse_yaml
 from hpid_ros.robot.description import RobotDescription
 from hpid_ros.tuning.controller_files import settings_from_parameters
 
@@ -33,12 +31,14 @@ class Controller(NamedTuple):
         settings: Its settings, within the robot's limits.
         limits: What the robot allows the joint.
         robot: The robot's description: XML text or a path, empty for none.
+        allows_relay: Whether it obeys ``~/relay``.
     """
 
     node: str
     settings: LoopSettings
     limits: RobotLimits
     robot: str
+    allows_relay: bool
 
     def model(self) -> LoopModel | None:
         """Return the model that its settings ask for; None for none."""
@@ -73,17 +73,19 @@ def controllers_of(document: object, where: str, namespace: str = "") -> dict[st
     Raises:
         HpidError: It has none, two of one joint, or one that cannot be used.
     """
-    robots = {
-        name.rpartition("/")[2]: str(own.get("robot_description", ""))
+    sections = {
+        name.rpartition("/")[2]: own
         for name, own in node_sections(document if isinstance(document, Mapping) else {}).items()
     }
+    everywhere = sections.get("**", {})
     controllers: dict[str, Controller] = {}
     names: dict[str, str] = {}
     for name, settings in settings_from_parameters(document, where).items():
         node = name.rpartition("/")[2]
         if name.startswith("/") and "*" not in name and not is_below(name, namespace):
             continue
-        robot = robots.get(node, "") or robots.get("**", "")
+        own = {**everywhere, **sections.get(node, {})}
+        robot = str(own.get("robot_description", ""))
         limits = _limits(robot, settings.joint)
         settings = _in_force(settings, limits, robot)
         if settings.joint in controllers:
@@ -92,7 +94,9 @@ def controllers_of(document: object, where: str, namespace: str = "") -> dict[st
                 f"{name}; give a parameter file with the one that drove it (--params FILE)"
             )
         names[settings.joint] = name
-        controllers[settings.joint] = Controller(node, settings, limits, robot)
+        controllers[settings.joint] = Controller(
+            node, settings, limits, robot, own.get(ALLOW_RELAY, False) is True
+        )
     if not controllers:
         raise SettingError(f"{where} has no joint controller below namespace {namespace}")
     return controllers
@@ -140,10 +144,8 @@ def controllers_in(
     where = f"bag {bag.path}"
     text = bag.custom_data.get(PARAMETERS)
     if text is not None:
-        try:
-            return controllers_of(yaml.safe_load(text), f"{where}: {PARAMETERS}", namespace)
-        except yaml.YAMLError as error:
-            raise BagError(f"{where}: {PARAMETERS} is no YAML: {error}") from error
+        where = f"{where}: {PARAMETERS}"
+        return controllers_of(parse_yaml(where, str(text), BagError), where, namespace)
     document = _declared(bag)
     if document:
         return controllers_of(document, f"{where}: /parameter_events", namespace)

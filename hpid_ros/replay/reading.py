@@ -24,6 +24,7 @@ from hpid_ros.bags.run.topics import (
 )
 from hpid_ros.bags.selection import BagSelection
 from hpid_ros.base.errors import BagError, HpidError, MessageError, SettingError, unknown_name
+from hpid_ros.base.names import ALLOW_RELAY
 from hpid_ros.control import LOOP_PARAMETERS, JointLoop
 from hpid_ros.control.interludes.relay import RelayRequest
 from hpid_ros.control.limited_law import ModelTerm
@@ -63,6 +64,16 @@ class _Joint:
     states: list[RecordedState] = field(default_factory=list)
     commands: list[RecordedCommand] = field(default_factory=list)
     instructions: list[Instruction] = field(default_factory=list)
+    permissions: list[tuple[int, bool]] = field(default_factory=list)
+    """Where in the log ``allow_relay`` was set, and to what."""
+
+    def relay(self, place: int, request: RelayRequest | None, loop: JointLoop) -> None:
+        """Do what a message on ``~/relay`` asks for, as the controller does."""
+        before = (each for each in self.permissions if each[0] < place)
+        _, is_allowed = max(before, default=(0, self.controller.allows_relay))
+        if request is not None and not is_allowed:
+            raise SettingError(f"relays are not allowed: {ALLOW_RELAY} is false")
+        driven(request)(loop)
 
 
 def read_records(
@@ -284,9 +295,10 @@ class _Collector:
             except HpidError as error:
                 self._notes[f"a relay was left out, as controllers refuse it: {error}"] = None
                 continue
+            what = partial(joint.relay, place, request)
             text = "the end of a relay" if request is None else "a relay"
             joint.instructions.append(
-                Instruction(int(batch.log_times_ns[index]), place, driven(request), text)
+                Instruction(int(batch.log_times_ns[index]), place, what, text)
             )
 
     def _take_events(self, batch: TopicBatch) -> None:
@@ -298,8 +310,16 @@ class _Collector:
     def _take_change(self, log_time_ns: int, place: int, told: ParameterEvent) -> None:
         node, _, changed = told
         values = {name: value for name, value in changed.items() if name in LOOP_PARAMETERS}
+        is_allowed = changed.get(ALLOW_RELAY)
         for joint in self._joints.values():
-            if values and node.rpartition("/")[2] == joint.controller.node:
+            if node.rpartition("/")[2] != joint.controller.node:
+                continue
+            if isinstance(is_allowed, bool):
+                joint.permissions.append((place, is_allowed))
+            if is_allowed is False:
+                text = f"{ALLOW_RELAY} = False"
+                joint.instructions.append(Instruction(log_time_ns, place, driven(None), text))
+            if values:
                 text = ", ".join(f"{name} = {value}" for name, value in values.items())
                 change = partial(joint.controller.changed, values)
                 joint.instructions.append(Instruction(log_time_ns, place, retuned(change), text))

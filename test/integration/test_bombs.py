@@ -17,8 +17,9 @@ from harness.mcap_files import write_mcap
 from mcap.writer import CompressionType
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
-from hpid_ros.bags import read_run
+from hpid_ros.bags import BagWriter, read_run
 from hpid_ros.bags.columns.compression import LIMIT_VARIABLE, zstd_library
+from hpid_ros.bags.metadata import PARAMETERS
 from hpid_ros.base.errors import ExperimentError
 from hpid_ros.cli.main import main
 from hpid_ros.documents.yaml_files import MOST_LEVELS, load_yaml
@@ -203,6 +204,18 @@ def test_a_yaml_file_is_a_document_or_one_line(tmp_path, capsys, kind):
     assert main(["metrics", str(bag)]) == 0
     (line,) = told_of_the_file(capsys)
     assert "metadata.yaml is damaged; the files were read without it" in line
+    assert reason in line
+
+
+@pytest.mark.parametrize("kind", sorted(TEXTS.keys() - {"long"}))
+def test_controllers_that_a_bag_holds_are_a_document_or_one_line(tmp_path, capsys, kind):
+    text, reason = TEXTS[kind]
+    path = tmp_path / "bag"
+    with BagWriter(path, metadata={PARAMETERS: text}) as writer:
+        for name in ("joint_states", "joint_commands"):
+            writer.add_topic(name, "sensor_msgs/msg/JointState")
+    line = one_line(capsys, "replay", path)
+    assert PARAMETERS in line
     assert reason in line
 
 

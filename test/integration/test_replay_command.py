@@ -13,6 +13,7 @@ from rosbags.rosbag2 import CompressionMode, StoragePlugin
 from hpid_ros.bags import BagReader, BagWriter
 from hpid_ros.bags.metadata import PARAMETERS, custom_data
 from hpid_ros.bags.parameter_events import PARAMETER_EVENTS
+from hpid_ros.base.names import ALLOW_RELAY
 from hpid_ros.base.resources import share_folder
 from hpid_ros.cli.main import main
 from hpid_ros.control import JointLoop, LoopSettings
@@ -161,8 +162,9 @@ def event(node, name, value):
         f"{each}_array_value" for each in ("byte", "bool", "integer", "double")
     )
     content = types["rcl_interfaces/msg/ParameterValue"](
-        type=3, bool_value=False, integer_value=0, double_value=value, string_value="",
-        string_array_value=[], **{each: np.empty(0) for each in nothing},
+        type=1 if isinstance(value, bool) else 3, bool_value=value is True, integer_value=0,
+        double_value=float(value), string_value="", string_array_value=[],
+        **{each: np.empty(0) for each in nothing},
     )  # fmt: skip
     changed = [types["rcl_interfaces/msg/Parameter"](name, content)]
     stamp = types["builtin_interfaces/msg/Time"](0, 0)
@@ -185,9 +187,21 @@ def told(tmp_path):
         values = {**loop.settings.to_parameters(), "gains.p": 60.0}
         loop.retune(LoopSettings.from_parameters(values))
 
+    def nothing(loop):
+        """The controller refuses it, or it is another's."""
+
     told = {
+        10: ("relay", FLOATS, floats(RELAY), nothing),
+        20: ("relay", FLOATS, floats([]), nothing),
+        30: ("events", PARAMETER_EVENTS, event(node, ALLOW_RELAY, True), nothing),
         50: ("relay", FLOATS, floats(RELAY), lambda loop: loop.begin_relay(RelayRequest(*RELAY))),
-        900: ("relay", FLOATS, floats([]), lambda loop: loop.end_relay("")),
+        900: (
+            "events",
+            PARAMETER_EVENTS,
+            event(node, ALLOW_RELAY, False),
+            lambda loop: loop.end_relay(""),
+        ),
+        1200: ("relay", FLOATS, floats(RELAY), nothing),
         1300: ("events", PARAMETER_EVENTS, event(node, "gains.p", 60.0), retune),
         1350: (
             "setpoint",
@@ -199,7 +213,7 @@ def told(tmp_path):
             "events",
             PARAMETER_EVENTS,
             event("/right/first_controller", "gains.p", 1.0),
-            lambda loop: None,  # another robot's
+            nothing,
         ),
     }
     state = JointStateTemplate(["elbow"], position=True)
@@ -237,6 +251,7 @@ def test_relays_setpoints_and_changes_of_a_namespace_are_replayed(told, capsys):
     code, out, _ = replay(capsys, bag, *options)
     assert out.splitlines()[-1] == "every one of 1 500 commands is the law's, to the last bit"
     assert code == 0
+    assert "a relay was left out: relays are not allowed: allow_relay is false" in out
 
 
 def test_a_relay_that_was_not_recorded_shows_from_there_on(told, tmp_path, capsys):

@@ -211,7 +211,7 @@ def test_a_file_is_saved_and_loaded_and_a_broken_one_is_one_line(open_page, serv
     broken = tmp_path / "broken.yaml"
     broken.write_text("a: [")
     page.set_input_files("input[type=file]", broken)
-    logged(page, "broken.yaml is no YAML")
+    logged(page, "cannot read broken.yaml: line 1")
     page.get_by_role("tab", name="Tune").click()
     page.get_by_role("button", name="Discard").click()
     assert server.nothing_more()
