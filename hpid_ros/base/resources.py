@@ -109,7 +109,7 @@ def find_resource(name: str, beside: Sequence[Path] = ()) -> Path:
     """
     places = list(_places(name, beside))
     for path in places:
-        if path.is_file():
+        if os.path.isfile(path):  # Path.is_file raises for some names, for instance long ones
             return path.resolve()
     raise ResourceError(f"there is no file {name} ({_list(places, name)})")
 

@@ -264,6 +264,8 @@ class JointLoop:
             self._interrupt(since)
         if self._unwrapper is not None:
             position = self._unwrapper.update(position)
+            if not -LARGEST_POSITION <= position <= LARGEST_POSITION:
+                return self.reject(stamp_ns, f"position {position} rad with its turns")
         allowed = self._step_max + self._speed_max * since
         if is_next and abs(position - self._position) > allowed:
             held = self._doubt(stamp_ns, position, since)

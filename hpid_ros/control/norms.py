@@ -78,7 +78,11 @@ class WeightedNorm:
         """
         require_degree(degree)
         _require_positive("error_scale", error_scale)
-        return cls(degree, float(error_scale) ** (-1.0 / (1.0 - degree)), rate_weight)
+        try:
+            error_weight = float(error_scale) ** (-1.0 / (1.0 - degree))
+        except OverflowError:
+            raise NormError(f"an error_scale of {error_scale:g} rad is too small") from None
+        return cls(degree, error_weight, rate_weight)
 
     def __call__(self, error: float, error_rate: float) -> float:
         """Return the norm; zero only at the origin.
@@ -233,9 +237,17 @@ class NormFamily:
         if self.type == "weighted":
             return WeightedNorm.scaled(degree, self.error_scale, self.rate_weight)
         if self.type == "canonical":
-            shape = ((self.error_scale**-2, 0.0), (0.0, self.rate_weight**2))
-            return CanonicalNorm(degree, shape)
+            return CanonicalNorm(degree, self._shape())
         raise NormError(f"there is no norm of type {self.type!r}")
+
+    def _shape(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        try:
+            return (self.error_scale**-2, 0.0), (0.0, self.rate_weight**2)
+        except (OverflowError, ZeroDivisionError):
+            raise NormError(
+                f"an error_scale of {self.error_scale:g} rad and a rate_weight of "
+                f"{self.rate_weight:g} s/rad are too small or too large for a canonical norm"
+            ) from None
 
 
 def require_floor(floor: float, cap: float) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -22,6 +23,11 @@ MOST_LEVELS = 64
 """Levels of a document; ours have six."""
 MOST_NODES = 1_000_000
 """Values of a document, those that an alias stands for counted again."""
+
+MOST_EXTENDED = 16
+"""Files that extend each other, one after the other; ours are three."""
+LONGEST_NUMBER = 1000
+"""Characters of a number; Python refuses to write integers of more than 4300 digits."""
 
 _SHARED = "config/experiments"
 _LONGEST_REASON = 200
@@ -110,16 +116,18 @@ def load_document(path: str | Path, error: type[HpidError]) -> Document:
 
     Raises:
         HpidError: The ``error`` given: a file is not there, cannot be read, is no YAML, extends
-            itself in the end, or removes a key that is not there.
+            itself in the end or one of too many, or removes a key that is not there.
     """
     return _load(Path(path), (), error)
 
 
 def _load(path: Path, extending: tuple[Path, ...], error: type[HpidError]) -> Document:
-    file = path.resolve()
+    file = Path(os.path.realpath(path))  # Path.resolve raises where links go round in a circle
     if file in extending:
         chain = " -> ".join(each.name for each in (*extending, file))
         raise error(f"{extending[0]}: {EXTENDS} goes round in a circle: {chain}")
+    if len(extending) >= MOST_EXTENDED:
+        raise error(f"{extending[0]}: {EXTENDS}: more than {MOST_EXTENDED} files in a row")
     text = _read(path, error)
     values = parse_yaml(path, text, error)
     if not isinstance(values, Mapping) or EXTENDS not in values:
@@ -160,10 +168,13 @@ def _extended(name: object, file: Path, error: type[HpidError]) -> Path:
     share = share_folder()
     places = [file.parent / name, share / name, share / _SHARED / name]
     for place in places:
-        if place.is_file():
+        if os.path.isfile(place):  # Path.is_file raises for some names, for instance long ones
             return place
     folders = dict.fromkeys(str(place.parent) for place in places)
-    raise error(f"{file}: {EXTENDS}: there is no file {name} (looked in {', '.join(folders)})")
+    raise error(
+        f"{file}: {EXTENDS}: there is no file {name:.{_LONGEST_REASON}} "
+        f"(looked in {', '.join(folders):.{_LONGEST_REASON * 2}})"
+    )
 
 
 def _merged(
@@ -259,10 +270,18 @@ def _require_bounded(events: Iterator[Any]) -> None:
             nodes += 1
             if event.anchor is not None:
                 sizes[event.anchor] = 1
+            if len(event.value) > LONGEST_NUMBER and _may_be_a_number(event):
+                raise _refusal(f"a number of more than {LONGEST_NUMBER} characters", event)
         if len(opened) > MOST_LEVELS:
             raise _refusal(f"more than {MOST_LEVELS} levels", event)
         if nodes > MOST_NODES:
             raise _refusal(f"more than {MOST_NODES} values, aliases expanded", event)
+
+
+def _may_be_a_number(event: Any) -> bool:
+    """Tell whether a scalar may be a number: one word without quotes, or what is tagged as one."""
+    is_word = event.value[0] in "+-0123456789" and event.value.isascii() and " " not in event.value
+    return is_word and (event.implicit[0] or event.tag is not None)
 
 
 def _refusal(problem: str, event: Any) -> yaml.YAMLError:

@@ -16,6 +16,7 @@ from hpid_ros import __version__
 from hpid_ros.base.errors import SettingError
 from hpid_ros.control import LOOP_PARAMETERS, LoopSettings
 from hpid_ros.control.reference import LARGEST_POSITION
+from hpid_ros.control.settings.groups import LEAST_WRAP
 from hpid_ros.control.settings.table import LARGEST_MOTION, Value
 from hpid_ros.export.golden import golden_vectors
 from hpid_ros.export.parameters import FIELDS, Field, exported_values, in_single
@@ -110,6 +111,7 @@ def c_files(settings: LoopSettings, precision: Precision, source: str) -> dict[s
         "turn": _number(math.tau),
         "pi": _number(math.pi),
         "largest_position": _number(LARGEST_POSITION),
+        "least_wrap": _number(LEAST_WRAP),
         "largest_motion": _number(LARGEST_MOTION),
         "error_scale": _default("norm.error_scale"),
         "rate_weight": _default("norm.rate_weight"),

@@ -4,7 +4,9 @@ A round begins with a command that answers a newer state, or with a joint that a
 second time: a state that was repeated, a last zero, a clock that went back. It is complete when
 all joints that are waited for have answered. Whatever has come is due, complete or not, when the
 first of it is as old as a stated part of the time between two rounds: a straggler delays nobody
-for longer, and one that was late is not waited for again until it has answered in time.
+for longer, and one that was late is not waited for again until it has answered in time. A joint whose
+stamps are ahead of all others' makes stragglers of them, and its pace the time between two rounds:
+so what a straggler sent is due at the latest when it sends again.
 """
 
 from __future__ import annotations
@@ -15,6 +17,7 @@ from statistics import median
 from hpid_ros.base.units import NANOSECONDS
 
 _FIRST_PERIOD_NS = NANOSECONDS // 1000  # taken for the time between two rounds until it is known
+_BURST_NS = NANOSECONDS // 2000  # in which a process that stood still answers what it has missed
 _INTERVALS = 9  # whose median is that time
 
 
@@ -42,6 +45,8 @@ class Rounds:
         self._alive: set[int] = set()
         self._awaited: set[int] = set()
         self._answered: set[int] = set()
+        self._unsent: dict[int, int] = {}  # since when
+        self._is_overdue = False
         self._was_sent = False
         self._intervals: deque[int] = deque(maxlen=_INTERVALS)
         self._wait_ns = round(share * _FIRST_PERIOD_NS)
@@ -58,11 +63,13 @@ class Rounds:
 
     @property
     def is_complete(self) -> bool:
-        """Whether all who are waited for have answered the present state.
+        """Whether all who are waited for have answered the present state, or one cannot wait.
 
         What comes after a round was sent waits for all who are not silent, so that stragglers are
         sent together.
         """
+        if self._is_overdue:
+            return True
         if self._was_sent:
             return self._alive <= self._answered
         return (self._awaited or self._alive) <= self._answered
@@ -82,6 +89,9 @@ class Rounds:
         before, self._stamps[joint] = self._stamps[joint], stamp_ns
         if self._is_another(joint, stamp_ns, before):
             self._begin(stamp_ns, now_ns)
+        elif stamp_ns != self.stamp_ns:
+            self._is_overdue |= now_ns - self._unsent.get(joint, now_ns) > _BURST_NS
+        self._unsent.setdefault(joint, now_ns)
         self._alive.add(joint)
         if stamp_ns == self.stamp_ns:
             self._answered.add(joint)
@@ -115,6 +125,8 @@ class Rounds:
     def forget(self) -> None:
         """Note that what has come is sent, whoever has not answered."""
         self.deadline_ns = None
+        self._unsent.clear()
+        self._is_overdue = False
 
     def finish(self, now_ns: int) -> set[int]:
         """Note that what has come is sent because the round is complete, or has waited enough.
@@ -122,7 +134,7 @@ class Rounds:
         Returns:
             The joints without which the round is sent; none if it was sent before.
         """
-        self.deadline_ns = None
+        self.forget()
         if self._was_sent:
             return set()
         self._was_sent = True

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -25,7 +26,7 @@ def find_mesh(filename: str, folder: Path | None) -> Path | None:
         An absolute path; None where there is no such file.
     """
     for path in _places(filename, folder):
-        if path.is_file():
+        if os.path.isfile(path):
             return path.absolute()
     return None
 

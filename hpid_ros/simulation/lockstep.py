@@ -221,7 +221,8 @@ class FollowedSender:
         Args:
             sender: Who sent it; all who do not say so are one.
             effort: The command in [N m]; zero is how a controller leaves its joint, and how it
-                rests: silence counts after a quarter of the patience then.
+                rests: silence counts after a quarter of the patience then. One that is not
+                finite is silence: whoever sends it keeps nobody else from the joint.
             now: The time in [s], on any clock that does not go back.
         """
         if sender != self.sender:
@@ -232,7 +233,8 @@ class FollowedSender:
                     return False
                 self.changes += 1
             self.sender = sender
-        self._heard = now if effort != 0.0 else now - _SPARED_AT_ZERO * self._patience
+        if math.isfinite(effort):
+            self._heard = now if effort != 0.0 else now - _SPARED_AT_ZERO * self._patience
         return True
 
     def wait(self, now: float) -> None:

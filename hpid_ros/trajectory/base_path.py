@@ -224,7 +224,7 @@ def _checked_times(times: Sequence[float], count: int) -> tuple[int, ...]:
             f"a path must have at least two poses and a time for each, not {count} poses and "
             f"{len(times)} times"
         )
-    if not all(math.isfinite(time) for time in times):
+    if not all(math.isfinite(time * NANOSECONDS) for time in times):
         raise TrajectoryError(f"times of a path must be finite, not {list(times)} s")
     in_ns = tuple(round(time * NANOSECONDS) for time in times)
     if in_ns[0] < 0 or any(b - a < _SHORTEST_NS for a, b in pairwise(in_ns)):

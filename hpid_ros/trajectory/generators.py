@@ -13,6 +13,8 @@ from hpid_ros.base.errors import TrajectoryError
 from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.trajectory.joint_trajectory import JointTrajectory, TrajectoryPoint
 
+_MOST_PIECES = 1_000_000
+
 
 def minimum_jerk(
     times: Sequence[float], positions: Mapping[str, Sequence[float]]
@@ -95,7 +97,13 @@ def sine(
     if not signals:
         raise TrajectoryError("a sine must name at least one joint")
     fastest = max(rate for _, _, rate, _ in signals)
-    count = max(2, math.ceil(duration * fastest / (2.0 * math.pi) * knots_per_period))
+    pieces = duration * fastest / (2.0 * math.pi) * knots_per_period
+    if not pieces <= _MOST_PIECES:
+        raise TrajectoryError(
+            f"the shortest period is too short: {duration} s of it would have more than "
+            f"{_MOST_PIECES} pieces"
+        )
+    count = max(2, math.ceil(pieces))
     points = []
     for k in range(count + 1):
         time_ns = round(duration * k / count * NANOSECONDS)
@@ -121,6 +129,7 @@ def _check_lengths(times: Sequence[float], positions: Mapping[str, Sequence[floa
 
 
 def _ns(time: float) -> int:
-    if not math.isfinite(time):
+    nanoseconds = time * NANOSECONDS
+    if not math.isfinite(nanoseconds):
         raise TrajectoryError(f"a time must be finite, not {time} s")
-    return round(time * NANOSECONDS)
+    return round(nanoseconds)

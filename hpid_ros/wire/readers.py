@@ -106,13 +106,14 @@ class EffortReader:
 
     A command with one name and one effort is recognised by everything between its stamp and
     its last eight bytes; that key is remembered with the name it stands for, and with the sender.
+    So many are remembered, and none that is long, that strangers' cost less than a megabyte.
 
     Attributes:
         sender: ``header.frame_id`` of the command that was read last: controllers of this package
             say there who they are.
     """
 
-    _KEYS_AT_MOST = 1024
+    _KEYS_AT_MOST, _KEY_BYTES_AT_MOST = 1024, 512
 
     def __init__(self) -> None:
         self.sender = ""
@@ -146,8 +147,10 @@ class EffortReader:
             )
         if len(fields.names) == 1 and not fields.position and not fields.velocity:
             expected = JointStateLayout.for_fields(fields.names, fields.frame_id, (0, 0, 1))
-            if expected.matches(raw) and len(self._known) < self._KEYS_AT_MOST:
-                self._known[raw[NAMES_OFFSET:-8]] = fields.names, fields.frame_id
+            key = raw[NAMES_OFFSET:-8]
+            has_room = len(self._known) < self._KEYS_AT_MOST
+            if has_room and len(key) <= self._KEY_BYTES_AT_MOST and expected.matches(raw):
+                self._known[key] = fields.names, fields.frame_id
         self.sender = fields.frame_id
         return fields.stamp_ns, fields.names, fields.effort
 

@@ -8,7 +8,7 @@ import yaml
 
 from hpid_ros.base.errors import ExperimentError, SettingError, TrajectoryError
 from hpid_ros.base.resources import share_folder
-from hpid_ros.documents.yaml_files import load_document
+from hpid_ros.documents.yaml_files import MOST_EXTENDED, load_document
 from hpid_ros.experiment.compare import compare
 from hpid_ros.experiment.description import load_experiment, load_reference
 from hpid_ros.experiment.progress import NoProgress
@@ -315,3 +315,24 @@ def test_of_names_that_begin_alike_the_longest_is_meant(write):
         "something else is wrong": "own.yaml",
     }.items():
         assert document.blamed(line).name == name, line
+
+
+def test_a_chain_of_files_has_an_end(write):
+    write(f"{MOST_EXTENDED - 1}.yaml", "a: 1\n")
+    for k in range(MOST_EXTENDED - 1):
+        write(f"{k}.yaml", f"extends: {k + 1}.yaml\n")
+    assert values(write("0.yaml", "extends: 1.yaml\n")) == {"a": 1}
+    path = write("first.yaml", "extends: 0.yaml\n")
+    with pytest.raises(ExperimentError, match=r"first.yaml: extends: more than 16 files in a row"):
+        values(path)
+
+
+@pytest.mark.parametrize("name", ["x" * 10_000, "nothing\\0", "link.yaml", "."])
+def test_what_can_be_no_file_is_one_line(write, tmp_path, name):
+    (tmp_path / "link.yaml").symlink_to("link.yaml")
+    path = write("own.yaml", f'extends: "{name}"\n')
+    with pytest.raises(ExperimentError, match="there is no file") as error:
+        values(path)
+    assert len(str(error.value)) < 1000
+    with pytest.raises(ExperimentError, match=r"link.yaml: too many levels of symbolic links"):
+        values(tmp_path / "link.yaml")

@@ -19,6 +19,10 @@ from hpid_ros.control.settings.table import LARGEST_MOTION, PARAMETERS
 _LEAST_PERIODS = 1.5  # of control_period in state_timeout: one state may be late
 
 
+LEAST_WRAP = 1e-6
+"""No encoder begins anew after less, in [rad]: positions have too many such turns for a number."""
+
+
 @dataclass(frozen=True)
 class NormSettings(ParameterRecord):
     """The homogeneous norm: what it is, and between which bounds it is used.
@@ -206,11 +210,21 @@ class EncoderSettings(ParameterRecord):
         wrap: It begins anew after so much, in [rad]; 0 never, -1 if not known.
         resolution: Step of the measured position, in [rad]; 0 if unknown.
         step_max: Largest believable step between two positions, in [rad]; 0 chooses it.
+
+    Raises:
+        SettingError: As for :class:`ParameterRecord`, or turns too small to be counted.
     """
 
     wrap: float = parameter("encoder_wrap")
     resolution: float = parameter("encoder_resolution")
     step_max: float = parameter("position_step_max")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if 0.0 < self.wrap < LEAST_WRAP:
+            raise SettingError(
+                f"encoder_wrap must be 0, -1 or at least {LEAST_WRAP:g}, not {self.wrap:g}"
+            )
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ The tables serve the node's parameters, the experiment files and the documentati
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import get_args
@@ -69,7 +70,8 @@ class ParameterSpec:
             isinstance(value, bool) or not isinstance(value, int | float)
         ):
             raise SettingError(f"{self.name} must be a number, not {value!r}")
-        if not (math.isfinite(value) and self.minimum <= value <= self.maximum):
+        is_finite = abs(value) <= sys.float_info.max  # also of an integer that is no float
+        if not (is_finite and self.minimum <= value <= self.maximum):
             raise SettingError(
                 f"{self.name} must lie in [{self.minimum:g}, {self.maximum:g}], not {value}"
             )

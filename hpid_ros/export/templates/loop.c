@@ -54,6 +54,9 @@ typedef {{ c }}_state State;
 /* Positions, velocities and references beyond this are no joint's [rad, rad/s]. */
 #define LARGEST_POSITION REAL({{ largest_position }})
 
+/* No encoder begins anew after less [rad]. */
+#define LEAST_WRAP REAL({{ least_wrap }})
+
 /* A limit of position or velocity of this size is none [rad, rad/s]. */
 #define LARGEST_MOTION REAL({{ largest_motion }})
 
@@ -542,6 +545,7 @@ static bool are_consistent(const Settings *s)
     bool is_stable = s->gains_p > 0 && s->gains_d > 0 &&
         s->gains_p * s->gains_d > s->inertia * s->gains_i;
     return s->u_clamp_min <= s->u_clamp_max && s->i_clamp_min <= s->i_clamp_max &&
+        !(s->encoder_wrap > 0 && s->encoder_wrap < LEAST_WRAP) &&
         s->position_min <= s->position_max && !(s->angle_wraparound && (has_stop || s->multi_turn)) &&
         s->state_timeout * SLACK >= REAL(1.5) * s->control_period &&
         REAL(-0.5) < s->mu && s->mu < REAL(0.5) &&
@@ -839,6 +843,8 @@ static Real answer(State *loop, int64_t stamp_ns, Real wanted, Real rate, Real p
         interrupt(loop, since);
     if (loop->own.has_unwrapper)
         position = unwrapped(loop, position);
+    if (!is_usable(position))
+        return fault(loop, stamp_ns);
     if (is_next && ABS(position - loop->position) > c->step_max + c->speed_max * since &&
         !is_believed(loop, stamp_ns, position))
         return loop->effort;

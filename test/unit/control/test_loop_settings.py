@@ -17,7 +17,22 @@ from hpid_ros.control.settings.assembly import (
     make_velocity_source,
 )
 
-ANYWHERE = (0.0, -0.0, 5e-324, 1e-300, 1e-12, 1.0, math.nan, math.inf, 1e300, 3, True, None, "x")
+ANYWHERE = (
+    0.0,
+    -0.0,
+    5e-324,
+    1e-300,
+    1e-12,
+    1.0,
+    math.nan,
+    math.inf,
+    1e300,
+    3,
+    10**400,
+    True,
+    None,
+    "x",
+)
 
 
 def near(bound):
@@ -65,6 +80,9 @@ LIKELY = st.fixed_dictionaries(  # what is seldom refused for one of many number
 )
 
 
+TINY_SCALE = {"joint": "j", "norm.effort_scale": 5e-324, "gains.p": 1.0, "gains.d": 1.0}
+
+
 @examples(4)
 @given(st.one_of(SETS, LIKELY))
 @example({"joint": "j", "mu": -0.001, "gains.d": 500.0})
@@ -73,6 +91,9 @@ LIKELY = st.fixed_dictionaries(  # what is seldom refused for one of many number
 )
 @example({"joint": "j", "mu": -5e-324, "gains.d": 1e6, "norm.type": "canonical"})
 @example({"joint": "j", "mu": 0.3, "encoder_resolution": 1.0, "norm.rate_weight": 1e6})
+@example(TINY_SCALE)
+@example(TINY_SCALE | {"norm.type": "canonical"})
+@example({"joint": "j", "encoder_wrap": 5e-324})
 def test_a_set_is_taken_or_refused_with_a_reason(values):
     reason = ""
     try:

@@ -415,3 +415,23 @@ def test_joints_whose_states_are_on_two_topics_wait_for_each_other_within_the_sh
             assert first_sent[key] - time_ns <= 0.5 * PERIOD
     assert len(first_sent) >= len(came) - len(NAMES)
     assert not robot.merger.silences
+
+
+@pytest.mark.parametrize("ahead_ns", [1, 10**6 * PERIOD])
+def test_a_joint_whose_stamps_are_ahead_keeps_nobody_waiting_for_longer_than_a_period(ahead_ns):
+    """Its answers begin the rounds, a twentieth as often: without its own pace for the others."""
+    robot, came, first_sent = Robot().warm(), {}, {}
+    for k in range(1, 400):
+        stamp_ns = robot.stamp + k * PERIOD
+        if k % 20 == 0:
+            robot.take("shoulder", stamp_ns + 20 * PERIOD + ahead_ns, 1.0)
+        came[float(k)] = robot.now
+        for joint in NAMES[1:]:
+            robot.take(joint, stamp_ns, float(k))
+        robot.wait(PERIOD)
+    for time_ns, merged in robot.sent:
+        assert merged.efforts[1] in came | {1.0: 0} | {FALLBACKS[1]: 0}
+        first_sent.setdefault(merged.efforts[1], time_ns)
+    late = [first_sent[key] - came[key] for key in came if key > 1.0 and key in first_sent]
+    assert max(late) <= PERIOD
+    assert len(late) > 0.4 * len(came)

@@ -1,5 +1,6 @@
 """Who commands a joint, without a graph: claims in their order, locks, the sender followed."""
 
+import math
 import os
 import random
 import socket
@@ -128,3 +129,12 @@ def test_the_first_sender_is_followed_until_it_is_silent():
     assert (followed.sender, followed.others, followed.changes) == ("a", 4, 2)
     followed.wait(10.0)  # time stood still: nobody was silent
     assert not followed.takes("b", 1.0, 10.1)
+
+
+def test_a_sender_of_what_is_not_finite_is_silent():
+    followed = FollowedSender(0.2)
+    assert followed.takes("a", math.nan, 1.0)
+    assert followed.takes("b", 1.0, 1.01)
+    assert not followed.takes("a", math.nan, 1.1)
+    assert followed.takes("b", math.inf, 1.2)
+    assert followed.takes("a", 1.0, 1.22)

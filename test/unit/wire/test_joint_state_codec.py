@@ -103,6 +103,17 @@ def test_effort_reader_takes_a_command_of_several_joints():
     assert EffortReader().read(raw) == (5, ("a", "b"), (1.0, 2.0))
 
 
+def test_effort_reader_remembers_no_long_names_of_strangers():
+    reader = EffortReader()
+    for k in range(200):
+        name = f"{'x' * 100_000}{k}"
+        raw = JointStateTemplate([name], "/who", effort=True).encode(k, effort=[1.0])
+        assert reader.read(raw) == reader.read(raw) == (k, (name,), (1.0,))
+        assert reader.sender == "/who"
+    remembered = sum(len(key) for key in reader._known)
+    assert remembered < 1_000_000
+
+
 def test_swapped_arrays_of_equal_length_are_another_layout():
     velocity = JointStateTemplate(["a"], position=True, velocity=True).encode(
         1, position=[1.0], velocity=[2.0]
