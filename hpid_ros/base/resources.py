@@ -94,6 +94,14 @@ def _candidates() -> Iterator[Path]:
             yield Path(prefix) / "share" / _PACKAGE
 
 
+def is_file(path: Path) -> bool:
+    """Tell whether there is a file; there is none of a name that is too long for one."""
+    try:
+        return path.is_file()
+    except OSError:
+        return False
+
+
 def find_resource(name: str, beside: Sequence[Path] = ()) -> Path:
     """Return the file of this name.
 
@@ -109,7 +117,7 @@ def find_resource(name: str, beside: Sequence[Path] = ()) -> Path:
     """
     places = list(_places(name, beside))
     for path in places:
-        if os.path.isfile(path):  # Path.is_file raises for some names, for instance long ones
+        if is_file(path):
             return path.resolve()
     raise ResourceError(f"there is no file {name} ({_list(places, name)})")
 

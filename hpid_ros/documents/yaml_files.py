@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import yaml
 
 from hpid_ros.base.errors import HpidError, unknown_name
-from hpid_ros.base.resources import share_folder
+from hpid_ros.base.resources import is_file, share_folder
 
 EXTENDS = "extends"
 """The key that names the file that a document extends."""
@@ -168,7 +168,7 @@ def _extended(name: object, file: Path, error: type[HpidError]) -> Path:
     share = share_folder()
     places = [file.parent / name, share / name, share / _SHARED / name]
     for place in places:
-        if os.path.isfile(place):  # Path.is_file raises for some names, for instance long ones
+        if is_file(place):
             return place
     folders = dict.fromkeys(str(place.parent) for place in places)
     raise error(

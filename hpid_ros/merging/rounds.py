@@ -4,9 +4,9 @@ A round begins with a command that answers a newer state, or with a joint that a
 second time: a state that was repeated, a last zero, a clock that went back. It is complete when
 all joints that are waited for have answered. Whatever has come is due, complete or not, when the
 first of it is as old as a stated part of the time between two rounds: a straggler delays nobody
-for longer, and one that was late is not waited for again until it has answered in time. A joint whose
-stamps are ahead of all others' makes stragglers of them, and its pace the time between two rounds:
-so what a straggler sent is due at the latest when it sends again.
+for longer, and one that was late is not waited for again until it has answered in time. A joint
+whose stamps are ahead of all others' makes stragglers of them, and its pace the time between two
+rounds: so what a straggler sent is due at the latest when it sends again.
 """
 
 from __future__ import annotations

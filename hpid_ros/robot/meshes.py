@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator
 from pathlib import Path
 
-from hpid_ros.base.resources import package_folder
+from hpid_ros.base.resources import is_file, package_folder
 
 _FILE, _PACKAGE = "file://", "package://"
 
@@ -26,7 +25,7 @@ def find_mesh(filename: str, folder: Path | None) -> Path | None:
         An absolute path; None where there is no such file.
     """
     for path in _places(filename, folder):
-        if os.path.isfile(path):
+        if is_file(path):
             return path.absolute()
     return None
 

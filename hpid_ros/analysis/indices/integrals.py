@@ -28,6 +28,7 @@ _SMALL = 256  # fewer numbers are summed sooner than split
 _HEADROOM_BITS = 15
 _LARGEST_EXPONENT = 1000  # beyond, the power of two that splits would overflow
 _LEAST_EXPONENT = -900  # below, the parts would be subnormal
+_TOO_LARGE = "an integral of the recorded numbers is beyond 1.8e308: they are no joint's"
 
 
 def exact_sum(values: Numbers) -> float:
@@ -45,16 +46,24 @@ def exact_sum_of_blocks(blocks: Iterable[Numbers]) -> float:
     The sum of a long array that is computed block by block is never there as a whole.
 
     Args:
-        blocks: Lines of finite numbers, which are not kept.
+        blocks: Lines of numbers, which are not kept.
+
+    Raises:
+        SeriesError: A number, or the sum, is beyond what a number can be.
     """
     parts: list[float] = []
     for values in blocks:
+        if not np.isfinite(values).all():
+            raise SeriesError(_TOO_LARGE)
         if values.size < _SMALL:
             parts.extend(values.tolist())
             continue
         for first in range(0, values.size, _SUM_BLOCK):
             _append_exact_parts(values[first : first + _SUM_BLOCK], parts)
-    return math.fsum(parts)
+    try:
+        return math.fsum(parts)
+    except OverflowError:
+        raise SeriesError(_TOO_LARGE) from None
 
 
 def _append_exact_parts(block: Numbers, parts: list[float]) -> None:
@@ -95,7 +104,8 @@ def total_variation(u: ArrayLike) -> float:
         SeriesError: If u is not a line of finite numbers.
     """
     samples = _line("u", u)
-    return exact_sum_of_blocks(np.abs(np.diff(block)) for block in _blocks(samples))
+    with np.errstate(over="ignore"):  # the sum refuses what comes of it
+        return exact_sum_of_blocks(np.abs(np.diff(block)) for block in _blocks(samples))
 
 
 def integral_of_absolute(t: ArrayLike, x: ArrayLike) -> float:
@@ -193,8 +203,10 @@ def _trapezoid(t: Numbers, x: Numbers, integrand: Callable[[Numbers, Numbers], N
     # numpy's own rule changed its name between 1.26 and 2, and sums in an order of its own.
     def areas() -> Iterator[Numbers]:
         for times, samples in zip(_blocks(t), _blocks(x), strict=True):
-            y = integrand(times, samples)
-            yield 0.5 * np.diff(times) * (y[1:] + y[:-1])
+            with np.errstate(over="ignore", invalid="ignore"):  # the sum refuses what comes of it
+                y = integrand(times, samples)
+                area = 0.5 * np.diff(times) * (y[1:] + y[:-1])
+            yield area
 
     return exact_sum_of_blocks(areas())
 

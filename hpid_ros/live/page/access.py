@@ -14,7 +14,7 @@ import hmac
 import re
 from collections.abc import Awaitable, Callable, MutableMapping
 from typing import Any, NamedTuple
-from urllib.parse import parse_qsl, urlencode
+from urllib.parse import parse_qsl, quote, urlencode
 
 from hpid_ros.base.errors import SettingError
 
@@ -168,7 +168,8 @@ class Guard:
             await send({"type": "websocket.close", "code": 1008, "reason": verdict.reason})
         elif verdict is _WELCOME:
             left = urlencode([each for each in parse_qsl(query) if each[0] != "token"])
-            place = scope["path"] + (f"?{left}" if left else "")
+            own = "/" + quote(scope["path"].lstrip("/"))  # two slashes would lead to another host
+            place = own + (f"?{left}" if left else "")
             extra = {"location": place, "set-cookie": self._access.set_cookie}
             await _answer(send, 303, "", extra)
         else:

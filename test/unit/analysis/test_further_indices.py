@@ -75,6 +75,13 @@ def test_a_long_sum_that_cancels_is_correctly_rounded():
 # Error -----------------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("count", [3, 300, 20_000])
+@pytest.mark.parametrize("number", [math.inf, math.nan, 1.7e308])
+def test_a_sum_that_is_no_number_is_refused(count, number):
+    with pytest.raises(SeriesError, match=r"beyond 1\.8e308"):
+        exact_sum(np.full(count, number))
+
+
 def test_error_indices_of_a_decay_are_those_of_the_integrals():
     t = seconds(9.0)
     indices = joint_indices(joint(reference=np.exp(-t)))

@@ -128,6 +128,17 @@ def test_c_accepts_the_settings_that_python_accepts(library, seed):
     assert library.call("init", state, told) == (settings is not None), values
 
 
+@pytest.mark.parametrize("position", [1e9, -1e9])
+def test_a_position_that_is_no_joints_once_its_turns_are_added_is_a_fault(library, position):
+    settings = settings_by_chance(random.Random(1), encoder_wrap=1.0, velocity_source="filtered")
+    python, c = both(library, settings)
+    turns = [math.copysign(0.1 * k % 1.0, position) for k in range(40)]
+    states = [(k * MS, 0.0, 0.0, each, None) for k, each in enumerate([*turns, 0.1])]
+    far = [(10**12 + k * MS, 0.0, 0.0, position, None) for k in range(2)]
+    assert_equal_answers(python, c, [*states, *far, (10**12 + 2 * MS, 0.0, 0.0, 0.1, None)])
+    assert python.loop.counts.rejected == 2
+
+
 @pytest.mark.parametrize(
     "changes",
     [

@@ -114,6 +114,20 @@ def test_the_cookie_is_for_no_script_and_no_other_site_and_the_token_leaves_the_
     assert {"HttpOnly", "SameSite=Strict"} <= set(told[b"set-cookie"].decode().split("; "))
 
 
+@pytest.mark.parametrize(
+    ("path", "place"),
+    [
+        ("//evil.example/", b"/evil.example/"),
+        ("/\u20ac", b"/%E2%82%AC"),
+        ("/\r\nSet-Cookie: a", b"/%0D%0ASet-Cookie%3A%20a"),
+    ],
+)
+def test_the_address_with_the_token_leads_nowhere_else(path, place):
+    scope = {"type": "http", "method": "GET", "path": path, "headers": [(b"host", HOST.encode())]}
+    sent, _ = answered({**scope, "query_string": f"token={TOKEN}".encode()})
+    assert dict(sent[0]["headers"])[b"location"] == place
+
+
 def test_no_page_may_frame_this_one_and_nobody_keeps_it():
     headers = [(b"host", HOST.encode()), (b"cookie", COOKIE.encode())]
     sent, asked = answered({"type": "http", "method": "GET", "path": "/", "headers": headers})
