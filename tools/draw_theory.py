@@ -19,6 +19,7 @@ sys.path[:0] = [str(ROOT), str(ROOT / "benchmarks")]
 from certified_against_simulated import SimulatedLoop  # noqa: E402
 
 from hpid_ros.control import Gains, WeightedNorm  # noqa: E402
+from hpid_ros.control.settings.groups import NormSettings  # noqa: E402
 from hpid_ros.report.figures.style import RUN_STYLES, figure_style  # noqa: E402
 from hpid_ros.stability.closed_loop import closed_loop_field  # noqa: E402
 from hpid_ros.stability.verdict import certified_degree_interval  # noqa: E402
@@ -26,6 +27,7 @@ from hpid_ros.stability.verdict import certified_degree_interval  # noqa: E402
 FIGURES = ROOT / "docs" / "figures"
 STIFFNESS, DAMPING = 5.0, 2.0  # kp [1/s^2] and kd [1/s] of the family, on a unit inertia
 RATIOS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.85, 0.9, 0.95)
+DAMPINGS = (0.5, 2.0, 7.2)  # kd^2/(kp m)
 LIMIT = 0.495
 TRANSIENT_GAINS = Gains(p=3.0, i=1.0, d=3.0)  # three poles at -1/s
 DEGREES = (0.0, -0.3, 0.3)
@@ -38,11 +40,17 @@ def norm_of_degree(degree):
     return WeightedNorm(degree, 1.0, 3.0)
 
 
-def simulated_end(gains, direction):
+def ends(gains, norm):
+    """Return the ends of the certified and of the simulated range of the degree."""
+    simulated = (simulated_end(gains, norm, direction) for direction in (-1.0, 1.0))
+    return (*certified_degree_interval(gains, norm)[:2], *simulated)
+
+
+def simulated_end(gains, norm, direction):
     """Return the outermost degree up to which every simulation is stable, to 0.005."""
 
     def is_stable(degree):
-        loop = SimulatedLoop(gains, norm_of_degree(direction * degree))
+        loop = SimulatedLoop(gains, norm(direction * degree))
         return loop.is_stable(np.random.default_rng(1))
 
     low, high = 0.0, LIMIT
@@ -62,8 +70,7 @@ def draw_ranges():
     rows = []
     for ratio in RATIOS:
         gains = Gains(STIFFNESS, ratio * STIFFNESS * DAMPING, DAMPING)
-        interval = certified_degree_interval(gains, norm_of_degree)
-        rows.append((ratio, *interval[:2], simulated_end(gains, -1.0), simulated_end(gains, 1.0)))
+        rows.append((ratio, *ends(gains, norm_of_degree)))
         print(
             "rho {:.2f}: certified ({:+.3f}, {:+.3f}), simulated ({:+.3f}, {:+.3f})".format(
                 *rows[-1]
@@ -151,6 +158,16 @@ def draw_classes():
     return figure
 
 
+def print_groups():
+    """Print certified against simulated ranges over both groups of a loop in units of effort."""
+    for damping in DAMPINGS:
+        for ratio in (0.125, 0.4, 0.863):
+            gains = Gains(1.0, ratio * damping**0.5, damping**0.5)
+            norm = NormSettings(type="canonical", effort_scale=1.0).family(gains.p, gains.d)
+            found = "({:+.3f}, {:+.3f}), simulated ({:+.3f}, {:+.3f})".format(*ends(gains, norm))
+            print(f"kd^2/(kp m) {damping}, rho {ratio}: certified {found}")
+
+
 def main():
     """Draw everything."""
     FIGURES.mkdir(exist_ok=True)
@@ -159,6 +176,7 @@ def main():
         for name, draw in (("classes", draw_classes), ("degree_ranges", draw_ranges)):
             figure = draw()
             figure.savefig(FIGURES / f"{name}.png", dpi=150)
+    print_groups()
 
 
 if __name__ == "__main__":
