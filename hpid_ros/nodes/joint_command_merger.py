@@ -276,6 +276,11 @@ class JointCommandMerger(ManagedNode):
             self.is_active = False
             self.leave()
 
+    def destroy_node(self) -> None:
+        """Destroy the node, and what would keep it on the graph."""
+        super().destroy_node()
+        self._output.destroy()
+
     def close(self) -> None:
         """Send the zeros that are left: the executor does it no more."""
         while self._zeros_left:

@@ -11,6 +11,7 @@ from itertools import count
 
 import pytest
 
+from hpid_ros.base.resources import share_folder
 from hpid_ros.experiment.graph.isolation import (
     SHARED_MEMORY,
     closed_environment,
@@ -25,7 +26,10 @@ RUNNING = [
     CONTROLLER,
     ("joint_controllers", "joints:=[elbow, wrist]"),
     ("joint_command_merger", "joints:=[elbow, wrist]"),
+    ("joint_command_merger", "joints:=[elbow]", "controller:=efforts"),
+    ("single_process", "joints:=[arm_joint_1]"),
     ("mujoco_bridge", "mode:=realtime"),
+    ("trajectory_publisher", f"reference_file:={share_folder()}/config/experiments/paper.yaml"),
     ("live_tuner", "port:=0"),
 ]
 REFUSED = [
@@ -78,7 +82,7 @@ def wait(condition, what):
 
 
 @pytest.mark.parametrize("ending", ["SIGTERM", "SIGINT", "SIGHUP", "SIGQUIT"])
-@pytest.mark.parametrize("node", RUNNING, ids=lambda node: node[0])
+@pytest.mark.parametrize("node", RUNNING, ids=lambda node: " ".join(node[:1] + node[2:]))
 def test_a_node_that_is_ended_leaves_no_port(graph, node, ending):
     process = graph.start(*node).process
     wait(lambda: len(graph.ports()) == 3, "its ports, two of its own and the common one")

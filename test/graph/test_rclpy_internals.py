@@ -43,7 +43,7 @@ def test_a_service_answers_with_what_it_was_given(node):
 def test_matches_are_counted_when_they_happen_and_never_forgotten(node):
     """Also where nobody spins, and one subscription has taken another's place."""
     publisher = node.create_publisher(Empty, "~/topic", 1)
-    count = rclpy_internals.match_counter(publisher)
+    count = rclpy_internals.MatchCounter(publisher)
     assert count() == 0
     for matches in (1, 2, 3):
         subscription = node.create_subscription(Empty, "~/topic", print, 1)

@@ -99,29 +99,31 @@ def answer_with(service: Service, callback: ServiceCallback) -> None:
     service.callback = callback
 
 
-def match_counter(publisher: Publisher) -> Callable[[], int]:
-    """Return what tells how many subscriptions a publisher has ever been matched with.
+class MatchCounter:
+    """How many subscriptions a publisher has ever been matched with.
 
     Uses the ``EventHandle`` below ``rclpy.event_handler``. The public way is a callback, which
     comes after whatever the executor does first; this is true at the time of the call, also where
     one subscription has taken another's place since the last one.
 
     Args:
-        publisher: The publisher.
+        publisher: The publisher; the middleware keeps it, and its node, until :meth:`destroy`.
 
     Raises:
         SettingError: This rclpy lacks it.
     """
-    purpose = "the matches of a publisher"
-    library = _private(event_handler, "_rclpy", purpose)
-    kind = event_handler.QoSPublisherEventType.RCL_PUBLISHER_MATCHED
-    handle = _private(library, "EventHandle", purpose)(publisher.handle, kind)
 
-    def count() -> int:
-        with handle:
-            return int(handle.take_event().total_count)
+    def __init__(self, publisher: Publisher) -> None:
+        purpose = "the matches of a publisher"
+        library = _private(event_handler, "_rclpy", purpose)
+        kind = event_handler.QoSPublisherEventType.RCL_PUBLISHER_MATCHED
+        self._handle = _private(library, "EventHandle", purpose)(publisher.handle, kind)
+        self.destroy = self._handle.destroy_when_not_in_use
 
-    return count
+    def __call__(self) -> int:
+        """Return the number."""
+        with self._handle:
+            return int(self._handle.take_event().total_count)
 
 
 def taker(subscription: Subscription) -> Callable[[], bytes | None]:

@@ -14,7 +14,7 @@ from std_msgs.msg import Float64MultiArray
 from hpid_ros.base.errors import SettingError
 from hpid_ros.merging import Merged
 from hpid_ros.nodes.ros.middleware import NEWEST_COMMAND, overridable
-from hpid_ros.nodes.ros.rclpy_internals import match_counter
+from hpid_ros.nodes.ros.rclpy_internals import MatchCounter
 from hpid_ros.wire import DynamicJointStateTemplate, JointStateTemplate, MultiArrayTemplate
 
 
@@ -110,18 +110,18 @@ class GroupOutput:
             qos_overriding_options=overridable(),
             event_callbacks=PublisherEventCallbacks(matched=lambda _: matched()),
         )
-        self._count_matches = match_counter(self.publisher) if is_guarded else lambda: 0
+        self._counter = MatchCounter(self.publisher) if is_guarded else None
         self._settled = 0
 
     @property
     def matches(self) -> int:
         """How many subscriptions it has ever been matched with; 0 if it is not guarded."""
-        return self._count_matches()
+        return self._counter() if self._counter else 0
 
     @property
     def is_settled(self) -> bool:
         """Whether all subscriptions have been looked at."""
-        return self._count_matches() == self._settled
+        return self.matches == self._settled
 
     def settle(self, matches: int) -> None:
         """Note that so many subscriptions have been looked at, of all that there have been."""
@@ -148,6 +148,11 @@ class GroupOutput:
         """Publish a zero for every joint, if anything has been published before."""
         if self.has_sent:
             self.send(Merged(self._last_ns, (0.0,) * self._count))
+
+    def destroy(self) -> None:
+        """Let the middleware forget the publisher."""
+        if self._counter:
+            self._counter.destroy()
 
     def forget(self) -> None:
         """Begin anew: there is nothing that a zero would have to end."""
