@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 from _pytest.faulthandler import fault_handler_stderr_fd_key
+from harness import control_msgs
 from harness.experiments import write_experiment
 from harness.fork_server import ForkedPopen
 from harness.graph import Harness, loopback_environment
@@ -87,6 +88,10 @@ def pytest_addoption(parser):
         action="store_true",
         help="run only the tests that inject faults and count them",
     )
+
+
+def pytest_configure(config):
+    control_msgs.provide(config.cache.mkdir("control_msgs"))  # modules ask for it when imported
 
 
 def pytest_collection_modifyitems(config, items):

@@ -19,7 +19,9 @@ def is_there():
 
 
 pytestmark = [
-    pytest.mark.skipif(not is_there(), reason="ros2 launch, or hpid_ros in it, is not installed"),
+    pytest.mark.skipif(
+        not is_there(), reason="no ros2 launch, which PyPI has not, that knows hpid_ros"
+    ),
     pytest.mark.timeout(200),
 ]
 

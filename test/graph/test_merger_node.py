@@ -8,6 +8,7 @@ from contextlib import contextmanager
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
+from harness.goals import needs_control_msgs
 from harness.graph import ros_arguments
 from harness.health import Told, change, is_stopped, state
 from harness.ros2_control import NAME, Ros2Control
@@ -16,11 +17,6 @@ from std_msgs.msg import Float64, Float64MultiArray
 
 from hpid_ros.nodes.ros.middleware import NEWEST_COMMAND, OFFERED, RARE
 from hpid_ros.wire import JointStateTemplate
-
-try:
-    from control_msgs.msg import DynamicJointState
-except ImportError:
-    DynamicJointState = None
 
 MS = 1_000_000
 MERGER = "joint_command_merger"
@@ -368,8 +364,10 @@ def test_whoever_subscribes_gets_the_order_that_was_given(harness, told):
     command.until(EFFORTS, lambda: says(told, "waiting for somebody"), "nobody to be missed")
 
 
-@pytest.mark.skipif(DynamicJointState is None, reason="control_msgs is not installed")
+@needs_control_msgs
 def test_dynamic_joint_states_name_joints_and_their_interface(harness):
+    from control_msgs.msg import DynamicJointState
+
     start_merger(harness, controller=None, joints=ORDER, command_interface="dynamic_joint_state")
     command = Commander(harness)
     with listening(harness, DynamicJointState, "dynamic_joint_commands") as heard:
@@ -379,16 +377,6 @@ def test_dynamic_joint_states_name_joints_and_their_interface(harness):
     assert list(first.joint_names) == ORDER
     found = [(list(each.interface_names), list(each.values)) for each in first.interface_values]
     assert found == [(["effort"], [EFFORTS[joint]]) for joint in ORDER]
-
-
-@pytest.mark.skipif(DynamicJointState is not None, reason="control_msgs is installed")
-def test_a_message_that_is_not_installed_is_one_line_and_exit_code_two(harness):
-    started = start_merger(
-        harness, controller=None, joints=ORDER, command_interface="dynamic_joint_state"
-    )
-    harness.wait(lambda: started.process.poll() is not None, WITHIN, "the refusal")
-    assert started.process.returncode == 2
-    assert "needs the package control_msgs" in started.last_words()
 
 
 # --- the end ------------------------------------------------------------------------------

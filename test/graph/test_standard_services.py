@@ -11,7 +11,8 @@ from hpid_ros.base.resources import share_folder
 from hpid_ros.experiment.parameter_files import write_document
 
 pytestmark = pytest.mark.skipif(
-    find_spec("simulation_interfaces") is None, reason="simulation_interfaces is not installed"
+    find_spec("simulation_interfaces") is None,
+    reason="simulation_interfaces, which PyPI has not, is not installed",
 )
 STOPPED, PLAYING, PAUSED, QUITTING = range(4)  # simulation_interfaces/msg/SimulationState
 UNSUPPORTED, OK, FAILED, ALREADY = 0, 1, 4, 101  # simulation_interfaces/msg/Result, and one more

@@ -10,6 +10,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectoryPoint
 
+from harness.control_msgs import why_not
 from harness.graph import ros_arguments
 from harness.health import Told
 from hpid_ros.base.names import controller_name
@@ -21,9 +22,7 @@ JOINTS = ("shoulder", "elbow")
 PERIOD = 0.005  # [s] between states
 ASKS_AGAIN = 0.05  # [s] of the wall clock
 GAINS = {"law": "pid", "gains__p": 100.0, "gains__i": 100.0, "gains__d": 20.0}
-needs_control_msgs = pytest.mark.skipif(
-    find_spec("control_msgs") is None, reason="control_msgs is not installed"
-)
+needs_control_msgs = pytest.mark.skipif(find_spec("control_msgs") is None, reason=why_not())
 
 ABORTED, CANCELED, SUCCEEDED = 6, 5, 4  # action_msgs/msg/GoalStatus
 

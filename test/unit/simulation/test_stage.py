@@ -16,7 +16,10 @@ RED = (0.9, 0.1, 0.1)
 VIEW = View((0.0, 0.0, 0.0), 2.0, math.radians(30.0), math.radians(20.0))
 ENGINES = [
     pytest.param(
-        engine, marks=pytest.mark.skipif(engine not in installed_engines(), reason="none")
+        engine,
+        marks=pytest.mark.skipif(
+            engine not in installed_engines(), reason=f"{engine} is not installed"
+        ),
     )
     for engine in ("pybullet", "mujoco")
 ]
