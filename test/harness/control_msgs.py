@@ -111,7 +111,8 @@ def provide(cache):
 
 def _generate(folder, package, inspection):
     """Write the sources of the package; those of the inspection have names of others."""
-    from rosidl_adapter.cli import TranslateActionToIDL, TranslateMsgToIDL
+    from rosidl_adapter.action import convert_action_to_idl
+    from rosidl_adapter.msg import convert_msg_to_idl
     from rosidl_generator_c.cli import GenerateC
     from rosidl_generator_py.cli import GeneratePython
     from rosidl_generator_type_description.cli import HashTypeDescription
@@ -126,8 +127,9 @@ def _generate(folder, package, inspection):
         file = folder / f"{name}.{kind}"
         file.parent.mkdir(exist_ok=True)
         file.write_text(definition.replace("; ", "\n"))
-        translator = {"msg": TranslateMsgToIDL, "action": TranslateActionToIDL}[kind](kind)
-        idl += translator.translate(NAME, [f"{folder}:{name}.{kind}"], include, package)
+        convert = {"msg": convert_msg_to_idl, "action": convert_action_to_idl}[kind]
+        convert(folder, NAME, file.relative_to(folder), package / kind)
+        idl.append(f"{package}:{name}.idl")
     hashed = HashTypeDescription("hash").generate_type_hashes(NAME, idl, include, package)
     for name, expected in HASHES.items():
         (found, *_) = json.loads((package / f"{name}.json").read_text())["type_hashes"]
