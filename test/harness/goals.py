@@ -121,7 +121,8 @@ class Joints:
         return SimpleNamespace(**processes)
 
     def start_action(self, name=ACTION, **parameters):
-        """Start an action server."""
+        """Start an action server; a busy machine is no silence."""
+        parameters.setdefault("state_timeout", 3.0)
         parameters.setdefault("joints", f"[{', '.join(self.joints)}]")
         return self.harness.processes.start(
             name, "follow_joint_trajectory", ros_arguments(**parameters)
