@@ -285,9 +285,9 @@ def test_of_a_flood_of_goals_the_last_one_is_followed_and_each_has_its_result(jo
     sent = [client.send(there()) for _ in range(50)]
     joints.run(lambda: all(each.ended.done() for each in sent), what="all results")
     results = [each.ended.result() for each in sent]
-    assert [each.status for each in results].count(SUCCEEDED) == 1
     others = [each.result.error_string for each in results if each.status != SUCCEEDED]
     assert set(others) <= {"replaced by a new goal", "replaced by a new goal before it began"}
+    assert len(others) == len(sent) - 1
     assert joints.position == pytest.approx({"shoulder": 1.0, "elbow": -0.5}, abs=0.02)
     require_smooth(joints, 2.0, 10.0)
 
