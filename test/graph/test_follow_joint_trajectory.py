@@ -29,6 +29,7 @@ SLOPES = {"shoulder": [0.8, 0.0], "elbow": [-0.4, 0.0]}
 SLOW = [1.5, 3.0]
 HALF = {name: [0.5 * each for each in slopes] for name, slopes in SLOPES.items()}
 PROGRAM = (sys.executable, "-m", "hpid_ros.nodes.follow_joint_trajectory")
+GLIDE = 1.5  # [rad/s^2] on top, of a controller that hears of a stop late, on a busy machine
 INVALID_GOAL, INVALID_JOINTS, PATH, GOAL = -1, -2, -4, -5
 
 
@@ -96,7 +97,8 @@ def test_a_goal_is_reached_with_feedback_in_the_order_of_the_joints(joints):
 
 
 def test_a_cancelled_goal_decelerates_within_its_limit_and_holds(joints):
-    limits = {f"constraints__{name}__max_deceleration_on_cancel": 2.0 for name in joints.joints}
+    limit = 1.0  # [rad/s^2]; stop_duration alone would take 1.4
+    limits = {f"constraints__{name}__max_deceleration_on_cancel": limit for name in joints.joints}
     joints.start(**limits)
     client = Client(joints)
     handle = client.send(there())
@@ -104,9 +106,11 @@ def test_a_cancelled_goal_decelerates_within_its_limit_and_holds(joints):
     begun = joints.now
     assert client.cancel(handle)[:2] == (CANCELED, 0)
     come_to_rest(joints)
-    stopped = [changes for changes in steps(joints, "shoulder", begun + 0.1) if changes[2]]
-    assert stopped
-    assert all(change >= -2.0 * time - 1e-9 for time, _, change in stopped)
+    going = itertools.dropwhile(lambda step: step[2] >= 0.0, steps(joints, "shoulder", begun))
+    times, _, changes = zip(*(step for step in going if step[2]), strict=True)
+    assert -sum(changes) <= limit * sum(times)
+    fastest = limit + GLIDE
+    assert all(-change <= fastest * time for time, change in zip(times, changes, strict=True))
     assert joints.references["shoulder"][-1][1] < 0.95
     at = {name: rows[-1][1] for name, rows in joints.references.items()}
     joints.run_for(0.5)
