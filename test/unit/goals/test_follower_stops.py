@@ -37,7 +37,7 @@ def test_a_cancelled_goal_decelerates_within_its_limit_and_holds(at, most, seed,
         assert np.abs(np.diff(velocity[after])).max(initial=0.0) <= (limit + glide) * 1e-3
         assert velocity[-1] == 0.0
         assert np.abs(np.diff(reference)).max() < 2e-3
-        assert np.ptp(reference[stamps > stamps[-1] - 0.3]) == 0.0
+        assert np.ptp(reference[stamps > stamps[-1] - 0.3]) < 1e-12  # rounding
 
 
 @settings(max_examples=10)
