@@ -11,6 +11,8 @@ import csv
 import io
 from collections.abc import Iterable, Sequence
 
+_LONGEST_LINE = 4000  # characters
+
 _FORMULA = tuple("=+-@\uff1d\uff0b\uff0d\uff20")
 """What makes a spreadsheet take a cell for a formula; tabs and returns are shown as text."""
 
@@ -27,6 +29,16 @@ def shown(text: str) -> str:
     if text.isprintable():
         return text
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+
+
+def bounded(text: str) -> str:
+    """Return a text as :func:`shown`, no longer than people read.
+
+    Args:
+        text: Any text.
+    """
+    line = shown(text[: _LONGEST_LINE + 1])
+    return line if len(line) <= _LONGEST_LINE else f"{line[:_LONGEST_LINE]}..."
 
 
 def shown_lines(text: str) -> str:

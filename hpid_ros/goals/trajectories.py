@@ -9,6 +9,7 @@ import numpy as np
 
 from hpid_ros.base.errors import TrajectoryError, unknown_name
 from hpid_ros.base.units import NANOSECONDS
+from hpid_ros.control.reference import LARGEST_POSITION
 from hpid_ros.goals.results import GoalError, ResultCode
 from hpid_ros.goals.settings import GroupSettings
 from hpid_ros.goals.tolerances import AskedTolerance, Tolerances
@@ -173,7 +174,7 @@ def _seconds(instant_ns: int) -> str:
 
 @dataclass(frozen=True, eq=False)
 class GroupTrajectory:
-    """What all joints of a group are told at once.
+    """What all joints of a group are told at once, within the numbers that controllers take.
 
     Attributes:
         names: The joints.
@@ -187,6 +188,11 @@ class GroupTrajectory:
     stamp_ns: int
     times_ns: Integers
     arrays: PointArrays
+
+    def __post_init__(self) -> None:
+        """Bound the numbers: controllers would refuse a stop from beyond, and go on."""
+        for values in self.arrays:
+            np.clip(values, -LARGEST_POSITION, LARGEST_POSITION, out=values)
 
     @property
     def end_ns(self) -> int:

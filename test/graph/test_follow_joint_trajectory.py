@@ -296,6 +296,28 @@ def test_of_a_flood_of_goals_the_last_one_is_followed_and_each_has_its_result(jo
     require_smooth(joints, 2.0, 10.0)
 
 
+def test_whatever_a_cancel_of_all_goals_says_it_cancels_ends(joints):
+    from action_msgs.srv import CancelGoal
+
+    process = joints.start().action.process
+    client = Client(joints)
+    name = f"{ACTION}/follow_joint_trajectory/_action/cancel_goal"
+    canceller = joints.harness.node.create_client(CancelGoal, name)
+    joints.run(canceller.service_is_ready, what="the service")
+    sent = [client.send(slowly())]
+    os.kill(process.pid, signal.SIGSTOP)  # so that all of this waits for it
+    later = [client.ask(slowly()) for _ in range(2)]
+    cancelled = canceller.call_async(CancelGoal.Request())
+    os.kill(process.pid, signal.SIGCONT)
+    sent += [client.answer(each) for each in later]
+    joints.run(cancelled.done, what="the answer to the cancel")
+    named = [bytes(each.goal_id.uuid) for each in cancelled.result().goals_canceling]
+    assert named
+    for handle in sent:
+        if bytes(handle.goal_id.uuid) in named:
+            assert client.result(handle)[0] in (CANCELED, ABORTED)
+
+
 def two_servers(joints):
     """Start two servers of the same joints, and return a client of each."""
     told = Told(joints.harness, ACTION)

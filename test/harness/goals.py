@@ -210,7 +210,14 @@ class Client:
 
     def send(self, goal):
         """Send a goal and return its handle, at once in the future of its result."""
-        sent = self._client.send_goal_async(goal, lambda each: self.feedback.append(each.feedback))
+        return self.answer(self.ask(goal))
+
+    def ask(self, goal):
+        """Send a goal and return the future of its handle."""
+        return self._client.send_goal_async(goal, lambda each: self.feedback.append(each.feedback))
+
+    def answer(self, sent):
+        """Return the handle of a goal that was sent."""
         self._joints.run(sent.done, what="the answer to a goal")
         handle = sent.result()
         handle.ended = handle.get_result_async() if handle.accepted else None

@@ -18,7 +18,7 @@ from collections.abc import Mapping
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
 
-from hpid_ros.base.foreign_text import shown
+from hpid_ros.base.foreign_text import bounded
 from hpid_ros.nodes.ros.middleware import RARE
 from hpid_ros.nodes.ros.parameters import read_only
 
@@ -36,7 +36,6 @@ def _pipes() -> frozenset[int]:
 
 _HIGHEST = 1024  # the usual limit
 _HANDED_DOWN = _pipes()  # before this process has opened any of its own
-_LONGEST_LINE = 4000  # characters on /diagnostics and in the log
 _WAITING = 1000  # lines, for a parent that does not read
 
 
@@ -144,7 +143,7 @@ class Diagnostics:
 
     def fault(self, line: str) -> None:
         """Note one line for something that could not be used, or has gone wrong; it is logged."""
-        self.last_fault = line = _bounded(line)
+        self.last_fault = line = bounded(line)
         self._node.get_logger().warning(line, throttle_duration_sec=1.0)
 
     def publish(self, level: bytes, message: str, values: Mapping[str, object]) -> None:
@@ -158,7 +157,7 @@ class Diagnostics:
         status = DiagnosticStatus(
             level=level,
             name=self._node.get_fully_qualified_name(),
-            message=_bounded(message),
+            message=bounded(message),
             hardware_id=self._hardware_id,
             values=[KeyValue(key=key, value=_text(value)) for key, value in values.items()],
         )
@@ -168,10 +167,4 @@ class Diagnostics:
 
 
 def _text(value: object) -> str:
-    return f"{value:.6g}" if isinstance(value, float) else _bounded(str(value))
-
-
-def _bounded(line: str) -> str:
-    """Return a line, as text and no longer than people read: names in it may be strangers'."""
-    line = shown(line[: _LONGEST_LINE + 1])
-    return line if len(line) <= _LONGEST_LINE else f"{line[:_LONGEST_LINE]}..."
+    return f"{value:.6g}" if isinstance(value, float) else bounded(str(value))

@@ -65,6 +65,16 @@ def test_a_stop_never_passes_a_position_limit(at, room):
     assert path[-1] == path[-2]
 
 
+def test_controllers_take_the_stop_of_a_goal_that_led_to_the_end_of_the_numbers():
+    group = SimulatedGroup(("shoulder",), **{"constraints.shoulder.goal": 0.1})
+    group.run(0.2)
+    group.begin(goal({"shoulder": [1e9]}, [1e-9]))
+    group.run(0.2)
+    group.cancel()
+    _, told = group.told
+    assert max(np.abs(each).max() for each in told.arrays[:2]) == 1e9  # beyond, it is refused
+
+
 def test_leaving_ends_the_goal_and_stops():
     group = started()
     group.run(0.5)

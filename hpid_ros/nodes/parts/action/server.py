@@ -289,13 +289,12 @@ class GoalServer:
         self._active = handle
 
     def _answer_cancel(self, handle: ServerGoalHandle) -> CancelResponse:
-        # What follows from it is done in a task, so when the goal is canceling.
+        # What follows from it is done in a task, so when the goal is canceling. One that is about
+        # to end is not rejected: of those cancelled together rclpy would pass over the next one.
         if handle is self._waiting:
             self._replace_waiting(CANCELLED)
         elif handle is self._active:
             self._cancel()
-        else:
-            return CancelResponse.REJECT
         return CancelResponse.ACCEPT
 
     def _replace_waiting(self, result: Result) -> None:
