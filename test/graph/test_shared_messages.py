@@ -114,31 +114,28 @@ def test_efforts_that_answer_no_state_go_out_at_once_and_end_in_zeros(harness):
     process = start(harness, *(part for each in watched for part in ("-p", each)))
     stamps = iter(range(0, 100_000 * MS, MS))
 
-    def is_answered(position, least):
-        tell(harness, next(stamps), position)
-        efforts = last(harness)
-        return set(efforts) == set(JOINTS) and min(efforts.values()) >= least
+    def are_answered():
+        tell(harness, next(stamps), 0.5)
+        return {name: after_ns for name, (after_ns, _) in last(harness).items()} == answered
 
-    # The first position is the setpoint; after a stall, a silence, the fallback stays in force.
-    harness.wait(lambda: is_answered(0.5, 0.0), what="both joints")
-    harness.wait(lambda: is_answered(0.25, 2.0), what="efforts")
-    harness.wait(lambda: last(harness) == dict.fromkeys(JOINTS, 1.5), what="silence")
-    assert all(each.stamp_ns % MS == 1 for each in harness.commands[-2:])
-
-    def is_answered_again():
-        tell(harness, stamp_ns := next(stamps), 0.25)
-        return len(answers(harness, stamp_ns - MS)) == 2
-
-    harness.wait(is_answered_again, what="answers again")
+    # A stall is a silence, after which the fallback stays in force: the stamps tell what answers.
+    answered, fallen_back = dict.fromkeys(JOINTS, 0), dict.fromkeys(JOINTS, (1, 1.5))
+    harness.wait(are_answered, what="both joints")
+    harness.wait(lambda: last(harness) == fallen_back, what="silence")
+    harness.wait(are_answered, what="answers again")
     harness.commands.clear()
     process.process.terminate()
-    harness.wait(lambda: last(harness) == dict.fromkeys(JOINTS, 0.0), what="zeros")
+    zeros = dict.fromkeys(JOINTS, 0.0)
+    harness.wait(
+        lambda: {name: effort for name, (_, effort) in last(harness).items()} == zeros,
+        what="zeros",
+    )
 
 
 def last(harness):
-    """Return the newest effort of each joint."""
+    """Return of each joint's newest command its stamp's distance from a state and its effort."""
     return {
-        name: effort
+        name: (each.stamp_ns % MS, effort)
         for each in harness.commands
         for name, effort in zip(each.names, each.effort, strict=True)
     }
