@@ -286,12 +286,14 @@ def test_states_that_stop_abort_the_goal_and_joints_hold_where_they_are_found(jo
 def test_of_a_flood_of_goals_the_last_one_is_followed_and_each_has_its_result(joints):
     joints.start(constraints__shoulder__goal=0.01)
     client = Client(joints)
-    sent = [client.send(there()) for _ in range(50)]
+    goal = goal_of({"shoulder": [1.0], "elbow": [-0.5]}, [1.5], {"shoulder": [0], "elbow": [0]})
+    sent = [client.send(goal) for _ in range(50)]
     joints.run(lambda: all(each.ended.done() for each in sent), what="all results")
-    results = [each.ended.result() for each in sent]
-    others = [each.result.error_string for each in results if each.status != SUCCEEDED]
-    assert set(others) <= {"replaced by a new goal", "replaced by a new goal before it began"}
-    assert len(others) == len(sent) - 1
+    *others, last = [each.ended.result() for each in sent]
+    assert (last.status, last.result.error_string) == (SUCCEEDED, "goal reached")
+    replaced = {"replaced by a new goal", "replaced by a new goal before it began"}
+    # Where the machine stands still between two goals for as long as one takes, that is reached.
+    assert {each.result.error_string for each in others} <= {"goal reached", *replaced}
     assert joints.position == pytest.approx({"shoulder": 1.0, "elbow": -0.5}, abs=0.02)
     require_smooth(joints, 2.0, 10.0)
 
