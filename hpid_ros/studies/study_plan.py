@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import itertools
 import json
+import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,13 +13,14 @@ from typing import NamedTuple
 
 from hpid_ros.analysis import RunIndices
 from hpid_ros.analysis.quantities import CHATTER, ERROR_MAX, OVERSHOOT, Quantity
-from hpid_ros.base.errors import ExperimentError, RunError, SettingError, unknown_name
+from hpid_ros.base.errors import ExperimentError, SettingError, unknown_name
 from hpid_ros.base.resources import ResourceError, find_resource, share_folder
 from hpid_ros.documents.sections import Section
 from hpid_ros.documents.yaml_files import load_document
 from hpid_ros.experiment.description import Experiment, load_experiment
 from hpid_ros.experiment.result.folder import versions
-from hpid_ros.simulation.settings import ENGINES, require_engine
+from hpid_ros.experiment.result.places import told
+from hpid_ros.simulation.settings import require_engine
 from hpid_ros.studies.batch import LAST_ERROR, PAPER_QUANTITIES, JudgedTask
 
 SLOW = ("bricks",)
@@ -293,31 +295,36 @@ class RunRecord:
         return cls(key, digest, numbers, failure)
 
     def line(self) -> str:
-        """Return the record as one line of JSON."""
-        return json.dumps(
-            {
-                **self.key._asdict(),
-                "sha256": self.digest,
-                "numbers": self.numbers,
-                "failure": self.failure,
-            }
-        )
+        """Return the record as one line of JSON, with a checksum of all else in it."""
+        saved = {
+            **self.key._asdict(),
+            "sha256": self.digest,
+            "numbers": self.numbers,
+            "failure": self.failure,
+        }
+        return json.dumps({**saved, "crc32": zlib.crc32(json.dumps(saved).encode())})
 
     @classmethod
     def parse(cls, line: str) -> RunRecord:
         """Return the record that :meth:`line` wrote.
 
         Raises:
-            ValueError: It is none.
+            ValueError: It is none, or not as it was written.
         """
         try:
             saved = json.loads(line)
-            # Where no engine is named it was the only one that there was.
-            names = (saved["experiment"], saved.get("engine", ENGINES[0]), saved["controller"])
-            key = RunKey(*names, int(saved["seed"]))
-            return cls(key, saved["sha256"], saved["numbers"], saved["failure"])
-        except (AttributeError, KeyError, TypeError) as error:
+            experiment, engine, controller = (str(saved[each]) for each in RunKey._fields[:3])
+            numbers = {
+                joint: {key: float(value) for key, value in each.items()}
+                for joint, each in saved["numbers"].items()
+            }
+            key = RunKey(experiment, engine, controller, int(saved["seed"]))
+            record = cls(key, str(saved["sha256"]), numbers, str(saved["failure"]))
+        except (AttributeError, KeyError, TypeError, OverflowError, RecursionError) as error:
             raise ValueError(f"no record of a run: {error}") from None
+        if record.line() != line:  # which no other kind of value, missing or further key passes
+            raise ValueError("not what was written")
+        return record
 
 
 def read_journal(path: Path) -> list[RunRecord]:
@@ -327,11 +334,13 @@ def read_journal(path: Path) -> list[RunRecord]:
         path: The file; one that is not there has no records.
 
     Raises:
-        RunError: Another line is damaged.
+        SettingError: Another line is damaged.
+        ExperimentError: The file cannot be read.
     """
     if not path.is_file():
         return []
-    lines = path.read_text(encoding="utf-8").splitlines()
+    with told(f"cannot read {path}"):
+        lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
     records = []
     for number, line in enumerate(lines, 1):
         try:
@@ -339,7 +348,10 @@ def read_journal(path: Path) -> list[RunRecord]:
         except ValueError:
             if number == len(lines):
                 break
-            raise RunError(f"{path}: line {number} is damaged") from None
+            raise SettingError(
+                f"{path}: line {number} is damaged, or of an earlier version; without this line "
+                "its run is made again"
+            ) from None
     return records
 
 

@@ -65,14 +65,17 @@ def run_study(
         advanced: Is told of every run that has ended.
 
     Raises:
-        RunError: A process died, or the journal is damaged.
+        RunError: A process died.
+        SettingError: The journal is damaged.
     """
     digests = _digests(plan)
     records = kept_records(plan, folder.path)
     tasks = {key: task for key, task in plan.tasks().items() if key not in records}
     keys = tuple(tasks)
     result = StudyResult(plan, records)
-    _begin(plan, folder, records)
+    wanted = plan.tasks().keys()
+    others = [each for each in read_journal(folder.path / JOURNAL) if each.key not in wanted]
+    _begin(plan, folder, records, others)
     try:
         with (
             folder.file(JOURNAL).open("a", encoding="utf-8") as lines,
@@ -87,7 +90,7 @@ def run_study(
                 lines.flush()
                 advanced(outcome)
     finally:
-        save(result, folder)
+        save(result, folder, others)
     return result
 
 
@@ -99,14 +102,13 @@ def merged(plan: StudyPlan, parts: Sequence[Path]) -> StudyResult:
         parts: Folders of studies of the same files, for instance of shards.
 
     Raises:
-        RunError: A journal is damaged.
-        SettingError: A part is no study, or runs of the plan are missing or have failed.
+        SettingError: A part is no study, a journal is damaged, or runs of the plan are missing,
+            differ or have failed.
     """
-    records: dict[RunKey, RunRecord] = {}
     for part in parts:
         if not (part / JOURNAL).is_file():
             raise SettingError(f"{part} is no study: it has no {JOURNAL}")
-        records |= kept_records(plan, part)
+    records = kept_records(plan, *parts)
     missing = [key for key in plan.tasks() if key not in records]
     if missing:
         first = missing[0]
@@ -118,35 +120,44 @@ def merged(plan: StudyPlan, parts: Sequence[Path]) -> StudyResult:
     return StudyResult(plan, records)
 
 
-def kept_records(plan: StudyPlan, folder: Path) -> dict[RunKey, RunRecord]:
-    """Return the runs in a folder that are still those of the plan and did not fail.
+def kept_records(plan: StudyPlan, *folders: Path) -> dict[RunKey, RunRecord]:
+    """Return the runs in folders that are still those of the plan and did not fail.
 
     Args:
         plan: The plan.
-        folder: The folder.
+        folders: The folders.
 
     Raises:
-        RunError: The journal is damaged.
+        SettingError: A journal is damaged, or the numbers of a run differ.
     """
     digests = _digests(plan)
     wanted = set(plan.tasks())
-    return {
-        record.key: record
-        for record in read_journal(folder / JOURNAL)
-        if record.key in wanted
-        and record.digest == digests[record.key.experiment, record.key.engine]
-        and not record.failure
-    }
+    records: dict[RunKey, RunRecord] = {}
+    for journal in (folder / JOURNAL for folder in folders):
+        for record in read_journal(journal):
+            key = record.key
+            if key not in wanted or record.failure:
+                continue
+            if record.digest != digests[key.experiment, key.engine]:
+                continue
+            if records.setdefault(key, record) != record:
+                raise SettingError(
+                    f"{journal}: {key.experiment} {key.controller} seed={key.seed} in "
+                    f"{key.engine} is there with other numbers than before; one of the two is "
+                    "wrong, or made on a machine that computes differently"
+                )
+    return records
 
 
-def save(result: StudyResult, folder: ResultFolder) -> None:
+def save(result: StudyResult, folder: ResultFolder, others: Iterable[RunRecord] = ()) -> None:
     """Write the experiments, the numbers of all runs, the summary and the tables.
 
     Args:
         result: The result.
         folder: Its folder.
+        others: Runs that are none of the plan, and stay in the journal.
     """
-    _begin(result.plan, folder, result.records)
+    _begin(result.plan, folder, result.records, others)
     folder.write("runs.csv", runs_csv(result))
     folder.write("study.json", json.dumps(result.as_mapping(), indent=2) + "\n")
     folder.write("tables.txt", study_text(result))
@@ -181,9 +192,14 @@ def _digests(plan: StudyPlan) -> dict[tuple[str, str], str]:
     return {(each.experiment.name, each.engine): each.digest for each in plan.entries}
 
 
-def _begin(plan: StudyPlan, folder: ResultFolder, records: Mapping[RunKey, RunRecord]) -> None:
+def _begin(
+    plan: StudyPlan,
+    folder: ResultFolder,
+    records: Mapping[RunKey, RunRecord],
+    others: Iterable[RunRecord],
+) -> None:
     """Write the experiments, and the journal in the plan's order, however the runs ended."""
     for entry in plan.entries:
         folder.write(f"experiments/{entry.experiment.name}.yaml", entry.experiment.text)
-    lines = [records[key].line() + "\n" for key in plan.tasks() if key in records]
-    folder.write(JOURNAL, "".join(lines))
+    kept = [records[key] for key in plan.tasks() if key in records]
+    folder.write(JOURNAL, "".join(f"{each.line()}\n" for each in (*kept, *others)))

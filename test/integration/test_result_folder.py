@@ -298,3 +298,28 @@ def test_a_file_is_replaced_as_a_whole_or_not_at_all(tmp_path, monkeypatch):
     with pytest.raises(OSError, match="No space"):
         write_file(path, "newer")
     assert files_in(tmp_path) == {"report.html": b"new"}
+
+
+@pytest.mark.parametrize("link", ["result.json", "bags", "bags/a", "bags/a/a.mcap"])
+def test_nothing_is_written_through_a_link_in_a_result(tmp_path, link):
+    """A result of a stranger's that lists a link as its own file leads nowhere else."""
+    place, elsewhere, names = (
+        tmp_path / "r",
+        tmp_path / "elsewhere",
+        ("result.json", "bags/a/a.mcap"),
+    )
+
+    def write(folder, text):
+        with folder:
+            for name in names:
+                folder.write(name, text)
+
+    write(ResultFolder.create(place), "old")
+    (place / link).rename(elsewhere)
+    (place / link).symlink_to(elsewhere)
+    for opened in (ResultFolder.reopen(place), ResultFolder.create(place, force=True)):
+        with pytest.raises(ResultExistsError, match="this package did not write it"):
+            write(opened, "new")
+        assert (place / link).is_symlink()
+        found = files_in(elsewhere).values() if elsewhere.is_dir() else [elsewhere.read_bytes()]
+        assert list(found) == [b"old"]

@@ -13,7 +13,7 @@ from harness.places import ROOT
 from harness.studies import ARM, saved, study
 
 from hpid_ros.analysis.quantities import INDICES
-from hpid_ros.base.errors import RunError
+from hpid_ros.base.errors import SettingError
 from hpid_ros.base.resources import share_folder
 from hpid_ros.cli.commands import BAD_INPUT, DONE, FAILED
 from hpid_ros.cli.main import main
@@ -24,6 +24,8 @@ from hpid_ros.experiment.result.result import compute
 from hpid_ros.studies import batch
 from hpid_ros.studies.batch import LAST_ERROR, JudgedTask, WorldKeeper, simulate, simulated_indices
 from hpid_ros.studies.study_plan import (
+    RunKey,
+    RunRecord,
     default_files,
     plan_study,
     read_journal,
@@ -179,13 +181,69 @@ def test_only_what_still_holds_is_kept(study_files, tmp_path, study_runs):
     assert len(study_runs) == 8
 
 
-def test_a_damaged_journal_is_not_carried_on(study_files, tmp_path):
-    folder = tmp_path / "s"
-    assert study(study_files[:1], folder) == DONE
-    lines = (folder / "runs.jsonl").read_text().splitlines(keepends=True)
-    (folder / "runs.jsonl").write_text("".join(["{}\n", *lines]))
-    with pytest.raises(RunError, match="line 1 is damaged"):
-        read_journal(folder / "runs.jsonl")
+def of_one_run(tmp_path):
+    """Write a journal of two runs, and return it with the first run's entries."""
+    journal = tmp_path / "runs.jsonl"
+    numbers = {"": {"ivc": 1.5, "itae": 2.0}, "a": {"ivc": 1.5}}
+    records = [RunRecord(RunKey("e", "mujoco", "PID", seed), "0", numbers) for seed in (1, 2)]
+    journal.write_text("".join(each.line() + "\n" for each in records))
+    assert read_journal(journal) == records
+    return journal, json.loads(records[0].line())
+
+
+VALUES = [None, [], {}, 1, "x", True, float("nan"), float("inf"), 10**400, [[1]], {"": [1]}]
+
+
+@pytest.mark.parametrize("key", ["experiment", "seed", "sha256", "numbers", "failure", "crc32"])
+def test_a_journal_holds_what_was_written_or_is_refused(tmp_path, key):
+    journal, first = of_one_run(tmp_path)
+    last = journal.read_text().splitlines()[1]
+    changed = [first | {key: value} for value in VALUES if value != first[key]]
+    changed += [{k: v for k, v in first.items() if k != key}, first | {"more": 1}]
+    if key == "numbers":
+        changed += [first | {key: {"": {"ivc": value}}} for value in [*VALUES, "1.5", 1.6]]
+    for each in map(json.dumps, changed):
+        journal.write_text(f"{each}\n{last}\n")
+        with pytest.raises(SettingError, match="line 1 is damaged"):
+            read_journal(journal)
+
+
+@pytest.mark.parametrize("damage", [b"\xff\xfe", b"[" * 100_000, b"", b"\0"], ids=range(4))
+def test_what_is_no_journal_is_one_line(study_files, tmp_path, capsys, damage):
+    assert study(study_files[:1], tmp_path / "s", seeds=1) == DONE
+    journal = tmp_path / "s" / "runs.jsonl"
+    journal.write_bytes(damage + b"\n" + journal.read_bytes())
+    before = journal.read_bytes()
+    capsys.readouterr()
+    for option in (("--resume",), ("--merge", tmp_path / "s", "-o", tmp_path / "whole")):
+        assert study(study_files[:1], tmp_path / "s", *option, seeds=1) == BAD_INPUT
+        (line,) = capsys.readouterr().err.splitlines()
+        assert line.startswith(f"hpid: {journal}: line 1 is damaged")
+    assert journal.read_bytes() == before
+    assert not (tmp_path / "whole").exists()
+
+
+def test_numbers_that_contradict_each_other_are_not_merged(study_files, tmp_path, capsys):
+    for name in "ab":
+        assert study(study_files[:1], tmp_path / name, seeds=1) == DONE
+    journal = tmp_path / "b" / "runs.jsonl"
+    first, *others = read_journal(journal)
+    numbers = {joint: dict(each, ivc=1.0) for joint, each in first.numbers.items()}
+    records = [replace(first, numbers=numbers), *others]
+    journal.write_text("".join(each.line() + "\n" for each in records))
+    parts = ("--merge", tmp_path / "a", "--merge", tmp_path / "b")
+    assert study(study_files[:1], tmp_path / "c", *parts, seeds=1) == BAD_INPUT
+    assert "calm PID seed=1 in " in (line := capsys.readouterr().err)
+    assert "is there with other numbers than before" in line
+
+
+def test_runs_beyond_the_plan_stay_in_the_journal(study_files, tmp_path, study_runs):
+    assert study(study_files, tmp_path / "s", seeds=3) == DONE
+    assert study(study_files[:1], tmp_path / "s", "--resume", seeds=1) == DONE
+    assert saved(tmp_path / "s")["runs"] == {"planned": 2, "made": 2, "failed": 0}
+    study_runs.clear()
+    assert study(study_files, tmp_path / "s", "--resume", seeds=3) == DONE
+    assert not study_runs
 
 
 def test_a_failed_run_is_named_and_made_again_when_carried_on(

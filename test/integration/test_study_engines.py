@@ -1,7 +1,6 @@
 """Studies of both engines, of one that is not there, and of robots that are not."""
 
 import csv
-import json
 import sys
 
 import pytest
@@ -99,21 +98,6 @@ def test_the_other_engine_can_be_added_to_a_study(study_files, tmp_path, study_r
     assert study(study_files, folder, "--engine", "both", "--resume") == DONE
     assert len(study_runs) == 8
     assert all("(pybullet)" in label for label in study_runs)
-
-
-@needs_bullet
-def test_a_journal_of_before_there_were_two_engines_is_carried_on(
-    study_files, tmp_path, study_runs
-):
-    folder = tmp_path / "s"
-    assert study(study_files[:1], folder, "--engine", "pybullet") == DONE
-    journal = folder / "runs.jsonl"
-    records = [json.loads(line) for line in journal.read_text().splitlines()]
-    assert {each.pop("engine") for each in records} == {"pybullet"}
-    journal.write_text("".join(json.dumps(each) + "\n" for each in records))
-    study_runs.clear()
-    assert study(study_files[:1], folder, "--engine", "pybullet", "--resume") == DONE
-    assert not study_runs
 
 
 @pytest.mark.parametrize("engine", ["pybullet", "mujoco"])

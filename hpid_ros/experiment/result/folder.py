@@ -107,7 +107,11 @@ class Marker:
 
     def expanded(self, folder: Path) -> frozenset[str]:
         """Return the files, with all that lie in the folders that a run was writing to."""
-        files = {name for name in self.files if _is_file(folder / name)}
+        files = {
+            name
+            for name in self.files
+            if _is_file(folder / name) and not _leads_through_link(folder, name)
+        }
         for each in self.folders:
             if not _leads_through_link(folder, f"{each}/file"):
                 files.update(_files_in(folder, folder / each))
@@ -241,7 +245,7 @@ class ResultFolder(ResultPlaces):
             )
 
     def _claim(self, kind: set[str], name: str) -> None:
-        if name in kind:
+        if name in kind and not _leads_through_link(self.path, f"{name}/itself"):
             return
         if _is_in_the_way(self.path, name):
             raise ResultExistsError(f"{self.path / name} is there already: {_NOT_OURS}")
