@@ -35,7 +35,7 @@ class StampQuality:
         longest_gap_at: When it begins, in seconds since the first state of any joint, in [s].
         repeated: Samples whose stamp was there already; of several the last stands.
         out_of_order: Samples with an earlier stamp than the sample recorded before.
-        not_finite: Samples that were left out, their number being NaN or infinite.
+        not_finite: Samples that were left out, their number being NaN, infinite or beyond 1e50.
     """
 
     count: int = 0

@@ -20,7 +20,15 @@ from hpid_ros.bags.run.references import (
     sample_setpoints,
     setpoint_events,
 )
-from hpid_ros.bags.run.stamps import Ordered, carried, finite, ordered, separated, stamp_quality
+from hpid_ros.bags.run.stamps import (
+    LARGEST,
+    Ordered,
+    carried,
+    finite,
+    ordered,
+    separated,
+    stamp_quality,
+)
 from hpid_ros.bags.selection import BagSelection
 from hpid_ros.base.arrays import Numbers
 from hpid_ros.base.units import NANOSECONDS
@@ -85,7 +93,10 @@ class JointRun:
             raise SeriesError(f"joint {joint!r}: no state carries its position")
         samples, not_finite = finite(taken)
         if not len(samples.values):
-            raise SeriesError(f"joint {joint!r}: position must be finite, but no state's is")
+            raise SeriesError(
+                f"joint {joint!r}: position must be finite and below {LARGEST:g}, but no "
+                "state's is"
+            )
         self._samples = samples
         self._stamps_ns = self._times(samples)
         self.states = ordered(self._stamps_ns, samples.values, not_finite)
@@ -190,7 +201,10 @@ class JointRun:
     def _finite_efforts(self, samples: JointSamples) -> tuple[JointSamples, int]:
         samples, not_finite = finite(samples)
         if not len(samples.values):
-            raise SeriesError(f"joint {self._joint!r}: effort must be finite, but no command's is")
+            raise SeriesError(
+                f"joint {self._joint!r}: effort must be finite and below {LARGEST:g}, but no "
+                "command's is"
+            )
         return samples, not_finite
 
     def _losses(self, states: Ordered, commands: Ordered, clock: str) -> tuple[Losses, bool]:

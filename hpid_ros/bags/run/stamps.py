@@ -21,7 +21,7 @@ class Ordered(NamedTuple):
         values: Their numbers, (n,).
         repeated: Samples whose stamp was there; of several the last stands.
         out_of_order: Samples with an earlier stamp than the one before in the log.
-        not_finite: Samples whose number was NaN or infinite.
+        not_finite: Samples whose number was NaN, infinite or beyond 1e50.
     """
 
     stamps_ns: Integers
@@ -41,9 +41,13 @@ class Ordered(NamedTuple):
         )
 
 
+LARGEST = 1e50
+"""Beyond this a number is no joint's, and its powers soon are no numbers, either."""
+
+
 def finite(samples: JointSamples) -> tuple[JointSamples, int]:
-    """Return the samples whose numbers are finite, and how many were not."""
-    is_finite = np.isfinite(samples.values)
+    """Return the samples whose numbers can be a joint's, and how many cannot."""
+    is_finite = np.abs(samples.values) < LARGEST  # false of NaN, too
     if is_finite.all():
         return samples, 0
     return samples.picked(is_finite), int(np.count_nonzero(~is_finite))

@@ -70,14 +70,14 @@ def test_every_message_that_was_removed_is_counted_as_lost(removed):
 
 def test_repeats_disorder_and_numbers_that_are_none_are_counted(tmp_path):
     types = {"/joint_states": JOINT_STATE, "/joint_commands": JOINT_STATE}
-    nan, infinite = float("nan"), float("inf")
-    stamps = [(1, 0.5), (3, 0.5), (2, 0.5), (3, 0.5), (4, nan), (5, infinite), (6, 0.5)]
+    nan, infinite, huge = float("nan"), float("inf"), -1e50
+    stamps = [(1, 0.5), (3, 0.5), (2, 0.5), (3, 0.5), (4, nan), (5, infinite), (6, 0.5), (7, huge)]
     log = [("/joint_states", k, state(t, a=x)[2]) for k, (t, x) in enumerate(stamps)]
     log += [("/joint_commands", 9, command(t, a=x)[2]) for t, x in ((1, 1.0), (2, nan))]
     run = read_run(write(tmp_path / "bag", types, log), "run")
     assert run.joints[0].state_stamps_ns.tolist() == [1, 2, 3, 6]
     found = run.quality.joints["a"].states
-    assert (found.count, found.repeated, found.out_of_order, found.not_finite) == (4, 1, 1, 2)
+    assert (found.count, found.repeated, found.out_of_order, found.not_finite) == (4, 1, 1, 3)
     assert run.quality.joints["a"].commands.not_finite == 1
 
 

@@ -32,7 +32,7 @@ from hpid_ros.base.errors import BagError
 from hpid_ros.recordings.series import Losses
 from hpid_ros.wire.joint_state import JointStateTemplate, decode_joint_state
 
-finite = st.floats(allow_nan=False, allow_infinity=False)
+finite = st.floats(-9e49, 9e49)  # beyond 1e50 no joint is
 stamps = st.lists(st.integers(-(2**31) * S, 2**31 * S - 1), min_size=1, max_size=12, unique=True)
 
 
