@@ -42,7 +42,7 @@ def runs_from_mapping(document: object, where: str) -> tuple[RunIndices, ...]:
         return tuple(_run(str(label), run) for label, run in runs.items())
     except SeriesError as error:
         raise SeriesError(f"{where}: {error}") from None
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
         raise SeriesError(f"{where} is damaged: {_reason(error)}") from None
 
 

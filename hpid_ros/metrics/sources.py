@@ -81,7 +81,9 @@ def saved_parameters(bag: Path) -> Mapping[str, Mapping[str, object]]:
     document = load_json(result)
     parameters = document.get("parameters") if isinstance(document, dict) else None
     found = parameters.get(bag.name) if isinstance(parameters, dict) else None
-    return found if isinstance(found, dict) else {}
+    if not isinstance(found, dict):
+        return {}
+    return {joint: each for joint, each in found.items() if isinstance(each, dict)}
 
 
 def load_json(path: Path) -> Any:

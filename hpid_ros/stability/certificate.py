@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-from hpid_ros.base.errors import SettingError
+from hpid_ros.base.errors import HpidError, SettingError
 from hpid_ros.control.gains import Gains
 from hpid_ros.control.norms import CanonicalNorm, WeightedNorm
 
@@ -132,7 +132,9 @@ class Certificate:
                 )
                 for span in mapping["spans"]
             )
-        except (KeyError, TypeError) as error:
+        except (KeyError, TypeError, ValueError, OverflowError) as error:
+            if isinstance(error, HpidError):
+                raise
             raise SettingError(f"a certificate lacks or misshapes an entry: {error!r}") from None
         return cls(gains, spans)
 

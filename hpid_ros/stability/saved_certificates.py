@@ -7,6 +7,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from hpid_ros.base.errors import GainError, SettingError
 from hpid_ros.control import LoopSettings
 from hpid_ros.stability.certificate import Certificate
@@ -67,7 +69,7 @@ def saved_certificates(path: Path) -> dict[str, Mapping[str, Any]]:
     except OSError as error:
         reason = (error.strerror or str(error)).lower()
         raise SettingError(f"cannot read {path}: {reason}") from None
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise SettingError(f"cannot read {path}: {error}") from None
     found = document.get(_KEY) if isinstance(document, Mapping) else None
     return dict(found) if isinstance(found, Mapping) else {}
@@ -84,7 +86,7 @@ def verify(saved: Mapping[str, Any]) -> Verification:
     certificate = Certificate.from_mapping(saved)
     try:
         margins = verify_certificate(certificate)
-    except GainError as error:
+    except (GainError, np.linalg.LinAlgError) as error:
         return Verification(False, f"does NOT hold: {error}")
     return Verification(
         True,
