@@ -10,24 +10,17 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable
 
-from hpid_ros.base.foreign_text import shown
+from hpid_ros.base.foreign_text import bounded
 
 _SHOWN_NAMES = 100
 """Names that exist, in a message."""
-_LONGEST = 8000
-"""Characters of a message; names that come from elsewhere can have any number."""
 
 
 class HpidError(Exception):
     """Root of all errors of this package; its text is one line that can be printed anywhere."""
 
     def __str__(self) -> str:
-        text = super().__str__()
-        left_out = len(text) - _LONGEST
-        if left_out > 0:
-            half = _LONGEST // 2
-            text = f"{text[:half]} ... {left_out} characters ... {text[-half:]}"
-        return shown(text)
+        return bounded(super().__str__())
 
 
 class GainError(HpidError, ValueError):

@@ -11,7 +11,7 @@ import csv
 import io
 from collections.abc import Iterable, Sequence
 
-_LONGEST_LINE = 4000  # characters
+_LONGEST_LINE = 8000  # characters
 
 _FORMULA = tuple("=+-@\uff1d\uff0b\uff0d\uff20")
 """What makes a spreadsheet take a cell for a formula; tabs and returns are shown as text."""
@@ -32,13 +32,16 @@ def shown(text: str) -> str:
 
 
 def bounded(text: str) -> str:
-    """Return a text as :func:`shown`, no longer than people read.
+    """Return a text as :func:`shown`, without its middle where it is longer than people read.
 
     Args:
         text: Any text.
     """
-    line = shown(text[: _LONGEST_LINE + 1])
-    return line if len(line) <= _LONGEST_LINE else f"{line[:_LONGEST_LINE]}..."
+    left_out = len(text) - _LONGEST_LINE
+    if left_out > 0:
+        half = _LONGEST_LINE // 2
+        text = f"{text[:half]} ... {left_out} characters ... {text[-half:]}"
+    return shown(text)
 
 
 def shown_lines(text: str) -> str:

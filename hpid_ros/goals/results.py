@@ -9,7 +9,6 @@ from enum import IntEnum
 from typing import NamedTuple
 
 from hpid_ros.base.errors import TrajectoryError
-from hpid_ros.base.foreign_text import bounded
 
 
 class ResultCode(IntEnum):
@@ -50,4 +49,4 @@ class GoalError(TrajectoryError):
     @property
     def result(self) -> Result:
         """The result that its client gets."""
-        return Result(self.code, bounded(str(self)))
+        return Result(self.code, str(self))
