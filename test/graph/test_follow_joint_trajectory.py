@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 from harness.goals import (
     ABORTED,
@@ -20,6 +21,7 @@ from harness.goals import (
 )
 from harness.graph import ros_arguments
 from harness.health import Told
+from trajectory_msgs.msg import JointTrajectory
 
 pytestmark = needs_control_msgs
 
@@ -29,7 +31,6 @@ SLOPES = {"shoulder": [0.8, 0.0], "elbow": [-0.4, 0.0]}
 SLOW = [1.5, 3.0]
 HALF = {name: [0.5 * each for each in slopes] for name, slopes in SLOPES.items()}
 PROGRAM = (sys.executable, "-m", "hpid_ros.nodes.follow_joint_trajectory")
-GLIDE = 1.5  # [rad/s^2] on top, of a controller that hears of a stop late, on a busy machine
 INVALID_GOAL, INVALID_JOINTS, PATH, GOAL = -1, -2, -4, -5
 
 
@@ -53,6 +54,11 @@ def steps(joints, joint, since=0.0):
         (later[0] - row[0], later[1] - row[1], later[2] - row[2])
         for row, later in itertools.pairwise(rows)
     ]
+
+
+def seconds(point):
+    """Return the time of a trajectory's point in [s]."""
+    return point.time_from_start.sec + 1e-9 * point.time_from_start.nanosec
 
 
 def require_smooth(joints, fastest, most, since=0.0):
@@ -100,17 +106,23 @@ def test_a_cancelled_goal_decelerates_within_its_limit_and_holds(joints):
     limit = 1.0  # [rad/s^2]; stop_duration alone would take 1.4
     limits = {f"constraints__{name}__max_deceleration_on_cancel": limit for name in joints.joints}
     joints.start(**limits)
+    told = []
+    joints.harness.node.create_subscription(JointTrajectory, "joint_trajectory", told.append, 10)
     client = Client(joints)
     handle = client.send(there())
     joints.run(lambda: joints.references["shoulder"][-1][2] > 0.6, what="the joints to move")
     begun = joints.now
     assert client.cancel(handle)[:2] == (CANCELED, 0)
     come_to_rest(joints)
-    going = itertools.dropwhile(lambda step: step[2] >= 0.0, steps(joints, "shoulder", begun))
-    times, _, changes = zip(*(step for step in going if step[2]), strict=True)
-    assert -sum(changes) <= limit * sum(times)
-    fastest = limit + GLIDE
-    assert all(-change <= fastest * time for time, change in zip(times, changes, strict=True))
+    _, *stop = told[-1].points  # of a motion that goes on until all can have heard of it
+    for before, after in itertools.pairwise(stop):
+        change = np.subtract(after.velocities, before.velocities)
+        assert np.all(np.abs(change) <= limit * (seconds(after) - seconds(before)))
+    assert stop[0].velocities[0] > 0.5
+    assert not np.any(stop[-1].velocities)
+    require_smooth(joints, 1.5, 10.0, begun)  # a late controller has less time for the same stop
+    ends = [joints.references[name][-1][1] for name in told[-1].joint_names]
+    assert ends == pytest.approx(list(stop[-1].positions), abs=1e-9)
     assert joints.references["shoulder"][-1][1] < 0.95
     at = {name: rows[-1][1] for name, rows in joints.references.items()}
     joints.run_for(0.5)
