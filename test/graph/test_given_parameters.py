@@ -190,7 +190,8 @@ def test_every_executable_starts_from_its_dump_and_takes_it_back(harness, tmp_pa
         fixed = graph.are_fixed(node, ["status_fd" if "status_fd" in values else "use_sim_time"])
         for name, is_fixed in fixed.items():
             if is_fixed:
-                is_set, reason = graph.set(node, **{name: 77})
+                other = values[name] + 1  # what it has it takes
+                is_set, reason = graph.set(node, **{name: other})
                 assert not is_set
                 assert name in reason
     assert graph.set("/joint_controller", gains__p=61) == (True, "")
