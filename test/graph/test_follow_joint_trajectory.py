@@ -23,6 +23,8 @@ from harness.graph import ros_arguments
 from harness.health import Told
 from trajectory_msgs.msg import JointTrajectory
 
+from hpid_ros.nodes.ros.middleware import LATCHED
+
 pytestmark = needs_control_msgs
 
 THERE = {"shoulder": [0.4, 1.0], "elbow": [-0.2, -0.5]}
@@ -107,13 +109,20 @@ def test_a_cancelled_goal_decelerates_within_its_limit_and_holds(joints):
     limits = {f"constraints__{name}__max_deceleration_on_cancel": limit for name in joints.joints}
     joints.start(**limits)
     told = []
-    joints.harness.node.create_subscription(JointTrajectory, "joint_trajectory", told.append, 10)
+    node = joints.harness.node
+    node.create_subscription(JointTrajectory, "joint_trajectory", told.append, LATCHED)
     client = Client(joints)
     handle = client.send(there())
     joints.run(lambda: joints.references["shoulder"][-1][2] > 0.6, what="the joints to move")
     begun = joints.now
     assert client.cancel(handle)[:2] == (CANCELED, 0)
     come_to_rest(joints)
+
+    def ends_as_told():
+        ends = [joints.references[name][-1][1] for name in told[-1].joint_names]
+        return ends == pytest.approx(list(told[-1].points[-1].positions), abs=1e-9)
+
+    joints.run(lambda: told and ends_as_told(), what="references to end where the stop does")
     _, *stop = told[-1].points  # of a motion that goes on until all can have heard of it
     for before, after in itertools.pairwise(stop):
         change = np.subtract(after.velocities, before.velocities)
@@ -121,8 +130,6 @@ def test_a_cancelled_goal_decelerates_within_its_limit_and_holds(joints):
     assert stop[0].velocities[0] > 0.5
     assert not np.any(stop[-1].velocities)
     require_smooth(joints, 1.5, 10.0, begun)  # a late controller has less time for the same stop
-    ends = [joints.references[name][-1][1] for name in told[-1].joint_names]
-    assert ends == pytest.approx(list(stop[-1].positions), abs=1e-9)
     assert joints.references["shoulder"][-1][1] < 0.95
     at = {name: rows[-1][1] for name, rows in joints.references.items()}
     joints.run_for(0.5)
