@@ -52,7 +52,7 @@ from hpid_ros.nodes.ros.process import (
     warn_if_unprotected,
 )
 from hpid_ros.nodes.ros.rclpy_internals import given_parameters
-from hpid_ros.nodes.ros.services import declared_names, guard_services
+from hpid_ros.nodes.ros.services import Answers, declared_names, guard_services
 from hpid_ros.nodes.ros.status import flush_events
 from hpid_ros.nodes.ros.supervisor import Supervisor
 from hpid_ros.nodes.ros.usage import Usage, is_asked_for
@@ -316,6 +316,7 @@ def _run_in_context(
     executor = _make_executor()
     for node in nodes:
         node.supervisor = supervisor
+        Answers(node).cover()
         executor.add_node(node)
     # What is there now stays: no collection looks at it again while the loop runs.
     gc.collect()

@@ -6,7 +6,13 @@ present state does not have does so, and so does a parameter of an unknown type.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import math
+import time
+import warnings
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from functools import partial
 from typing import Any
 
 from rcl_interfaces.msg import Parameter as ParameterMessage
@@ -17,7 +23,72 @@ from rclpy.parameter import Parameter
 
 from hpid_ros.base.errors import SettingError, unknown_name
 from hpid_ros.nodes.ros.given_parameters import as_declared, is_same
-from hpid_ros.nodes.ros.rclpy_internals import ServiceCallback, answer_with, service_callback
+from hpid_ros.nodes.ros.rclpy_internals import (
+    ServiceCallback,
+    answer_with,
+    send_with,
+    service_callback,
+)
+from hpid_ros.nodes.ros.steady_timer import steady_timer
+
+_AGAIN_EVERY = 0.05  # [s]
+_AGAIN_WITHIN = 10.0  # [s]; discovery on a busy machine took up to 2.6
+_AGAIN_AT_MOST = 100  # answers that wait; of a flood from a client that never matches, the newest
+_BLOCKED = 0.05  # [s]; a middleware that waits has done so, and stopped the process meanwhile
+
+
+class Answers:
+    """Sends answers of services again whose client is not matched yet.
+
+    A request can come before its client's reader of answers has been discovered. Fast DDS then
+    stops the whole process for ``max_blocking_time`` (0 in this package's profiles) and drops the
+    answer, of which rclpy only warns: the client would wait for ever.
+
+    Args:
+        node: The node that serves.
+    """
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        self._waiting: deque[tuple[float, Callable[[], None]]] = deque(maxlen=_AGAIN_AT_MOST)
+        self._timer = steady_timer(node, _AGAIN_EVERY, self._send_again)
+        self._timer.cancel()
+
+    def cover(self) -> None:
+        """Send what the node's services answer in this way from now on."""
+        for service in self._node.services:
+            send_with(service, partial(self._send, service.send_response))
+
+    @contextmanager
+    def sent(self, again: Callable[[], None], deadline: float = math.inf) -> Iterator[None]:
+        """Send an answer in this block; if it is lost, it is sent again.
+
+        Args:
+            again: What sends it again.
+            deadline: Until when, on the monotonic clock; at most 10 s from now.
+        """
+        begun = time.monotonic()
+        with warnings.catch_warnings(record=True) as said:
+            warnings.simplefilter("always")
+            yield
+        has_blocked = time.monotonic() - begun > _BLOCKED
+        if not has_blocked and any("failed to send response" in str(each) for each in said):
+            self._waiting.append((min(deadline, begun + _AGAIN_WITHIN), again))
+            self._timer.reset()
+
+    def _send(self, send: Callable[[Any, Any], None], response: object, header: object) -> None:
+        with self.sent(lambda: send(response, header)):
+            send(response, header)
+
+    def _send_again(self) -> None:
+        self._timer.cancel()
+        waiting = [*self._waiting]
+        self._waiting.clear()
+        for deadline, send in waiting:
+            # What has become of client and service since then is no fault of this node.
+            with suppress(Exception), self.sent(send, deadline):
+                if time.monotonic() < deadline:
+                    send()
 
 
 def guard_services(node: Node, fault: Callable[[str], None]) -> None:

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Duration, Time
-from rclpy.action import ActionServer, CancelResponse, GoalResponse
+from rclpy.action import CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
 from rclpy.task import Future
 from trajectory_msgs.msg import JointTrajectoryPoint
@@ -33,7 +33,9 @@ from hpid_ros.goals import (
     Result,
     ResultCode,
 )
+from hpid_ros.nodes.parts.action.rclpy_server import DeferringServer
 from hpid_ros.nodes.ros.executor import ClosingNode
+from hpid_ros.nodes.ros.services import Answers
 from hpid_ros.nodes.ros.steady_timer import steady_timer
 from hpid_ros.trajectory.joint_trajectory import Point, PointArrays
 from hpid_ros.wire import MOST_POINTS
@@ -150,16 +152,6 @@ def action_type() -> Any:
     return FollowJointTrajectory
 
 
-class _DeferredServer(ActionServer):
-    """An action server whose goals are executed when somebody has their result."""
-
-    def notify_execute(
-        self, goal_handle: ServerGoalHandle, execute_callback: Callable[..., Any] | None
-    ) -> None:
-        if execute_callback is not None:
-            super().notify_execute(goal_handle, execute_callback)
-
-
 class GoalServer:
     """Takes goals from clients, one at a time, the newest first, and tells how they end.
 
@@ -195,7 +187,8 @@ class GoalServer:
         self.rejected = 0
         self.name = node.resolve_topic_name(_ACTION)
         """Full name of the action."""
-        self._server = _DeferredServer(
+        self._server = DeferringServer(
+            Answers(node).sent,
             node,
             self._type,
             _ACTION,
