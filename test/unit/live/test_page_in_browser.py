@@ -133,6 +133,16 @@ def type_into(page, name, value):
     page.get_by_text(re.compile("chosen, not sent")).wait_for()
 
 
+def drag(page, name, begin, end):
+    """Pull a slider that is enabled from one share of its length to another."""
+    slider = page.get_by_role("slider", name=re.compile(name), disabled=False)
+    box = slider.bounding_box()
+    middle = 0.5 * box["height"]
+    slider.hover(position={"x": begin * box["width"], "y": middle})
+    page.mouse.down()
+    page.mouse.move(box["x"] + end * box["width"], box["y"] + middle, steps=8)
+
+
 def logged(page, text):
     page.get_by_role("listitem").filter(has_text=text).first.wait_for()
 
@@ -160,10 +170,7 @@ def test_the_degree_is_dragged_and_the_certified_interval_is_on_its_slider(open_
     place = page.locator(".interval-certified").bounding_box()
     whole = page.locator(".interval").bounding_box()
     assert place["width"] == pytest.approx(0.99 * whole["width"], rel=0.02)
-    middle = whole["y"] + whole["height"] / 2
-    page.mouse.move(whole["x"] + 0.3 * whole["width"], middle)
-    page.mouse.down()
-    page.mouse.move(whole["x"] + 0.1 * whole["width"], middle, steps=8)
+    drag(page, "homogeneity degree", 0.3, 0.1)
     page.mouse.up()
     page.get_by_text(re.compile("chosen, not sent: arm_joint_1: mu -0.4")).wait_for()
     assert server.nothing_more()  # dragging sends nothing
@@ -261,10 +268,7 @@ def test_a_second_page_looks_on_until_its_person_takes_control_but_may_stop(open
 def test_a_page_that_is_closed_in_the_middle_of_a_drag_changes_nothing(open_page, server):
     page = open_page()
     choose(page, 1)
-    whole = page.locator(".knob-slider").first.bounding_box()
-    page.mouse.move(whole["x"] + 0.5 * whole["width"], whole["y"] + 17)
-    page.mouse.down()
-    page.mouse.move(whole["x"] + 0.9 * whole["width"], whole["y"] + 17, steps=5)
+    drag(page, "bandwidth", 0.5, 0.9)
     page.get_by_text(re.compile("chosen, not sent")).wait_for()
     page.close()
     other = open_page()
