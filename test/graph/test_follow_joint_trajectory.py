@@ -342,8 +342,8 @@ def test_whatever_a_cancel_of_all_goals_says_it_cancels_ends(joints):
 def two_servers(joints):
     """Start two servers of the same joints, and return a client of each."""
     told = Told(joints.harness, ACTION)
-    joints.start()
-    joints.start_action("other", joints="[elbow, shoulder]")
+    joints.start(state_timeout=10.0)
+    joints.start_action("other", joints="[elbow, shoulder]", state_timeout=10.0)
     joints.run(
         lambda: "/other may send trajectories, too" in told.newest().get("message", ""),
         what="the warning",
@@ -366,9 +366,11 @@ def test_of_two_servers_of_the_same_joints_the_first_gives_way(joints):
 def test_of_two_servers_that_are_asked_at_once_both_give_up_and_the_joints_stop(joints):
     client, other = two_servers(joints)
     back = {"shoulder": [-1.0], "elbow": [0.5]}
+    joints.is_paused = True  # at one state, however late a busy machine is
     first = client.send(slowly())
     second = other.send(goal_of(back, [1.5], {"shoulder": [0.0], "elbow": [0.0]}))
     ends = client.result(first), other.result(second)
+    joints.is_paused = False
     assert [each[:2] for each in ends] == [(ABORTED, INVALID_GOAL)] * 2
     assert any(each[2].endswith("at the same time: the joints stop") for each in ends)
     come_to_rest(joints)
