@@ -11,11 +11,7 @@ from hpid_ros.analysis.results import RunIndices
 
 
 def mismatches(runs: Sequence[RunIndices]) -> list[str]:
-    """Return one line for each way in which a run's conditions differ from the first run's.
-
-    Args:
-        runs: The runs, the baseline first; repeats may share a label.
-    """
+    """Return one line for each way in which a run's conditions differ from the first run's."""
     lines = []
     first = runs[0]
     for run in runs[1:]:
@@ -29,12 +25,7 @@ def mismatches(runs: Sequence[RunIndices]) -> list[str]:
 
 
 def run_differences(one: RunIndices, other: RunIndices) -> Iterator[Difference]:
-    """Yield what two runs do not share of conditions and of what their numbers stand on.
-
-    Args:
-        one: The one, the first in every pair.
-        other: The other.
-    """
+    """Yield what two runs do not share of conditions and of what their numbers stand on."""
     for data in Data:
         if (data in one.assumed) != (data in other.assumed) and not _lacks(data, one, other):
             texts = (f"{run.label}'s is {_source(run, data)}" for run in (one, other))
@@ -62,17 +53,11 @@ SHORTEST = 0.1
 
 
 class Cut(NamedTuple):
-    """The part of a recording that is common to all.
+    """The part of a recording that is common to all."""
 
-    Attributes:
-        start: Its begin, in [s] since the first state of any joint.
-        end: Its end, likewise.
-        text: The same in words; empty where it is the whole recording.
-    """
-
-    start: float
-    end: float
-    text: str
+    start: float  # [s] its begin since the first state of any joint
+    end: float  # its end, likewise
+    text: str  # the same in words; empty where it is the whole recording
 
 
 def common_cuts(runs: Sequence[RunIndices]) -> tuple[Cut, ...]:
@@ -80,9 +65,6 @@ def common_cuts(runs: Sequence[RunIndices]) -> tuple[Cut, ...]:
 
     Recordings are laid beside each other where their references begin, as recorders are started
     by hand; where one has none, at their first states.
-
-    Args:
-        runs: The numbers of whole recordings.
     """
     conditions = [run.conditions for run in runs]
     known = [each for each in conditions if each is not None]

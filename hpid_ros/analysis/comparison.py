@@ -46,21 +46,11 @@ class Judgement(Enum):
 
 @dataclass(frozen=True)
 class Comparison:
-    """Any number of runs of the same joints; the first is the baseline.
+    """Any number of runs of the same joints; the first is the baseline."""
 
-    Attributes:
-        runs: The numbers of each run, at least one.
-        indices: What tables show of each joint and of all.
-        norms: What they show of all joints alone.
-
-    Raises:
-        SeriesError: If there is no run, a label occurs twice, or the runs' joints, which of them
-            slide, their units of angles or what was computed of them differ.
-    """
-
-    runs: tuple[RunIndices, ...]
-    indices: tuple[Quantity, ...] = INDICES
-    norms: tuple[Quantity, ...] = NORMS
+    runs: tuple[RunIndices, ...]  # the numbers of each run, at least one
+    indices: tuple[Quantity, ...] = INDICES  # what tables show of each joint and of all
+    norms: tuple[Quantity, ...] = NORMS  # what they show of all joints alone
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "runs", tuple(self.runs))
@@ -115,12 +105,7 @@ class Comparison:
         return self.baseline.slides
 
     def unit(self, quantity: Quantity, joint: str | None = None) -> str:
-        """Return the unit of a quantity in this comparison, see :meth:`RunIndices.unit`.
-
-        Args:
-            quantity: Which one.
-            joint: The joint, or None for all of them.
-        """
+        """Return the unit of a quantity in this comparison, see :meth:`RunIndices.unit`."""
         return self.baseline.unit(quantity, joint)
 
     @property
@@ -129,14 +114,7 @@ class Comparison:
         return tuple(self.baseline.joints)
 
     def run(self, label: str) -> RunIndices:
-        """Return the run of that label.
-
-        Args:
-            label: The label.
-
-        Raises:
-            SeriesError: If there is none.
-        """
+        """Return the run of that label."""
         for run in self.runs:
             if run.label == label:
                 return run
@@ -146,14 +124,6 @@ class Comparison:
         """Return one number of a run divided by the baseline's, see :func:`ratio`.
 
         It is nan where one of the two is not defined, or the runs differ in what it depends on.
-
-        Args:
-            label: The run.
-            quantity: Which number.
-            joint: The joint, or None for all of them.
-
-        Raises:
-            SeriesError: If there is no such run or joint.
         """
         run = self.run(label)
         value, of_baseline = run.value(quantity, joint), self.baseline.value(quantity, joint)
@@ -162,14 +132,7 @@ class Comparison:
         return ratio(value, of_baseline)
 
     def differences(self, label: str) -> tuple[Difference, ...]:
-        """Return what a run and the baseline do not share, and which numbers that spoils.
-
-        Args:
-            label: The run.
-
-        Raises:
-            SeriesError: If there is no such run.
-        """
+        """Return what a run and the baseline do not share, and which numbers that spoils."""
         self.run(label)
         return self._differences[label]
 
@@ -179,11 +142,7 @@ class Comparison:
         return {self.baseline.label: (), **found}
 
     def spoilt(self, label: str) -> dict[str, list[Quantity]]:
-        """Return what of the shown numbers is not compared, by why the runs do not allow it.
-
-        Args:
-            label: The run.
-        """
+        """Return what of the shown numbers is not compared, by why the runs do not allow it."""
         shown = (*self.indices, *self.norms)
         spoilt = {
             each.text: [quantity for quantity in shown if quantity.key in each.spoils]
@@ -192,20 +151,13 @@ class Comparison:
         return {text: quantities for text, quantities in spoilt.items() if quantities}
 
     def verdicts(self, label: str) -> dict[Quantity, Verdict]:
-        """Return what became of the paper's five numbers over all joints.
-
-        Args:
-            label: The run.
-        """
+        """Return what became of the paper's five numbers over all joints."""
         return {quantity: verdict(self.ratio(label, quantity)) for quantity in PAPER}
 
     def worse_joints(self, label: str) -> dict[Quantity, tuple[int, int]]:
         """Return in how many joints each of the paper's numbers got worse, and of how many.
 
         Without those that no joint has a ratio of.
-
-        Args:
-            label: The run.
         """
         counts = {}
         for quantity in PAPER:
@@ -216,11 +168,7 @@ class Comparison:
         return counts
 
     def judgement(self, label: str) -> Judgement:
-        """Return what the paper's five numbers together say of a run beside the baseline.
-
-        Args:
-            label: The run.
-        """
+        """Return what the paper's five numbers together say of a run beside the baseline."""
         kinds = set(self.verdicts(label).values())
         if kinds >= {Verdict.BETTER, Verdict.WORSE}:
             return Judgement.MIXED
@@ -289,10 +237,6 @@ def ratio(value: float, baseline: float) -> float:
 
     Two zeros and two infinities have the ratio one (nothing changed); anything against zero is
     infinite; what is not defined (nan) has no ratio (nan).
-
-    Args:
-        value: The cost in question, not negative.
-        baseline: The cost it is measured against, not negative.
     """
     if math.isnan(value) or math.isnan(baseline):
         return math.nan
@@ -302,11 +246,7 @@ def ratio(value: float, baseline: float) -> float:
 
 
 def verdict(ratio: float) -> Verdict:
-    """Return what a ratio says; what a table would show as 1.000 is equal.
-
-    Args:
-        ratio: A cost over the baseline's; nan says nothing.
-    """
+    """Return what a ratio says; what a table would show as 1.000 is equal."""
     if math.isnan(ratio):
         return Verdict.UNKNOWN
     if abs(ratio - 1.0) < EQUAL_WITHIN:
@@ -318,9 +258,6 @@ def answer(comparison: Comparison) -> str:
     """Return the comparison in a few sentences for each run: better in what, and worse in what.
 
     A single run has its own numbers instead.
-
-    Args:
-        comparison: The comparison.
     """
     if not comparison.others:
         sentences = [_figures(comparison.baseline)]
@@ -332,11 +269,7 @@ def answer(comparison: Comparison) -> str:
 
 
 def verdict_lines(comparison: Comparison) -> Iterator[str]:
-    """Yield each run's verdict, and in how many joints each number is worse.
-
-    Args:
-        comparison: The comparison.
-    """
+    """Yield each run's verdict, and in how many joints each number is worse."""
     for run in comparison.others:
         yield _verdict_line(comparison, run.label)
         counts = _worse_joints(comparison, run.label, "/")
@@ -447,9 +380,5 @@ def _change(value: float, kind: Verdict) -> str:
 
 
 def enumerate_words(items: list[str]) -> str:
-    """Return items as a list in words.
-
-    Args:
-        items: At least one.
-    """
+    """Return items as a list in words."""
     return items[0] if len(items) == 1 else f"{', '.join(items[:-1])} and {items[-1]}"

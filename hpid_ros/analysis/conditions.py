@@ -31,38 +31,23 @@ NOTHING: frozenset[str] = frozenset()
 
 
 class Difference(NamedTuple):
-    """One thing that two runs do not share.
+    """One thing that two runs do not share."""
 
-    Attributes:
-        text: In words.
-        spoils: Keys of the quantities that say nothing beside each other for that reason.
-    """
-
-    text: str
+    text: str  # in words
+    # keys of the quantities that say nothing beside each other for that reason
     spoils: frozenset[str]
 
 
 @dataclass(frozen=True)
 class Conditions:
-    """What two runs must share before their numbers can be compared.
+    """What two runs must share before their numbers can be compared."""
 
-    Attributes:
-        duration: From the first to the last state, in [s].
-        period: Mean time between two states, in [s].
-        cutoff: Frequency above which effort counts as chatter, in [Hz].
-        references: For each joint that has one, its reference at :data:`KNOTS` even times, in
-            [rad].
-        clock: Whose time the states have: ``"header"`` or ``"receive"``.
-        reference_from: When the first joint came under its reference, in [s] since the first
-            state of any joint; None where that is not known. It is not saved: only recordings
-            can be cut by it.
-    """
-
-    duration: float
-    period: float
-    cutoff: float
+    duration: float  # [s] from the first to the last state
+    period: float  # [s] mean time between two states
+    cutoff: float  # [Hz] frequency above which effort counts as chatter
+    # [rad] for each joint that has one, its reference at KNOTS even times
     references: Mapping[str, tuple[float, ...]]
-    clock: str = "header"
+    clock: str = "header"  # whose time the states have: "header" or "receive"
     reference_from: float | None = field(default=None, compare=False)
 
     def as_mapping(self) -> dict[str, object]:
@@ -77,12 +62,7 @@ class Conditions:
 
 
 def conditions_of(run: RunSeries, cutoff: float) -> Conditions:
-    """Return the conditions of a recorded run.
-
-    Args:
-        run: The run.
-        cutoff: Frequency above which effort counts as chatter, in [Hz].
-    """
+    """Return the conditions of a recorded run."""
     states = max(series.state_stamps_ns.size for series in run.joints)
     began = [each.reference_from for each in run.quality.joints.values()]
     return Conditions(
@@ -96,12 +76,7 @@ def conditions_of(run: RunSeries, cutoff: float) -> Conditions:
 
 
 def differences(one: Conditions, other: Conditions) -> Iterator[Difference]:
-    """Yield what differs between two runs' conditions.
-
-    Args:
-        one: Conditions of the one, the first in every pair of numbers.
-        other: Conditions of the other.
-    """
+    """Yield what differs between two runs' conditions."""
     if _differ(one.duration, other.duration):
         text = f"durations differ: {one.duration:g} s and {other.duration:g} s"
         yield Difference(text, EVERYTHING)

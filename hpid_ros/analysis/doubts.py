@@ -21,14 +21,7 @@ MOVED = 0.05
 
 
 def unfollowed(run: RunSeries) -> dict[str, float]:
-    """Return the joints whose error was small hardly ever, from where the reference moved on.
-
-    Args:
-        run: The run.
-
-    Returns:
-        By joint, the error that it exceeded nearly always, in [rad]; of joints with a reference.
-    """
+    """Return the joints whose error was small hardly ever, from where the reference moved on."""
     told = [series for series in run.joints if series.reference.size]
     least = {series.joint: _usual_least(series) for series in told}
     allowed = {
@@ -39,11 +32,7 @@ def unfollowed(run: RunSeries) -> dict[str, float]:
 
 
 def unfollowed_lines(runs: Sequence[RunSeries]) -> Iterator[str]:
-    """Yield a line for each run with joints that did not follow.
-
-    Args:
-        runs: The runs.
-    """
+    """Yield a line for each run with joints that did not follow."""
     for run in runs:
         joints = unfollowed(run)
         if joints:
@@ -77,11 +66,7 @@ COLUMNS = (
 
 
 def quality_lines(run: RunSeries) -> Iterator[str]:
-    """Yield one line for each thing about a recording that its numbers must be read with.
-
-    Args:
-        run: The run.
-    """
+    """Yield one line for each thing about a recording that its numbers must be read with."""
     for line in _lines(run):
         yield shown(line)
 
@@ -118,12 +103,7 @@ def _lines(run: RunSeries) -> Iterator[str]:
 
 
 def quality_rows(joint: str, quality: DataQuality) -> Iterator[tuple[object, ...]]:
-    """Yield the rows of a joint's states and commands, see :data:`COLUMNS`.
-
-    Args:
-        joint: Its name.
-        quality: Its quality.
-    """
+    """Yield the rows of a joint's states and commands, see :data:`COLUMNS`."""
     streams = (
         ("states", quality.states, quality.state_clock),
         ("commands", quality.commands, quality.command_clock),

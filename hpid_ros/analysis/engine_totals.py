@@ -16,24 +16,14 @@ BySeed = Mapping[int, float]
 
 @dataclass(frozen=True)
 class EngineTotal:
-    """One number of one controller in two engines.
+    """One number of one controller in two engines."""
 
-    Attributes:
-        experiment: Name of the experiment.
-        controller: Label of the controller.
-        quantity: Which number.
-        values: By engine, the one that the other is held against first.
-        ratios: The same number over that of the experiment's first controller with the same
-            seed in the same engine; empty for that controller itself.
-        unit: Of the number; that of joints which turn if empty.
-    """
-
-    experiment: str
-    controller: str
-    quantity: Quantity
-    values: Mapping[str, BySeed]
+    experiment: str  # name of the experiment
+    controller: str  # label of the controller
+    quantity: Quantity  # which number
+    values: Mapping[str, BySeed]  # by engine, the one that the other is held against first
     ratios: Mapping[str, BySeed] = field(default_factory=dict)
-    unit: str = ""
+    unit: str = ""  # of the number; that of joints which turn if empty
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "unit", self.unit or self.quantity.unit)
@@ -57,20 +47,12 @@ class EngineTotal:
 
 
 def median(values: Sequence[float]) -> float | None:
-    """Return the median of some numbers; None of none.
-
-    Args:
-        values: The numbers.
-    """
+    """Return the median of some numbers; None of none."""
     return median_and_quartiles(values)[0] if values else None
 
 
 def engine_mapping(totals: Iterable[EngineTotal]) -> dict[str, object]:
-    """Return medians, ratios and distances by experiment, controller and quantity, for JSON.
-
-    Args:
-        totals: The numbers.
-    """
+    """Return medians, ratios and distances by experiment, controller and quantity, for JSON."""
     found: dict[str, dict[str, dict[str, object]]] = {}
     for total in totals:
         of_experiment = found.setdefault(total.experiment, {})

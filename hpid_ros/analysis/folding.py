@@ -13,14 +13,7 @@ Pair = tuple[float, float]
 
 
 def fold_repeats(runs: Sequence[RunIndices]) -> tuple[RunIndices, ...]:
-    """Return one run for each label, in the order of the labels' first runs.
-
-    Args:
-        runs: Any number of runs; those of one label are repeats, for instance with other seeds.
-
-    Raises:
-        SeriesError: Repeats do not have the same joints.
-    """
+    """Return one run for each label, in the order of the labels' first runs."""
     groups: dict[str, list[RunIndices]] = {}
     for run in runs:
         groups.setdefault(run.label, []).append(run)
@@ -30,11 +23,7 @@ def fold_repeats(runs: Sequence[RunIndices]) -> tuple[RunIndices, ...]:
 
 
 def median_and_quartiles(values: Sequence[float]) -> tuple[float, Pair]:
-    """Return the median and, by linear interpolation, the first and third quartile.
-
-    Args:
-        values: At least one number; infinite ones are the largest.
-    """
+    """Return the median and, by linear interpolation, the first and third quartile."""
     ordered = sorted(values)
     if len(ordered) == 1:
         return ordered[0], (ordered[0], ordered[0])

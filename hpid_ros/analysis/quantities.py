@@ -39,38 +39,20 @@ class Fold(Enum):
 
 @dataclass(frozen=True)
 class Quantity:
-    """What a number of this package is called.
+    """What a number of this package is called."""
 
-    Attributes:
-        key: Name of its attribute and of its entry in files.
-        symbol: Short name in tables.
-        unit: Its unit of a joint that turns, without brackets, angles in rad.
-        meaning: Plain words.
-        fold: How the joints' numbers become the one for all.
-        angle_power: Power of the angle's unit in the unit.
-        needs: What it is computed from.
-        else_undefined: Why it is not defined although that is there.
-    """
-
-    key: str
-    symbol: str
-    unit: str
-    meaning: str
-    fold: Fold = Fold.SUM
-    angle_power: int = 0
-    needs: Data = Data.REFERENCE
+    key: str  # name of its attribute and of its entry in files
+    symbol: str  # short name in tables
+    unit: str  # its unit of a joint that turns, without brackets, angles in rad
+    meaning: str  # plain words
+    fold: Fold = Fold.SUM  # how the joints' numbers become the one for all
+    angle_power: int = 0  # power of the angle's unit in the unit
+    needs: Data = Data.REFERENCE  # what it is computed from
+    # why it is not defined although that is there
     else_undefined: str = "not defined for this run"
 
     def unit_in(self, angle_unit: str, are_slides: Iterable[bool] = ()) -> str:
-        """Return the unit with angles in rad or deg, as ``deg s^2`` or ``deg s^2, m s^2``.
-
-        Args:
-            angle_unit: One of :data:`ANGLE_UNITS`.
-            are_slides: As for :func:`~hpid_ros.base.units.unit_over`.
-
-        Raises:
-            SeriesError: It is another one.
-        """
+        """Return the unit with angles in rad or deg, as ``deg s^2`` or ``deg s^2, m s^2``."""
         if angle_unit not in ANGLE_UNITS:
             raise SeriesError(unknown_name("unit of angles", angle_unit, ANGLE_UNITS))
         return re.sub(r"\brad\b", angle_unit, unit_over(self.unit, are_slides))
@@ -163,14 +145,7 @@ QUANTITIES: Mapping[str, Quantity] = {
 
 
 def find_quantities(names: Iterable[str]) -> tuple[Quantity, ...]:
-    """Return quantities by name; ``paper`` and ``step`` stand for several, ``all`` for all.
-
-    Args:
-        names: Keys or symbols, in any case; the order stays, what is doubled is there once.
-
-    Raises:
-        SeriesError: A name is unknown; the line names those that exist.
-    """
+    """Return quantities by name; ``paper`` and ``step`` stand for several, ``all`` for all."""
     several = {
         "all": tuple(QUANTITIES.values()),
         "paper": PAPER,
@@ -189,12 +164,7 @@ def find_quantities(names: Iterable[str]) -> tuple[Quantity, ...]:
 
 
 def folded(fold: Fold, values: Iterable[float]) -> float | None:
-    """Return the number for all joints; None if no joint has one.
-
-    Args:
-        fold: How.
-        values: The joints' numbers.
-    """
+    """Return the number for all joints; None if no joint has one."""
     numbers = list(values)
     if not numbers:
         return None

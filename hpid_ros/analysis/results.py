@@ -14,28 +14,15 @@ from hpid_ros.recordings.series import SeriesError
 
 @dataclass(frozen=True)
 class JointIndices:
-    """The indices of one joint, or those of all joints.
+    """The indices of one joint, or those of all joints."""
 
-    Attributes:
-        ivc: Total variation of the effort, in [N m]; nan without efforts.
-        iavc: Integral of the absolute effort, in [N m s]; likewise.
-        itae: Integral of the absolute error times the time since the first state, in [rad s^2];
-            nan without a reference.
-        further: The other quantities by key; one that is not defined, as the rise time without
-            a step, is left out.
-    """
-
-    ivc: float
-    iavc: float
-    itae: float
+    ivc: float  # [N m] total variation of the effort; nan without efforts
+    iavc: float  # [N m s] integral of the absolute effort; likewise
+    itae: float  # [rad s^2] integral of the absolute error times the time since the first state
     further: Mapping[str, float] = field(default_factory=dict)
 
     def value(self, quantity: Quantity) -> float:
-        """Return one number; nan if it is not defined.
-
-        Args:
-            quantity: Which one.
-        """
+        """Return one number; nan if it is not defined."""
         if quantity in INDICES:
             return float(getattr(self, quantity.key))
         return self.further.get(quantity.key, math.nan)
@@ -48,75 +35,39 @@ class JointIndices:
 
 @dataclass(frozen=True)
 class Spread:
-    """How far repeated runs lie apart whose medians a :class:`RunIndices` holds.
+    """How far repeated runs lie apart whose medians a :class:`RunIndices` holds."""
 
-    Attributes:
-        repeats: Number of runs.
-        quartiles: First and third quartile by key, of each joint and, under None, of all.
-    """
-
-    repeats: int
+    repeats: int  # number of runs
+    # first and third quartile by key, of each joint and, under None, of all
     quartiles: Mapping[str | None, Mapping[str, tuple[float, float]]]
 
 
 @dataclass(frozen=True)
 class RunIndices:
-    """All numbers of one run, or the medians of several under one label.
+    """All numbers of one run, or the medians of several under one label."""
 
-    Attributes:
-        label: Name of the run.
-        joints: Indices by joint name, in the run's order.
-        totals: Those of all joints; each quantity's ``fold`` says how they come about.
-        effort_l2: L2 norm of the effort over all joints, in [N m s^0.5]; nan where a joint has
-            no effort.
-        error_l2: L2 norm of the error over all joints, in [rad s^0.5]; nan where a joint has no
-            reference.
-        quantities: Which quantities were computed.
-        conditions: Under which conditions; None if that is not known.
-        spread: How far repeated runs lie apart; None for a single one.
-        angle_unit: The unit of angles in these numbers, ``"rad"`` or ``"deg"``.
-        lacking: What joints lack, and why, by joint. Whatever needs it is nan, over all joints
-            too: a sum over some of them would not be one over all.
-        assumed: What stands in for a recorded reference or commanded efforts, in words.
-        cut: To which part of the recording the numbers were cut; empty if to none.
-        slides: The joints that are known to slide: in their numbers "rad" reads "m", and "N m"
-            reads "N". Totals over joints of both kinds fold numbers of unlike units.
-    """
-
-    label: str
-    joints: Mapping[str, JointIndices]
-    totals: JointIndices
-    effort_l2: float
-    error_l2: float
-    quantities: tuple[Quantity, ...] = (*INDICES, *NORMS)
-    conditions: Conditions | None = None
-    spread: Spread | None = None
-    angle_unit: str = "rad"
+    label: str  # name of the run
+    joints: Mapping[str, JointIndices]  # indices by joint name, in the run's order
+    totals: JointIndices  # those of all joints; each quantity's fold says how they come about
+    effort_l2: float  # [N m s^0.5] L2 norm of the effort over all joints
+    error_l2: float  # [rad s^0.5] L2 norm of the error over all joints
+    quantities: tuple[Quantity, ...] = (*INDICES, *NORMS)  # which quantities were computed
+    conditions: Conditions | None = None  # under which conditions; None if that is not known
+    spread: Spread | None = None  # how far repeated runs lie apart; None for a single one
+    angle_unit: str = "rad"  # the unit of angles in these numbers, "rad" or "deg"
     lacking: Mapping[str, Mapping[Data, str]] = field(default_factory=dict)
     assumed: Mapping[Data, str] = field(default_factory=dict)
-    cut: str = ""
+    cut: str = ""  # to which part of the recording the numbers were cut; empty if to none
+    # the joints that are known to slide: in their numbers "rad" reads "m", and "N m" reads "N"
     slides: frozenset[str] = frozenset()
 
     def unit(self, quantity: Quantity, joint: str | None = None) -> str:
-        """Return the unit of one number; of all joints' where these turn and slide, both units.
-
-        Args:
-            quantity: Which one.
-            joint: The joint, or None for all of them.
-        """
+        """Return the unit of one number; of all joints' where these turn and slide, both units."""
         names = self.joints if joint is None else (joint,)
         return quantity.unit_in(self.angle_unit, (name in self.slides for name in names))
 
     def value(self, quantity: Quantity, joint: str | None = None) -> float:
-        """Return one number of this run; nan where it is not defined.
-
-        Args:
-            quantity: Which one.
-            joint: The joint, or None for all of them.
-
-        Raises:
-            SeriesError: If the run has no such joint, or the quantity was not computed.
-        """
+        """Return one number of this run; nan where it is not defined."""
         if quantity not in self.quantities:
             known = [each.key for each in self.quantities]
             raise SeriesError(f"run {self.label!r}: {unknown_name('index', quantity.key, known)}")
@@ -128,12 +79,7 @@ class RunIndices:
         return self.joints[joint].value(quantity)
 
     def why_undefined(self, quantity: Quantity, joint: str | None = None) -> dict[str, str]:
-        """Return why a number is not defined, by joint; empty where it is.
-
-        Args:
-            quantity: Which one.
-            joint: The joint, or None for all of them.
-        """
+        """Return why a number is not defined, by joint; empty where it is."""
         if not math.isnan(self.value(quantity, joint)):
             return {}
         names = self.joints if joint is None else (joint,)

@@ -22,16 +22,7 @@ from hpid_ros.recordings.series import SeriesError
 
 
 def runs_from_mapping(document: object, where: str) -> tuple[RunIndices, ...]:
-    """Return the runs of a saved comparison, the baseline first.
-
-    Args:
-        document: What :meth:`~hpid_ros.analysis.comparison.Comparison.as_mapping` returned,
-            or a mapping that has it under ``indices``, as ``result.json`` has.
-        where: What the messages call it.
-
-    Raises:
-        SeriesError: It is something else, or damaged.
-    """
+    """Return the runs of a saved comparison, the baseline first."""
     content = document.get("indices", document) if isinstance(document, Mapping) else None
     runs = content.get("runs") if isinstance(content, Mapping) else None
     if not isinstance(runs, Mapping) or not runs:

@@ -45,12 +45,7 @@ def effort_of(series: JointSeries) -> Signal:
 
 
 def has_any(runs: Sequence[RunSeries], data: Data) -> bool:
-    """Tell whether any joint of some runs has a reference, or an effort.
-
-    Args:
-        runs: The runs.
-        data: Which of the two.
-    """
+    """Tell whether any joint of some runs has a reference, or an effort."""
     joints = [series for run in runs for series in run.joints]
     if data is Data.REFERENCE:
         return any(series.has_reference for series in joints)
@@ -58,15 +53,10 @@ def has_any(runs: Sequence[RunSeries], data: Data) -> bool:
 
 
 class GainSignals(NamedTuple):
-    """What a joint's homogeneous law did to its gains.
+    """What a joint's homogeneous law did to its gains."""
 
-    Attributes:
-        norm: Homogeneous norm of error and error rate at each state, before floor and cap.
-        multiplier: Factor of the loop's bandwidth: the norm, within floor and cap, to the power
-            of the degree; one for a linear PID.
-    """
-
-    norm: Signal
+    norm: Signal  # homogeneous norm of error and error rate at each state, before floor and cap
+    # factor of the loop's bandwidth: the norm, within floor and cap, to the power of the degree
     multiplier: Signal
 
 
@@ -81,9 +71,6 @@ def norm_over_joints(signals: Sequence[Signal]) -> Signal:
     its first and after its last sample it counts as zero.
 
     Source: the paper's equation of the norm over joints in the experimental section.
-
-    Args:
-        signals: One signal a joint, at least one.
     """
     stamps = signals[0].stamps_ns
     if not all(np.array_equal(stamps, signal.stamps_ns) for signal in signals[1:]):
@@ -100,12 +87,7 @@ def norm_over_joints(signals: Sequence[Signal]) -> Signal:
 
 
 def norm_of_run(run: RunSeries, signal_of: Callable[[JointSeries], Signal]) -> Signal:
-    """Return the norm over a run's joints; nothing where one of them has no signal.
-
-    Args:
-        run: The run.
-        signal_of: The signal of a joint.
-    """
+    """Return the norm over a run's joints; nothing where one of them has no signal."""
     signals = [signal_of(series) for series in run.joints]
     return norm_over_joints(signals) if all(each.values.size for each in signals) else NO_SIGNAL
 
@@ -116,13 +98,6 @@ def envelope(signal: Signal, buckets: int) -> Signal:
     The signal is cut into buckets of equally many samples; of each, the first, the lowest, the
     highest and the last stay. Drawn with at least one bucket a pixel, the line covers the same
     pixels as the whole signal.
-
-    Args:
-        signal: The signal.
-        buckets: Number of buckets, at least one.
-
-    Returns:
-        At most 4 buckets samples of it, in order; the signal itself when it has no more.
     """
     stamps_ns, values = signal
     if values.size <= 4 * buckets:

@@ -24,13 +24,6 @@ def in_units(runs: Sequence[RunIndices], angle_unit: str) -> list[RunIndices]:
     """Return the numbers of runs as they stand side by side: each joint in one unit.
 
     A joint that one of the runs knows to slide slides in all of them.
-
-    Args:
-        runs: The numbers.
-        angle_unit: Of the angles in all of them.
-
-    Raises:
-        SeriesError: As for :func:`with_angles_in`.
     """
     slides = frozenset[str]().union(*(run.slides for run in runs))
     return [with_angles_in(_knowing(run, slides), angle_unit) for run in runs]
@@ -43,16 +36,7 @@ def _knowing(run: RunIndices, slides: frozenset[str]) -> RunIndices:
 
 
 def with_angles_in(run: RunIndices, angle_unit: str) -> RunIndices:
-    """Return a run's numbers with angles in another unit; its conditions stay in rad.
-
-    Args:
-        run: The numbers.
-        angle_unit: ``"rad"`` or ``"deg"``.
-
-    Raises:
-        SeriesError: It is another unit, or the run is medians over joints that turn and slide:
-            those of their totals in another unit are not in them.
-    """
+    """Return a run's numbers with angles in another unit; its conditions stay in rad."""
     if angle_unit not in ANGLE_UNITS:
         raise SeriesError(unknown_name("unit of angles", angle_unit, ANGLE_UNITS))
     if angle_unit == run.angle_unit:

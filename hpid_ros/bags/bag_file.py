@@ -18,29 +18,18 @@ _LONGEST_REASON = 200
 
 
 class TopicSummary(NamedTuple):
-    """What a bag says about a topic.
+    """What a bag says about a topic."""
 
-    Attributes:
-        type: Message type, for instance ``"sensor_msgs/msg/JointState"``.
-        message_count: Number of messages.
-    """
-
-    type: str
-    message_count: int
+    type: str  # message type, for instance "sensor_msgs/msg/JointState"
+    message_count: int  # number of messages
 
 
 class RawMessage(NamedTuple):
-    """One recorded message.
+    """One recorded message."""
 
-    Attributes:
-        topic: The topic's full name.
-        log_time_ns: When it was recorded, in [ns].
-        raw: The serialised message.
-    """
-
-    topic: str
-    log_time_ns: int
-    raw: bytes
+    topic: str  # the topic's full name
+    log_time_ns: int  # [ns] when it was recorded
+    raw: bytes  # the serialised message
 
 
 class BagReader:
@@ -48,12 +37,6 @@ class BagReader:
 
     Closed by the ``with`` block or :meth:`close`. It is rosbags that reads and unpacks, and that
     has no limits: for bags of strangers take :func:`hpid_ros.bags.read_run`.
-
-    Args:
-        path: The folder or the file.
-
-    Raises:
-        BagError: If there is no bag or it cannot be read.
     """
 
     def __init__(self, path: Path | str) -> None:
@@ -97,16 +80,7 @@ class BagReader:
         return custom_data(self._reader)
 
     def find_topic(self, name: str, type: str) -> str:
-        """Return the full name of a topic.
-
-        Args:
-            name: With a leading slash the full name; without one also its last part, so that
-                ``joint_states`` finds ``/arm/joint_states``.
-            type: The type that it must have.
-
-        Raises:
-            BagError: If there is no such topic, if there are several, or it has another type.
-        """
+        """Return the full name of a topic."""
         topics = self.topics
         bare = name.lstrip("/")
         found = [topic for topic in topics if topic.lstrip("/") == bare]
@@ -126,14 +100,7 @@ class BagReader:
         return topic
 
     def messages(self, *topics: str) -> Iterator[RawMessage]:
-        """Yield the messages of some topics in the order of the log.
-
-        Args:
-            topics: Full names; none given means all topics.
-
-        Raises:
-            BagError: If the file is damaged or holds fewer messages than its index says.
-        """
+        """Yield the messages of some topics in the order of the log."""
         connections = [
             connection
             for connection in self._reader.connections

@@ -29,16 +29,7 @@ def stamp_ns_of(message: Any) -> int:
 
 
 def messages_on(bag: Path, topic: str, kind: str) -> list[Any]:
-    """Return the messages on a topic in the order of the log; none where it is not there.
-
-    Args:
-        bag: The bag.
-        topic: Its name; without a leading slash also its last part.
-        kind: Its type.
-
-    Raises:
-        BagError: The topic has another type, or the bag or a message cannot be read.
-    """
+    """Return the messages on a topic in the order of the log; none where it is not there."""
     deserialize = jazzy_types().deserialize_cdr
     with Storage(bag) as storage:
         where = f"bag {storage.path}"
@@ -59,37 +50,20 @@ def messages_on(bag: Path, topic: str, kind: str) -> list[Any]:
 
 
 class PlanarColumns(NamedTuple):
-    """Poses of a base in the plane, as one topic tells them.
+    """Poses of a base in the plane, as one topic tells them."""
 
-    Attributes:
-        stamps_ns: Ascending, (N,), in [ns].
-        poses: x [m], y [m] and heading [rad], which does not wrap, (N, 3).
-    """
-
-    stamps_ns: NDArray[np.int64]
-    poses: Numbers
+    stamps_ns: NDArray[np.int64]  # [ns] ascending, (N,)
+    poses: Numbers  # [m] x, y [m] and heading [rad], which does not wrap, (N, 3)
 
 
 def odometry_topics(bag: Path) -> list[str]:
-    """Return the names of a bag's topics of odometry.
-
-    Raises:
-        BagError: The bag cannot be read.
-    """
+    """Return the names of a bag's topics of odometry."""
     with Storage(bag) as storage:
         return [name for name, info in storage.topics().items() if info.type == ODOMETRY]
 
 
 def read_planar(bag: Path, topic: str) -> PlanarColumns:
-    """Return the poses of an odometry topic in the plane.
-
-    Args:
-        bag: The bag.
-        topic: Its name; without a leading slash also its last part.
-
-    Raises:
-        BagError: The bag lacks the topic or messages on it, or cannot be read.
-    """
+    """Return the poses of an odometry topic in the plane."""
     stamps, rows = [], []
     for message in _present(bag, topic, ODOMETRY):
         pose = message.pose.pose
@@ -104,11 +78,7 @@ def read_planar(bag: Path, topic: str) -> PlanarColumns:
 
 
 def read_vectors(bag: Path, topic: str) -> tuple[NDArray[np.int64], Numbers]:
-    """Return stamps in [ns], (N,), and x, y, z, (N, 3), of a topic of stamped vectors.
-
-    Raises:
-        BagError: As for :func:`read_planar`.
-    """
+    """Return stamps in [ns], (N,), and x, y, z, (N, 3), of a topic of stamped vectors."""
     stamps, rows = [], []
     for message in _present(bag, topic, VECTOR):
         stamps.append(stamp_ns_of(message))
@@ -134,30 +104,15 @@ def _ordered(stamps: list[int]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
 
 
 class PoseColumns(NamedTuple):
-    """K poses at N times, as one topic tells them.
+    """K poses at N times, as one topic tells them."""
 
-    Attributes:
-        stamps_ns: Ascending, (N,), in [ns].
-        positions: (N, K, 3), in [m].
-        orientations: Quaternions x, y, z, w, (N, K, 4).
-    """
-
-    stamps_ns: NDArray[np.int64]
-    positions: Numbers
-    orientations: Numbers
+    stamps_ns: NDArray[np.int64]  # [ns] ascending, (N,)
+    positions: Numbers  # [m] (N, K, 3)
+    orientations: Numbers  # quaternions x, y, z, w, (N, K, 4)
 
 
 def read_poses(bag: Path, topic: str, kind: str = POSES) -> PoseColumns | None:
-    """Return the poses of a topic; None where there is no such topic or nothing on it.
-
-    Args:
-        bag: The bag.
-        topic: Its name; without a leading slash also its last part.
-        kind: :data:`POSES` or :data:`POSE`.
-
-    Raises:
-        BagError: The bag or a message cannot be read, or the number of poses changes.
-    """
+    """Return the poses of a topic; None where there is no such topic or nothing on it."""
     rows: dict[int, Numbers] = {}
     for message in messages_on(bag, topic, kind):
         poses = message.poses if kind == POSES else [message.pose]
@@ -172,11 +127,7 @@ def read_poses(bag: Path, topic: str, kind: str = POSES) -> PoseColumns | None:
 
 
 def read_statuses(bag: Path, topic: str) -> list[Status]:
-    """Return what a topic of diagnostics says, in the order of the log; nothing without it.
-
-    Raises:
-        BagError: The bag or a message cannot be read.
-    """
+    """Return what a topic of diagnostics says, in the order of the log; nothing without it."""
     return [
         Status(
             stamp_ns_of(message),
@@ -195,15 +146,7 @@ _DESCRIPTION = "robot_description"
 
 
 def read_robot_descriptions(bag: Path, namespace: str | None = None) -> list[tuple[str, str]]:
-    """Return the last text on each topic ``robot_description``, with the topic; often none.
-
-    Args:
-        bag: The bag.
-        namespace: Only the topic right below it; of every robot if None.
-
-    Raises:
-        BagError: The bag cannot be read.
-    """
+    """Return the last text on each topic ``robot_description``, with the topic; often none."""
     only = (
         None if namespace is None else f"/{namespace.strip('/')}/{_DESCRIPTION}".replace("//", "/")
     )

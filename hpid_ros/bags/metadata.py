@@ -23,11 +23,7 @@ _KEY = "rosbag2_bagfile_information"
 
 
 def read_metadata(folder: Path) -> dict[str, Any]:
-    """Return the information of a bag.
-
-    Raises:
-        BagError: The file is damaged, or is none that a recorder writes.
-    """
+    """Return the information of a bag."""
     path = folder / METADATA
     if not path.is_file():
         raise BagError(f"{METADATA} is {'no file' if path.exists() else 'missing'}")
@@ -79,22 +75,13 @@ STOOD_STILL = "hpid_ros/stood_still"
 
 
 def missed_entries(missed: Mapping[str, int], stood_still: float) -> dict[str, str]:
-    """Return the entries for the metadata.
-
-    Args:
-        missed: Messages that were not recorded, by topic.
-        stood_still: How long the recorder stood still, in [s].
-    """
+    """Return the entries for the metadata."""
     counts = json.dumps(dict(missed), sort_keys=True)
     return {MISSED: counts, STOOD_STILL: f"{stood_still:.3f}"}
 
 
 def missed_messages(metadata: Mapping[str, str]) -> dict[str, int]:
-    """Return the messages that a bag's recorder missed, by topic; only those that missed some.
-
-    Args:
-        metadata: The bag's ``custom_data``, whoever wrote it: what is no count is passed over.
-    """
+    """Return the messages that a bag's recorder missed, by topic; only those that missed some."""
     try:
         entry = json.loads(metadata.get(MISSED, "{}"))
     except (ValueError, RecursionError):
@@ -105,11 +92,7 @@ def missed_messages(metadata: Mapping[str, str]) -> dict[str, int]:
 
 
 def time_stood_still(metadata: Mapping[str, str]) -> float:
-    """Return how long a bag's recorder stood still, in [s]; zero if it did not or did not say.
-
-    Args:
-        metadata: As for :func:`missed_messages`.
-    """
+    """Return how long a bag's recorder stood still, in [s]; zero if it did not or did not say."""
     try:
         seconds = float(metadata.get(STOOD_STILL, "0"))
     except ValueError:
@@ -122,20 +105,12 @@ SLIDES = "hpid_ros/slides"
 
 
 def slides_entry(slides: Collection[str]) -> dict[str, str]:
-    """Return the entry for the metadata; none where no joint slides.
-
-    Args:
-        slides: Names of joints.
-    """
+    """Return the entry for the metadata; none where no joint slides."""
     return {SLIDES: json.dumps(sorted(slides))} if slides else {}
 
 
 def recorded_slides(metadata: Mapping[str, object]) -> frozenset[str]:
-    """Return the joints that a bag's recorder knew to slide.
-
-    Args:
-        metadata: As for :func:`missed_messages`.
-    """
+    """Return the joints that a bag's recorder knew to slide."""
     try:
         entry = json.loads(str(metadata.get(SLIDES, "[]")))
     except (ValueError, RecursionError):

@@ -13,32 +13,17 @@ PARAMETER_EVENTS = "rcl_interfaces/msg/ParameterEvent"
 
 
 class ParameterChange(NamedTuple):
-    """What one node told of its parameters at once.
+    """What one node told of its parameters at once."""
 
-    Attributes:
-        place: Place of the message in the log.
-        log_time_ns: When it was recorded, in [ns].
-        node: Full name of the node.
-        declared: Values of parameters that it declared, by name.
-        changed: Values that were set later.
-    """
-
-    place: int
-    log_time_ns: int
-    node: str
-    declared: Mapping[str, Any]
-    changed: Mapping[str, Any]
+    place: int  # place of the message in the log
+    log_time_ns: int  # [ns] when it was recorded
+    node: str  # full name of the node
+    declared: Mapping[str, Any]  # values of parameters that it declared, by name
+    changed: Mapping[str, Any]  # values that were set later
 
 
 def parameter_changes(bag: Storage) -> list[ParameterChange]:
-    """Return what all nodes of a bag told of their parameters, in the order of the log.
-
-    Args:
-        bag: The bag. A message that is none is left out.
-
-    Raises:
-        BagError: The bag cannot be read.
-    """
+    """Return what all nodes of a bag told of their parameters, in the order of the log."""
     topics = bag.topics()
     names = frozenset(name for name, each in topics.items() if each.type == PARAMETER_EVENTS)
     return sorted(_changes(bag, names), key=lambda each: each.place) if names else []

@@ -18,19 +18,12 @@ _LATCHED = TopicQos(transient_local=True, depth=1)
 
 @dataclass(frozen=True)
 class Repair:
-    """What came of a repair.
+    """What came of a repair."""
 
-    Attributes:
-        target: The folder that was written.
-        saved: Messages in it, by topic.
-        span_ns: First and last log time in it, in [ns]; None without messages.
-        unreadable: A line for each thing of the old bag that could not be read.
-    """
-
-    target: Path
-    saved: dict[str, int]
-    span_ns: tuple[int, int] | None
-    unreadable: tuple[str, ...]
+    target: Path  # the folder that was written
+    saved: dict[str, int]  # messages in it, by topic
+    span_ns: tuple[int, int] | None  # [ns] first and last log time in it; None without messages
+    unreadable: tuple[str, ...]  # a line for each thing of the old bag that could not be read
 
 
 class _Message(NamedTuple):
@@ -44,15 +37,6 @@ def repair_bag(source: Path, target: Path, progress: Progress | None = None) -> 
     """Write what can be read of a bag into a new one, with index and ``metadata.yaml``.
 
     The old bag is only read. Messages keep their bytes, their log times and their order.
-
-    Args:
-        source: A bag folder, with ``metadata.yaml`` or without, or one ``.mcap`` or ``.db3`` file.
-        target: The folder to create.
-        progress: Takes the share of the old bag that has been read, in [0, 1].
-
-    Raises:
-        ResultExistsError: The target exists; nothing is touched.
-        BagError: Nothing can be read, or the new bag cannot be written.
     """
     saved: dict[str, int] = {}
     span_ns: tuple[int, int] | None = None

@@ -60,9 +60,6 @@ class FlushingMcapWriter(McapWriter):
     Uses ``bio`` (the open file), ``chunk`` (the one being filled, a ``PendingChunk``), ``chunks``
     (the index of those in the file), ``close_chunk``, which ``McapWriter.write`` calls too,
     ``channel_stats`` (messages by channel) and the first and last log time.
-
-    Raises:
-        BagError: This rosbags lacks one of them.
     """
 
     def __init__(self, path: Path, compression: CompressionMode) -> None:
@@ -72,13 +69,7 @@ class FlushingMcapWriter(McapWriter):
         self._times_on_disk = (self.message_start_time, self.message_end_time)
 
     def write(self, connection: Connection, timestamp: int, data: bytes | memoryview) -> None:
-        """Append one message; its chunk goes to disk when it is large or old enough.
-
-        Args:
-            connection: The connection that the message belongs to.
-            timestamp: Log time, in [ns].
-            data: The serialised message.
-        """
+        """Append one message; its chunk goes to disk when it is large or old enough."""
         super().write(connection, timestamp, data)
         # A fresh chunk's start lies in the far future, so this is false right after closing one.
         if timestamp - self.chunk.message_start_time >= CHUNK_SPAN_NS:
@@ -100,9 +91,6 @@ class FlushingMcapWriter(McapWriter):
         """Write the pending chunk and hand it to the operating system.
 
         An interrupt waits until it is there as a whole: nothing behind half a chunk can be read.
-
-        Raises:
-            OSError: It could not be written; its messages are gone, the file is as before.
         """
         with uninterrupted():
             self._close_chunk()
@@ -148,10 +136,6 @@ class FlushingWriter(Writer):
     Uses ``storage`` (the open storage, or None), ``counts`` (messages by connection), the first
     and last log time, which :meth:`close` writes into ``metadata.yaml``, and ``abort``, which
     closes the file without index.
-
-    Raises:
-        WriterError: The path exists.
-        BagError: This rosbags lacks one of them.
     """
 
     STORAGE_PLUGINS = {StoragePlugin.MCAP: FlushingMcapWriter}  # noqa: RUF012 (as in the base)
@@ -181,9 +165,6 @@ def custom_data(reader: Reader) -> Mapping[str, str]:
 
     Uses ``Reader.storage`` (the folder's or the file's reader) and its ``metadata.custom``, which
     is what YAML or MCAP held: anything, or None.
-
-    Args:
-        reader: An open one.
     """
     metadata = getattr(getattr(reader, "storage", None), "metadata", None)
     custom: object = getattr(metadata, "custom", None)

@@ -34,15 +34,10 @@ _MAPPING = re.compile(r"(?P<joint>[^=]+)=(?P<topic>[^=\[\]]+)(\[(?P<element>\d+)
 
 
 class CommandTopic(NamedTuple):
-    """Where one joint's efforts are.
+    """Where one joint's efforts are."""
 
-    Attributes:
-        topic: Full name of the topic.
-        element: Place in the data of a ``Float64MultiArray``.
-    """
-
-    topic: str
-    element: int = 0
+    topic: str  # full name of the topic
+    element: int = 0  # place in the data of a Float64MultiArray
 
 
 @dataclass(frozen=True)
@@ -117,15 +112,7 @@ class BagSelection:
 
 
 def parse_command_topics(texts: Sequence[str]) -> dict[str, CommandTopic]:
-    """Return the mapping that options like ``elbow=/elbow_controller/commands[0]`` give.
-
-    Args:
-        texts: ``JOINT=TOPIC`` or ``JOINT=TOPIC[ELEMENT]``; the element is the joint's place in a
-            ``Float64MultiArray``.
-
-    Raises:
-        SettingError: A text is not of that form, or names a joint twice.
-    """
+    """Return the mapping that options like ``elbow=/elbow_controller/commands[0]`` give."""
     topics: dict[str, CommandTopic] = {}
     for text in texts:
         match = _MAPPING.fullmatch(text)

@@ -19,31 +19,19 @@ _MAX_TIME_NS = 2**63
 
 
 class TopicQos(NamedTuple):
-    """Offered quality of service of a recorded topic, so that a replay offers the same.
+    """Offered quality of service of a recorded topic, so that a replay offers the same."""
 
-    Attributes:
-        reliable: Reliable if True, best effort if False.
-        transient_local: The last message reaches late subscribers; volatile if False.
-        depth: Messages kept (keep last).
-    """
-
-    reliable: bool = True
-    transient_local: bool = False
-    depth: int = 10
+    reliable: bool = True  # reliable if True, best effort if False
+    transient_local: bool = False  # the last message reaches late subscribers; volatile if False
+    depth: int = 10  # messages kept (keep last)
 
 
 class BagTopic(NamedTuple):
-    """A topic of an open bag; :meth:`BagWriter.write` takes it.
+    """A topic of an open bag; :meth:`BagWriter.write` takes it."""
 
-    Attributes:
-        name: The topic's name.
-        type: Its type, for instance ``"sensor_msgs/msg/JointState"``.
-        connection: The same in the words of rosbags.
-    """
-
-    name: str
-    type: str
-    connection: Connection
+    name: str  # the topic's name
+    type: str  # its type, for instance "sensor_msgs/msg/JointState"
+    connection: Connection  # the same in the words of rosbags
 
 
 class BagWriter:

@@ -19,9 +19,6 @@ class TextConsole(Console):
     """A console on which every text is text: no markup, no emoji codes, no escape sequences.
 
     Styles are given with the texts. What a foreign name would do is shown instead.
-
-    Args:
-        options: Those of :class:`rich.console.Console`.
     """
 
     def __init__(self, **options: Any) -> None:
@@ -45,11 +42,7 @@ class TextConsole(Console):
 
 
 def plain_console(width: int) -> TextConsole:
-    """Return a console for texts: Unicode without colours, whatever the terminal is.
-
-    Args:
-        width: Columns at most.
-    """
+    """Return a console for texts: Unicode without colours, whatever the terminal is."""
     return TextConsole(file=io.StringIO(), width=width, color_system=None, legacy_windows=False)
 
 

@@ -15,19 +15,12 @@ _BINS = (_DECADES[1] - _DECADES[0]) * _BINS_PER_DECADE
 
 
 class DurationSpread(NamedTuple):
-    """How a set of durations is distributed.
+    """How a set of durations is distributed."""
 
-    Attributes:
-        samples: How many there were.
-        median: In [us].
-        p99: What 99 of 100 do not exceed, in [us].
-        maximum: In [us].
-    """
-
-    samples: int
-    median: float
-    p99: float
-    maximum: float
+    samples: int  # how many there were
+    median: float  # [us]
+    p99: float  # [us] what 99 of 100 do not exceed
+    maximum: float  # [us]
 
 
 NOTHING = DurationSpread(0, 0.0, 0.0, 0.0)
@@ -35,11 +28,7 @@ NOTHING = DurationSpread(0, 0.0, 0.0, 0.0)
 
 
 class Durations:
-    """Durations of one kind.
-
-    Attributes:
-        note: Takes one duration in [ns], a whole number; made to be called in a hot path.
-    """
+    """Durations of one kind."""
 
     def __init__(self) -> None:
         self._fresh = array("q")

@@ -22,9 +22,6 @@ def shown(text: str) -> str:
 
     That is everything that ``repr`` would escape: control characters, line breaks, and those that
     are invisible or turn the direction of writing.
-
-    Args:
-        text: Any text.
     """
     if text.isprintable():
         return text
@@ -32,11 +29,7 @@ def shown(text: str) -> str:
 
 
 def bounded(text: str) -> str:
-    """Return a text as :func:`shown`, without its middle where it is longer than people read.
-
-    Args:
-        text: Any text.
-    """
+    """Return a text as :func:`shown`, without its middle where it is longer than people read."""
     left_out = len(text) - _LONGEST_LINE
     if left_out > 0:
         half = _LONGEST_LINE // 2
@@ -45,22 +38,14 @@ def bounded(text: str) -> str:
 
 
 def shown_lines(text: str) -> str:
-    """Return a text of several lines, each as :func:`shown`; tabs stay.
-
-    Args:
-        text: Any text.
-    """
+    """Return a text of several lines, each as :func:`shown`; tabs stay."""
     if text.replace("\n", "").isprintable():
         return text
     return "".join(c if c in "\n\t" else shown(c) for c in text)
 
 
 def figure_text(text: str) -> str:
-    """Return a text for a figure, as text: matplotlib takes what is between dollars for a formula.
-
-    Args:
-        text: Any text.
-    """
+    """Return a text for a figure, where matplotlib takes what is between dollars for a formula."""
     return shown(text).replace("$", r"\$")
 
 
@@ -69,9 +54,6 @@ def csv_text(rows: Iterable[Sequence[object]]) -> str:
 
     Texts that begin as formulas (``= + - @``) get an apostrophe in front, which spreadsheets take
     as "this is text". Numbers stay numbers, whatever their sign.
-
-    Args:
-        rows: The cells; texts are texts, all else is a number.
     """
     text = io.StringIO()
     write = csv.writer(text, lineterminator="\n").writerow

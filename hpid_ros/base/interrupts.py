@@ -25,22 +25,14 @@ def heed_interrupts() -> None:
 
 
 def raise_if_interrupted() -> None:
-    """Raise what was asked for and perhaps swallowed.
-
-    Raises:
-        KeyboardInterrupt: There was an interrupt since :func:`heed_interrupts`.
-    """
+    """Raise what was asked for and perhaps swallowed."""
     if _is_requested:
         raise KeyboardInterrupt
 
 
 @contextmanager
 def uninterrupted() -> Iterator[None]:
-    """Postpone an interrupt to the end of a block, as where a new process is written down.
-
-    Raises:
-        KeyboardInterrupt: At the end of the block: there was one.
-    """
+    """Postpone an interrupt to the end of a block, as where a new process is written down."""
     global _postponed
     was_requested = _is_requested
     _postponed += 1

@@ -15,15 +15,10 @@ from hpid_ros.base.errors import LibraryError
 
 
 class Library(NamedTuple):
-    """A library that is optional at run time.
+    """A library that is optional at run time."""
 
-    Attributes:
-        purpose: What cannot be done without it.
-        package: What pip calls it.
-    """
-
-    purpose: str
-    package: str
+    purpose: str  # what cannot be done without it
+    package: str  # what pip calls it
 
 
 OPTIONAL = {
@@ -46,12 +41,7 @@ OPTIONAL = {
 
 @contextmanager
 def optional_libraries() -> Iterator[None]:
-    """Name a library that is missing, and what needs it.
-
-    Raises:
-        LibraryError: One of :data:`OPTIONAL` could not be imported.
-        ModuleNotFoundError: Another module could not: the installation is broken.
-    """
+    """Name a library that is missing, and what needs it."""
     try:
         yield
     except ModuleNotFoundError as error:

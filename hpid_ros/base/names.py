@@ -11,21 +11,12 @@ from hpid_ros.base.foreign_text import shown
 
 
 def controller_name(joint: str) -> str:
-    """Return the node name of a joint's controller in a composition, a launch or a run.
-
-    Args:
-        joint: Name of the joint.
-    """
+    """Return the node name of a joint's controller in a composition, a launch or a run."""
     return f"{joint}_controller"
 
 
 def claim_topic(commands: str, joint: str) -> str:
-    """Return the topic on which a joint is claimed; ``ros2 topic list`` hides it.
-
-    Args:
-        commands: Full name of the topic of the joint's commands.
-        joint: The joint; what a topic's name may not have becomes an underscore.
-    """
+    """Return the topic on which a joint is claimed; ``ros2 topic list`` hides it."""
     return f"{commands}/_claim_{re.sub('[^A-Za-z0-9]+', '_', joint)}"
 
 
@@ -37,14 +28,7 @@ ANYWHERE = "/**/"
 
 
 def node_sections(document: object) -> dict[str, Mapping[str, Any]]:
-    """Return the parameters in a ROS parameter file by the nodes that they are for.
-
-    Args:
-        document: Its content: nodes, or namespaces of nodes, to ``{"ros__parameters": {...}}``.
-
-    Returns:
-        By full name, in which ``*`` stands for one part and ``**`` for any number of them.
-    """
+    """Return the parameters in a ROS parameter file by the nodes that they are for."""
     sections: dict[str, Mapping[str, Any]] = {}
     for key, value in document.items() if isinstance(document, Mapping) else ():
         if not isinstance(value, Mapping):
@@ -58,12 +42,7 @@ def node_sections(document: object) -> dict[str, Mapping[str, Any]]:
 
 
 def is_for(section: str, node: str) -> bool:
-    """Tell whether a section of a parameter file is for a node, by rcl's rules.
-
-    Args:
-        section: From :func:`node_sections`.
-        node: Full name of the node.
-    """
+    """Tell whether a section of a parameter file is for a node, by rcl's rules."""
     parts = {"**": r"(/\w+)*", "*": r"/\w+"}
     pattern = "".join(parts.get(part, f"/{re.escape(part)}") for part in section.split("/")[1:])
     return re.fullmatch(pattern, node) is not None
@@ -114,11 +93,7 @@ RULE = (
 
 
 def is_label(text: object) -> bool:
-    """Tell whether something is a label.
-
-    Args:
-        text: Anything.
-    """
+    """Tell whether something is a label."""
     return (
         isinstance(text, str)
         and 0 < len(text) <= _LONGEST
@@ -129,16 +104,7 @@ def is_label(text: object) -> bool:
 
 
 def require_label(text: object, where: str, error: type[HpidError]) -> str:
-    """Return a label that is one.
-
-    Args:
-        text: The label.
-        where: Its place, for the message, for instance ``"compare"`` or ``"--group"``.
-        error: The error that any other text raises.
-
-    Raises:
-        HpidError: The ``error`` given: it is none.
-    """
+    """Return a label that is one."""
     if not is_label(text):
         came = shown(repr(text) if len(str(text)) <= 60 else f"{str(text)[:57]!r}...")
         raise error(f"{where}: a name must be {RULE}, not {came}")

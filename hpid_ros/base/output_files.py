@@ -12,17 +12,7 @@ from hpid_ros.base.errors import ResultExistsError, SettingError
 
 
 def refuse_output(path: Path, *, force: bool, inputs: Iterable[Path], option: str) -> None:
-    """Refuse a file that is in the way, before any work is done for it.
-
-    Args:
-        path: The file to write.
-        force: Replace it if it is there.
-        inputs: What is read; none of it is ever replaced, nor is anything in it.
-        option: How another file is named, for instance ``"--save"``.
-
-    Raises:
-        ResultExistsError: It is there and is not to be replaced.
-    """
+    """Refuse a file that is in the way, before any work is done for it."""
     if not os.path.lexists(path):
         return
     if path.is_dir():
@@ -41,17 +31,7 @@ def refuse_output(path: Path, *, force: bool, inputs: Iterable[Path], option: st
 def refuse_outputs(
     outputs: Iterable[tuple[str, Path | None]], *, force: bool, inputs: Iterable[Path]
 ) -> None:
-    """Refuse files that are in the way, or in each other's, as :func:`refuse_output` does.
-
-    Args:
-        outputs: The option and the file of each; None where it was not given.
-        force: As there.
-        inputs: As there.
-
-    Raises:
-        ResultExistsError: As there.
-        SettingError: Two options name one file.
-    """
+    """Refuse files that are in the way, or in each other's, as :func:`refuse_output` does."""
     read, taken = list(inputs), dict[Path, str]()
     for option, path in outputs:
         if path is None:
@@ -63,15 +43,7 @@ def refuse_outputs(
 
 
 def write_file(path: Path, content: str | bytes) -> None:
-    """Write a file; what was there stays as it was unless all of it could be written.
-
-    Args:
-        path: The file; its folder is made.
-        content: What it shall hold.
-
-    Raises:
-        OSError: It cannot be written.
-    """
+    """Write a file; what was there stays as it was unless all of it could be written."""
     raw = content.encode() if isinstance(content, str) else content
     path.parent.mkdir(parents=True, exist_ok=True)
     if path.is_symlink() or (path.exists() and not path.is_file()):  # for instance /dev/stdout

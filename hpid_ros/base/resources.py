@@ -21,16 +21,7 @@ _AMENT_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
 
 
 def package_folder(name: str) -> Path | None:
-    """Return the folder that ``package://name`` stands for.
-
-    Args:
-        name: Name of a package.
-
-    Returns:
-        The share folder of the ament package of that name (below a prefix of
-        ``AMENT_PREFIX_PATH``, the first wins), else the folder of the Python package of that
-        name, for instance ``pybullet_data``; None where there is neither.
-    """
+    """Return the folder that ``package://name`` stands for."""
     if not _AMENT_NAME.fullmatch(name):
         return None
     for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
@@ -44,9 +35,6 @@ def package_uri(path: Path) -> str:
     """Return the ``package://`` name of a file in a package, else its absolute path.
 
     A text with such names means the same on every machine that has the package.
-
-    Args:
-        path: A file.
     """
     for folder in path.parents:
         if package_folder(folder.name) == folder:
@@ -76,11 +64,7 @@ class ResourceError(HpidError, FileNotFoundError):
 
 
 def share_folder() -> Path:
-    """Return the folder that holds this package's config, urdf and launch files.
-
-    Raises:
-        ResourceError: The package was installed without them.
-    """
+    """Return the folder that holds this package's config, urdf and launch files."""
     for folder in _candidates():
         if (folder / "package.xml").is_file() and (folder / "config").is_dir():
             return folder
@@ -103,18 +87,7 @@ def is_file(path: Path) -> bool:
 
 
 def find_resource(name: str, beside: Sequence[Path] = ()) -> Path:
-    """Return the file of this name.
-
-    Args:
-        name: An absolute path; a path in one of ``beside`` or in the working directory; a path
-            in the share folder; or ``PACKAGE/path`` in an ament or Python package, for instance
-            ``pybullet_data/kuka_iiwa/model.urdf``. ``package://PACKAGE/path`` is the last of
-            these and nothing else.
-        beside: Folders to look in first, in this order.
-
-    Raises:
-        ResourceError: There is no such file.
-    """
+    """Return the file of this name."""
     places = list(_places(name, beside))
     for path in places:
         if is_file(path):

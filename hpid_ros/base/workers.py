@@ -40,20 +40,6 @@ def side_by_side(
 
     Whatever ends the iteration, an interrupt included, ends all processes at once; close the
     generator when leaving it early.
-
-    Args:
-        work: What is done to a task: a function of a module, as tasks and results go through
-            pipes. What it raises is raised here.
-        tasks: The tasks.
-        jobs: Processes, at least 1, which is this process alone; no more are started than there
-            are tasks. If None, one for each processor.
-        name: Of a task, in one or a few words.
-
-    Yields:
-        A task's place among the tasks, and what came of it.
-
-    Raises:
-        RunError: While iterating: a process died; says which tasks it may have had.
     """
     jobs = min(processors() if jobs is None else jobs, len(tasks))
     if jobs <= 1:

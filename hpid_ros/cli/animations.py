@@ -25,17 +25,7 @@ ANIMATION, PICTURE, REPORT = "animation.webp", "picture.png", "report.html"
 def rendered(
     console: Console, result: Path, labels: Sequence[str], settings: FilmSettings
 ) -> Film:
-    """Return the animation of a result's runs, and show how far it is meanwhile.
-
-    Args:
-        console: Where to show it.
-        result: The result folder.
-        labels: Only these runs; all if empty.
-        settings: What is shown.
-
-    Raises:
-        HpidError: The result has no such recordings, or they cannot be drawn.
-    """
+    """Return the animation of a result's runs, and show how far it is meanwhile."""
     from hpid_ros.rendering import render
     from hpid_ros.rendering.source import recorded
 
@@ -45,15 +35,7 @@ def rendered(
 
 
 def report_page(result: Path) -> str:
-    """Return the report of a result, which has a place for an animation.
-
-    Args:
-        result: The result folder.
-
-    Raises:
-        SettingError: There is none.
-        SeriesError: It has no such place.
-    """
+    """Return the report of a result, which has a place for an animation."""
     from hpid_ros.report.html.animation import require_place
 
     report = result / REPORT
@@ -67,15 +49,7 @@ def report_page(result: Path) -> str:
 
 
 def save_in_report(folder: ResultFolder, film: Film) -> None:
-    """Put an animation into the report of a result, in the place of one that is there.
-
-    Args:
-        folder: The result.
-        film: The animation.
-
-    Raises:
-        SettingError: There is no report, or it has no place for an animation.
-    """
+    """Put an animation into the report of a result, in the place of one that is there."""
     from hpid_ros.rendering.files import encoded, for_report
     from hpid_ros.report.html.animation import with_animation
 

@@ -49,17 +49,7 @@ def bag_selection(
     reference: Reference = "auto",
     separates_runs: bool = False,
 ) -> BagSelection:
-    """Return what the options choose.
-
-    Args:
-        options: Parsed options.
-        joints: Only these joints; all if None.
-        reference: As for the selection.
-        separates_runs: As for the selection.
-
-    Raises:
-        SettingError: The options are no selection.
-    """
+    """Return what the options choose."""
     from hpid_ros.bags.selection import BagSelection, parse_command_topics
 
     return BagSelection(

@@ -17,27 +17,14 @@ if TYPE_CHECKING:
 
 
 class LoopFile(NamedTuple):
-    """A file of loops; one of the two is there.
+    """A file of loops; one of the two is there."""
 
-    Attributes:
-        experiment: What an experiment file says.
-        parameters: What a parameter file says.
-    """
-
-    experiment: Experiment | None
-    parameters: ParameterFile | None
+    experiment: Experiment | None  # what an experiment file says
+    parameters: ParameterFile | None  # what a parameter file says
 
 
 def loop_file(path: Path) -> LoopFile:
-    """Read a file of loops.
-
-    Args:
-        path: An experiment, which has the key ``compare``, or a parameter file.
-
-    Raises:
-        SettingError: It is no parameter file, or one that cannot be used.
-        ExperimentError: It is an experiment that cannot be used.
-    """
+    """Read a file of loops."""
     from hpid_ros.documents.yaml_files import load_document
     from hpid_ros.experiment.description import load_experiment
     from hpid_ros.tuning.controller_files import parameters_from
@@ -49,22 +36,14 @@ def loop_file(path: Path) -> LoopFile:
 
 
 def first_homogeneous(experiment: Experiment) -> tuple[LoopSettings, ...]:
-    """Return the loops of the first homogeneous controller, or else of the first.
-
-    Args:
-        experiment: An experiment.
-    """
+    """Return the loops of the first homogeneous controller, or else of the first."""
     controllers = list(experiment.controllers.values())
     homogeneous = [each for each in controllers if any(loop.law == "hpid" for loop in each)]
     return (homogeneous or controllers)[0]
 
 
 def named_loops(file: LoopFile) -> ParameterFile:
-    """Return every loop of a file by the name to show it under, and the inertias that it holds.
-
-    Args:
-        file: The file; of an experiment a loop's name is ``LABEL JOINT``.
-    """
+    """Return every loop of a file by the name to show it under, and the inertias that it holds."""
     from hpid_ros.tuning.controller_files import ParameterFile
 
     if file.parameters is not None:
@@ -79,24 +58,12 @@ def named_loops(file: LoopFile) -> ParameterFile:
 
 
 def shown_name(name: str) -> str:
-    """Return a loop's name as tables have it.
-
-    Args:
-        name: Of a node, or ``LABEL JOINT``.
-    """
+    """Return a loop's name as tables have it."""
     return name.strip("/").removesuffix("_controller")
 
 
 def judged_loops(options: argparse.Namespace, file: ParameterFile) -> list[Loop]:
-    """Return loops with the inertias to judge them on.
-
-    Args:
-        options: Parsed; what they say of inertias is laid over what the file says.
-        file: The loops.
-
-    Raises:
-        SettingError: The inertia of a loop is unknown, or impossible.
-    """
+    """Return loops with the inertias to judge them on."""
     from hpid_ros.cli.robot_options import inertias_from
     from hpid_ros.stability.gain_check import inertia_of
 
@@ -106,16 +73,7 @@ def judged_loops(options: argparse.Namespace, file: ParameterFile) -> list[Loop]
 
 
 def sliding_joints(options: argparse.Namespace, experiment: Experiment | None) -> frozenset[str]:
-    """Return the joints that slide: as ``--urdf`` says, or the experiment's robot, or ``--bag``.
-
-    Args:
-        options: With what :func:`.add_robot_options` adds, and a bag where the command takes one.
-        experiment: The file's, if it is one.
-
-    Raises:
-        RobotDescriptionError: The robot cannot be read.
-        BagError: The bag cannot.
-    """
+    """Return the joints that slide: by ``--urdf``, the experiment's robot, or ``--bag``."""
     from hpid_ros.cli.robot_options import load_robot
 
     if options.urdf:

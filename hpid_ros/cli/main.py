@@ -83,11 +83,7 @@ COMMANDS = {
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Run the command line and return its exit code.
-
-    Args:
-        args: Arguments after the program's name; None for those of the process.
-    """
+    """Run the command line and return its exit code."""
     args = sys.argv[1:] if args is None else list(args)
     options = _parser(args).parse_args(args)
     from hpid_ros.base.console import (

@@ -45,11 +45,7 @@ def add_engine(parser: argparse.ArgumentParser, *, or_both: bool = False) -> Non
 
 
 def chosen_engines(options: argparse.Namespace) -> tuple[str | None, ...]:
-    """Return who is to compute the physics; None as the file says.
-
-    Raises:
-        SettingError: There is no such engine, or it is not installed.
-    """
+    """Return who is to compute the physics; None as the file says."""
     from hpid_ros.simulation.settings import ENGINES, require_engine
 
     if options.engine is None:
@@ -63,11 +59,7 @@ def chosen_engines(options: argparse.Namespace) -> tuple[str | None, ...]:
 
 
 def tell_engine(experiments: Iterable[Experiment]) -> None:
-    """Say who computes the physics where nobody chose and PyBullet is not installed.
-
-    Args:
-        experiments: What is about to run.
-    """
+    """Say who computes the physics where nobody chose and PyBullet is not installed."""
     for note in dict.fromkeys(each.engine_note for each in experiments):
         if note:
             print(f"hpid: {note}", file=sys.stderr)
@@ -91,26 +83,14 @@ def tell_uncontrolled(experiments: Iterable[Experiment]) -> None:
 
 
 def named_experiment(file: str | None, engine: str | None = None) -> Experiment:
-    """Return the experiment of a file, or the paper's if none is named.
-
-    Args:
-        file: The file.
-        engine: Who computes the physics; None as the file says.
-
-    Raises:
-        SettingError: It cannot be read.
-    """
+    """Return the experiment of a file, or the paper's if none is named."""
     from hpid_ros.experiment.description import load_experiment
 
     return load_experiment(file or find_resource(DEFAULT_EXPERIMENT), engine)
 
 
 def experiment_to_run(options: argparse.Namespace) -> Experiment:
-    """Return the experiment that the options name, in the engine that they name.
-
-    Raises:
-        SettingError: It cannot be read, or its engine is not installed.
-    """
+    """Return the experiment that the options name, in the engine that they name."""
     from hpid_ros.simulation.settings import ENGINES, require_engine
 
     if options.engine == BOTH:
@@ -158,16 +138,7 @@ def add_jobs(parser: argparse.ArgumentParser) -> None:
 
 @contextmanager
 def chosen_runner(options: argparse.Namespace, console: Console) -> Iterator[Runner]:
-    """Give what runs a batch: processes of this machine, or the workers of a scheduler.
-
-    Args:
-        options: With ``--jobs`` and ``--scheduler``.
-        console: Is told of the workers.
-
-    Raises:
-        SettingError: The number of processes is not positive, or Dask is not installed.
-        RunError: No scheduler answers, or a worker computes with something else.
-    """
+    """Give what runs a batch: processes of this machine, or the workers of a scheduler."""
     from hpid_ros.studies.batch import in_processes
 
     if options.scheduler is None:
@@ -184,13 +155,7 @@ def chosen_runner(options: argparse.Namespace, console: Console) -> Iterator[Run
 
 @contextmanager
 def telling_where(console: Console, folder: ResultFolder, interrupted: str) -> Iterator[None]:
-    """Say at the end where the result is, or after an interrupt where the rest of it is.
-
-    Args:
-        console: Where to say so.
-        folder: The result folder.
-        interrupted: What the folder holds after an interrupt.
-    """
+    """Say at the end where the result is, or after an interrupt where the rest of it is."""
     try:
         yield
     except KeyboardInterrupt:
@@ -201,16 +166,7 @@ def telling_where(console: Console, folder: ResultFolder, interrupted: str) -> I
 
 @contextmanager
 def progress(console: Console, noun: str, total: int) -> Iterator[Callable[[str], None]]:
-    """Show how many are done, their rate and the remaining time; nothing to a file.
-
-    Args:
-        console: Where.
-        noun: What is counted.
-        total: How many there are.
-
-    Returns:
-        Context whose value is to be called for each that has ended, with a note to show.
-    """
+    """Show how many are done, their rate and the remaining time; nothing to a file."""
     from rich.progress import (
         BarColumn,
         MofNCompleteColumn,
@@ -243,17 +199,7 @@ def progress(console: Console, noun: str, total: int) -> Iterator[Callable[[str]
 def joint_progress(
     console: Console, what: str, joints: int, is_logged: bool = False
 ) -> Iterator[Callable[[Sequence[str]], None]]:
-    """Show how many joints are done.
-
-    Args:
-        console: Where.
-        what: What is done with them, for instance ``"certified"``.
-        joints: How many there are.
-        is_logged: Tell each with a line of its own where the console is no terminal.
-
-    Returns:
-        Context whose value is to be called with the names of joints that are done.
-    """
+    """Show how many joints are done."""
     with progress(console, "joints", joints) as advanced:
         done = 0
 
@@ -271,15 +217,7 @@ def joint_progress(
 
 @contextmanager
 def run_progress(console: Console, runs: int) -> Iterator[Callable[[Outcome], None]]:
-    """Show the progress of runs and how many have failed.
-
-    Args:
-        console: Where.
-        runs: How many there are.
-
-    Returns:
-        Context whose value is to be told of every run that has ended.
-    """
+    """Show the progress of runs and how many have failed."""
     failures = 0
     with progress(console, "runs", runs) as advanced:
 

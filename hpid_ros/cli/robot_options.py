@@ -15,15 +15,7 @@ _POSES = 200
 
 
 def load_robot(name: str) -> GivenRobot:
-    """Return the robot of a URDF, of an experiment file or of what ``hpid identify`` wrote.
-
-    Args:
-        name: A file that :func:`.find_resource` finds; the name of one that is no URDF
-            ends in ``.yaml`` or ``.yml``.
-
-    Raises:
-        HpidError: There is no such file, or it cannot be read.
-    """
+    """Return the robot of a URDF, of an experiment file or of what ``hpid identify`` wrote."""
     from hpid_ros.robot.description import RobotDescription
 
     file = find_resource(name)
@@ -42,17 +34,7 @@ def load_robot(name: str) -> GivenRobot:
 
 
 def identified_robot(file: Path) -> GivenRobot | None:
-    """Return the robot of a file that is no experiment but says of a robot what one would.
-
-    Args:
-        file: YAML.
-
-    Returns:
-        None if the file is an experiment.
-
-    Raises:
-        HpidError: It cannot be read, or names no robot.
-    """
+    """Return the robot of a file that is no experiment but says of a robot what one would."""
     from hpid_ros.documents.records import take_record
     from hpid_ros.documents.sections import Section
     from hpid_ros.documents.yaml_files import load_document
@@ -109,20 +91,7 @@ def inertias_from(
     joints: Sequence[str],
     poses: Sequence[Mapping[str, float]] = (),
 ) -> dict[str, Range]:
-    """Return the least and the largest inertia that the options say, by joint.
-
-    Args:
-        options: Parsed options.
-        joints: The joints asked for.
-        poses: Where the robot is known to go, in [rad]: the inertias are those of these poses,
-            unless the options want some sampled.
-
-    Returns:
-        In [kg m^2]; empty when the options say nothing.
-
-    Raises:
-        SettingError: They contradict each other, or the robot cannot be used.
-    """
+    """Return the least and the largest inertia that the options say, by joint."""
     of_all, of_one = _given(options.inertia)
     for each in (text for texts in options.inertia for text in texts if _is_file(text)):
         in_file = _of_file(Path(each))

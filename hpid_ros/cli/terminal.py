@@ -22,14 +22,7 @@ def output_console() -> TextConsole:
 
 
 class RunProgress:
-    """A progress bar for each run, with simulated time, rate and real-time factor.
-
-    Args:
-        console: The terminal.
-        duration: Length of each run in [s].
-        labels: The controllers, in their order.
-        period: Control period in [s].
-    """
+    """A progress bar for each run, with simulated time, rate and real-time factor."""
 
     def __init__(
         self, console: Console, duration: float, labels: Sequence[str], period: float
@@ -93,37 +86,19 @@ class RunProgress:
 def print_reports(
     console: Console, reports: Sequence[RunReport], duration: float, folder: Path
 ) -> None:
-    """Print how the runs of a comparison went, and where the result lies.
-
-    Args:
-        console: The terminal.
-        reports: One for each run.
-        duration: Length of each run in [s].
-        folder: Folder of the result.
-    """
+    """Print how the runs of a comparison went, and where the result lies."""
     _print_runs(console, reports, duration)
     print_result_places(console, {"result": folder, "report": folder / "report.html"})
 
 
 def print_notes(console: Console, notes: Sequence[str]) -> None:
-    """Print what a reader must know of the runs, below their table.
-
-    Args:
-        console: The terminal.
-        notes: The lines.
-    """
+    """Print what a reader must know of the runs, below their table."""
     for note in notes:
         console.print(note, style="yellow", highlight=False, soft_wrap=True)
 
 
 def print_timing(console: Console, report: RunReport, duration: float) -> None:
-    """Print how one run went, and where the time of its nodes went.
-
-    Args:
-        console: The terminal.
-        report: The run.
-        duration: Its length in [s].
-    """
+    """Print how one run went, and where the time of its nodes went."""
     _print_runs(console, [report], duration)
     if report.timing is None:
         return
@@ -140,12 +115,7 @@ def print_timing(console: Console, report: RunReport, duration: float) -> None:
 
 
 def print_result_places(console: Console, places: Mapping[str, Path]) -> None:
-    """Print where a result lies.
-
-    Args:
-        console: The terminal.
-        places: Paths by what lies there.
-    """
+    """Print where a result lies."""
     console.print()
     for what, path in places.items():
         console.print(f"{what}: {path}", soft_wrap=True, highlight=False)

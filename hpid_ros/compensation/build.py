@@ -51,26 +51,15 @@ class State(Protocol):
 
 
 class _Solved(NamedTuple):
-    """The equations of motion at one state, ready for every joint.
+    """The equations of motion at one state, ready for every joint."""
 
-    Attributes:
-        factor: Cholesky factor of the mass matrix.
-        bias: In [N m].
-        efforts: In [N m].
-    """
-
-    factor: Numbers
-    bias: Numbers
-    efforts: Numbers
+    factor: Numbers  # cholesky factor of the mass matrix
+    bias: Numbers  # [N m]
+    efforts: Numbers  # [N m]
 
 
 class GravityShare:
-    """Effort that holds one joint against gravity.
-
-    Args:
-        space: The robot.
-        joint: One of its joints.
-    """
+    """Effort that holds one joint against gravity."""
 
     needs_efforts = False
 
@@ -84,11 +73,7 @@ class GravityShare:
 
 
 class RobotDynamics:
-    """Solves the equations of motion once for each state, however many joints ask.
-
-    Args:
-        space: The robot.
-    """
+    """Solves the equations of motion once for each state, however many joints ask."""
 
     def __init__(self, space: JointSpace) -> None:
         self.space = space
@@ -96,11 +81,7 @@ class RobotDynamics:
         self._solved: _Solved | None = None
 
     def at(self, state: State) -> _Solved:
-        """Return the solved equations at a state.
-
-        Raises:
-            ArithmeticError: The mass matrix is not positive definite, or not finite.
-        """
+        """Return the solved equations at a state."""
         if state is self._state and self._solved is not None:
             return self._solved
         mass, bias = self.space.equations(state.positions, state.velocities)
@@ -113,12 +94,7 @@ class RobotDynamics:
 
 
 class DecouplingShare:
-    """What decouples one joint from the others.
-
-    Args:
-        dynamics: The robot; the joints of one process may share it.
-        joint: One of its joints.
-    """
+    """What decouples one joint from the others."""
 
     needs_efforts = True
 
@@ -130,18 +106,7 @@ class DecouplingShare:
         self._unit[self._row] = 1.0
 
     def term(self, state: State) -> tuple[float, float]:
-        """Return what one unit of acceleration costs, and what the dynamics do, at one state.
-
-        Args:
-            state: Of all joints, in the order of ``space.joints``; the joint's own effort is
-                not used.
-
-        Returns:
-            :math:`1/B_{jj}` in [kg m^2], and the effort in [N m] that is added.
-
-        Raises:
-            ArithmeticError: The mass matrix is not positive definite, or not finite.
-        """
+        """Return what one unit of acceleration costs, and what the dynamics do, at one state."""
         factor, bias, efforts = self.dynamics.at(state)
         row = self._row
         column, _ = lapack.dpotrs(factor, self._unit)  # of B, which is symmetric
@@ -152,31 +117,14 @@ class DecouplingShare:
 
 
 class LoopModel(NamedTuple):
-    """One joint's model, ready to run.
+    """One joint's model, ready to run."""
 
-    Attributes:
-        compensator: Gives the term of each state.
-        text: What it is, in one line for people.
-    """
-
-    compensator: Compensator
-    text: str
+    compensator: Compensator  # gives the term of each state
+    text: str  # what it is, in one line for people
 
 
 def loop_model(settings: LoopSettings, robot: str) -> LoopModel | None:
-    """Build the model of one joint's loop.
-
-    Args:
-        settings: The loop's.
-        robot: The robot's URDF, XML text or path, where the settings name none.
-
-    Returns:
-        None without a compensation.
-
-    Raises:
-        HpidError: There is no robot, it cannot be read, lacks the joint, or the joints' efforts
-            would not settle.
-    """
+    """Build the model of one joint's loop."""
     if not settings.model.is_on:
         return None
     dynamics, states = _of_the_robot(settings, robot)
@@ -184,18 +132,7 @@ def loop_model(settings: LoopSettings, robot: str) -> LoopModel | None:
 
 
 def compensators(loops: Sequence[LoopSettings], robot: str) -> list[Compensator | None]:
-    """Build the models of the loops of one process; what they have in common they share.
-
-    Args:
-        loops: Their settings.
-        robot: As for :func:`loop_model`.
-
-    Returns:
-        One for each loop; None for one without a compensation.
-
-    Raises:
-        HpidError: As for :func:`loop_model`.
-    """
+    """Build the models of the loops of one process; what they have in common they share."""
     shared: dict[tuple[object, ...], tuple[RobotDynamics, RobotStates]] = {}
     found: list[Compensator | None] = []
     for settings in loops:
@@ -211,15 +148,7 @@ def compensators(loops: Sequence[LoopSettings], robot: str) -> list[Compensator 
 
 
 def coupling_of(settings: LoopSettings, robot: str) -> Coupling:
-    """Return the coupling of the joints of a loop's model, over the robot's poses.
-
-    Args:
-        settings: Of a loop with a model.
-        robot: As for :func:`loop_model`.
-
-    Raises:
-        HpidError: The robot cannot be read.
-    """
+    """Return the coupling of the joints of a loop's model, over the robot's poses."""
     return _coupled(settings.model, _source(settings.model, robot))[1]
 
 
@@ -228,13 +157,6 @@ def with_inertia(settings: LoopSettings, robot: str) -> LoopSettings:
 
     It decides nothing about the law, which acts on a unit double integrator, but the soft stops
     brake with it.
-
-    Args:
-        settings: The loop's.
-        robot: As for :func:`loop_model`.
-
-    Raises:
-        HpidError: As for :func:`loop_model`.
     """
     if not settings.model.is_decoupling or settings.inertia > 0.0:
         return settings
@@ -244,14 +166,7 @@ def with_inertia(settings: LoopSettings, robot: str) -> LoopSettings:
 
 
 def robot_xml(source: str) -> str:
-    """Return the text of a URDF.
-
-    Args:
-        source: The text itself, or a path that :func:`.find_resource` finds.
-
-    Raises:
-        HpidError: There is no such file, or it cannot be read.
-    """
+    """Return the text of a URDF."""
     if source.lstrip().startswith("<"):
         return source
     return RobotDescription.load(find_resource(source)).xml

@@ -31,47 +31,23 @@ POSES, SEED = 200, 1
 
 
 class Coupling(NamedTuple):
-    """How strongly the joints of a robot are coupled, over its poses.
+    """How strongly the joints of a robot are coupled, over its poses."""
 
-    Attributes:
-        least: Least eigenvalue of D^-1 B met; 1 for joints that do not feel each other.
-        largest: Largest eigenvalue met.
-        inertia: Least of what each joint's motor has to accelerate, 1/B_jj, in [kg m^2], in the
-            order of the robot's joints.
-    """
-
-    least: float
-    largest: float
-    inertia: tuple[float, ...]
+    least: float  # least eigenvalue of D^-1 B met; 1 for joints that do not feel each other
+    largest: float  # largest eigenvalue met
+    inertia: tuple[float, ...]  # [kg m^2]
 
     def radius(self, relaxation: float = 1.0) -> float:
-        """Return the factor by which the iteration's error shrinks in each sample.
-
-        Args:
-            relaxation: alpha, in (0, 1]; 1 without a filter.
-        """
+        """Return the factor by which the iteration's error shrinks in each sample."""
         return max(abs(1.0 - relaxation * self.least), abs(1.0 - relaxation * self.largest))
 
     def filter_time_constant(self, period: float) -> float:
-        """Return the shortest filter with which no part of the iteration alternates, in [s].
-
-        Args:
-            period: Time between two samples in [s].
-        """
+        """Return the shortest filter with which no part of the iteration alternates, in [s]."""
         return period * max(self.largest - 1.0, 0.0)
 
 
 def coupling(space: JointSpace, samples: int = POSES, seed: int = SEED) -> Coupling:
-    """Return the coupling over the zero pose and poses drawn evenly within the joints' limits.
-
-    Args:
-        space: The robot.
-        samples: Number of poses drawn.
-        seed: Seed of the draw.
-
-    Raises:
-        SettingError: There is not one pose to draw.
-    """
+    """Return the coupling over the zero pose and poses drawn evenly within the joints' limits."""
     if samples < 1:
         raise SettingError(f"samples {samples} must be >= 1")
     joints = [space.description.joints[name] for name in space.joints]
@@ -91,27 +67,16 @@ def coupling(space: JointSpace, samples: int = POSES, seed: int = SEED) -> Coupl
 
 
 def relaxation(time_constant: float, period: float) -> float:
-    """Return alpha of a first-order filter by backward Euler.
-
-    Args:
-        time_constant: In [s].
-        period: Time between two samples in [s].
-    """
+    """Return alpha of a first-order filter by backward Euler."""
     return period / (time_constant + period)
 
 
 class Settling(NamedTuple):
-    """What is known of the joints' efforts.
+    """What is known of the joints' efforts."""
 
-    Attributes:
-        time_constant: Of the low-pass on the other joints' efforts in [s].
-        radius: Factor by which the efforts' errors shrink in each sample, at the worst pose.
-        text: The finding in one line, for people.
-    """
-
-    time_constant: float
-    radius: float
-    text: str
+    time_constant: float  # [s] of the low-pass on the other joints' efforts
+    radius: float  # factor by which the efforts' errors shrink in each sample, at the worst pose
+    text: str  # the finding in one line, for people
 
     @property
     def is_settling(self) -> bool:
@@ -120,12 +85,7 @@ class Settling(NamedTuple):
 
     @classmethod
     def of(cls, settings: LoopSettings, coupling: Coupling) -> Settling:
-        """Judge a loop with decoupling.
-
-        Args:
-            settings: The loop's.
-            coupling: Of its model's joints.
-        """
+        """Judge a loop with decoupling."""
         period = settings.timing.control_period
         time_constant = settings.model.effort_filter_time_constant
         if time_constant < 0.0:
@@ -149,15 +109,7 @@ class Settling(NamedTuple):
 
 
 def settling_of(loops: Iterable[LoopSettings], robot: str) -> list[Settling]:
-    """Judge loops with decoupling; those of one model and one rate are judged once.
-
-    Args:
-        loops: Settings of the loops.
-        robot: The robot's URDF, XML text or path, where the settings name none.
-
-    Raises:
-        HpidError: A model's robot is not known or cannot be read.
-    """
+    """Judge loops with decoupling; those of one model and one rate are judged once."""
     from hpid_ros.compensation.build import coupling_of
 
     different = {(each.model, each.timing.control_period): each for each in loops}

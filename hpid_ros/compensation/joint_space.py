@@ -19,15 +19,10 @@ _PLANAR = 3  # velocities of a planar root: forward, sideways, turning, in its o
 
 
 class Equations(NamedTuple):
-    r"""Equations of motion :math:`M \ddot q + h = u` at one state.
+    r"""Equations of motion :math:`M \ddot q + h = u` at one state."""
 
-    Attributes:
-        mass: M, in [kg m^2], (n, n).
-        bias: h: Coriolis, centrifugal, gravity and viscous friction, in [N m], (n,).
-    """
-
-    mass: Numbers
-    bias: Numbers
+    mass: Numbers  # [kg m^2] m, (n, n)
+    bias: Numbers  # [N m] h: Coriolis, centrifugal, gravity and viscous friction, (n,)
 
 
 class JointSpace:
@@ -44,23 +39,6 @@ class JointSpace:
 
     Source: R. M. Murray, Z. Li, S. S. Sastry, *A Mathematical Introduction to Robotic
     Manipulation*, section 6.1 (constraints that are linear in the velocities).
-
-    Attributes:
-        description: The robot.
-        joints: Names of the joints, in the order of every vector here.
-
-    Args:
-        description: The robot.
-        drive: Its rolling base; None for a fixed root.
-        payload_mass: Point mass at the payload link, in [kg].
-        payload_link: Link that carries the payload.
-        mass_scale: Factor on the mass and inertia of every link; rotors and payload not.
-        locked: Joints that are held at 0 and leave the model.
-
-    Raises:
-        RobotDescriptionError: Pinocchio cannot build a model of the URDF, a joint that is named
-            is not in it, it has a payload and no link for it, or a joint moves no mass.
-        SettingError: A mass is negative or not finite, or the factor is not positive.
     """
 
     def __init__(
@@ -96,12 +74,7 @@ class JointSpace:
         self._require_mass()
 
     def equations(self, positions: Sequence[float], velocities: Sequence[float]) -> Equations:
-        """Return the equations of motion at one state.
-
-        Args:
-            positions: Of the joints, in [rad].
-            velocities: Of the joints, in [rad/s].
-        """
+        """Return the equations of motion at one state."""
         model, data, rates = self._model, self._data, np.array(velocities)
         configuration = self._at(positions)
         rolling = self._rolling
@@ -116,11 +89,7 @@ class JointSpace:
         return Equations(mass, bias + self._damping * rates)
 
     def gravity(self, positions: Sequence[float]) -> Numbers:
-        """Return the efforts that hold the joints against gravity, in [N m].
-
-        Args:
-            positions: Of the joints, in [rad].
-        """
+        """Return the efforts that hold the joints against gravity, in [N m]."""
         torques = pinocchio.computeGeneralizedGravity(self._model, self._data, self._at(positions))
         return torques if self._rolling is None else self._rolling.T @ torques
 

@@ -20,23 +20,11 @@ class JointModel(Protocol):
         """Whether it decouples the joint, by the others' efforts."""
 
     def term(self, state: RobotState) -> tuple[float, float]:
-        """Return gain and effort [N m] at a state; see :class:`ModelTerm`.
-
-        Raises:
-            ArithmeticError: The model has none at this state.
-        """
+        """Return gain and effort [N m] at a state; see :class:`ModelTerm`."""
 
 
 class Compensator:
-    """Gives one joint's loop the model's term of each state.
-
-    Attributes:
-        states: Completes and checks the states; the joints of one process may share them.
-
-    Args:
-        model: The model.
-        states: Its states.
-    """
+    """Gives one joint's loop the model's term of each state."""
 
     def __init__(self, model: JointModel, states: RobotStates) -> None:
         self.states = states
@@ -50,27 +38,11 @@ class Compensator:
         velocities: Sequence[float] | None,
         efforts: Sequence[float] | None,
     ) -> ModelTerm | None:
-        """Return the term of one measured state.
-
-        Args:
-            stamp_ns: Its stamp in [ns].
-            positions: Of the model's joints in [rad].
-            velocities: In [rad/s]; None when the robot reports none.
-            efforts: In [N m], of the period before; None when the robot reports none.
-
-        Returns:
-            None when the state cannot be used and there was none for ``state_timeout``; then
-            the joint must not be driven by its law.
-        """
+        """Return the term of one measured state."""
         return self._of(self.states.observe(stamp_ns, positions, velocities, efforts))
 
     def hold(self, stamp_ns: int, reason: str) -> ModelTerm | None:
-        """Return the term of the last usable state in place of one that is not, if it is recent.
-
-        Args:
-            stamp_ns: Stamp of the state that cannot be used, in [ns].
-            reason: What is wrong with it, in words.
-        """
+        """Return the term of the last usable state for one that is not, if it is recent."""
         return self._of(self.states.hold(stamp_ns, reason))
 
     def answer(
@@ -84,13 +56,6 @@ class Compensator:
         """Return the effort that answers a state, in [N m]: ``fallback_effort`` without a term.
 
         The one rule for a controller's node and for the engine without ROS.
-
-        Args:
-            loop: The joint's loop.
-            stamp_ns: Stamp of the state in [ns].
-            position: Measured, in [rad].
-            velocity: Measured, in [rad/s]; None when the robot reports none.
-            term: What :meth:`term` or :meth:`hold` gave for this state.
         """
         if term is None:
             return loop.reject(stamp_ns, f"no model term: {self.states.last_fault}")
@@ -115,16 +80,7 @@ class Compensator:
 
 
 class CompensatedLoops:
-    """Answers one state after the other as the controllers' nodes would.
-
-    Args:
-        joints: The joints of every state.
-        loops: One loop for each joint.
-        compensators: The model of each loop; None for one without.
-
-    Raises:
-        SettingError: A model has a joint that the states lack.
-    """
+    """Answers one state after the other as the controllers' nodes would."""
 
     def __init__(
         self,

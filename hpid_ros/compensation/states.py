@@ -16,17 +16,11 @@ _NO_TIME = -1  # before every stamp of a usable state
 
 
 class RobotState(NamedTuple):
-    """One state of a robot, along the joints of its model.
+    """One state of a robot, along the joints of its model."""
 
-    Attributes:
-        positions: Measured, in [rad].
-        velocities: Measured, or estimated from the positions, in [rad/s].
-        efforts: Measured, behind the filter, in [N m]; zeros where they are not needed.
-    """
-
-    positions: Sequence[float]
-    velocities: Sequence[float]
-    efforts: Sequence[float]
+    positions: Sequence[float]  # [rad] measured
+    velocities: Sequence[float]  # [rad/s] measured, or estimated from the positions
+    efforts: Sequence[float]  # [N m] measured, behind the filter; zeros where they are not needed
 
 
 _WITHOUT_EFFORTS = 1.0  # [s]
@@ -39,19 +33,6 @@ class RobotStates:
     Efforts go through a first-order low-pass by backward Euler. A state that cannot be used
     (a joint is missing, a number is not finite, there are no efforts) is answered with the last
     one that could, for at most ``state_timeout`` by the stamps.
-
-    Attributes:
-        joints: Joints of the model, in the order of every vector here.
-        held: States that were answered with an earlier one.
-        lost: States for which there was none.
-        last_fault: What was last wrong with a state, in words.
-
-    Args:
-        settings: Of the joint's loop: ``state_timeout`` and how velocities are found.
-        joints: Joints of the model.
-        needs_efforts: Whether the model needs efforts.
-        filter_time_constant: Of the efforts' low-pass in [s]; 0 is none.
-        endless: Joints that turn without end: their encoders may begin anew after each turn.
     """
 
     def __init__(
@@ -87,11 +68,7 @@ class RobotStates:
         self._without_efforts = 0.0
 
     def retune(self, settings: LoopSettings) -> None:
-        """Go by other settings of the loop from the next state on.
-
-        Args:
-            settings: Checked settings of the same joint and the same compensation.
-        """
+        """Go by other settings of the loop from the next state on."""
         if settings.velocity.in_use != self._settings.velocity.in_use:
             self._velocities = [make_velocity_source(settings.velocity) for _ in self.joints]
             if self._state is not None:
@@ -109,17 +86,7 @@ class RobotStates:
         velocities: Sequence[float] | None,
         efforts: Sequence[float] | None,
     ) -> RobotState | None:
-        """Take one measured state.
-
-        Args:
-            stamp_ns: Its stamp in [ns].
-            positions: Of the model's joints in [rad].
-            velocities: In [rad/s]; None when the robot reports none.
-            efforts: In [N m]; None when the robot reports none.
-
-        Returns:
-            The state for the model; None when there is none to be used.
-        """
+        """Take one measured state."""
         state = self._state
         if stamp_ns == self._stamp_ns and state is not None:
             return state
@@ -158,12 +125,7 @@ class RobotStates:
         return self._needs_efforts and self._without_efforts > _WITHOUT_EFFORTS
 
     def hold(self, stamp_ns: int, reason: str) -> RobotState | None:
-        """Return the last usable state in place of one that is not, if it is recent.
-
-        Args:
-            stamp_ns: Stamp of the state that cannot be used, in [ns].
-            reason: What is wrong with it, in words.
-        """
+        """Return the last usable state in place of one that is not, if it is recent."""
         self.last_fault = reason
         elapsed = (stamp_ns - self._stamp_ns) * SECONDS_PER_NANOSECOND
         if self._state is not None and 0.0 <= elapsed <= self._timeout:

@@ -41,24 +41,12 @@ def is_hurwitz(gains: Gains, inertia: float = 1.0) -> bool:
     The loop on ``m e'' = -u + p`` is ``m s^3 + kd s^2 + kp s + ki``; by Routh and Hurwitz it is
     stable if and only if the gains are positive and ``kp kd > m ki``. Without integral action
     the loop is of second order and positive ``kp`` and ``kd`` suffice.
-
-    Args:
-        gains: The gains.
-        inertia: What one unit of effort accelerates, in [kg m^2].
     """
     return gains.p > 0.0 and gains.d > 0.0 and gains.p * gains.d > inertia * gains.i
 
 
 def require_hurwitz(gains: Gains, inertia: float) -> None:
-    """Refuse gains whose linear loop is unstable.
-
-    Args:
-        gains: The gains.
-        inertia: What one unit of effort accelerates, in [kg m^2].
-
-    Raises:
-        GainError: The loop is unstable, or the inertia is not positive and finite.
-    """
+    """Refuse gains whose linear loop is unstable."""
     if not math.isfinite(inertia) or inertia <= 0.0:
         raise GainError(f"the inertia must be positive and finite, not {inertia} kg m^2")
     if not is_hurwitz(gains, inertia):

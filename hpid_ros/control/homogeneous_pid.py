@@ -140,17 +140,6 @@ class SemiImplicitHomogeneousPid(HomogeneousPid):
     T = 5 ms. At degree zero it is the PID by backward Euler.
 
     Source: backward Euler of the paper's law, equation (8), on m e'' = -u + p.
-
-    Args:
-        gains: The gains of the PID that it upgrades.
-        norm: A homogeneous norm; its degree is the law's.
-        norm_floor: The norm is not let below this.
-        norm_cap: The norm is not let above this.
-        inertia: What one unit of effort accelerates, in [kg m^2].
-
-    Raises:
-        NormError: The floor is negative or not below the cap.
-        GainError: The inertia is not positive and finite.
     """
 
     __slots__ = ("inertia",)
@@ -170,16 +159,7 @@ class SemiImplicitHomogeneousPid(HomogeneousPid):
         super().__init__(gains, norm, norm_floor, norm_cap)
 
     def update(self, error: float, error_rate: float, dt: float) -> float:
-        """Take one sample.
-
-        Args:
-            error: Reference minus measured position, in [rad].
-            error_rate: Its time derivative, in [rad/s].
-            dt: Time until the next sample, in [s].
-
-        Returns:
-            The effort in [N m], with the integral before this sample's increment.
-        """
+        """Take one sample."""
         gains, integral = self.gains, self._integral
         multiplier = self.multiplier(error, error_rate)
         square = multiplier * multiplier

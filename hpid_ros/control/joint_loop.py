@@ -362,9 +362,6 @@ class JointLoop:
 
         The first one is passed over: the effort in force stays. The second is believed, as a
         takeover, if it is where the first one was. Others are no positions at all.
-
-        Returns:
-            The effort in [N m]; None if the state is believed.
         """
         if self._is_takeover_due:
             return None

@@ -25,30 +25,16 @@ class ModelTerm(NamedTuple):
     with the law's output u, the reference's acceleration a (0 unless asked for), the gain g and
     the model's own effort :math:`\tau_m`. The law's gains, its integral and ``i_clamp`` are in
     the units of u: efforts where g is 1, accelerations where it is an inertia.
-
-    Attributes:
-        gain: g, positive: 1, or in [kg m^2] what one unit of acceleration costs.
-        effort: The model's own effort in [N m].
-        follows_acceleration: Whether the reference's acceleration is added to the law's output.
     """
 
-    gain: float
-    effort: float
+    gain: float  # [kg m^2] g, positive: 1, or what one unit of acceleration costs
+    effort: float  # [N m] the model's own effort
+    # whether the reference's acceleration is added to the law's output
     follows_acceleration: bool = False
 
 
 class LimitedLaw:
-    """What one joint's settings make of an error, a model's term included.
-
-    Attributes:
-        effort: The effort in force in [N m].
-        limits: Limits of position, velocity and effort rate; None where there are none.
-        relay: What drives the joint in place of the p and d terms; None for nothing.
-
-    Args:
-        settings: Checked settings.
-        counts: Where limited samples are counted.
-    """
+    """What one joint's settings make of an error, a model's term included."""
 
     __slots__ = (
         "_ahead",
@@ -68,7 +54,7 @@ class LimitedLaw:
         "relay",
     )
 
-    effort: float
+    effort: float  # [N m] the effort in force
 
     def __init__(self, settings: LoopSettings, counts: LoopCounts) -> None:
         self._counts = counts
@@ -107,21 +93,11 @@ class LimitedLaw:
         return self._law.integral
 
     def restore_integral(self, integral: float) -> None:
-        """Replace the integral.
-
-        Args:
-            integral: In the law's own units.
-        """
+        """Replace the integral."""
         self._law.restore_integral(integral)
 
     def retune(self, settings: LoopSettings, motion: tuple[float, float] | None) -> None:
-        """Put other settings in force; the integral stays, and the effort is within the limits.
-
-        Args:
-            settings: Checked settings of the same joint.
-            motion: Where the joint is in [rad], and its velocity in [rad/s]; None before the
-                first state.
-        """
+        """Put other settings in force; the integral stays, and the effort is within the limits."""
         law = make_law(settings)
         law.restore_integral(self._law.integral)
         limits = make_motion_limits(settings)
@@ -144,11 +120,7 @@ class LimitedLaw:
         return (self.effort - self._offset) / self._gain
 
     def take_from_model(self, effort: float) -> None:
-        """Let the integral term give what a model's effort has given until now.
-
-        Args:
-            effort: In [N m]; the integral term stays within ``i_clamp``.
-        """
+        """Let the integral term give what a model's effort has given until now."""
         least, most = self._integral_clamp
         integral = self._law.integral + effort / self._gain
         self._law.restore_integral(min(max(integral, least), most))
@@ -156,15 +128,7 @@ class LimitedLaw:
         self._offset -= effort
 
     def give_up(self, effort: float) -> float:
-        """Let the integral term give less, for what gives so much more from now on.
-
-        Args:
-            effort: In [N m].
-
-        Returns:
-            What it cannot give up, in [N m]: an integral with ``gains.i`` 0 stays as it is, and
-            no other leaves ``i_clamp``.
-        """
+        """Let the integral term give less, for what gives so much more from now on."""
         before = self._law.integral
         if self._has_integral:
             least, most = self._integral_clamp
@@ -173,11 +137,7 @@ class LimitedLaw:
         return effort + self._gain * (self._law.integral - before)
 
     def give(self, effort: float) -> None:
-        """Note the effort that is in force for another reason than the law's last sample.
-
-        Args:
-            effort: In [N m].
-        """
+        """Note the effort that is in force for another reason than the law's last sample."""
         self.effort, self._is_given = effort, True
 
     def reset(self) -> None:
@@ -194,16 +154,7 @@ class LimitedLaw:
         *,
         is_still_damped: bool,
     ) -> None:
-        """Begin anew with the effort in force: the integral becomes what it needs.
-
-        Args:
-            model: The model's term of the sample to come; None without a model.
-            acceleration: The reference's, in [rad/s^2].
-            ahead: What is fed forward in the sample to come, in [N m].
-            is_still_damped: The joint has been in control until now, so the derivative term of
-                the sample to come takes the place of the last one. It is left out: of two
-                takeovers in a row the damping would be in the integral twice.
-        """
+        """Begin anew with the effort in force: the integral becomes what it needs."""
         law, (least, most) = self._law, self._clamp
         integral = self.effort
         if is_still_damped and not self._is_given:
@@ -230,24 +181,7 @@ class LimitedLaw:
         acceleration: float = 0.0,
         ahead: float = 0.0,
     ) -> float:
-        """Take one sample.
-
-        Args:
-            error: Reference minus measured position, in [rad].
-            error_rate: Its time derivative, in [rad/s].
-            position: Measured, in [rad].
-            velocity: Measured or estimated, in [rad/s].
-            dt: Time since the last sample in [s].
-            model: The model's term; None without a model.
-            acceleration: The reference's, in [rad/s^2].
-            ahead: What is fed forward, in [N m].
-
-        Returns:
-            The effort in [N m], within the limits.
-
-        Raises:
-            ArithmeticError: The effort is not finite; the integral is as it was.
-        """
+        """Take one sample."""
         law = self._law
         before = law.integral
         gain = 1.0
@@ -296,14 +230,7 @@ class LimitedLaw:
         stamp_ns: int | None,
         duration: float,
     ) -> DampingStop:
-        """Return what damps the joint from now on in this law's place.
-
-        Args:
-            velocity: The loop's velocity source, with its past.
-            hears_velocity: Whether measured velocities are used.
-            stamp_ns: Stamp of the last state in [ns]; None before the first one.
-            duration: In [s], positive.
-        """
+        """Return what damps the joint from now on in this law's place."""
         return DampingStop(
             self._gain * self._damping,
             velocity,

@@ -12,29 +12,17 @@ from hpid_ros.control.settings.choices import AntiWindupStrategy
 
 
 class LimitFigures(NamedTuple):
-    """The numbers of a joint's limits; "per rad" reads "per m" where it is prismatic.
+    """The numbers of a joint's limits; "per rad" reads "per m" where it is prismatic."""
 
-    Attributes:
-        lower: Lowest position in [rad]; -inf for none.
-        upper: Highest position in [rad]; inf for none.
-        velocity: Largest absolute velocity in [rad/s]; inf for none.
-        margin: Where effort towards a stop begins to fade, before it, in [rad].
-        k_position: Velocity allowed towards a stop for each rad of distance, in [1/s].
-        k_velocity: Braking effort for each rad/s beyond what is allowed, in [N m s/rad].
-        rate: Largest change of the effort in [N m/s]; inf for none.
-        effort_min: Least effort in [N m].
-        effort_max: Largest effort in [N m].
-    """
-
-    lower: float
-    upper: float
-    velocity: float
-    margin: float
-    k_position: float
-    k_velocity: float
-    rate: float
-    effort_min: float
-    effort_max: float
+    lower: float  # [rad] lowest position; -inf for none
+    upper: float  # [rad] highest position; inf for none
+    velocity: float  # [rad/s] largest absolute velocity; inf for none
+    margin: float  # [rad] where effort towards a stop begins to fade, before it
+    k_position: float  # [1/s] velocity allowed towards a stop for each rad of distance
+    k_velocity: float  # [N m s/rad] braking effort for each rad/s beyond what is allowed
+    rate: float  # [N m/s] largest change of the effort; inf for none
+    effort_min: float  # [N m] least effort
+    effort_max: float  # [N m] largest effort
 
 
 class MotionLimits:
@@ -60,9 +48,6 @@ class MotionLimits:
     Source: the velocity that shrinks with the distance and the two gains are those of the URDF's
     safety_controller and of ``ros2_control``, ``joint_limits/src/joint_soft_limiter.cpp``. There
     the effort at rest is limited everywhere, also far from any stop; here it is not.
-
-    Args:
-        figures: The limits.
     """
 
     __slots__ = ("_figures", "_high", "_low", "_width", "braked")
@@ -75,21 +60,12 @@ class MotionLimits:
         """Samples in which a stop or a velocity limit braked the joint."""
 
     def open(self, position: float) -> None:
-        """Take the stops where the joint is, if it is beyond them.
-
-        Args:
-            position: Where the joint begins, in [rad].
-        """
+        """Take the stops where the joint is, if it is beyond them."""
         self._low = min(self._figures.lower, position)
         self._high = max(self._figures.upper, position)
 
     def take_over(self, before: MotionLimits | None, position: float) -> None:
-        """Come into force while the joint moves.
-
-        Args:
-            before: The limits until now; those of the same stops stay where they stood.
-            position: Where the joint is, in [rad].
-        """
+        """Come into force while the joint moves."""
         if before is not None:
             self.braked = before.braked
             if before._figures[:2] == self._figures[:2]:
@@ -98,12 +74,7 @@ class MotionLimits:
         self.open(position)
 
     def reference(self, position: float, velocity: float) -> tuple[float, float]:
-        """Return a reference that stays within the stops: beyond one it waits there.
-
-        Args:
-            position: Wanted position in [rad].
-            velocity: Its derivative in [rad/s].
-        """
+        """Return a reference that stays within the stops: beyond one it waits there."""
         if position > self._high:
             return self._high, 0.0
         if position < self._low:
@@ -113,18 +84,7 @@ class MotionLimits:
     def limit(
         self, wanted: float, position: float, velocity: float, before: float, dt: float
     ) -> float:
-        """Return the effort that may be given.
-
-        Args:
-            wanted: In [N m], finite.
-            position: Measured, in [rad].
-            velocity: Measured or estimated, in [rad/s].
-            before: The effort in force until now in [N m].
-            dt: Time since it came into force in [s].
-
-        Returns:
-            The effort in [N m], within the effort limits.
-        """
+        """Return the effort that may be given."""
         figures, width = self._figures, self._width
         _, _, fastest, _, k, damping, rate, least, most = figures
         effort = min(max(wanted, least), most)
@@ -168,17 +128,7 @@ AntiWindup = Callable[[float, float, float, float, float, float], float]
 def anti_windup(
     strategy: AntiWindupStrategy, gains: Gains, tracking_time_constant: float
 ) -> AntiWindup:
-    """Return the strategy of this name.
-
-    Args:
-        strategy: Its name.
-        gains: For the default of the tracking time constant.
-        tracking_time_constant: Of back calculation in [s]; 0 chooses ``sqrt(kd / ki)``, or
-            ``kp / ki`` for a PI, as control_toolbox does.
-
-    Raises:
-        SettingError: The time constant is negative or not finite.
-    """
+    """Return the strategy of this name."""
     if not math.isfinite(tracking_time_constant) or tracking_time_constant < 0.0:
         raise SettingError(
             f"tracking_time_constant must be finite and not negative, "

@@ -20,32 +20,17 @@ class LoopState(Enum):
 
 @dataclass
 class LoopCounts:
-    """What a loop has seen since it was made.
+    """What a loop has seen since it was made."""
 
-    Attributes:
-        samples: States that were answered with a new effort.
-        repeats: States with the stamp of the one before.
-        resets: States older than the one before: the clock went back.
-        gaps: States later than ``state_timeout`` after the one before.
-        silences: Times in which the fallback effort was given for want of states.
-        takeovers: Times in which the loop took the joint over anew, after a gap, a silence,
-            states that could not be used, or a jump.
-        jumps: Rejected states whose position no joint can have come to since the last one.
-        missed: States that must have been lost, by the stamps and ``control_period``.
-        saturated: Samples whose effort was limited.
-        rejected: States that were not finite or no joint's, or made the law's effort so, or whose
-            position jumped.
-    """
-
-    samples: int = 0
-    repeats: int = 0
-    resets: int = 0
-    gaps: int = 0
-    silences: int = 0
+    samples: int = 0  # states that were answered with a new effort
+    repeats: int = 0  # states with the stamp of the one before
+    resets: int = 0  # states older than the one before: the clock went back
+    gaps: int = 0  # states later than state_timeout after the one before
+    silences: int = 0  # times in which the fallback effort was given for want of states
     takeovers: int = 0
-    jumps: int = 0
-    missed: int = 0
-    saturated: int = 0
+    jumps: int = 0  # rejected states whose position no joint can have come to since the last one
+    missed: int = 0  # states that must have been lost, by the stamps and control_period
+    saturated: int = 0  # samples whose effort was limited
     rejected: int = 0
 
 
@@ -53,17 +38,7 @@ _LATE = 1.5  # control periods between two states: there was none in between
 
 
 class LoopClock:
-    """Keeps the stamps of the states that a loop was given.
-
-    Attributes:
-        stamp_ns: Stamp of the last usable state in [ns]; None before the first one.
-        unusable_ns: Stamp of the last state since then that could not be used, in [ns]; None
-            if there was none.
-        has_lapsed: Whether no state came for too long, and none has come since.
-
-    Args:
-        counts: Where irregularities are counted.
-    """
+    """Keeps the stamps of the states that a loop was given."""
 
     __slots__ = ("_counts", "_unusable", "has_lapsed", "stamp_ns", "unusable_ns")
 
@@ -83,13 +58,7 @@ class LoopClock:
         self.has_lapsed = True
 
     def take(self, stamp_ns: int, dt: float, timing: Timing) -> None:
-        """Take the stamp of a usable state.
-
-        Args:
-            stamp_ns: In [ns].
-            dt: Time since the last usable one in [s].
-            timing: The settings in force.
-        """
+        """Take the stamp of a usable state."""
         self.stamp_ns = stamp_ns
         self.has_lapsed = False
         period = timing.control_period
@@ -101,10 +70,6 @@ class LoopClock:
             self._unusable = 0
 
     def skip(self, stamp_ns: int) -> None:
-        """Take the stamp of a state that cannot be used.
-
-        Args:
-            stamp_ns: In [ns].
-        """
+        """Take the stamp of a state that cannot be used."""
         self.unusable_ns = stamp_ns
         self._unusable += 1

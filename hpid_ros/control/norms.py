@@ -25,11 +25,7 @@ GOOD_SAMPLING_MARGIN = 0.25
 
 
 def require_degree(degree: float) -> None:
-    """Refuse a homogeneity degree that the law does not allow.
-
-    Raises:
-        NormError: The degree is not strictly inside (-0.5, 0.5).
-    """
+    """Refuse a homogeneity degree that the law does not allow."""
     if not -DEGREE_LIMIT < degree < DEGREE_LIMIT:
         raise NormError(f"the degree mu must lie in (-0.5, 0.5), not {degree}")
 
@@ -85,12 +81,7 @@ class WeightedNorm:
         return cls(degree, error_weight, rate_weight)
 
     def __call__(self, error: float, error_rate: float) -> float:
-        """Return the norm; zero only at the origin.
-
-        Args:
-            error: Reference minus measured position, in [rad].
-            error_rate: Its time derivative, in [rad/s].
-        """
+        """Return the norm; zero only at the origin."""
         weighted_error: float = self.error_weight * abs(error) ** self.error_exponent
         return weighted_error + self.rate_weight * abs(error_rate)
 
@@ -160,10 +151,6 @@ class CanonicalNorm:
 
         Newton's method in s = ln n, safeguarded by bisection; the point is first brought to
         unit size by the dilation itself, so that no square under- or overflows.
-
-        Args:
-            error: Reference minus measured position, in [rad].
-            error_rate: Its time derivative, in [rad/s].
         """
         if error == 0.0 and error_rate == 0.0:
             return 0.0
@@ -212,28 +199,14 @@ class CanonicalNorm:
 
 @dataclass(frozen=True)
 class NormFamily:
-    """A norm for every degree, all of them 1 for an error of ``error_scale`` at rest.
+    """A norm for every degree, all of them 1 for an error of ``error_scale`` at rest."""
 
-    Attributes:
-        type: Of the norm.
-        error_scale: e_max in [rad].
-        rate_weight: Weight of the error rate in [s/rad].
-    """
-
-    type: NormType
-    error_scale: float
-    rate_weight: float
+    type: NormType  # of the norm
+    error_scale: float  # [rad] e_max
+    rate_weight: float  # [s/rad] weight of the error rate
 
     def __call__(self, degree: float) -> WeightedNorm | CanonicalNorm:
-        """Return the norm of a degree.
-
-        Args:
-            degree: Homogeneity degree mu, in (-0.5, 0.5).
-
-        Raises:
-            NormError: The degree is out of range, a number is not positive and finite, or nothing
-                is known of a norm of this type.
-        """
+        """Return the norm of a degree."""
         if self.type == "weighted":
             return WeightedNorm.scaled(degree, self.error_scale, self.rate_weight)
         if self.type == "canonical":
@@ -251,11 +224,7 @@ class NormFamily:
 
 
 def require_floor(floor: float, cap: float) -> None:
-    """Refuse a floor of the norm that leaves no room below its cap.
-
-    Raises:
-        NormError: The floor is negative or not below the cap.
-    """
+    """Refuse a floor of the norm that leaves no room below its cap."""
     if not 0.0 <= floor < cap:
         raise NormError(
             f"the norm's floor must not be negative and lie below its cap {cap}, not {floor}"
@@ -279,17 +248,6 @@ def norm_floor(
 
     Source: Livne and Levant, "Proper discretization of homogeneous differentiators" (2014), for
     the principle; the numbers were measured on the sampled double integrator.
-
-    Args:
-        norm: The norm.
-        period: Sampling period T in [s].
-        derivative_gain: Effective derivative gain, ``kd`` over the inertia, in [1/s].
-        resolution: Encoder step in [rad]; 0 for none.
-        filter_time_constant: Of the velocity filter in [s].
-        cap: What the floor must lie below.
-
-    Raises:
-        NormError: It cannot.
     """
     floor = 1e-6
     if resolution > 0.0:

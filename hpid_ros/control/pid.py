@@ -8,17 +8,11 @@ from hpid_ros.control.gains import Gains
 
 
 class Terms(NamedTuple):
-    """What each term contributed to an effort.
+    """What each term contributed to an effort."""
 
-    Attributes:
-        p: Proportional term in [N m].
-        i: Integral term in [N m].
-        d: Derivative term in [N m].
-    """
-
-    p: float
-    i: float
-    d: float
+    p: float  # [N m] proportional term
+    i: float  # [N m] integral term
+    d: float  # [N m] derivative term
 
 
 class Pid:

@@ -32,18 +32,6 @@ class Tracking:
 
     It is told of states that count alone, and how much time there was between two of them; which
     these are is for :class:`~hpid_ros.control.joint_loop.JointLoop`.
-
-    Attributes:
-        following: The reference.
-        estimation: Position and velocity that the law goes by.
-        feedforward: The effort that the reference needs.
-        law: The law within its limits, a relay beside it.
-        relay: The last relay that there was, for what became of it.
-        error: Reference minus position of the last sample, in [rad].
-
-    Args:
-        settings: Checked settings.
-        counts: Where limited samples are counted.
     """
 
     __slots__ = (
@@ -75,22 +63,12 @@ class Tracking:
         self.error = 0.0
 
     def follow(self, motion: Motion) -> None:
-        """Follow a motion from the next sample on.
-
-        Args:
-            motion: A trajectory's column, or a setpoint.
-        """
+        """Follow a motion from the next sample on."""
         self.end_relay("a reference came")
         self.following.follow(motion)
 
     def retune(self, settings: LoopSettings, position: float | None, stamp_ns: int) -> None:
-        """Go by other settings; the integral term stays, and what is estimated is carried over.
-
-        Args:
-            settings: Checked settings of the same joint and the same compensation.
-            position: Measured at the last sample, in [rad]; None before the first one.
-            stamp_ns: Stamp of the last state in [ns].
-        """
+        """Go by other settings; the integral term stays, and what is estimated is carried over."""
         self.end_relay("parameters were set")
         self.estimation.retune(settings, position)
         self.law.retune(
@@ -105,13 +83,7 @@ class Tracking:
             self._hand_over(change, stamp_ns)
 
     def begin(self, stamp_ns: int, position: float, *, is_takeover: bool) -> None:
-        """Start from where the joint is, before its sample.
-
-        Args:
-            stamp_ns: Stamp of the state in [ns].
-            position: Measured, in [rad].
-            is_takeover: Whether the joint had a reference, onto which it glides.
-        """
+        """Start from where the joint is, before its sample."""
         if self.law.limits is not None:
             self.law.limits.open(position)
         if not is_takeover:
@@ -133,20 +105,7 @@ class Tracking:
         model: ModelTerm | None,
         is_takeover: bool,
     ) -> float:
-        """Take one sample and return its effort in [N m], within the limits.
-
-        Args:
-            stamp_ns: Stamp of the state in [ns].
-            position: Measured, in [rad].
-            velocity: Measured, in [rad/s]; None when the robot reports none.
-            dt: Time since the last sample in [s]; 0 if the joint was not in control since.
-            elapsed: How much of that is integrated, in [s].
-            model: What a model of the robot says of this state; None without a model.
-            is_takeover: Whether :meth:`begin` was told that it is one.
-
-        Raises:
-            ArithmeticError: The effort is not finite; the integral is as it was.
-        """
+        """Take one sample and return its effort in [N m], within the limits."""
         law, following, estimation = self.law, self.following, self.estimation
         model = estimation.update(position, velocity, dt, model)
         speed = estimation.velocity
@@ -185,16 +144,7 @@ class Tracking:
             self.feedforward.keep(-left, stamp_ns, self._takeover_time)
 
     def begin_relay(self, request: RelayRequest, against: str) -> None:
-        """Let a relay drive the joint for some cycles, around where it is held.
-
-        Args:
-            request: What it shall do.
-            against: Why the joint cannot have one, in words; empty if nothing is known.
-
-        Raises:
-            SettingError: It cannot, is not held at rest, is too near to its effort limits, or the
-                law has nothing to hold it by.
-        """
+        """Let a relay drive the joint for some cycles, around where it is held."""
         law, gains = self.law, self._settings.gains
         if law.relay is not None:
             against = "there is one already"
@@ -208,20 +158,12 @@ class Tracking:
         self.relay = law.relay = Relay(request, gains.d / gains.p)
 
     def end_relay(self, reason: str) -> None:
-        """Let a relay give back, if there is one.
-
-        Args:
-            reason: Why, in words.
-        """
+        """Let a relay give back, if there is one."""
         if self.law.relay is not None:
             self.law.relay.end(reason)
 
     def drop_relay(self, reason: str) -> None:
-        """End a relay at once, without another effort: who calls decides about that.
-
-        Args:
-            reason: Why, in words.
-        """
+        """End a relay at once, without another effort: who calls decides about that."""
         self.end_relay(reason)
         self.law.relay = None
 
@@ -236,11 +178,7 @@ class Tracking:
         )
 
     def go_back_to(self, before: Tracked) -> None:
-        """Be what it was, but for what it was told since.
-
-        Args:
-            before: From :meth:`kept`.
-        """
+        """Be what it was, but for what it was told since."""
         told = self.following.motion
         self.following = before.following
         if told is not before.following.motion:

@@ -41,12 +41,7 @@ def layered_schema(kind: type[Record]) -> dict[str, Any]:
 
 
 def partial_schema(schema: dict[str, Any], *, is_nullable: bool = False) -> dict[str, Any]:
-    """Return a schema in which nothing is needed, in its mappings neither.
-
-    Args:
-        schema: The schema.
-        is_nullable: Whether null may stand for each entry, which removes it.
-    """
+    """Return a schema in which nothing is needed, in its mappings neither."""
 
     def loosened(each: dict[str, Any]) -> dict[str, Any]:
         inner = partial_schema(each, is_nullable=is_nullable)
@@ -66,28 +61,16 @@ def partial_schema(schema: dict[str, Any], *, is_nullable: bool = False) -> dict
 
 
 class TableRow(NamedTuple):
-    """One key of a section, for a person.
+    """One key of a section, for a person."""
 
-    Attributes:
-        key: Its name, with those of the sections that it is in.
-        default: What it is when it is left out; ``needed`` where it must not be.
-        range: What it may be; empty for whatever fits.
-        meaning: What it is, with its unit.
-    """
-
-    key: str
-    default: str
-    range: str
-    meaning: str
+    key: str  # its name, with those of the sections that it is in
+    default: str  # what it is when it is left out; needed where it must not be
+    range: str  # what it may be; empty for whatever fits
+    meaning: str  # what it is, with its unit
 
 
 def table(kind: type[Record], prefix: str = "") -> Iterator[TableRow]:
-    """Yield each key of a section, those of records within it too.
-
-    Args:
-        kind: What the section is.
-        prefix: Before each key.
-    """
+    """Yield each key of a section, those of records within it too."""
     for each in record_fields(kind):
         inner, place = _inner(each.kind, each.quantity)
         if each.key == "name":  # stands for NAME in the other keys

@@ -27,22 +27,14 @@ OFF = False
 
 @dataclass(frozen=True)
 class FieldSpec:
-    """What a field is.
+    """What a field is."""
 
-    Attributes:
-        meaning: In words, without a full stop.
-        unit: For instance ``"N m"``; empty for what has none.
-        bounds: Of a number, or of each number of a list.
-        choices: Of a text; any if empty.
-        key: Its name in a file, where that is no name in Python.
-        names: Whether a file has a mapping by name, whose keys are the ``name`` of each record.
-    """
-
-    meaning: str
-    unit: str = ""
-    bounds: Bounds = ANY
-    choices: tuple[str, ...] = ()
-    key: str = ""
+    meaning: str  # in words, without a full stop
+    unit: str = ""  # for instance "N m"; empty for what has none
+    bounds: Bounds = ANY  # of a number, or of each number of a list
+    choices: tuple[str, ...] = ()  # of a text; any if empty
+    key: str = ""  # its name in a file, where that is no name in Python
+    # whether a file has a mapping by name, whose keys are the name of each record
     names: bool = False
 
 
@@ -72,9 +64,6 @@ class Record:
     A field is a bool, a number, a text, another record, a tuple of such (``tuple[float, float,
     float]``, ``tuple[Brick, ...]``), a mapping by name, a union of a number and a mapping, or one
     of these or None. Values become what their field is declared to be.
-
-    Raises:
-        SettingError: A value is of another kind or out of its range.
     """
 
     def __post_init__(self) -> None:
@@ -89,25 +78,15 @@ AnyRecord = TypeVar("AnyRecord", bound=Record)
 
 
 class RecordField(NamedTuple):
-    """A field of a record.
+    """A field of a record."""
 
-    Attributes:
-        name: In Python.
-        key: In a file.
-        kind: Its type, None aside.
-        is_optional: Whether it may be None.
-        is_needed: Whether it has no default.
-        quantity: What it is.
-        declared: The dataclass's own entry.
-    """
-
-    name: str
-    key: str
-    kind: Any
-    is_optional: bool
-    is_needed: bool
+    name: str  # in Python
+    key: str  # in a file
+    kind: Any  # its type, None aside
+    is_optional: bool  # whether it may be None
+    is_needed: bool  # whether it has no default
     quantity: FieldSpec
-    declared: Field[Any]
+    declared: Field[Any]  # the dataclass's own entry
 
     @property
     def default(self) -> Any:
@@ -150,18 +129,7 @@ def container_of(kind: Any) -> Any:
 def from_mapping(
     kind: type[AnyRecord], values: object, where: str, error: type[HpidError]
 ) -> AnyRecord:
-    """Return the record that a section of a file says.
-
-    Args:
-        kind: What it is.
-        values: The section.
-        where: Its place in the document, for the messages.
-        error: The error that a bad entry raises.
-
-    Raises:
-        HpidError: The ``error`` given: an entry is missing, unknown, of another kind or out of
-            range; the line names its place.
-    """
+    """Return the record that a section of a file says."""
     section = Section(values, where, error)
     record = take_record(kind, section)
     section.finish()
@@ -171,16 +139,7 @@ def from_mapping(
 def take_record(
     kind: type[AnyRecord], section: Section, known: Mapping[str, object] | None = None
 ) -> AnyRecord:
-    """Return the record that a section says; what else the section says stays for the caller.
-
-    Args:
-        kind: What it is.
-        section: The section.
-        known: Values that are known already, by name in Python; their keys stay.
-
-    Raises:
-        HpidError: As for :func:`from_mapping`.
-    """
+    """Return the record that a section says; what else the section says stays for the caller."""
     values = dict(known or {})
     asked = [each for each in record_fields(kind) if each.name not in values]
     for each in asked:
@@ -208,15 +167,6 @@ def take_layered(
 
     Entries of the section hold for all; those of its ``joints`` for one, key by key also within
     a record; ``off`` leaves a record out. What else the section says stays for the caller.
-
-    Args:
-        kind: What each is.
-        section: The section, of which the record's keys and ``joints`` are taken.
-        names: The joints.
-        what: What the names are of, for the messages; their key is its plural.
-
-    Raises:
-        HpidError: As for :func:`from_mapping`, or ``joints`` names one that there is not.
     """
     own = section.section(f"{what}s", {})
     for name in own.items():
@@ -268,11 +218,7 @@ def _converted(value: Any, each: RecordField, place: str, error: type[HpidError]
 
 
 def _as(kind: Any, value: Any, what: FieldSpec, place: str, error: type[HpidError]) -> Any:
-    """Return a value as what its field is declared to be.
-
-    Raises:
-        HpidError: The ``error`` given: it is something else.
-    """
+    """Return a value as what its field is declared to be."""
     if kind is object or (is_record(kind) and isinstance(value, kind)):
         return value
     origin = get_origin(kind)

@@ -12,19 +12,12 @@ _MISSING: Any = object()
 
 
 class Bounds(NamedTuple):
-    """The range of a number; each bound is off where it is infinite.
+    """The range of a number; each bound is off where it is infinite."""
 
-    Attributes:
-        above: It must be greater than this.
-        least: It must not be less than this.
-        most: It must not be greater than this.
-        below: It must be less than this.
-    """
-
-    above: float = -math.inf
-    least: float = -math.inf
-    most: float = math.inf
-    below: float = math.inf
+    above: float = -math.inf  # it must be greater than this
+    least: float = -math.inf  # it must not be less than this
+    most: float = math.inf  # it must not be greater than this
+    below: float = math.inf  # it must be less than this
 
     def hold(self, value: float) -> bool:
         """Tell whether a number is within them, and finite."""
@@ -55,16 +48,7 @@ ANY = Bounds()
 
 
 class Section:
-    """A mapping whose entries are taken one by one; what is left over is unknown.
-
-    Args:
-        values: The mapping.
-        where: Its dotted place in the document, for the messages; empty for the root.
-        error: The error that a bad entry raises.
-
-    Raises:
-        HpidError: The ``error`` given: ``values`` is not a mapping with texts as keys.
-    """
+    """A mapping whose entries are taken one by one; what is left over is unknown."""
 
     def __init__(self, values: object, where: str, error: type[HpidError]) -> None:
         self.error = error
@@ -82,11 +66,7 @@ class Section:
         return f"{self.where}.{key}" if self.where else key
 
     def take(self, key: str, default: Any = _MISSING) -> Any:
-        """Return an entry as it stands.
-
-        Raises:
-            HpidError: It is missing and there is no default.
-        """
+        """Return an entry as it stands."""
         self._taken.add(key)
         if key in self._values:
             return self._values[key]
@@ -104,19 +84,7 @@ class Section:
         most: float = math.inf,
         bounds: Bounds | None = None,
     ) -> float:
-        """Return a finite number.
-
-        Args:
-            key: Its name.
-            default: Taken when it is missing.
-            above: It must be greater than this.
-            least: It must not be less than this.
-            most: It must not be greater than this.
-            bounds: In place of these three.
-
-        Raises:
-            HpidError: Missing, no number, not finite, out of range.
-        """
+        """Return a finite number."""
         value = self.take(key, default)
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise self.error(f"{self.place(key)} must be a number, not {shown(value)}")
@@ -134,11 +102,7 @@ class Section:
         most: float = 2**62,
         bounds: Bounds | None = None,
     ) -> int:
-        """Return a whole number in a range.
-
-        Raises:
-            HpidError: Missing, not whole, out of range.
-        """
+        """Return a whole number in a range."""
         value = self.take(key, default)
         bounds = bounds or Bounds(least=least, most=most)
         whole = isinstance(value, int) and not isinstance(value, bool)
@@ -149,33 +113,21 @@ class Section:
         return int(value)
 
     def text(self, key: str, default: Any = _MISSING) -> str:
-        """Return a text that is not empty.
-
-        Raises:
-            HpidError: Missing, no text, or empty.
-        """
+        """Return a text that is not empty."""
         value = self.take(key, default)
         if not isinstance(value, str) or not value:
             raise self.error(f"{self.place(key)} must be a text, not {shown(value)}")
         return value
 
     def flag(self, key: str, default: Any = _MISSING) -> bool:
-        """Return true or false.
-
-        Raises:
-            HpidError: Missing or neither.
-        """
+        """Return true or false."""
         value = self.take(key, default)
         if not isinstance(value, bool):
             raise self.error(f"{self.place(key)} must be true or false, not {shown(value)}")
         return value
 
     def section(self, key: str, default: Any = _MISSING) -> Section:
-        """Return a mapping inside this one.
-
-        Raises:
-            HpidError: Missing or no mapping.
-        """
+        """Return a mapping inside this one."""
         return Section(self.take(key, default), self.place(key), self.error)
 
     @property
@@ -189,11 +141,7 @@ class Section:
         return dict(self._values)
 
     def finish(self) -> None:
-        """Refuse what nobody took.
-
-        Raises:
-            HpidError: There is an entry that nothing asked for.
-        """
+        """Refuse what nobody took."""
         for key in self._values:
             if key not in self._taken:
                 raise self.error(

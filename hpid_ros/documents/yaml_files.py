@@ -36,22 +36,13 @@ _BAD_VALUES = (ValueError, TypeError, LookupError, AttributeError)
 
 
 class Document(NamedTuple):
-    """What a file says together with all that it extends.
+    """What a file says together with all that it extends."""
 
-    Attributes:
-        values: The merged document, without :data:`EXTENDS`.
-        text: The file as it stands where it extends nothing, else the merged document as YAML.
-        files: The file, then what it extends, then what that extends, ...
-        path: The file, as it was named.
-        origins: The file that each entry comes from, by the entry's dotted place; of a mapping
-            the uppermost that has it. Empty where the file extends nothing.
-    """
-
-    values: Any
-    text: str
-    files: tuple[Path, ...]
-    path: Path
-    origins: Mapping[str, Path]
+    values: Any  # the merged document, without EXTENDS
+    text: str  # the file as it stands where it extends nothing, else the merged document as YAML
+    files: tuple[Path, ...]  # the file, then what it extends, then what that extends,
+    path: Path  # the file, as it was named
+    origins: Mapping[str, Path]  # the file that each entry comes from, by the entry's dotted place
 
     @property
     def folders(self) -> tuple[Path, ...]:
@@ -59,12 +50,7 @@ class Document(NamedTuple):
         return tuple(dict.fromkeys(file.parent for file in self.files))
 
     def blamed(self, line: str) -> Path:
-        """Return the file in which the entry stands that an error is about; else the upper one.
-
-        Args:
-            line: The error's. It begins with the place of the entry, or with ``unknown key`` and
-                the place; after a place and a colon an entry within it may be named.
-        """
+        """Return the file in which the entry stands that an error is about; else the upper one."""
         line = line.removeprefix("unknown key '")
         places = [each for each in self.origins if _begins_with(line, each)]
         if not places:
@@ -76,11 +62,7 @@ class Document(NamedTuple):
 
     @contextmanager
     def blaming(self, kind: type[HpidError]) -> Iterator[None]:
-        """Raise what the block raises as an error that names the file of the entry.
-
-        Args:
-            kind: The error.
-        """
+        """Raise what the block raises as an error that names the file of the entry."""
         try:
             yield
         except HpidError as error:
@@ -88,17 +70,7 @@ class Document(NamedTuple):
 
 
 def load_yaml(path: str | Path, error: type[HpidError]) -> Any:
-    """Return what a YAML file says.
-
-    Args:
-        path: The file.
-        error: The error that a bad file raises.
-
-    Raises:
-        HpidError: The ``error`` given: the file is not there, cannot be read, is no YAML, or is
-            larger or deeper than any file that people write (:data:`LARGEST_FILE`,
-            :data:`MOST_NODES`, :data:`MOST_LEVELS`).
-    """
+    """Return what a YAML file says."""
     return parse_yaml(path, _read(path, error), error)
 
 
@@ -109,14 +81,6 @@ def load_document(path: str | Path, error: type[HpidError]) -> Document:
     beside it, then in the share folder, there also among the experiments: mappings are merged
     key by key, everything else is replaced, and ``null`` removes a key. The file may extend
     another one in turn.
-
-    Args:
-        path: The file.
-        error: The error that a bad file raises.
-
-    Raises:
-        HpidError: The ``error`` given: a file is not there, cannot be read, is no YAML, extends
-            itself in the end or one of too many, or removes a key that is not there.
     """
     return _load(Path(path), (), error)
 
@@ -243,12 +207,6 @@ def _require_bounded(events: Iterator[Any]) -> None:
     Parsers give events one after the other, however deep they are nested; what builds a document
     of them calls itself for each level, and whoever walks through it meets an alias as often as it
     is named.
-
-    Args:
-        events: Of a YAML parser.
-
-    Raises:
-        yaml.YAMLError: It is one of these.
     """
     nodes = 0
     sizes: dict[str, int] = {}

@@ -15,35 +15,20 @@ _UNSEEN_VELOCITY, _UNSEEN_ACCELERATION = 1.0, 5.0  # [rad/s, rad/s^2] where noth
 
 @dataclass(frozen=True)
 class JointBounds:
-    """Limits of a joint and where it is; "rad" reads "m" where it slides.
+    """Limits of a joint and where it is; "rad" reads "m" where it slides."""
 
-    Attributes:
-        joint: Its name.
-        controller: Full name of its controller's node.
-        position: Where it is in [rad].
-        load: Effort that holds it there, in [N m].
-        lower: Lowest position in [rad]; -inf for none.
-        upper: Highest position in [rad]; inf for none.
-        velocity: Largest velocity in [rad/s]; inf if unknown.
-        efforts: Least and largest effort in [N m]; infinite if unknown.
-        inertia: What one unit of effort accelerates, in [kg m^2].
-        is_inertia_guessed: Whether that was taken from the gains.
-        is_slide: Whether it slides.
-        is_endless: Whether it turns without end.
-    """
-
-    joint: str
-    controller: str
-    position: float
-    load: float
-    lower: float
-    upper: float
-    velocity: float
-    efforts: tuple[float, float]
-    inertia: float
-    is_inertia_guessed: bool = False
-    is_slide: bool = False
-    is_endless: bool = False
+    joint: str  # its name
+    controller: str  # full name of its controller's node
+    position: float  # [rad] where it is
+    load: float  # [N m] effort that holds it there
+    lower: float  # [rad] lowest position; -inf for none
+    upper: float  # [rad] highest position; inf for none
+    velocity: float  # [rad/s] largest velocity; inf if unknown
+    efforts: tuple[float, float]  # [N m] least and largest effort; infinite if unknown
+    inertia: float  # [kg m^2] what one unit of effort accelerates
+    is_inertia_guessed: bool = False  # whether that was taken from the gains
+    is_slide: bool = False  # whether it slides
+    is_endless: bool = False  # whether it turns without end
 
     @property
     def unit(self) -> str:
@@ -52,26 +37,16 @@ class JointBounds:
 
 
 class Wish(NamedTuple):
-    """What an excitation shall not exceed, beside shares of the limits.
+    """What an excitation shall not exceed, beside shares of the limits."""
 
-    Attributes:
-        share: Of each limit, of what is left of it where the joint is and how it is loaded.
-        amplitude: In [rad].
-        velocity: In [rad/s]; inf for no wish.
-        acceleration: In [rad/s^2]; inf for no wish.
-    """
-
+    # of each limit, of what is left of it where the joint is and how it is loaded
     share: float = 0.5
-    amplitude: float = 0.5
-    velocity: float = math.inf
-    acceleration: float = math.inf
+    amplitude: float = 0.5  # [rad]
+    velocity: float = math.inf  # [rad/s] inf for no wish
+    acceleration: float = math.inf  # [rad/s^2] inf for no wish
 
     def require(self) -> None:
-        """Refuse numbers that are no wish.
-
-        Raises:
-            SettingError: A share that is not within (0, 0.9], or a size that is not positive.
-        """
+        """Refuse numbers that are no wish."""
         if not 0.0 < self.share <= 0.9:
             raise SettingError(f"a share of the limits must be in (0, 0.9], not {self.share:g}")
         for name, value in self._asdict().items():
@@ -80,15 +55,10 @@ class Wish(NamedTuple):
 
 
 class Allowed(NamedTuple):
-    """What a joint's excitation may reach, and why not more.
+    """What a joint's excitation may reach, and why not more."""
 
-    Attributes:
-        peaks: Position, velocity and acceleration.
-        notes: What was assumed, in words.
-    """
-
-    peaks: Peaks
-    notes: tuple[str, ...]
+    peaks: Peaks  # position, velocity and acceleration
+    notes: tuple[str, ...]  # what was assumed, in words
 
 
 def inertia_from_gains(p: float, d: float) -> float:
@@ -96,13 +66,6 @@ def inertia_from_gains(p: float, d: float) -> float:
 
     Whoever tuned a PD loop gave it a damping ratio of about 1, so this is the inertia to an order
     of magnitude; it decides about nothing but the size of an excitation.
-
-    Args:
-        p: In [N m/rad].
-        d: In [N m s/rad].
-
-    Raises:
-        SettingError: A gain is not positive.
     """
     if not (p > 0.0 and d > 0.0):
         raise SettingError("the inertia is unknown, and gains.p and gains.d are not both positive")
@@ -110,15 +73,7 @@ def inertia_from_gains(p: float, d: float) -> float:
 
 
 def allowed(bounds: JointBounds, wish: Wish) -> Allowed:
-    """Return what an excitation of a joint may reach.
-
-    Args:
-        bounds: Of the joint.
-        wish: Of the user.
-
-    Raises:
-        SettingError: The joint has no room, or carries nearly all that it can; the line says so.
-    """
+    """Return what an excitation of a joint may reach."""
     notes = []
     room = min(bounds.upper - bounds.position, bounds.position - bounds.lower)
     if not room > 0.0:

@@ -33,33 +33,20 @@ KNOTS_A_PERIOD = 20
 
 
 class Peaks(NamedTuple):
-    """Largest absolute values; "rad" reads "m" where the joint slides.
+    """Largest absolute values; "rad" reads "m" where the joint slides."""
 
-    Attributes:
-        position: Away from where the joint stood, in [rad].
-        velocity: In [rad/s].
-        acceleration: In [rad/s^2].
-    """
-
-    position: float
-    velocity: float
-    acceleration: float
+    position: float  # [rad] away from where the joint stood
+    velocity: float  # [rad/s]
+    acceleration: float  # [rad/s^2]
 
 
 class Course(NamedTuple):
-    """Where a joint is told to be, from where it stood; knots of a quintic spline.
+    """Where a joint is told to be, from where it stood; knots of a quintic spline."""
 
-    Attributes:
-        times: Since its start in [s], shape (knots,).
-        position: In [rad].
-        velocity: In [rad/s].
-        acceleration: In [rad/s^2].
-    """
-
-    times: Numbers
-    position: Numbers
-    velocity: Numbers
-    acceleration: Numbers
+    times: Numbers  # [s] since its start, shape (knots,)
+    position: Numbers  # [rad]
+    velocity: Numbers  # [rad/s]
+    acceleration: Numbers  # [rad/s^2]
 
     @property
     def peaks(self) -> Peaks:
@@ -87,16 +74,6 @@ def multisine(
 
     Its sines are harmonics of the whole, spread evenly over the logarithm of the frequency, each
     with the same velocity: friction shows at the slow ones, inertia at the fast ones.
-
-    Args:
-        duration: In [s].
-        band: Lowest and highest frequency in [Hz].
-        fade: Time of the soft start, and of the soft end, in [s].
-        limits: What it may reach.
-        seed: Of the phases that are drawn.
-
-    Raises:
-        SettingError: No such sum lasts so short, or the numbers are none.
     """
     low, high = band
     if not 0.0 < low < high < math.inf:
@@ -140,12 +117,7 @@ def _sum(times: Numbers, rates: Numbers, phases: Numbers, window: Course) -> Cou
 
 
 def faded(times: Numbers, fade: float) -> Course:
-    """Return a window that rises from 0 to 1 in the time of a fade, and falls at the end.
-
-    Args:
-        times: Of its knots in [s], shape (knots,); two fades fit into them.
-        fade: In [s].
-    """
+    """Return a window that rises from 0 to 1 in the time of a fade, and falls at the end."""
     end = float(times[-1])
     up = _minimum_jerk(times / fade, fade)
     down = _minimum_jerk((end - times) / fade, fade)
@@ -169,15 +141,7 @@ def _minimum_jerk(s: Numbers, duration: float) -> Course:
 
 
 def steps(duration: float, limits: Peaks) -> Course:
-    """Return steps up and down, each of minimum jerk and as fast as limits allow, with rests.
-
-    Args:
-        duration: In [s]; the pattern is repeated while it fits.
-        limits: What they may reach.
-
-    Raises:
-        SettingError: The pattern lasts longer.
-    """
+    """Return steps up and down, each of minimum jerk and as fast as limits allow, with rests."""
     pattern = [move_time(abs(b - a), limits) for a, b in pairwise((0.0, *_LEVELS))]
     whole = sum(pattern) + DWELL * len(pattern)
     if not (math.isfinite(duration) and duration >= whole):
@@ -213,15 +177,7 @@ def longest_move(duration: float, limits: Peaks) -> float:
 def moved(
     begin: float, move: float, start: float, end: float, dwell: float = DWELL
 ) -> list[Course]:
-    """Return the knots after the first one of a step, and the one at the end of its rest.
-
-    Args:
-        begin: When it begins in [s].
-        move: How long it takes in [s].
-        start: Where it begins in [rad].
-        end: Where it ends in [rad].
-        dwell: How long it rests there in [s].
-    """
+    """Return the knots after the first one of a step, and the one at the end of its rest."""
     rise = _minimum_jerk(np.linspace(0.0, 1.0, _MOVE_KNOTS + 1)[1:], move)
     way = end - start
     moving = Course(begin + rise.times, start + way * rise[1], way * rise[2], way * rise[3])

@@ -27,76 +27,42 @@ Kind = Literal["multisine", "steps", "step", "minimum_jerk", "sine"]
 
 
 class Design(NamedTuple):
-    """What kind of excitation it shall be.
+    """What kind of excitation it shall be."""
 
-    Attributes:
-        kind: Sums of sines, or steps, as large as they may be; or one of the motions on which a
-            joint is tried, as large as is wished: one step, the same as slowly as the duration
-            allows, or a sine.
-        duration: Of each joint, or of all that move together, in [s].
-        band: Of the sines, in [Hz].
-        fade: Of their soft start and soft end, in [s].
-        are_together: Whether all joints move at once.
-        tolerance: How far a joint may be from its reference in [rad]; 0 chooses half of its
-            amplitude.
-        seed: Of the phases; the joints have different ones.
-        frequency: Of the one sine in [Hz].
-    """
-
-    kind: Kind = "multisine"
-    duration: float = 20.0
-    band: tuple[float, float] = (0.1, 2.5)
-    fade: float = 2.0
-    are_together: bool = False
-    tolerance: float = 0.0
-    seed: int = 0
-    frequency: float = 0.5
+    kind: Kind = "multisine"  # sums of sines, or steps, as large as they may be
+    duration: float = 20.0  # [s] of each joint, or of all that move together
+    band: tuple[float, float] = (0.1, 2.5)  # [Hz] of the sines
+    fade: float = 2.0  # [s] of their soft start and soft end
+    are_together: bool = False  # whether all joints move at once
+    tolerance: float = 0.0  # [rad] how far a joint may be from its reference
+    seed: int = 0  # of the phases; the joints have different ones
+    frequency: float = 0.5  # [Hz] of the one sine
 
 
 @dataclass(frozen=True)
 class PlannedJoint:
-    """What one joint is told; "rad" reads "m" where it slides.
+    """What one joint is told; "rad" reads "m" where it slides."""
 
-    Attributes:
-        bounds: Its limits.
-        begin: When it begins to move in [s].
-        end: When it has stopped in [s].
-        peaks: What its reference reaches.
-        effort: What that needs beside the load, by its inertia, in [N m].
-        crest_factor: Of its velocity.
-        tolerance: How far it may be from its reference, in [rad].
-        velocity_stop: It is stopped when it is faster, in [rad/s].
-        notes: What was assumed, in words.
-    """
-
-    bounds: JointBounds
-    begin: float
-    end: float
-    peaks: Peaks
-    effort: float
-    crest_factor: float
-    tolerance: float
-    velocity_stop: float
-    notes: tuple[str, ...] = ()
+    bounds: JointBounds  # its limits
+    begin: float  # [s] when it begins to move
+    end: float  # [s] when it has stopped
+    peaks: Peaks  # what its reference reaches
+    effort: float  # [N m] what that needs beside the load, by its inertia
+    crest_factor: float  # of its velocity
+    tolerance: float  # [rad] how far it may be from its reference
+    velocity_stop: float  # [rad/s] it is stopped when it is faster
+    notes: tuple[str, ...] = ()  # what was assumed, in words
 
 
 @dataclass(frozen=True, eq=False)
 class ExcitationPlan:
-    """A plan; the reference begins and ends where the joints are told to stand.
+    """A plan; the reference begins and ends where the joints are told to stand."""
 
-    Attributes:
-        joints: In the order of the columns.
-        times: Of the knots since the start in [s], shape (knots,).
-        positions: Away from where each joint stands, in [rad], shape (knots, joints).
-        velocities: In [rad/s], likewise.
-        accelerations: In [rad/s^2], likewise.
-    """
-
-    joints: tuple[PlannedJoint, ...]
-    times: Numbers
-    positions: Numbers
-    velocities: Numbers
-    accelerations: Numbers
+    joints: tuple[PlannedJoint, ...]  # in the order of the columns
+    times: Numbers  # [s] of the knots since the start, shape (knots,)
+    positions: Numbers  # [rad] away from where each joint stands, shape (knots, joints)
+    velocities: Numbers  # [rad/s] likewise
+    accelerations: Numbers  # [rad/s^2] likewise
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -118,11 +84,7 @@ class ExcitationPlan:
 
     @classmethod
     def from_mapping(cls, values: Mapping[str, Any]) -> ExcitationPlan:
-        """Return the plan of :meth:`as_mapping`.
-
-        Raises:
-            SettingError: It is none.
-        """
+        """Return the plan of :meth:`as_mapping`."""
         try:
             joints = tuple(_planned(each) for each in values["joints"])
             names = ("times", "positions", "velocities", "accelerations")
@@ -138,17 +100,7 @@ def _planned(values: Mapping[str, Any]) -> PlannedJoint:
 
 
 def plan(bounds: Sequence[JointBounds], wish: Wish, design: Design) -> ExcitationPlan:
-    """Return the largest excitation of joints within shares of their limits.
-
-    Args:
-        bounds: Of each joint, in the order in which they move.
-        wish: What is not to be exceeded.
-        design: Of which kind it is.
-
-    Raises:
-        SettingError: A joint cannot be moved, a number is out of range, or it lasts too long for
-            one trajectory.
-    """
+    """Return the largest excitation of joints within shares of their limits."""
     wish.require()
     fastest = {"multisine": design.band[1], "sine": design.frequency}.get(design.kind, 0.0)
     turns = 1 if design.are_together else len(bounds)

@@ -24,26 +24,15 @@ _MORE_CYCLES, _SLOWER = 3, 4.0  # until the cycle stays; than was taken
 
 
 class RelayWish(NamedTuple):
-    """What a relay shall be like.
+    """What a relay shall be like."""
 
-    Attributes:
-        effort: Its amplitude in [N m]; 0 chooses a share.
-        share: Of what is left of the effort limits beside the load.
-        amplitude: Of the position, in [rad].
-        cycles: Whole cycles.
-    """
-
-    effort: float = 0.0
-    share: float = 0.2
-    amplitude: float = 0.05
-    cycles: int = 8
+    effort: float = 0.0  # [N m] its amplitude; 0 chooses a share
+    share: float = 0.2  # of what is left of the effort limits beside the load
+    amplitude: float = 0.05  # [rad] of the position
+    cycles: int = 8  # whole cycles
 
     def require(self) -> None:
-        """Refuse numbers that are no wish.
-
-        Raises:
-            SettingError: One is out of range.
-        """
+        """Refuse numbers that are no wish."""
         if not 0.0 < self.share <= 0.8:
             raise SettingError(f"the share of the effort must be in (0, 0.8], not {self.share:g}")
         if not (math.isfinite(self.effort) and self.effort >= 0.0):
@@ -55,35 +44,18 @@ class RelayWish(NamedTuple):
 
 
 class PlannedRelay(NamedTuple):
-    """A relay, and what is expected of it.
+    """A relay, and what is expected of it."""
 
-    Attributes:
-        request: What the controller is asked for.
-        period: Of the cycle, in [s].
-        amplitude: Of the position, in [rad].
-        velocity: Largest, in [rad/s].
-    """
-
-    request: RelayRequest
-    period: float
-    amplitude: float
-    velocity: float
+    request: RelayRequest  # what the controller is asked for
+    period: float  # [s] of the cycle
+    amplitude: float  # [rad] of the position
+    velocity: float  # [rad/s] largest
 
 
 def planned_relay(
     bounds: JointBounds, lead: float, sample_time: float, wish: RelayWish
 ) -> PlannedRelay:
-    """Return a relay within shares of a joint's limits.
-
-    Args:
-        bounds: Of the joint.
-        lead: T, gains.d over gains.p, in [s].
-        sample_time: Between two states, in [s].
-        wish: What it shall be like.
-
-    Raises:
-        SettingError: There is no room for it, or a number is out of range.
-    """
+    """Return a relay within shares of a joint's limits."""
     wish.require()
     least, largest = bounds.efforts
     spare = min(largest - bounds.load, bounds.load - least)

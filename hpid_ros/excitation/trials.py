@@ -28,17 +28,7 @@ _FADE_SHARE = 0.4  # of the whole, at most: two fades and what is between them
 
 
 def there_and_back(duration: float, limits: Peaks, *, is_fast: bool) -> Course:
-    """Return a move of minimum jerk to the amplitude, a rest, the way back, and a rest.
-
-    Args:
-        duration: Of all of it in [s].
-        limits: Its amplitude, and what it may reach on the way.
-        is_fast: Whether it moves as fast as limits allow and rests for longer; else it takes its
-            time, and is smaller where the limits want that.
-
-    Raises:
-        SettingError: It lasts too short.
-    """
+    """Return a move of minimum jerk to the amplitude, a rest, the way back, and a rest."""
     fastest = move_time(1.0, limits)
     half = 0.5 * duration
     least = (fastest if is_fast else 0.0) + _LEAST_DWELL

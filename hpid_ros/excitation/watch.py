@@ -22,11 +22,7 @@ _STATES_WITHIN = 0.5  # [s]
 
 
 class Watch:
-    """Looks at states and efforts of the joints of a plan.
-
-    Args:
-        plan: The plan.
-    """
+    """Looks at states and efforts of the joints of a plan."""
 
     def __init__(self, plan: ExcitationPlan) -> None:
         self._joints = plan.joints
@@ -38,13 +34,7 @@ class Watch:
         motions: Sequence[tuple[float, float]],
         efforts: Sequence[float | None],
     ) -> str:
-        """Return which limit is reached, in words; nothing if none is.
-
-        Args:
-            stamp_ns: The control clock in [ns].
-            motions: Position [rad] and velocity [rad/s] of each joint.
-            efforts: In [N m] of each; None where it is not known.
-        """
+        """Return which limit is reached, in words; nothing if none is."""
         for number, planned in enumerate(self._joints):
             line = _motion_beyond(planned, *motions[number])
             line = line or self._effort_beyond(number, stamp_ns, efforts[number])
@@ -83,14 +73,7 @@ def _motion_beyond(planned: PlannedJoint, position: float, velocity: float) -> s
 def group_settings(
     plan: ExcitationPlan, takeover_time: float, reference_timeout: float, *, is_simulated: bool
 ) -> GroupSettings:
-    """Return what the goal of a plan is followed under.
-
-    Args:
-        plan: The plan.
-        takeover_time: Of the controllers in [s].
-        reference_timeout: After which a controller counts as silent in [s].
-        is_simulated: Whether the simulation may be paused.
-    """
+    """Return what the goal of a plan is followed under."""
     facts = {
         each.bounds.joint: JointFacts(
             each.bounds.lower, each.bounds.upper, each.bounds.is_endless, unit=each.bounds.unit
@@ -111,12 +94,7 @@ def group_settings(
 
 
 def goal_of(plan: ExcitationPlan, standing: Sequence[float]) -> GoalRequest:
-    """Return the goal that carries a plan out, from where the joints' references stand.
-
-    Args:
-        plan: The plan.
-        standing: Position of each reference in [rad].
-    """
+    """Return the goal that carries a plan out, from where the joints' references stand."""
     times_ns = np.rint(plan.times * NANOSECONDS).astype(np.int64)
     none = np.full_like(plan.positions, np.nan)
     arrays = PointArrays(plan.positions + standing, plan.velocities, plan.accelerations, none)

@@ -29,17 +29,11 @@ from hpid_ros.stability.saved_certificates import certificates
 
 @dataclass(frozen=True)
 class SingleRun:
-    """What one run gives back.
+    """What one run gives back."""
 
-    Attributes:
-        report: How it went.
-        result: The numbers; None when nothing was recorded.
-        folder: Where everything lies.
-    """
-
-    report: RunReport
-    result: Result | None
-    folder: ResultFolder
+    report: RunReport  # how it went
+    result: Result | None  # the numbers; None when nothing was recorded
+    folder: ResultFolder  # where everything lies
 
 
 def run_controller(
@@ -52,21 +46,7 @@ def run_controller(
     force: bool = False,
     is_tried: bool = False,
 ) -> SingleRun:
-    """Run one controller.
-
-    Args:
-        experiment: The experiment.
-        label: Which of its controllers.
-        output: Folder of the result.
-        progress: Is told how far it is.
-        options: How the run is spread over processes, paced and recorded.
-        force: Replace a result that is there already.
-        is_tried: Whether a run in real time has a trial before it, see
-            :mod:`~hpid_ros.experiment.graph.trial`; what it found is noted.
-
-    Raises:
-        HpidError: There is no such controller, the folder is in the way, or the run failed.
-    """
+    """Run one controller."""
     if label not in experiment.controllers:
         raise ExperimentError(unknown_name("controller", label, experiment.controllers))
     with ResultFolder.create(output, force=force, inputs=experiment.inputs) as folder:
@@ -104,17 +84,11 @@ def _run(
 
 @dataclass(frozen=True)
 class Compared:
-    """What a comparison gives back.
+    """What a comparison gives back."""
 
-    Attributes:
-        result: The numbers.
-        reports: How each run went.
-        folder: Where everything lies.
-    """
-
-    result: Result
-    reports: tuple[RunReport, ...]
-    folder: ResultPlaces
+    result: Result  # the numbers
+    reports: tuple[RunReport, ...]  # how each run went
+    folder: ResultPlaces  # where everything lies
 
 
 def compare(
@@ -147,17 +121,11 @@ def compare(
 
 @dataclass(frozen=True)
 class ComparedEngines:
-    """What a comparison in several engines gives back.
+    """What a comparison in several engines gives back."""
 
-    Attributes:
-        compared: The comparison in each engine, by its name.
-        totals: Each total of each controller in all engines.
-        folder: Where everything lies.
-    """
-
-    compared: Mapping[str, Compared]
-    totals: tuple[EngineTotal, ...]
-    folder: ResultFolder
+    compared: Mapping[str, Compared]  # the comparison in each engine, by its name
+    totals: tuple[EngineTotal, ...]  # each total of each controller in all engines
+    folder: ResultFolder  # where everything lies
 
     @property
     def grids(self) -> list[Grid]:
@@ -177,19 +145,7 @@ def compare_engines(
     has_figures: bool = True,
     force: bool = False,
 ) -> ComparedEngines:
-    """Make the same comparison in two engines, and say how far they lie apart.
-
-    Args:
-        experiments: One and the same, in two engines.
-        output: Folder of the result, with a whole comparison in a folder for each engine.
-        progress: As for :func:`compare`, is told of ``LABEL (ENGINE)``.
-        in_process: As for :func:`compare`.
-        has_figures: As for :func:`compare`.
-        force: As for :func:`compare`.
-
-    Raises:
-        HpidError: As for :func:`compare`.
-    """
+    """Make the same comparison in two engines, and say how far they lie apart."""
     with ResultFolder.create(output, force=force, inputs=experiments[0].inputs) as folder:
         compared = {}
         for experiment in experiments:

@@ -24,13 +24,6 @@ def with_robot(settings: LoopSettings, world: WorldSettings) -> LoopSettings:
     """Return settings whose model has what the experiment's robot says.
 
     A model rolls where the robot does, and holds the joints that are not driven.
-
-    Args:
-        settings: Of one joint's loop; without a compensation they stay as they are.
-        world: The simulated robot.
-
-    Raises:
-        HpidError: The model's robot cannot be read, or lacks the joint.
     """
     model = settings.model
     if not model.is_on:
@@ -45,14 +38,7 @@ def with_robot(settings: LoopSettings, world: WorldSettings) -> LoopSettings:
 
 
 def models_of(controllers: Mapping[str, Sequence[LoopSettings]]) -> list[str]:
-    """Return the URDF texts of models that are not the experiment's own robot.
-
-    Args:
-        controllers: Settings of each joint by the controller's label.
-
-    Raises:
-        HpidError: One cannot be read.
-    """
+    """Return the URDF texts of models that are not the experiment's own robot."""
     loops = [each for settings in controllers.values() for each in settings]
     sources = {each.model.description for each in loops if each.model.is_on}
     return [robot_xml(source) for source in sorted(sources - {""})]
@@ -92,13 +78,6 @@ def controllers_from(root: Section, world: WorldSettings) -> dict[str, tuple[Loo
     The robot gives the defaults, ``controllers.common`` is laid over them, then
     ``controllers.joints``, then the controller's own section of ``compare``, then its
     ``joints``.
-
-    Args:
-        root: The experiment file, of which ``controllers`` and ``compare`` are taken.
-        world: The simulated robot.
-
-    Raises:
-        ExperimentError: An entry is unknown, missing or refused.
     """
     controllers = root.section("controllers")
     common = _parameters(controllers, "common")
@@ -125,15 +104,7 @@ def controllers_from(root: Section, world: WorldSettings) -> dict[str, tuple[Loo
 
 
 def judged_from(root: Section, joints: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the joints that studies and searches look at, in the world's order.
-
-    Args:
-        root: The experiment file, of which ``judge`` is taken; all joints if it has none.
-        joints: The driven joints.
-
-    Raises:
-        ExperimentError: An entry is unknown, or no joint is named.
-    """
+    """Return the joints that studies and searches look at, in the world's order."""
     judge = root.section("judge", {})
     named = judge.take(_JOINTS, list(joints))
     if not isinstance(named, list) or not named:

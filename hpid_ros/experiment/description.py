@@ -25,37 +25,22 @@ from hpid_ros.trajectory import JointTrajectory
 
 @dataclass(frozen=True)
 class Experiment:
-    """One robot, one reference, and the controllers to compare on them.
+    """One robot, one reference, and the controllers to compare on them."""
 
-    Attributes:
-        name: Name of the experiment.
-        text: The file as it stands, merged with what it extends.
-        path: Where it stands.
-        duration: Stamp of the last state in [s].
-        seed: Seed of everything that is drawn by chance.
-        answer_timeout: Wall time that lock-step waits for one answer in [s].
-        world: The simulated robot.
-        trajectory: The reference of every joint.
-        controllers: For each label, in the order of the comparison, the settings of each
-            driven joint, in the world's order.
-        judged: The joints that studies and searches look at, in the world's order.
-        plan: The brick task behind the reference; None for any other kind.
-        files: The files that it was read from: its own, and those that it extends.
-        is_engine_chosen: Whether the file, or who read it, says who computes the physics.
-    """
-
-    name: str
-    text: str
-    path: Path
-    duration: float
-    seed: int
-    answer_timeout: float
-    world: WorldSettings
-    trajectory: JointTrajectory
+    name: str  # name of the experiment
+    text: str  # the file as it stands, merged with what it extends
+    path: Path  # where it stands
+    duration: float  # [s] stamp of the last state
+    seed: int  # seed of everything that is drawn by chance
+    answer_timeout: float  # [s] wall time that lock-step waits for one answer
+    world: WorldSettings  # the simulated robot
+    trajectory: JointTrajectory  # the reference of every joint
     controllers: Mapping[str, tuple[LoopSettings, ...]]
-    judged: tuple[str, ...]
-    plan: BrickPlan | None = None
+    judged: tuple[str, ...]  # the joints that studies and searches look at, in the world's order
+    plan: BrickPlan | None = None  # the brick task behind the reference; None for any other kind
+    # the files that it was read from: its own, and those that it extends
     files: tuple[Path, ...] = ()
+    # whether the file, or who read it, says who computes the physics
     is_engine_chosen: bool = True
 
     @property
@@ -121,16 +106,7 @@ class Experiment:
 
 
 def load_experiment(path: str | Path, engine: str | None = None) -> Experiment:
-    """Read an experiment file.
-
-    Args:
-        path: The file.
-        engine: Who computes the physics, whatever the file says; None as it says.
-
-    Raises:
-        ExperimentError: Something is missing, unknown or impossible; the line names the file
-            and the place in it.
-    """
+    """Read an experiment file."""
     document = load_document(path, ExperimentError)
     with document.blaming(ExperimentError):
         root = Section(_with_engine(document.values, engine), "", ExperimentError)
@@ -140,14 +116,7 @@ def load_experiment(path: str | Path, engine: str | None = None) -> Experiment:
 
 
 def load_reference(path: str | Path) -> JointTrajectory:
-    """Return the reference of a file: an experiment, or any file with a ``reference`` section.
-
-    Args:
-        path: The file (YAML).
-
-    Raises:
-        HpidError: It is not there, or has no usable reference.
-    """
+    """Return the reference of a file: an experiment, or any file with a ``reference`` section."""
     document = load_document(path, ExperimentError)
     with document.blaming(TrajectoryError):
         return planned_reference(

@@ -24,11 +24,7 @@ from hpid_ros.wire import JointStateTemplate
 
 
 def recorded_topics(settings: WorldSettings) -> list[str]:
-    """Return the topics of a run, in the order in which a recorder is to subscribe them.
-
-    Args:
-        settings: The world.
-    """
+    """Return the topics of a run, in the order in which a recorder is to subscribe them."""
     # The states last: whoever waits for their subscribers has a recorder of all the rest.
     return ["joint_trajectory", "joint_commands", *recorded_reports(settings), "joint_states"]
 
@@ -39,17 +35,7 @@ _PROGRESS_EVERY = 200  # samples
 def run_without_ros(
     experiment: Experiment, label: str, bag: Path, progress: Progress
 ) -> RunReport:
-    """Run one controller in this process and record it.
-
-    Args:
-        experiment: The experiment.
-        label: Which of its controllers.
-        bag: Folder of the bag to create.
-        progress: Is told how far the run is.
-
-    Raises:
-        HpidError: The world cannot be built or the bag cannot be written.
-    """
+    """Run one controller in this process and record it."""
     settings = experiment.controllers[label]
     loops = [JointLoop(each) for each in settings]
     for loop in loops:

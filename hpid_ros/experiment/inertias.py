@@ -17,16 +17,6 @@ def initial_inertias(
 
     An arm's joint has 1 / (M^-1)_jj on a base that is held, a wheel of a base that of the robot
     that rolls on it with its arm held, with the payload that the experiment begins with.
-
-    Args:
-        experiment: The experiment.
-        loops: Loops on the joints; where one decouples, its law acts on a unit inertia.
-
-    Returns:
-        By joint, in [kg m^2].
-
-    Raises:
-        RobotDescriptionError: Pinocchio cannot read the robot.
     """
     from hpid_ros.robot.dynamics import wheel_inertias
 

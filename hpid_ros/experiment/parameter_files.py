@@ -21,12 +21,7 @@ from hpid_ros.simulation.world_file import world_mapping
 
 
 def controllers_document(settings: Sequence[LoopSettings], robot: str = "") -> dict[str, Any]:
-    """Return the parameters of all controllers, and of their composition in one process.
-
-    Args:
-        settings: One for each joint.
-        robot: The robot's URDF, for controllers whose model has no other.
-    """
+    """Return the parameters of all controllers, and of their composition in one process."""
     document: dict[str, Any] = {
         f"{ANYWHERE}joint_controllers": {
             "ros__parameters": {"joints": [each.joint for each in settings]}
@@ -41,22 +36,12 @@ def controllers_document(settings: Sequence[LoopSettings], robot: str = "") -> d
 
 
 def controllers_text(settings: Sequence[LoopSettings], robot: str = "") -> str:
-    """Return the same as the text of a file.
-
-    Args:
-        settings: One for each joint.
-        robot: The robot's URDF, for controllers whose model has no other.
-    """
+    """Return the same as the text of a file."""
     return str(yaml.safe_dump(controllers_document(settings, robot), sort_keys=False))
 
 
 def bridge_document(experiment: Experiment, world_file: Path) -> dict[str, Any]:
-    """Return the parameters of the bridge.
-
-    Args:
-        experiment: The experiment.
-        world_file: Where its world is described.
-    """
+    """Return the parameters of the bridge."""
     return {
         f"{ANYWHERE}{bridge_name(experiment.world)}": {
             "ros__parameters": {
@@ -77,13 +62,7 @@ def bridge_name(world: WorldSettings) -> str:
 def write_run_files(
     folder: Path, experiment: Experiment, settings: Sequence[LoopSettings]
 ) -> tuple[Path, Path]:
-    """Write the parameter files of controllers and bridge, and the world's, and return the first.
-
-    Args:
-        folder: Where they are written: ``controllers.yaml``, ``bridge.yaml``, ``world.yaml``.
-        experiment: The experiment.
-        settings: Of each of its controllers.
-    """
+    """Write the parameter files of controllers, bridge and world, and return the first."""
     controllers, bridge, world = (
         folder / f"{name}.yaml" for name in ("controllers", "bridge", "world")
     )

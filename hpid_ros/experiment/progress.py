@@ -11,36 +11,22 @@ from hpid_ros.base.durations import NOTHING, DurationSpread
 
 @dataclass(frozen=True)
 class JointTiming:
-    """One joint's controller, seen from itself and from the bridge.
+    """One joint's controller, seen from itself and from the bridge."""
 
-    Attributes:
-        samples: States that it answered.
-        missed: States that never reached it, by their stamps.
-        unanswered: States for which the bridge had no command of it.
-        period: Between two states.
-        compute: From a state's bytes to the command handed to the middleware.
-        latency: From a state's publication to the arrival of its answer.
-    """
-
-    samples: int
-    missed: int
-    unanswered: int
-    period: DurationSpread
-    compute: DurationSpread
-    latency: DurationSpread
+    samples: int  # states that it answered
+    missed: int  # states that never reached it, by their stamps
+    unanswered: int  # states for which the bridge had no command of it
+    period: DurationSpread  # between two states
+    compute: DurationSpread  # from a state's bytes to the command handed to the middleware
+    latency: DurationSpread  # from a state's publication to the arrival of its answer
 
 
 @dataclass(frozen=True)
 class RunTiming:
-    """All nodes of a run.
+    """All nodes of a run."""
 
-    Attributes:
-        cycle: Between two states, as the bridge publishes them.
-        joints: By joint; one whose controller was killed has told nothing and is not there.
-    """
-
-    cycle: DurationSpread
-    joints: Mapping[str, JointTiming]
+    cycle: DurationSpread  # between two states, as the bridge publishes them
+    joints: Mapping[str, JointTiming]  # by joint
 
     def as_mapping(self) -> dict[str, object]:
         """Return all figures with their units, ready for JSON."""
@@ -60,12 +46,7 @@ class RunTiming:
 def run_timing(
     finished: Mapping[str, Any], controllers: Mapping[str, Mapping[str, Any]]
 ) -> RunTiming:
-    """Put the bridge's and the controllers' events together.
-
-    Args:
-        finished: The bridge's event ``finished``.
-        controllers: The event ``timing`` of each controller, by joint.
-    """
+    """Put the bridge's and the controllers' events together."""
     bridge = finished["timing"]
     joints = {
         joint: JointTiming(
@@ -86,27 +67,13 @@ class Progress(Protocol):
     """Is told how far a run is."""
 
     def phase(self, label: str, what: str) -> None:
-        """A run enters a phase.
-
-        Args:
-            label: The controller's label.
-            what: The phase in a few words.
-        """
+        """A run enters a phase."""
 
     def note(self, line: str) -> None:
-        """Something is worth knowing before a run begins.
-
-        Args:
-            line: What.
-        """
+        """Something is worth knowing before a run begins."""
 
     def advanced(self, label: str, simulated: float) -> None:
-        """A run has come this far.
-
-        Args:
-            label: The controller's label.
-            simulated: Simulated time in [s].
-        """
+        """A run has come this far."""
 
 
 class NoProgress:
@@ -123,13 +90,7 @@ class NoProgress:
 
 
 class NamedProgress:
-    """Progress of runs that need another name beside their label.
-
-    Args:
-        progress: Who is told, of ``LABEL (NAME)``.
-        name: What the runs have in common.
-        labels: Their labels, in their order.
-    """
+    """Progress of runs that need another name beside their label."""
 
     def __init__(self, progress: Progress, name: str, labels: Sequence[str]) -> None:
         self._progress, self._name, self._last = progress, name, labels[-1]
@@ -154,23 +115,14 @@ def named(label: str, name: str) -> str:
 
 @dataclass
 class RunReport:
-    """How a run went, apart from its numbers.
+    """How a run went, apart from its numbers."""
 
-    Attributes:
-        label: The controller's label.
-        wall_time: From the first state to the last answer in [s].
-        states: States of the run.
-        processes: Processes that took part.
-        warnings: What went otherwise than planned, one line each.
-        timing: What the nodes measured; None without nodes.
-    """
-
-    label: str
-    wall_time: float
-    states: int
-    processes: int
+    label: str  # the controller's label
+    wall_time: float  # [s] from the first state to the last answer
+    states: int  # states of the run
+    processes: int  # processes that took part
     warnings: list[str] = field(default_factory=list)
-    timing: RunTiming | None = None
+    timing: RunTiming | None = None  # what the nodes measured; None without nodes
 
     def as_mapping(self) -> dict[str, object]:
         """Return everything, ready for JSON."""

@@ -30,14 +30,7 @@ _LONGEST_NAME = 60  # characters of a text that somebody else wrote
 
 
 def c_name(joint: str) -> str:
-    """Return what a joint's files and identifiers begin with in C.
-
-    Args:
-        joint: Its name.
-
-    Raises:
-        SettingError: There is nothing in the name that C could have in one.
-    """
+    """Return what a joint's files and identifiers begin with in C."""
     name = re.sub(r"[^A-Za-z0-9]+", "_", joint).strip("_")
     if not name:
         raise SettingError(
@@ -47,26 +40,12 @@ def c_name(joint: str) -> str:
 
 
 def file_names(joint: str) -> tuple[str, ...]:
-    """Return the names of a joint's files, the header first.
-
-    Args:
-        joint: Its name.
-
-    Raises:
-        SettingError: As for :func:`c_name`.
-    """
+    """Return the names of a joint's files, the header first."""
     return tuple(f"{c_name(joint)}{suffix}" for suffix in _FILES.values())
 
 
 def require_distinct(joints: Sequence[str]) -> None:
-    """Refuse joints that would have the same names in C, or in a folder that ignores case.
-
-    Args:
-        joints: Their names.
-
-    Raises:
-        SettingError: Two of them would.
-    """
+    """Refuse joints that would have the same names in C, or in a folder that ignores case."""
     owners: dict[str, str] = {}
     for joint in joints:
         for name in (c_name(joint), *file_names(joint)):
@@ -79,20 +58,7 @@ def require_distinct(joints: Sequence[str]) -> None:
 
 
 def c_files(settings: LoopSettings, precision: Precision, source: str) -> dict[str, str]:
-    """Return the files that are a joint's loop in C99.
-
-    Args:
-        settings: Checked settings of the joint.
-        precision: Of its numbers.
-        source: Where the settings are from, for a comment.
-
-    Returns:
-        Contents by file name.
-
-    Raises:
-        SettingError: The settings ask for something that the C code cannot do, or are none in
-            single precision where that is asked for.
-    """
+    """Return the files that are a joint's loop in C99."""
     values = exported_values(settings)
     if precision == "single":
         in_single(settings)

@@ -27,14 +27,10 @@ class GivenReference:
     """A reference that is told anew with each state, as a firmware does.
 
     It is under way whenever a loop takes it up, so that the loop glides onto it.
-
-    Attributes:
-        position: In [rad].
-        velocity: In [rad/s].
     """
 
-    position: float = 0.0
-    velocity: float = 0.0
+    position: float = 0.0  # [rad]
+    velocity: float = 0.0  # [rad/s]
 
     def start(self, now_ns: int, position: float, velocity: float) -> GivenReference:
         """Return itself: it is what it was told, at all times."""
@@ -63,11 +59,7 @@ class GivenReference:
 
 
 class GivenLoop:
-    """Python's loop, called as the exported one: with the reference of each state.
-
-    Args:
-        settings: Checked settings without a model.
-    """
+    """Python's loop, called as the exported one: with the reference of each state."""
 
     def __init__(self, settings: LoopSettings) -> None:
         self.loop = JointLoop(settings)
@@ -101,43 +93,25 @@ class GivenLoop:
 
 
 class GoldenRow(NamedTuple):
-    """One state, and what Python's loop answers.
+    """One state, and what Python's loop answers."""
 
-    Attributes:
-        stamp_ns: In [ns].
-        reference: Where the joint should be, in [rad].
-        rate: How fast, in [rad/s].
-        position: Measured, in [rad].
-        velocity: Measured, in [rad/s]; None where it is not.
-        effort: The answer in [N m].
-    """
-
-    stamp_ns: int
-    reference: float
-    rate: float
-    position: float
-    velocity: float | None
-    effort: float
+    stamp_ns: int  # [ns]
+    reference: float  # [rad] where the joint should be
+    rate: float  # [rad/s] how fast
+    position: float  # [rad] measured
+    velocity: float | None  # [rad/s] measured; None where it is not
+    effort: float  # [N m] the answer
 
 
 @dataclass(frozen=True)
 class Golden:
-    """Golden vectors of one loop.
+    """Golden vectors of one loop."""
 
-    Attributes:
-        rows: The states, in their order.
-        retune_at: Before this row the loop is retuned, its gains first, then its degree.
-        retuned: To these settings.
-        double_tolerance: What an effort may deviate by in double precision, with another C
-            library's powers than Python's, in [N m].
-        single_tolerance: In single precision, in [N m].
-    """
-
-    rows: tuple[GoldenRow, ...]
-    retune_at: int
-    retuned: LoopSettings
-    double_tolerance: float
-    single_tolerance: float
+    rows: tuple[GoldenRow, ...]  # the states, in their order
+    retune_at: int  # before this row the loop is retuned, its gains first, then its degree
+    retuned: LoopSettings  # to these settings
+    double_tolerance: float  # [N m]
+    single_tolerance: float  # [N m] in single precision
 
 
 def golden_vectors(settings: LoopSettings) -> Golden:
@@ -149,9 +123,6 @@ def golden_vectors(settings: LoopSettings) -> Golden:
     What may deviate is measured: three hundred times what it changes to round every setting
     and every number of a state to the precision, and the efforts themselves. Of 2000 random
     loops in single precision none deviated by more than 0.4 of it.
-
-    Args:
-        settings: Checked settings without a model.
     """
     states, retuned = _disturbed(settings), _retuned(settings)
     rows = _answered(states, settings, retuned)

@@ -45,19 +45,12 @@ _IN_C = {
 
 
 class Field(NamedTuple):
-    """One parameter as a member of the settings in C.
+    """One parameter as a member of the settings in C."""
 
-    Attributes:
-        parameter: Its dotted name.
-        description: What it is, with unit and range.
-        choices: What a text may say; empty for numbers and flags.
-        range: Least and largest number; None for texts and flags.
-    """
-
-    parameter: str
-    description: str
-    choices: tuple[str, ...] = ()
-    range: tuple[float, float] | None = None
+    parameter: str  # its dotted name
+    description: str  # what it is, with unit and range
+    choices: tuple[str, ...] = ()  # what a text may say; empty for numbers and flags
+    range: tuple[float, float] | None = None  # least and largest number; None for texts and flags
 
     @property
     def name(self) -> str:
@@ -81,14 +74,7 @@ FIELDS = tuple(_field(name) for name in LOOP_PARAMETERS if name in _EXPORTED)
 
 
 def exported_values(settings: LoopSettings) -> dict[str, Value]:
-    """Return the settings' values by parameter, of those that the C code has.
-
-    Args:
-        settings: Checked settings.
-
-    Raises:
-        SettingError: The settings ask for something that the C code cannot do.
-    """
+    """Return the settings' values by parameter, of those that the C code has."""
     values = settings.to_parameters()
     for name, value in values.items():
         if name in _OF_THE_NODE:
@@ -107,11 +93,7 @@ def exported_values(settings: LoopSettings) -> dict[str, Value]:
 
 
 def to_single(number: float) -> float:
-    """Return a number rounded to single precision, infinite where it has none there.
-
-    Args:
-        number: Any.
-    """
+    """Return a number rounded to single precision, infinite where it has none there."""
     try:
         (rounded,) = struct.unpack("f", struct.pack("f", number))
     except OverflowError:
@@ -120,14 +102,7 @@ def to_single(number: float) -> float:
 
 
 def in_single(settings: LoopSettings) -> LoopSettings:
-    """Return settings with the numbers rounded to single precision, but for two times.
-
-    Args:
-        settings: Checked settings that can be exported.
-
-    Raises:
-        SettingError: They are none then.
-    """
+    """Return settings with the numbers rounded to single precision, but for two times."""
     values = settings.to_parameters()
     for name in _NUMBERS:
         value = values[name]

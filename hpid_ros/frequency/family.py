@@ -34,21 +34,13 @@ _INERTIAS, _MULTIPLIERS = 5, 17
 
 @dataclass(frozen=True)
 class LoopFamily:
-    """The frozen loops of one joint.
+    """The frozen loops of one joint."""
 
-    Attributes:
-        settings: Of the loop.
-        inertia: Least and largest inertia, in [kg m^2].
-        friction: Viscous friction, in [N m s/rad].
-        delay: From state to effort, beyond the hold, in [s].
-        norms: Least and largest norm that the loop reaches; both 1 for a linear law.
-    """
-
-    settings: LoopSettings
-    inertia: tuple[float, float]
-    friction: float
-    delay: float
-    norms: tuple[float, float]
+    settings: LoopSettings  # of the loop
+    inertia: tuple[float, float]  # [kg m^2] least and largest inertia
+    friction: float  # [N m s/rad] viscous friction
+    delay: float  # [s] from state to effort, beyond the hold
+    norms: tuple[float, float]  # least and largest norm that the loop reaches
 
     @property
     def is_homogeneous(self) -> bool:
@@ -80,12 +72,7 @@ class LoopFamily:
         return float(multiplier ** (1.0 / degree)) if degree else 1.0
 
     def loop(self, inertia: float, multiplier: float = 1.0) -> FrozenLoop:
-        """Return one of the loops.
-
-        Args:
-            inertia: In [kg m^2].
-            multiplier: Frozen at this.
-        """
+        """Return one of the loops."""
         period = self.settings.timing.control_period
         joint = SampledJoint(inertia, period, self.friction, self.delay)
         return FrozenLoop(self.settings, joint, multiplier)
@@ -98,19 +85,7 @@ def loop_family(
     delay: float = 0.0,
     largest_norm: float | None = None,
 ) -> LoopFamily:
-    """Return the frozen loops of one joint.
-
-    Args:
-        settings: Of the loop.
-        inertia: Least and largest inertia, in [kg m^2].
-        friction: Viscous friction, in [N m s/rad]; with decoupling it is the model's to cancel.
-        delay: From the stamp of a state to its effort at the joint, beyond the hold, in [s].
-        largest_norm: The norm does not exceed this; None for the settings' cap, and 2 where they
-            have none: the error at ``norm.error_scale`` while the rate adds as much.
-
-    Raises:
-        SettingError: A number is out of range, or the delay too many periods.
-    """
+    """Return the frozen loops of one joint."""
     period = settings.timing.control_period
     if not 0.0 <= delay <= MOST_PERIODS_LATE * period:
         raise SettingError(
@@ -134,28 +109,18 @@ def loop_family(
 
 
 class Case(NamedTuple):
-    """One of the loops and its margins.
+    """One of the loops and its margins."""
 
-    Attributes:
-        inertia: In [kg m^2].
-        multiplier: lam.
-        margins: None where it is unstable.
-    """
-
-    inertia: float
-    multiplier: float
-    margins: Margins | None
+    inertia: float  # [kg m^2]
+    multiplier: float  # lam
+    margins: Margins | None  # None where it is unstable
 
 
 @dataclass(frozen=True)
 class FamilyMargins:
-    """The margins of several loops of a family.
+    """The margins of several loops of a family."""
 
-    Attributes:
-        cases: At least one.
-    """
-
-    cases: tuple[Case, ...]
+    cases: tuple[Case, ...]  # at least one
 
     @property
     def is_stable(self) -> bool:
@@ -206,9 +171,6 @@ def family_margins(family: LoopFamily) -> FamilyMargins:
 
     The multiplier 1 is among the cases even where the loop does not reach it: there stands the
     linear PID.
-
-    Args:
-        family: The loops.
     """
     wanted = sorted({*family.multipliers, 1.0})
     return FamilyMargins(

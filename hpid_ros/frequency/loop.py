@@ -25,33 +25,21 @@ class LawStep(NamedTuple):
 
     The effort is I - (position x + velocity v), and then the integral I falls by
     T (integral_position x + integral_velocity v).
-
-    Attributes:
-        position: In [N m/rad].
-        velocity: In [N m s/rad].
-        integral_position: In [N m/(rad s)].
-        integral_velocity: In [N m/rad].
     """
 
-    position: float
-    velocity: float
-    integral_position: float
-    integral_velocity: float
+    position: float  # [N m/rad]
+    velocity: float  # [N m s/rad]
+    integral_position: float  # [N m/(rad s)]
+    integral_velocity: float  # [N m/rad]
 
 
 @dataclass(frozen=True)
 class FrozenLoop:
-    """A loop whose multiplier stays what it is.
+    """A loop whose multiplier stays what it is."""
 
-    Attributes:
-        settings: Of the loop; limits, anti-windup and model term are left out.
-        joint: What it drives; its period is the loop's.
-        multiplier: lam, the factor of the bandwidth; 1 for the linear PID.
-    """
-
-    settings: LoopSettings
-    joint: SampledJoint
-    multiplier: float = 1.0
+    settings: LoopSettings  # of the loop; limits, anti-windup and model term are left out
+    joint: SampledJoint  # what it drives; its period is the loop's
+    multiplier: float = 1.0  # lam, the factor of the bandwidth; 1 for the linear PID
 
     @cached_property
     def gains(self) -> Gains:
@@ -64,11 +52,7 @@ class FrozenLoop:
         return replace(self, joint=replace(self.joint, delay=delay))
 
     def response(self, frequency: Numbers) -> Complexes:
-        """Return the open loop L(exp(j w T)), which is -1 where the closed loop oscillates.
-
-        Args:
-            frequency: w in [rad/s], (N,), in (0, pi / T].
-        """
+        """Return the open loop L(exp(j w T)), which is -1 where the closed loop oscillates."""
         joint = self.joint.response(frequency)
         ahead = np.expm1(1j * self.joint.period * frequency)
         law = self._law_response(ahead)
@@ -80,9 +64,6 @@ class FrozenLoop:
 
         Where the velocity is measured, it is taken to be what the joint's own model makes of its
         position.
-
-        Args:
-            frequency: As for :meth:`response`.
         """
         return self.response(frequency) / self.joint.response(frequency).position
 

@@ -14,21 +14,14 @@ from hpid_ros.stability.gain_check import GainVerdict
 
 @dataclass(frozen=True)
 class LoopReport:
-    """What is known of one loop.
+    """What is known of one loop."""
 
-    Attributes:
-        family: Its frozen loops.
-        found: Their margins.
-        verdict: On the law whose multiplier moves.
-        measured: The joint by a recording, and how far it is from the PID computed; or None.
-        is_slide: Whether the joint slides: its inertia is in kg.
-    """
-
-    family: LoopFamily
-    found: FamilyMargins
-    verdict: GainVerdict
+    family: LoopFamily  # its frozen loops
+    found: FamilyMargins  # their margins
+    verdict: GainVerdict  # on the law whose multiplier moves
+    # the joint by a recording, and how far it is from the PID computed
     measured: tuple[MeasuredJoint, Distance] | None = None
-    is_slide: bool = False
+    is_slide: bool = False  # whether the joint slides: its inertia is in kg
 
     @property
     def pid(self) -> FamilyMargins:

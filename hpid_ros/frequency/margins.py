@@ -30,34 +30,19 @@ _HALF_POWER = math.sqrt(0.5)
 
 @dataclass(frozen=True)
 class Margins:
-    """How far a loop is from instability, and how it amplifies.
+    """How far a loop is from instability, and how it amplifies."""
 
-    Attributes:
-        gain: Factor by which its gain may grow; infinite where any may.
-        gain_reduction: Factor to which its gain may fall; 0 where any may.
-        phase: Phase that may be lost or gained at a crossover, in [rad].
-        delay: Further dead time that it bears, in [s].
-        disk: alpha, the balanced disk margin, in (0, 2].
-        sensitivity: Ms, the peak of |S|.
-        sensitivity_at: Where that is, in [rad/s].
-        complementary: Mt, the peak of |T|.
-        complementary_at: Where that is, in [rad/s].
-        crossover: The highest frequency at which its gain is one, in [rad/s]; 0 for none.
-        bandwidth: The first frequency at which |T| has fallen by 3 dB, in [rad/s]; infinite
-            where it does not below the Nyquist frequency.
-    """
-
-    gain: float
-    gain_reduction: float
-    phase: float
-    delay: float
-    disk: float
-    sensitivity: float
-    sensitivity_at: float
-    complementary: float
-    complementary_at: float
-    crossover: float
-    bandwidth: float
+    gain: float  # factor by which its gain may grow; infinite where any may
+    gain_reduction: float  # factor to which its gain may fall; 0 where any may
+    phase: float  # [rad] phase that may be lost or gained at a crossover
+    delay: float  # [s] further dead time that it bears
+    disk: float  # alpha, the balanced disk margin, in (0, 2]
+    sensitivity: float  # ms, the peak of |S|
+    sensitivity_at: float  # [rad/s] where that is
+    complementary: float  # mt, the peak of |T|
+    complementary_at: float  # [rad/s] where that is
+    crossover: float  # [rad/s] the highest frequency at which its gain is one; 0 for none
+    bandwidth: float  # [rad/s] the first frequency at which |T| has fallen by 3 dB
 
     @property
     def disk_gain(self) -> tuple[float, float]:
@@ -77,12 +62,6 @@ def margins_of(loop: FrozenLoop) -> Margins:
     They are found on a grid of frequencies up to the Nyquist frequency that is refined where
     something happens. The delay margin solves 1 + L = 0 for frequency and dead time together, with
     the hold's response to a fraction of a period, and is exact like the others.
-
-    Args:
-        loop: The loop.
-
-    Raises:
-        GainError: It is unstable, and has no margins.
     """
     if not loop.is_stable:
         raise GainError(
@@ -119,10 +98,6 @@ def frequency_grid(loop: FrozenLoop, points: int = _POINTS) -> Numbers:
 
     From far below its lowest corner frequency up to the Nyquist frequency, even in their
     logarithm, and close enough for every turn of the phase that a delay makes.
-
-    Args:
-        loop: The loop.
-        points: How many are even in the logarithm.
     """
     gains, joint = loop.gains, loop.joint
     p, i, d = gains.p, gains.i, gains.d
@@ -173,13 +148,7 @@ def _critical_factors(loop: FrozenLoop, grid: Numbers, response: Complexes) -> l
 
 
 def _roots(function: Callable[[Numbers], Numbers], grid: Numbers, values: Numbers) -> list[float]:
-    """Return where a function changes its sign without a jump.
-
-    Args:
-        function: Takes frequencies, (N,).
-        grid: Where to look, increasing.
-        values: Of the function on the grid.
-    """
+    """Return where a function changes its sign without a jump."""
     found = []
     for k in np.flatnonzero(np.sign(values[1:]) != np.sign(values[:-1])):
         low, high = grid[k], grid[k + 1]

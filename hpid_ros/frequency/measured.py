@@ -41,40 +41,21 @@ _LONGEST_STEP = 1.5  # of the period; beyond it a sample is missing
 
 @dataclass(frozen=True, eq=False)
 class MeasuredJoint:
-    """A measured frequency response, at the frequencies at which it is certain.
+    """A measured frequency response, at the frequencies at which it is certain."""
 
-    Attributes:
-        frequency: In [rad/s], (N,), increasing.
-        response: From the effort sent to the position, in [rad/(N m)], (N,).
-        coherence: The lesser of those of reference and effort, reference and position, (N,).
-        spread: Standard deviation of the response over its size, by the coherence, (N,).
-        candidates: How many frequencies there were.
-        period: Median time between samples, in [s].
-        duration: Of the stretch without a missing sample that was used, in [s].
-    """
-
-    frequency: Numbers
-    response: Complexes
-    coherence: Numbers
-    spread: Numbers
-    candidates: int
-    period: float
-    duration: float
+    frequency: Numbers  # [rad/s] (N,), increasing
+    response: Complexes  # [rad/(N m)] from the effort sent to the position, (N,)
+    coherence: Numbers  # the lesser of those of reference and effort, reference and position, (N,)
+    spread: Numbers  # standard deviation of the response over its size, by the coherence, (N,)
+    candidates: int  # how many frequencies there were
+    period: float  # [s] median time between samples
+    duration: float  # [s] of the stretch without a missing sample that was used
 
 
 def measured_joint(series: JointSeries, least_coherence: float = LEAST_COHERENCE) -> MeasuredJoint:
     """Return a joint's frequency response from its recording.
 
     By Welch's method: Hann windows, half overlapping, at least eight in the record.
-
-    Args:
-        series: Reference, commanded effort and position.
-        least_coherence: Frequencies of less are left out.
-
-    Raises:
-        SettingError: The coherence is out of range.
-        SeriesError: No reference or effort was recorded, it is too short, the reference does not
-            move, or nothing is certain.
     """
     if not 0.0 < least_coherence < 1.0:
         raise SettingError(f"the least coherence must lie in (0, 1), not {least_coherence:g}")
@@ -152,13 +133,7 @@ def _weight(reference: Numbers) -> tuple[float, int]:
 
 
 def _moving(reference: Numbers, part: slice, rest: int) -> slice:
-    """Return the part of a stretch from when a reference moves until it rests again.
-
-    Args:
-        reference: Of all stretches.
-        part: The stretch.
-        rest: Samples before and after that belong to it.
-    """
+    """Return the part of a stretch from when a reference moves until it rests again."""
     own = reference[part]
     moving = np.flatnonzero(np.abs(np.diff(own)) > _RESTS * np.ptp(own))
     if not moving.size:
@@ -168,30 +143,17 @@ def _moving(reference: Numbers, part: slice, rest: int) -> slice:
 
 
 class Distance(NamedTuple):
-    """How far a measured open loop is from a computed one.
+    """How far a measured open loop is from a computed one."""
 
-    Attributes:
-        median: Of |measured / computed - 1| over the frequencies.
-        most: What 95 % of them stay below.
-        inertia: What inertia the measured gain stands for, in [kg m^2].
-        sensitivity: The largest |S| among the measured frequencies.
-        computed_sensitivity: The largest |S| of the computed loop at the same frequencies.
-    """
-
-    median: float
-    most: float
-    inertia: float
-    sensitivity: float
-    computed_sensitivity: float
+    median: float  # of |measured / computed - 1| over the frequencies
+    most: float  # what 95 % of them stay below
+    inertia: float  # [kg m^2] what inertia the measured gain stands for
+    sensitivity: float  # the largest |S| among the measured frequencies
+    computed_sensitivity: float  # the largest |S| of the computed loop at the same frequencies
 
 
 def distance(loop: FrozenLoop, measured: MeasuredJoint) -> Distance:
-    """Compare a computed loop with a measured joint under the same controller.
-
-    Args:
-        loop: The computed loop.
-        measured: The joint.
-    """
+    """Compare a computed loop with a measured joint under the same controller."""
     computed = loop.response(measured.frequency)
     joint = loop.joint.response(measured.frequency).position
     found = measured_loop(loop, measured)
@@ -207,10 +169,5 @@ def distance(loop: FrozenLoop, measured: MeasuredJoint) -> Distance:
 
 
 def measured_loop(loop: FrozenLoop, measured: MeasuredJoint) -> Complexes:
-    """Return the open loop that a controller makes of a measured joint, (N,).
-
-    Args:
-        loop: Whose controller.
-        measured: The joint.
-    """
+    """Return the open loop that a controller makes of a measured joint, (N,)."""
     return loop.controller(measured.frequency) * measured.response

@@ -29,54 +29,31 @@ _SERIES_BELOW = 0.05
 
 
 class PlantResponse(NamedTuple):
-    """Frequency response from the effort that a sample gives.
+    """Frequency response from the effort that a sample gives."""
 
-    Attributes:
-        position: To the measured position, in [rad/(N m)].
-        velocity: To the joint's velocity at the samples, in [rad/(N m s)].
-    """
-
-    position: Complexes
-    velocity: Complexes
+    position: Complexes  # [rad/(N m)] to the measured position
+    velocity: Complexes  # [rad/(N m s)] to the joint's velocity at the samples
 
 
 class HeldEffort(NamedTuple):
-    """What one period makes of position and velocity: x' = (q + reach v, keep v) + gains u.
+    """What one period makes of position and velocity: x' = (q + reach v, keep v) + gains u."""
 
-    Attributes:
-        reach: By how far a velocity of one moves the joint in one period, in [s].
-        keep: Which part of a velocity is left after it.
-        whole_periods: An effort begins to act so many periods late.
-        newer: Gains of the effort that begins to act within the period: position, velocity.
-        older: Gains of the effort before it, which acts until then.
-    """
-
-    reach: float
-    keep: float
-    whole_periods: int
+    reach: float  # [s] by how far a velocity of one moves the joint in one period
+    keep: float  # which part of a velocity is left after it
+    whole_periods: int  # an effort begins to act so many periods late
+    # gains of the effort that begins to act within the period: position, velocity
     newer: tuple[float, float]
-    older: tuple[float, float]
+    older: tuple[float, float]  # gains of the effort before it, which acts until then
 
 
 @dataclass(frozen=True)
 class SampledJoint:
-    """A joint behind a zero-order hold.
+    """A joint behind a zero-order hold."""
 
-    Attributes:
-        inertia: J, what one unit of effort accelerates, in [kg m^2].
-        period: Control period T, in [s].
-        friction: Viscous friction b, in [N m s/rad].
-        delay: From the stamp of a state to its effort at the joint, beyond the hold: computation,
-            bus and dead time, in [s].
-
-    Raises:
-        SettingError: A number is out of range.
-    """
-
-    inertia: float
-    period: float
-    friction: float = 0.0
-    delay: float = 0.0
+    inertia: float  # [kg m^2] j, what one unit of effort accelerates
+    period: float  # [s] control period T
+    friction: float = 0.0  # [N m s/rad] viscous friction b
+    delay: float = 0.0  # [s]
 
     def __post_init__(self) -> None:
         for name, unit in (("inertia", "kg m^2"), ("period", "s")):
@@ -117,11 +94,7 @@ class SampledJoint:
         return time * time * _phi_2(decay) / self.inertia, time * _phi_1(decay) / self.inertia
 
     def response(self, frequency: Numbers) -> PlantResponse:
-        """Return the frequency response of the held joint at z = exp(j w T).
-
-        Args:
-            frequency: w in [rad/s], (N,), in (0, pi / T].
-        """
+        """Return the frequency response of the held joint at z = exp(j w T)."""
         held = self.held
         ahead = np.expm1(1j * self.period * frequency)  # z - 1, with all its digits
         back = 1.0 / (1.0 + ahead)

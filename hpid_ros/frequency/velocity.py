@@ -22,45 +22,27 @@ _LEAST_MEMORY = 1e-3  # of the observer: what is kept from one sample to the nex
 
 
 class Seen(NamedTuple):
-    """What a law is given in one sample, for each of N starts at once.
+    """What a law is given in one sample, for each of N starts at once."""
 
-    Attributes:
-        position: The position that the error is taken of, (N,).
-        velocity: The velocity, (N,).
-        disturbance: The effort that is estimated to disturb the joint, (N,).
-        states: The source's own states after the sample, (K, N).
-    """
-
-    position: Numbers
-    velocity: Numbers
-    disturbance: Numbers
-    states: Numbers
+    position: Numbers  # the position that the error is taken of, (N,)
+    velocity: Numbers  # the velocity, (N,)
+    disturbance: Numbers  # the effort that is estimated to disturb the joint, (N,)
+    states: Numbers  # the source's own states after the sample, (K, N)
 
 
 class LawResponse(NamedTuple):
-    """A law on what it sees: its effort is minus this times position and velocity.
+    """A law on what it sees: its effort is minus this times position and velocity."""
 
-    Attributes:
-        position: Of the position seen.
-        velocity: Of the velocity seen.
-        disturbance: Which part of the estimated disturbance is fed forward: 0 or 1.
-    """
-
-    position: Complexes
-    velocity: Complexes
-    disturbance: float
+    position: Complexes  # of the position seen
+    velocity: Complexes  # of the velocity seen
+    disturbance: float  # which part of the estimated disturbance is fed forward: 0 or 1
 
 
 class ControllerResponse(NamedTuple):
-    """A controller on what is measured: its effort is minus this times position and velocity.
+    """A controller on what is measured: its effort is minus this times position and velocity."""
 
-    Attributes:
-        position: Of the measured position, in [N m/rad].
-        velocity: Of the measured velocity, in [N m s/rad].
-    """
-
-    position: Complexes
-    velocity: Complexes
+    position: Complexes  # [N m/rad] of the measured position
+    velocity: Complexes  # [N m s/rad] of the measured velocity
 
 
 class LinearSource(Protocol):
@@ -71,22 +53,10 @@ class LinearSource(Protocol):
         """How many states it has."""
 
     def sample(self, states: Numbers, position: Numbers, velocity: Numbers, sent: Numbers) -> Seen:
-        """Take one sample.
-
-        Args:
-            states: Its states, (K, N).
-            position: Measured, (N,).
-            velocity: Measured, (N,).
-            sent: Effort of the sample before, (N,).
-        """
+        """Take one sample."""
 
     def controller(self, law: LawResponse, ahead: Complexes) -> ControllerResponse:
-        """Return what a law makes of what is measured.
-
-        Args:
-            law: The law on what it sees.
-            ahead: z - 1, (N,).
-        """
+        """Return what a law makes of what is measured."""
 
 
 class MeasuredSource:
@@ -108,14 +78,10 @@ class FilteredSource:
     r"""Differences of the position behind a first-order low-pass, by backward Euler.
 
     .. math:: V(z) = (z - 1) / ((\tau + T) z - \tau)
-
-    Attributes:
-        time_constant: tau in [s]; 0 is the bare difference.
-        period: T in [s].
     """
 
-    time_constant: float
-    period: float
+    time_constant: float  # [s] tau; 0 is the bare difference
+    period: float  # [s] T
     size: int = 2  # the position and the velocity of the sample before
 
     def sample(self, states: Numbers, position: Numbers, velocity: Numbers, sent: Numbers) -> Seen:
@@ -141,9 +107,6 @@ class ObserverSource:
     Source: the fading-memory filter of second degree, P. Zarchan and H. Musoff, "Fundamentals of
     Kalman Filtering", chapter on recursive digital filters; that :class:`.Observer` settles there
     is tested.
-
-    Args:
-        figures: What it goes by; its degree is taken for 0.
     """
 
     size = 3
@@ -187,9 +150,6 @@ def linear_source(settings: LoopSettings) -> LinearSource:
     Levant's differentiator is the bare difference wherever the joint's acceleration stays within
     its bound, and is taken for it. An observer whose inertia is unknown is the filtered
     difference, as in the loop.
-
-    Args:
-        settings: Of the loop.
     """
     period = settings.timing.control_period
     figures = observer_figures(settings)

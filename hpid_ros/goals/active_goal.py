@@ -15,39 +15,18 @@ Error = tuple[float, float]
 
 
 class Feedback(NamedTuple):
-    """How a goal is doing, at the newest state.
+    """How a goal is doing, at the newest state."""
 
-    Attributes:
-        stamp_ns: Of that state in [ns].
-        since_start_ns: How long the goal has been under way in [ns].
-        desired: Position, velocity and acceleration of each joint's reference.
-        actual: Measured position and velocity of each joint.
-        error: Their differences, reference minus measured.
-    """
-
-    stamp_ns: int
-    since_start_ns: int
+    stamp_ns: int  # [ns] of that state
+    since_start_ns: int  # [ns] how long the goal has been under way
+    # position, velocity and acceleration of each joint's reference
     desired: tuple[Sequence[float], ...]
-    actual: tuple[tuple[float, float], ...]
-    error: tuple[Error, ...]
+    actual: tuple[tuple[float, float], ...]  # measured position and velocity of each joint
+    error: tuple[Error, ...]  # their differences, reference minus measured
 
 
 class ActiveGoal:
-    """A goal under way.
-
-    Attributes:
-        start_ns: When it started in [ns].
-        end_ns: The instant of its last point in [ns].
-        desired: Position, velocity and acceleration of each joint's reference.
-        errors: Of each joint.
-
-    Args:
-        told: What all joints were told for it.
-        tolerances: That hold for it.
-        settings: Of the group.
-        desired: Where the references are at its start.
-        errors: Likewise.
-    """
+    """A goal under way."""
 
     def __init__(
         self,
@@ -96,21 +75,11 @@ class ActiveGoal:
         return {joint: line for joint, line in lines.items() if line}
 
     def is_late(self, now_ns: int) -> bool:
-        """Tell whether the time has passed in which the tolerances had to be met.
-
-        Args:
-            now_ns: The control clock in [ns].
-        """
+        """Tell whether the time has passed in which the tolerances had to be met."""
         return self._deadline_ns is not None and now_ns > self._deadline_ns
 
     def astray(self, joint: int, stamp_ns: int, is_off: bool) -> float:
-        """Note whether a controller follows something else; return for how long it has, in [s].
-
-        Args:
-            joint: Its joint's place in the group.
-            stamp_ns: When that was so in [ns].
-            is_off: Whether its reference is not where it should be.
-        """
+        """Note whether a controller follows something else; return for how long it has, in [s]."""
         since_ns = self._astray_since_ns[joint]
         if not is_off:
             since_ns = None
@@ -120,12 +89,7 @@ class ActiveGoal:
         return 0.0 if since_ns is None else (stamp_ns - since_ns) / NANOSECONDS
 
     def when(self, now_ns: int, lines: Iterable[str]) -> str:
-        """Return lines with how far the goal has come.
-
-        Args:
-            now_ns: The control clock in [ns].
-            lines: What is to be said.
-        """
+        """Return lines with how far the goal has come."""
         since, whole = now_ns - self.start_ns, self.end_ns - self.start_ns
         return f"{'; '.join(lines)}; at {since / NANOSECONDS:.3g} s of {whole / NANOSECONDS:.3g} s"
 

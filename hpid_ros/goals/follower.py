@@ -29,39 +29,23 @@ CANCELLED = Result(ResultCode.SUCCESSFUL, "cancelled: the joints stop and hold")
 
 
 class Outcome(NamedTuple):
-    """What follows from something that happened.
+    """What follows from something that happened."""
 
-    Attributes:
-        result: How the active goal has ended; None if it has not, or if there was none.
-        told: What joints are to be told now; None for nothing.
-    """
-
-    result: Result | None
-    told: GroupTrajectory | None
+    result: Result | None  # how the active goal has ended
+    told: GroupTrajectory | None  # what joints are to be told now; None for nothing
 
 
 class Begun(NamedTuple):
-    """A goal that has begun.
+    """A goal that has begun."""
 
-    Attributes:
-        told: What all joints are to be told now.
-        replaced: How the goal before it has ended; None if there was none.
-    """
-
-    told: GroupTrajectory
-    replaced: Result | None
+    told: GroupTrajectory  # what all joints are to be told now
+    replaced: Result | None  # how the goal before it has ended; None if there was none
 
 
 class GoalFollower:
     """Follows one goal at a time with all joints of a group.
 
     Every input returns what follows from it; whoever calls tells the joints and the client.
-
-    Attributes:
-        settings: What holds for the next goal. What is fixed in it must not change.
-
-    Args:
-        settings: Of the group.
     """
 
     def __init__(self, settings: GroupSettings) -> None:
@@ -98,14 +82,7 @@ class GoalFollower:
         return self._states.lack() or self._silent_controller()
 
     def begin(self, request: GoalRequest) -> Begun:
-        """Begin with a goal, in place of the one that is followed.
-
-        Args:
-            request: The goal; its trajectory has been checked.
-
-        Raises:
-            GoalError: It is not obeyed; the goal before it goes on.
-        """
+        """Begin with a goal, in place of the one that is followed."""
         settings = self.settings
         tolerances = request.require_group(settings)
         against = self.reason_against()
@@ -136,11 +113,7 @@ class GoalFollower:
         return self._end(CANCELLED)
 
     def leave(self, reason: str) -> Outcome:
-        """End the active goal because nobody will look after it any more, and stop.
-
-        Args:
-            reason: Why, in words.
-        """
+        """End the active goal because nobody will look after it any more, and stop."""
         return self._end(Result(ResultCode.INVALID_GOAL, reason))
 
     def give_way(self, joints: Collection[str]) -> Outcome:
@@ -149,9 +122,6 @@ class GoalFollower:
         A joint follows what it was told last. So that is left alone, and the joints that were not
         told anything do not go on by themselves. Where both were told at once, each controller may
         have heard them in another order: all joints of this group stop.
-
-        Args:
-            joints: Joints that were told something, of this group or not.
         """
         others = [joint for joint in self.settings.joints if joint in joints]
         if self._active is None or not others:
@@ -167,11 +137,7 @@ class GoalFollower:
         return self._end(Result(ResultCode.INVALID_GOAL, line), left_alone=left)
 
     def lapse(self, silence: float) -> Outcome | None:
-        """Note that no new state has come for too long.
-
-        Args:
-            silence: For how long, in [s] of the wall clock.
-        """
+        """Note that no new state has come for too long."""
         self._silence = silence
         if self._active is None or self.settings.is_simulated:
             return None
@@ -185,19 +151,11 @@ class GoalFollower:
 
         Until states and references had time to come, none of them is missed. The first state that
         comes may still be one from before.
-
-        Args:
-            stood: How long that was in [s].
         """
         self._excuse = max(stood, self._excuse)
 
     def take_state(self, stamp_ns: int, parts: Sequence[JointPart]) -> Outcome | None:
-        """Take the joints of one state.
-
-        Args:
-            stamp_ns: Its stamp in [ns].
-            parts: Those of the joints that it has.
-        """
+        """Take the joints of one state."""
         taken = self._states.take(stamp_ns, parts)
         if taken is None:
             return self._begin_anew(stamp_ns, parts)
@@ -215,13 +173,7 @@ class GoalFollower:
         return self._look(self._active, stamp_ns, taken)
 
     def take_reference(self, joint: int, stamp_ns: int, position: float) -> Outcome | None:
-        """Take what a controller tells of its reference.
-
-        Args:
-            joint: Its joint's place in the group.
-            stamp_ns: The stamp in [ns].
-            position: In [rad] or [m].
-        """
+        """Take what a controller tells of its reference."""
         before_ns = self._heard_ns[joint]
         self._heard_ns[joint] = stamp_ns
         if before_ns is not None and stamp_ns < before_ns:
@@ -239,11 +191,7 @@ class GoalFollower:
         return None
 
     def speed(self, joint: int) -> float:
-        """Return how fast a joint was at its last state, in [rad/s] or [m/s].
-
-        Args:
-            joint: Its place in the group.
-        """
+        """Return how fast a joint was at its last state, in [rad/s] or [m/s]."""
         return abs(self._states.velocities[joint])
 
     def feedback(self) -> Feedback | None:

@@ -28,18 +28,7 @@ _VELOCITY_FILTER = 0.05  # [s], for states without velocities: one count of an e
 
 
 class GroupStates:
-    """The newest state of each joint.
-
-    Attributes:
-        now_ns: The newest stamp of all, in [ns]; None before the first state.
-        stamps_ns: Stamp of each joint's state in [ns]; None where there is none.
-        positions: In [rad] or [m].
-        velocities: In [rad/s] or [m/s]; estimated where states have none.
-        unusable: States that were not finite.
-
-    Args:
-        settings: Of the group.
-    """
+    """The newest state of each joint."""
 
     def __init__(self, settings: GroupSettings) -> None:
         self._joints = settings.joints
@@ -64,16 +53,7 @@ class GroupStates:
                 unwrapper.reset()
 
     def take(self, stamp_ns: int, parts: Sequence[JointPart]) -> list[int] | None:
-        """Take the joints of one message.
-
-        Args:
-            stamp_ns: Its stamp in [ns].
-            parts: Those of the joints that it has.
-
-        Returns:
-            The joints that have a new state; None if the clock has gone back: then nothing was
-            taken.
-        """
+        """Take the joints of one message."""
         for part in parts:
             before_ns = self.stamps_ns[part.joint]
             if before_ns is not None and stamp_ns < before_ns:
@@ -116,11 +96,7 @@ class GroupStates:
 
 
 class GroupReferences:
-    """The references of all joints of a group.
-
-    Args:
-        settings: Of the group.
-    """
+    """The references of all joints of a group."""
 
     def __init__(self, settings: GroupSettings) -> None:
         self._joints, self._takeover_time = settings.joints, settings.takeover_time
@@ -135,12 +111,7 @@ class GroupReferences:
             following.restart()
 
     def stand(self, joint: int, position: float) -> None:
-        """Let a joint's reference be at a position, at rest.
-
-        Args:
-            joint: Its place in the group.
-            position: In [rad] or [m].
-        """
+        """Let a joint's reference be at a position, at rest."""
         self._following[joint].follow(None)
         self._following[joint].stand(position)
 
@@ -152,11 +123,6 @@ class GroupReferences:
         """Return a goal as whole turns away as its joints are that take the shorter way to it.
 
         Its points keep their differences: turns within it are turns that are meant.
-
-        Args:
-            request: The goal; its joints must be standing.
-            start_ns: When it starts in [ns].
-            now_ns: The control clock in [ns].
         """
         away = [self._turns_to(at, request, start_ns, now_ns) for at in range(len(request.names))]
         if not any(away):
@@ -174,12 +140,7 @@ class GroupReferences:
         return whole_turns(self.look(joint, now_ns)[0] - column.target(now_ns), turn)
 
     def follow(self, trajectory: GroupTrajectory, now_ns: int) -> None:
-        """Let the joints of a trajectory follow it from now on; they must be standing.
-
-        Args:
-            trajectory: Of some joints, or all.
-            now_ns: The control clock in [ns].
-        """
+        """Let the joints of a trajectory follow it from now on; they must be standing."""
         for at, name in enumerate(trajectory.names):
             following = self._following[self._joints.index(name)]
             following.sample(now_ns, self._takeover_time, None)
@@ -187,19 +148,9 @@ class GroupReferences:
             following.sample(now_ns, self._takeover_time, None)
 
     def sample(self, joint: int, stamp_ns: int) -> Sequence[float]:
-        """Return position, velocity and acceleration of a joint's reference, and go on from there.
-
-        Args:
-            joint: Its place in the group.
-            stamp_ns: The control clock in [ns].
-        """
+        """Return a joint's reference (position, velocity, acceleration), and go on from there."""
         return self._following[joint].sample(stamp_ns, self._takeover_time, None)
 
     def look(self, joint: int, stamp_ns: int) -> Sequence[float]:
-        """Return the same of any instant, and leave everything as it is.
-
-        Args:
-            joint: Its place in the group.
-            stamp_ns: The control clock in [ns].
-        """
+        """Return the same of any instant, and leave everything as it is."""
         return copy(self._following[joint]).sample(stamp_ns, self._takeover_time, None)

@@ -23,24 +23,14 @@ class ResultCode(IntEnum):
 
 
 class Result(NamedTuple):
-    """How a goal ended.
+    """How a goal ended."""
 
-    Attributes:
-        code: What a program looks at.
-        text: What a person reads, one line.
-    """
-
-    code: ResultCode
-    text: str
+    code: ResultCode  # what a program looks at
+    text: str  # what a person reads, one line
 
 
 class GoalError(TrajectoryError):
-    """A goal that is not obeyed.
-
-    Args:
-        text: One line: what came, and what is allowed.
-        code: The code that its client gets.
-    """
+    """A goal that is not obeyed."""
 
     def __init__(self, text: str, code: ResultCode = ResultCode.INVALID_GOAL) -> None:
         super().__init__(text)

@@ -84,11 +84,7 @@ FIXED_PARAMETERS = (
 
 
 def joint_parameters(joint: str) -> tuple[ParameterSpec, ...]:
-    """Return the parameters of one joint of a group; they may change as GOAL_PARAMETERS may.
-
-    Args:
-        joint: Name of the joint.
-    """
+    """Return the parameters of one joint of a group; they may change as GOAL_PARAMETERS may."""
     return (
         _positive(
             f"constraints.{joint}.trajectory",
@@ -116,37 +112,20 @@ def joint_parameters(joint: str) -> tuple[ParameterSpec, ...]:
 
 
 class JointFacts(NamedTuple):
-    """What is known of a joint; "rad" reads "m" where it is prismatic.
+    """What is known of a joint; "rad" reads "m" where it is prismatic."""
 
-    Attributes:
-        lower: Lowest position in [rad]; -inf for none.
-        upper: Highest position in [rad]; inf for none.
-        is_endless: Whether it turns without end, so that whole turns are no error.
-        takes_shorter_way: Whether goals lead it the shorter way round to their first point.
-        unit: Of its position, ``rad`` or ``m``.
-    """
-
-    lower: float = -math.inf
-    upper: float = math.inf
-    is_endless: bool = False
+    lower: float = -math.inf  # [rad] lowest position; -inf for none
+    upper: float = math.inf  # [rad] highest position; inf for none
+    is_endless: bool = False  # whether it turns without end, so that whole turns are no error
+    # whether goals lead it the shorter way round to their first point
     takes_shorter_way: bool = False
-    unit: str = "rad"
+    unit: str = "rad"  # of its position, rad or m
 
 
 def require_joints(
     joints: Sequence[str], wrapping: Sequence[str] = (), counting: Sequence[str] = ()
 ) -> None:
-    """Refuse names that make no group.
-
-    Args:
-        joints: The joints of the group.
-        wrapping: Those whose controllers have ``angle_wraparound``.
-        counting: Those whose controllers have ``multi_turn``.
-
-    Raises:
-        SettingError: No joint, a joint twice or without a name, one that is none of the group, or
-            one that is said to take the shorter way round and not to take it.
-    """
+    """Refuse names that make no group."""
     if not joints or len(set(joints)) != len(joints) or "" in joints:
         raise SettingError(f"the parameter joints must name each joint once, not {list(joints)}")
     for parameter, named in (("angle_wraparound", wrapping), ("multi_turn", counting)):
@@ -161,49 +140,25 @@ def require_joints(
 
 @dataclass(frozen=True)
 class GroupSettings:
-    """Settings of a group of joints; "rad" reads "m" where a joint is prismatic.
+    """Settings of a group of joints; "rad" reads "m" where a joint is prismatic."""
 
-    Attributes:
-        joints: Their names, each once.
-        facts: What is known of each, in the same order.
-        tolerances: Of goals that ask for no others.
-        decelerations: With which each stops in [rad/s^2]; 0 for none of its own.
-        stop_duration: How long a joint without one takes to stop in [s].
-        allows_partial_goals: Whether goals may name some joints only.
-        allows_final_velocity: Whether the last point may have a velocity.
-        state_timeout: How old a joint's state may be in [s].
-        is_simulated: Whether states may stay away because the simulation was paused.
-        takeover_time: How long controllers glide in [s].
-        reference_timeout: How old a controller's reference may be in [s]; 0 for any.
-    """
-
-    joints: tuple[str, ...]
-    facts: tuple[JointFacts, ...]
-    tolerances: Tolerances
-    decelerations: tuple[float, ...]
-    stop_duration: float
-    allows_partial_goals: bool
-    allows_final_velocity: bool
-    state_timeout: float
-    is_simulated: bool
-    takeover_time: float
-    reference_timeout: float
+    joints: tuple[str, ...]  # their names, each once
+    facts: tuple[JointFacts, ...]  # what is known of each, in the same order
+    tolerances: Tolerances  # of goals that ask for no others
+    decelerations: tuple[float, ...]  # [rad/s^2] with which each stops; 0 for none of its own
+    stop_duration: float  # [s] how long a joint without one takes to stop
+    allows_partial_goals: bool  # whether goals may name some joints only
+    allows_final_velocity: bool  # whether the last point may have a velocity
+    state_timeout: float  # [s] how old a joint's state may be
+    is_simulated: bool  # whether states may stay away because the simulation was paused
+    takeover_time: float  # [s] how long controllers glide
+    reference_timeout: float  # [s] how old a controller's reference may be; 0 for any
 
     @classmethod
     def from_parameters(
         cls, joints: Sequence[str], facts: Mapping[str, JointFacts], values: Mapping[str, Value]
     ) -> GroupSettings:
-        """Return the settings that parameters say.
-
-        Args:
-            joints: The joints of the group.
-            facts: What is known of them; nothing of those that are not in it.
-            values: Of :data:`GOAL_PARAMETERS`, :data:`FIXED_PARAMETERS` and
-                :func:`joint_parameters`, by name; what is left out has its default.
-
-        Raises:
-            SettingError: No joint, a joint twice, or a value that is out of range.
-        """
+        """Return the settings that parameters say."""
         require_joints(joints)
         specs = (*GOAL_PARAMETERS, *FIXED_PARAMETERS, *chain(*map(joint_parameters, joints)))
         checked = {spec.name: spec.checked(values.get(spec.name, spec.default)) for spec in specs}

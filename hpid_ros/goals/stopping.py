@@ -28,19 +28,12 @@ _GRID = _GRID_NS * SECONDS_PER_NANOSECOND
 
 
 class Braking(NamedTuple):
-    """How a joint may be stopped; "rad" reads "m" where it is prismatic.
+    """How a joint may be stopped; "rad" reads "m" where it is prismatic."""
 
-    Attributes:
-        deceleration: At most so much in [rad/s^2]; 0 for none: then ``duration`` decides.
-        duration: How long a joint without a deceleration takes, in [s].
-        lower: Lowest position in [rad].
-        upper: Highest position in [rad].
-    """
-
-    deceleration: float
-    duration: float
-    lower: float = -math.inf
-    upper: float = math.inf
+    deceleration: float  # [rad/s^2] at most so much; 0 for none: then duration decides
+    duration: float  # [s] how long a joint without a deceleration takes
+    lower: float = -math.inf  # [rad] lowest position
+    upper: float = math.inf  # [rad] highest position
 
 
 def coast_down(
@@ -50,15 +43,6 @@ def coast_down(
 
     Near a limit of its positions it decelerates more: it never passes it. A joint that is beyond
     a limit is told to be at it.
-
-    Args:
-        position: Of the reference now, in [rad].
-        velocity: Of the reference now, in [rad/s].
-        later: Position and velocity of the reference after LEAD_NS.
-        braking: How it may be stopped.
-
-    Returns:
-        With positions and velocities; times from now in [ns].
     """
     now, then = _inside(Knot(0, position, velocity), braking), Knot(LEAD_NS, *later)
     was_inside = now.position == position  # else it does not go on from where it was
@@ -107,15 +91,6 @@ def return_to(target: float, position: float, velocity: float, braking: Braking)
     """Return knots of a reference that comes to rest where the joint is.
 
     The time is such that the cubic to there nowhere accelerates more than the joint may.
-
-    Args:
-        target: Where it is to rest in [rad].
-        position: Of the reference now, in [rad].
-        velocity: Of the reference now, in [rad/s].
-        braking: How it may be stopped.
-
-    Returns:
-        With positions and velocities; times from now in [ns].
     """
     duration = braking.duration
     if braking.deceleration:
@@ -132,11 +107,6 @@ def stop_together(
     """Return what all joints are told to stop, each by knots of its own.
 
     The cubics of one joint are split where others have knots; a part of a cubic is the same cubic.
-
-    Args:
-        names: The joints.
-        knots: Of each, with velocities; times from now in [ns], the first 0.
-        now_ns: The control clock in [ns].
     """
     stamp_ns = max(now_ns - 1, 1)  # under way for every controller
     times = sorted({knot.time_ns for each in knots for knot in each})

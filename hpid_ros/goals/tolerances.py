@@ -19,24 +19,13 @@ _EPSILON = 1.2e-7  # of float32: what is called -1 may have been rounded on the 
 
 
 class Tolerance(NamedTuple):
-    """How far a joint may be from its reference; 0 is not enforced.
+    """How far a joint may be from its reference; 0 is not enforced."""
 
-    Attributes:
-        position: In [rad] or [m].
-        velocity: In [rad/s] or [m/s].
-    """
-
-    position: float = 0.0
-    velocity: float = 0.0
+    position: float = 0.0  # [rad] or [m]
+    velocity: float = 0.0  # [rad/s] or [m/s]
 
     def violation(self, position: float, velocity: float, unit: str) -> str:
-        """Return what is violated by an error, in words; nothing if it is within the tolerance.
-
-        Args:
-            position: Reference minus measured position in [rad] or [m].
-            velocity: Reference minus measured velocity in [rad/s] or [m/s].
-            unit: Of the position, for the words.
-        """
+        """Return what is violated by an error, in words; nothing if it is within the tolerance."""
         if 0.0 < self.position < abs(position):
             return (
                 f"{abs(position):.4g} {unit} from its reference, "
@@ -51,50 +40,26 @@ class Tolerance(NamedTuple):
 
 
 class AskedTolerance(NamedTuple):
-    """What a goal asks of one joint: 0 is the default, -1 none.
+    """What a goal asks of one joint: 0 is the default, -1 none."""
 
-    Attributes:
-        joint: Name of the joint.
-        position: In [rad] or [m].
-        velocity: In [rad/s] or [m/s].
-        acceleration: In [rad/s^2] or [m/s^2]; looked at for being a number, and no further, since
-            nobody measures accelerations.
-    """
-
-    joint: str
-    position: float = 0.0
-    velocity: float = 0.0
-    acceleration: float = 0.0
+    joint: str  # name of the joint
+    position: float = 0.0  # [rad] or [m]
+    velocity: float = 0.0  # [rad/s] or [m/s]
+    acceleration: float = 0.0  # [rad/s^2] or [m/s^2]
 
 
 @dataclass(frozen=True)
 class Tolerances:
-    """All tolerances of a goal.
+    """All tolerances of a goal."""
 
-    Attributes:
-        path: While the trajectory lasts, by joint.
-        goal: After its last point, by joint.
-        goal_time: How much later than that they must be met, in [s]; 0 waits for ever.
-    """
-
-    path: Mapping[str, Tolerance]
-    goal: Mapping[str, Tolerance]
-    goal_time: float = 0.0
+    path: Mapping[str, Tolerance]  # while the trajectory lasts, by joint
+    goal: Mapping[str, Tolerance]  # after its last point, by joint
+    goal_time: float = 0.0  # [s] how much later than that they must be met; 0 waits for ever
 
     def asked(
         self, path: Iterable[AskedTolerance], goal: Iterable[AskedTolerance], goal_time: float
     ) -> Tolerances:
-        """Return these with what a goal asks for instead.
-
-        Args:
-            path: Of single joints.
-            goal: Of single joints.
-            goal_time: In [s]; 0 is the default, -1 waits for ever.
-
-        Raises:
-            GoalError: A joint that is none of these, or a number that is no tolerance. (JTC takes
-                its defaults then; here a goal is not run under others than it asks for.)
-        """
+        """Return these with what a goal asks for instead."""
         return replace(
             self,
             path=_laid_over(self.path, path, "path_tolerance"),

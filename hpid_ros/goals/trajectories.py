@@ -31,38 +31,18 @@ _WAITS_AT_MOST = 3600  # [s] for the start of a goal
 
 @dataclass(frozen=True, eq=False)
 class GoalRequest:
-    """A goal that is a trajectory, whoever may follow it.
+    """A goal that is a trajectory, whoever may follow it."""
 
-    Attributes:
-        names: Its joints, each once.
-        stamp_ns: When it starts in [ns]; 0 means now.
-        times_ns: Time from start of each point in [ns], shape (points,).
-        arrays: The numbers of the points, each of shape (points, joints); a row of NaN where a
-            point has none.
-        path_tolerance: What it asks for while it lasts.
-        goal_tolerance: What it asks for at its end.
-        goal_time_tolerance: In [s]; 0 is the default, -1 waits for ever.
-    """
-
-    names: tuple[str, ...]
-    stamp_ns: int
-    times_ns: Integers
-    arrays: PointArrays
-    path_tolerance: tuple[AskedTolerance, ...] = ()
-    goal_tolerance: tuple[AskedTolerance, ...] = ()
-    goal_time_tolerance: float = 0.0
+    names: tuple[str, ...]  # its joints, each once
+    stamp_ns: int  # [ns] when it starts; 0 means now
+    times_ns: Integers  # [ns] time from start of each point, shape (points,)
+    arrays: PointArrays  # the numbers of the points, each of shape (points, joints)
+    path_tolerance: tuple[AskedTolerance, ...] = ()  # what it asks for while it lasts
+    goal_tolerance: tuple[AskedTolerance, ...] = ()  # what it asks for at its end
+    goal_time_tolerance: float = 0.0  # [s] 0 is the default, -1 waits for ever
 
     def require_trajectory(self, lengths: Integers, point: Callable[[int], Point]) -> None:
-        """Refuse what is no trajectory.
-
-        Args:
-            lengths: Numbers that each point has in each array, shape (points, 4).
-            point: Returns one point as it came.
-
-        Raises:
-            GoalError: As for :class:`~hpid_ros.trajectory.JointTrajectory`, or more points than
-                controllers take.
-        """
+        """Refuse what is no trajectory."""
         if not self.names or len(set(self.names)) != len(self.names):
             raise GoalError(
                 f"a goal must name each of its joints once, not {list(self.names)}",
@@ -79,15 +59,7 @@ class GoalRequest:
             raise GoalError(str(error)) from None
 
     def require_group(self, settings: GroupSettings) -> Tolerances:
-        """Refuse what is not for these joints, and return the tolerances that hold.
-
-        Args:
-            settings: Of the group.
-
-        Raises:
-            GoalError: Joints that are not the group's, a trajectory that ends in motion, or
-                tolerances that are none.
-        """
+        """Refuse what is not for these joints, and return the tolerances that hold."""
         for joint in self.names:
             if joint not in settings.joints:
                 line = unknown_name("joint", joint, settings.joints)
@@ -116,13 +88,6 @@ class GoalRequest:
         """Refuse what leads a joint beyond the positions that the robot's description allows.
 
         A joint that is beyond them may be led back: points may be as far out as it is.
-
-        Args:
-            settings: Of the group, with these joints.
-            positions: Where all joints of the group are, in [rad] or [m].
-
-        Raises:
-            GoalError: A point is beyond a limit of one of its joints.
         """
         for at, name in enumerate(self.names):
             joint = settings.joints.index(name)
@@ -140,15 +105,7 @@ class GoalRequest:
                 )
 
     def start(self, now_ns: int) -> int:
-        """Return the instant at which the goal starts, in [ns].
-
-        Args:
-            now_ns: The control clock in [ns].
-
-        Raises:
-            GoalError: It ended in the past, or starts in an hour or later: its stamp is of
-                another clock.
-        """
+        """Return the instant at which the goal starts, in [ns]."""
         if self.stamp_ns == 0:
             # One nanosecond ago: for every controller it is under way, whichever state it is at.
             return max(now_ns - 1, 1)
@@ -174,20 +131,12 @@ def _seconds(instant_ns: int) -> str:
 
 @dataclass(frozen=True, eq=False)
 class GroupTrajectory:
-    """What all joints of a group are told at once, within the numbers that controllers take.
+    """What all joints of a group are told at once, within the numbers that controllers take."""
 
-    Attributes:
-        names: The joints.
-        stamp_ns: When it starts in [ns]; never 0.
-        times_ns: Time from start of each point in [ns], shape (points,).
-        arrays: The numbers of the points, each of shape (points, joints); a row of NaN where a
-            point has none.
-    """
-
-    names: tuple[str, ...]
-    stamp_ns: int
-    times_ns: Integers
-    arrays: PointArrays
+    names: tuple[str, ...]  # the joints
+    stamp_ns: int  # [ns] when it starts; never 0
+    times_ns: Integers  # [ns] time from start of each point, shape (points,)
+    arrays: PointArrays  # the numbers of the points, each of shape (points, joints)
 
     def __post_init__(self) -> None:
         """Bound the numbers: controllers would refuse a stop from beyond, and go on."""
@@ -200,11 +149,7 @@ class GroupTrajectory:
         return self.stamp_ns + int(self.times_ns[-1])
 
     def column(self, joint: int) -> Column:
-        """Return one joint's part.
-
-        Args:
-            joint: Its place among the names.
-        """
+        """Return one joint's part."""
         name = self.names[joint]
         return checked_column(name, joint, self.stamp_ns, self.times_ns, self.arrays)
 
@@ -222,14 +167,6 @@ def for_all_joints(
     The others are told to rest. The first point is never in the future: where the goal's own is,
     one is put before it, at which the joints are where their references stand now. So the goal
     is under way for every controller, whenever it takes it up, and none of them jumps: it glides.
-
-    Args:
-        request: The goal.
-        joints: All joints.
-        start_ns: When the goal starts in [ns].
-        now_ns: The control clock in [ns].
-        standing: Position, velocity and acceleration of each joint's reference now.
-        rest: Where each joint that is not named comes to rest, in [rad] or [m].
     """
     named = [joints.index(name) for name in request.names]
     times_ns = request.times_ns

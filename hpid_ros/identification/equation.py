@@ -49,28 +49,17 @@ _PERIODS_AHEAD = 3.0
 
 
 class Terms(NamedTuple):
-    """The motion of all spans behind each other.
+    """The motion of all spans behind each other."""
 
-    Attributes:
-        halves: Position, velocity, acceleration of either half, (2, 3, R).
-        sign: Direction, smoothed, (R,).
-        doubt: Share of each row's weight where the direction is in doubt, (R,); 1 between spans.
-        rigid: Effort of the rigid bodies for either half, (2, R); None if unknown.
-        static: What they need at rest, (R,), without the noise of accelerations; None likewise.
-        reference: What the reference and friction did, (B, R); nothing, (0, R), where nobody
-            knows the reference.
-        stribeck: Returns the smoothed column of Stribeck friction, (R,), for its speed [rad/s].
-        spin: Effort that rotors need beside their inertia, (R,); None if unknown.
-    """
-
-    halves: Numbers
-    sign: Numbers
-    doubt: Numbers
-    rigid: Numbers | None
-    static: Numbers | None
-    reference: Numbers
+    halves: Numbers  # position, velocity, acceleration of either half, (2, 3, R)
+    sign: Numbers  # direction, smoothed, (R,)
+    doubt: Numbers  # share of each row's weight where the direction is in doubt, (R,)
+    rigid: Numbers | None  # effort of the rigid bodies for either half, (2, R); None if unknown
+    static: Numbers | None  # what they need at rest, (R,), without the noise of accelerations
+    reference: Numbers  # what the reference and friction did, (B, R)
+    # [rad/s] returns the smoothed column of Stribeck friction, (R,), for its speed
     stribeck: Callable[[float], Numbers]
-    spin: Numbers | None = None
+    spin: Numbers | None = None  # effort that rotors need beside their inertia, (R,)
 
     @classmethod
     def of(
@@ -81,15 +70,7 @@ class Terms(NamedTuple):
         smoothed: Callable[[Callable[[Numbers], Numbers]], Numbers],
         padding: int,
     ) -> Terms:
-        """Join the spans.
-
-        Args:
-            motions: Of the joint, by span.
-            rigid: Effort of the rigid bodies, by span.
-            static: What they need at rest, by span.
-            smoothed: Returns a function of the finely sampled velocity, smoothed at all rows.
-            padding: Rows between two spans.
-        """
+        """Join the spans."""
         known = joined([1.0 - each.slow for each in motions], padding)
         return cls(
             joined([each.halves for each in motions], padding),
@@ -102,53 +83,25 @@ class Terms(NamedTuple):
         )
 
     def without(self, masks: Sequence[NDArray[np.bool_]]) -> Terms:
-        """Return the same with rows that do not count.
-
-        Args:
-            masks: Of such rows, each (R,).
-        """
+        """Return the same with rows that do not count."""
         if not masks:
             return self
         return self._replace(doubt=np.where(np.any(masks, axis=0), 1.0, self.doubt))
 
 
 class Model(NamedTuple):
-    """Which terms an equation has.
+    """Which terms an equation has."""
 
-    Attributes:
-        has_coulomb: It knows both directions.
-        has_gravity: Sine and cosine of the position.
-        has_delay: What is left of the delay is sought, too.
-        has_scale: The rigid bodies' effort has a coefficient.
-        stribeck_speed: In [rad/s]; zero for none.
-        has_spin: The effort that rotors need beside their inertia has a coefficient.
-    """
-
-    has_coulomb: bool = True
-    has_gravity: bool = False
-    has_delay: bool = True
-    has_scale: bool = False
-    stribeck_speed: float = 0.0
-    has_spin: bool = False
+    has_coulomb: bool = True  # it knows both directions
+    has_gravity: bool = False  # sine and cosine of the position
+    has_delay: bool = True  # what is left of the delay is sought, too
+    has_scale: bool = False  # the rigid bodies' effort has a coefficient
+    stribeck_speed: float = 0.0  # [rad/s] zero for none
+    has_spin: bool = False  # the effort that rotors need beside their inertia has a coefficient
 
 
 class Equation:
-    """One joint's equation over all its rows.
-
-    Args:
-        terms: Its motion.
-        effort: Returns the effort that acts with a delay [s], and its rate, both smoothed,
-            (2, R).
-        period: Of its samples, in [s].
-        cutoff: Of the low pass, in [Hz].
-        longest_delay: To look for, in [s].
-
-    Attributes:
-        terms: Its motion.
-        weight: 1 for a row that counts, (R,).
-        cutoff: Of the low pass, in [Hz].
-        resolution: A delay that is not known better is not known, in [s].
-    """
+    """One joint's equation over all its rows."""
 
     def __init__(
         self,
@@ -221,12 +174,7 @@ class Equation:
         return float(grid[int(np.argmin([left(float(each)) for each in grid]))])
 
     def solve(self, model: Model, delay: float) -> tuple[Regression, float]:
-        """Return the fit of a model and the delay to which it belongs.
-
-        Args:
-            model: Its terms.
-            delay: To begin with, in [s]; it stays if the model does not seek it.
-        """
+        """Return the fit of a model and the delay to which it belongs."""
         for _ in range(_NEWTON_STEPS):
             fit = self._fit(model, delay)
             if not model.has_delay:
@@ -241,10 +189,6 @@ class Equation:
         """Do without the reference if what it finds explains the efforts much worse.
 
         Then the instruments have something in common with what the model leaves out.
-
-        Args:
-            model: Its terms.
-            delay: To begin with, in [s].
         """
         if self._may_use_reference:
             with_reference = self.solve(model, delay)[0].rms

@@ -22,29 +22,18 @@ as heavily on the link that carries it."""
 
 
 class MovedInertia(NamedTuple):
-    """What a joint's motor moves, over the poses of a recording, in [kg m^2]; [kg] of a slide.
+    """What a joint's motor moves, over the poses of a recording, in [kg m^2]; [kg] of a slide."""
 
-    Attributes:
-        least: Of all poses.
-        mean: Over the poses.
-        largest: Of all poses.
-    """
-
-    least: float
-    mean: float
-    largest: float
+    least: float  # of all poses
+    mean: float  # over the poses
+    largest: float  # of all poses
 
 
 class Origin(NamedTuple):
-    """Where a file's robot is from.
+    """Where a file's robot is from."""
 
-    Attributes:
-        key: ``extends`` for an experiment file, ``description`` for a URDF.
-        file: As the file names it.
-    """
-
-    key: str
-    file: str
+    key: str  # extends for an experiment file, description for a URDF
+    file: str  # as the file names it
 
 
 def experiment_text(
@@ -58,14 +47,6 @@ def experiment_text(
     """Return a file that experiments extend.
 
     Without a robot there are no amendments of its rotors: the inertia found has the links in it.
-
-    Args:
-        found: By joint.
-        moved: By joint, where a robot is known.
-        slides: Joints that slide.
-        ratios: Gear ratios that the robot says, by joint.
-        origin: The robot; None without one.
-        header: Lines of comment.
     """
     lines = [f"# {shown(line)}" for line in header]
     if origin is not None and origin.key == "extends":
@@ -130,22 +111,12 @@ def _inertia(
 
 
 def unit(name: str, is_slide: bool) -> str:
-    """Return the unit of a parameter.
-
-    Args:
-        name: Of the parameter.
-        is_slide: Whether its joint slides.
-    """
+    """Return the unit of a parameter."""
     return PARAMETERS[name][int(is_slide)]
 
 
 def interval(estimate: Estimate, of: str) -> str:
-    """Return an interval in words.
-
-    Args:
-        estimate: The number.
-        of: Its unit.
-    """
+    """Return an interval in words."""
     return f"[{of}], 95 %: {_number(estimate.low)} to {_number(estimate.high)}"
 
 

@@ -84,12 +84,7 @@ class _Choice(NamedTuple):
 
 
 def nothing(record: JointRecord, reason: str) -> JointIdentification:
-    """Return that nothing could be found.
-
-    Args:
-        record: The joint.
-        reason: Why.
-    """
+    """Return that nothing could be found."""
     travel = float(np.ptp(record.position)) if len(record.position) else 0.0
     return JointIdentification(record.joint, untold={record.joint: reason}, travel=travel)
 
@@ -97,14 +92,7 @@ def nothing(record: JointRecord, reason: str) -> JointIdentification:
 def findings(
     record: JointRecord, equation: Equation, times: Numbers, has_scale: bool
 ) -> JointIdentification:
-    """Return what an equation says of its joint.
-
-    Args:
-        record: The joint.
-        equation: Its equation.
-        times: When the rows are, (R,), in [s]; zero between spans.
-        has_scale: Efforts are in a unit that the rigid bodies fix.
-    """
+    """Return what an equation says of its joint."""
     choice = _chosen(equation, has_scale)
     used = equation.weight > 0.0
     position, velocity, acceleration = equation.terms.halves.mean(axis=0)

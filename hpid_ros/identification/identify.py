@@ -41,20 +41,10 @@ _TOO_SLOW = "its direction is hardly ever known: it should move faster, or rever
 
 @dataclass(frozen=True)
 class Method:
-    """How joints are identified.
+    """How joints are identified."""
 
-    Attributes:
-        cutoff: Of the low pass, in [Hz]; chosen by the noise of each joint if None.
-        longest_delay: From effort to motion, in [s].
-        has_scale: Whether efforts are taken to be in a unit of their own, which the masses of
-            the rigid bodies fix.
-
-    Raises:
-        SettingError: One is out of range.
-    """
-
-    cutoff: float | None = None
-    longest_delay: float = 0.1
+    cutoff: float | None = None  # [Hz] of the low pass; chosen by the noise of each joint if None
+    longest_delay: float = 0.1  # [s] from effort to motion
     has_scale: bool = False
 
     def __post_init__(self) -> None:
@@ -85,13 +75,6 @@ def identify(
 
     Without rigid bodies each joint is taken for itself: what it moves is what it would with the
     other joints at rest.
-
-    Args:
-        records: Of each joint; with rigid bodies of all that move.
-        rigid_body: What the links need, along ``records``.
-        method: How; as usual if not given.
-        wanted: Only these joints; all if None.
-        spin: What rotors need beside their inertia, along ``records``; with rigid bodies.
     """
     how = method or Method()
     moving = max((_travel(each) for each in records), default=0.0)

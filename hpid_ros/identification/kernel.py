@@ -26,15 +26,7 @@ DERIVATIVES = (0, 1, 2)
 
 
 class Kernel:
-    """A symmetric low pass of compact support, and its first two derivatives.
-
-    Args:
-        cutoff: Frequency at which it passes about half of the amplitude, in [Hz].
-
-    Attributes:
-        cutoff: As given, in [Hz].
-        half_width: What is further away has no weight, in [s].
-    """
+    """A symmetric low pass of compact support, and its first two derivatives."""
 
     def __init__(self, cutoff: float) -> None:
         self.cutoff = cutoff
@@ -58,11 +50,6 @@ class Kernel:
 
         The moments of these sums are those of the integrals, so that a constant has no
         derivative, whatever the sampling.
-
-        Args:
-            offsets: When the samples are, (n,), in [s]; all within the half-width.
-            spacing: Between two of them, in [s].
-            order: Of the derivative, 0 to 2.
         """
         spline, factor = self._of[order]
         sign = -1.0 if order % 2 else 1.0

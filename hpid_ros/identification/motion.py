@@ -22,33 +22,18 @@ _SLOW_SHARE = 0.2  # of its root mean square
 
 
 class Grid(NamedTuple):
-    """Cells of one length and the rows among them.
+    """Cells of one length and the rows among them."""
 
-    Attributes:
-        first: Middle of the first cell, in [s].
-        length: Of a cell, in [s].
-        begin: The cell in whose middle the first row is.
-        stride: Cells from one row to the next.
-        rows: How many rows there are.
-        reach: Cells to either side of a row that have weight.
-    """
-
-    first: float
-    length: float
-    begin: int
-    stride: int
-    rows: int
-    reach: int
+    first: float  # [s] middle of the first cell
+    length: float  # [s] of a cell
+    begin: int  # the cell in whose middle the first row is
+    stride: int  # cells from one row to the next
+    rows: int  # how many rows there are
+    reach: int  # cells to either side of a row that have weight
 
     @classmethod
     def over(cls, cells: Halves, kernel: Kernel, margin: float) -> Grid | None:
-        """Return the rows whose columns are known; None where there is no room for any.
-
-        Args:
-            cells: A joint's positions; its grid is that of all joints of the span.
-            kernel: What smooths.
-            margin: Time that is needed beyond the kernel at either end, in [s].
-        """
+        """Return the rows whose columns are known; None where there is no room for any."""
         length = cells.length
         reach = math.floor(kernel.half_width / length + _ROUNDING)
         begin = 2 * reach + math.ceil(
@@ -73,13 +58,7 @@ class Grid(NamedTuple):
         return np.asarray(self.length * np.arange(-self.reach, self.reach + 1.0))
 
     def smoothed(self, cells: Numbers, kernel: Kernel, order: int = 0) -> Numbers:
-        """Return a smoothed derivative at the rows.
-
-        Args:
-            cells: Means over the cells, (K,).
-            kernel: What smooths.
-            order: Of the derivative.
-        """
+        """Return a smoothed derivative at the rows."""
         return _convolved(cells, kernel, order, self, self.begin, self.stride, self.rows)
 
     def fine(self, cells: Numbers, kernel: Kernel, order: int) -> Numbers:
@@ -107,23 +86,13 @@ def _convolved(
 
 
 class Motion(NamedTuple):
-    """A joint's motion at R rows, from either half of its samples.
+    """A joint's motion at R rows, from either half of its samples."""
 
-    Attributes:
-        halves: Positions, velocities and accelerations, (2, 3, R), in [rad], [rad/s] and
-            [rad/s^2].
-        sign: Direction of its motion, smoothed, (R,); 1 or -1 but around a reversal.
-        slow: Which share of a row's weight lies where the direction is in doubt, (R,).
-        velocity: At every cell, (K,), in [rad/s].
-        reference: Velocity and acceleration of the reference, and the direction of the motion,
-            to which a loop answers as well, now and at some times before, (B, R); nothing,
-            (0, R), where nobody knows the reference.
-    """
-
+    # [rad] positions, velocities and accelerations, (2, 3, R), [rad/s] and [rad/s^2]
     halves: Numbers
-    sign: Numbers
-    slow: Numbers
-    velocity: Numbers
+    sign: Numbers  # direction of its motion, smoothed, (R,); 1 or -1 but around a reversal
+    slow: Numbers  # which share of a row's weight lies where the direction is in doubt, (R,)
+    velocity: Numbers  # [rad/s] at every cell, (K,)
     reference: Numbers
 
     @property
@@ -138,13 +107,7 @@ class Motion(NamedTuple):
 
 
 def motion_of(cells: Halves, grid: Grid, kernel: Kernel) -> Motion:
-    """Return a joint's motion.
-
-    Args:
-        cells: Its positions.
-        grid: The rows.
-        kernel: What smooths.
-    """
+    """Return a joint's motion."""
     both = np.array(
         [
             [grid.smoothed(half, kernel, order) for order in DERIVATIVES]
@@ -178,12 +141,7 @@ def _reference(cells: Numbers, direction: Numbers, grid: Grid, kernel: Kernel) -
 
 
 def joined(parts: Sequence[Numbers], padding: int) -> Numbers:
-    """Return the rows of several spans behind each other, with rows of zeros between them.
-
-    Args:
-        parts: Of each span, (..., R).
-        padding: Rows between two spans.
-    """
+    """Return the rows of several spans behind each other, with rows of zeros between them."""
     gap = np.zeros((*parts[0].shape[:-1], padding))
     pieces = [piece for part in parts for piece in (part, gap)]
     return np.concatenate(pieces[:-1], axis=-1)

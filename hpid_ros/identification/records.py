@@ -20,30 +20,16 @@ _LEAST_SAMPLES = 16  # of a span
 
 @dataclass(frozen=True, eq=False)
 class JointRecord:
-    """What is known of one joint.
+    """What is known of one joint."""
 
-    Attributes:
-        joint: Its name.
-        time: When it was where, strictly increasing, (N,), in [s].
-        position: Where it was, (N,), in [rad]; in [m] where it slides.
-        effort_time: When its efforts were commanded or measured, strictly increasing, (M,), in
-            [s].
-        effort: These, (M,), in [N m]; in [N] where it slides.
-        reference: Where it was to be at these times, (N,), in [rad]; empty where nobody knows.
-        is_held: Each effort acts until the next one comes, as a command does; a measured one is
-            a sample of something that changes steadily.
-
-    Raises:
-        SettingError: Shapes differ, times do not increase, or a number is not finite.
-    """
-
-    joint: str
-    time: Numbers
-    position: Numbers
+    joint: str  # its name
+    time: Numbers  # [s] when it was where, strictly increasing, (N,)
+    position: Numbers  # [rad] where it was, (N,); in [m] where it slides
+    # [s] when its efforts were commanded or measured, strictly increasing, (M,)
     effort_time: Numbers
-    effort: Numbers
+    effort: Numbers  # [N m] these, (M,); in [N] where it slides
     reference: Numbers = field(default_factory=lambda: np.empty(0))
-    is_held: bool = True
+    is_held: bool = True  # each effort acts until the next one comes, as a command does
 
     def __post_init__(self) -> None:
         for times, values in (("time", "position"), ("effort_time", "effort")):
@@ -79,24 +65,14 @@ class JointRecord:
 
 
 class Span(NamedTuple):
-    """A time without a gap.
+    """A time without a gap."""
 
-    Attributes:
-        begin: In [s].
-        end: In [s].
-    """
-
-    begin: float
-    end: float
+    begin: float  # [s]
+    end: float  # [s]
 
 
 def spans(records: Sequence[JointRecord], own: JointRecord) -> list[Span]:
-    """Return the times in which every joint has positions and one has efforts, in order.
-
-    Args:
-        records: The joints whose positions are needed.
-        own: The one whose efforts are.
-    """
+    """Return the times in which every joint has positions and one has efforts, in order."""
     common = _without_gaps(own.effort_time)
     seen: list[Numbers] = []
     for record in records:
@@ -131,21 +107,13 @@ class Halves(NamedTuple):
 
     The one is of every second sample, the other of those between: the same motion, each with
     noise of its own.
-
-    Attributes:
-        even: Means of the position over the cells, (K,), in [rad].
-        odd: Likewise, of the other samples, over the same cells.
-        first: Middle of the first cell, in [s].
-        reference: Likewise, of the reference; empty where nobody knows it.
-        first: Middle of the first cell, in [s].
-        length: Of a cell, in [s].
     """
 
-    even: Numbers
-    odd: Numbers
-    reference: Numbers
-    first: float
-    length: float
+    even: Numbers  # [rad] means of the position over the cells, (K,)
+    odd: Numbers  # likewise, of the other samples, over the same cells
+    reference: Numbers  # likewise, of the reference; empty where nobody knows it
+    first: float  # [s] middle of the first cell
+    length: float  # [s] of a cell
 
     @property
     def middles(self) -> Numbers:
@@ -154,13 +122,7 @@ class Halves(NamedTuple):
 
 
 def halves(record: JointRecord, span: Span, period: float) -> Halves | None:
-    """Return a joint's positions within a span; None where there are too few.
-
-    Args:
-        record: The joint.
-        span: The time.
-        period: Time between two samples that counts, in [s]; a cell is twice as long.
-    """
+    """Return a joint's positions within a span; None where there are too few."""
     inside = slice(
         int(np.searchsorted(record.time, span.begin)),
         int(np.searchsorted(record.time, span.end, "right")),

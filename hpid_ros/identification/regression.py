@@ -29,25 +29,14 @@ _MOST_LAGS = 0.2  # of all rows
 
 
 class Regression(NamedTuple):
-    """A fit of R rows by P columns.
+    """A fit of R rows by P columns."""
 
-    Attributes:
-        values: Coefficients, (P,).
-        covariance: Of them, (P, P).
-        critical: Half-width of a 95 % interval over the standard deviation.
-        residual: Of each row, (R,); zero where a row has no weight.
-        rms: Root mean square of the residual.
-        condition: Condition number of the columns, each of them scaled to unit length.
-        sharing: How much larger each coefficient's variance is than were its column orthogonal
-            to the others, (P,).
-    """
-
-    values: Numbers
-    covariance: Numbers
-    critical: float
-    residual: Numbers
-    rms: float
-    condition: float
+    values: Numbers  # coefficients, (P,)
+    covariance: Numbers  # of them, (P, P)
+    critical: float  # half-width of a 95 % interval over the standard deviation
+    residual: Numbers  # of each row, (R,); zero where a row has no weight
+    rms: float  # root mean square of the residual
+    condition: float  # condition number of the columns, each of them scaled to unit length
     sharing: Numbers
 
     @property
@@ -56,11 +45,7 @@ class Regression(NamedTuple):
         return np.sqrt(np.maximum(np.diagonal(self.covariance), 0.0))
 
     def probability_of_none(self, places: list[int]) -> float:
-        """Return the probability that coefficients which are zero would seem this large.
-
-        Args:
-            places: Of the coefficients, tested together (Wald).
-        """
+        """Return the probability that coefficients which are zero would seem this large."""
         theta, block = self.values[places], self.covariance[np.ix_(places, places)]
         shrunk = (1.959964 / self.critical) ** 2
         statistic = float(theta @ np.linalg.pinv(block) @ theta) * shrunk
@@ -70,14 +55,7 @@ class Regression(NamedTuple):
 def regress(
     instruments: Numbers, columns: Numbers, effort: Numbers, weight: Numbers
 ) -> Regression:
-    """Fit efforts by columns, with one or two versions of everything.
-
-    Args:
-        instruments: As many as columns, correlated with them and not with their noise, (H, P, R).
-        columns: (H, P, R).
-        effort: What to explain; a known part that is in the columns' noise is taken off, (H, R).
-        weight: 1 for a row that counts, 0 for one that is only a place in time, (R,).
-    """
+    """Fit efforts by columns, with one or two versions of everything."""
     x, y = columns * weight, effort * weight
     size = np.sqrt(np.mean(x**2, axis=(0, 2)) + 1e-300)[:, None]
     x, z = x / size, instruments * weight / size

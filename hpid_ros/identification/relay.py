@@ -35,46 +35,23 @@ _LEAST_SAMPLES = 8  # in a cycle
 
 @dataclass(frozen=True)
 class RelayCycle:
-    """A limit cycle.
+    """A limit cycle."""
 
-    Attributes:
-        begin: When its first whole cycle begins, in [s].
-        cycles: Whole cycles that were used.
-        period: Ultimate period, in [s].
-        spread: Standard deviation of the periods over their mean.
-        amplitude: Of the position's first harmonic, in [rad].
-        ultimate_gain: |N|, of the gain on s at which the loop oscillates, in [N m/rad].
-        inertia: By the first harmonics, in [kg m^2].
-        damping: Likewise, what is in phase with the velocity, in [N m s/rad]: viscous friction,
-            Coulomb friction as far as it acts like it, less inertia times delay.
-        described_inertia: The inertia by the describing function, in [kg m^2].
-    """
-
-    begin: float
-    cycles: int
-    period: float
-    spread: float
-    amplitude: float
-    ultimate_gain: float
-    inertia: float
-    damping: float
-    described_inertia: float
+    begin: float  # [s] when its first whole cycle begins
+    cycles: int  # whole cycles that were used
+    period: float  # [s] ultimate period
+    spread: float  # standard deviation of the periods over their mean
+    amplitude: float  # [rad] of the position's first harmonic
+    ultimate_gain: float  # [N m/rad] |N|, of the gain on s at which the loop oscillates
+    inertia: float  # [kg m^2] by the first harmonics
+    damping: float  # [N m s/rad]
+    described_inertia: float  # [kg m^2] the inertia by the describing function
 
 
 def relay_cycle(
     record: JointRecord, amplitude: float, hysteresis: float, lead: float
 ) -> RelayCycle:
-    """Return the limit cycle in a recording.
-
-    Args:
-        record: Of the joint, with commands as they were held.
-        amplitude: Of the relay, in [N m].
-        hysteresis: In [rad].
-        lead: T, in [s].
-
-    Raises:
-        SettingError: There are too few cycles, or too few samples in one.
-    """
+    """Return the limit cycle in a recording."""
     steps = np.diff(record.effort)
     ups = record.effort_time[1:][steps > _SWITCH * amplitude]
     if len(ups) < _LEAST_CYCLES + 2:

@@ -42,17 +42,11 @@ PARAMETERS: Mapping[str, tuple[str, str]] = {
 
 @dataclass(frozen=True)
 class Estimate:
-    """One number.
+    """One number."""
 
-    Attributes:
-        value: The estimate, in SI units.
-        half_width: Of its 95 % interval.
-        reason: Why it should not be relied on, and what motion would help; empty where it may.
-    """
-
-    value: float
-    half_width: float
-    reason: str = ""
+    value: float  # the estimate, in SI units
+    half_width: float  # of its 95 % interval
+    reason: str = ""  # why it should not be relied on, and what motion would help
 
     @property
     def low(self) -> float:
@@ -76,67 +70,36 @@ class Estimate:
 
 
 class Fit(NamedTuple):
-    """How a joint's efforts are explained, row by row; NaN between spans.
+    """How a joint's efforts are explained, row by row; NaN between spans."""
 
-    Attributes:
-        time: In [s], (R,).
-        measured: Effort at the joint's motion, smoothed and freed of the delay, (R,), in [N m].
-        predicted: What the estimates say of it, (R,), in [N m].
-        is_used: Whether the row counted; where the direction is in doubt it does not, (R,).
-    """
-
-    time: Numbers
-    measured: Numbers
-    predicted: Numbers
-    is_used: Flags
+    time: Numbers  # [s] (R,)
+    measured: Numbers  # [N m] effort at the joint's motion, smoothed and freed of the delay, (R,)
+    predicted: Numbers  # [N m] what the estimates say of it, (R,)
+    is_used: Flags  # whether the row counted; where the direction is in doubt it does not, (R,)
 
 
 @dataclass(frozen=True, eq=False)
 class JointIdentification:
-    """What was found of one joint.
+    """What was found of one joint."""
 
-    Attributes:
-        joint: Its name.
-        estimates: By name of the parameter, in the order of :data:`PARAMETERS`; empty where
-            nothing could be found.
-        untold: What the data cannot tell, by name of the parameter, and what motion would help;
-            under the joint's own name if nothing could be found.
-        remarks: What to know of all the numbers.
-        method: How, in a few words.
-        why: The reason for the method, in a few words.
-        cutoff: Of the low pass, in [Hz].
-        rows: Rows that counted.
-        time: Time that they stand for, in [s].
-        stribeck_speed: Speed at which Stribeck friction has fallen to 1/e, in [rad/s]; zero
-            without.
-        residual: Root mean square of what is not explained, in [N m].
-        explained: Share of the effort's variance that is.
-        condition: Condition number of the scaled columns.
-        travel: How far the joint moved between its ends, in [rad].
-        speed: Largest speed, in [rad/s].
-        acceleration: Largest acceleration, in [rad/s^2].
-        effort_limit: What acts of a larger command, in [N m]; infinite if no command shows one.
-        fit: To draw.
-    """
-
-    joint: str
+    joint: str  # its name
     estimates: Mapping[str, Estimate] = field(default_factory=dict)
     untold: Mapping[str, str] = field(default_factory=dict)
-    remarks: tuple[str, ...] = ()
-    method: str = ""
-    why: str = ""
-    cutoff: float = 0.0
-    rows: int = 0
-    time: float = 0.0
-    stribeck_speed: float = 0.0
-    residual: float = 0.0
-    explained: float = 0.0
-    condition: float = 0.0
-    travel: float = 0.0
-    speed: float = 0.0
-    acceleration: float = 0.0
-    effort_limit: float = math.inf
-    fit: Fit | None = None
+    remarks: tuple[str, ...] = ()  # what to know of all the numbers
+    method: str = ""  # how, in a few words
+    why: str = ""  # the reason for the method, in a few words
+    cutoff: float = 0.0  # [Hz] of the low pass
+    rows: int = 0  # rows that counted
+    time: float = 0.0  # [s] time that they stand for
+    stribeck_speed: float = 0.0  # [rad/s] speed at which Stribeck friction has fallen to 1/e
+    residual: float = 0.0  # [N m] root mean square of what is not explained
+    explained: float = 0.0  # share of the effort's variance that is
+    condition: float = 0.0  # condition number of the scaled columns
+    travel: float = 0.0  # [rad] how far the joint moved between its ends
+    speed: float = 0.0  # [rad/s] largest speed
+    acceleration: float = 0.0  # [rad/s^2] largest acceleration
+    effort_limit: float = math.inf  # [N m] what acts of a larger command
+    fit: Fit | None = None  # to draw
 
     @property
     def is_found(self) -> bool:

@@ -19,12 +19,7 @@ _BETTER = 0.2  # of the misfit without a limit at most: ripple and gear losses g
 
 
 def saturation(record: JointRecord, equation: Callable[[float], Equation]) -> float:
-    """Return the effort that acts of a larger command, in [N m]; infinite if none shows one.
-
-    Args:
-        record: The joint.
-        equation: Returns the joint's equation if commands are cut off there.
-    """
+    """Return the effort that acts of a larger command, in [N m]; infinite if none shows one."""
     sizes = np.abs(record.effort)
     largest = float(sizes.max(initial=0.0))
     if largest == 0.0:

@@ -35,42 +35,25 @@ _FREE = {
 
 @dataclass(frozen=True)
 class Response:
-    """The answer of an ideal joint, its inertia alone, to a step of its reference.
+    """The answer of an ideal joint, its inertia alone, to a step of its reference."""
 
-    Attributes:
-        times: In [s].
-        errors: Share of the step that is left.
-        settling: After which that stays within :data:`SETTLED`, in [s]; inf if it does not.
-        overshoot: Share of the step.
-    """
-
-    times: tuple[float, ...]
-    errors: tuple[float, ...]
-    settling: float
-    overshoot: float
+    times: tuple[float, ...]  # [s]
+    errors: tuple[float, ...]  # share of the step that is left
+    settling: float  # [s] after which that stays within SETTLED; inf if it does not
+    overshoot: float  # share of the step
 
 
 @dataclass(frozen=True)
 class Advice:
-    """What is known of one joint's settings.
+    """What is known of one joint's settings."""
 
-    Attributes:
-        interval: Certified degrees; None where there are none, or it is not known.
-        reason: Why not, in words.
-        phase: Phase margin in [deg] where the multiplier is 1; nan where it is not known.
-        delay: Delay margin there in [s].
-        sensitivity: Largest |S| there.
-        response: To a step; None where the inertia is not known.
-        is_pending: Whether the certificate is still being looked for.
-    """
-
-    interval: tuple[float, float] | None = None
-    reason: str = ""
-    phase: float = math.nan
-    delay: float = math.nan
-    sensitivity: float = math.nan
-    response: Response | None = None
-    is_pending: bool = False
+    interval: tuple[float, float] | None = None  # certified degrees
+    reason: str = ""  # why not, in words
+    phase: float = math.nan  # [deg] phase margin where the multiplier is 1
+    delay: float = math.nan  # [s] delay margin there
+    sensitivity: float = math.nan  # largest |S| there
+    response: Response | None = None  # to a step; None where the inertia is not known
+    is_pending: bool = False  # whether the certificate is still being looked for
 
     def as_mapping(self) -> dict[str, Any]:
         """Return it as what JSON can hold."""
@@ -101,13 +84,7 @@ class Adviser:
         self._known: dict[LoopKind, _Interval | str] = {}
 
     def advise(self, settings: LoopSettings, step: float) -> Advice:
-        """Return what is known of settings, however long that takes.
-
-        Args:
-            settings: Of one joint.
-            step: Size of the step in [rad]; the homogeneous law answers small and large ones
-                differently.
-        """
+        """Return what is known of settings, however long that takes."""
         quick = self.quick(settings, step)
         if not quick.is_pending:
             return quick
@@ -116,12 +93,7 @@ class Adviser:
         return replace(quick, interval=interval, reason=reason, is_pending=False)
 
     def quick(self, settings: LoopSettings, step: float) -> Advice:
-        """Return what is known at once: all but a certificate that nobody has asked for before.
-
-        Args:
-            settings: As for :meth:`advise`.
-            step: Likewise.
-        """
+        """Return what is known at once: all but a certificate that nobody has asked for before."""
         inertia = settings.plant_inertia
         if not inertia > 0.0:
             return Advice(reason=UNKNOWN_INERTIA)
@@ -156,12 +128,7 @@ class Adviser:
 
 
 def response_to(settings: LoopSettings, step: float) -> Response:
-    """Return the response of the loop itself, on a joint that is nothing but its inertia.
-
-    Args:
-        settings: Of a joint whose inertia is known.
-        step: Of its reference in [rad].
-    """
+    """Return the response of the loop itself, on a joint that is nothing but its inertia."""
     loop, inertia = JointLoop(settings.with_parameters(_FREE)), settings.plant_inertia
     period_ns = round(settings.timing.control_period * NANOSECONDS)
     period = period_ns / NANOSECONDS

@@ -27,9 +27,6 @@ class AdviceClient:
 
     Of questions about the same thing that wait the newest is asked. The process is begun with the
     first question, and again if it has died.
-
-    Args:
-        command: Of the process; for tests.
     """
 
     def __init__(self, command: Sequence[str] = ()) -> None:
@@ -45,15 +42,7 @@ class AdviceClient:
         self._asked_at = 0.0
 
     def ask(self, about: Hashable, values: Mapping[str, Value], step: float, hear: Hear) -> None:
-        """Ask what is known of settings.
-
-        Args:
-            about: What the question is about; a newer one of the same replaces it.
-            values: All parameters of a loop.
-            step: As for :meth:`~hpid_ros.live.advice.Adviser.advise`.
-            hear: Called on a thread of its own with what is known at once, which may be pending,
-                and then with the rest.
-        """
+        """Ask what is known of settings."""
         with self._has_work:
             self._waiting[about] = (dict(values), step, hear)
             is_old = time.monotonic() - self._asked_at > _LONG
@@ -94,12 +83,7 @@ class AdviceClient:
         self._end()
 
     def _answer(self, question: Mapping[str, Any], hear: Hear) -> None:
-        """Hear what is known at once, and then the rest.
-
-        Raises:
-            OSError: The process is gone.
-            ValueError: It went before it had answered.
-        """
+        """Hear what is known at once, and then the rest."""
         child = self._running()
         assert child.stdin is not None
         assert child.stdout is not None

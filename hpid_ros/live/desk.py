@@ -8,13 +8,7 @@ from collections.abc import Callable
 
 
 class Limit:
-    """At most so many acts in so much time.
-
-    Args:
-        most: Acts.
-        within: In [s].
-        clock: Monotonic, in [s].
-    """
+    """At most so many acts in so much time."""
 
     def __init__(
         self, most: int, within: float, clock: Callable[[], float] = time.monotonic

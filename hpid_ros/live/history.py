@@ -27,11 +27,7 @@ SIGNALS = ("position", "reference", "error", "effort", "norm", "multiplier")
 
 
 class Track:
-    """The newest rows of a signal, oldest first.
-
-    Args:
-        columns: How many numbers a row has; the first is the time.
-    """
+    """The newest rows of a signal, oldest first."""
 
     def __init__(self, columns: int) -> None:
         self._rows = np.empty((1024, columns))
@@ -49,11 +45,7 @@ class Track:
         self._drawn_until = -math.inf
 
     def append(self, rows: Numbers) -> None:
-        """Append rows, and forget those that are too old or too many.
-
-        Args:
-            rows: Later than those that are there, shape (N, columns).
-        """
+        """Append rows, and forget those that are too old or too many."""
         rows = rows[-MOST_SAMPLES:]
         if not len(rows):
             return
@@ -92,20 +84,12 @@ class Track:
 
 
 class WindowIndices(NamedTuple):
-    """Indices over the last seconds, so that windows of any length compare; "rad" may read "m".
+    """Indices over the last seconds, so that windows of any length compare; "rad" may read "m"."""
 
-    Attributes:
-        itae_rate: ITAE over the window, time counted from its start, divided by half the square
-            of its length: the mean error, late ones weighing more, in [rad].
-        ivc_rate: Variation of the effort per second, in [N m/s].
-        effort: Root mean square of the effort, in [N m].
-        error: Largest absolute error, in [rad].
-    """
-
-    itae_rate: float
-    ivc_rate: float
-    effort: float
-    error: float
+    itae_rate: float  # [rad]
+    ivc_rate: float  # [N m/s] variation of the effort per second
+    effort: float  # [N m] root mean square of the effort
+    error: float  # [rad] largest absolute error
 
 
 _NO_INDICES = WindowIndices(*(math.nan,) * 4)
@@ -149,9 +133,6 @@ class JointHistory:
     The error is the reference less the position, at every state. ``~/reference`` is told less
     often than there are states: in between it is taken to be straight, so that errors are known
     up to the newest reference.
-
-    Args:
-        settings: Of its loop.
     """
 
     def __init__(self, settings: LoopSettings) -> None:
@@ -250,11 +231,7 @@ class JointHistory:
         }
 
     def indices(self, over: float) -> WindowIndices:
-        """Return indices over the last seconds; nan where there are no samples.
-
-        Args:
-            over: In [s].
-        """
+        """Return indices over the last seconds; nan where there are no samples."""
         errors = self._errors.rows
         efforts = self._efforts.rows
         if len(errors) < 2 or len(efforts) < 2:
@@ -285,14 +262,7 @@ def _integral(times: Numbers, values: Numbers) -> float:
 
 
 def extremes(times: Numbers, values: Numbers, most: int = 4) -> list[float]:
-    """Return times and values in turn of few samples, the least and the largest among them.
-
-    Args:
-        times: In [s], shape (N,).
-        values: Of them; what is not finite is left out.
-        most: So many samples are returned as they are; of more, the first, the least, the largest
-            and the last, in the order of their times.
-    """
+    """Return times and values in turn of few samples, the least and the largest among them."""
     is_usable = np.isfinite(values)
     times, values = times[is_usable], values[is_usable]
     if len(times) > most:
@@ -303,11 +273,7 @@ def extremes(times: Numbers, values: Numbers, most: int = 4) -> list[float]:
 
 
 class RisingCount:
-    """Whether a count that a controller tells has grown lately.
-
-    Args:
-        within: What lately is, in [s].
-    """
+    """Whether a count that a controller tells has grown lately."""
 
     def __init__(self, within: float) -> None:
         self._within = within
@@ -315,12 +281,7 @@ class RisingCount:
         self._grew_at = -math.inf
 
     def tell(self, count: int, now: float) -> bool:
-        """Take the count of now, and tell whether it has grown lately; a lesser one begins anew.
-
-        Args:
-            count: The count.
-            now: In [s], on a clock that does not go back.
-        """
+        """Take the present count, and return whether it grew lately; a lower one starts again."""
         if self._count is not None and count > self._count:
             self._grew_at = now
         self._count = count

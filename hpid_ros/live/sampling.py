@@ -12,30 +12,16 @@ from hpid_ros.live.streams import ControlClock, JointClock, JointNumbers
 
 
 class Heard(NamedTuple):
-    """What came of one joint, by where it came from.
-
-    Attributes:
-        states: The states.
-        commands: Its commands, stamped with the states that they answer.
-        bare_commands: Its commands where they have no stamps, in [N m], (n,).
-        references: What its controller told as its reference.
-    """
+    """What came of one joint, by where it came from."""
 
     states: JointNumbers
-    commands: JointNumbers
-    bare_commands: Numbers
-    references: JointNumbers
+    commands: JointNumbers  # its commands, stamped with the states that they answer
+    bare_commands: Numbers  # [N m] its commands where they have no stamps, (n,)
+    references: JointNumbers  # what its controller told as its reference
 
 
 class JointSampler:
-    """Makes samples of what comes of one joint.
-
-    Args:
-        clock: Of the topic of its states.
-
-    Attributes:
-        clock: As the joint has seen it.
-    """
+    """Makes samples of what comes of one joint."""
 
     def __init__(self, clock: ControlClock) -> None:
         self.clock = JointClock(clock)

@@ -31,16 +31,7 @@ StateOf = Callable[[str], tuple[float | None, float | None]]
 
 
 def seen_controller(node: str, parameters: Mapping[str, Any]) -> SeenController:
-    """Return a controller that has been found.
-
-    Args:
-        node: Its full name.
-        parameters: All of ``PARAMETERS`` and of :data:`MORE_PARAMETERS`.
-
-    Raises:
-        HpidError: The description of its robot cannot be read here, or its parameters are none of
-            a controller.
-    """
+    """Return a controller that has been found."""
     values = {name: parameters[name] for name in PARAMETERS}
     settings = LoopSettings.from_parameters(values)
     limits = _limits(str(parameters["robot_description"]), settings.joint)
@@ -60,15 +51,7 @@ def _limits(source: str, joint: str) -> RobotLimits:
 
 
 def with_changes(seen: SeenController, changes: Mapping[str, Any]) -> SeenController:
-    """Return a controller after some of its parameters have been set.
-
-    Args:
-        seen: Before.
-        changes: Values by name; those of no loop are passed over.
-
-    Raises:
-        HpidError: Its parameters are none of a controller.
-    """
+    """Return a controller after some of its parameters have been set."""
     values = {**seen.values, **{name: changes[name] for name in changes if name in PARAMETERS}}
     settings = seen.limits.within(LoopSettings.from_parameters(values))
     return replace(seen, values=values, settings=settings)
@@ -81,17 +64,7 @@ def as_running(
     *,
     has_commands: bool,
 ) -> RunningGraph:
-    """Return controllers as whatever moves joints wants them.
-
-    Args:
-        seen: The controllers.
-        parameters: All that were read, by node.
-        state_of: Where their joints are.
-        has_commands: Whether they tell efforts on ``joint_commands``.
-
-    Raises:
-        RunError: Two of them have one joint.
-    """
+    """Return controllers as whatever moves joints wants them."""
     found: dict[str, RunningController] = {}
     for each in seen:
         if each.joint in found:

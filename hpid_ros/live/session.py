@@ -30,50 +30,24 @@ _CHANGES_KEPT = 200  # of the marks in plots
 
 
 class LogLine(NamedTuple):
-    """Something that happened.
+    """Something that happened."""
 
-    Attributes:
-        at: Wall time in [s].
-        text: One line.
-        is_bad: Whether something was refused, or has failed.
-    """
-
-    at: float
-    text: str
-    is_bad: bool = False
+    at: float  # [s] wall time
+    text: str  # one line
+    is_bad: bool = False  # whether something was refused, or has failed
 
 
 class Mark(NamedTuple):
-    """A change of parameters, as plots mark it.
+    """A change of parameters, as plots mark it."""
 
-    Attributes:
-        number: Of all marks, increasing.
-        node: Of the controller.
-        time: On the control clock of its joint in [s].
-        text: What changed.
-    """
-
-    number: int
-    node: str
-    time: float
-    text: str
+    number: int  # of all marks, increasing
+    node: str  # of the controller
+    time: float  # [s] on the control clock of its joint
+    text: str  # what changed
 
 
 class LiveSession:
-    """The session.
-
-    Attributes:
-        graph: The running graph.
-        tuning: What is staged, done and kept.
-        desk: Who has it in hand.
-        log: What happened, the newest last.
-        said: How many lines have ever been put into it.
-        marks: Changes of parameters, the newest last.
-
-    Args:
-        graph: The running graph.
-        advice: Of whom certificates and responses are asked.
-    """
+    """The session."""
 
     def __init__(self, graph: Graph, advice: AdviceClient) -> None:
         self.graph = graph
@@ -114,12 +88,7 @@ class LiveSession:
     def pulse(
         self, is_seen: bool = True, samples: Mapping[str, Samples] | None = None
     ) -> dict[str, dict[str, list[float]]]:
-        """Take what is new, and return what is to be drawn of it, by node and signal.
-
-        Args:
-            is_seen: Whether anybody looks; samples are only taken then.
-            samples: What came of the joints, if somebody has taken it already.
-        """
+        """Take what is new, and return what is to be drawn of it, by node and signal."""
         seen = self.controllers
         self._note_arrivals(seen)
         watched = tuple(node for node, each in seen.items() if each.is_here) if is_seen else ()
@@ -167,16 +136,7 @@ class LiveSession:
     # What mathematics says
 
     def advice(self, node: str, step: float, *, is_staged: bool) -> tuple[Advice | None, bool]:
-        """Return what is known of a controller's settings, and ask if that is of other ones.
-
-        Args:
-            node: Its full name.
-            step: Of the response in [rad].
-            is_staged: Of what is staged, or of what is in force.
-
-        Returns:
-            The advice, None before the first, and whether it is of these very settings.
-        """
+        """Return what is known of a controller's settings, and ask if that is of other ones."""
         tuning = self.tuning
         values = tuning.chosen(node) if is_staged else tuning.in_force[node]
         asked = {**values, "": step}
@@ -196,15 +156,7 @@ class LiveSession:
     # What a person does
 
     async def apply(self, nodes: Sequence[str], what: str = "") -> bool:
-        """Send what is staged, as one set for each controller, and all or none of them.
-
-        Args:
-            nodes: Full names.
-            what: In words; by default what is staged.
-
-        Returns:
-            Whether all took it.
-        """
+        """Send what is staged, as one set for each controller, and all or none of them."""
         async with self._acting:
             sets = self.tuning.staged_sets(nodes)
             for node in sets:
@@ -218,16 +170,7 @@ class LiveSession:
             return await self._send(sets, what or _summary(sets))
 
     async def _send(self, sets: Mapping[str, Values], what: str, *, is_kept: bool = True) -> bool:
-        """Have controllers take sets. Where one does not, the others get theirs back.
-
-        Args:
-            sets: By node.
-            what: In words.
-            is_kept: Whether this is a step that can be undone.
-
-        Returns:
-            Whether all took theirs.
-        """
+        """Have controllers take sets. Where one does not, the others get theirs back."""
         if not self._limit.allows():
             self.say(f"{what}: not sent: at most {_SETS} a second", is_bad=True)
             return False
@@ -267,15 +210,7 @@ class LiveSession:
         await self._give_back(back, "because not every one took it")
 
     async def give_back(self, values: Mapping[str, Values], why: str) -> bool:
-        """Have controllers take what they had, each for itself, whatever the others do.
-
-        Args:
-            values: By node.
-            why: In words.
-
-        Returns:
-            Whether all have it.
-        """
+        """Have controllers take what they had, each for itself, whatever the others do."""
         async with self._acting:
             before = {node: dict(self.tuning.in_force[node]) for node in values}
             taken = await self._give_back(values, why)
@@ -333,15 +268,7 @@ class LiveSession:
         return await self._send(sets, what)
 
     async def send_if_other(self, values: Mapping[str, Values], what: str) -> bool:
-        """Have controllers take these values, where they have others.
-
-        Args:
-            values: By node.
-            what: In words.
-
-        Returns:
-            Whether they have them now.
-        """
+        """Have controllers take these values, where they have others."""
         async with self._acting:
             sets = {
                 node: other
@@ -357,15 +284,7 @@ class LiveSession:
         return await self.transit(nodes, "deactivate")
 
     async def transit(self, nodes: Iterable[str], transition: str) -> bool:
-        """Have controllers go through a transition.
-
-        Args:
-            nodes: Full names.
-            transition: ``activate`` or ``deactivate``.
-
-        Returns:
-            Whether all did.
-        """
+        """Have controllers go through a transition."""
         asked = {node: self.graph.change_state(node, transition) for node in nodes}
         futures = [asyncio.wrap_future(each) for each in asked.values()]
         answers = dict(zip(asked, await asyncio.gather(*futures), strict=True))
@@ -384,18 +303,7 @@ class LiveSession:
         return str(yaml.safe_dump(self.tuning.document(nodes), sort_keys=False))
 
     def load(self, text: str, name: str) -> list[str]:
-        """Stage what a parameter file says.
-
-        Args:
-            text: Its content.
-            name: Its name, for what is said.
-
-        Returns:
-            The controllers that it is of.
-
-        Raises:
-            SettingError: It cannot be used.
-        """
+        """Stage what a parameter file says."""
         name = Path(name).name
         content = parse_yaml(name, text, SettingError)
         nodes = self.tuning.stage_loops(parameters_from(content, name).loops)

@@ -19,17 +19,11 @@ _MOST_LEARNED = 64  # layouts in one batch; a robot has fewer joints, and a floo
 
 
 class Part(NamedTuple):
-    """Messages of one layout.
-
-    Attributes:
-        layout: The layout.
-        rows: The messages, (n, words).
-        order: Their places among all messages of the batch, (n,), ascending.
-    """
+    """Messages of one layout."""
 
     layout: Layout
-    rows: Words
-    order: Integers
+    rows: Words  # the messages, (n, words)
+    order: Integers  # their places among all messages of the batch, (n,), ascending
 
     def numbers(self, field: str, index: int) -> Numbers | None:
         """Return one number of each message, (n,); None where the field is not one a name."""
@@ -43,9 +37,6 @@ class MessageColumns:
     """Reads the numbers of a topic's messages; their layouts are learned once.
 
     What is no message of the type is passed over.
-
-    Args:
-        type: Of the topic, one of :data:`.LAYOUTS`.
     """
 
     def __init__(self, type: str) -> None:
@@ -111,19 +102,12 @@ class MessageColumns:
 
 
 class JointNumbers(NamedTuple):
-    """One joint's part of some messages, in the order in which they came.
+    """One joint's part of some messages, in the order in which they came."""
 
-    Attributes:
-        stamps_ns: Of the messages, (n,), in [ns].
-        position: In [rad], (n,); nan where messages have none, as in the others.
-        velocity: In [rad/s], (n,).
-        effort: In [N m], (n,).
-    """
-
-    stamps_ns: Integers
-    position: Numbers
-    velocity: Numbers
-    effort: Numbers
+    stamps_ns: Integers  # [ns] of the messages, (n,)
+    position: Numbers  # [rad] (n,); nan where messages have none, as in the others
+    velocity: Numbers  # [rad/s] (n,)
+    effort: Numbers  # [N m] (n,)
 
     def picked(self, which: slice | Integers) -> JointNumbers:
         """Return some of them."""
@@ -168,12 +152,7 @@ def bare_numbers(parts: Sequence[Part]) -> Numbers:
 
 
 class ControlClock:
-    """Where the control clock of a topic of states began.
-
-    Attributes:
-        start_ns: The stamp that is 0, in [ns]; None before there was one.
-        epoch: How often it has begun anew.
-    """
+    """Where the control clock of a topic of states began."""
 
     def __init__(self) -> None:
         self.start_ns: int | None = None
@@ -190,12 +169,6 @@ class JointClock:
 
     Joints of one topic may be told by several publishers, which do not go back at the same time:
     the first one begins the clock anew, the others join it when they go back, too.
-
-    Args:
-        clock: Of the topic.
-
-    Attributes:
-        last_ns: The newest stamp in [ns]; None before there was one.
     """
 
     def __init__(self, clock: ControlClock) -> None:
@@ -204,15 +177,7 @@ class JointClock:
         self.last_ns: int | None = None
 
     def take(self, stamps_ns: Integers) -> tuple[int, bool]:
-        """Take the stamps of new states.
-
-        Args:
-            stamps_ns: At least one, in [ns].
-
-        Returns:
-            The index of the first one that is of the present time, and whether there was an older
-            time before it.
-        """
+        """Take the stamps of new states."""
         before = stamps_ns[:1] if self.last_ns is None else np.array([self.last_ns])
         back = np.flatnonzero(np.diff(stamps_ns, prepend=before) < 0)
         first = int(back[-1]) if len(back) else 0
@@ -241,12 +206,7 @@ class JointClock:
         return (stamp_ns - self._start_ns) / NANOSECONDS
 
     def present(self, stamps_ns: Integers, is_restarted: bool) -> Integers:
-        """Return which answers to states are of the present time, as indices.
-
-        Args:
-            stamps_ns: Of the states that they answer.
-            is_restarted: Whether the clock has just begun anew.
-        """
+        """Return which answers to states are of the present time, as indices."""
         if self.last_ns is None:
             return np.zeros(0, dtype=np.int64)
         if not is_restarted:

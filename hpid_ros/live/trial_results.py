@@ -24,24 +24,14 @@ _STANDS_WITHIN = 1e-9  # [rad]
 
 @dataclass(frozen=True)
 class Variant:
-    """What controllers are set to for one motion.
+    """What controllers are set to for one motion."""
 
-    Attributes:
-        label: What it is called.
-        values: All loop parameters by node; None for what is in force.
-    """
-
-    label: str
-    values: Mapping[str, Values] | None = None
+    label: str  # what it is called
+    values: Mapping[str, Values] | None = None  # all loop parameters by node
 
 
 class Tried:
-    """What a trial sets: what its variants differ in from what was there, and nothing else.
-
-    Args:
-        before: All loop parameters by node, before the trial.
-        variants: Of the trial.
-    """
+    """What a trial sets: what its variants differ in from what was there, and nothing else."""
 
     def __init__(self, before: Mapping[str, Values], variants: Sequence[Variant]) -> None:
         self._before = before
@@ -83,27 +73,16 @@ class Tried:
 
 @dataclass(frozen=True)
 class TrialResult:
-    """Motions that were measured.
+    """Motions that were measured."""
 
-    Attributes:
-        variants: In their order.
-        runs: Of each.
-        comparison: Of all, ratios to the first.
-        bags: Their recordings.
-    """
-
-    variants: tuple[Variant, ...]
-    runs: tuple[Measured, ...]
-    comparison: Comparison
-    bags: tuple[Path, ...]
+    variants: tuple[Variant, ...]  # in their order
+    runs: tuple[Measured, ...]  # of each
+    comparison: Comparison  # of all, ratios to the first
+    bags: tuple[Path, ...]  # their recordings
 
     @classmethod
     def of(cls, variants: Sequence[Variant], runs: Sequence[Measured]) -> TrialResult:
-        """Compare the motions that came to their ends, the first so many of the variants.
-
-        Raises:
-            HpidError: They cannot be compared.
-        """
+        """Compare the motions that came to their ends, the first so many of the variants."""
         tried = tuple(variants)[: len(runs)]
         return cls(tried, tuple(runs), compare(runs), tuple(each.path for each in runs))
 
@@ -113,14 +92,6 @@ def measure_motion(bag: Path, label: str, planned: ExcitationPlan) -> Measured:
 
     What a joint was told before, which is still on the graph, is in the recording, too: so the
     start is counted back from when the last reference came to rest.
-
-    Args:
-        bag: The recording.
-        label: What it is called.
-        planned: The motion.
-
-    Raises:
-        HpidError: The recording cannot be read, or no reference moves in it.
     """
     selection = BagSelection(joints=planned.names)
     series = measure(bag, label, Measuring(selection)).series

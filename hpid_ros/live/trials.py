@@ -34,19 +34,12 @@ _BY_STOP = "ended by Stop: activate the joints, then get ready again"
 
 
 class MotionWish(NamedTuple):
-    """A motion that a person wants.
+    """A motion that a person wants."""
 
-    Attributes:
-        kind: One of :data:`KINDS`.
-        amplitude: In [rad] or [m], at most; the joints' limits may make it less.
-        duration: Of the whole in [s].
-        share: Of the limits of each joint that it may use.
-    """
-
-    kind: str = "minimum_jerk"
-    amplitude: float = 0.1
-    duration: float = 4.0
-    share: float = 0.5
+    kind: str = "minimum_jerk"  # one of KINDS
+    amplitude: float = 0.1  # [rad] or [m], at most; the joints' limits may make it less
+    duration: float = 4.0  # [s] of the whole
+    share: float = 0.5  # of the limits of each joint that it may use
 
 
 KINDS = {
@@ -95,20 +88,7 @@ Starter = Callable[
 
 
 class Trials:
-    """One trial at a time, of the page that has the controllers in hand.
-
-    Attributes:
-        said: What happened last, in a line.
-        is_bad: Whether that is a failure.
-        result: Of the last one, if it came to its end.
-        number: Which of its motions is next or under way, from 1 on.
-        count: How many it has.
-
-    Args:
-        session: The session.
-        start: Begins a motion.
-        within: Longest time without a word of the button, in [s]; then joints stop.
-    """
+    """One trial at a time, of the page that has the controllers in hand."""
 
     def __init__(self, session: LiveSession, start: Starter, within: float) -> None:
         self._session, self._start, self._within = session, start, within
@@ -140,15 +120,7 @@ class Trials:
         return max(self._ends_at - time.monotonic(), 0.0) if is_moving else None
 
     def plan(self, nodes: Sequence[str], wish: MotionWish) -> ExcitationPlan:
-        """Return the motion of joints, within their limits.
-
-        Args:
-            nodes: Full names of their controllers.
-            wish: What is wanted.
-
-        Raises:
-            HpidError: A joint cannot be moved, or a number is none.
-        """
+        """Return the motion of joints, within their limits."""
         return self._planned(nodes, wish)[0]
 
     def _planned(
@@ -207,11 +179,7 @@ class Trials:
             self._motion.release()
 
     def cancel(self, why: str = _CANCELLED) -> None:
-        """End what is under way: from now on no press moves anything.
-
-        Args:
-            why: What is said of it; the first reason stands.
-        """
+        """End what is under way: from now on no press moves anything."""
         if self.stage is Stage.IDLE:
             return
         if not self._end:
@@ -221,11 +189,7 @@ class Trials:
             self._motion.release()
 
     async def stop(self) -> bool:
-        """End what is under way, and deactivate every controller that is shown.
-
-        Returns:
-            Whether all are.
-        """
+        """End what is under way, and deactivate every controller that is shown."""
         self.cancel(_BY_STOP)
         return await self._session.stop()
 
@@ -260,13 +224,6 @@ class Trials:
         reason, or is cancelled, so does the trial, also while its last motion is measured:
         controllers are set back to what they were before, each that is there, and what was
         measured until then is its result. What somebody else sets meanwhile stays.
-
-        Args:
-            page: Whose button is held.
-            nodes: Full names of the controllers.
-            wish: The motion.
-            variants: One, or two to be compared.
-            is_kept: Whether the recordings stay, in a folder here.
         """
         if self.stage is not Stage.IDLE:
             self._say("another trial is under way", is_bad=True)
@@ -340,11 +297,7 @@ class Trials:
     async def _measured(
         self, number: int, nodes: Sequence[str], wish: MotionWish, variant: Variant
     ) -> Measured:
-        """Carry one motion out, as often as its button is released, and measure it.
-
-        Raises:
-            HpidError: It could not begin, was stopped by something else, or was cancelled.
-        """
+        """Carry one motion out, as often as its button is released, and measure it."""
         assert self._folder is not None
         states = self._session.graph.states_topic(nodes[0])
         for attempt in itertools.count(1):
@@ -364,11 +317,7 @@ class Trials:
     async def _ending(
         self, motion: HeldMotion, nodes: Sequence[str], label: str, duration: float
     ) -> Ending:
-        """Wait for a motion's end.
-
-        Raises:
-            RunError: It could not begin, or a process has ended.
-        """
+        """Wait for a motion's end."""
         self._motion, self._stage, self._is_released = motion, Stage.PREPARING, False
         self._say(f"{label}: preparing")
         while motion.stage != "ended":
@@ -392,11 +341,7 @@ class Trials:
         return ending
 
     def _explain(self, ending: Ending, label: str) -> None:
-        """Say why a motion was stopped.
-
-        Raises:
-            RunError: It is not to be tried once more.
-        """
+        """Say why a motion was stopped."""
         rest = "" if ending.is_at_rest else "; the joints were not seen to rest"
         if self._end:
             raise RunError(f"{self._end}{rest}")
@@ -405,11 +350,7 @@ class Trials:
         self._say(f"{label}: stopped: {self._why(ending)}; hold it once more", is_bad=True)
 
     def _require_wanted(self) -> None:
-        """Go on only where nobody has ended the trial.
-
-        Raises:
-            RunError: Somebody has.
-        """
+        """Go on only where nobody has ended the trial."""
         if self._end:
             raise RunError(self._end)
 
@@ -429,11 +370,7 @@ class Trials:
         return desk.holder not in (None, self._page) or now - self._here_at > _GONE_FOR
 
     async def _set(self, number: int, variant: Variant, tried: Tried) -> None:
-        """Have controllers take what is next; who wants a certificate may compute it first.
-
-        Raises:
-            RunError: They do not take it.
-        """
+        """Have controllers take what is next; who wants a certificate may compute it first."""
         self._require_wanted()
         self._stage, self.number = Stage.PREPARING, number + 1
         label, wanted, seen = variant.label, tried.wanted(variant), self._session.controllers

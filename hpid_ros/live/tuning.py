@@ -33,17 +33,11 @@ Values = Mapping[str, Value]
 
 
 class Range(NamedTuple):
-    """The ends of a slider.
+    """The ends of a slider."""
 
-    Attributes:
-        low: Least value.
-        high: Largest value.
-        is_logarithmic: Whether equal ways are equal factors.
-    """
-
-    low: float
-    high: float
-    is_logarithmic: bool
+    low: float  # least value
+    high: float  # largest value
+    is_logarithmic: bool  # whether equal ways are equal factors
 
 
 def slider_range(name: str, first: float, error_scale: float = 0.0) -> Range:
@@ -51,11 +45,6 @@ def slider_range(name: str, first: float, error_scale: float = 0.0) -> Range:
 
     A gain goes from a tenth to ten times of where it stood at first. Beyond that there is its
     field, up to what the parameter allows.
-
-    Args:
-        name: One of :data:`SLIDERS`.
-        first: Its value when the controller was first seen.
-        error_scale: For u0, of a norm that has none: the effort p times the error scale.
     """
     if name == "mu":
         return Range(-0.4999, 0.4999, is_logarithmic=False)
@@ -83,30 +72,19 @@ def differences(before: Values, after: Values) -> dict[str, Value]:
 
 @dataclass(frozen=True)
 class Step:
-    """One thing that a person did: what it set on which controllers, and what was there.
+    """One thing that a person did: what it set on which controllers, and what was there."""
 
-    Attributes:
-        what: In words.
-        before: Values that it replaced, by node and name.
-        after: Values that it set, likewise.
-    """
-
-    what: str
-    before: Mapping[str, Values]
-    after: Mapping[str, Values]
+    what: str  # in words
+    before: Mapping[str, Values]  # values that it replaced, by node and name
+    after: Mapping[str, Values]  # values that it set, likewise
 
 
 @dataclass(frozen=True)
 class Snapshot:
-    """Values of controllers under a name.
+    """Values of controllers under a name."""
 
-    Attributes:
-        name: What a person calls it.
-        values: By node, all loop parameters.
-    """
-
-    name: str
-    values: Mapping[str, Values]
+    name: str  # what a person calls it
+    values: Mapping[str, Values]  # by node, all loop parameters
 
 
 @dataclass
@@ -115,13 +93,6 @@ class Tuning:
 
     Nothing here reaches a robot: :meth:`staged_sets`, :meth:`undoing` and the others return sets
     of parameters by node, which somebody sends.
-
-    Attributes:
-        first: Values when each controller was first seen, by node.
-        in_force: Values now.
-        staged: Values that are chosen and not sent.
-        snapshots: By name, in the order in which they were kept.
-        done: Steps that can be undone, the newest last.
     """
 
     first: dict[str, dict[str, Value]] = field(default_factory=dict)
@@ -134,10 +105,6 @@ class Tuning:
         """Take note of what is in force on a controller.
 
         What was staged and is in force now, whoever set it, is staged no more.
-
-        Args:
-            node: Its full name.
-            values: All its loop parameters.
         """
         self.first.setdefault(node, dict(values))
         self.in_force[node] = dict(values)
@@ -150,32 +117,14 @@ class Tuning:
         return staged[name] if name in staged else self.in_force[node][name]
 
     def stage(self, nodes: Sequence[str], name: str, value: object) -> None:
-        """Choose a value for controllers; what is in force already is not staged.
-
-        Args:
-            nodes: Full names.
-            name: Of the parameter.
-            value: What a person typed or dragged.
-
-        Raises:
-            SettingError: The parameter does not take it; nothing is staged.
-        """
+        """Choose a value for controllers; what is in force already is not staged."""
         checked = _checked(name, value)
         for node in nodes:
             chosen = {**self.staged.get(node, {}), name: checked}
             self.staged[node] = differences(self.in_force[node], chosen)
 
     def stage_factor(self, nodes: Sequence[str], name: str, factor: float) -> None:
-        """Choose so many times what is in force, on each controller its own.
-
-        Args:
-            nodes: Full names.
-            name: Of a gain, or :data:`BANDWIDTH`: p by its square, i by its cube, d by itself.
-            factor: Positive, at most 1000.
-
-        Raises:
-            SettingError: A product is out of range; nothing is staged.
-        """
+        """Choose so many times what is in force, on each controller its own."""
         if not 0.0 < factor <= _LARGEST_FACTOR:
             raise SettingError(
                 f"a factor must be positive and at most {_LARGEST_FACTOR:g}, not {factor:g}"
@@ -189,12 +138,7 @@ class Tuning:
             self.stage([node], gain, product)
 
     def factor(self, node: str, name: str) -> float | None:
-        """Return how many times what is in force is chosen; None where that is no one number.
-
-        Args:
-            node: Full name.
-            name: Of a gain, or :data:`BANDWIDTH`.
-        """
+        """Return how many times what is in force is chosen; None where that is no one number."""
         in_force = self.in_force[node]
         factors = [
             (float(self.value(node, gain)) / float(in_force[gain])) ** (1.0 / power)
@@ -229,24 +173,14 @@ class Tuning:
         return {node: dict(self.staged[node]) for node in nodes if self.staged.get(node)}
 
     def note(self, what: str, taken: Mapping[str, Values], before: Mapping[str, Values]) -> None:
-        """Take note of sets that controllers took.
-
-        Args:
-            what: In words.
-            taken: By node.
-            before: What they replaced, by node.
-        """
+        """Take note of sets that controllers took."""
         if not taken:
             return
         kept = {node: {name: before[node][name] for name in taken[node]} for node in taken}
         self.done = [*self.done, Step(what, kept, taken)][-_DEPTH:]
 
     def undoing(self) -> dict[str, Values]:
-        """Return the sets that take the newest step back, without what somebody changed since.
-
-        Raises:
-            SettingError: There is nothing to undo, or somebody has changed all of it since.
-        """
+        """Return the sets that take the newest step back, without what somebody changed since."""
         if not self.done:
             raise SettingError("there is nothing to undo")
         step = self.done[-1]
@@ -270,15 +204,7 @@ class Tuning:
         return self._towards({node: self.first[node] for node in nodes})
 
     def keep(self, name: str, nodes: Sequence[str]) -> Snapshot:
-        """Keep what is in force on controllers.
-
-        Args:
-            name: Not empty; one that is there is replaced.
-            nodes: Full names.
-
-        Raises:
-            SettingError: There is no name.
-        """
+        """Keep what is in force on controllers."""
         name = name.strip()
         if not name:
             raise SettingError("a snapshot needs a name")
@@ -303,17 +229,7 @@ class Tuning:
         return {node: {"ros__parameters": dict(self.in_force[node])} for node in nodes}
 
     def stage_loops(self, loops: Mapping[str, LoopSettings]) -> list[str]:
-        """Stage what a parameter file says, joint by joint.
-
-        Args:
-            loops: Settings by the names of nodes; full names, or those that end like them.
-
-        Returns:
-            The controllers that the file is of.
-
-        Raises:
-            SettingError: It is of none that is here.
-        """
+        """Stage what a parameter file says, joint by joint."""
         found = {}
         for node, values in self.in_force.items():
             own = [each for name, each in loops.items() if _is_of(name, node)]

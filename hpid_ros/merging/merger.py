@@ -16,48 +16,30 @@ _STOOD_STILL_NS = NANOSECONDS // 20  # a look that comes later than this: we sto
 
 
 class Merged(NamedTuple):
-    """One command for all joints.
+    """One command for all joints."""
 
-    Attributes:
-        stamp_ns: Stamp of the newest state that it answers in [ns].
-        efforts: In the order of the joints, in [N m] or [N]; all are finite.
-    """
-
-    stamp_ns: int
-    efforts: tuple[float, ...]
+    stamp_ns: int  # [ns] stamp of the newest state that it answers
+    efforts: tuple[float, ...]  # [N m] in the order of the joints or [N]; all are finite
 
 
 @dataclass
 class JointCounts:
-    """What one joint's controller did.
+    """What one joint's controller did."""
 
-    Attributes:
-        commands: Its usable commands.
-        late: Rounds that were sent without its answer, while it was not silent.
-        silences: How often it fell silent.
-        returns: How often it came back.
-        invalid: Its commands that were not finite; each counts as if it had not come.
-        conflicting: Commands that do not continue its last one: another source commands it, too.
-    """
-
-    commands: int = 0
-    late: int = 0
-    silences: int = 0
-    returns: int = 0
-    invalid: int = 0
+    commands: int = 0  # its usable commands
+    late: int = 0  # rounds that were sent without its answer, while it was not silent
+    silences: int = 0  # how often it fell silent
+    returns: int = 0  # how often it came back
+    invalid: int = 0  # its commands that were not finite; each counts as if it had not come
+    # commands that do not continue its last one: another source commands it, too
     conflicting: int = 0
 
 
 class _Fade(NamedTuple):
-    """How a joint comes back.
+    """How a joint comes back."""
 
-    Attributes:
-        began_ns: Since when.
-        effort: From where, in [N m] or [N].
-    """
-
-    began_ns: int
-    effort: float
+    began_ns: int  # since when
+    effort: float  # [N m] from where or [N]
 
 
 class CommandMerger:
@@ -69,20 +51,6 @@ class CommandMerger:
     that comes back is faded in from there, and nothing that is not finite is ever sent.
 
     All times are of one steady clock, in [ns]. Whoever calls it sends what it returns at once.
-
-    Args:
-        settings: What it is told.
-
-    Attributes:
-        settings: What it was told.
-        counts: What each joint's controller did, by joint.
-        foreign: Commands for other joints.
-        rounds: The rounds.
-        has_begun: Whether anything may be sent.
-        sent: Messages.
-        sent_whole: Messages with an answer of every joint that is not silent.
-        silences: How often a joint has fallen silent.
-        returns: How often one has come back.
     """
 
     def __init__(self, settings: MergerSettings) -> None:
@@ -126,18 +94,7 @@ class CommandMerger:
     def take(
         self, joint: str, stamp_ns: int, effort: float, now_ns: int, *, is_signed: bool = True
     ) -> Merged | None:
-        """Take a command.
-
-        Args:
-            joint: Its joint.
-            stamp_ns: Stamp of the state that it answers in [ns].
-            effort: In [N m] or [N]; one that is not finite counts as silence.
-            now_ns: When it came.
-            is_signed: Whether its sender is known, and to be the one that the joint follows.
-
-        Returns:
-            What is to be sent now; None if nothing is.
-        """
+        """Take a command."""
         index = self._index.get(joint)
         if index is None:
             self.foreign += 1
@@ -166,14 +123,7 @@ class CommandMerger:
         return self._merged(now_ns)
 
     def look(self, now_ns: int) -> Merged | None:
-        """See who has fallen silent and what is due; to be called when :meth:`within` says.
-
-        Args:
-            now_ns: The time.
-
-        Returns:
-            What is to be sent now; None if nothing is.
-        """
+        """See who has fallen silent and what is due; to be called when :meth:`within` says."""
         self._forgive(now_ns)
         has_changed = self._fall_silent(now_ns)
         if not self._may_send(now_ns):
@@ -206,12 +156,7 @@ class CommandMerger:
         return math.inf if not times else max(min(times) - now_ns, 0) / NANOSECONDS
 
     def supersede(self, effort: float, now_ns: int) -> None:
-        """Note that joints were sent another effort meanwhile: those that command return from it.
-
-        Args:
-            effort: What they were sent, in [N m] or [N].
-            now_ns: The time.
-        """
+        """Note that joints were sent another effort; those with commands return from it."""
         if self.has_begun and self._fade_in_ns:
             for index in set(range(len(self._joints))) - self._silent:
                 self._fades[index] = _Fade(now_ns, effort)

@@ -21,11 +21,6 @@ class Receiver:
     it has, in which order. A message of another size would end it, so it is asked whenever there
     is a new one of that name, and gets nothing before it has answered. Of one without a name
     nothing is known but that somebody subscribes.
-
-    Args:
-        name: Full name of the controller's node; empty for whoever subscribes.
-        joints: The order that was given; empty to take the controller's own.
-        topic: Full name of the topic of the commands.
     """
 
     def __init__(self, name: str, joints: Sequence[str], topic: str) -> None:
@@ -71,14 +66,7 @@ class Receiver:
         return ""
 
     def see(self, endpoints: frozenset[bytes]) -> bool:
-        """Take note of its subscriptions to the commands.
-
-        Args:
-            endpoints: Their identifiers; of anybody's, if it has no name.
-
-        Returns:
-            Whether there is a new one: nothing that was said before need be true of it.
-        """
+        """Take note of its subscriptions to the commands."""
         is_new = bool(endpoints - self._endpoints)
         if is_new:
             self._told, self._refusal = (), ""
@@ -88,20 +76,11 @@ class Receiver:
         return is_new
 
     def hear_state(self, state: str | None) -> None:
-        """Take note of what its manager says of it.
-
-        Args:
-            state: Name of its lifecycle's state; None if the manager does not know it.
-        """
+        """Take note of what its manager says of it."""
         self._state = state
 
     def hear_joints(self, joints: Sequence[str] | None, interface: str | None) -> None:
-        """Take note of what it says of itself.
-
-        Args:
-            joints: Its parameter ``joints``; None if it has none.
-            interface: Its parameter ``interface_name``; None if it has none.
-        """
+        """Take note of what it says of itself."""
         try:
             self._told, self._refusal = self._checked(joints, interface), ""
         except SettingError as error:

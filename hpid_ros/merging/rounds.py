@@ -25,15 +25,6 @@ class Rounds:
     """Rounds of the answers of some joints, which are numbers from 0.
 
     All times are of one steady clock, in [ns].
-
-    Attributes:
-        stamp_ns: Stamp of the state of the present round in [ns]; None before the first answer.
-        began_ns: When the round began.
-        deadline_ns: When what has come is due; None when all of it has been sent.
-
-    Args:
-        joints: How many joints there are.
-        share: How long a command waits, as a part of the time between two rounds.
     """
 
     def __init__(self, joints: int, share: float) -> None:
@@ -79,13 +70,7 @@ class Rounds:
         return self._stamps[joint]
 
     def answer(self, joint: int, stamp_ns: int, now_ns: int) -> None:
-        """Take note of a command.
-
-        Args:
-            joint: Whose.
-            stamp_ns: Stamp of the state that it answers in [ns].
-            now_ns: When it came.
-        """
+        """Take note of a command."""
         before, self._stamps[joint] = self._stamps[joint], stamp_ns
         if self._is_another(joint, stamp_ns, before):
             self._begin(stamp_ns, now_ns)
@@ -129,11 +114,7 @@ class Rounds:
         self._is_overdue = False
 
     def finish(self, now_ns: int) -> set[int]:
-        """Note that what has come is sent because the round is complete, or has waited enough.
-
-        Returns:
-            The joints without which the round is sent; none if it was sent before.
-        """
+        """Note that what has come is sent because the round is complete, or has waited enough."""
         self.forget()
         if self._was_sent:
             return set()

@@ -17,21 +17,12 @@ LARGEST_EFFORT = 1e6
 
 @dataclass(frozen=True)
 class MergedJoint:
-    """One joint of a merged command.
+    """One joint of a merged command."""
 
-    Attributes:
-        name: The joint.
-        timeout: It is silent when no usable command has come for longer than this, in [s].
-        fallback: Effort that it is sent while it is silent, in [N m] or [N].
-        may_be_missing: Whether the merger starts without a command of this joint, at its fallback.
-
-    Raises:
-        SettingError: A value is out of range.
-    """
-
-    name: str
-    timeout: float = 0.1
-    fallback: float = 0.0
+    name: str  # the joint
+    timeout: float = 0.1  # [s] it is silent when no usable command has come for longer than this
+    fallback: float = 0.0  # [N m] effort that it is sent while it is silent or [N]
+    # whether the merger starts without a command of this joint, at its fallback
     may_be_missing: bool = False
 
     def __post_init__(self) -> None:
@@ -51,21 +42,11 @@ class MergedJoint:
 
 @dataclass(frozen=True)
 class MergerSettings:
-    """All that a merger is told.
+    """All that a merger is told."""
 
-    Attributes:
-        joints: In the order of the merged command.
-        straggler_wait: How long what has come waits for the joints that have not answered the same
-            state, as a part of the time between two states; at most 1.
-        fade_in_time: A joint that comes back is faded in from its fallback for so long, in [s];
-            0 takes its first command as it is.
-
-    Raises:
-        SettingError: There is no joint, one comes twice, or a value is out of range.
-    """
-
-    joints: tuple[MergedJoint, ...]
+    joints: tuple[MergedJoint, ...]  # in the order of the merged command
     straggler_wait: float = 0.5
+    # [s] a joint that comes back is faded in from its fallback for so long
     fade_in_time: float = 0.1
 
     def __post_init__(self) -> None:
@@ -82,14 +63,7 @@ class MergerSettings:
 
 
 def require_order(names: Iterable[str]) -> tuple[str, ...]:
-    """Return the order of a merged command.
-
-    Args:
-        names: Its joints.
-
-    Raises:
-        SettingError: There is none, or one comes twice.
-    """
+    """Return the order of a merged command."""
     order = tuple(names)
     if not order or len(set(order)) != len(order):
         raise SettingError(
@@ -105,18 +79,7 @@ def joints_of(
     timeouts: Mapping[str, float],
     fallbacks: Mapping[str, float],
 ) -> tuple[MergedJoint, ...]:
-    """Return the joints of a merged command.
-
-    Args:
-        order: Their names.
-        timeout: Of those that have none of their own, in [s].
-        timeouts: By joint, in [s].
-        fallbacks: By joint, in [N m] or [N]; a joint without one has zero, and must be there when
-            the merger starts.
-
-    Raises:
-        SettingError: A timeout or a fallback is that of no joint, or out of range.
-    """
+    """Return the joints of a merged command."""
     names = require_order(order)
     for what, values in (("timeout", timeouts), ("fallback", fallbacks)):
         for name in values:

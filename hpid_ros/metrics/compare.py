@@ -28,25 +28,15 @@ _REMEDIES = {
 
 @dataclass(frozen=True)
 class Summary:
-    """A comparison with what a table, figures and a report need beside its numbers.
+    """A comparison with what a table, figures and a report need beside its numbers."""
 
-    Attributes:
-        comparison: The numbers; repeats under one label are medians.
-        repeats: The single runs of its medians.
-        series: The first recording of each label, as far as there are recordings.
-        parameters: What the controllers were set to, by label, joint and parameter.
-        warnings: What keeps the runs from being compared fairly, one line each.
-        sources: Where the numbers come from.
-        end_effectors: Deviations of the end effector, by label, of the first recording of each.
-        paths: Its paths.
-    """
-
-    comparison: Comparison
-    repeats: tuple[RunIndices, ...] = ()
+    comparison: Comparison  # the numbers; repeats under one label are medians
+    repeats: tuple[RunIndices, ...] = ()  # the single runs of its medians
+    # the first recording of each label, as far as there are recordings
     series: tuple[RunSeries, ...] = ()
     parameters: Parameters = field(default_factory=dict)
-    warnings: tuple[str, ...] = ()
-    sources: tuple[Path, ...] = ()
+    warnings: tuple[str, ...] = ()  # what keeps the runs from being compared fairly, one line each
+    sources: tuple[Path, ...] = ()  # where the numbers come from
     end_effectors: Mapping[str, EndEffectorFigures] = field(default_factory=dict)
     paths: tuple[EndEffectorPath, ...] = ()
 
@@ -92,20 +82,7 @@ def summary(
     is_overall: bool = False,
     names_commands: bool = False,
 ) -> Summary:
-    """Return measured recordings side by side, with all that belongs beside the numbers.
-
-    Args:
-        measured: What was measured; repeats have the same label.
-        baseline: As for :func:`compare`.
-        indices: As for :func:`compare`.
-        units: As for :func:`compare`.
-        is_overall: Only the numbers over all joints.
-        names_commands: Whether it was said what carries the efforts.
-
-    Raises:
-        SettingError: A name is unknown, or none of the numbers can be computed.
-        SeriesError: The runs' joints differ.
-    """
+    """Return measured recordings side by side, with all that belongs beside the numbers."""
     single = _baseline_first(baseline, [run for each in measured for run in each.runs])
     warnings = (
         *(line for each in measured for line in each.defects),
@@ -165,12 +142,7 @@ def _selected(runs: Sequence[RunIndices], indices: Sequence[str], is_overall: bo
 
 
 def _advice(runs: Sequence[RunIndices], *, is_measured_a_choice: bool) -> list[str]:
-    """Return one line for each set of runs that lack something, with the options that give it.
-
-    Args:
-        runs: The runs.
-        is_measured_a_choice: Whether measured efforts were taken for want of commands.
-    """
+    """Return one line for each set of runs that lack something, with the options that give it."""
     labels: dict[str, list[str]] = {}
     for run in runs:
         parts = []

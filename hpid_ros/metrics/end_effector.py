@@ -30,30 +30,18 @@ _UP = np.array([0.0, 0.0, 1.0])
 
 @dataclass(frozen=True)
 class TaskFrame:
-    """A robot and the link whose pose counts.
+    """A robot and the link whose pose counts."""
 
-    Attributes:
-        description: The robot.
-        link: Name of the link.
-        base: Its base; None where the root does not move, or nobody knows how.
-        others: Positions of joints that a recording lacks, in [rad]; the rest is at 0.
-        is_required: Whether a recording in which the link cannot be followed is an error.
-    """
-
-    description: RobotDescription
-    link: str
-    base: DifferentialDrive | None = None
+    description: RobotDescription  # the robot
+    link: str  # name of the link
+    base: DifferentialDrive | None = None  # its base
     others: Mapping[str, float] = field(default_factory=dict)
+    # whether a recording in which the link cannot be followed is an error
     is_required: bool = True
 
 
 def moving_joints(description: RobotDescription, link: str) -> frozenset[str]:
-    """Return the joints that move a link against the root.
-
-    Args:
-        description: The robot.
-        link: Name of the link.
-    """
+    """Return the joints that move a link against the root."""
     try:
         return frozenset(Kinematics(description, link).joints)
     except RobotDescriptionError:
@@ -61,17 +49,7 @@ def moving_joints(description: RobotDescription, link: str) -> frozenset[str]:
 
 
 class EndEffector:
-    """The end effector of one run, at the states of its first joint.
-
-    Args:
-        frame: The robot.
-        run: The run; of its joints those between the root and the link count.
-
-    Raises:
-        BagError: The run has none of the link's joints, no reference of one of them, or only one
-            of the wheels.
-        RobotDescriptionError: The robot lacks the link or no joint moves it.
-    """
+    """The end effector of one run, at the states of its first joint."""
 
     def __init__(self, frame: TaskFrame, run: RunSeries) -> None:
         self._frame = frame
@@ -105,11 +83,7 @@ class EndEffector:
         return "odom" if self._bases is not None else self._frame.description.root
 
     def figures(self, truth: PoseColumns | None = None) -> EndEffectorFigures:
-        """Return the deviations of the whole run.
-
-        Args:
-            truth: The end effector's true poses in ``odom``, if they were recorded.
-        """
+        """Return the deviations of the whole run."""
         blocks = [
             _deviations(self._poses("reference", block), self._poses("position", block))
             for block in self._blocks()
@@ -120,11 +94,7 @@ class EndEffector:
         return EndEffectorFigures(self._frame.link, self.frame, tracking, true)
 
     def path(self, points: int) -> EndEffectorPath:
-        """Return the paths for a figure.
-
-        Args:
-            points: About how many.
-        """
+        """Return the paths for a figure."""
         every = np.arange(0, len(self._stamps_ns), max(1, len(self._stamps_ns) // points))
         reference, position = (self._poses(what, every) for what in ("reference", "position"))
         return EndEffectorPath(self._label, reference.positions, position.positions)
@@ -145,12 +115,7 @@ class EndEffector:
             yield np.arange(begin, min(begin + _BLOCK, count))
 
     def _poses(self, what: str, at: npt.NDArray[np.int64]) -> LinkPoses:
-        """Return the link in the task frame.
-
-        Args:
-            what: ``reference`` or ``position``.
-            at: Which states.
-        """
+        """Return the link in the task frame."""
         columns = [self._column(self._series[joint], what)[at] for joint in self._arm.joints]
         poses = self._arm.poses(np.column_stack(columns))
         if self._bases is None:

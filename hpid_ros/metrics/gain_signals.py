@@ -22,13 +22,6 @@ def gain_signals(
 
     The error's rate is computed as the loop does it: the reference's own rate minus the filtered
     difference of the positions.
-
-    Args:
-        run: The recording.
-        settings: The settings with which it was made, by joint.
-
-    Returns:
-        The signals by joint; None if a joint's settings or its reference are missing.
     """
     if any(each.joint not in settings or not each.has_reference for each in run.joints):
         return None

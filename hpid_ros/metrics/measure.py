@@ -65,6 +65,9 @@ class Measuring:
     def index_settings(self, joints: Sequence[str]) -> IndexSettings:
         """Return the settings of the indices of a run with these joints.
 
+        Args:
+            joints: Their names.
+
         Raises:
             SeriesError: A value is not positive, or names a joint that is not there.
         """
@@ -135,14 +138,6 @@ def measure_all(
 
     Recordings of unlike length are cut to the time that all of them have, unless a window was
     asked for. A result folder stands for its bags.
-
-    Args:
-        bags: Bags, result folders, saved numbers.
-        how: As for :func:`measure`.
-        tell: As for :func:`measure`.
-
-    Raises:
-        HpidError: One of them cannot be read.
     """
     how, tell = how or Measuring(), tell or _untold
     named = [each if isinstance(each, Source) else Source(Path(each)) for each in bags]

@@ -24,12 +24,6 @@ def read_retunes(path: Path) -> tuple[Retune, ...]:
     """Return what was set at the controllers of a bag, each with the state before it.
 
     Parameters that a node declares when it starts are no changes.
-
-    Args:
-        path: The bag.
-
-    Raises:
-        BagError: The bag cannot be read.
     """
     with Storage(path) as bag:
         topics = bag.topics()

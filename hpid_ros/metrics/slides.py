@@ -12,15 +12,10 @@ from hpid_ros.robot.description import RobotDescription
 
 
 class SlidingJoints(NamedTuple):
-    """What is known of a recording's joints.
+    """What is known of a recording's joints."""
 
-    Attributes:
-        slides: Joints that slide; what is not named turns, or nobody knows.
-        doubts: What could not be used, one line each.
-    """
-
-    slides: frozenset[str]
-    doubts: tuple[str, ...] = ()
+    slides: frozenset[str]  # joints that slide; what is not named turns, or nobody knows
+    doubts: tuple[str, ...] = ()  # what could not be used, one line each
 
 
 def sliding_joints(
@@ -30,14 +25,6 @@ def sliding_joints(
 
     A bag of this package says so in its metadata; others may hold the ``robot_description`` that
     ``robot_state_publisher`` latches.
-
-    Args:
-        bag: The bag.
-        description: Of the robot; None if only the bag is to tell.
-        namespace: Which of several robots.
-
-    Raises:
-        BagError: The bag cannot be read.
     """
     if description is not None:
         return SlidingJoints(description.slides)

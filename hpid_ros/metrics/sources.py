@@ -19,15 +19,10 @@ LABEL = "label"
 
 @dataclass(frozen=True)
 class Source:
-    """One thing to read.
+    """One thing to read."""
 
-    Attributes:
-        path: A bag, or a file of saved numbers.
-        label: What it is called; None if it says so itself.
-    """
-
-    path: Path
-    label: str | None = None
+    path: Path  # a bag, or a file of saved numbers
+    label: str | None = None  # what it is called; None if it says so itself
 
     @property
     def is_saved(self) -> bool:
@@ -36,11 +31,7 @@ class Source:
 
 
 def expanded(source: Source) -> list[Source]:
-    """Return the bags of a result folder, its saved numbers if they are gone, or the source.
-
-    Raises:
-        SettingError: The result cannot be read.
-    """
+    """Return the bags of a result folder, its saved numbers if they are gone, or the source."""
     if not (source.path / RESULT).is_file():
         return [source]
     document = load_json(source.path / RESULT)
@@ -70,11 +61,7 @@ def labelled(sources: Sequence[Source]) -> list[Source]:
 
 
 def saved_parameters(bag: Path) -> Mapping[str, Mapping[str, object]]:
-    """Return what the controllers of a bag in a result folder were set to, by joint and name.
-
-    Raises:
-        SettingError: The result cannot be read.
-    """
+    """Return what the controllers of a bag in a result folder were set to, by joint and name."""
     result = bag.absolute().parent.parent / RESULT
     if bag.absolute().parent.name != "bags" or not result.is_file():
         return {}
@@ -87,11 +74,7 @@ def saved_parameters(bag: Path) -> Mapping[str, Mapping[str, object]]:
 
 
 def load_json(path: Path) -> Any:
-    """Return what a JSON file says.
-
-    Raises:
-        SettingError: It cannot be read, or is no JSON.
-    """
+    """Return what a JSON file says."""
     try:
         return json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:

@@ -32,14 +32,7 @@ _FINISHED = "metadata.yaml"
 
 
 class FinishedBags:
-    """Looks for finished bags below a folder, at any depth; those there already are not new.
-
-    Args:
-        folder: Where to look.
-
-    Raises:
-        SettingError: It is no folder.
-    """
+    """Looks for finished bags below a folder, at any depth; those there already are not new."""
 
     def __init__(self, folder: Path) -> None:
         if not folder.is_dir():
@@ -74,9 +67,6 @@ class BagMetrics(executor.ClosingNode):
 
     With ``watch`` it stays, and does the same for each bag that is finished in that folder, with
     the first of its bags as the baseline.
-
-    Raises:
-        HpidError: Nothing was named, or a bag cannot be read.
     """
 
     def __init__(self) -> None:
@@ -192,11 +182,7 @@ def _description(robot: str) -> RobotDescription:
 
 
 def indices_message(comparison: Comparison) -> DiagnosticArray:
-    """Return the indices as one status for each run and joint, and one for each run.
-
-    Args:
-        comparison: The numbers; keys carry the units.
-    """
+    """Return the indices as one status for each run and joint, and one for each run."""
     array = DiagnosticArray()
     of_all = (*comparison.indices, *comparison.norms)
     for run in comparison.runs:

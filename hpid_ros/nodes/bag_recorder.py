@@ -53,11 +53,6 @@ class BagRecorder(executor.ClosingNode):
     last, whoever waits for a subscriber of the states has a recorder for all that answers them.
     The last waits for the latched messages of the others, 2 s at most: a reference that began
     before the first state stands before it in the bag.
-
-    Raises:
-        SettingError: No bag or no topic was named, or a topic twice.
-        InvalidTopicNameException: A topic's name is none.
-        HpidError: The bag cannot be created.
     """
 
     def __init__(self) -> None:
@@ -233,11 +228,7 @@ class BagRecorder(executor.ClosingNode):
 
 
 def _controllers(node: Node) -> dict[str, str]:
-    """Return the entry of the bag's metadata that keeps the controllers' parameters.
-
-    Raises:
-        SettingError: The file cannot be read, or holds no controllers.
-    """
+    """Return the entry of the bag's metadata that keeps the controllers' parameters."""
     file = str(
         read_only(
             node,

@@ -38,12 +38,6 @@ class JointTrajectoryController(executor.ClosingNode):
 
     Controllers follow trajectories by themselves: this node tells them, watches, and tells them to
     stop. Without it they go on to the last point of what they were told, and hold there.
-
-    Args:
-        name: Node name, which the action's begins with.
-
-    Raises:
-        HpidError: The parameters cannot be used as a whole, or control_msgs is not installed.
     """
 
     def __init__(self, name: str = "joint_trajectory_controller") -> None:

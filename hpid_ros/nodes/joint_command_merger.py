@@ -41,15 +41,6 @@ class JointCommandMerger(ManagedNode):
     ``joint_commands`` as it has joints that may not be missing; then it listens, so that
     controllers begin when somebody is there for all of them. Controllers of the same process hand
     their commands to it without a topic between (:meth:`sink`).
-
-    Args:
-        name: Node name.
-        joints: Its joints if the parameters name none.
-        is_composed: Whether its controllers are in its process, and the only ones.
-        options: Passed on to ``rclpy.node.Node``.
-
-    Raises:
-        HpidError: The parameters given at start cannot be used as a whole.
     """
 
     def __init__(
@@ -94,11 +85,7 @@ class JointCommandMerger(ManagedNode):
         self._health.scheduling = schedule(self)
 
     def begin(self) -> None:
-        """Activate: merge as soon as there is somebody to hear it, and somebody to be heard.
-
-        Raises:
-            ClaimError: Another merger has claimed the topic.
-        """
+        """Activate: merge as soon as there is somebody to hear it, and somebody to be heard."""
         self._stop_repeating()
         self._claim.take()
         self._watch.start()
@@ -210,13 +197,7 @@ class JointCommandMerger(ManagedNode):
             self._stream.take(name, stamp_ns, effort, is_signed=bool(sender))
 
     def sink(self, node: Node, joint: str, sender: str) -> CommandSink:
-        """Return what a controller of this process gives its commands to.
-
-        Args:
-            node: The controller.
-            joint: Its joint.
-            sender: Who it is; within a process nobody else can be it.
-        """
+        """Return what a controller of this process gives its commands to."""
         return MergedCommands(self._stream, joint)
 
     def _tell_change(self) -> None:

@@ -51,15 +51,6 @@ class JointController(ManagedNode):
     An active controller subscribes to the states once its commands have somebody to hear them
     (and, when asked, once it has a reference): no integral winds up against silence. It begins
     by holding the joint where it is. While it is active the joint is its own alone.
-
-    Args:
-        name: Node name.
-        sinks: Where its commands may go, by the names of ``command_interface``.
-        states: Makes of the controller what gives it its states.
-        options: Passed on to ``rclpy.node.Node``.
-
-    Raises:
-        HpidError: The parameters given at start cannot be used as a whole.
     """
 
     def __init__(
@@ -140,11 +131,7 @@ class JointController(ManagedNode):
         self._needs_reference = False
 
     def begin(self) -> None:
-        """Activate: hold the joint where it is as soon as somebody hears the commands.
-
-        Raises:
-            ClaimError: Another controller has claimed the joint.
-        """
+        """Activate: hold the joint where it is as soon as somebody hears the commands."""
         self._stopping.end()
         self._claim.take()
         self._stop_listening()

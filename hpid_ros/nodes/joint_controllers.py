@@ -53,12 +53,7 @@ class Composition(executor.ClosingNode):
 
 
 def make_nodes() -> list[executor.ClosingNode]:
-    """Make one controller for each joint of the parameter ``joints``, and a merger if wished.
-
-    Raises:
-        HpidError: The parameter names no joint, or one twice; or others cannot be used.
-        InvalidNodeNameException: A joint's name has a character that a node's may not have.
-    """
+    """Make one controller for each joint of the parameter ``joints``, and a merger if wished."""
     composition = Composition()
     joints = list(composition.joints)
     for joint in joints:

@@ -26,12 +26,7 @@ _DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY")
 
 
 class LiveTuner(executor.ClosingNode):
-    """The graph on one side, the page's server on the other.
-
-    Raises:
-        HpidError: The page cannot be served as it is wanted.
-        ModuleNotFoundError: The library of the page is not installed.
-    """
+    """The graph on one side, the page's server on the other."""
 
     def __init__(self) -> None:
         super().__init__("live_tuner")

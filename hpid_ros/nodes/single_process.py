@@ -27,12 +27,7 @@ class SingleProcess(executor.ClosingNode):
 
 
 def make_nodes() -> list[executor.ClosingNode]:
-    """Make the bridge, one controller for each joint of ``joint_controllers``, and a recorder.
-
-    Raises:
-        HpidError: A parameter given at start cannot be used.
-        InvalidNodeNameException: A joint's name has a character that a node's may not have.
-    """
+    """Make the bridge, one controller for each joint of ``joint_controllers``, and a recorder."""
     process = SingleProcess()
     nodes = [process, RobotBridge(process.engine), *joint_controllers.make_nodes()]
     # The last to be closed: it keeps what the others still say.

@@ -32,10 +32,6 @@ class TrajectoryPublisher(executor.ClosingNode):
     """Publishes the ``reference`` section of a file on ``joint_trajectory``.
 
     A brick task is planned here: the file is an experiment then, whose robot and scene are read.
-
-    Raises:
-        SettingError: No file was named.
-        HpidError: The file has no usable reference, or its robot cannot be read.
     """
 
     def __init__(self) -> None:

@@ -44,16 +44,7 @@ _SLACK = 1e-9  # of a limit, for rounding
 
 
 def check_limits(trajectory: JointTrajectory, description: RobotDescription) -> None:
-    """Refuse a trajectory that passes a joint's limits of position or velocity.
-
-    Args:
-        trajectory: The trajectory.
-        description: The robot.
-
-    Raises:
-        TrajectoryError: It does; the line names the joint and the time.
-        RobotDescriptionError: The robot lacks one of its joints.
-    """
+    """Refuse a trajectory that passes a joint's limits of position or velocity."""
     for joint in description.select(trajectory.joint_names):
         for start, end in pairwise(trajectory.column(joint.name).knots):
             c = segment(start, end)
@@ -86,19 +77,7 @@ def plan_bricks(
     folded: npt.ArrayLike,
     options: PlanOptions | None = None,
 ) -> BrickPlan:
-    """Plan a brick task.
-
-    Args:
-        robot: The robot; without a base everything must be within the arm's reach.
-        arm: The arm that carries the hand.
-        goals: The bricks, in the order in which they are carried.
-        folded: Positions of the arm's joints while the base drives, in [rad].
-        options: How it is done.
-
-    Raises:
-        TrajectoryError: There is no brick, one is too wide or out of reach, or a joint's limit
-            would be passed; the line names the brick.
-    """
+    """Plan a brick task."""
     if not goals:
         raise TrajectoryError("a brick task must have at least one brick, not none")
     planner = _Planner(robot, arm, np.asarray(folded, dtype=float), options or PlanOptions())
@@ -250,10 +229,6 @@ def _seen_from(station: PlanePose, pose: LinkPose) -> LinkPose:
 
 
 def about_z(angle: float) -> Numbers:
-    """Return the rotation matrix of a turn about z.
-
-    Args:
-        angle: In [rad].
-    """
+    """Return the rotation matrix of a turn about z."""
     c, s = math.cos(angle), math.sin(angle)
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])

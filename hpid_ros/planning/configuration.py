@@ -92,46 +92,25 @@ class BrickTask(PlanOptions):
 
 
 class PlannedReference(NamedTuple):
-    """A reference, and the plan behind it.
+    """A reference, and the plan behind it."""
 
-    Attributes:
-        trajectory: What the joints follow.
-        plan: The brick task; None for any other kind.
-    """
-
-    trajectory: JointTrajectory
-    plan: BrickPlan | None = None
+    trajectory: JointTrajectory  # what the joints follow
+    plan: BrickPlan | None = None  # the brick task; None for any other kind
 
 
 class KnownScene(NamedTuple):
-    """What a plan knows of the scene.
+    """What a plan knows of the scene."""
 
-    Attributes:
-        bricks: Size and place of each brick, by name.
-        hand: Link that holds a brick.
-        opening: Widest brick that it can take, in [m].
-    """
-
+    # size and place of each brick, by name
     bricks: Mapping[str, tuple[tuple[float, float, float], Placement]]
-    hand: str = HAND
-    opening: float = math.inf
+    hand: str = HAND  # link that holds a brick
+    opening: float = math.inf  # [m] widest brick that it can take
 
 
 def planned_reference(
     document: object, where: str, load_robot: Callable[[str], RobotDescription]
 ) -> PlannedReference:
-    """Return the reference of a whole document: an experiment, or a file with a reference.
-
-    Args:
-        document: The document. For ``kind: bricks`` its sections ``robot`` (``description``,
-            ``base``, ``initial_positions``) and ``scene`` are read too.
-        where: Place of ``reference``, for the messages.
-        load_robot: Returns the robot of what ``robot.description`` says.
-
-    Raises:
-        HpidError: A key is missing or unknown, the robot cannot be read, or the numbers make no
-            reference.
-    """
+    """Return the reference of a whole document: an experiment, or a file with a reference."""
     section = document.get("reference") if isinstance(document, Mapping) else None
     if not (isinstance(section, Mapping) and section.get("kind") == BRICKS):
         return PlannedReference(trajectory_from(section, where))
@@ -148,15 +127,6 @@ def reference_from(
 
     ``kind: bricks`` is a :class:`BrickTask`; every other kind is that of
     :func:`hpid_ros.trajectory.reference_from`.
-
-    Args:
-        values: The section.
-        where: Its place in the document, for the messages.
-        robot: The robot that does the task.
-        scene: What is known of the bricks.
-
-    Raises:
-        TrajectoryError: A key is missing or unknown, or the task cannot be done.
     """
     section = Section(values, where, TrajectoryError)
     if section.text("kind") != BRICKS:

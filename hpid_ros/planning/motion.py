@@ -26,32 +26,16 @@ _DIGITS = 10  # of a knot: what is beyond is rounding of the solver, and differs
 
 
 class MotionRow(NamedTuple):
-    """All joints at one instant.
+    """All joints at one instant."""
 
-    Attributes:
-        time_ns: From the start, in [ns].
-        positions: In [rad].
-        velocities: In [rad/s].
-        accelerations: In [rad/s^2].
-    """
-
-    time_ns: int
-    positions: Numbers
-    velocities: Numbers
-    accelerations: Numbers
+    time_ns: int  # [ns] from the start
+    positions: Numbers  # [rad]
+    velocities: Numbers  # [rad/s]
+    accelerations: Numbers  # [rad/s^2]
 
 
 class ArmMotion:
-    """A motion that begins and ends every piece at rest.
-
-    Args:
-        arm: The arm.
-        start: Where it stands at time 0, in [rad].
-        speed: Largest joint speed of a joint move, as a share of each joint's limit.
-
-    Attributes:
-        time_ns: Where the motion ends so far, in [ns].
-    """
+    """A motion that begins and ends every piece at rest."""
 
     def __init__(self, arm: Kinematics, start: npt.ArrayLike, speed: float) -> None:
         self._arm = arm
@@ -66,21 +50,13 @@ class ArmMotion:
         return self._rows[-1].positions
 
     def wait(self, seconds: float) -> None:
-        """Stay.
-
-        Args:
-            seconds: How long, in [s].
-        """
+        """Stay."""
         if seconds > 0.0:
             self.time_ns += _whole(seconds)
             self._rows.append(self._at_rest(self.positions))
 
     def move(self, target: Numbers) -> None:
-        """Move every joint with least jerk.
-
-        Args:
-            target: Where to, in [rad].
-        """
+        """Move every joint with least jerk."""
         distance = np.abs(target - self.positions)
         if not distance.any():
             return
@@ -88,16 +64,7 @@ class ArmMotion:
         self._rows.append(self._at_rest(target))
 
     def line(self, target: LinkPose, speed: float) -> None:
-        """Move the link along a straight line with least jerk, its axes unchanged.
-
-        Args:
-            target: Where to, in the root's frame, with the axes that the link has.
-            speed: Largest speed, in [m/s].
-
-        Raises:
-            ReachError: A point of the line cannot be reached.
-            TrajectoryError: The joints would have to jump on the way.
-        """
+        """Move the link along a straight line with least jerk, its axes unchanged."""
         start = self._arm.pose(self.positions).position
         length = float(np.linalg.norm(target.position - start))
         if length == 0.0:
@@ -164,15 +131,7 @@ PlanePose = tuple[float, float, float]
 
 
 class BaseMotion:
-    """A path that begins at the origin of ``odom`` and rests at the end of every piece.
-
-    Args:
-        drive_speed: Largest speed, in [m/s].
-        turn_speed: Largest turning speed, in [rad/s].
-
-    Attributes:
-        pose: Where the base stands at the end so far.
-    """
+    """A path that begins at the origin of ``odom`` and rests at the end of every piece."""
 
     def __init__(self, drive_speed: float, turn_speed: float) -> None:
         self._drive_speed, self._turn_speed = drive_speed, turn_speed
@@ -192,22 +151,14 @@ class BaseMotion:
             self._add(self.pose, time_ns)
 
     def turn(self, heading: float) -> None:
-        """Turn in place, the shorter way round.
-
-        Args:
-            heading: To where, in [rad].
-        """
+        """Turn in place, the shorter way round."""
         x, y, before = self.pose
         angle = math.remainder(heading - before, math.tau)
         if abs(angle) > _NEAR:
             self._add((x, y, before + angle), self._after(abs(angle) / self._turn_speed))
 
     def drive(self, distance: float) -> None:
-        """Drive straight on.
-
-        Args:
-            distance: How far, in [m]; backwards where it is negative.
-        """
+        """Drive straight on."""
         x, y, heading = self.pose
         if abs(distance) > _NEAR:
             there = (x + distance * math.cos(heading), y + distance * math.sin(heading), heading)
@@ -215,15 +166,7 @@ class BaseMotion:
             self._add(there, self._after(abs(distance) / self._drive_speed), direction)
 
     def trajectory(self, base: DifferentialDrive, velocity_limit: float) -> JointTrajectory:
-        """Return the wheels' trajectories.
-
-        Args:
-            base: The base.
-            velocity_limit: Of a wheel, in [rad/s].
-
-        Raises:
-            TrajectoryError: A piece asks for more than the limit.
-        """
+        """Return the wheels' trajectories."""
         if len(self._poses) == 1:
             self._add(self.pose, self.time_ns + NANOSECONDS)
         return base_path(

@@ -18,20 +18,12 @@ if TYPE_CHECKING:  # Pinocchio takes a moment to import, and most references do 
 
 @dataclass(frozen=True)
 class TaskRobot:
-    """The robot that does a task.
+    """The robot that does a task."""
 
-    Attributes:
-        description: The robot.
-        base: Its base; None where the root does not move.
-        initial_positions: Positions at time 0 by joint, in [rad]; others start at 0. The root
-            link starts at the origin of the frame ``odom``.
-        opening: Widest brick that its hand can take, in [m].
-    """
-
-    description: RobotDescription
-    base: DifferentialDrive | None = None
+    description: RobotDescription  # the robot
+    base: DifferentialDrive | None = None  # its base; None where the root does not move
     initial_positions: Mapping[str, float] = field(default_factory=dict)
-    opening: float = math.inf
+    opening: float = math.inf  # [m] widest brick that its hand can take
 
 
 @dataclass(frozen=True)
@@ -74,81 +66,48 @@ class PlanOptions(Record):
 
 
 class Placement(NamedTuple):
-    """Where a brick is, in the frame ``odom``.
+    """Where a brick is, in the frame ``odom``."""
 
-    Attributes:
-        position: Its centre x, y, z, in [m].
-        yaw: Its turn about z, in [rad].
-        approach: Heading of the base before it, in [rad]; None: straight from where it is.
-    """
-
-    position: tuple[float, float, float]
-    yaw: float = 0.0
-    approach: float | None = None
+    position: tuple[float, float, float]  # [m] its centre x, y, z
+    yaw: float = 0.0  # [rad] its turn about z
+    approach: float | None = None  # [rad] heading of the base before it
 
 
 @dataclass(frozen=True)
 class BrickGoal:
-    """A brick, where it is, and where it shall be.
+    """A brick, where it is, and where it shall be."""
 
-    Attributes:
-        name: Name of the brick.
-        size: Edges along its own x, y, z, in [m].
-        pick: Where it is.
-        place: Where it shall be.
-    """
-
-    name: str
-    size: tuple[float, float, float]
-    pick: Placement
-    place: Placement
+    name: str  # name of the brick
+    size: tuple[float, float, float]  # [m] edges along its own x, y, z
+    pick: Placement  # where it is
+    place: Placement  # where it shall be
 
 
 class Grip(NamedTuple):
-    """The gripper closes or opens.
+    """The gripper closes or opens."""
 
-    Attributes:
-        time_ns: From the start, in [ns].
-        is_closed: Whether it closes.
-        brick: Name of the brick that it is for.
-    """
-
-    time_ns: int
-    is_closed: bool
-    brick: str
+    time_ns: int  # [ns] from the start
+    is_closed: bool  # whether it closes
+    brick: str  # name of the brick that it is for
 
 
 class TaskPose(NamedTuple):
-    """Where the hand is to be, in the frame ``odom``.
+    """Where the hand is to be, in the frame ``odom``."""
 
-    Attributes:
-        time_ns: When, from the start, in [ns].
-        phase: ``above pick``, ``pick``, ``lifted``, ``above place``, ``place`` or ``retreated``.
-        brick: Name of the brick.
-        pose: The hand.
-    """
-
-    time_ns: int
-    phase: str
-    brick: str
-    pose: LinkPose
+    time_ns: int  # [ns] when, from the start
+    phase: str  # above pick, pick, lifted, above place, place or retreated
+    brick: str  # name of the brick
+    pose: LinkPose  # the hand
 
 
 @dataclass(frozen=True)
 class BrickPlan:
-    """A whole brick task.
+    """A whole brick task."""
 
-    Attributes:
-        trajectory: Of all joints, the wheels first.
-        grips: When the gripper closes and opens.
-        poses: What the hand has to reach, in order.
-        goals: The bricks, in order.
-    """
-
-    trajectory: JointTrajectory
-    grips: tuple[Grip, ...]
-    poses: tuple[TaskPose, ...]
-    goals: tuple[BrickGoal, ...]
+    trajectory: JointTrajectory  # of all joints, the wheels first
+    grips: tuple[Grip, ...]  # when the gripper closes and opens
+    poses: tuple[TaskPose, ...]  # what the hand has to reach, in order
+    goals: tuple[BrickGoal, ...]  # the bricks, in order
 
     @property
     def duration(self) -> float:

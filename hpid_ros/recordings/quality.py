@@ -22,33 +22,21 @@ class StampQuality:
 
     The period is the median time between two stamps. An interval longer than 1.5 periods is a
     gap. Repeats and samples that are out of order are counted in the order of the recording.
-
-    Attributes:
-        count: Samples that are used.
-        period: Median time between two of them, in [s]; zero for fewer than two.
-        begin: First stamp, in seconds since the first state of any joint, in [s].
-        end: Last stamp, likewise.
-        gaps: Intervals longer than 1.5 periods.
-        lost: Samples that would fill the gaps, no more than the whole time has room for.
-        gap_time: Sum of the gaps, in [s].
-        longest_gap: The longest, in [s]; zero if there is none.
-        longest_gap_at: When it begins, in seconds since the first state of any joint, in [s].
-        repeated: Samples whose stamp was there already; of several the last stands.
-        out_of_order: Samples with an earlier stamp than the sample recorded before.
-        not_finite: Samples that were left out, their number being NaN, infinite or beyond 1e50.
     """
 
-    count: int = 0
-    period: float = 0.0
-    begin: float = 0.0
-    end: float = 0.0
-    gaps: int = 0
-    lost: int = 0
-    gap_time: float = 0.0
-    longest_gap: float = 0.0
+    count: int = 0  # samples that are used
+    period: float = 0.0  # [s] median time between two of them; zero for fewer than two
+    begin: float = 0.0  # [s] first stamp, in seconds since the first state of any joint
+    end: float = 0.0  # last stamp, likewise
+    gaps: int = 0  # intervals longer than 1.5 periods
+    lost: int = 0  # samples that would fill the gaps, no more than the whole time has room for
+    gap_time: float = 0.0  # [s] sum of the gaps
+    longest_gap: float = 0.0  # [s] the longest; zero if there is none
+    # [s] when it begins, in seconds since the first state of any joint
     longest_gap_at: float = 0.0
-    repeated: int = 0
-    out_of_order: int = 0
+    repeated: int = 0  # samples whose stamp was there already; of several the last stands
+    out_of_order: int = 0  # samples with an earlier stamp than the sample recorded before
+    # samples that were left out, their number being NaN, infinite or beyond 1e50
     not_finite: int = 0
 
     @property
@@ -59,35 +47,20 @@ class StampQuality:
 
 @dataclass(frozen=True)
 class DataQuality:
-    """What one joint's series was made of.
-
-    Attributes:
-        states: Its states.
-        commands: Its commands; a count of 0 if it has none.
-        state_clock: ``"header"`` or ``"receive"``: whose time the states have.
-        command_clock: Likewise of the commands; ``"receive"`` if their messages carry no stamp.
-        answers_states: Whether commands carry the stamps of the states that they answer, so that
-            unanswered states can be counted.
-        reference: Kind and topic of the reference, for instance
-            ``"trajectory /joint_trajectory"``; ``"hold"`` is the first position, as asked for,
-            ``"none"`` that nothing says it.
-        references: Number of reference messages that concern the joint.
-        reference_from: When the joint came under its reference, in seconds since the first state
-            of any joint, in [s]; None without a reference.
-        effort: Topic of the efforts, ``"measured"`` and the topic of the states, or ``"none"``.
-        no_effort: Why there is none; empty if there is.
-    """
+    """What one joint's series was made of."""
 
     states: StampQuality = field(default_factory=StampQuality)
     commands: StampQuality = field(default_factory=StampQuality)
-    state_clock: str = "header"
-    command_clock: str = "header"
+    state_clock: str = "header"  # "header" or "receive": whose time the states have
+    command_clock: str = "header"  # likewise of the commands
     answers_states: bool = True
+    # kind and topic of the reference, for instance "trajectory /joint_trajectory"
     reference: str = NONE
-    references: int = 0
+    references: int = 0  # number of reference messages that concern the joint
+    # [s] when the joint came under its reference, in seconds since the first state of any joint
     reference_from: float | None = None
-    effort: str = NONE
-    no_effort: str = ""
+    effort: str = NONE  # topic of the efforts, "measured" and the topic of the states, or "none"
+    no_effort: str = ""  # why there is none; empty if there is
 
     @property
     def has_common_time(self) -> bool:
@@ -105,24 +78,14 @@ class DataQuality:
 
 @dataclass(frozen=True)
 class RecordingQuality:
-    """What a whole recording was made of.
+    """What a whole recording was made of."""
 
-    Attributes:
-        source: Path of the bag.
-        joints: Quality by joint.
-        unreadable: One line for each part of the files that could not be read; empty if all
-            could.
-        notes: One line for each thing that was assumed or left out on purpose.
-        missed: Messages that the recorder knows it never got, by topic.
-        stood_still: How long the recorder itself stood still, in [s].
-    """
-
-    source: str = ""
+    source: str = ""  # path of the bag
     joints: Mapping[str, DataQuality] = field(default_factory=dict)
-    unreadable: tuple[str, ...] = ()
-    notes: tuple[str, ...] = ()
+    unreadable: tuple[str, ...] = ()  # one line for each part of the files that could not be read
+    notes: tuple[str, ...] = ()  # one line for each thing that was assumed or left out on purpose
     missed: Mapping[str, int] = field(default_factory=dict)
-    stood_still: float = 0.0
+    stood_still: float = 0.0  # [s] how long the recorder itself stood still
 
     @property
     def is_complete(self) -> bool:

@@ -128,15 +128,10 @@ class JointSeries:
 
 @dataclass(frozen=True)
 class Losses:
-    """What went missing between one joint's controller and the robot.
+    """What went missing between one joint's controller and the robot."""
 
-    Attributes:
-        unanswered_states: States that no command answers.
-        repeated_commands: Commands beyond the first that carry an already answered stamp.
-    """
-
-    unanswered_states: int = 0
-    repeated_commands: int = 0
+    unanswered_states: int = 0  # states that no command answers
+    repeated_commands: int = 0  # commands beyond the first that carry an already answered stamp
 
     def __post_init__(self) -> None:
         if self.unanswered_states < 0 or self.repeated_commands < 0:
@@ -148,17 +143,11 @@ class Losses:
 
 @dataclass(frozen=True)
 class Retune:
-    """A change of a controller's parameters while it ran.
+    """A change of a controller's parameters while it ran."""
 
-    Attributes:
-        stamp_ns: Stamp of the last state before it, in [ns].
-        node: Name of the controller's node.
-        change: What was set, for instance ``"mu = -0.2"``.
-    """
-
-    stamp_ns: int
-    node: str
-    change: str
+    stamp_ns: int  # [ns] stamp of the last state before it
+    node: str  # name of the controller's node
+    change: str  # what was set, for instance "mu = -0.2"
 
 
 @dataclass(frozen=True, eq=False)
@@ -263,22 +252,12 @@ def _own(values: ArrayLike, kind: type[np.generic]) -> NDArray[Any]:
 
 
 def seconds_since(stamps_ns: NDArray[np.int64], origin_ns: int) -> Numbers:
-    """Return stamps as seconds since an origin; exact differences, rounded once.
-
-    Args:
-        stamps_ns: Stamps, in [ns].
-        origin_ns: The stamp that becomes zero, in [ns].
-    """
+    """Return stamps as seconds since an origin; exact differences, rounded once."""
     return np.asarray((stamps_ns - origin_ns) / NANOSECONDS, dtype=np.float64)
 
 
 def require_finite(what: str, values: ArrayLike) -> None:
-    """Raise SeriesError, naming the first offender, unless every value is finite.
-
-    Args:
-        what: The words that the message begins with.
-        values: The values to look at.
-    """
+    """Raise SeriesError, naming the first offender, unless every value is finite."""
     array = np.asarray(values, dtype=np.float64)
     bad = np.flatnonzero(~np.isfinite(array))
     if bad.size:
@@ -295,18 +274,7 @@ def complete_run(
     columns: Iterable[Numbers],
     slides: Collection[str] = (),
 ) -> RunSeries:
-    """Return the series of a run without losses.
-
-    Args:
-        label: Name of the run.
-        joints: Names of the K joints.
-        stamps_ns: Stamps of all states and commands, (N,), in [ns].
-        columns: Positions [rad], references [rad] and efforts [N m], each (N, K).
-        slides: Names of the joints that slide.
-
-    Raises:
-        SeriesError: As for :class:`RunSeries` and :class:`JointSeries`.
-    """
+    """Return the series of a run without losses."""
     positions, references, efforts = columns
     return RunSeries(
         label,

@@ -26,15 +26,7 @@ _SAMPLES = 6
 
 
 def require_suffix(path: Path, *, is_still: bool) -> None:
-    """Refuse a file whose format is not known.
-
-    Args:
-        path: Its name.
-        is_still: Whether it is to hold one picture.
-
-    Raises:
-        SettingError: It has another suffix.
-    """
+    """Refuse a file whose format is not known."""
     known = STILL if is_still else ANIMATED
     if path.suffix.lower() not in known:
         kind = "a still picture" if is_still else "an animation"
@@ -45,13 +37,7 @@ def require_suffix(path: Path, *, is_still: bool) -> None:
 
 
 def encoded(film: Film, suffix: str, quality: int = _QUALITY) -> bytes:
-    """Return an animation as the bytes of a file; of one frame, a still picture.
-
-    Args:
-        film: The animation.
-        suffix: One of :data:`ANIMATED`, or of :data:`STILL`.
-        quality: Of WebP and JPEG, from 0 to 100.
-    """
+    """Return an animation as the bytes of a file; of one frame, a still picture."""
     suffix, frames = suffix.lower(), film.frames
     buffer = io.BytesIO()
     if len(frames) == 1:
@@ -70,11 +56,7 @@ def encoded(film: Film, suffix: str, quality: int = _QUALITY) -> bytes:
 
 
 def for_report(film: Film) -> bytes:
-    """Return an animation as WebP, coarser if it is large: a page is to stay light.
-
-    Args:
-        film: The animation.
-    """
+    """Return an animation as WebP, coarser if it is large: a page is to stay light."""
     content = b""
     for quality in _COARSER:
         content = encoded(film, ".webp", quality)

@@ -33,34 +33,18 @@ _AZIMUTH, _ELEVATION = -50.0, 16.0  # [deg]
 
 @dataclass(frozen=True)
 class FilmSettings:
-    """What an animation shows, and how.
+    """What an animation shows, and how."""
 
-    Attributes:
-        width: Of the picture, in pixels.
-        height: Of the picture, in pixels.
-        fps: Pictures in a second; formats count in hundredths of a second.
-        start: First instant, seconds since the first state.
-        end: Last instant; None for the runs' last state.
-        speed: Seconds shown in one of the clock; None for as much as keeps it short.
-        joint: Draw this joint's position below; None for the error's norm over all.
-        engine: Who draws, ``pybullet`` or ``mujoco``; None for the default.
-        azimuth: Where the camera stands, about z from x, in [deg].
-        elevation: How far above the robot's middle, in [deg].
-
-    Raises:
-        SettingError: A value is out of its range.
-    """
-
-    width: int = 720
-    height: int = 450
-    fps: float = 12.5
-    start: float = 0.0
-    end: float | None = None
-    speed: float | None = None
-    joint: str | None = None
-    engine: str | None = None
-    azimuth: float = _AZIMUTH
-    elevation: float = _ELEVATION
+    width: int = 720  # of the picture, in pixels
+    height: int = 450  # of the picture, in pixels
+    fps: float = 12.5  # pictures in a second; formats count in hundredths of a second
+    start: float = 0.0  # first instant, seconds since the first state
+    end: float | None = None  # last instant; None for the runs' last state
+    speed: float | None = None  # seconds shown in one of the clock
+    joint: str | None = None  # draw this joint's position below
+    engine: str | None = None  # who draws, pybullet or mujoco; None for the default
+    azimuth: float = _AZIMUTH  # [deg] where the camera stands, about z from x
+    elevation: float = _ELEVATION  # [deg] how far above the robot's middle
 
     def __post_init__(self) -> None:
         for name, least, most in (
@@ -82,19 +66,12 @@ class FilmSettings:
 
 
 class Film(NamedTuple):
-    """An animation.
+    """An animation."""
 
-    Attributes:
-        frames: The pictures.
-        period_ms: How long each stands, in [ms].
-        speed: Seconds shown in one of the clock.
-        instants: What each shows, seconds since the first state.
-    """
-
-    frames: list[Image]
-    period_ms: int
-    speed: float
-    instants: Numbers
+    frames: list[Image]  # the pictures
+    period_ms: int  # [ms] how long each stands
+    speed: float  # seconds shown in one of the clock
+    instants: Numbers  # what each shows, seconds since the first state
 
 
 Progress = Callable[[int, int], None]
@@ -108,19 +85,7 @@ def render(
     settings: FilmSettings,
     progress: Progress = lambda done, total: None,
 ) -> Film:
-    """Return the animation of some runs.
-
-    Args:
-        world: The world in which they ran.
-        runs: The runs, the baseline first.
-        bags: The recording of each, by label.
-        settings: What is shown.
-        progress: Is told of each picture.
-
-    Raises:
-        SettingError: There are too many runs or pictures, or the times are not in the runs.
-        HpidError: A bag cannot be read, the robot cannot be drawn, or nobody here can draw.
-    """
+    """Return the animation of some runs."""
     if not 1 <= len(runs) <= MOST_RUNS:
         raise SettingError(
             f"an animation shows 1 to {MOST_RUNS} runs beside each other, not {len(runs)}: choose "

@@ -16,14 +16,7 @@ _AIR = 1.1
 
 
 def framed(points: Numbers, azimuth: float, elevation: float, aspect: float) -> View:
-    """Return the view from one side that holds some points, them in its middle.
-
-    Args:
-        points: (M, 3), in [m].
-        azimuth: Where the camera stands, about z from x, in [rad].
-        elevation: How far above, in [rad].
-        aspect: Width of the picture over its height.
-    """
+    """Return the view from one side that holds some points, them in its middle."""
     axes = View((0.0, 0.0, 0.0), 1.0, azimuth, elevation).axes
     right, up, near = axes @ points.T
     high = math.tan(FIELD / 2.0) / _AIR

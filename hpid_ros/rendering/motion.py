@@ -32,30 +32,18 @@ _SUPPORT, _BRICK = (0.86, 0.87, 0.90), (0.70, 0.28, 0.20)
 
 
 class Motion(NamedTuple):
-    """A run at N instants; a placement is x y z in [m] and a unit quaternion x y z w.
+    """A run at N instants; a placement is x y z in [m] and a unit quaternion x y z w."""
 
-    Attributes:
-        robot: Placements of the robot's K shapes, (N, K, 7).
-        wanted: The same where every joint is at its reference; None where one has none.
-        boxes: Placements of supports, then bricks, (N, B, 7).
-    """
-
-    robot: Numbers
-    wanted: Numbers | None
-    boxes: Numbers
+    robot: Numbers  # placements of the robot's K shapes, (N, K, 7)
+    wanted: Numbers | None  # the same where every joint is at its reference
+    boxes: Numbers  # placements of supports, then bricks, (N, B, 7)
 
 
 class Stand(NamedTuple):
-    """A robot and what is drawn of it.
+    """A robot and what is drawn of it."""
 
-    Attributes:
-        world: The world in which it ran.
-        description: The robot.
-        shapes: Its shapes.
-    """
-
-    world: WorldSettings
-    description: RobotDescription
+    world: WorldSettings  # the world in which it ran
+    description: RobotDescription  # the robot
     shapes: tuple[Shape, ...]
 
     @property
@@ -69,18 +57,7 @@ class Stand(NamedTuple):
 
 
 def motion_of(stand: Stand, run: RunSeries, bag: Path, instants: Numbers) -> Motion:
-    """Return where everything was.
-
-    Args:
-        stand: The robot.
-        run: The run.
-        bag: Its recording.
-        instants: When, (N,), seconds since the run's first state.
-
-    Raises:
-        BagError: The bag cannot be read, or lacks the base's pose.
-        RobotDescriptionError: The robot lacks a joint of the run.
-    """
+    """Return where everything was."""
     count = len(instants)
     robot = _placements(
         stand, _columns(run, "position", instants), _true_base(stand, run, bag, instants), count
@@ -178,12 +155,7 @@ def _standing(box: Support, count: int) -> Numbers:
 
 
 def corners(bodies: Sequence[Body], placements: Numbers) -> Numbers:
-    """Return points that enclose bodies wherever they are, (M, 3), in [m].
-
-    Args:
-        bodies: The K bodies.
-        placements: Theirs, (N, K, 7).
-    """
+    """Return points that enclose bodies wherever they are, (M, 3), in [m]."""
     points: Iterable[Numbers] = (
         place[:, None, :3] + _turned(place[:, 3:], _half_edges(body))
         for body, place in zip(bodies, placements.swapaxes(0, 1), strict=True)

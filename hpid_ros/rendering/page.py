@@ -21,21 +21,13 @@ _EDGE = 12  # [pixels]
 
 
 class PageSize(NamedTuple):
-    """Where everything is, in pixels.
+    """Where everything is, in pixels."""
 
-    Attributes:
-        width: Of the frame.
-        height: Of the frame.
-        header: Height of the labels.
-        panel: Width and height of each picture.
-        chart: Width and height of the chart.
-    """
-
-    width: int
-    height: int
-    header: int
-    panel: tuple[int, int]
-    chart: tuple[int, int]
+    width: int  # of the frame
+    height: int  # of the frame
+    header: int  # height of the labels
+    panel: tuple[int, int]  # width and height of each picture
+    chart: tuple[int, int]  # width and height of the chart
 
     @classmethod
     def of(cls, width: int, height: int, count: int) -> PageSize:
@@ -46,14 +38,7 @@ class PageSize(NamedTuple):
 
 
 class Page:
-    """Puts frames together.
-
-    Args:
-        size: Where everything is.
-        runs: The runs, in the order of their pictures.
-        chart: The chart.
-        speed: Seconds shown in one of the clock.
-    """
+    """Puts frames together."""
 
     def __init__(
         self, size: PageSize, runs: Sequence[RunSeries], chart: FilmChart, speed: float
@@ -68,12 +53,7 @@ class Page:
         ]
 
     def frame(self, instant: float, pictures: Sequence[Pixels]) -> Image.Image:
-        """Return the frame of an instant.
-
-        Args:
-            instant: Seconds since the first state.
-            pictures: One a run.
-        """
+        """Return the frame of an instant."""
         size = self._size
         frame = Image.new("RGB", (size.width, size.height), PAPER)
         pen = ImageDraw.Draw(frame)

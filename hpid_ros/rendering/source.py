@@ -19,30 +19,15 @@ _ENGINES = "engines.json"
 
 
 class Recorded(NamedTuple):
-    """Runs and their world.
-
-    Attributes:
-        world: The world.
-        runs: The runs, in the result's order.
-        bags: The recording of each, by label.
-    """
+    """Runs and their world."""
 
     world: WorldSettings
-    runs: tuple[RunSeries, ...]
-    bags: dict[str, Path]
+    runs: tuple[RunSeries, ...]  # the runs, in the result's order
+    bags: dict[str, Path]  # the recording of each, by label
 
 
 def recorded(result: Path, labels: Sequence[str] = ()) -> Recorded:
-    """Return the runs of a result.
-
-    Args:
-        result: Its folder.
-        labels: Only these runs, in this order; all if empty.
-
-    Raises:
-        SettingError: It is no result with recordings, or has no such run.
-        HpidError: A recording or the world cannot be read.
-    """
+    """Return the runs of a result."""
     bags = _bags(result)
     for label in labels:
         if label not in bags:

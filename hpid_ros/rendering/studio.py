@@ -26,18 +26,7 @@ _LEAST = 0.1
 
 
 class Studio:
-    """Takes pictures of the motions of one robot, all from the same place.
-
-    Args:
-        stand: The robot.
-        motions: What is going to be shown; the camera keeps all of it in the picture.
-        engine: Who draws.
-        size: Width and height of a picture, in pixels.
-        side: Azimuth and elevation of the camera, in [rad].
-
-    Raises:
-        HpidError: Nobody here can draw, or not this robot.
-    """
+    """Takes pictures of the motions of one robot, all from the same place."""
 
     def __init__(
         self,
@@ -81,12 +70,7 @@ class Studio:
             self._stages.pop().close()
 
     def shoot(self, number: int, k: int) -> Pixels:
-        """Return the picture of one of the motions at its k-th instant.
-
-        Args:
-            number: Which of the motions.
-            k: Which of the instants.
-        """
+        """Return the picture of one of the motions at its k-th instant."""
         motion = self._motions[number]
         places = np.concatenate([self._floor[None], motion.boxes[k], motion.robot[k]])
         picture = self._draw(0, number, places)

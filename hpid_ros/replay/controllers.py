@@ -24,21 +24,13 @@ if TYPE_CHECKING:  # Pinocchio takes a moment to import, and most controllers ha
 
 
 class Controller(NamedTuple):
-    """A joint's controller as it began.
+    """A joint's controller as it began."""
 
-    Attributes:
-        node: Its name, without a namespace.
-        settings: Its settings, within the robot's limits.
-        limits: What the robot allows the joint.
-        robot: The robot's description: XML text or a path, empty for none.
-        allows_relay: Whether it obeys ``~/relay``.
-    """
-
-    node: str
-    settings: LoopSettings
-    limits: RobotLimits
-    robot: str
-    allows_relay: bool
+    node: str  # its name, without a namespace
+    settings: LoopSettings  # its settings, within the robot's limits
+    limits: RobotLimits  # what the robot allows the joint
+    robot: str  # the robot's description: XML text or a path, empty for none
+    allows_relay: bool  # whether it obeys ~/relay
 
     def model(self) -> LoopModel | None:
         """Return the model that its settings ask for; None for none."""
@@ -49,30 +41,13 @@ class Controller(NamedTuple):
         return loop_model(self.settings, self.robot)
 
     def changed(self, values: Mapping[str, Any], settings: LoopSettings) -> LoopSettings:
-        """Return settings after a change, as the controller makes them.
-
-        Args:
-            values: Of the parameters that were set.
-            settings: Before.
-
-        Raises:
-            HpidError: The controller would refuse them.
-        """
+        """Return settings after a change, as the controller makes them."""
         changed = LoopSettings.from_parameters({**settings.to_parameters(), **values})
         return _in_force(changed, self.limits, self.robot)
 
 
 def controllers_of(document: object, where: str, namespace: str = "") -> dict[str, Controller]:
-    """Return the controllers of a ROS parameter file's content, by joint.
-
-    Args:
-        document: The content.
-        where: What errors call it.
-        namespace: Where they are; those that are said to be elsewhere do not count.
-
-    Raises:
-        HpidError: It has none, two of one joint, or one that cannot be used.
-    """
+    """Return the controllers of a ROS parameter file's content, by joint."""
     sections = {
         name.rpartition("/")[2]: own
         for name, own in node_sections(document if isinstance(document, Mapping) else {}).items()
@@ -121,15 +96,7 @@ def _limits(robot: str, joint: str) -> RobotLimits:
 
 
 def recorded_controllers(path: Path, parameters: Path | None = None) -> dict[str, Controller]:
-    """Return the controllers that ran while a bag was recorded, as they began, by joint.
-
-    Args:
-        path: The bag.
-        parameters: A file that says them; what the bag holds if None.
-
-    Raises:
-        HpidError: Neither says them, or there is one that cannot be used.
-    """
+    """Return the controllers that ran while a bag was recorded, as they began, by joint."""
     with Storage(path) as bag:
         return controllers_in(bag, parameters)
 

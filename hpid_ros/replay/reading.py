@@ -83,21 +83,7 @@ def read_records(
     selection: BagSelection | None = None,
     progress: Callable[[float], None] = lambda share: None,
 ) -> tuple[list[JointRecord], list[str]]:
-    """Read what is to be computed anew.
-
-    Args:
-        path: The bag.
-        parameters: The controllers' parameters as they began; those that the bag holds if None.
-        joints: Only these; all that the parameters name and the bag commands if None.
-        selection: Topics; found by name and type if not given.
-        progress: Takes the share of the bag that has been read, in [0, 1].
-
-    Returns:
-        The joints, and what could not be read, a line each.
-
-    Raises:
-        HpidError: The bag cannot be read, or lacks states, commands with stamps or parameters.
-    """
+    """Read what is to be computed anew."""
     with Storage(path) as bag:
         where = f"bag {path}"
         types = {name: info.type for name, info in bag.topics().items()}
@@ -147,13 +133,7 @@ def _without_stamps(choice: TopicChoice) -> str:
 
 
 class _Collector:
-    """Takes the messages of a bag, topic by topic.
-
-    Attributes:
-        topics: Those that are read.
-        commanded: Joints that any command names.
-        notes: What was left out, a line each.
-    """
+    """Takes the messages of a bag, topic by topic."""
 
     def __init__(
         self,

@@ -15,51 +15,30 @@ Answer = Callable[[JointLoop], float]
 
 
 class RecordedState(NamedTuple):
-    """A state that a controller may have heard.
+    """A state that a controller may have heard."""
 
-    Attributes:
-        log_time_ns: When it was recorded, in [ns].
-        place: Its place in the log.
-        stamp_ns: Its stamp in [ns].
-        answer: Answers it.
-    """
-
-    log_time_ns: int
-    place: int
-    stamp_ns: int
+    log_time_ns: int  # [ns] when it was recorded
+    place: int  # its place in the log
+    stamp_ns: int  # [ns] its stamp
     answer: Answer
 
 
 class RecordedCommand(NamedTuple):
-    """A command for the joint.
+    """A command for the joint."""
 
-    Attributes:
-        place: Its place in the log.
-        stamp_ns: Stamp of the state that it answers, in [ns].
-        effort: In [N m].
-        sender: Who sent it, as it says; empty where it does not.
-    """
-
-    place: int
-    stamp_ns: int
-    effort: float
-    sender: str
+    place: int  # its place in the log
+    stamp_ns: int  # [ns] stamp of the state that it answers
+    effort: float  # [N m]
+    sender: str  # who sent it, as it says; empty where it does not
 
 
 class Instruction(NamedTuple):
-    """Something that a controller was told: a motion, other settings, or a relay.
+    """Something that a controller was told: a motion, other settings, or a relay."""
 
-    Attributes:
-        log_time_ns: When it was recorded, in [ns].
-        place: Its place in the log.
-        what: Does to a loop what the controller does then; it may refuse, in words.
-        text: The same in words.
-    """
-
-    log_time_ns: int
-    place: int
-    what: Callable[[JointLoop], None]
-    text: str
+    log_time_ns: int  # [ns] when it was recorded
+    place: int  # its place in the log
+    what: Callable[[JointLoop], None]  # does to a loop what the controller does then
+    text: str  # the same in words
 
 
 def following(motion: Motion) -> Callable[[JointLoop], None]:
@@ -81,20 +60,11 @@ def driven(request: RelayRequest | None) -> Callable[[JointLoop], None]:
 
 @dataclass(frozen=True)
 class JointRecord:
-    """One joint of a recording, each part in the order of the log.
+    """One joint of a recording, each part in the order of the log."""
 
-    Attributes:
-        settings: The controller's settings when it began.
-        states: The states.
-        commands: The commands.
-        instructions: What the controller was told.
-        begin_ns: Stamp from which times are counted, in [ns].
-        is_slide: Whether the joint slides: its efforts are in [N].
-    """
-
-    settings: LoopSettings
+    settings: LoopSettings  # the controller's settings when it began
     states: Sequence[RecordedState]
     commands: Sequence[RecordedCommand]
-    instructions: Sequence[Instruction]
-    begin_ns: int
-    is_slide: bool = False
+    instructions: Sequence[Instruction]  # what the controller was told
+    begin_ns: int  # [ns] stamp from which times are counted
+    is_slide: bool = False  # [N] whether the joint slides: its efforts are

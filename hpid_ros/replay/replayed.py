@@ -42,13 +42,7 @@ class _Command(NamedTuple):
 
 
 class _Branch:
-    """One possible course of the controller.
-
-    Args:
-        loop: Its loop.
-        heard: How many of the instructions it has heard.
-        cost: How unlikely it is: the states between when it heard something and the recorder did.
-    """
+    """One possible course of the controller."""
 
     __slots__ = ("cost", "effort", "heard", "loop", "notes")
 
@@ -90,11 +84,7 @@ class _Counts:
 
 
 def replay_joint(record: JointRecord) -> JointVerdict:
-    """Compute every command of one joint anew, and compare it to the last bit.
-
-    Args:
-        record: What was recorded.
-    """
+    """Compute every command of one joint anew, and compare it to the last bit."""
     verdict = JointVerdict(record.settings.joint, is_slide=record.is_slide)
     for apart in _APART:
         found = _Replay(record, apart).verdict()

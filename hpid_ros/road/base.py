@@ -18,15 +18,10 @@ _WHEEL = "wheel"
 
 
 class BaseMotion(NamedTuple):
-    """How far a base moved while it was recorded.
+    """How far a base moved while it was recorded."""
 
-    Attributes:
-        way: Between its ends, in [m].
-        turn: Likewise, in [rad].
-    """
-
-    way: float
-    turn: float
+    way: float  # [m] between its ends
+    turn: float  # [rad] likewise
 
     @property
     def is_moving(self) -> bool:
@@ -38,15 +33,7 @@ class BaseMotion(NamedTuple):
 
 
 def base_motion(bag: Path, namespace: str = "") -> BaseMotion | None:
-    """Return how far a base moved by all odometry that a bag has; None if it has none.
-
-    Args:
-        bag: The bag.
-        namespace: Of the robot.
-
-    Raises:
-        BagError: The bag cannot be read.
-    """
+    """Return how far a base moved by all odometry that a bag has; None if it has none."""
     found = []
     topics = [name for name in odometry_topics(bag) if is_below(name, f"/{namespace.strip('/')}")]
     for topic in topics:
@@ -59,13 +46,7 @@ def base_motion(bag: Path, namespace: str = "") -> BaseMotion | None:
 
 
 def is_wheel(joint: str, robot: GivenRobot | None, motion: BaseMotion | None) -> bool:
-    """Tell whether a joint is a wheel of the base: the robot says so, or its name does.
-
-    Args:
-        joint: Its name.
-        robot: What is known of the robot; one whose base moved is not taken to be fixed.
-        motion: Of the base; None if nobody knows.
-    """
+    """Tell whether a joint is a wheel of the base: the robot says so, or its name does."""
     is_fixed = robot is not None and robot.fixed_base and not (motion and motion.is_moving)
     if robot is not None and (robot.wheels or is_fixed):
         return joint in robot.wheels
@@ -73,12 +54,7 @@ def is_wheel(joint: str, robot: GivenRobot | None, motion: BaseMotion | None) ->
 
 
 def why_not_wheel(motion: BaseMotion | None, *, is_asked_for: bool) -> str:
-    """Return why a wheel's numbers would be none of its own; nothing if they are.
-
-    Args:
-        motion: Of the base; None if nobody knows.
-        is_asked_for: Whether somebody asked for this wheel.
-    """
+    """Return why a wheel's numbers would be none of its own; nothing if they are."""
     if motion is None:
         if is_asked_for:
             return ""

@@ -38,20 +38,13 @@ _MILLISECONDS = 1e3
 
 @dataclass(frozen=True)
 class Findings:
-    """What came of a recording.
+    """What came of a recording."""
 
-    Attributes:
-        joints: What was found of each joint.
-        sources: Where each joint's efforts are from.
-        slides: Joints that slide.
-        moved: What the motors move over the recording's poses, by joint, with a robot.
-        missing: One line for each thing that the whole recording is known to lack.
-    """
-
-    joints: tuple[JointIdentification, ...]
-    sources: Mapping[str, str]
-    slides: tuple[str, ...] = ()
+    joints: tuple[JointIdentification, ...]  # what was found of each joint
+    sources: Mapping[str, str]  # where each joint's efforts are from
+    slides: tuple[str, ...] = ()  # joints that slide
     moved: Mapping[str, MovedInertia] = field(default_factory=dict)
+    # one line for each thing that the whole recording is known to lack
     missing: tuple[str, ...] = ()
 
 
@@ -64,20 +57,7 @@ def findings_of(
     bag_name: str = "the recording",
     base: BaseMotion | None = None,
 ) -> Findings:
-    """Identify joints.
-
-    Args:
-        recording: All joints that were recorded.
-        robot: Whose links are known; None takes each joint for itself.
-        method: How; as usual if not given.
-        asked: Only these joints; all if None.
-        robot_name: What errors call the robot.
-        bag_name: What they call the recording.
-        base: How far the robot's base moved; None if nobody knows.
-
-    Raises:
-        SettingError: The recording or the robot lacks a joint, or they have none in common.
-    """
+    """Identify joints."""
     for joint in asked or ():
         if joint not in recording.joint_names:
             raise SettingError(unknown_name("joint", joint, recording.joint_names))

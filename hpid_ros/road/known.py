@@ -34,17 +34,11 @@ _MUCH = 0.05  # of the largest effort: a constant load that is worth a word
 
 @dataclass(frozen=True)
 class KnownRobot:
-    """A robot with what a recording tells of it.
+    """A robot with what a recording tells of it."""
 
-    Attributes:
-        robot: With the rotors and the friction that were found.
-        facts: Delays and noise, by joint.
-        assumptions: What had to be assumed, by joint, a line each.
-    """
-
-    robot: GivenRobot
-    facts: Mapping[str, JointFacts]
-    assumptions: Mapping[str, Sequence[str]]
+    robot: GivenRobot  # with the rotors and the friction that were found
+    facts: Mapping[str, JointFacts]  # delays and noise, by joint
+    assumptions: Mapping[str, Sequence[str]]  # what had to be assumed, by joint, a line each
 
 
 def known_robot(
@@ -56,11 +50,6 @@ def known_robot(
 
     Estimates that the data do not tell are taken, too, where they can be true at all: together
     with the others they explain the recording, whichever share each of them has.
-
-    Args:
-        robot: As it was given.
-        found: What was found.
-        recorded: The recording that it was found in.
     """
     series = {each.joint: each for each in recorded}
     amendments = {
@@ -87,10 +76,6 @@ def position_noise(series: JointSeries, resolution: float) -> float:
 
     From third differences, in which smooth motion leaves no trace; the median over windows, so
     that jumps and gaps do not count.
-
-    Args:
-        series: The recording.
-        resolution: Smallest step of the position, in [rad]; 0 where it has none.
     """
     differences = np.diff(series.position, 3)
     windows = max(1, len(differences) // _WINDOW)

@@ -47,13 +47,7 @@ ASSUMED = (
 
 
 def render(found: Answer, prediction: Prediction, files: Mapping[str, Path]) -> str:
-    """Return the page as the text of an HTML file.
-
-    Args:
-        found: The answer.
-        prediction: What it predicts.
-        files: What was written beside it: ``parameters`` and ``prediction``.
-    """
+    """Return the page as the text of an HTML file."""
     comparison = found.comparison
     labels = [run.label for run in comparison.runs]
     sections: dict[str, Sequence[Block]] = {
@@ -79,12 +73,7 @@ def render(found: Answer, prediction: Prediction, files: Mapping[str, Path]) -> 
 
 
 def summary(found: Answer, prediction: Prediction) -> str:
-    """Return what came of the road in a sentence or two.
-
-    Args:
-        found: The answer.
-        prediction: What it predicts.
-    """
+    """Return what came of the road in a sentence or two."""
     if not prediction.is_credible:
         return (
             "Nothing is proposed: the simulation of your PID is far from what was recorded, so "
@@ -123,12 +112,7 @@ def _expected(index: Quantity, expected: Expected) -> str:
 
 
 def doubts(found: Answer, prediction: Prediction) -> list[str]:
-    """Return what the prediction must be read with, one line each.
-
-    Args:
-        found: The answer.
-        prediction: What it predicts.
-    """
+    """Return what the prediction must be read with, one line each."""
     lines = list(found.warnings)
     for joint, error in found.proposals.failures.items():
         lines.append(f"{joint} is not upgraded: {error}")
@@ -154,11 +138,7 @@ def doubts(found: Answer, prediction: Prediction) -> list[str]:
 
 
 def expectations(prediction: Prediction) -> IndexTable:
-    """Return what was measured and what is expected, joint by joint.
-
-    Args:
-        prediction: The prediction.
-    """
+    """Return what was measured and what is expected, joint by joint."""
     joints = list(prediction.joints)
     slides = [name in prediction.slides for name in joints]
     rows: list[IndexRow] = []

@@ -24,20 +24,12 @@ _KEYS = tuple(each.key for each in INDICES)
 
 
 class Expected(NamedTuple):
-    """One index of one joint.
+    """One index of one joint."""
 
-    Attributes:
-        before: Measured under the PID.
-        ratio: What it becomes, over that: of the simulations, in which what the model lacks is
-            in both.
-        fidelity: Of the simulated PID over the measured one: 1 where the model is right.
-        doubt: Half of the interval of the ratio's logarithm: what is measured lies within in nine
-            of ten strange plants (``python -m benchmarks.road strange``).
-    """
-
-    before: float
+    before: float  # measured under the PID
+    # what it becomes, over that: of the simulations, in which what the model lacks is in both
     ratio: float
-    fidelity: float
+    fidelity: float  # of the simulated PID over the measured one: 1 where the model is right
     doubt: float = 0.0
 
     @property
@@ -63,30 +55,19 @@ class Expected(NamedTuple):
 
 @dataclass(frozen=True)
 class Prediction:
-    """What is expected.
+    """What is expected."""
 
-    Attributes:
-        bag: Name of the recording under the PID.
-        goal: What the proposal is for.
-        joints: Of each joint, by key of the index.
-        parameters: Of each joint's proposed controller, by name.
-        slides: Joints that slide.
-    """
-
-    bag: str
-    goal: str
-    joints: Mapping[str, Mapping[str, Expected]]
+    bag: str  # name of the recording under the PID
+    goal: str  # what the proposal is for
+    joints: Mapping[str, Mapping[str, Expected]]  # of each joint, by key of the index
     parameters: Mapping[str, Mapping[str, object]] = field(default_factory=dict)
-    slides: tuple[str, ...] = ()
+    slides: tuple[str, ...] = ()  # joints that slide
 
     def total(self, key: str) -> Expected:
         """Return an index of all joints, the sum of theirs.
 
         A joint of which nothing was recorded, as one that rested without an effort, has no ratio
         and no share.
-
-        Args:
-            key: Of the index.
         """
         each = [known[key] for known in self.joints.values() if known[key].before != 0.0]
         before = math.fsum(one.before for one in each)
@@ -124,11 +105,7 @@ class Prediction:
 
 
 def prediction_of(found: Answer) -> Prediction:
-    """Return what an answer predicts of the joints that it is about.
-
-    Args:
-        found: The answer.
-    """
+    """Return what an answer predicts of the joints that it is about."""
     recorded, simulated, proposed = (
         found.comparison.run(label) for label in (RECORDED, SIMULATED, PREDICTED)
     )
@@ -164,14 +141,7 @@ def _over(value: float, other: float) -> float:
 
 
 def read_prediction(path: Path) -> Prediction:
-    """Read a prediction.
-
-    Args:
-        path: The file.
-
-    Raises:
-        SettingError: It cannot be read, or is none.
-    """
+    """Read a prediction."""
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:

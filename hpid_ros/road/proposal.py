@@ -65,84 +65,49 @@ _MOST_TIMES = 2.0  # what the position shows
 
 
 class Question(NamedTuple):
-    """What is asked.
+    """What is asked."""
 
-    Attributes:
-        bag: Recorded under the PID.
-        robot: The robot; its own rotors and friction do not count.
-        urdf: What it was named by.
-        goal: Of :data:`~hpid_ros.tuning.upgrade.GOALS`. Where nobody names one it is
-            :data:`DEFAULT_GOAL`, and if that gains nothing, it is said what others would bring.
-        parameters: File of the controllers' parameters; what the bag holds if None.
-        payload: Largest payload that inertias are certified for, in [kg].
-    """
-
-    bag: Path
-    robot: GivenRobot
-    urdf: str
-    goal: str | None = None
-    parameters: Path | None = None
-    payload: float = 0.0
+    bag: Path  # recorded under the PID
+    robot: GivenRobot  # the robot; its own rotors and friction do not count
+    urdf: str  # what it was named by
+    goal: str | None = None  # of GOALS
+    parameters: Path | None = None  # file of the controllers' parameters
+    payload: float = 0.0  # [kg] largest payload that inertias are certified for
 
 
 class Telling(NamedTuple):
-    """How the progress is told.
+    """How the progress is told."""
 
-    Attributes:
-        phase: Is called with what begins.
-        certifying: Shows how many joints are certified.
-    """
-
-    phase: Callable[[str], None]
-    certifying: Certifying
+    phase: Callable[[str], None]  # is called with what begins
+    certifying: Certifying  # shows how many joints are certified
 
 
 class PidCheck(NamedTuple):
-    """One joint's PID as it ran, on the joint as it was identified.
+    """One joint's PID as it ran, on the joint as it was identified."""
 
-    Attributes:
-        inertia: Least and largest along the recording, in [kg m^2].
-        margins: The worst of both; None where the loop is unstable on the model.
-        reason: Why there are none.
-    """
-
-    inertia: tuple[float, float]
-    margins: Margins | None
-    reason: str = ""
+    inertia: tuple[float, float]  # [kg m^2] least and largest along the recording
+    margins: Margins | None  # the worst of both; None where the loop is unstable on the model
+    reason: str = ""  # why there are none
 
 
 @dataclass(frozen=True)
 class Answer:
-    """Where the road led to.
+    """Where the road led to."""
 
-    Attributes:
-        question: What was asked.
-        goal: The one that the proposal is for.
-        recording: What was recorded.
-        findings: What was identified of it.
-        known: The robot with that.
-        loops: The controllers as they ran.
-        checks: What they are worth, by joint.
-        proposals: What is proposed instead; the PID where nothing is gained.
-        runs: The recording, its simulation, and the proposal's.
-        others: What other goals would bring, where nothing is gained and nobody named one: the
-            indices of all joints over the PID's, by goal and key.
-        doubts: Half of the interval of the logarithm of each joint's ratios, by joint.
-        warnings: What the numbers must be read with, one line each.
-    """
-
-    question: Question
-    goal: str
-    recording: RunSeries
-    findings: Findings
-    known: KnownRobot
-    loops: tuple[LoopSettings, ...]
-    checks: Mapping[str, PidCheck]
-    proposals: Proposals
+    question: Question  # what was asked
+    goal: str  # the one that the proposal is for
+    recording: RunSeries  # what was recorded
+    findings: Findings  # what was identified of it
+    known: KnownRobot  # the robot with that
+    loops: tuple[LoopSettings, ...]  # the controllers as they ran
+    checks: Mapping[str, PidCheck]  # what they are worth, by joint
+    proposals: Proposals  # what is proposed instead; the PID where nothing is gained
+    # the recording, its simulation, and the proposal's
     runs: tuple[RunSeries, RunSeries, RunSeries]
     others: Mapping[str, Mapping[str, float]]
+    # half of the interval of the logarithm of each joint's ratios, by joint
     doubts: Mapping[str, float]
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()  # what the numbers must be read with, one line each
 
     @property
     def comparison(self) -> Comparison:
@@ -161,16 +126,7 @@ class Answer:
 
 
 def answer(question: Question, telling: Telling) -> Answer:
-    """Identify the robot, check the PID, propose another law and predict what it brings.
-
-    Args:
-        question: What is asked.
-        telling: How the progress is told.
-
-    Raises:
-        HpidError: The bag or the robot cannot be read or do not go together, no PID ran, or
-            nothing can be proposed.
-    """
+    """Identify the robot, check the PID, propose another law and predict what it brings."""
     telling.phase("reading the recording")
     base = base_motion(question.bag)
     recording, loops, warnings = _read(question, base)
@@ -286,14 +242,7 @@ def _inertias(
 def pid_check(
     settings: LoopSettings, inertia: tuple[float, float], known: KnownRobot, period: float
 ) -> PidCheck:
-    """Return the margins of a PID on the joint as it was identified, the worst of both ends.
-
-    Args:
-        settings: As it ran; its ``control_period`` may never have been set.
-        inertia: Least and largest, in [kg m^2].
-        known: The joint.
-        period: At which states came, in [s].
-    """
+    """Return the margins of a PID on the joint as it was identified, the worst of both ends."""
     joint = known.robot.description.joints[settings.joint]
     delay = known.facts[settings.joint].delay if settings.joint in known.facts else 0
     try:
@@ -331,20 +280,13 @@ class _NoiseSearch(NamedTuple):
 
     What is less than a fifth of a count is not seen in the position, but it is in the effort:
     close to the edge between two counts it decides how often the position goes to and fro.
-
-    Attributes:
-        facts: What is tried next.
-        low: Noise with too little variation, in [rad].
-        high: Noise with too much, in [rad].
-        best: What came closest and within what is near; None so far.
-        off: By how much, as a share.
     """
 
-    facts: JointFacts
-    low: float
-    high: float
-    best: JointFacts | None = None
-    off: float = _CLOSE_ENOUGH
+    facts: JointFacts  # what is tried next
+    low: float  # [rad] noise with too little variation
+    high: float  # [rad] noise with too much
+    best: JointFacts | None = None  # what came closest and within what is near; None so far
+    off: float = _CLOSE_ENOUGH  # by how much, as a share
 
     @classmethod
     def begun(cls, facts: JointFacts) -> _NoiseSearch:

@@ -18,13 +18,7 @@ _HALF = 0.5
 def first_steps(
     found: Answer, prediction: Prediction, files: Mapping[str, Path]
 ) -> list[tuple[str, Sequence[str]]]:
-    """Return what to do, each in words and as lines of commands, if there are any.
-
-    Args:
-        found: The answer.
-        prediction: What it predicts.
-        files: What was written: ``parameters`` and ``prediction``.
-    """
+    """Return what to do, each in words and as lines of commands, if there are any."""
     if not prediction.is_credible:
         bag, robot = (shlex.quote(str(each)) for each in (found.question.bag, found.question.urdf))
         return [

@@ -27,15 +27,10 @@ _BEFORE, _AFTER = "before", "after"
 
 
 class Held(NamedTuple):
-    """One index, over what it was before.
+    """One index, over what it was before."""
 
-    Attributes:
-        predicted: Ratio that was predicted.
-        measured: Ratio that was measured; nan where the recordings do not allow one.
-    """
-
-    predicted: float
-    measured: float
+    predicted: float  # ratio that was predicted
+    measured: float  # ratio that was measured; nan where the recordings do not allow one
 
     @property
     def off(self) -> float:
@@ -50,18 +45,12 @@ class Held(NamedTuple):
 
 @dataclass(frozen=True)
 class Verification:
-    """What came of a prediction.
+    """What came of a prediction."""
 
-    Attributes:
-        joints: Of each joint, by key of the index.
-        totals: Of all joints together.
-        warnings: What the numbers must be read with, one line each.
-        others: What ran that was not proposed, one line a joint: then nothing was tested.
-    """
-
-    joints: dict[str, dict[str, Held]]
-    totals: dict[str, Held]
-    warnings: tuple[str, ...] = ()
+    joints: dict[str, dict[str, Held]]  # of each joint, by key of the index
+    totals: dict[str, Held]  # of all joints together
+    warnings: tuple[str, ...] = ()  # what the numbers must be read with, one line each
+    # what ran that was not proposed, one line a joint: then nothing was tested
     others: tuple[str, ...] = ()
 
     @property
@@ -71,17 +60,7 @@ class Verification:
 
 
 def verify(prediction: Prediction, before: Path, after: Path) -> Verification:
-    """Hold a prediction against two recordings of one motion.
-
-    Args:
-        prediction: What was predicted.
-        before: Recorded under the PID.
-        after: Recorded under the proposal.
-
-    Raises:
-        HpidError: One of them cannot be read, or lacks a joint, or they have no index that can be
-            compared.
-    """
+    """Hold a prediction against two recordings of one motion."""
     joints = tuple(prediction.joints)
     how = Measuring(BagSelection(joints=joints), keeps_series=False)
     measured = measure_all([Source(before, _BEFORE), Source(after, _AFTER)], how)

@@ -27,16 +27,7 @@ _MOVING_ONLY = ("axis", "limit", "dynamics", "mimic", "calibration", "safety_con
 
 
 def hold(element: ElementTree.Element, joint: JointDescription, position: float) -> None:
-    """Make a moving joint a fixed one that stands at a position.
-
-    Args:
-        element: The URDF's joint element; it is changed.
-        joint: The joint.
-        position: In [rad]; in [m] where it is prismatic.
-
-    Raises:
-        RobotDescriptionError: The position is beyond the joint's limits.
-    """
+    """Make a moving joint a fixed one that stands at a position."""
     from scipy.spatial.transform import Rotation  # slow to import, and only needed here
 
     if not (math.isfinite(position) and joint.lower <= position <= joint.upper):
@@ -105,21 +96,11 @@ class JointAmendment(Record):
 
 @dataclass(frozen=True)
 class Inertial:
-    """Mass and inertia of one link; they replace its ``inertial`` element as a whole.
+    """Mass and inertia of one link; they replace its ``inertial`` element as a whole."""
 
-    Attributes:
-        mass: In [kg].
-        center_of_mass: In the link's frame, in [m].
-        inertia: Moments xx, yy, zz and products xy, xz, yz about the centre of mass, in axes
-            parallel to the link's, in [kg m^2].
-
-    Raises:
-        RobotDescriptionError: No body has them.
-    """
-
-    mass: float
-    center_of_mass: tuple[float, float, float]
-    inertia: tuple[float, float, float, float, float, float]
+    mass: float  # [kg]
+    center_of_mass: tuple[float, float, float]  # [m] in the link's frame
+    inertia: tuple[float, float, float, float, float, float]  # [kg m^2]
 
     def __post_init__(self) -> None:
         if not all(map(math.isfinite, (self.mass, *self.center_of_mass, *self.inertia))):
@@ -138,11 +119,7 @@ class Inertial:
 def principal_moments(
     inertia: tuple[float, float, float, float, float, float],
 ) -> tuple[float, float, float]:
-    """Return the principal moments of inertia, the least first, in [kg m^2].
-
-    Args:
-        inertia: As for :class:`Inertial`.
-    """
+    """Return the principal moments of inertia, the least first, in [kg m^2]."""
     xx, yy, zz, xy, xz, yz = inertia
     least, middle, most = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     return float(least), float(middle), float(most)
@@ -164,17 +141,6 @@ def amended(
 
     Meshes of packages get their ``package://`` name and others their absolute path, since the
     new text stands in no folder.
-
-    Args:
-        description: The robot as its URDF has it.
-        joints: What is known better, by joint.
-        links: What is known better, by link; None makes it a mere frame, without mass.
-        held: Joints that do not move, and where they stand, in [rad] or [m]; they are fixed
-            joints of the new robot.
-
-    Raises:
-        RobotDescriptionError: The robot lacks a joint or a link, or a joint would be held
-            beyond its limits.
     """
     description.select(list(joints))
     description.select(list(held))

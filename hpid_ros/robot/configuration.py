@@ -31,11 +31,7 @@ class Wheels(Record):
         return cls(drive.left, drive.right, drive.radius, drive.separation)
 
     def drive(self, description: RobotDescription) -> DifferentialDrive:
-        """Return the drive of a robot.
-
-        Raises:
-            RobotDescriptionError: The robot's wheels are not a pair on one axle.
-        """
+        """Return the drive of a robot."""
         return DifferentialDrive.of(
             description,
             self.left_wheel,
@@ -75,11 +71,7 @@ class LinkAmendment(Record):
             raise SettingError("inertia must be left out where mass is 0")
 
     def inertial(self) -> Inertial | None:
-        """Return mass and inertia; None for a mere frame.
-
-        Raises:
-            RobotDescriptionError: No body has them.
-        """
+        """Return mass and inertia; None for a mere frame."""
         if self.inertia is None:
             return None
         xx, yy, zz, xy, xz, yz = (getattr(self.inertia, each.name) for each in fields(Moments))
@@ -113,15 +105,7 @@ class RobotSection(Record):
     )
 
     def load(self, load: Callable[[str], RobotDescription]) -> RobotDescription:
-        """Return the robot with what is known better of it.
-
-        Args:
-            load: Returns the robot of what ``description`` says.
-
-        Raises:
-            HpidError: The robot cannot be read, it lacks a joint or link, or no body has such
-                masses.
-        """
+        """Return the robot with what is known better of it."""
         plain = load(self.description)
         if not (self.joints or self.links or self.held):
             return plain

@@ -24,37 +24,22 @@ OTHER_TYPES = frozenset({"fixed", "floating", "planar"})
 
 @dataclass(frozen=True)
 class JointDescription:
-    """One moving joint; "per rad" reads "per m" where the joint is prismatic.
+    """One moving joint; "per rad" reads "per m" where the joint is prismatic."""
 
-    Attributes:
-        name: Name of the joint.
-        type: ``revolute``, ``continuous`` or ``prismatic``.
-        axis: Axis of motion in the frame of the joint, as the URDF gives it.
-        parent: Name of the parent link.
-        child: Name of the child link.
-        lower: Lowest position, in [rad]; -inf where there is none.
-        upper: Highest position, in [rad]; +inf where there is none.
-        effort: Largest absolute effort, in [N m] or [N]; +inf where there is none.
-        velocity: Largest absolute velocity, in [rad/s]; +inf where there is none.
-        damping: Viscous friction, in [N m s/rad].
-        friction: Coulomb friction, in [N m] or [N].
-        rotor_inertia: Inertia of the motor's rotor about its own axis, in [kg m^2].
-        gear_ratio: Turns of the rotor for one turn of the joint; 1 without a gear.
-    """
-
-    name: str
-    type: str
+    name: str  # name of the joint
+    type: str  # revolute, continuous or prismatic
+    # axis of motion in the frame of the joint, as the URDF gives it
     axis: tuple[float, float, float]
-    parent: str
-    child: str
-    lower: float = -math.inf
-    upper: float = math.inf
-    effort: float = math.inf
-    velocity: float = math.inf
-    damping: float = 0.0
-    friction: float = 0.0
-    rotor_inertia: float = 0.0
-    gear_ratio: float = 1.0
+    parent: str  # name of the parent link
+    child: str  # name of the child link
+    lower: float = -math.inf  # [rad] lowest position; -inf where there is none
+    upper: float = math.inf  # [rad] highest position; +inf where there is none
+    effort: float = math.inf  # [N m] largest absolute effort or [N]; +inf where there is none
+    velocity: float = math.inf  # [rad/s] largest absolute velocity; +inf where there is none
+    damping: float = 0.0  # [N m s/rad] viscous friction
+    friction: float = 0.0  # [N m] Coulomb friction or [N]
+    rotor_inertia: float = 0.0  # [kg m^2] inertia of the motor's rotor about its own axis
+    gear_ratio: float = 1.0  # turns of the rotor for one turn of the joint; 1 without a gear
 
     @property
     def is_slide(self) -> bool:
@@ -72,19 +57,7 @@ def read_joint(
     rotors: Mapping[str, tuple[float, float]],
     origin: str,
 ) -> JointDescription | None:
-    """Read one joint.
-
-    Args:
-        element: The URDF's joint element.
-        rotors: Rotor inertia and gear ratio by joint, from :func:`read_rotors`.
-        origin: Where the URDF came from, for messages.
-
-    Returns:
-        The joint; None for one that no motor moves (fixed, floating, planar).
-
-    Raises:
-        RobotDescriptionError: An entry is missing or is not what it should be.
-    """
+    """Read one joint."""
     name, joint_type = element.get("name", ""), element.get("type", "")
     if joint_type in OTHER_TYPES:
         return None
@@ -113,15 +86,7 @@ def read_joint(
 
 
 def read_rotors(root: ElementTree.Element, origin: str) -> dict[str, tuple[float, float]]:
-    """Return rotor inertia in [kg m^2] and gear ratio by joint.
-
-    Args:
-        root: The URDF's root element.
-        origin: Where the URDF came from, for messages.
-
-    Raises:
-        RobotDescriptionError: A value is not a number or not possible.
-    """
+    """Return rotor inertia in [kg m^2] and gear ratio by joint."""
     rotors = {}
     for transmission in root.findall("transmission"):
         joint, actuator = transmission.find("joint"), transmission.find("actuator")
@@ -190,23 +155,14 @@ _SHOWN = 5
 
 @dataclass(frozen=True)
 class RobotDescription:
-    """A robot as its URDF describes it.
+    """A robot as its URDF describes it."""
 
-    Attributes:
-        name: Name of the robot.
-        xml: The URDF's text.
-        joints: Moving joints by name, in the order of the file.
-        links: Names of all links, in the order of the file.
-        root: Name of the link that hangs on no joint.
-        folder: Folder of the file, for meshes with relative paths; None when it came as text.
-    """
-
-    name: str
-    xml: str
-    joints: Mapping[str, JointDescription]
-    links: tuple[str, ...]
-    root: str
-    folder: Path | None = None
+    name: str  # name of the robot
+    xml: str  # the URDF's text
+    joints: Mapping[str, JointDescription]  # moving joints by name, in the order of the file
+    links: tuple[str, ...]  # names of all links, in the order of the file
+    root: str  # name of the link that hangs on no joint
+    folder: Path | None = None  # folder of the file, for meshes with relative paths
 
     @property
     def slides(self) -> frozenset[str]:
@@ -220,18 +176,7 @@ class RobotDescription:
 
     @classmethod
     def load(cls, source: str | Path) -> RobotDescription:
-        """Read a URDF.
-
-        Args:
-            source: Path of the file, or the XML text itself (what a ``robot_description``
-                parameter holds): text that starts with ``<`` is XML.
-
-        Returns:
-            The description.
-
-        Raises:
-            RobotDescriptionError: The file is missing, or is not a URDF that can be read.
-        """
+        """Read a URDF."""
         if isinstance(source, str) and source.lstrip().startswith("<"):
             return _parse(source.lstrip(), "robot description", None)
         path = Path(source)
@@ -250,12 +195,7 @@ class RobotDescription:
         return _parse(text.lstrip("\ufeff \t\r\n"), str(path), path.resolve().parent)
 
     def select(self, names: Iterable[str]) -> tuple[JointDescription, ...]:
-        """Return the joints of the given names, in their order.
-
-        Raises:
-            RobotDescriptionError: The robot has no moving joint of that name, or a name is
-                given twice.
-        """
+        """Return the joints of the given names, in their order."""
         wanted = tuple(names)
         for index, name in enumerate(wanted):
             if name not in self.joints:
@@ -265,11 +205,7 @@ class RobotDescription:
         return tuple(self.joints[name] for name in wanted)
 
     def link(self, name: str) -> str:
-        """Return the name of a link that exists.
-
-        Raises:
-            RobotDescriptionError: The robot has no such link.
-        """
+        """Return the name of a link that exists."""
         if name not in self.links:
             raise RobotDescriptionError(unknown_name("link", name, self.links))
         return name

@@ -26,28 +26,14 @@ _NO_TURN: Rows = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
 class Wheel(NamedTuple):
-    """A wheel as its robot's root link sees it, with every joint at 0.
+    """A wheel as its robot's root link sees it, with every joint at 0."""
 
-    Attributes:
-        centre: Origin of its joint, in [m].
-        radius: Of its link's collision shape, in [m]; None where that is no sphere or cylinder.
-    """
-
-    centre: Vector
-    radius: float | None
+    centre: Vector  # [m] origin of its joint
+    radius: float | None  # [m] of its link's collision shape
 
 
 def read_wheel(description: RobotDescription, joint: str) -> Wheel:
-    """Read a wheel.
-
-    Args:
-        description: The robot.
-        joint: Name of the wheel's joint.
-
-    Raises:
-        RobotDescriptionError: The wheel does not turn about the root's +y axis, or an element
-            on the way to it holds no numbers.
-    """
+    """Read a wheel."""
     robot = ElementTree.fromstring(description.xml)
     parents = {_child(each): each for each in robot.findall("joint")}
     wheel = description.joints[joint]
@@ -128,27 +114,17 @@ _SAME = 1e-6  # [m]
 
 
 class BaseTwist(NamedTuple):
-    """How a base moves in its own frame.
+    """How a base moves in its own frame."""
 
-    Attributes:
-        linear: Forward speed of the axle's centre, in [m/s].
-        angular: Rate of the heading, counter-clockwise seen from above, in [rad/s].
-    """
-
-    linear: float
-    angular: float
+    linear: float  # [m/s] forward speed of the axle's centre
+    angular: float  # [rad/s] rate of the heading, counter-clockwise seen from above
 
 
 class WheelRates(NamedTuple):
-    """How fast the wheels turn, forward positive.
+    """How fast the wheels turn, forward positive."""
 
-    Attributes:
-        left: In [rad/s].
-        right: In [rad/s].
-    """
-
-    left: float
-    right: float
+    left: float  # [rad/s]
+    right: float  # [rad/s]
 
 
 @dataclass(frozen=True)
@@ -157,21 +133,12 @@ class DifferentialDrive:
 
     The base's frame is that of REP 103: x forward, y to the left. A positive wheel rate turns
     the wheel about +y and drives it forward.
-
-    Attributes:
-        left: Name of the left wheel's joint.
-        right: Name of the right wheel's joint.
-        radius: Of both wheels, in [m].
-        separation: Distance between the points where the wheels touch the ground, in [m].
-
-    Raises:
-        SettingError: A joint has no name, both are the same, or a length is not positive.
     """
 
-    left: str
-    right: str
-    radius: float
-    separation: float
+    left: str  # name of the left wheel's joint
+    right: str  # name of the right wheel's joint
+    radius: float  # [m] of both wheels
+    separation: float  # [m] distance between the points where the wheels touch the ground
 
     def __post_init__(self) -> None:
         for name in ("left", "right"):
@@ -198,18 +165,6 @@ class DifferentialDrive:
 
         The radius is that of the collision shape of the wheels' links (sphere or cylinder), the
         separation the distance of the wheels' joints along their axis.
-
-        Args:
-            description: The robot.
-            left: Name of the left wheel's joint.
-            right: Name of the right wheel's joint.
-            radius: Of both wheels, in [m].
-            separation: Distance between the wheels' contact points, in [m].
-
-        Raises:
-            RobotDescriptionError: The robot has no such joint, its wheels are not a pair on one
-                axle through the root's origin that turns about +y, or have no one radius.
-            SettingError: A length is not positive.
         """
         if left == right:
             raise SettingError(f"the wheels must be two joints, not {left!r} twice")
@@ -243,10 +198,6 @@ class DifferentialDrive:
 
         .. math:: v = r (\dot\varphi_r + \dot\varphi_l) / 2, \quad
             \omega = r (\dot\varphi_r - \dot\varphi_l) / b
-
-        Args:
-            left_rate: Of the left wheel, in [rad/s].
-            right_rate: Of the right wheel, in [rad/s].
         """
         return BaseTwist(
             0.5 * self.radius * (right_rate + left_rate),
@@ -254,12 +205,7 @@ class DifferentialDrive:
         )
 
     def wheel_rates(self, linear: float, angular: float) -> WheelRates:
-        """Return how fast the wheels turn; the inverse of :meth:`twist`.
-
-        Args:
-            linear: Forward speed, in [m/s].
-            angular: Rate of the heading, in [rad/s].
-        """
+        """Return how fast the wheels turn; the inverse of :meth:`twist`."""
         half = 0.5 * self.separation * angular
         return WheelRates((linear - half) / self.radius, (linear + half) / self.radius)
 

@@ -21,15 +21,7 @@ PAYLOAD_LINK = "payload"
 def bare_model(
     description: RobotDescription, root: pinocchio.JointModel | None = None
 ) -> pinocchio.Model:
-    """Build the model that a URDF describes.
-
-    Args:
-        description: The robot; its joints may be without limits.
-        root: The joint that carries the root link; None holds it in place.
-
-    Raises:
-        RobotDescriptionError: Pinocchio cannot build a model of the URDF.
-    """
+    """Build the model that a URDF describes."""
     xml = _with_limits(description.xml)
     try:
         return pinocchio.buildModelFromXML(xml, *(() if root is None else (root,)))
@@ -67,24 +59,7 @@ def build_model(
     mass_scale: float = 1.0,
     locked: Iterable[str] = (),
 ) -> pinocchio.Model:
-    """Build the model of a robot.
-
-    Args:
-        description: The robot.
-        root: The joint that carries the root link; None holds it in place.
-        payload_mass: Point mass at the payload link, in [kg].
-        payload_link: Link that carries the payload.
-        mass_scale: Factor on the mass and inertia of every link; rotors and payload not.
-        locked: Joints that are held at 0 and leave the model.
-
-    Returns:
-        The model; its armature is the rotors' reflected inertia, in [kg m^2].
-
-    Raises:
-        RobotDescriptionError: Pinocchio cannot build a model of the URDF, the robot lacks a
-            locked joint, or has a payload and no link for it.
-        SettingError: A mass is negative or not finite, or the factor is not positive.
-    """
+    """Build the model of a robot."""
     if not (math.isfinite(payload_mass) and payload_mass >= 0.0):
         raise SettingError(f"payload_mass {payload_mass!r} must be a finite number >= 0 [kg]")
     if not (math.isfinite(mass_scale) and mass_scale > 0.0):
@@ -119,17 +94,11 @@ def velocity_index(model: pinocchio.Model, joint: str) -> int:
 
 
 class InertiaRange(NamedTuple):
-    """What one joint's motor has to accelerate, over the poses of a robot, in [kg m^2].
+    """What one joint's motor has to accelerate, over the poses of a robot, in [kg m^2]."""
 
-    Attributes:
-        minimum: Least effective inertia met.
-        nominal: Effective inertia in the nominal pose.
-        maximum: Greatest effective inertia met.
-    """
-
-    minimum: float
-    nominal: float
-    maximum: float
+    minimum: float  # least effective inertia met
+    nominal: float  # effective inertia in the nominal pose
+    maximum: float  # greatest effective inertia met
 
 
 class Dynamics:
@@ -137,9 +106,6 @@ class Dynamics:
 
     Contact with the ground is not part of it: on a fixed base a wheel turns freely, on a
     floating one the robot flies.
-
-    Attributes:
-        description: The robot.
     """
 
     def __init__(
@@ -149,19 +115,7 @@ class Dynamics:
         payload_mass: float = 0.0,
         payload_link: str = PAYLOAD_LINK,
     ) -> None:
-        """Build the model.
-
-        Args:
-            description: The robot.
-            fixed_base: The root link does not move; otherwise it is free in all six directions.
-            payload_mass: Point mass at the payload link, in [kg].
-            payload_link: Link that carries the payload.
-
-        Raises:
-            RobotDescriptionError: Pinocchio cannot build a model of the URDF, or the robot has
-                a payload and no link for it.
-            SettingError: The payload's mass is negative or not finite.
-        """
+        """Build the model."""
         self.description = description
         self._model = build_model(
             description,
@@ -172,16 +126,7 @@ class Dynamics:
         self._data = self._model.createData()
 
     def mass_matrix(self, names: Iterable[str], positions: Mapping[str, float]) -> Numbers:
-        """Return the joints' block of the mass matrix, rotors included, in [kg m^2].
-
-        Args:
-            names: Joints of the rows and columns, in order.
-            positions: Position of each joint, in [rad]; joints left out are at 0.
-
-        Raises:
-            RobotDescriptionError: The robot lacks a joint.
-            SettingError: A position is not finite.
-        """
+        """Return the joints' block of the mass matrix, rotors included, in [kg m^2]."""
         rows = self._rows(names)
         return self._mass(positions)[np.ix_(rows, rows)]
 
@@ -195,17 +140,6 @@ class Dynamics:
         with :math:`J_r N^2` of each rotor on the diagonal of M.
 
         Source: the paper, section "Implementation of hPID on the mobile manipulator", B = M^{-1}.
-
-        Args:
-            names: Joints asked for.
-            positions: Position of each joint, in [rad]; joints left out are at 0.
-
-        Returns:
-            Effective inertia by joint, in [kg m^2].
-
-        Raises:
-            RobotDescriptionError: The robot lacks a joint.
-            SettingError: A position is not finite.
         """
         wanted = tuple(names)
         rows = self._rows(wanted)
@@ -219,21 +153,7 @@ class Dynamics:
         seed: int,
         nominal: Mapping[str, float] | None = None,
     ) -> dict[str, InertiaRange]:
-        """Return the effective inertias over poses drawn evenly within the joints' limits.
-
-        Args:
-            names: Joints asked for.
-            samples: Number of poses besides the nominal one.
-            seed: Seed of the draw.
-            nominal: The nominal pose, in [rad]; joints left out, or all, are at 0.
-
-        Returns:
-            Least, nominal and greatest inertia by joint.
-
-        Raises:
-            RobotDescriptionError: The robot lacks a joint.
-            SettingError: There is less than one sample, or a position is not finite.
-        """
+        """Return the effective inertias over poses drawn evenly within the joints' limits."""
         if samples < 1:
             raise SettingError(f"samples {samples} must be >= 1")
         wanted = tuple(names)
@@ -251,16 +171,7 @@ class Dynamics:
     def gravity_torques(
         self, names: Iterable[str], positions: Mapping[str, float]
     ) -> dict[str, float]:
-        """Return the efforts that hold a pose against gravity, in [N m].
-
-        Args:
-            names: Joints asked for.
-            positions: Position of each joint, in [rad]; joints left out are at 0.
-
-        Raises:
-            RobotDescriptionError: The robot lacks a joint.
-            SettingError: A position is not finite.
-        """
+        """Return the efforts that hold a pose against gravity, in [N m]."""
         wanted = tuple(names)
         rows = self._rows(wanted)
         configuration = self._configuration(positions)
@@ -340,20 +251,6 @@ def wheel_inertias(
 
     so the other wheel is free to roll. Supporting balls are taken to have no drag and no mass
     of their own.
-
-    Args:
-        description: The robot, its root's origin between the wheels.
-        drive: The wheels.
-        positions: Position of each joint, in [rad]; joints left out are at 0.
-        payload_mass: Point mass at the payload link, in [kg].
-        payload_link: Link that carries the payload.
-
-    Returns:
-        Effective inertia by wheel joint, in [kg m^2].
-
-    Raises:
-        RobotDescriptionError: The robot lacks a joint or the payload's link.
-        SettingError: A position or the payload is impossible.
     """
     robot = _RollingRobot(description, False, payload_mass, payload_link)
     return robot.wheel_mass(drive, positions)

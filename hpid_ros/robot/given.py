@@ -12,18 +12,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class GivenRobot:
-    """A robot that an option names.
+    """A robot that an option names."""
 
-    Attributes:
-        source: Path of its URDF, or the XML text where more is known than the URDF says.
-        description: What that says.
-        fixed_base: Whether its root is held.
-        initial_positions: Where its joints stand at first, in [rad]; others at 0.
-        wheels: Joints on which its base rolls, as far as they are named.
-    """
-
-    source: str
-    description: RobotDescription
-    fixed_base: bool = False
+    source: str  # path of its URDF, or the XML text where more is known than the URDF says
+    description: RobotDescription  # what that says
+    fixed_base: bool = False  # whether its root is held
     initial_positions: Mapping[str, float] = field(default_factory=dict)
-    wheels: tuple[str, ...] = ()
+    wheels: tuple[str, ...] = ()  # joints on which its base rolls, as far as they are named

@@ -17,16 +17,7 @@ _RATIO = 100.0  # of a gear of which nothing is said
 
 
 class InverseDynamics:
-    """The links of a robot on a fixed base: neither rotors nor friction.
-
-    Args:
-        description: The robot.
-        joints: Those that move, in the order of all arrays.
-        others: Where the other joints stand, in [rad]; those left out are at 0.
-
-    Raises:
-        RobotDescriptionError: The robot lacks a joint, or Pinocchio cannot read it.
-    """
+    """The links of a robot on a fixed base: neither rotors nor friction."""
 
     def __init__(
         self,
@@ -49,13 +40,7 @@ class InverseDynamics:
         self._rotors = [_Rotor.of(model, description, name) for name in joints]
 
     def efforts(self, positions: Numbers, velocities: Numbers, accelerations: Numbers) -> Numbers:
-        """Return the efforts, (K, R), in [N m]; in [N] where a joint slides.
-
-        Args:
-            positions: Of K joints at R instants, (K, R), in [rad].
-            velocities: Likewise, in [rad/s].
-            accelerations: Likewise, in [rad/s^2].
-        """
+        """Return the efforts, (K, R), in [N m]; in [N] where a joint slides."""
         model, data, rows = self._model, self._data, self._rows
         neutral = pinocchio.neutral(model)
         motion, velocity, acceleration = self._rest.copy(), *np.zeros((2, model.nv))
@@ -76,12 +61,6 @@ class InverseDynamics:
         A rotor behind a gear of ratio N that spins about its joint's axis z, on the link before
         the joint, has the angular momentum :math:`h = m/N\,\dot q\,z` in that link. The link must
         turn it, and the joint feels :math:`m/N\,\alpha\cdot z` of the link's acceleration.
-
-        Args:
-            positions: Of K joints at R instants, (K, R), in [rad].
-            velocities: Likewise, in [rad/s].
-            accelerations: Likewise, in [rad/s^2].
-            rotors: m, their reflected inertias, (K,), in [kg m^2].
         """
         model, data, rows = self._model, self._data, self._rows
         neutral = pinocchio.neutral(model)
@@ -112,19 +91,12 @@ class InverseDynamics:
 
 
 class _Rotor(NamedTuple):
-    """Where a joint's rotor is: on the link before it, about the joint's axis.
+    """Where a joint's rotor is: on the link before it, about the joint's axis."""
 
-    Attributes:
-        row: Of the joint's velocity.
-        parent: The joint that moves that link.
-        axis: In that joint's frame.
-        ratio: Of the gear; 0 of a joint that slides, whose rotor may be anywhere.
-    """
-
-    row: int
-    parent: int
-    axis: Numbers
-    ratio: float
+    row: int  # of the joint's velocity
+    parent: int  # the joint that moves that link
+    axis: Numbers  # in that joint's frame
+    ratio: float  # of the gear; 0 of a joint that slides, whose rotor may be anywhere
 
     @classmethod
     def of(cls, model: pinocchio.Model, description: RobotDescription, name: str) -> _Rotor:

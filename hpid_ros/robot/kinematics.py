@@ -29,70 +29,42 @@ from hpid_ros.robot.dynamics import bare_model
 
 
 class LinkPose(NamedTuple):
-    """A link's frame in the frame of the robot's root link.
+    """A link's frame in the frame of the robot's root link."""
 
-    Attributes:
-        position: Origin x, y, z, in [m].
-        rotation: Its axes as columns, a rotation matrix of shape (3, 3).
-    """
-
-    position: Numbers
-    rotation: Numbers
+    position: Numbers  # [m] origin x, y, z
+    rotation: Numbers  # its axes as columns, a rotation matrix of shape (3, 3)
 
 
 class LinkPoses(NamedTuple):
-    """A frame at n instants.
+    """A frame at n instants."""
 
-    Attributes:
-        positions: Origins, shape (n, 3), in [m].
-        rotations: Axes as columns, shape (n, 3, 3).
-    """
-
-    positions: Numbers
-    rotations: Numbers
+    positions: Numbers  # [m] origins, shape (n, 3)
+    rotations: Numbers  # axes as columns, shape (n, 3, 3)
 
 
 @dataclass(frozen=True, eq=False)
 class ChainJoint:
-    """One joint of a chain.
+    """One joint of a chain."""
 
-    Attributes:
-        rotation: Of the joint's frame at position 0 in the frame of the joint before, (3, 3).
-        origin: Of the same, (3,), in [m].
-        axis: Unit axis in the joint's frame, (3,).
-        is_prismatic: It slides along the axis; otherwise it turns about it.
-        column: Where its position stands among the positions given; None if it stands still.
-        still: Its position where ``column`` is None, in [rad].
-    """
-
+    # of the joint's frame at position 0 in the frame of the joint before, (3, 3)
     rotation: Numbers
-    origin: Numbers
-    axis: Numbers
-    is_prismatic: bool
-    column: int | None
-    still: float
+    origin: Numbers  # [m] of the same, (3,)
+    axis: Numbers  # unit axis in the joint's frame, (3,)
+    is_prismatic: bool  # it slides along the axis; otherwise it turns about it
+    column: int | None  # where its position stands among the positions given
+    still: float  # [rad] its position where column is None
 
 
 @dataclass(frozen=True, eq=False)
 class SerialChain:
-    """Joints from a root to a tip.
+    """Joints from a root to a tip."""
 
-    Attributes:
-        joints: From the root on.
-        tip_rotation: Of the tip in the frame of the last joint, (3, 3).
-        tip_origin: Of the same, (3,), in [m].
-    """
-
-    joints: tuple[ChainJoint, ...]
-    tip_rotation: Numbers
-    tip_origin: Numbers
+    joints: tuple[ChainJoint, ...]  # from the root on
+    tip_rotation: Numbers  # of the tip in the frame of the last joint, (3, 3)
+    tip_origin: Numbers  # [m] of the same, (3,)
 
     def poses(self, positions: Numbers) -> LinkPoses:
-        """Return the tip in the root's frame.
-
-        Args:
-            positions: Shape (n, columns), in [rad].
-        """
+        """Return the tip in the root's frame."""
         count = len(positions)
         origins = np.zeros((count, 3))
         rotations = np.broadcast_to(np.eye(3), (count, 3, 3))
@@ -114,13 +86,6 @@ def axis_rotations(axis: Numbers, angles: Numbers) -> Numbers:
 
     SciPy's rotations agree to 1e-15, and not to the last bit, which is in the numbers of a
     result.
-
-    Args:
-        axis: Unit axis, (3,).
-        angles: In [rad], (n,).
-
-    Returns:
-        Rotation matrices, shape (n, 3, 3).
     """
     x, y, z = axis
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
@@ -132,13 +97,6 @@ def rotation_angles(rotations: Numbers, others: Numbers) -> Numbers:
     """Return the angles of the rotations that lead from some to others.
 
     Exact also for small angles, where the arc cosine of the trace is not.
-
-    Args:
-        rotations: Shape (n, 3, 3).
-        others: Shape (n, 3, 3).
-
-    Returns:
-        Shape (n,), in [rad], from 0 to pi.
     """
     # |R - S| (Frobenius) = 2 sqrt(2) sin(angle / 2)
     chord = np.linalg.norm(rotations - others, axis=(1, 2)) / (2.0 * np.sqrt(2.0))
@@ -156,15 +114,7 @@ class ReachError(HpidError, ValueError):
 
 
 class Kinematics:
-    """One link of a robot, moved by some of its joints; the others stand at given positions.
-
-    Attributes:
-        description: The robot.
-        link: Name of the link.
-        joints: Names of the joints that move it, in the order of every vector here.
-        lower: Their lowest positions, in [rad]; -inf where there is none.
-        upper: Their highest positions, in [rad]; +inf where there is none.
-    """
+    """One link of a robot, moved by some of its joints; the others stand at given positions."""
 
     def __init__(
         self,
@@ -173,19 +123,7 @@ class Kinematics:
         joints: Iterable[str] | None = None,
         others: Mapping[str, float] | None = None,
     ) -> None:
-        """Build the model.
-
-        Args:
-            description: The robot.
-            link: Name of the link.
-            joints: Joints that move it; if None, all between the root and the link.
-            others: Positions of further joints, in [rad]; joints left out are at 0.
-
-        Raises:
-            RobotDescriptionError: Pinocchio cannot build a model of the URDF, the robot lacks
-                a joint or the link, or no joint moves the link.
-            SettingError: A position is not finite.
-        """
+        """Build the model."""
         self.description = description
         self.link = description.link(link)
         self._model = bare_model(description)
@@ -208,52 +146,22 @@ class Kinematics:
         self._links = self._serial_chain()
 
     def pose(self, positions: npt.ArrayLike) -> LinkPose:
-        """Return where the link is.
-
-        Args:
-            positions: Of the joints, in their order, in [rad].
-
-        Raises:
-            SettingError: There is not one finite position for each joint.
-        """
+        """Return where the link is."""
         placement = self._placement(self._checked(positions))
         return LinkPose(placement.translation.copy(), placement.rotation.copy())
 
     def jacobian(self, positions: npt.ArrayLike) -> Numbers:
-        """Return the velocity of the link for each joint's velocity.
-
-        Args:
-            positions: Of the joints, in their order, in [rad].
-
-        Returns:
-            Shape (6, joints): the velocity of the link's origin over its angular velocity, both
-            in the axes of the root link; in [m/rad] and [1].
-
-        Raises:
-            SettingError: There is not one finite position for each joint.
-        """
+        """Return the velocity of the link for each joint's velocity."""
         return self._jacobian(self._checked(positions), pinocchio.LOCAL_WORLD_ALIGNED)
 
     def poses(self, positions: npt.ArrayLike) -> LinkPoses:
-        """Return where the link is at many instants; equal to :meth:`pose`, and much faster.
-
-        Args:
-            positions: Of the joints, in their order, shape (n, joints), in [rad].
-        """
+        """Return where the link is at many instants; equal to :meth:`pose`, and much faster."""
         return self._links.poses(np.asarray(positions, dtype=float))
 
     def solve(self, target: LinkPose, start: npt.ArrayLike) -> Numbers:
         """Return positions within the limits that put the link at a pose.
 
         Of several solutions it is, as a rule, one near the start.
-
-        Args:
-            target: The wanted pose.
-            start: Positions to begin at, in [rad]; put within the limits if they are not.
-
-        Raises:
-            ReachError: No start led there; the line tells how close the best one came.
-            SettingError: There is not one finite position for each joint.
         """
         from scipy.optimize import least_squares  # slow to import, and only needed here
 

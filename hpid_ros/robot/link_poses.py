@@ -16,20 +16,7 @@ from hpid_ros.robot.kinematics import LinkPoses
 def link_poses(
     description: RobotDescription, positions: Mapping[str, Numbers], count: int
 ) -> dict[str, LinkPoses]:
-    """Return where each link is in the frame of the root link.
-
-    Args:
-        description: The robot.
-        positions: Of its joints, each (n,), in [rad]; joints left out are at 0.
-        count: How many instants there are, n.
-
-    Returns:
-        Poses at the n instants, by link.
-
-    Raises:
-        RobotDescriptionError: Pinocchio cannot build a model of the URDF, or the robot lacks a
-            joint.
-    """
+    """Return where each link is in the frame of the root link."""
     model = bare_model(description)
     data = model.createData()
     frames = {name: model.getFrameId(name) for name in description.links}

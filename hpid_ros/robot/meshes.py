@@ -16,13 +16,6 @@ def find_mesh(filename: str, folder: Path | None) -> Path | None:
     A ``package://name/path`` is looked for as ``path`` and as ``name/path`` in the URDF's folder
     and in those above it, which finds it in a source tree as in an install space, and then in
     the package of that name. Any other name is an absolute path or relative to the URDF.
-
-    Args:
-        filename: Attribute ``filename`` of the element.
-        folder: Folder of the URDF; None when it came as text.
-
-    Returns:
-        An absolute path; None where there is no such file.
     """
     for path in _places(filename, folder):
         if is_file(path):
@@ -31,12 +24,7 @@ def find_mesh(filename: str, folder: Path | None) -> Path | None:
 
 
 def mesh_places(filename: str, folder: Path | None) -> str:
-    """Say where a mesh was looked for, for a message.
-
-    Args:
-        filename: As for :func:`find_mesh`.
-        folder: As for :func:`find_mesh`.
-    """
+    """Say where a mesh was looked for, for a message."""
     if filename.startswith(_PACKAGE):
         name = filename.removeprefix(_PACKAGE).partition("/")[0]
         known = package_folder(name)

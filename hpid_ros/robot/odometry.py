@@ -26,17 +26,11 @@ WHEEL_ERROR = 1e-4
 
 
 class PlanarPose(NamedTuple):
-    """Where a base is in the plane.
+    """Where a base is in the plane."""
 
-    Attributes:
-        x: In [m].
-        y: In [m].
-        heading: In [rad], counter-clockwise from x; not wrapped.
-    """
-
-    x: float
-    y: float
-    heading: float
+    x: float  # [m]
+    y: float  # [m]
+    heading: float  # [rad] counter-clockwise from x; not wrapped
 
 
 class PlanarCovariance(NamedTuple):
@@ -51,21 +45,7 @@ class PlanarCovariance(NamedTuple):
 
 
 class Odometry:
-    """Adds up arcs, and how uncertain they are; starts at the origin, certain of it.
-
-    Attributes:
-        drive: The base.
-        pose: Where the base is, by its wheels.
-        covariance: Of the pose.
-        distance: Travelled so far, forward less backward, in [m].
-        turn: Turned so far, in [rad].
-
-    Args:
-        drive: The base.
-        left: Position of the left wheel now, in [rad].
-        right: Position of the right wheel now, in [rad].
-        wheel_error: Variance of a wheel's travel for each metre of it, in [m^2/m].
-    """
+    """Adds up arcs, and how uncertain they are; starts at the origin, certain of it."""
 
     def __init__(
         self,
@@ -82,12 +62,7 @@ class Odometry:
         self.distance = self.turn = 0.0
 
     def update(self, left: float, right: float) -> PlanarPose:
-        """Take the next reading of the wheels and return the pose.
-
-        Args:
-            left: Position of the left wheel, in [rad].
-            right: Position of the right wheel, in [rad].
-        """
+        """Take the next reading of the wheels and return the pose."""
         drive = self.drive
         of_left = drive.radius * (left - self._left)
         of_right = drive.radius * (right - self._right)
@@ -107,13 +82,7 @@ class Odometry:
         return self.pose
 
     def twist_between(self, distance: float, turn: float, seconds: float) -> BaseTwist:
-        """Return the mean twist since a moment.
-
-        Args:
-            distance: :attr:`distance` then, in [m].
-            turn: :attr:`turn` then, in [rad].
-            seconds: Time since then, in [s].
-        """
+        """Return the mean twist since a moment."""
         return BaseTwist((self.distance - distance) / seconds, (self.turn - turn) / seconds)
 
     def _spread(
@@ -142,26 +111,13 @@ class Odometry:
 
 
 def chord_share(turn: float) -> float:
-    """Return the chord of an arc over its length.
-
-    Args:
-        turn: By how much the arc turns, in [rad].
-    """
+    """Return the chord of an arc over its length."""
     half = 0.5 * turn
     return math.sin(half) / half if half else 1.0
 
 
 def integrated(drive: DifferentialDrive, left: Numbers, right: Numbers) -> Numbers:
-    """Return the poses of a whole recording, from the origin on, by the same arcs.
-
-    Args:
-        drive: The base.
-        left: Positions of the left wheel, (N,), in [rad].
-        right: Positions of the right wheel, (N,), in [rad].
-
-    Returns:
-        x [m], y [m] and heading [rad], (N, 3).
-    """
+    """Return the poses of a whole recording, from the origin on, by the same arcs."""
     of_left, of_right = drive.radius * np.diff(left), drive.radius * np.diff(right)
     distances, turns = 0.5 * (of_left + of_right), (of_right - of_left) / drive.separation
     headings = np.concatenate(([0.0], np.cumsum(turns)))

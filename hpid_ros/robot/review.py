@@ -18,26 +18,14 @@ _ALIKE = 4
 
 
 class Remark(NamedTuple):
-    """One thing to know before such a robot is simulated.
+    """One thing to know before such a robot is simulated."""
 
-    Attributes:
-        names: Joints or links that it is about.
-        text: What is the matter.
-    """
-
-    names: tuple[str, ...]
-    text: str
+    names: tuple[str, ...]  # joints or links that it is about
+    text: str  # what is the matter
 
 
 def review(description: RobotDescription) -> list[Remark]:
-    """Return what to know of a robot before it is simulated.
-
-    Args:
-        description: The robot.
-
-    Raises:
-        RobotDescriptionError: A mass or a moment of inertia is no number.
-    """
+    """Return what to know of a robot before it is simulated."""
     robot = ElementTree.fromstring(description.xml)
     parts = _joints, _links, _meshes
     return [remark for part in parts for remark in part(description, robot)]

@@ -31,47 +31,25 @@ _SHORTEST_BONE = 0.005  # [m]
 
 
 class Body(NamedTuple):
-    """A solid as it is drawn.
+    """A solid as it is drawn."""
 
-    Attributes:
-        form: ``box``, ``sphere``, ``cylinder`` (along its z) or ``mesh``.
-        size: Edges of a box; radius; radius and length; the scale of a mesh along x, y, z. In [m].
-        color: Red, green and blue, each in [0, 1].
-        mesh: File of a mesh.
-    """
-
-    form: str
-    size: tuple[float, ...]
-    color: Vector = PLAIN
-    mesh: Path | None = None
+    form: str  # box, sphere, cylinder (along its z) or mesh
+    size: tuple[float, ...]  # [m] edges of a box
+    color: Vector = PLAIN  # red, green and blue, each in [0, 1]
+    mesh: Path | None = None  # file of a mesh
 
 
 class Shape(NamedTuple):
-    """A body on a link.
+    """A body on a link."""
 
-    Attributes:
-        link: Name of the link.
-        body: The body.
-        position: Its centre in the link's frame, (3,), in [m].
-        rotation: Its axes there as columns, (3, 3).
-    """
-
-    link: str
+    link: str  # name of the link
     body: Body
-    position: Numbers
-    rotation: Numbers
+    position: Numbers  # [m] its centre in the link's frame, (3,)
+    rotation: Numbers  # its axes there as columns, (3, 3)
 
 
 def drawn_shapes(description: RobotDescription, readable: Collection[str]) -> tuple[Shape, ...]:
-    """Return what is drawn of a robot, link by link.
-
-    Args:
-        description: The robot.
-        readable: Suffixes of the mesh files that can be read, for instance ``".stl"``.
-
-    Raises:
-        RobotDescriptionError: A number of a shape is none.
-    """
+    """Return what is drawn of a robot, link by link."""
     robot = ElementTree.fromstring(description.xml)
     colors = {each.get("name", ""): color for each in robot.findall("material")
               if (color := _color(each)) is not None}  # fmt: skip

@@ -19,17 +19,11 @@ from hpid_ros.simulation.world.world import World
 
 
 class Slip(NamedTuple):
-    """Distances that the contacts have slid, there and back both counted.
+    """Distances that the contacts have slid, there and back both counted."""
 
-    Attributes:
-        left: Of the left wheel along its track, in [m].
-        right: Of the right wheel along its track, in [m].
-        lateral: Of the axle, sideways, in [m].
-    """
-
-    left: float
-    right: float
-    lateral: float
+    left: float  # [m] of the left wheel along its track
+    right: float  # [m] of the right wheel along its track
+    lateral: float  # [m] of the axle, sideways
 
 
 class SlipMeter:
@@ -37,14 +31,6 @@ class SlipMeter:
 
     In each period the base is taken to move on an arc. A wheel's slip is its travel less that of
     its end of the axle along the arc; the axle's lateral slip is what the arc does not explain.
-
-    Attributes:
-        slip: Up to now.
-
-    Args:
-        drive: The base.
-        wheels: True positions of the left and the right wheel, in [rad].
-        pose: True pose of the axle's centre, its heading in (-pi, pi].
     """
 
     def __init__(
@@ -80,12 +66,7 @@ REPORT_RATE = 50.0
 
 
 class ReportTimes:
-    """Tells which states come with a report: the first, then one a period, and the last of all.
-
-    Args:
-        rate: Reports a second of simulated time, in [Hz]; 0 is none at all.
-        end_ns: Stamp of the last state in [ns]; None if there is none.
-    """
+    """Tells which states come with a report: the first, then one a period, and the last of all."""
 
     def __init__(self, rate: float, end_ns: int | None = None) -> None:
         self._period_ns = round(NANOSECONDS / rate) if rate > 0.0 else 0
@@ -98,11 +79,7 @@ class ReportTimes:
         return not self._period_ns
 
     def is_due(self, stamp_ns: int) -> bool:
-        """Tell whether a state comes with a report; ask once for each state.
-
-        Args:
-            stamp_ns: Its stamp in [ns]; one that goes back begins anew.
-        """
+        """Tell whether a state comes with a report; ask once for each state."""
         if not self._period_ns:
             return False
         last_ns = self._last_ns
@@ -114,37 +91,18 @@ class ReportTimes:
 
 
 class BaseReport(NamedTuple):
-    """Odometry of the wheels beside the truth.
+    """Odometry of the wheels beside the truth."""
 
-    Attributes:
-        stamp_ns: Of the state, in [ns].
-        pose: Where the base is by its wheels, from where it stood at time 0.
-        covariance: Of the pose.
-        twist: By the wheels, its mean since the report before.
-        twist_variance: Of the linear [m^2/s^2] and the angular rate [rad^2/s^2].
-        slip: Of the wheels up to now.
-    """
-
-    stamp_ns: int
-    pose: PlanarPose
-    covariance: PlanarCovariance
-    twist: BaseTwist
-    twist_variance: tuple[float, float]
-    slip: Slip
+    stamp_ns: int  # [ns] of the state
+    pose: PlanarPose  # where the base is by its wheels, from where it stood at time 0
+    covariance: PlanarCovariance  # of the pose
+    twist: BaseTwist  # by the wheels, its mean since the report before
+    twist_variance: tuple[float, float]  # [m^2/s^2] of the linear and the angular rate [rad^2/s^2]
+    slip: Slip  # of the wheels up to now
 
 
 class BaseMonitor:
-    """Follows the base of a world; begins anew when time goes back.
-
-    Attributes:
-        drive: The base.
-
-    Args:
-        world: A world whose settings name a base.
-
-    Raises:
-        SettingError: They do not.
-    """
+    """Follows the base of a world; begins anew when time goes back."""
 
     def __init__(self, world: World) -> None:
         settings = world.settings
@@ -170,11 +128,7 @@ class BaseMonitor:
         return 0.0 if self._stamp_ns is None else self._driven
 
     def note(self, positions: Sequence[float]) -> None:
-        """Take the present state of the world, once for each state.
-
-        Args:
-            positions: Measured positions of the driven joints, in [rad].
-        """
+        """Take the present state of the world, once for each state."""
         now_ns = self._world.time_ns
         left, right = positions[self._left], positions[self._right]
         true = self._world.true_positions()
@@ -193,11 +147,7 @@ class BaseMonitor:
         self._stamp_ns = now_ns
 
     def report(self) -> BaseReport:
-        """Return how the base is now; the next twist counts from here.
-
-        Raises:
-            SettingError: No state was noted.
-        """
+        """Return how the base is now; the next twist counts from here."""
         if self._stamp_ns is None:
             raise SettingError("a base can be reported when a state has been noted, not before")
         odometry = self._odometry
@@ -223,11 +173,7 @@ class BaseMonitor:
 
 
 def planar(pose: Pose) -> PlanarPose:
-    """Return a pose in the plane: x, y and yaw in (-pi, pi].
-
-    Args:
-        pose: A pose in the world.
-    """
+    """Return a pose in the plane: x, y and yaw in (-pi, pi]."""
     x, y, z, w = pose.orientation
     heading = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
     return PlanarPose(pose.position[0], pose.position[1], heading)
@@ -242,20 +188,13 @@ _ROW = 6
 
 
 class OdometryValues(NamedTuple):
-    """Pose of a base in its frame ``odom`` and twist in its own frame (REP 105).
+    """Pose of a base in its frame ``odom`` and twist in its own frame (REP 105)."""
 
-    Attributes:
-        pose: Of the base.
-        pose_covariance: Of x, y, z and the rotations about them, row by row, 36 numbers, in
-            [m^2], [m rad] and [rad^2].
-        twist: Of the base.
-        twist_covariance: Likewise, a second less.
-    """
-
-    pose: Pose
+    pose: Pose  # of the base
+    # [m^2] of x, y, z and the rotations about them, row by row, 36 numbers, [m rad] and [rad^2]
     pose_covariance: tuple[float, ...]
-    twist: Twist
-    twist_covariance: tuple[float, ...]
+    twist: Twist  # of the base
+    twist_covariance: tuple[float, ...]  # likewise, a second less
 
 
 def wheel_odometry(report: BaseReport) -> OdometryValues:

@@ -49,11 +49,7 @@ class Pwm(Record):
         return 1.0 / (2**self.bits - 1)
 
     def output(self, duty: float) -> float:
-        """Return the duty that acts: the nearest step, or 0 in the dead band.
-
-        Args:
-            duty: The duty asked for; held to [-1, 1].
-        """
+        """Return the duty that acts: the nearest step, or 0 in the dead band."""
         magnitude = min(abs(duty), 1.0)
         if magnitude < self.dead_band:
             return 0.0
@@ -61,11 +57,7 @@ class Pwm(Record):
         return math.copysign(round(magnitude * steps) / steps, duty)
 
     def cycle(self, time_ns: int) -> int:
-        """Return the number of the register's present cycle; a new one takes the register over.
-
-        Args:
-            time_ns: Simulated time, in [ns].
-        """
+        """Return the number of the register's present cycle; a new one takes the register over."""
         return math.floor(time_ns * self.rate / NANOSECONDS) if self.rate else time_ns
 
 
@@ -109,32 +101,18 @@ class Motor(Record):
         return self.supply_voltage / self.torque_constant
 
     def time_constant(self, rotor_inertia: float) -> float:
-        """Return the mechanical time constant ``J R / k^2`` of the bare rotor, in [s].
-
-        Args:
-            rotor_inertia: J, in [kg m^2].
-        """
+        """Return the mechanical time constant ``J R / k^2`` of the bare rotor, in [s]."""
         return rotor_inertia * self.resistance / self.torque_constant**2
 
     def duty(self, torque: float, speed: float) -> float:
-        """Return the part of the supply's voltage that is asked for, in [-1, 1].
-
-        Args:
-            torque: Torque wanted at the rotor, in [N m].
-            speed: Speed of the rotor, in [rad/s].
-        """
+        """Return the part of the supply's voltage that is asked for, in [-1, 1]."""
         voltage = self.resistance / self.torque_constant * torque
         if self.drive == "current":
             voltage += self.torque_constant * speed
         return min(max(voltage / self.supply_voltage, -1.0), 1.0)
 
     def torque(self, duty: float, speed: float) -> float:
-        """Return the torque at the rotor, friction not taken off, in [N m].
-
-        Args:
-            duty: Part of the supply's voltage at the terminals, in [-1, 1].
-            speed: Speed of the rotor, in [rad/s].
-        """
+        """Return the torque at the rotor, friction not taken off, in [N m]."""
         back_emf = self.torque_constant * speed
         return self.torque_constant * (duty * self.supply_voltage - back_emf) / self.resistance
 
@@ -143,10 +121,6 @@ class Motor(Record):
 
         The output is ``efficiency * torque`` when the motor drives, and ``torque / efficiency``
         holds a load that drives the motor.
-
-        Args:
-            torque: The motor's torque, at either side of the gear.
-            speed: Speed at the same side.
         """
         if torque * speed >= 0.0:
             return (1.0 - self.gear_efficiency) * abs(torque)
@@ -180,17 +154,7 @@ class DriveSettings(Record):
 
 
 class Drive:
-    """A joint's drive in a run; its past is the efforts under way and the bridge's register.
-
-    Args:
-        settings: What it consists of.
-        joint: The joint, whose gear ratio, effort limit and own friction count.
-        physics_period: Time between two physics steps, in [s].
-
-    Raises:
-        SettingError: The bridge has neither a motor nor an effort limit to give a part of, or
-            the motor is faster than the physics can follow.
-    """
+    """A joint's drive in a run; its past is the efforts under way and the bridge's register."""
 
     def __init__(
         self, settings: DriveSettings, joint: JointDescription, physics_period: float
@@ -228,24 +192,12 @@ class Drive:
         self._duty = 0.0
 
     def command(self, effort: float) -> None:
-        """Take the effort of one control period.
-
-        Args:
-            effort: Within the joint's limit, in [N m].
-        """
+        """Take the effort of one control period."""
         self._under_way.append(effort)
         self._effort = self._under_way.popleft()
 
     def torque(self, time_ns: int, velocity: float) -> float:
-        """Return the motor's torque in the next physics step, frictions not taken off.
-
-        Args:
-            time_ns: Simulated time, in [ns]; it does not go back between resets.
-            velocity: Of the joint, in [rad/s].
-
-        Returns:
-            The torque at the joint, in [N m].
-        """
+        """Return the motor's torque in the next physics step, frictions not taken off."""
         motor = self.settings.motor
         if motor is None:
             if self.settings.pwm is None:
@@ -256,12 +208,7 @@ class Drive:
         return self._ratio * motor.torque(self._bridge(time_ns, duty), speed)
 
     def brake(self, torque: float, velocity: float) -> float:
-        """Return all Coulomb friction at the joint beside a motor's torque, in [N m].
-
-        Args:
-            torque: From :meth:`torque`, in [N m].
-            velocity: Of the joint, in [rad/s].
-        """
+        """Return all Coulomb friction at the joint beside a motor's torque, in [N m]."""
         motor = self.settings.motor
         loss = 0.0 if motor is None else motor.gear_loss(torque, velocity)
         return self.friction + loss

@@ -15,21 +15,13 @@ from hpid_ros.simulation.world.world import World
 
 
 class Sample(NamedTuple):
-    """One state and the commands that answer it.
+    """One state and the commands that answer it."""
 
-    Attributes:
-        stamp_ns: Stamp of both in [ns].
-        positions: Measured positions of the driven joints in [rad].
-        applied: Efforts that the motors gave in the period before, in [N m].
-        efforts: The commands in [N m].
-        velocities: Measured velocities in [rad/s]; None where the robot measures none.
-    """
-
-    stamp_ns: int
-    positions: Sequence[float]
-    applied: Sequence[float]
-    efforts: Sequence[float]
-    velocities: Sequence[float] | None = None
+    stamp_ns: int  # [ns] stamp of both
+    positions: Sequence[float]  # [rad] measured positions of the driven joints
+    applied: Sequence[float]  # [N m] efforts that the motors gave in the period before
+    efforts: Sequence[float]  # [N m] the commands
+    velocities: Sequence[float] | None = None  # [rad/s] measured velocities
 
 
 def run_in_process(
@@ -39,15 +31,7 @@ def run_in_process(
     observe: Callable[[Sample], None],
     compensators: Sequence[Compensator | None] = (),
 ) -> None:
-    """Run a world under control from its present state on.
-
-    Args:
-        world: The world.
-        loops: One loop for each driven joint, in the world's order.
-        periods: Control periods to run; there is one state more.
-        observe: Called with every sample, the last one included.
-        compensators: The model of each loop, None for one without; empty where none has one.
-    """
+    """Run a world under control from its present state on."""
     compensated = None
     if any(compensators):
         compensated = CompensatedLoops(world.settings.joints, loops, compensators)
@@ -69,19 +53,12 @@ def run_in_process(
 
 
 class Recording(NamedTuple):
-    """N states of K driven joints and the commands that answer them.
+    """N states of K driven joints and the commands that answer them."""
 
-    Attributes:
-        stamps_ns: Stamps of the states and of their answers, (N,), in [ns].
-        positions: Measured positions, (N, K), in [rad].
-        references: References as the loops sampled them, (N, K), in [rad].
-        efforts: Commands, (N, K), in [N m].
-    """
-
-    stamps_ns: NDArray[np.int64]
-    positions: Numbers
-    references: Numbers
-    efforts: Numbers
+    stamps_ns: NDArray[np.int64]  # [ns] stamps of the states and of their answers, (N,)
+    positions: Numbers  # [rad] measured positions, (N, K)
+    references: Numbers  # [rad] references as the loops sampled them, (N, K)
+    efforts: Numbers  # [N m] commands, (N, K)
 
 
 def record_run(
@@ -90,17 +67,7 @@ def record_run(
     periods: int,
     compensators: Sequence[Compensator | None] = (),
 ) -> Recording:
-    """Run a world under control from its present state on, and keep every sample.
-
-    Args:
-        world: The world.
-        loops: One loop for each driven joint, in the world's order.
-        periods: Control periods to run; there is one state more.
-        compensators: The model of each loop, None for one without; empty where none has one.
-
-    Raises:
-        SettingError: A command is not finite.
-    """
+    """Run a world under control from its present state on, and keep every sample."""
     samples = periods + 1
     stamps_ns = np.empty(samples, np.int64)
     positions, references, efforts = np.empty((3, samples, len(loops)))

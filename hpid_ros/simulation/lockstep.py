@@ -9,33 +9,18 @@ from dataclasses import dataclass
 
 @dataclass
 class AnswerCounts:
-    """What one joint's controller did.
+    """What one joint's controller did."""
 
-    Attributes:
-        answered: States that it answered in time.
-        unanswered: States that it did not answer; the joint got no effort.
-        repeated: Further answers to the same state.
-        stale: Answers to another state than the present one.
-        invalid: Answers that were not finite; the joint got no effort.
-        excessive: Answers beyond the joint's limit, which were held to it.
-        conflicting: Answers to one state that differ: somebody else commands the joint, too.
-    """
-
-    answered: int = 0
-    unanswered: int = 0
-    repeated: int = 0
-    stale: int = 0
-    invalid: int = 0
-    excessive: int = 0
-    conflicting: int = 0
+    answered: int = 0  # states that it answered in time
+    unanswered: int = 0  # states that it did not answer; the joint got no effort
+    repeated: int = 0  # further answers to the same state
+    stale: int = 0  # answers to another state than the present one
+    invalid: int = 0  # answers that were not finite; the joint got no effort
+    excessive: int = 0  # answers beyond the joint's limit, which were held to it
+    conflicting: int = 0  # answers to one state that differ: somebody else commands the joint, too
 
     def checked(self, effort: float, limit: float) -> float:
-        """Return what may reach the joint of a commanded effort, and count what may not.
-
-        Args:
-            effort: What came in [N m].
-            limit: Largest absolute effort in [N m].
-        """
+        """Return what may reach the joint of a commanded effort, and count what may not."""
         if not math.isfinite(effort):
             self.invalid += 1
             return 0.0
@@ -52,10 +37,6 @@ class Barrier:
     else. Its controller has come back when it answers, also a state that is over, since nobody
     waited for it: then the next state waits. Each time it does not keep that promise, twice as
     many answers must come before it is believed again.
-
-    Args:
-        joints: The driven joints, in the order of the efforts.
-        limits: Largest absolute effort of each joint in [N m]; without limit if not given.
     """
 
     def __init__(self, joints: Sequence[str], limits: Mapping[str, float] | None = None) -> None:
@@ -96,11 +77,7 @@ class Barrier:
         return len(self._silent) == len(self.joints)
 
     def begin(self, stamp_ns: int) -> None:
-        """Begin to wait for the answers to a state.
-
-        Args:
-            stamp_ns: Its stamp in [ns].
-        """
+        """Begin to wait for the answers to a state."""
         self._past = self._stamp_ns, self._given
         self._given = [None] * len(self.joints)
         self._stamp_ns = stamp_ns
@@ -116,17 +93,7 @@ class Barrier:
                 self._silent.remove(name)
 
     def answer(self, stamp_ns: int, names: Sequence[str], efforts: Sequence[float]) -> bool:
-        """Take a command.
-
-        Args:
-            stamp_ns: Stamp of the state that it answers in [ns].
-            names: Its joints.
-            efforts: Their efforts in [N m].
-
-        Returns:
-            Whether this command ended the waiting: it completed the answers to the present
-            state, or it is the first after everybody had been given up.
-        """
+        """Take a command."""
         was_waiting = bool(self._missing) or self.is_abandoned
         for name, effort in zip(names, efforts, strict=True):
             counts = self.counts.get(name)
@@ -163,11 +130,7 @@ class Barrier:
         self._efforts[index] = counts.checked(effort, self._limits[index])
 
     def time_out(self) -> tuple[str, ...]:
-        """Stop waiting for those that have not answered.
-
-        Returns:
-            The joints that are silent from now on.
-        """
+        """Stop waiting for those that have not answered."""
         given_up = self.missing
         for name in given_up:
             if self._late[name]:  # it was believed, and did not answer
@@ -196,17 +159,7 @@ _SPARED_AT_ZERO = 0.75  # of the patience, after an effort of zero
 
 
 class FollowedSender:
-    """Tells the sender that a joint follows from others.
-
-    Attributes:
-        sender: The one that is followed; None before the first command.
-        other: Another one that commanded the joint meanwhile, the last of them.
-        others: Commands of others that were not followed.
-        changes: How often the one that is followed has changed.
-
-    Args:
-        patience: The one that is followed is silent after so long, in [s].
-    """
+    """Tells the sender that a joint follows from others."""
 
     def __init__(self, patience: float) -> None:
         self.sender: str | None = None
@@ -216,15 +169,7 @@ class FollowedSender:
         self._heard = 0.0
 
     def takes(self, sender: str, effort: float, now: float) -> bool:
-        """Tell whether a command is to be followed.
-
-        Args:
-            sender: Who sent it; all who do not say so are one.
-            effort: The command in [N m]; zero is how a controller leaves its joint, and how it
-                rests: silence counts after a quarter of the patience then. One that is not
-                finite is silence: whoever sends it keeps nobody else from the joint.
-            now: The time in [s], on any clock that does not go back.
-        """
+        """Tell whether a command is to be followed."""
         if sender != self.sender:
             if self.sender is not None:
                 if now - self._heard <= self._patience:

@@ -6,24 +6,15 @@ from typing import NamedTuple
 
 
 class Pose(NamedTuple):
-    """A frame in the world.
+    """A frame in the world."""
 
-    Attributes:
-        position: Origin x, y, z, in [m].
-        orientation: Unit quaternion x, y, z, w, as in ``geometry_msgs/Quaternion``.
-    """
-
-    position: tuple[float, float, float]
+    position: tuple[float, float, float]  # [m] origin x, y, z
+    # unit quaternion x, y, z, w, as in geometry_msgs/Quaternion
     orientation: tuple[float, float, float, float]
 
 
 class Twist(NamedTuple):
-    """Velocity of a frame, expressed in that frame, as ``nav_msgs/Odometry`` has it.
+    """Velocity of a frame, expressed in that frame, as ``nav_msgs/Odometry`` has it."""
 
-    Attributes:
-        linear: Velocity of the frame's origin, in [m/s].
-        angular: Angular velocity, in [rad/s].
-    """
-
-    linear: tuple[float, float, float]
-    angular: tuple[float, float, float]
+    linear: tuple[float, float, float]  # [m/s] velocity of the frame's origin
+    angular: tuple[float, float, float]  # [rad/s] angular velocity

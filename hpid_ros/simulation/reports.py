@@ -45,11 +45,7 @@ KINDS = {
 
 
 def recorded_reports(settings: WorldSettings) -> tuple[str, ...]:
-    """Return the topics that a recording of a run must have.
-
-    Args:
-        settings: The world; where it names no base, there is nothing of one to record.
-    """
+    """Return the topics that a recording of a run must have."""
     of_the_base = () if settings.base is None else (ODOM, TRUTH, SLIP)
     return (*of_the_base, *task_topics(settings))
 
@@ -60,20 +56,6 @@ class Reports:
     ``odom`` is what the wheels say where the robot has a base, else the truth. ``wheel_slip`` is
     how far the contacts have slid: x the left wheel, y the right wheel, z the axle sideways.
     ``ee_pose`` is the true pose of a link in the frame ``odom``.
-
-    Args:
-        world: The world.
-        link: Whose pose ``ee_pose`` is.
-        rate: In [Hz] of simulated time; 0 leaves all but the events of the gripper out.
-        end_ns: Stamp of the last state in [ns], which is reported in any case; None if there is
-            none.
-        prefix: Of the frames' names.
-        notice: Called with each event of the gripper.
-        wanted: Topics that somebody takes; None for all that the world has.
-
-    Attributes:
-        topics: What is told at all.
-        counts: Messages so far, by topic.
     """
 
     def __init__(
@@ -104,12 +86,7 @@ class Reports:
         self._notice = notice
 
     def sample(self, stamp_ns: int, positions: Sequence[float]) -> Iterator[tuple[str, bytes]]:
-        """Yield the topic and the bytes of each message that is due; once for each state.
-
-        Args:
-            stamp_ns: Simulated time in [ns].
-            positions: Measured positions of the driven joints in [rad].
-        """
+        """Yield the topic and the bytes of each message that is due; once for each state."""
         yield from self.events()
         if self._monitor is not None:
             self._monitor.note(positions)

@@ -21,18 +21,11 @@ class Encoder:
 
     A position is rounded to the middle of its count: the error is at most half a count,
     pi / counts, either way. Where the counts begin is a matter of how the disc was mounted.
-
-    Attributes:
-        counts: Counts per revolution of the joint's output shaft (all four edges of each line);
-            0 is an ideal sensor.
-        phase: Where zero lies in its count, from the middle, in [counts].
-
-    Raises:
-        SettingError: The number of counts is negative or not a whole number.
     """
 
+    # counts per revolution of the joint's output shaft (all four edges of each line)
     counts: int = 0
-    phase: float = 0.0
+    phase: float = 0.0  # [counts] where zero lies in its count, from the middle
 
     def __post_init__(self) -> None:
         if isinstance(self.counts, bool) or not isinstance(self.counts, int) or self.counts < 0:
@@ -46,14 +39,7 @@ class Encoder:
         return math.tau / self.counts if self.counts else 0.0
 
     def read(self, position: float) -> float:
-        """Return the measured position.
-
-        Args:
-            position: True position, in [rad].
-
-        Returns:
-            The middle of the count that the position is in, in [rad].
-        """
+        """Return the measured position."""
         counts, phase = self.counts, self.phase
         if not counts:
             return position
@@ -74,12 +60,7 @@ class HallSwitch(Record):
     hysteresis: float = quantity("Distance between them", "rad", default=0.0, least=0.0)
 
     def read(self, position: float, was_on: bool) -> bool:
-        """Return whether the switch is on.
-
-        Args:
-            position: Of the joint, in [rad].
-            was_on: Whether it was on before.
-        """
+        """Return whether the switch is on."""
         half = self.hysteresis / 2.0
         return position > self.position + (-half if was_on else half)
 
@@ -107,26 +88,11 @@ class Homing(Record):
         return HallSwitch(self.position, self.hysteresis)
 
     def largest_error(self, period: float, encoder: Encoder) -> float:
-        """Return the bound on :meth:`error`'s absolute value, in [rad].
-
-        Args:
-            period: Time between two looks at the switch, in [s].
-            encoder: The joint's encoder.
-        """
+        """Return the bound on :meth:`error`'s absolute value, in [rad]."""
         return self.hysteresis / 2.0 + self.speed * period + encoder.resolution / 2.0
 
     def error(self, start: float, period: float, encoder: Encoder, chance: random.Random) -> float:
-        """Run, and return what the readings are wrong by from then on.
-
-        Args:
-            start: Position at which power came on, in [rad].
-            period: Time between two looks at the switch, in [s].
-            encoder: The joint's encoder.
-            chance: Decides when the switch is looked at.
-
-        Returns:
-            Reading minus position, the encoder's rounding aside, in [rad].
-        """
+        """Run, and return what the readings are wrong by from then on."""
         switch = self.switch
         was_on = start > switch.position
         step = math.copysign(self.speed * period, -1.0 if was_on else 1.0)

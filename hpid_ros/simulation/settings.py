@@ -32,14 +32,7 @@ def default_engine() -> str:
 
 
 def require_engine(engine: str) -> None:
-    """Refuse an engine that cannot be used here.
-
-    Args:
-        engine: Its name.
-
-    Raises:
-        SettingError: There is no engine of that name, or it is not installed.
-    """
+    """Refuse an engine that cannot be used here."""
     if engine not in ENGINES:
         raise SettingError(unknown_name("engine", engine, ENGINES))
     if engine not in (installed := installed_engines()):
@@ -49,59 +42,29 @@ def require_engine(engine: str) -> None:
 
 @dataclass(frozen=True)
 class WorldSettings:
-    """Settings of a :class:`~hpid_ros.simulation.world.world.World`.
+    """Settings of a :class:`~hpid_ros.simulation.world.world.World`."""
 
-    Attributes:
-        robot_description: Path of a URDF, or its XML text.
-        joints: Driven joints, in the order of every reading and every command.
-        control_period_ns: Time between two commands, in [ns].
-        physics_steps: Physics steps in one control period.
-        engine: Who computes them: ``pybullet``, the default where it is installed, or ``mujoco``.
-        initial_positions: Positions at time 0, by joint, in [rad]; others start at 0.
-        encoder_counts: Counts per revolution of each joint's output shaft, one number for all
-            or a tuple along ``joints``; 0 is an ideal sensor.
-        seed: Of what is drawn by chance: where each encoder's counts begin, its noise, and when
-            its homing run saw the switch.
-        fixed_base: The robot's root is held at the world's origin, as on a test stand, and
-            there is no ground; otherwise the robot stands on the ground.
-        payload_mass: Mass at the payload link, in [kg].
-        payload_link: Link that carries the payload.
-        gravity: Acceleration of gravity, in [m/s^2].
-        gui: Show the engine's window.
-        drives: The drive of each joint, along ``joints``; empty for ideal ones.
-        position_noise: Standard deviation of what is added to a position before it is measured,
-            in [rad], one number for all or a tuple along ``joints``.
-        homing: The homing run of each joint, along ``joints``, None where the position at the
-            start is known; empty where all are.
-        velocity: Where the measured velocities come from: ``none``, there are none; or
-            ``differences`` of the measured positions.
-        disturbances: What happens to the robot while it runs.
-        workplace: Bricks, what they stand on, and the gripper that carries them.
-        base: The two driven joints that are the wheels of its base; None where it has none.
-
-    Raises:
-        SettingError: A value is out of its range.
-    """
-
-    robot_description: str | Path
-    joints: tuple[str, ...]
-    control_period_ns: int = 1_000_000
-    physics_steps: int = 4
+    robot_description: str | Path  # path of a URDF, or its XML text
+    joints: tuple[str, ...]  # driven joints, in the order of every reading and every command
+    control_period_ns: int = 1_000_000  # [ns] time between two commands
+    physics_steps: int = 4  # physics steps in one control period
     initial_positions: Mapping[str, float] = field(default_factory=dict)
     encoder_counts: int | tuple[int, ...] = 0
     seed: int = 0
+    # the robot's root is held at the world's origin, as on a test stand, and there is no ground
     fixed_base: bool = False
-    payload_mass: float = 0.0
-    payload_link: str = "payload"
-    gravity: float = 9.81
-    gui: bool = False
-    drives: tuple[DriveSettings, ...] = ()
-    position_noise: float | tuple[float, ...] = 0.0
+    payload_mass: float = 0.0  # [kg] mass at the payload link
+    payload_link: str = "payload"  # link that carries the payload
+    gravity: float = 9.81  # [m/s^2] acceleration of gravity
+    gui: bool = False  # show the engine's window
+    drives: tuple[DriveSettings, ...] = ()  # the drive of each joint, along joints
+    position_noise: float | tuple[float, ...] = 0.0  # [rad]
+    # the homing run of each joint, along joints, None where the position at the start is known
     homing: tuple[Homing | None, ...] = ()
-    velocity: str = "none"
+    velocity: str = "none"  # where the measured velocities come from: none, there are none
     disturbances: Disturbances = field(default_factory=Disturbances)
     workplace: Workplace = field(default_factory=Workplace)
-    base: DifferentialDrive | None = None
+    base: DifferentialDrive | None = None  # the two driven joints that are the wheels of its base
     engine: str = field(default_factory=default_engine)
 
     def __post_init__(self) -> None:
@@ -181,12 +144,7 @@ class WorldSettings:
         return [Encoder(counts, chance.random() - 0.5) for counts in self.counts]
 
     def start(self, description: RobotDescription) -> dict[str, float]:
-        """Return the position at time 0 of every moving joint, in [rad].
-
-        Raises:
-            SettingError: A position is not finite, beyond the joint's limits, or of a joint
-                that the robot lacks.
-        """
+        """Return the position at time 0 of every moving joint, in [rad]."""
         for name, position in self.initial_positions.items():
             joint = description.joints.get(name)
             if joint is None:

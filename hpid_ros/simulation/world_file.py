@@ -67,29 +67,15 @@ class MeasuredSection(Record):
 
 
 class WorldFile(NamedTuple):
-    """What a file says of its world.
+    """What a file says of its world."""
 
-    Attributes:
-        world: The simulated robot.
-        control: How often it is controlled.
-        reference: What its joints follow, and the plan behind it; None where it says nothing.
-    """
-
-    world: WorldSettings
-    control: ControlSection
-    reference: PlannedReference | None
+    world: WorldSettings  # the simulated robot
+    control: ControlSection  # how often it is controlled
+    reference: PlannedReference | None  # what its joints follow, and the plan behind it
 
 
 def read_world(root: Section, folders: Sequence[Path]) -> WorldFile:
-    """Return the world that a file describes; other sections stay for the caller.
-
-    Args:
-        root: The file.
-        folders: Where the robot's URDF is looked for besides the share folder.
-
-    Raises:
-        HpidError: An entry is missing, unknown or impossible; the line names its place.
-    """
+    """Return the world that a file describes; other sections stay for the caller."""
     control = _whole(ControlSection, root.section("control", {}))
     physics = _whole(PhysicsSection, root.section("simulation", {}))
     seed = root.whole("seed", 0, least=0)
@@ -130,15 +116,7 @@ def read_world(root: Section, folders: Sequence[Path]) -> WorldFile:
 
 
 def world_of(values: Any, document: Document | None) -> WorldFile:
-    """Return the world of a whole document; what is an experiment's in it is passed over.
-
-    Args:
-        values: The document.
-        document: Where they stand; None if nowhere.
-
-    Raises:
-        SettingError: An entry is unknown or impossible; the line names file and place.
-    """
+    """Return the world of a whole document; what is an experiment's in it is passed over."""
     with nullcontext() if document is None else document.blaming(SettingError):
         root = Section(values, "", SettingError)
         for key in _OF_EXPERIMENTS:
@@ -152,9 +130,6 @@ def world_mapping(world: WorldSettings) -> dict[str, Any]:
     """Return what a file says to describe this world.
 
     What no file can say is left out: another gravity, PyBullet's window.
-
-    Args:
-        world: The world.
     """
     robot = RobotSection(
         description=str(world.robot_description),

@@ -33,24 +33,15 @@ def integral_ratio(gains: Gains, inertia: float = 1.0) -> float:
     """Return rho = m ki / (kp kd): 0 without integral action, 1 at Routh's limit.
 
     Source: Routh and Hurwitz on m s^3 + kd s^2 + kp s + ki.
-
-    Args:
-        gains: The gains.
-        inertia: What one unit of effort accelerates, in [kg m^2].
     """
     product = gains.p * gains.d
     return inertia * gains.i / product if product > 0.0 else math.inf
 
 
 class MultiplierRange(NamedTuple):
-    """The factors of a loop's bandwidth, n^mu.
+    """The factors of a loop's bandwidth, n^mu."""
 
-    Attributes:
-        least: The smallest.
-        largest: The largest.
-    """
-
-    least: float
+    least: float  # the smallest
     largest: float
 
 
@@ -66,13 +57,6 @@ def gain_multiplier_range(
 
     The derivative gain is multiplied by lam, the proportional one by its square, the integral
     one by its cube. Source: the paper, equation (8).
-
-    Args:
-        norm: The law's norm.
-        floor: Least value that the norm is let to.
-        cap: Largest value that the norm is let to.
-        largest_error: Largest error that is expected, in [rad].
-        largest_error_rate: Largest error rate that is expected, in [rad/s].
     """
     largest = cap
     if math.isfinite(largest_error) and math.isfinite(largest_error_rate):
@@ -89,12 +73,6 @@ def sampling_margin(
 
     Source: Livne and Levant, "Proper discretization of homogeneous differentiators" (2014), for
     the principle; its limits were measured on the sampled double integrator.
-
-    Args:
-        gains: The gains.
-        period: Sampling period T in [s].
-        largest_multiplier: Of :func:`gain_multiplier_range`; 1 for a linear PID.
-        inertia: What one unit of effort accelerates, in [kg m^2].
     """
     return period * gains.d / inertia * largest_multiplier
 
@@ -104,18 +82,6 @@ def decay_time(degree: float, decay: float, start: float, end: float) -> float:
 
     Finite down to 0 for a negative degree, finite from infinity for a positive one, and the
     logarithm of the ratio for degree zero: the three classes of convergence.
-
-    Args:
-        degree: Homogeneity degree mu.
-        decay: beta in [1/s], in the unit of V.
-        start: V at the beginning; may be infinite.
-        end: V at the end; may be 0.
-
-    Returns:
-        In [s]; infinite where it never gets there.
-
-    Raises:
-        SettingError: The decay is not positive, or the end is not below the start.
     """
     if not decay > 0.0 or not 0.0 <= end < start:
         raise SettingError(
@@ -145,18 +111,6 @@ def settling_time_bound(
 
     Source: along the closed loop dV/dt <= -beta V^{1+mu} with beta the least of -x'Pf/x'PGx on
     the sphere. (The paper's bound of the rate takes lambda_min where lambda_max is needed.)
-
-    Args:
-        certificate: One that reaches to the norm's degree; :func:`certify_degree` gives the
-            better bound.
-        norm: The law's norm.
-        state: Error [rad], error rate [rad/s] and what the integral does not yet compensate,
-            (p - I) / inertia [rad/s^2], at the beginning.
-        remaining: In [0, 1); 0 is infinitely late for a degree that is not negative.
-
-    Raises:
-        GainError: The certificate does not reach to this degree, or does not hold there.
-        SettingError: A state at zero or a ``remaining`` out of range.
     """
     # Imported here: a controller that only reads the figures above does not wait for numpy.
     from hpid_ros.stability.check import best_spans

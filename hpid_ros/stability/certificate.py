@@ -18,20 +18,14 @@ FORMAT = "hpid_ros certificate 1"
 
 @dataclass(frozen=True)
 class CertifiedSpan:
-    """One P that certifies a loop at several neighbouring degrees.
+    """One P that certifies a loop at several neighbouring degrees."""
 
-    Attributes:
-        inertia: What one unit of effort accelerates, in [kg m^2].
-        norms: The law's norm at each degree, from the span's lower end to its upper one; a
-            single one certifies its own degree.
-        shape: The symmetric 3x3 matrix P on (e [rad], de/dt [rad/s], (p - I)/inertia [rad/s^2]).
-        rate: How fast the field enters the sphere x'Px = 1 where it does so slowest, in [1/s].
-    """
-
-    inertia: float
+    inertia: float  # [kg m^2] what one unit of effort accelerates
+    # the law's norm at each degree, from the span's lower end to its upper one
     norms: tuple[Norm, ...]
+    # [rad] the symmetric 3x3 matrix P on (e, de/dt [rad/s], (p - I)/inertia [rad/s^2])
     shape: Matrix
-    rate: float
+    rate: float  # [1/s] how fast the field enters the sphere x'Px = 1 where it does so slowest
 
     @property
     def lower(self) -> float:
@@ -46,18 +40,10 @@ class CertifiedSpan:
 
 @dataclass(frozen=True)
 class Certificate:
-    """That a loop is stable in an interval of degrees, with all that is needed to check it.
+    """That a loop is stable in an interval of degrees, with all that is needed to check it."""
 
-    Attributes:
-        gains: Gains of the loop.
-        spans: The spans, in order of inertia, then of degree.
-
-    Raises:
-        SettingError: There is no span, or a span without a norm or out of order.
-    """
-
-    gains: Gains
-    spans: tuple[CertifiedSpan, ...]
+    gains: Gains  # gains of the loop
+    spans: tuple[CertifiedSpan, ...]  # the spans, in order of inertia, then of degree
 
     def __post_init__(self) -> None:
         if not self.spans:
@@ -112,13 +98,7 @@ class Certificate:
 
     @classmethod
     def from_mapping(cls, mapping: Mapping[str, Any]) -> Certificate:
-        """Return the certificate that :meth:`to_mapping` gave.
-
-        Raises:
-            SettingError: It is not such a mapping.
-            GainError: Gains that are not a PID's.
-            NormError: A norm out of range.
-        """
+        """Return the certificate that :meth:`to_mapping` gave."""
         if not isinstance(mapping, Mapping) or mapping.get("format") != FORMAT:
             raise SettingError(f"a certificate's format must be {FORMAT!r}")
         try:
@@ -140,17 +120,11 @@ class Certificate:
 
 
 class DegreeInterval(NamedTuple):
-    """Degrees at which a loop is certified stable.
+    """Degrees at which a loop is certified stable."""
 
-    Attributes:
-        lower: The least one, not above 0.
-        upper: The largest one, not below 0.
-        certificate: What proves it.
-    """
-
-    lower: float
-    upper: float
-    certificate: Certificate
+    lower: float  # the least one, not above 0
+    upper: float  # the largest one, not below 0
+    certificate: Certificate  # what proves it
 
     def contains(self, degree: float) -> bool:
         """Tell whether a degree is certified."""

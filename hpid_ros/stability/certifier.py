@@ -16,15 +16,10 @@ _REMEMBERED = 1000  # loops, the oldest are forgotten
 
 
 class Finding(NamedTuple):
-    """What is known of a loop's degree.
+    """What is known of a loop's degree."""
 
-    Attributes:
-        is_certified: True, False, or None while it is not known.
-        text: For people: the certified degrees, or why there are none or nothing is known.
-    """
-
-    is_certified: bool | None
-    text: str
+    is_certified: bool | None  # True, False, or None while it is not known
+    text: str  # for people: the certified degrees, or why there are none or nothing is known
 
 
 class Certifier:
@@ -65,11 +60,7 @@ class Certifier:
         self.poll()
 
     def poll(self) -> bool:
-        """Collect what is done and begin what is wanted.
-
-        Returns:
-            Whether something has become known.
-        """
+        """Collect what is done and begin what is wanted."""
         has_news = False
         if self._child is not None and self._child.poll() is not None:
             self._collect()

@@ -29,17 +29,10 @@ _WORST, _ZOOM, _ZOOMS = 12, 13, 3
 
 
 class Margins(NamedTuple):
-    """By how much a certificate holds.
+    """By how much a certificate holds."""
 
-    Attributes:
-        rate: Least of -x'Pf(x) on the sphere x'Px = 1, in [1/s].
-        monotonicity: Least growth rate of the P-norm along the dilation.
-        decay: Least of -x'Pf(x) / x'PGx: the canonical norm V of P falls at least as fast as
-            dV/dt = -decay V^{1+mu}, V in units in which the sphere is 1.
-    """
-
-    rate: float
-    monotonicity: float
+    rate: float  # [1/s] least of -x'Pf(x) on the sphere x'Px = 1
+    monotonicity: float  # least growth rate of the P-norm along the dilation
     decay: float
 
 
@@ -56,29 +49,13 @@ def check_certificate(certificate: Certificate) -> Margins:
 
 
 def margins_at(certificate: Certificate, norm: Norm) -> Margins:
-    """Return by how much a certificate holds at one degree inside it, whatever the inertia.
-
-    Args:
-        certificate: The certificate.
-        norm: The law's norm at the degree, of the family that was certified.
-
-    Raises:
-        GainError: The certificate does not reach to this degree, or does not hold there.
-    """
+    """Return by how much a certificate holds at one degree inside it, whatever the inertia."""
     found = [margins for _, margins in best_spans(certificate, norm)]
     return Margins(*(min(column) for column in zip(*found, strict=True)))
 
 
 def best_spans(certificate: Certificate, norm: Norm) -> list[tuple[CertifiedSpan, Margins]]:
-    """Return for each inertia the span that proves the fastest decay at one degree.
-
-    Args:
-        certificate: The certificate.
-        norm: The law's norm at the degree, of the family that was certified.
-
-    Raises:
-        GainError: The certificate does not reach to this degree, or does not hold there.
-    """
+    """Return for each inertia the span that proves the fastest decay at one degree."""
     degree = norm.degree
     if not certificate.lower <= degree <= certificate.upper:
         raise GainError(
@@ -99,13 +76,7 @@ def best_spans(certificate: Certificate, norm: Norm) -> list[tuple[CertifiedSpan
 
 
 def span_margins(gains: Gains, span: CertifiedSpan, norm: Norm) -> Margins:
-    """Return by how much a span's P holds at one degree; negative where it does not.
-
-    Args:
-        gains: Gains of the loop.
-        span: The span.
-        norm: The law's norm at the degree.
-    """
+    """Return by how much a span's P holds at one degree; negative where it does not."""
     shape, degree = np.array(span.shape), norm.degree
     exponents = np.array([1.0 - degree, 1.0, 1.0 + degree])
     product = shape * exponents

@@ -25,11 +25,7 @@ _LEAST = np.finfo(float).tiny
 
 
 def require_known_norm(norm: object) -> None:
-    """Refuse a norm that is neither weighted nor canonical.
-
-    Raises:
-        NormError: It is something else.
-    """
+    """Refuse a norm that is neither weighted nor canonical."""
     if not isinstance(norm, WeightedNorm | CanonicalNorm):
         raise NormError(
             f"the norm must be a WeightedNorm or a CanonicalNorm, not {type(norm).__name__}"
@@ -37,19 +33,7 @@ def require_known_norm(norm: object) -> None:
 
 
 def norm_values(norm: Norm, errors: ArrayLike, rates: ArrayLike) -> Numbers:
-    """Return the norm of many points.
-
-    Args:
-        norm: A norm of this package.
-        errors: Position errors in [rad].
-        rates: Their time derivatives in [rad/s], of a shape that broadcasts with ``errors``.
-
-    Returns:
-        The norms, of the common shape; zero only at the origin.
-
-    Raises:
-        NormError: The norm is neither weighted nor canonical.
-    """
+    """Return the norm of many points."""
     require_known_norm(norm)
     e, de = np.broadcast_arrays(np.asarray(errors, float), np.asarray(rates, float))
     if isinstance(norm, WeightedNorm):
@@ -72,14 +56,6 @@ def canonical_values(
     Newton's method in s = ln n on all points at once. The function is strictly monotone with
     slopes between the eigenvalues of the dilation's generator, so that a bracket exists; a point
     whose step leaves its own bracket is bisected.
-
-    Args:
-        degree: Homogeneity degree mu; the dilation is diag(e^{(1-mu)s}, e^s).
-        shape: p11, p12, p22 of a P for which that dilation is monotone, or of many, in arrays
-            that broadcast with the coordinates.
-        e: First coordinates.
-        de: Second coordinates, of the same shape.
-        tolerance: Relative; the last step of Newton's method is smaller.
     """
     p11, p12, p22 = shape
     r = 1.0 - degree
@@ -117,18 +93,7 @@ def canonical_values(
 
 
 def unit_curve(norm: Norm, count: int) -> Numbers:
-    """Return points on the curve norm = 1, closely spaced near the axes.
-
-    Args:
-        norm: A norm of this package.
-        count: Points in each of the four quadrants; the axes are among them.
-
-    Returns:
-        An array of shape (4 count, 2): error in [rad] and error rate in [rad/s].
-
-    Raises:
-        NormError: The norm is neither weighted nor canonical.
-    """
+    """Return points on the curve norm = 1, closely spaced near the axes."""
     require_known_norm(norm)
     angle = np.linspace(0.0, 0.5 * np.pi, count)
     if isinstance(norm, WeightedNorm):
@@ -152,12 +117,7 @@ def unit_curve(norm: Norm, count: int) -> Numbers:
 
 
 def effective_gains(gains: Gains, inertia: float) -> Gains:
-    """Return the gains over the inertia, which are those on the unit double integrator.
-
-    Args:
-        gains: Gains in [N m] per unit.
-        inertia: What one unit of effort accelerates, in [kg m^2].
-    """
+    """Return the gains over the inertia, which are those on the unit double integrator."""
     return Gains(gains.p / inertia, gains.i / inertia, gains.d / inertia)
 
 
@@ -172,15 +132,6 @@ def closed_loop_field(
 
     Source: the paper, equation (8), with effort u = kp lam^2 e + kd lam de/dt + I on
     m e'' = -u + p and a constant p.
-
-    Args:
-        gains: The gains.
-        norm: The norm; its degree is the law's. Neither floor nor cap.
-        states: Numbers of shape (..., 3).
-        inertia: What one unit of effort accelerates, in [kg m^2].
-
-    Returns:
-        An array of the shape of ``states``, in [rad/s], [rad/s^2], [rad/s^3].
     """
     x = np.asarray(states, float)
     error, rate, disturbance = x[..., 0], x[..., 1], x[..., 2]
@@ -197,13 +148,7 @@ def closed_loop_field(
 
 
 def dilated(degree: float, states: ArrayLike, s: ArrayLike) -> Numbers:
-    r"""Return :math:`\mathrm{diag}(e^{(1-\mu)s}, e^{s}, e^{(1+\mu)s})\,x` for many states.
-
-    Args:
-        degree: Homogeneity degree mu.
-        states: Numbers of shape (..., 3).
-        s: Logarithms of the dilation, of a shape that broadcasts with ``states[..., 0]``.
-    """
+    r"""Return :math:`\mathrm{diag}(e^{(1-\mu)s}, e^{s}, e^{(1+\mu)s})\,x` for many states."""
     exponents = np.array([1.0 - degree, 1.0, 1.0 + degree])
     moved: Numbers = np.exp(np.multiply.outer(np.asarray(s, float), exponents)) * states
     return moved
@@ -214,11 +159,6 @@ def state_norm(shape: ArrayLike, degree: float, states: ArrayLike) -> Numbers:
 
     The n > 0 that brings the state, dilated by -ln n, onto the sphere x'Px = 1. A certificate's
     P makes it a strict Lyapunov function.
-
-    Args:
-        shape: The 3x3 matrix P, positive definite, for which the dilation is monotone.
-        degree: Homogeneity degree mu.
-        states: Numbers of shape (..., 3), none of them zero.
     """
     x, p = np.asarray(states, float), np.asarray(shape, float)
     exponents = np.array([1.0 - degree, 1.0, 1.0 + degree])

@@ -32,38 +32,19 @@ _DIGITS = 12  # rounding when units are changed; a certificate's margins are far
 
 
 class LoopKind(NamedTuple):
-    """A loop in its own units: ``norm.error_scale`` 1, i 1, and 1 the largest inertia.
+    """A loop in its own units: ``norm.error_scale`` 1, i 1, and 1 the largest inertia."""
 
-    Attributes:
-        p: Proportional gain.
-        d: Derivative gain.
-        least_inertia: Least inertia.
-        norm_type: Of the norm.
-        rate_weight: Weight of the error rate in the norm.
-    """
-
-    p: float
-    d: float
+    p: float  # proportional gain
+    d: float  # derivative gain
     least_inertia: float
     norm_type: NormType
-    rate_weight: float
+    rate_weight: float  # weight of the error rate in the norm
 
 
 def certified_degrees(
     loops: Sequence[Loop], tell: Callable[[Sequence[str]], None] = lambda joints: None
 ) -> list[DegreeInterval | GainError]:
-    """Certify many loops, see :func:`~hpid_ros.stability.verdict.certified_degree_interval`.
-
-    Args:
-        loops: The loops.
-        tell: Called with the joints whose degrees have become known.
-
-    Returns:
-        For each loop its interval, or why there is none.
-
-    Raises:
-        RunError: A process died.
-    """
+    """Certify many loops, see :func:`~hpid_ros.stability.verdict.certified_degree_interval`."""
     found: list[DegreeInterval | GainError | None] = [None] * len(loops)
     places: dict[LoopKind, list[int]] = {}
     for place, (settings, inertia) in enumerate(loops):
@@ -82,12 +63,7 @@ def certified_degrees(
 
 
 def kind_of(settings: LoopSettings, inertia: tuple[float, float]) -> LoopKind:
-    """Return a loop's kind.
-
-    Args:
-        settings: The loop, with integral action.
-        inertia: Least and largest inertia, in [kg m^2].
-    """
+    """Return a loop's kind."""
     least, largest = inertia
     rate, norm = _rate(settings.gains, largest), settings.norm_family
     numbers = (
@@ -168,14 +144,7 @@ class DegreeChecker:
         self._known: dict[Hashable, str] = {}
 
     def instability(self, settings: LoopSettings) -> str:
-        """Return why a loop is unstable as a linear PID, in one line; empty if it is stable.
-
-        Args:
-            settings: The loop.
-
-        Raises:
-            SettingError: Its inertia is not known.
-        """
+        """Return why a loop is unstable as a linear PID, in one line; empty if it is stable."""
         if not settings.plant_inertia > 0.0:
             raise SettingError(
                 f"the inertia of {settings.joint!r} is not known: set its parameter inertia"
@@ -193,12 +162,6 @@ class DegreeChecker:
 
         The linear law is certified by Routh and Hurwitz, the homogeneous one at its degree by
         :func:`~hpid_ros.stability.verdict.certify_degree`, at the inertia of its settings.
-
-        Args:
-            settings: The loop.
-
-        Raises:
-            SettingError: Its inertia is not known.
         """
         reason = self.instability(settings)
         if reason or settings.degree == 0.0:

@@ -29,36 +29,21 @@ LARGEST_NORM = 2.0
 
 @dataclass(frozen=True)
 class GainVerdict:
-    """What is known of one joint's loop.
-
-    Attributes:
-        joint: The joint.
-        law: ``pid`` or ``hpid``.
-        degree: The configured degree; 0 for the linear law.
-        inertia: Least and largest inertia, in [kg m^2].
-        is_certified: Whether the loop is certified at the configured degree and every inertia.
-        reason: Why it is not; empty when it is.
-        interval: Certified degrees, or None when there are none.
-        integral_ratio: rho = m ki / (kp kd) at the largest inertia.
-        sampling_margin: T kd lam_max / m at the least inertia.
-        multipliers: Least and largest factor of the bandwidth, up to norm 2.
-        settling_bound: Time in [s] after which an error of ``norm.error_scale`` has certainly
-            come down to a hundredth; None where there is no certificate.
-        certificate: The certificate as plain data, or None.
-    """
+    """What is known of one joint's loop."""
 
     joint: str
-    law: str
-    degree: float
-    inertia: tuple[float, float]
-    is_certified: bool
-    reason: str
-    interval: tuple[float, float] | None
-    integral_ratio: float
-    sampling_margin: float
-    multipliers: tuple[float, float]
+    law: str  # pid or hpid
+    degree: float  # the configured degree; 0 for the linear law
+    inertia: tuple[float, float]  # [kg m^2] least and largest inertia
+    is_certified: bool  # whether the loop is certified at the configured degree and every inertia
+    reason: str  # why it is not; empty when it is
+    interval: tuple[float, float] | None  # certified degrees, or None when there are none
+    integral_ratio: float  # rho = m ki / (kp kd) at the largest inertia
+    sampling_margin: float  # t kd lam_max / m at the least inertia
+    multipliers: tuple[float, float]  # least and largest factor of the bandwidth, up to norm 2
+    # [s] time after which an error of norm.error_scale has certainly come down to a hundredth
     settling_bound: float | None
-    certificate: dict[str, Any] | None
+    certificate: dict[str, Any] | None  # the certificate as plain data, or None
 
     @property
     def is_sampled_fast_enough(self) -> bool:
@@ -73,16 +58,7 @@ class GainVerdict:
 def check_gains(
     loops: Sequence[Loop], tell: Callable[[Sequence[str]], None] = lambda joints: None
 ) -> list[GainVerdict]:
-    """Judge several loops, side by side on the machine's cores.
-
-    Args:
-        loops: Settings and the least and largest inertia [kg m^2] of each.
-        tell: Called with the joints that have been judged.
-
-    Raises:
-        GainError: An inertia is impossible.
-        RunError: A process died.
-    """
+    """Judge several loops, side by side on the machine's cores."""
     for settings, inertia in loops:
         _require_inertia(settings.joint, inertia)
     found = certified_degrees(loops, tell)
@@ -92,15 +68,7 @@ def check_gains(
 
 
 def judge(settings: LoopSettings, inertia: tuple[float, float]) -> GainVerdict:
-    """Judge one loop.
-
-    Args:
-        settings: Its settings.
-        inertia: Least and largest inertia, in [kg m^2].
-
-    Raises:
-        GainError: The inertia is impossible.
-    """
+    """Judge one loop."""
     return check_gains([(settings, inertia)])[0]
 
 
@@ -169,15 +137,7 @@ def _settling_bound(
 def inertia_of(
     settings: LoopSettings, known: tuple[float, float] | None = None
 ) -> tuple[float, float]:
-    """Return the inertia to judge a loop with.
-
-    Args:
-        settings: The loop; its own ``inertia`` counts as well.
-        known: Least and largest inertia from a model or a person, in [kg m^2].
-
-    Raises:
-        SettingError: Nobody knows it.
-    """
+    """Return the inertia to judge a loop with."""
     if settings.model.is_decoupling:  # the law acts on a unit double integrator
         return settings.plant_inertia, settings.plant_inertia
     own = (settings.inertia, settings.inertia) if settings.inertia > 0.0 else None

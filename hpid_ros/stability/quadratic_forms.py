@@ -33,19 +33,7 @@ _TINY = 1e-12
 def least_maximum(
     values: Numbers, slopes: Numbers, losses: Numbers, spare: Numbers, radius: float
 ) -> Numbers | None:
-    """Return the x in the box that makes the largest linear function least.
-
-    Args:
-        values: The functions at x = 0, of shape (rows,).
-        slopes: Their slopes, of shape (rows, n).
-        losses: Slopes of what must not exceed ``spare``, of shape (limits, n).
-        spare: What they may reach; not negative, so that x = 0 is allowed.
-        radius: Half of the box's side.
-
-    Returns:
-        An array of shape (n,); None if the arithmetic fails, which it may where slopes differ by
-        many orders of magnitude.
-    """
+    """Return the x in the box that makes the largest linear function least."""
     rows, n = slopes.shape
     scale = np.abs(slopes).max() or 1.0
     box = np.eye(n)
@@ -95,11 +83,7 @@ _STRETCH = np.tril_indices(3)
 
 
 def scaled_loop(gains: Gains) -> Numbers:
-    """Return the linear loop's matrix on (e, de/dt, p - I), in units of ki^(1/3).
-
-    Args:
-        gains: Effective gains, over the inertia.
-    """
+    """Return the linear loop's matrix on (e, de/dt, p - I), in units of ki^(1/3)."""
     unit = time_unit(gains)
     return np.array(
         [[0.0, 1.0, 0.0], [-gains.p / unit**2, -gains.d / unit, 1.0], [-1.0, 0.0, 0.0]]
@@ -107,12 +91,7 @@ def scaled_loop(gains: Gains) -> Numbers:
 
 
 def lyapunov_solution(loop: Numbers, cost: Sequence[float]) -> Numbers:
-    """Return the P that solves A'P + PA = -diag(cost).
-
-    Args:
-        loop: The Hurwitz matrix A, 3x3.
-        cost: Diagonal of the right side, positive.
-    """
+    """Return the P that solves A'P + PA = -diag(cost)."""
     eye = np.eye(3)
     equations = np.kron(loop.T, eye) + np.kron(eye, loop.T)
     shape = np.linalg.solve(equations, -np.diag(cost).ravel()).reshape(3, 3)
@@ -126,13 +105,6 @@ def first_shapes(gains: Gains, norm: Norm) -> Numbers:
     The costs reach from units of the integral action to units of the oscillation sqrt(kp), which
     are far apart in a loop with little integral action. At the middle scale the norm is about 1
     on the sphere's rim, where the linear loop is the loop itself.
-
-    Args:
-        gains: Effective gains, over the inertia; Hurwitz.
-        norm: The law's norm at degree zero.
-
-    Returns:
-        An array of shape (scales, solutions, 3, 3).
     """
     loop, unit = scaled_loop(gains), time_unit(gains)
     slowness = min(1.0, unit / gains.p**0.5)
@@ -149,16 +121,7 @@ def first_shapes(gains: Gains, norm: Norm) -> Numbers:
 
 
 def worst_rates(grids: Sequence[SphereGrid], shapes: Numbers) -> Numbers:
-    """Return the largest x'P f(x) on the sphere over several degrees, for many shapes at once.
-
-    Args:
-        grids: One for each degree.
-        shapes: Symmetric 3x3 matrices, of shape (count, 3, 3).
-
-    Returns:
-        The rates in units of ki^(1/3), good when negative; infinite when P is not positive
-        definite or the dilation not monotone enough.
-    """
+    """Return the largest x'P f(x) on the sphere over several degrees, for many shapes at once."""
     rates = np.full(len(shapes), np.inf)
     is_monotone = _spare_monotonicity(grids, shapes).min(axis=-1) > 0.0
     if is_monotone.any():
@@ -185,14 +148,6 @@ def improved(
     The worst rate is the largest of many smooth functions of P. Each step linearises them in a
     stretch of P's Cholesky factor and solves the linear program of their maximum in a trust
     region: near the optimum, where several are equal, this converges as Newton's method does.
-
-    Args:
-        grids: One for each degree.
-        shape: A positive definite start; one whose worst rate is infinite is returned as it is.
-        enough: Stop at a worst rate below this.
-        relative: Lower the rate over the fastest growth of the P-norm along the dilation, which
-            bounds the decay of the canonical norm, instead of the rate itself.
-        steps: Linear programs at most.
     """
     radius, stalled = _FIRST_RADIUS, 0
     values = _values(grids, shape, relative)

@@ -19,26 +19,14 @@ _KEY = "certificates"
 
 
 class Verification(NamedTuple):
-    """What became of one saved certificate.
+    """What became of one saved certificate."""
 
-    Attributes:
-        holds: Whether it holds.
-        text: For people: the certified degrees and the margin, or why it does not.
-    """
-
-    holds: bool
-    text: str
+    holds: bool  # whether it holds
+    text: str  # for people: the certified degrees and the margin, or why it does not
 
 
 def certificates(controllers: Mapping[str, Sequence[LoopSettings]]) -> dict[str, Any]:
-    """Certify every homogeneous loop whose inertia is known.
-
-    Args:
-        controllers: Settings of each joint by the controller's label.
-
-    Returns:
-        Plain data: ``{"certificates": {"LABEL JOINT": certificate or the reason for none}}``.
-    """
+    """Certify every homogeneous loop whose inertia is known."""
     loops = {
         f"{label} {each.joint}": each
         for label, settings in controllers.items()
@@ -57,11 +45,7 @@ def certificates(controllers: Mapping[str, Sequence[LoopSettings]]) -> dict[str,
 
 
 def saved_certificates(path: Path) -> dict[str, Mapping[str, Any]]:
-    """Return the certificates of a file by name; empty when it is another kind of file.
-
-    Raises:
-        SettingError: The file cannot be read.
-    """
+    """Return the certificates of a file by name; empty when it is another kind of file."""
     if path.suffix != ".json":
         return {}
     try:
@@ -76,11 +60,7 @@ def saved_certificates(path: Path) -> dict[str, Mapping[str, Any]]:
 
 
 def verify(saved: Mapping[str, Any]) -> Verification:
-    """Check one saved certificate anew, without anything of the search that found it.
-
-    Raises:
-        SettingError: It is no certificate.
-    """
+    """Check one saved certificate anew, without anything of the search that found it."""
     if "reason" in saved:
         return Verification(False, f"none was found: {saved['reason']}")
     certificate = Certificate.from_mapping(saved)

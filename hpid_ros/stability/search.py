@@ -48,11 +48,6 @@ def shared_spans(
 
     For one P, x'P f(x) is a linear function of one over the inertia: what is negative at two
     inertias is negative between them.
-
-    Args:
-        one: Spans of a loop at one inertia.
-        other: Spans of the loop at the other inertia.
-        inertia: Between the two, in [kg m^2].
     """
     return [
         CertifiedSpan(inertia, here.norms, here.shape, min(here.rate, there.rate))
@@ -64,17 +59,7 @@ def shared_spans(
 
 
 class CertificateSearch:
-    """Finds certificates of one loop.
-
-    Args:
-        gains: Gains of the loop, Hurwitz for this inertia, integral action included.
-        inertia: What one unit of effort accelerates, in [kg m^2].
-        norm_of_degree: The norm that the law has at a degree.
-        first_degree: Where the search begins; there must be a norm.
-
-    Raises:
-        NormError: There is none, or it is not one of this degree.
-    """
+    """Finds certificates of one loop."""
 
     def __init__(
         self,
@@ -92,11 +77,7 @@ class CertificateSearch:
         self._first_shapes = first_shapes(self._effective, self.norm(first_degree))
 
     def norm(self, degree: float) -> Norm:
-        """Return the law's norm at a degree.
-
-        Raises:
-            NormError: There is none, or it is not one of this degree.
-        """
+        """Return the law's norm at a degree."""
         norm = self._norm_of_degree(degree)
         require_known_norm(norm)
         if norm.degree != degree:
@@ -114,18 +95,7 @@ class CertificateSearch:
         like: Sequence[CertifiedSpan] = (),
         certain: Sequence[CertifiedSpan] = (),
     ) -> list[CertifiedSpan]:
-        """Return certified spans that follow each other from degree zero.
-
-        Args:
-            direction: 1 for positive degrees, -1 for negative ones.
-            tolerance: How far the end may fall short of what the search can certify.
-            outermost: Size of the degree at which it ends; no more is asked for.
-            like: Spans of the same loop at another inertia: their P are tried first.
-            certain: Spans of this loop that are known to be certified.
-
-        Raises:
-            GainError: Not even degree zero is certified.
-        """
+        """Return certified spans that follow each other from degree zero."""
         here, width = 0.0, _WIDEST_SPAN
         spans: list[CertifiedSpan] = []
         shape: Numbers | None = None
@@ -150,11 +120,7 @@ class CertificateSearch:
         return spans or [self.at(0.0)]
 
     def at(self, degree: float) -> CertifiedSpan:
-        """Return a certificate of one degree alone, its decay made as fast as the search can.
-
-        Raises:
-            GainError: None was found, or there is no norm of this degree.
-        """
+        """Return a certificate of one degree alone, its decay made as fast as the search can."""
         found = self._find((degree,), None)
         if found is None:
             raise GainError(

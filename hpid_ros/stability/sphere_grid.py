@@ -27,11 +27,7 @@ _DEEP = 14.0  # in ln of a power of the norm: there it is negligible
 
 
 def time_unit(gains: Gains) -> float:
-    """Return the rate ki^(1/3) in [1/s] that makes the integral gain one.
-
-    Args:
-        gains: Effective gains, over the inertia.
-    """
+    """Return the rate ki^(1/3) in [1/s] that makes the integral gain one."""
     return float(gains.i ** (1.0 / 3.0))
 
 
@@ -41,24 +37,12 @@ def monotonicity(shape: Numbers, degree: float) -> float:
     It is :math:`\tfrac12\lambda_{min}(P^{-1/2}(PG + GP)P^{-1/2})` with
     G = diag(1 - mu, 1, 1 + mu); the sphere is crossed once by every orbit of the dilation if it
     is positive. Minus infinity when P is not positive definite.
-
-    Args:
-        shape: The symmetric 3x3 matrix P.
-        degree: Homogeneity degree mu.
     """
     return float(growth_rates(shape, [degree])[0, 0])
 
 
 def growth_rates(shapes: Numbers, degrees: Sequence[float]) -> Numbers:
-    """Return the least and the largest growth rate of the P-norm along the dilation.
-
-    Args:
-        shapes: Symmetric matrices P, of shape (..., 3, 3).
-        degrees: Homogeneity degrees mu.
-
-    Returns:
-        Array of shape (..., degrees, 2); minus and plus infinity where P is not positive definite.
-    """
+    """Return the least and the largest growth rate of the P-norm along the dilation."""
     try:
         factors = np.linalg.cholesky(shapes)
     except np.linalg.LinAlgError:
@@ -90,12 +74,6 @@ class SphereGrid:
 
     where q, A and B are sums of a few such products: over all directions and depths they are
     products of two thin matrices, and a fine grid costs little more than its square roots.
-
-    Args:
-        gains: Effective gains, over the inertia; all positive.
-        norm: The norm; its degree is the law's.
-        along: Points in each quadrant, of the norm's curve and of the sphere's rim each.
-        inward: Points from the rim to the pole.
     """
 
     def __init__(self, gains: Gains, norm: Norm, along: int, inward: int) -> None:
@@ -119,15 +97,7 @@ class SphereGrid:
         return int(2 * self._error.size * self._lines.shape[1]) + 1
 
     def rates(self, shapes: Numbers) -> Numbers:
-        """Return x'P f(x) at every point of x'P x = 1, in units of ki^(1/3); negative is good.
-
-        Args:
-            shapes: Positive definite P for which the dilation is monotone, of shape (..., 3, 3).
-
-        Returns:
-            An array of shape (..., size); the last one is the pole, where error and error rate
-            are 0.
-        """
+        """Return x'P f(x) at every point of x'P x = 1, in units of ki^(1/3); negative is good."""
         rates = self._away_from_pole(*self._factors(shapes))
         pole = shapes[..., 1, 2, None] / shapes[..., 2, 2, None]
         return np.concatenate([rates.reshape(*shapes.shape[:-2], -1), pole], axis=-1)

@@ -41,21 +41,6 @@ def certified_degree_interval(
     inertia. The certificate holds one quadratic form for each span of at most 0.05 in the
     degree, seen to hold at the span's ends and middle on a fine grid; it is not necessary for
     stability, so a loop may well be stable outside the interval.
-
-    Args:
-        gains: Gains of the linear PID, with integral action.
-        norm_of_degree: The law's norm at a degree, for instance
-            ``lambda degree: WeightedNorm(degree, 1.0, 0.1)``. A degree at which it raises a
-            NormError ends the interval.
-        inertia: What one unit of effort accelerates in [kg m^2], or its least and largest
-            value: then the ends and the middle are certified.
-        tolerance: How far an end may fall short of what the search can certify.
-
-    Raises:
-        GainError: The gains are not Hurwitz, have no integral action, or are so close to the
-            limit that not even degree zero is certified; an impossible inertia.
-        NormError: The law has no norm at degree zero, or not one of this package.
-        SettingError: A tolerance that is not positive.
     """
     # Imported here: a controller that only checks Routh and Hurwitz does not wait for numpy.
     from hpid_ros.stability.search import OUTERMOST_DEGREE, CertificateSearch, shared_spans
@@ -84,17 +69,7 @@ def certified_degree_interval(
 def certify_degree(
     gains: Gains, norm: Norm, inertia: float | tuple[float, float] = 1.0
 ) -> Certificate:
-    """Return a certificate of one degree, its decay made as fast as the search can.
-
-    Args:
-        gains: Gains of the linear PID, with integral action.
-        norm: The law's norm; its degree is the one to certify.
-        inertia: As for :func:`certified_degree_interval`.
-
-    Raises:
-        GainError: As there, or no certificate was found.
-        NormError: The norm is not one of this package.
-    """
+    """Return a certificate of one degree, its decay made as fast as the search can."""
     from hpid_ros.stability.closed_loop import require_known_norm
     from hpid_ros.stability.search import CertificateSearch
 
@@ -111,15 +86,6 @@ def verify_certificate(certificate: Certificate) -> Margins:
 
     Other points, and the field from the law's definition; see
     :mod:`hpid_ros.stability.check`. Checked is every degree whose norm it holds.
-
-    Args:
-        certificate: As found, or read with :meth:`Certificate.from_mapping`.
-
-    Returns:
-        The least margins.
-
-    Raises:
-        GainError: It does not hold, or its gains are not Hurwitz.
     """
     from hpid_ros.stability.check import check_certificate
 
@@ -130,18 +96,7 @@ def verify_certificate(certificate: Certificate) -> Margins:
 
 
 def require_certifiable(gains: Gains, inertia: float | tuple[float, float]) -> tuple[float, ...]:
-    """Refuse gains that no certificate can be looked for.
-
-    Args:
-        gains: The gains.
-        inertia: What one unit of effort accelerates in [kg m^2], or its least and largest value.
-
-    Returns:
-        The inertias to certify: the value, or the ends and the middle.
-
-    Raises:
-        GainError: The gains have no integral action or are not Hurwitz; an impossible inertia.
-    """
+    """Refuse gains that no certificate can be looked for."""
     if isinstance(inertia, int | float):
         values = [float(inertia)]
     else:

@@ -28,23 +28,14 @@ from hpid_ros.trajectory import JointTrajectory
 
 @dataclass(frozen=True)
 class RunTask:
-    """Everything that decides the numbers of one run.
+    """Everything that decides the numbers of one run."""
 
-    Attributes:
-        label: Name of the run, also in the line that says why it failed.
-        world: The simulated robot.
-        loops: Settings of each driven joint, in the world's order.
-        trajectory: The reference of every joint.
-        periods: Control periods of the run; it has one state more.
-        joints: The joints that the numbers are of, totals and norms included; empty for all.
-    """
-
-    label: str
-    world: WorldSettings
-    loops: tuple[LoopSettings, ...]
-    trajectory: JointTrajectory
-    periods: int
-    joints: tuple[str, ...] = ()
+    label: str  # name of the run, also in the line that says why it failed
+    world: WorldSettings  # the simulated robot
+    loops: tuple[LoopSettings, ...]  # settings of each driven joint, in the world's order
+    trajectory: JointTrajectory  # the reference of every joint
+    periods: int  # control periods of the run; it has one state more
+    joints: tuple[str, ...] = ()  # the joints that the numbers are of, totals and norms included
 
     @classmethod
     def of(cls, experiment: Experiment, label: str) -> RunTask:
@@ -58,11 +49,7 @@ class RunTask:
         )
 
     def numbers(self, run: RunSeries) -> RunIndices:
-        """Return the numbers of the run that this task made.
-
-        Args:
-            run: The series of all joints.
-        """
+        """Return the numbers of the run that this task made."""
         if self.joints:
             chosen = tuple(series for series in run.joints if series.joint in self.joints)
             run = RunSeries(run.label, chosen)
@@ -91,11 +78,7 @@ class WorldKeeper:
         self.close()
 
     def at_start(self, settings: WorldSettings) -> World:
-        """Return a world at time 0: the kept one where it differs by its seed at most.
-
-        Raises:
-            HpidError: The world cannot be built.
-        """
+        """Return a world at time 0: the kept one where it differs by its seed at most."""
         kept = self._world
         if kept is not None and replace(kept.settings, seed=settings.seed) == settings:
             kept.reset(settings.seed)
@@ -112,18 +95,7 @@ class WorldKeeper:
 
 
 def simulate(task: RunTask, keeper: WorldKeeper) -> RunSeries:
-    """Run a task.
-
-    Args:
-        task: What to run.
-        keeper: Gives the world, and keeps it if nothing goes wrong.
-
-    Returns:
-        What the run left behind: the series of all joints.
-
-    Raises:
-        HpidError: The world cannot be built, or the run left the finite numbers.
-    """
+    """Run a task."""
     loops = [JointLoop(each) for each in task.loops]
     for loop in loops:
         loop.follow(task.trajectory.column(loop.settings.joint))
@@ -142,13 +114,6 @@ def simulated_indices(task: RunTask, keeper: WorldKeeper) -> RunIndices:
     """Run a task and return its numbers.
 
     They equal those that ``hpid compare`` computes from its bags, to the last bit.
-
-    Args:
-        task: What to run.
-        keeper: As for :func:`simulate`.
-
-    Raises:
-        HpidError: As for :func:`simulate`.
     """
     return task.numbers(simulate(task, keeper))
 
@@ -169,11 +134,7 @@ class JudgedTask(RunTask):
     """A run whose numbers have :data:`LAST_ERROR` beside the indices."""
 
     def numbers(self, run: RunSeries) -> RunIndices:
-        """Return the indices and the largest error of the last second.
-
-        Args:
-            run: The series of all joints.
-        """
+        """Return the indices and the largest error of the last second."""
         indices = super().numbers(run)
         errors = {series.joint: series for series in run.joints if series.joint in indices.joints}
         last = {}
@@ -198,17 +159,11 @@ _keeper = WorldKeeper()
 
 
 class Outcome(NamedTuple):
-    """What became of one task.
+    """What became of one task."""
 
-    Attributes:
-        place: Its task's place among the tasks.
-        indices: Its numbers; None if the run failed.
-        failure: Why it failed, in one line; empty if it did not.
-    """
-
-    place: int
-    indices: RunIndices | None
-    failure: str = ""
+    place: int  # its task's place among the tasks
+    indices: RunIndices | None  # its numbers; None if the run failed
+    failure: str = ""  # why it failed, in one line; empty if it did not
 
 
 Outcomes = Generator[Outcome, None, None]
@@ -218,14 +173,7 @@ Runner = Callable[[Sequence[RunTask]], Outcomes]
 
 
 def in_processes(jobs: int | None) -> Runner:
-    """Return what runs tasks in processes of this machine.
-
-    Args:
-        jobs: How many; None for one for each processor.
-
-    Raises:
-        SettingError: It is below 1.
-    """
+    """Return what runs tasks in processes of this machine."""
     if jobs is not None and jobs < 1:
         raise SettingError(f"jobs must be at least 1, not {jobs}")
     return partial(run_batch, jobs=jobs)
@@ -238,17 +186,6 @@ def run_batch(tasks: Sequence[RunTask], jobs: int | None = None) -> Outcomes:
     are nor on the order. A run that fails is an outcome with its reason, and the others go on;
     a process that dies ends the batch. Whatever ends the iteration, an interrupt included, ends
     all processes at once; close the generator when leaving it early.
-
-    Args:
-        tasks: What to run.
-        jobs: Processes that run them, at least 1, which is this process alone; no more are
-            started than there are tasks. If None, one for each processor.
-
-    Returns:
-        Generator of one outcome for each task, in the order in which they finish.
-
-    Raises:
-        RunError: While iterating: a process died.
     """
     jobs = processors() if jobs is None else jobs
     return _one_by_one(tasks) if min(jobs, len(tasks)) <= 1 else _side_by_side(tasks, jobs)
@@ -275,13 +212,7 @@ def _work(numbered: tuple[int, RunTask]) -> Outcome:
 
 
 def outcome_of(place: int, task: RunTask, keeper: WorldKeeper) -> Outcome:
-    """Run a task and return what became of it, whatever that is.
-
-    Args:
-        place: Its place among the tasks.
-        task: What to run.
-        keeper: As for :func:`simulate`.
-    """
+    """Run a task and return what became of it, whatever that is."""
     try:
         return Outcome(place, simulated_indices(task, keeper))
     except HpidError as error:

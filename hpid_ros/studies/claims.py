@@ -23,16 +23,10 @@ JOINTS_SHARE = 4.0 / 6.0
 
 @dataclass(frozen=True)
 class Evidence:
-    """What one experiment says of a controller, against the baseline with the same gains.
+    """What one experiment says of a controller, against the baseline with the same gains."""
 
-    Attributes:
-        ratios: Median over the seeds of each index over the baseline's, by key; an index that
-            is not defined is left out.
-        joint_itae: The same of each joint's ITAE.
-    """
-
-    ratios: Mapping[str, float]
-    joint_itae: Mapping[str, float]
+    ratios: Mapping[str, float]  # median over the seeds of each index over the baseline's, by key
+    joint_itae: Mapping[str, float]  # the same of each joint's ITAE
 
     @property
     def joints_better(self) -> int:
@@ -56,19 +50,12 @@ class ClaimVerdict(Enum):
 
 @dataclass(frozen=True)
 class PaperClaim:
-    """One claim.
+    """One claim."""
 
-    Attributes:
-        key: Name in files.
-        text: The claim in words.
-        holds: Whether evidence supports it; None if it says nothing of it.
-        figure: The figures of the evidence that decide.
-    """
-
-    key: str
-    text: str
-    holds: Callable[[Evidence], bool | None]
-    figure: Callable[[Evidence], str]
+    key: str  # name in files
+    text: str  # the claim in words
+    holds: Callable[[Evidence], bool | None]  # whether evidence supports it
+    figure: Callable[[Evidence], str]  # the figures of the evidence that decide
 
 
 def _figures(quantities: Sequence[Quantity]) -> Callable[[Evidence], str]:
@@ -162,12 +149,7 @@ CLAIMS = (
 def verdict(
     claim: PaperClaim, evidence: Mapping[str, Evidence]
 ) -> tuple[ClaimVerdict, tuple[str, ...]]:
-    """Return what experiments say of a claim, and in which of them it holds.
-
-    Args:
-        claim: The claim.
-        evidence: By experiment.
-    """
+    """Return what experiments say of a claim, and in which of them it holds."""
     answers = {name: claim.holds(each) for name, each in evidence.items()}
     known = {name: answer for name, answer in answers.items() if answer is not None}
     held = tuple(name for name, answer in known.items() if answer)

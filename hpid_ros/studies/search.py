@@ -28,60 +28,32 @@ Loops = tuple[LoopSettings, ...]
 
 @dataclass(frozen=True)
 class Evaluation:
-    """One point of a search.
+    """One point of a search."""
 
-    Attributes:
-        number: Counted from 0.
-        stage: ``all`` joints, or the one that was refined.
-        values: The free parameters by name.
-        loops: The controller; empty if it was refused.
-        cost: Infinite if it was refused or a run failed.
-        ratios: Of each index to the baseline, by key.
-        last_error: Largest error of the last second over joints and seeds, in [rad].
-        note: Why it has no cost, in one line.
-    """
-
-    number: int
-    stage: str
-    values: Mapping[str, float]
-    loops: Loops
-    cost: float = math.inf
+    number: int  # counted from 0
+    stage: str  # all joints, or the one that was refined
+    values: Mapping[str, float]  # the free parameters by name
+    loops: Loops  # the controller; empty if it was refused
+    cost: float = math.inf  # infinite if it was refused or a run failed
     ratios: Mapping[str, float] = field(default_factory=dict)
-    last_error: float = math.nan
-    note: str = ""
+    last_error: float = math.nan  # [rad] largest error of the last second over joints and seeds
+    note: str = ""  # why it has no cost, in one line
 
 
 @dataclass(frozen=True)
 class SearchPlan:
-    """Everything that decides what a search finds.
+    """Everything that decides what a search finds."""
 
-    Attributes:
-        experiment: Gives the robot, the reference and the baseline, its first controller.
-        space: What may be changed.
-        cost: What is made small.
-        joints: The joints that are judged.
-        evaluations: Points of the search over all joints, and of each refinement of one.
-        seeds: How many training seeds each point is run with.
-        search_seed: Of the search itself.
-        per_joint: Whether every judged joint is refined on its own after the search.
-        must_be_certified: Whether degrees that are not certified are refused.
-        settle: Largest error of the last second that is accepted, in [rad]; of a joint that
-            slides in [m].
-
-    Raises:
-        SettingError: A number is out of range, or a loop's inertia is not known.
-    """
-
-    experiment: Experiment
-    space: SearchSpace
-    cost: SearchCost
-    joints: tuple[str, ...]
-    evaluations: int = 150
-    seeds: int = 3
-    search_seed: int = 1
-    per_joint: bool = False
-    must_be_certified: bool = True
-    settle: float = math.inf
+    experiment: Experiment  # gives the robot, the reference and the baseline, its first controller
+    space: SearchSpace  # what may be changed
+    cost: SearchCost  # what is made small
+    joints: tuple[str, ...]  # the joints that are judged
+    evaluations: int = 150  # points of the search over all joints, and of each refinement of one
+    seeds: int = 3  # how many training seeds each point is run with
+    search_seed: int = 1  # of the search itself
+    per_joint: bool = False  # whether every judged joint is refined on its own after the search
+    must_be_certified: bool = True  # whether degrees that are not certified are refused
+    settle: float = math.inf  # [rad] largest error of the last second that is accepted
 
     def __post_init__(self) -> None:
         if self.evaluations < LEAST_EVALUATIONS:
@@ -133,13 +105,7 @@ _LEAST_POPULATION, _POPULATION_PER_PARAMETER = 5, 4
 
 
 class Search:
-    """A search under way, with everything that it has found so far.
-
-    Args:
-        plan: What to search.
-        run: Runs the tasks.
-        advanced: Is told of every point.
-    """
+    """A search under way, with everything that it has found so far."""
 
     def __init__(
         self,
@@ -160,11 +126,7 @@ class Search:
         return min(finite, key=lambda each: each.cost, default=None)
 
     def run(self) -> None:
-        """Search; an interrupt leaves what was found.
-
-        Raises:
-            RunError: The baseline cannot be run, or a process died.
-        """
+        """Search; an interrupt leaves what was found."""
         plan = self.plan
         label, loops = next(iter(plan.experiment.controllers.items()))
         with closing(self._run(plan.tasks(label, loops))) as batch:

@@ -28,11 +28,6 @@ def compare_entry(
 
     What the search did not touch stands as in the entry that it began with: the baseline's, or
     for the homogeneous law that of the first homogeneous controller.
-
-    Args:
-        experiment: The experiment of the search.
-        space: The space of the search.
-        loops: One for each driven joint.
     """
     source = source_label(experiment, space.law)
     written = yaml.safe_load(experiment.text)["compare"][source] or {}
@@ -70,12 +65,7 @@ def _nested(flat: Mapping[str, Any]) -> dict[str, Any]:
 
 
 class SearchResult:
-    """What a search has found so far, as texts.
-
-    Args:
-        search: The search.
-        label: Name of the controller that it found.
-    """
+    """What a search has found so far, as texts."""
 
     def __init__(self, search: Search, label: str) -> None:
         self._search, self._plan, self.label = search, search.plan, label
@@ -157,11 +147,7 @@ class SearchResult:
         return "\n".join(lines) + "\n"
 
     def save(self, folder: ResultFolder) -> None:
-        """Write everything.
-
-        Args:
-            folder: Where.
-        """
+        """Write everything."""
         folder.write("points.csv", self.points_csv())
         folder.write("tune.json", json.dumps(self.as_mapping(), indent=2) + "\n")
         folder.write("table.txt", self.table())

@@ -41,15 +41,9 @@ class Cost:
 
     with :math:`r_q` the geometric mean over the seeds of an index over the baseline's with the
     same seed. The baseline costs 1, and no index counts more for having a larger unit.
-
-    Attributes:
-        weights: Of each index by key; those that are left out do not count.
-
-    Raises:
-        SettingError: An index is unknown, a weight is negative or not finite, or all are zero.
     """
 
-    weights: Mapping[str, float]
+    weights: Mapping[str, float]  # of each index by key; those that are left out do not count
 
     def __post_init__(self) -> None:
         _require_known(self.weights)
@@ -71,11 +65,7 @@ class Cost:
         return {"weights": dict(self.weights)}
 
     def of(self, ratios: Mapping[str, float]) -> float:
-        """Return the cost.
-
-        Args:
-            ratios: Of each index by key.
-        """
+        """Return the cost."""
         counted = {key: weight for key, weight in self.weights.items() if weight > 0.0}
         if any(not math.isfinite(ratios[key]) for key in counted):
             return math.inf
@@ -92,15 +82,9 @@ class WorstExcess:
     .. math:: J = \max_q r_q / l_q
 
     with the ratios :math:`r_q` of :class:`Cost`. At 1 or less all limits are kept together.
-
-    Attributes:
-        limits: The largest ratio wanted of each index by key; those left out do not count.
-
-    Raises:
-        SettingError: An index is unknown, a limit is not positive and finite, or there is none.
     """
 
-    limits: Mapping[str, float]
+    limits: Mapping[str, float]  # the largest ratio wanted of each index by key
 
     def __post_init__(self) -> None:
         _require_known(self.limits)
@@ -111,11 +95,7 @@ class WorstExcess:
             raise SettingError("at least one index must have a limit")
 
     def of(self, ratios: Mapping[str, float]) -> float:
-        """Return the cost; infinite where an index is not finite.
-
-        Args:
-            ratios: Of each index by key.
-        """
+        """Return the cost; infinite where an index is not finite."""
         excesses = [ratios[key] / limit for key, limit in self.limits.items()]
         return max(excesses) if all(map(math.isfinite, excesses)) else math.inf
 
@@ -136,13 +116,7 @@ def mean_ratios(
     baseline: Sequence[RunIndices],
     quantities: Sequence[Quantity] = PAPER_QUANTITIES,
 ) -> dict[str, float]:
-    """Return for each index the geometric mean over the seeds of its ratio to the baseline.
-
-    Args:
-        runs: One for each seed.
-        baseline: One for each seed, in the same order.
-        quantities: Which indices.
-    """
+    """Return for each index the geometric mean over the seeds of its ratio to the baseline."""
     found = {}
     for quantity in quantities:
         each = [
@@ -160,23 +134,14 @@ _DIGITS = 6
 
 @dataclass(frozen=True)
 class FreeParameter:
-    """One direction of a search.
+    """One direction of a search."""
 
-    Attributes:
-        name: What a person calls it.
-        low: Least value.
-        high: Largest value.
-        start: Where the search begins: at the baseline.
-        meaning: In a few words.
-        is_logarithmic: Whether the search sees its logarithm.
-    """
-
-    name: str
-    low: float
-    high: float
-    start: float
-    meaning: str
-    is_logarithmic: bool = True
+    name: str  # what a person calls it
+    low: float  # least value
+    high: float  # largest value
+    start: float  # where the search begins: at the baseline
+    meaning: str  # in a few words
+    is_logarithmic: bool = True  # whether the search sees its logarithm
 
     def __post_init__(self) -> None:
         least = 0.0 if self.is_logarithmic else -math.inf
@@ -190,9 +155,6 @@ class FreeParameter:
         """Return the value at a share of the way from the least to the largest.
 
         Rounded to six digits, so that what is printed is what was run.
-
-        Args:
-            share: In [0, 1].
         """
         low, high = (self._seen(end) for end in (self.low, self.high))
         seen = low + min(max(share, 0.0), 1.0) * (high - low)
@@ -209,17 +171,12 @@ class FreeParameter:
 
 @dataclass(frozen=True)
 class Directions:
-    """Free parameters, and what their values make of the settings of one joint.
+    """Free parameters, and what their values make of the settings of one joint."""
 
-    Attributes:
-        parameters: The free parameters.
-        apply: Takes settings and the values by name, and returns other settings.
-        changed: The names of the settings that it changes.
-    """
-
-    parameters: tuple[FreeParameter, ...]
+    parameters: tuple[FreeParameter, ...]  # the free parameters
+    # takes settings and the values by name, and returns other settings
     apply: Callable[..., LoopSettings]
-    changed: tuple[str, ...]
+    changed: tuple[str, ...]  # the names of the settings that it changes
 
 
 PID_PARAMETERS = (
@@ -255,12 +212,7 @@ EFFORT_PARAMETERS = (
 
 
 def source_label(experiment: Experiment, law: LawName) -> str:
-    """Return the label of the controller whose other settings a search keeps.
-
-    Args:
-        experiment: The experiment; its first controller is the baseline.
-        law: ``pid``: the baseline; ``hpid``: the first homogeneous controller, if there is one.
-    """
+    """Return the label of the controller whose other settings a search keeps."""
     baseline, *others = experiment.controllers
     for label in others if law == "hpid" else ():
         if any(loop.law == "hpid" for loop in experiment.controllers[label]):
@@ -270,19 +222,13 @@ def source_label(experiment: Experiment, law: LawName) -> str:
 
 @dataclass(frozen=True)
 class SearchSpace:
-    """All that a search may choose from.
+    """All that a search may choose from."""
 
-    Attributes:
-        law: ``pid`` or ``hpid``.
-        directions: The free parameters and what they do.
-        start: The controller that is changed, joint by joint, at the start of the search.
-        joints: The joints that are changed.
-    """
-
-    law: LawName
-    directions: Directions
+    law: LawName  # pid or hpid
+    directions: Directions  # the free parameters and what they do
+    # the controller that is changed, joint by joint, at the start of the search
     start: tuple[LoopSettings, ...]
-    joints: tuple[str, ...]
+    joints: tuple[str, ...]  # the joints that are changed
 
     @property
     def parameters(self) -> tuple[FreeParameter, ...]:
@@ -300,14 +246,6 @@ class SearchSpace:
 
         A homogeneous search has the baseline's gains; everything else is that of
         :func:`source_label`.
-
-        Args:
-            experiment: The experiment; its first controller is the baseline.
-            law: ``pid`` or ``hpid``.
-            bounds: Other bounds than usual, by parameter.
-
-        Raises:
-            SettingError: There is no such law or parameter, or bounds are impossible.
         """
         if law not in get_args(LawName):
             raise SettingError(unknown_name("law", law, get_args(LawName)))
@@ -322,14 +260,7 @@ class SearchSpace:
         return cls(law, directions, start, experiment.world.joints)
 
     def controller(self, values: Sequence[float]) -> tuple[LoopSettings, ...]:
-        """Return the controller at a point.
-
-        Args:
-            values: One for each parameter.
-
-        Raises:
-            HpidError: A loop refuses its settings, for instance an unstable PID.
-        """
+        """Return the controller at a point."""
         found = {each.name: value for each, value in zip(self.parameters, values, strict=True)}
         loops = []
         for each in self.start:
@@ -341,12 +272,7 @@ class SearchSpace:
         return tuple(loops)
 
     def narrowed(self, joint: str, start: Sequence[LoopSettings]) -> SearchSpace:
-        """Return the space of the same directions of one joint, from another start.
-
-        Args:
-            joint: The joint.
-            start: The controller to begin with.
-        """
+        """Return the space of the same directions of one joint, from another start."""
         (own,) = [each for each in start if each.joint == joint]
         at = {
             "mu": own.mu,

@@ -28,34 +28,21 @@ SLOW = ("bricks",)
 
 
 class RunKey(NamedTuple):
-    """Names one run of a study.
+    """Names one run of a study."""
 
-    Attributes:
-        experiment: Name of the experiment.
-        engine: Who computes the physics.
-        controller: Label of the controller.
-        seed: The run's seed.
-    """
-
-    experiment: str
-    engine: str
-    controller: str
-    seed: int
+    experiment: str  # name of the experiment
+    engine: str  # who computes the physics
+    controller: str  # label of the controller
+    seed: int  # the run's seed
 
 
 @dataclass(frozen=True)
 class StudyEntry:
-    """One experiment of a study, in one engine.
-
-    Attributes:
-        experiment: The experiment.
-        joints: The joints that are judged, in the world's order.
-        is_in_both: Whether another entry is the same experiment in the other engine.
-    """
+    """One experiment of a study, in one engine."""
 
     experiment: Experiment
-    joints: tuple[str, ...]
-    is_in_both: bool = False
+    joints: tuple[str, ...]  # the joints that are judged, in the world's order
+    is_in_both: bool = False  # whether another entry is the same experiment in the other engine
 
     @property
     def name(self) -> str:
@@ -95,23 +82,14 @@ class StudyEntry:
 
 
 class Shard(NamedTuple):
-    """A part of a study's runs: one of so many, as even as can be.
+    """A part of a study's runs: one of so many, as even as can be."""
 
-    Attributes:
-        place: Which part, from 1.
-        parts: How many there are.
-    """
-
-    place: int = 1
-    parts: int = 1
+    place: int = 1  # which part, from 1
+    parts: int = 1  # how many there are
 
     @classmethod
     def parse(cls, text: str) -> Shard:
-        """Return the part that ``K/N`` names.
-
-        Raises:
-            SettingError: It is none.
-        """
+        """Return the part that ``K/N`` names."""
         place, _, parts = text.partition("/")
         if place.isdecimal() and parts.isdecimal() and 1 <= int(place) <= int(parts):
             return cls(int(place), int(parts))
@@ -128,17 +106,11 @@ ALL = Shard()
 
 @dataclass(frozen=True)
 class StudyPlan:
-    """Everything that decides a study's numbers.
+    """Everything that decides a study's numbers."""
 
-    Attributes:
-        entries: The experiments, of unlike names; those in both engines one after the other.
-        count: Seeds of each controller: the experiment's own and those that follow it.
-        shard: The part of all runs that is made here.
-    """
-
-    entries: tuple[StudyEntry, ...]
-    count: int
-    shard: Shard = ALL
+    entries: tuple[StudyEntry, ...]  # the experiments, of unlike names
+    count: int  # seeds of each controller: the experiment's own and those that follow it
+    shard: Shard = ALL  # the part of all runs that is made here
 
     @property
     def pairs(self) -> list[tuple[StudyEntry, StudyEntry]]:
@@ -185,14 +157,7 @@ def default_files() -> list[Path]:
 
 
 def is_robot_installed(file: Path) -> bool:
-    """Tell whether an experiment's robot is here: two of this package's are PyBullet's.
-
-    Args:
-        file: The experiment.
-
-    Raises:
-        ExperimentError: It is none.
-    """
+    """Tell whether an experiment's robot is here: two of this package's are PyBullet's."""
     document = load_document(file, ExperimentError)
     robot = Section(document.values, "", ExperimentError).section("robot", {})
     try:
@@ -210,21 +175,7 @@ def plan_study(
     engines: Sequence[str | None] = (None,),
     shard: Shard = ALL,
 ) -> StudyPlan:
-    """Read experiments and check them as a whole before anything runs.
-
-    Args:
-        files: Experiment files.
-        joints: Joints to judge, in the experiments that have them; none for those that each
-            experiment names.
-        seeds: Runs of each controller.
-        engines: Who computes the physics, one or two; None as each file says.
-        shard: The part of the runs to make.
-
-    Raises:
-        ExperimentError: A file is no experiment.
-        SettingError: Two experiments have one name, one has nothing to compare or none of the
-            joints, an engine is not installed, or there is no seed.
-    """
+    """Read experiments and check them as a whole before anything runs."""
     if seeds < 1:
         raise SettingError(f"seeds must be at least 1, not {seeds}")
     entries: dict[str, StudyEntry] = {}
@@ -267,20 +218,13 @@ TOTAL = ""
 
 @dataclass(frozen=True)
 class RunRecord:
-    """What is kept of one run.
+    """What is kept of one run."""
 
-    Attributes:
-        key: Which run.
-        digest: SHA-256 of all that decides its numbers but the seed.
-        numbers: Of each joint, and of all under :data:`TOTAL`, by the quantity's key; what is
-            not defined is left out. Empty if the run failed.
-        failure: Why it failed, in one line; empty if it did not.
-    """
-
-    key: RunKey
-    digest: str
+    key: RunKey  # which run
+    digest: str  # SHA-256 of all that decides its numbers but the seed
+    # of each joint, and of all under TOTAL, by the quantity's key
     numbers: Mapping[str, Mapping[str, float]]
-    failure: str = ""
+    failure: str = ""  # why it failed, in one line; empty if it did not
 
     @classmethod
     def of(
@@ -306,11 +250,7 @@ class RunRecord:
 
     @classmethod
     def parse(cls, line: str) -> RunRecord:
-        """Return the record that :meth:`line` wrote.
-
-        Raises:
-            ValueError: It is none, or not as it was written.
-        """
+        """Return the record that :meth:`line` wrote."""
         try:
             saved = json.loads(line)
             experiment, engine, controller = (str(saved[each]) for each in RunKey._fields[:3])
@@ -328,15 +268,7 @@ class RunRecord:
 
 
 def read_journal(path: Path) -> list[RunRecord]:
-    """Return the records of a journal; a last line that was cut off is left out.
-
-    Args:
-        path: The file; one that is not there has no records.
-
-    Raises:
-        SettingError: Another line is damaged.
-        ExperimentError: The file cannot be read.
-    """
+    """Return the records of a journal; a last line that was cut off is left out."""
     if not path.is_file():
         return []
     with told(f"cannot read {path}"):

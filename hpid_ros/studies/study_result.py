@@ -22,15 +22,10 @@ SETTLED = 0.01
 
 @dataclass(frozen=True)
 class StudyResult:
-    """What a study gave.
+    """What a study gave."""
 
-    Attributes:
-        plan: What was run.
-        records: Of each run; an interrupted study lacks some.
-    """
-
-    plan: StudyPlan
-    records: Mapping[RunKey, RunRecord]
+    plan: StudyPlan  # what was run
+    records: Mapping[RunKey, RunRecord]  # of each run; an interrupted study lacks some
     _checker: DegreeChecker = field(default_factory=DegreeChecker, repr=False, compare=False)
 
     def numbers(

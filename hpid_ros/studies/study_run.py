@@ -29,17 +29,7 @@ JOURNAL = "runs.jsonl"
 def study_folder(
     path: Path, *, force: bool = False, resume: bool = False, inputs: Iterable[Path] = ()
 ) -> ResultFolder:
-    """Return the folder of a study, made anew or carried on.
-
-    Args:
-        path: Where.
-        force: Replace a result that is there.
-        resume: Carry on the study that is there.
-        inputs: Files that are read; their folders are no place for a result.
-
-    Raises:
-        ResultExistsError: The path exists and is not to be replaced, or is no study to carry on.
-    """
+    """Return the folder of a study, made anew or carried on."""
     if resume and path.exists():
         if not (path / JOURNAL).is_file():
             raise ResultExistsError(f"{path} is not a study that could be carried on")
@@ -57,16 +47,6 @@ def run_study(
 
     What was run is kept as it ends, and saved as a whole at the end, also when interrupted; the
     files are the same wherever the runs are made.
-
-    Args:
-        plan: What to run.
-        folder: Where to save it; runs that are there and still hold are not made again.
-        run: Runs the tasks.
-        advanced: Is told of every run that has ended.
-
-    Raises:
-        RunError: A process died.
-        SettingError: The journal is damaged.
     """
     digests = _digests(plan)
     records = kept_records(plan, folder.path)
@@ -95,16 +75,7 @@ def run_study(
 
 
 def merged(plan: StudyPlan, parts: Sequence[Path]) -> StudyResult:
-    """Put the runs of several studies together.
-
-    Args:
-        plan: Of the whole.
-        parts: Folders of studies of the same files, for instance of shards.
-
-    Raises:
-        SettingError: A part is no study, a journal is damaged, or runs of the plan are missing,
-            differ or have failed.
-    """
+    """Put the runs of several studies together."""
     for part in parts:
         if not (part / JOURNAL).is_file():
             raise SettingError(f"{part} is no study: it has no {JOURNAL}")
@@ -121,15 +92,7 @@ def merged(plan: StudyPlan, parts: Sequence[Path]) -> StudyResult:
 
 
 def kept_records(plan: StudyPlan, *folders: Path) -> dict[RunKey, RunRecord]:
-    """Return the runs in folders that are still those of the plan and did not fail.
-
-    Args:
-        plan: The plan.
-        folders: The folders.
-
-    Raises:
-        SettingError: A journal is damaged, or the numbers of a run differ.
-    """
+    """Return the runs in folders that are still those of the plan and did not fail."""
     digests = _digests(plan)
     wanted = set(plan.tasks())
     records: dict[RunKey, RunRecord] = {}
@@ -150,13 +113,7 @@ def kept_records(plan: StudyPlan, *folders: Path) -> dict[RunKey, RunRecord]:
 
 
 def save(result: StudyResult, folder: ResultFolder, others: Iterable[RunRecord] = ()) -> None:
-    """Write the experiments, the numbers of all runs, the summary and the tables.
-
-    Args:
-        result: The result.
-        folder: Its folder.
-        others: Runs that are none of the plan, and stay in the journal.
-    """
+    """Write the experiments, the numbers of all runs, the summary and the tables."""
     _begin(result.plan, folder, result.records, others)
     folder.write("runs.csv", runs_csv(result))
     folder.write("study.json", json.dumps(result.as_mapping(), indent=2) + "\n")
@@ -168,11 +125,7 @@ def save(result: StudyResult, folder: ResultFolder, others: Iterable[RunRecord] 
 
 
 def runs_csv(result: StudyResult) -> str:
-    """Return every number of every run: of all judged joints, then joint by joint.
-
-    Args:
-        result: The study.
-    """
+    """Return every number of every run: of all judged joints, then joint by joint."""
     keys = [quantity.key for quantity in QUANTITIES]
     rows: list[list[object]] = [[*RunKey._fields, "joint", *keys, "failure"]]
     for key in result.plan.tasks():

@@ -23,9 +23,6 @@ def grids(result: StudyResult) -> list[Grid]:
     """Return all tables of a study: claims, loops, then of each experiment totals and joints.
 
     What was run in both engines is compared after the claims.
-
-    Args:
-        result: The study.
     """
     entries = result.plan.entries
     found = [_claims(result, label) for label in result.claimed_labels()]
@@ -39,20 +36,12 @@ def grids(result: StudyResult) -> list[Grid]:
 
 
 def study_text(result: StudyResult) -> str:
-    """Return all tables as plain text.
-
-    Args:
-        result: The study.
-    """
+    """Return all tables as plain text."""
     return grids_text(grids(result))
 
 
 def study_markdown(result: StudyResult) -> str:
-    """Return all tables as Markdown, each between comments that name it.
-
-    Args:
-        result: The study.
-    """
+    """Return all tables as Markdown, each between comments that name it."""
     return grids_markdown(grids(result))
 
 

@@ -33,15 +33,10 @@ _FORMS = "NAME=START:STOP:COUNT or NAME=VALUE,VALUE,..."
 
 @dataclass(frozen=True)
 class Axis:
-    """One direction of a grid.
+    """One direction of a grid."""
 
-    Attributes:
-        name: A loop's parameter or one of :data:`WORLD_SETTINGS`.
-        values: Its values, each once, in the order given.
-    """
-
-    name: str
-    values: tuple[Value, ...]
+    name: str  # a loop's parameter or one of WORLD_SETTINGS
+    values: tuple[Value, ...]  # its values, each once, in the order given
 
     @property
     def is_of_the_world(self) -> bool:
@@ -50,15 +45,7 @@ class Axis:
 
     @classmethod
     def parse(cls, text: str) -> Axis:
-        """Return the axis that a text says.
-
-        Args:
-            text: ``NAME=START:STOP:COUNT``, evenly spaced with both ends, or
-                ``NAME=VALUE,VALUE,...``.
-
-        Raises:
-            SettingError: It says none; the line repeats the text.
-        """
+        """Return the axis that a text says."""
         name, equals, rest = (part.strip() for part in text.partition("="))
         try:
             if not equals or not name or not rest:
@@ -78,11 +65,7 @@ def shown(value: Value) -> str:
 
 
 def _is_text(name: str) -> bool:
-    """Tell whether a parameter is a text and no number.
-
-    Raises:
-        SettingError: There is no such parameter, or it cannot be varied.
-    """
+    """Tell whether a parameter is a text and no number."""
     names = [*(each for each in PARAMETERS if each != "joint"), *WORLD_SETTINGS]
     if name not in names:
         raise SettingError(unknown_name("parameter", name, names))
@@ -123,23 +106,14 @@ def _number(text: str) -> float:
 
 @dataclass(frozen=True)
 class Row:
-    """One point of the grid, or the baseline on one of the grid's robots.
+    """One point of the grid, or the baseline on one of the grid's robots."""
 
-    Attributes:
-        label: The controller's label.
-        values: The varied parameters that it sets, by name.
-        baseline: Place among the rows of what it is measured against; None for a baseline.
-        world: The robot; its seed is that of the experiment.
-        loops: Settings of each driven joint; empty if they are refused.
-        refusal: Why it cannot run, in one line; empty if it can.
-    """
-
-    label: str
-    values: Mapping[str, Value]
-    baseline: int | None
-    world: WorldSettings
-    loops: tuple[LoopSettings, ...] = ()
-    refusal: str = ""
+    label: str  # the controller's label
+    values: Mapping[str, Value]  # the varied parameters that it sets, by name
+    baseline: int | None  # place among the rows of what it is measured against
+    world: WorldSettings  # the robot; its seed is that of the experiment
+    loops: tuple[LoopSettings, ...] = ()  # settings of each driven joint
+    refusal: str = ""  # why it cannot run, in one line; empty if it can
 
     @property
     def name(self) -> str:
@@ -150,14 +124,7 @@ class Row:
 def rows_of(
     experiment: Experiment, axes: Sequence[Axis], controller: str, joints: Sequence[str]
 ) -> tuple[Row, ...]:
-    """Return a baseline for each robot of a grid, then the grid's points.
-
-    Args:
-        experiment: Gives the robot and the controllers; the first one is the baseline.
-        axes: The directions of the grid; the last one varies fastest.
-        controller: Label of the controller that is varied.
-        joints: The joints that are varied; none for all.
-    """
+    """Return a baseline for each robot of a grid, then the grid's points."""
     of_world = [axis for axis in axes if axis.is_of_the_world]
     robots = [_assigned(of_world, values) for values in _product(of_world)]
     baselines = [_baseline(experiment, robot) for robot in robots]
@@ -242,22 +209,13 @@ LARGEST_SWEEP = 1_000_000
 
 @dataclass(frozen=True)
 class Sweep:
-    """Everything that decides a sweep's numbers.
+    """Everything that decides a sweep's numbers."""
 
-    Attributes:
-        experiment: Gives the robot, the reference and the controllers.
-        axes: What is varied; the last one varies fastest.
-        controller: Label of the controller that is varied.
-        joints: The joints that are varied, and judged; empty for all.
-        seeds: Every row runs once with each.
-        rows: The baselines, then the points.
-    """
-
-    experiment: Experiment
-    axes: tuple[Axis, ...]
-    controller: str
-    joints: tuple[str, ...]
-    seeds: tuple[int, ...]
+    experiment: Experiment  # gives the robot, the reference and the controllers
+    axes: tuple[Axis, ...]  # what is varied; the last one varies fastest
+    controller: str  # label of the controller that is varied
+    joints: tuple[str, ...]  # the joints that are varied, and judged; empty for all
+    seeds: tuple[int, ...]  # every row runs once with each
     rows: tuple[Row, ...] = field(init=False)
 
     def __post_init__(self) -> None:
@@ -315,18 +273,6 @@ def plan_sweep(
 
     Every point is measured against the experiment's first controller as it stands, on the same
     robot and with the same seeds. Points whose settings a loop refuses stay, with the reason.
-
-    Args:
-        experiment: The experiment.
-        axes: What to vary, each name once.
-        controller: Label of the controller to vary; if None, the first that is not the
-            baseline, or else the only one.
-        joints: Joints to vary and to judge; none for all.
-        seeds: How many: the experiment's own and those that follow it.
-
-    Raises:
-        SettingError: A name is unknown or doubled, nothing is varied, no point can run, or
-            there are more than :data:`LARGEST_SWEEP` runs.
     """
     labels = tuple(experiment.controllers)
     controller = controller or labels[min(1, len(labels) - 1)]

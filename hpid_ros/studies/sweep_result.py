@@ -23,17 +23,11 @@ QUANTITIES = (IVC, IAVC, ITAE, EFFORT_L2, ERROR_L2)
 
 
 class Quartiles(NamedTuple):
-    """Where the runs of several seeds lie.
+    """Where the runs of several seeds lie."""
 
-    Attributes:
-        first: A quarter of them is below.
-        median: Half of them is below.
-        third: Three quarters are below.
-    """
-
-    first: float
-    median: float
-    third: float
+    first: float  # a quarter of them is below
+    median: float  # half of them is below
+    third: float  # three quarters are below
 
     @classmethod
     def of(cls, values: Sequence[float]) -> Quartiles | None:
@@ -47,15 +41,10 @@ class Quartiles(NamedTuple):
 
 @dataclass(frozen=True)
 class SweepResult:
-    """What a sweep gave.
+    """What a sweep gave."""
 
-    Attributes:
-        sweep: What was run.
-        outcomes: Of each run, by place of the row and seed; an interrupted sweep lacks some.
-    """
-
-    sweep: Sweep
-    outcomes: Mapping[tuple[int, int], Outcome]
+    sweep: Sweep  # what was run
+    outcomes: Mapping[tuple[int, int], Outcome]  # of each run, by place of the row and seed
 
     def numbers(self, place: int, quantity: Quantity) -> dict[int, float]:
         """Return one number of a row's runs by seed; failed runs have none."""
@@ -178,11 +167,7 @@ def _numbers(outcome: Outcome) -> list[object]:
 
 
 def plain_quartiles(quartiles: Quartiles | None) -> dict[str, float | None] | None:
-    """Return quartiles for JSON, which knows no infinity.
-
-    Args:
-        quartiles: The quartiles, or None.
-    """
+    """Return quartiles for JSON, which knows no infinity."""
     if quartiles is None:
         return None
     return {k: v if math.isfinite(v) else None for k, v in quartiles._asdict().items()}

@@ -28,9 +28,6 @@ class SweepTable:
     """Rows are points; columns are parameters, then median, quartiles and ratio of each index.
 
     Indices stand side by side as far as the width allows.
-
-    Attributes:
-        result: What it shows.
     """
 
     def __init__(self, result: SweepResult) -> None:
@@ -111,17 +108,7 @@ def _ratio(ratios: Quartiles | None, is_ascii: bool) -> Text:
 def run_sweep(
     sweep: Sweep, folder: ResultFolder, run: Runner, advanced: Callable[[Outcome], None]
 ) -> SweepResult:
-    """Run every row with every seed, and save what was run, also when interrupted.
-
-    Args:
-        sweep: What to run.
-        folder: Where to save it.
-        run: Runs the tasks.
-        advanced: Is told of every run that has ended.
-
-    Raises:
-        RunError: A process died.
-    """
+    """Run every row with every seed, and save what was run, also when interrupted."""
     folder.write(EXPERIMENT, sweep.experiment.text)
     tasks = sweep.tasks()
     keys = tuple(tasks)
@@ -138,12 +125,7 @@ def run_sweep(
 
 
 def save(result: SweepResult, folder: ResultFolder) -> None:
-    """Write every run, the summary and the table.
-
-    Args:
-        result: The result.
-        folder: Its folder.
-    """
+    """Write every run, the summary and the table."""
     folder.write("sweep.csv", result.runs_csv())
     folder.write("sweep.json", result.json())
     folder.write("table.txt", sweep_text(result))

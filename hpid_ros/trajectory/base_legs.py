@@ -28,37 +28,22 @@ _FINE = np.linspace(0.0, 1.0, 257)  # of a curve, to count its windings
 
 
 class PathPose(NamedTuple):
-    """Where a base is in the plane.
+    """Where a base is in the plane."""
 
-    Attributes:
-        x: In [m].
-        y: In [m].
-        heading: In [rad], counter-clockwise from x; not wrapped.
-    """
-
-    x: float
-    y: float
-    heading: float
+    x: float  # [m]
+    y: float  # [m]
+    heading: float  # [rad] counter-clockwise from x; not wrapped
 
 
 class LegMotion(NamedTuple):
-    """A leg at N instants.
+    """A leg at N instants."""
 
-    Attributes:
-        distance: Travelled since the leg's start, forward positive, (N,), in [m].
-        speed: Its rate, in [m/s].
-        acceleration: Its second rate, in [m/s^2].
-        turn: Change of the heading since the leg's start, (N,), in [rad].
-        turn_rate: In [rad/s].
-        turn_acceleration: In [rad/s^2].
-    """
-
-    distance: Numbers
-    speed: Numbers
-    acceleration: Numbers
-    turn: Numbers
-    turn_rate: Numbers
-    turn_acceleration: Numbers
+    distance: Numbers  # [m] travelled since the leg's start, forward positive, (N,)
+    speed: Numbers  # [m/s] its rate
+    acceleration: Numbers  # [m/s^2] its second rate
+    turn: Numbers  # [rad] change of the heading since the leg's start, (N,)
+    turn_rate: Numbers  # [rad/s]
+    turn_acceleration: Numbers  # [rad/s^2]
 
 
 class Leg(Protocol):
@@ -76,18 +61,12 @@ class Leg(Protocol):
 
 @dataclass(frozen=True)
 class TimeLaw:
-    """How far along a leg is at which time: a quintic without acceleration at both ends.
+    """How far along a leg is at which time: a quintic without acceleration at both ends."""
 
-    Attributes:
-        duration: Of the leg, in [s].
-        first: Rate at the start in shares of the leg per duration, in [0, 2]: then it never
-            goes back. 0 is rest.
-        last: Rate at the end.
-    """
-
-    duration: float
+    duration: float  # [s] of the leg
+    # rate at the start in shares of the leg per duration, in [0, 2]: then it never goes back
     first: float = 0.0
-    last: float = 0.0
+    last: float = 0.0  # rate at the end
 
     def at(self, shares: Numbers) -> tuple[Numbers, Numbers, Numbers]:
         """Return the share of the leg, its rate in [1/s] and its second rate in [1/s^2]."""
@@ -101,17 +80,11 @@ class TimeLaw:
 
 @dataclass(frozen=True)
 class Turn:
-    """A turn in place; by 0 it is a wait.
+    """A turn in place; by 0 it is a wait."""
 
-    Attributes:
-        pose: Where it begins.
-        angle: By how much, in [rad].
-        law: When.
-    """
-
-    pose: PathPose
-    angle: float
-    law: TimeLaw
+    pose: PathPose  # where it begins
+    angle: float  # [rad] by how much
+    law: TimeLaw  # when
 
     def motion(self, shares: Numbers) -> LegMotion:
         """Return the motion, as for :class:`Leg`."""
@@ -136,13 +109,6 @@ class DrivenLeg:
     whose third derivatives vanish there too: the curvature begins and ends at 0 and has no kink
     where two such curves meet, so that a base can pass without a jump of its acceleration.
     Between two poses on one line it is that line.
-
-    Args:
-        start: Where it begins.
-        end: Where it ends; elsewhere than it begins.
-        law: When.
-        sign: 1 drives forward, -1 backward.
-        order: Half the number of control points, 3 or 4.
     """
 
     def __init__(
@@ -255,19 +221,7 @@ def leg_knots(
     radius: float,
     separation: float,
 ) -> list[tuple[Knot, Knot]]:
-    """Return the wheels' knots after a leg's start, as many as their splines need.
-
-    Args:
-        leg: The leg.
-        begin_ns: When it begins, in [ns].
-        end_ns: When it ends, in [ns].
-        start: Knots of the left and of the right wheel at the leg's start.
-        radius: Of the wheels, in [m].
-        separation: Of the wheels, in [m].
-
-    Returns:
-        Pairs of a left and a right knot, the last ones at the leg's end.
-    """
+    """Return the wheels' knots after a leg's start, as many as their splines need."""
     pieces = _FEWEST
     while True:
         times = [

@@ -31,16 +31,6 @@ class BasePath:
     forward or backward; between poses in one place it is a turn by the difference of the headings
     as they are written (0 to 6.28 is a whole turn), or a wait. The base rests at every pose;
     with ``passes`` it drives on through those between two legs of one direction.
-
-    Args:
-        times: Times of the poses from the start in [s], strictly increasing.
-        poses: x [m], y [m] and heading [rad] at each time, at least two.
-        directions: ``"forward"`` or ``"backward"`` for each leg; all forward if not given.
-        passes: Do not stop where the direction stays.
-        curvature_limit: Largest curvature of a leg in [1/m], at most 50 (a radius of 2 cm).
-
-    Raises:
-        TrajectoryError: Numbers that make no path, or a leg that is too sharp.
     """
 
     def __init__(
@@ -71,15 +61,7 @@ class BasePath:
         return tuple(time / NANOSECONDS for time in self._times_ns)
 
     def sample(self, times: Sequence[float] | Numbers) -> Numbers:
-        """Return x [m], y [m] and the heading [rad], which does not wrap, at some times.
-
-        Args:
-            times: From the start in [s], in any order; before the first pose and after the last
-                the base rests.
-
-        Returns:
-            Shape (N, 3).
-        """
+        """Return x [m], y [m] and the heading [rad], which does not wrap, at some times."""
         wanted = np.asarray(times, dtype=np.float64)
         found = np.empty((len(wanted), 3))
         heading = self.poses[0].heading
@@ -111,17 +93,6 @@ class BasePath:
         .. math:: \varphi_{r,l} = (s \pm b \theta / 2) / r
 
         with the distance s (arc length, by quadrature), the turn theta, radius r and separation b.
-
-        Args:
-            left: Joint of the left wheel.
-            right: Joint of the right wheel.
-            radius: Of the wheels in [m].
-            separation: Of the wheels in [m].
-            velocity_limit: Largest rate of a wheel in [rad/s].
-            start: Positions of the left and the right wheel at the first pose in [rad].
-
-        Raises:
-            TrajectoryError: A leg asks for more than the limit, or a number is impossible.
         """
         for name, value in (("wheel_radius", radius), ("wheel_separation", separation)):
             if not (math.isfinite(value) and value > 0.0):
@@ -207,11 +178,7 @@ def base_path(
     velocity_limit: float = math.inf,
     curvature_limit: float = _SHARPEST,
 ) -> JointTrajectory:
-    """Return the wheels' trajectories of a path; arguments as for :class:`BasePath`.
-
-    Raises:
-        TrajectoryError: As for :class:`BasePath` and :meth:`BasePath.wheels`.
-    """
+    """Return the wheels' trajectories of a path; arguments as for :class:`BasePath`."""
     path = BasePath(
         times, poses, directions=directions, passes=passes, curvature_limit=curvature_limit
     )

@@ -29,13 +29,6 @@ def combined(trajectories: Sequence[JointTrajectory]) -> JointTrajectory:
     corner of a linear spline, an end in motion) while others go on, the merged trajectory has a
     further point one nanosecond before. A joint whose trajectory ends earlier holds its last
     position.
-
-    Args:
-        trajectories: At least one; with one stamp, one time of the first point, and no joint in
-            common.
-
-    Raises:
-        TrajectoryError: They cannot be merged.
     """
     _check(trajectories)
     columns = [each.column(joint) for each in trajectories for joint in each.joint_names]

@@ -69,11 +69,7 @@ class PathSection(Record):
     curvature_limit: float | None = quantity("Of the path", "1/m", default=None, above=0.0)
 
     def trajectory(self) -> JointTrajectory:
-        """Return what the wheels follow.
-
-        Raises:
-            TrajectoryError: The numbers make no path.
-        """
+        """Return what the wheels follow."""
         legs = self.directions
         limits = {
             name: value
@@ -106,13 +102,6 @@ def reference_from(values: object, where: str = "reference") -> JointTrajectory:
     ``kind: minimum_jerk`` and ``kind: step`` are :class:`Waypoints`, ``kind: sine`` is
     :class:`Oscillations`, ``kind: base_path`` is :class:`PathSection`; ``kind: combined`` has
     ``parts``, a list of such sections for different joints.
-
-    Args:
-        values: The section.
-        where: Its place in the document, for the messages.
-
-    Raises:
-        TrajectoryError: A key is missing or unknown, or the numbers make no trajectory.
     """
     section = Section(values, where, TrajectoryError)
     kind = section.text("kind")
@@ -129,11 +118,7 @@ def reference_from(values: object, where: str = "reference") -> JointTrajectory:
 
 
 def reference_schema(*others: dict[str, Any]) -> dict[str, Any]:
-    """Return the JSON Schema of a ``reference`` section.
-
-    Args:
-        others: Schemas of kinds that are read elsewhere.
-    """
+    """Return the JSON Schema of a ``reference`` section."""
     kinds = [of_kind(name, json_schema(record)) for name, record in _KINDS.items()]
     parts = {"type": "array", "minItems": 1, "items": {"oneOf": kinds}}
     whole = {

@@ -110,17 +110,7 @@ class JointTrajectory:
 def require_trajectory(
     joint_names: Sequence[str], points: Sequence[TrajectoryPoint], stamp_ns: int, first: int = 0
 ) -> None:
-    """Refuse what is no trajectory.
-
-    Args:
-        joint_names: Its joints.
-        points: Its points, or some that follow each other.
-        stamp_ns: When it starts in [ns].
-        first: Which of its points the first of these is.
-
-    Raises:
-        TrajectoryError: As for :class:`JointTrajectory`.
-    """
+    """Refuse what is no trajectory."""
     if not joint_names or len(set(joint_names)) != len(joint_names):
         raise TrajectoryError(
             f"a trajectory must name each of its joints once, not {list(joint_names)}"
@@ -174,30 +164,16 @@ class PointArrays(NamedTuple):
 
     Where no point has any an array may be without columns, and a row of NaN is a point that has
     none.
-
-    Attributes:
-        positions: In [rad].
-        velocities: In [rad/s].
-        accelerations: In [rad/s^2].
-        efforts: In [N m].
     """
 
-    positions: Numbers
-    velocities: Numbers
-    accelerations: Numbers
-    efforts: Numbers
+    positions: Numbers  # [rad]
+    velocities: Numbers  # [rad/s]
+    accelerations: Numbers  # [rad/s^2]
+    efforts: Numbers  # [N m]
 
 
 class KnotArrays(Sequence[Knot]):
-    """One joint's knots, each made when it is asked for.
-
-    Args:
-        times_ns: Times from the start of the trajectory in [ns].
-        positions: In [rad].
-        velocities: In [rad/s]; NaN where there is none.
-        accelerations: In [rad/s^2], likewise.
-        efforts: In [N m], likewise.
-    """
+    """One joint's knots, each made when it is asked for."""
 
     def __init__(
         self,
@@ -250,21 +226,7 @@ def column_from_arrays(
     lengths: Integers,
     point: Callable[[int], Point],
 ) -> Column:
-    """Return one joint's column; what ``JointTrajectory`` refuses is refused here, too.
-
-    Args:
-        joint: A joint of the trajectory.
-        names: All of its joints.
-        stamp_ns: When it starts in [ns]; 0 means with the next state.
-        times_ns: Time from start of each point in [ns].
-        arrays: The numbers of the points. Only rows with one for each joint are looked at.
-        lengths: Numbers that each point has in each array, shape (points, 4), or (1, 4) if all
-            have the same.
-        point: Returns one point as it came.
-
-    Raises:
-        TrajectoryError: As for ``JointTrajectory``, or it has no such joint.
-    """
+    """Return one joint's column; what ``JointTrajectory`` refuses is refused here, too."""
     require_arrays(names, stamp_ns, times_ns, arrays, lengths, point)
     if joint not in names:
         raise TrajectoryError(unknown_name("joint", joint, names))
@@ -279,11 +241,7 @@ def require_arrays(
     lengths: Integers,
     point: Callable[[int], Point],
 ) -> None:
-    """Refuse what ``JointTrajectory`` refuses; the arguments are those of column_from_arrays.
-
-    Raises:
-        TrajectoryError: As for ``JointTrajectory``.
-    """
+    """Refuse what ``JointTrajectory`` refuses; the arguments are those of column_from_arrays."""
     for index in _suspects(len(names), times_ns, arrays, lengths):
         _check_alone(names, stamp_ns, point, index)
     # Two points at most: the joints, the stamp, and that there is a point at all.
@@ -297,15 +255,7 @@ def checked_column(
     times_ns: Integers,
     arrays: PointArrays,
 ) -> Column:
-    """Return one joint's column of a trajectory that :func:`require_arrays` let pass.
-
-    Args:
-        joint: The joint.
-        at: Its place among the names.
-        stamp_ns: When the trajectory starts in [ns].
-        times_ns: Time from start of each point in [ns].
-        arrays: As for :func:`column_from_arrays`.
-    """
+    """Return one joint's column of a trajectory that :func:`require_arrays` let pass."""
     none = np.full(len(times_ns), np.nan)
     columns = (each[:, at].copy() if each.shape[1] else none for each in arrays)
     return Column(joint, KnotArrays(times_ns, *columns), stamp_ns)

@@ -27,50 +27,30 @@ _Coefficients = tuple[float, float, float, float, float, float]
 
 
 class Knot(NamedTuple):
-    """One point of one joint.
+    """One point of one joint."""
 
-    Attributes:
-        time_ns: Time from the start of the trajectory in [ns].
-        position: In [rad].
-        velocity: In [rad/s], or None.
-        acceleration: In [rad/s^2], or None.
-        effort: In [N m], or None.
-    """
-
-    time_ns: int
-    position: float
-    velocity: float | None = None
-    acceleration: float | None = None
-    effort: float | None = None
+    time_ns: int  # [ns] time from the start of the trajectory
+    position: float  # [rad]
+    velocity: float | None = None  # [rad/s] or None
+    acceleration: float | None = None  # [rad/s^2] or None
+    effort: float | None = None  # [N m] or None
 
 
 class ReferenceSample(NamedTuple):
-    """A reference at one instant.
+    """A reference at one instant."""
 
-    Attributes:
-        position: In [rad].
-        velocity: In [rad/s].
-        acceleration: In [rad/s^2].
-    """
-
-    position: float
-    velocity: float
-    acceleration: float
+    position: float  # [rad]
+    velocity: float  # [rad/s]
+    acceleration: float  # [rad/s^2]
 
 
 @dataclass(frozen=True)
 class Column:
-    """One joint's knots; the trajectory message keeps them as one column of its points.
+    """One joint's knots; the trajectory message keeps them as one column of its points."""
 
-    Attributes:
-        joint: The joint's name.
-        knots: At least one, with strictly increasing times.
-        stamp_ns: When the trajectory starts in [ns]; 0 means with the next state.
-    """
-
-    joint: str
-    knots: Sequence[Knot]
-    stamp_ns: int = 0
+    joint: str  # the joint's name
+    knots: Sequence[Knot]  # at least one, with strictly increasing times
+    stamp_ns: int = 0  # [ns] when the trajectory starts; 0 means with the next state
 
     @cached_property
     def gives_effort(self) -> bool:
@@ -80,33 +60,16 @@ class Column:
         return bool(getattr(self.knots, "gives_effort", False))
 
     def start(self, now_ns: int, position: float, velocity: float = 0.0) -> SplineReference:
-        """Take over at an instant.
-
-        Args:
-            now_ns: The control clock now in [ns]; also the start when ``stamp_ns`` is 0.
-            position: Where the reference stands now in [rad].
-            velocity: How fast it moves now in [rad/s].
-
-        Returns:
-            The reference from now on.
-        """
+        """Take over at an instant."""
         start_ns = self.stamp_ns or now_ns
         return SplineReference(self.knots, start_ns, Knot(now_ns - start_ns, position, velocity))
 
     def is_under_way(self, now_ns: int) -> bool:
-        """Tell whether the first knot lies before an instant.
-
-        Args:
-            now_ns: The control clock in [ns].
-        """
+        """Tell whether the first knot lies before an instant."""
         return self.stamp_ns != 0 and now_ns > self.stamp_ns + self.knots[0].time_ns
 
     def target(self, now_ns: int) -> float:
-        """Return the position of the first knot, or the present one of a motion under way.
-
-        Args:
-            now_ns: The control clock in [ns].
-        """
+        """Return the position of the first knot, or the present one of a motion under way."""
         first = self.knots[0].position
         if not self.is_under_way(now_ns):
             return first
@@ -114,13 +77,7 @@ class Column:
 
 
 class SplineReference:
-    """Samples a column on the control clock; made by :meth:`Column.start`.
-
-    Args:
-        knots: Knots with times from the start.
-        start_ns: The instant of time zero on the control clock in [ns].
-        before: Where the reference stood when it took over; ``time_ns`` from the start.
-    """
+    """Samples a column on the control clock; made by :meth:`Column.start`."""
 
     def __init__(self, knots: Sequence[Knot], start_ns: int, before: Knot) -> None:
         first = knots[0]
@@ -141,11 +98,7 @@ class SplineReference:
         return self._start_ns + self._knots[-1].time_ns
 
     def sample(self, stamp_ns: int) -> ReferenceSample:
-        """Return the reference at an instant.
-
-        Args:
-            stamp_ns: The control clock in [ns], in any order.
-        """
+        """Return the reference at an instant."""
         if not self._from_ns <= stamp_ns < self._to_ns:
             self._enter(stamp_ns)
         t = (stamp_ns - self._from_ns) * SECONDS_PER_NANOSECOND
@@ -160,9 +113,6 @@ class SplineReference:
         """Return the knots' effort at an instant, linear between them, in [N m].
 
         Before the first knot it is the first one's, after the last the last one's.
-
-        Args:
-            stamp_ns: The control clock in [ns], in any order.
         """
         if not self._from_ns <= stamp_ns < self._to_ns:
             self._enter(stamp_ns)
@@ -211,10 +161,6 @@ def segment(start: Knot, end: Knot) -> _Coefficients:
 
     Quintic when both ends give velocity and acceleration, cubic when both give velocity,
     linear otherwise.
-
-    Args:
-        start: Left end.
-        end: Right end, later than the left one.
     """
     T = (end.time_ns - start.time_ns) * SECONDS_PER_NANOSECOND
     distance = end.position - start.position

@@ -15,19 +15,12 @@ _PATIENCE = 4.0  # delays: SIMC's own choice is one, for a joint without resonan
 
 
 class Autotuned(NamedTuple):
-    """Proposed gains, and the loop that has them.
+    """Proposed gains, and the loop that has them."""
 
-    Attributes:
-        pid: The linear loop.
-        upgrade: The homogeneous one.
-        delay: Effective delay that they are for, in [s].
-        closed_loop_time: In [s].
-    """
-
-    pid: LoopSettings
-    upgrade: Upgrade
-    delay: float
-    closed_loop_time: float
+    pid: LoopSettings  # the linear loop
+    upgrade: Upgrade  # the homogeneous one
+    delay: float  # [s] effective delay that they are for
+    closed_loop_time: float  # [s]
 
 
 def effective_delay(settings: LoopSettings, delay: float) -> float:
@@ -36,10 +29,6 @@ def effective_delay(settings: LoopSettings, delay: float) -> float:
     Half a period of the hold, and the time constant of a first-order lag, count as delays.
     Source: S. Skogestad, "Simple analytic rules for model reduction and PID controller tuning",
     Journal of Process Control 13 (2003) 291-309, section 2, the half rule.
-
-    Args:
-        settings: Of the loop.
-        delay: From effort to motion, in [s].
     """
     velocity = settings.velocity
     filtered = velocity.filter_time_constant if velocity.source == "filtered" else 0.0
@@ -53,19 +42,7 @@ def autotuned(
     closed_loop_time: float | None,
     goal: str,
 ) -> Autotuned:
-    """Return SIMC gains for a joint, and the homogeneous PID with them.
-
-    Args:
-        settings: Of the running loop: all but gains, law, degree and inertia stays.
-        inertia: Least and largest inertia, in [kg m^2]; the gains are for the middle.
-        delay: From effort to motion, in [s].
-        closed_loop_time: In [s]; None for four effective delays.
-        goal: Of the upgrade: ``smooth`` or ``fast``.
-
-    Raises:
-        SettingError: The loop decouples, or a number is impossible.
-        GainError: The gains are not stable, or no degree is certified.
-    """
+    """Return SIMC gains for a joint, and the homogeneous PID with them."""
     if settings.model.is_decoupling:
         raise SettingError(
             "compensation decoupling has gains of a unit inertia: hpid gains designs them"

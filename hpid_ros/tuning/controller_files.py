@@ -17,71 +17,32 @@ INERTIA_RANGES = "inertia_ranges"
 
 
 class ParameterFile(NamedTuple):
-    """What a ROS parameter file says of joint controllers.
+    """What a ROS parameter file says of joint controllers."""
 
-    Attributes:
-        loops: Settings by node name, in the order of the file.
-        inertias: Least and largest inertia by joint, in [kg m^2], of those that it knows.
-    """
-
-    loops: dict[str, LoopSettings]
+    loops: dict[str, LoopSettings]  # settings by node name, in the order of the file
+    # [kg m^2] least and largest inertia by joint, of those that it knows
     inertias: dict[str, tuple[float, float]]
 
 
 def parameter_file(path: Path) -> ParameterFile:
-    """Read a parameter file.
-
-    Args:
-        path: As for :func:`settings_from_parameter_file`.
-
-    Raises:
-        SettingError: As there.
-    """
+    """Read a parameter file."""
     return parameters_from(load_yaml(path, SettingError), str(path))
 
 
 def parameters_from(document: object, where: str) -> ParameterFile:
-    """Return what the content of a parameter file says.
-
-    Args:
-        document: As for :func:`settings_from_parameters`.
-        where: What the messages call it.
-
-    Raises:
-        SettingError: As there.
-    """
+    """Return what the content of a parameter file says."""
     return ParameterFile(
         settings_from_parameters(document, where), _inertia_ranges(document, where)
     )
 
 
 def settings_from_parameter_file(path: Path) -> dict[str, LoopSettings]:
-    """Return the settings of every joint controller in a ROS parameter file.
-
-    Args:
-        path: A file as ``ros2 param dump`` and ``hpid compare`` write them.
-
-    Returns:
-        By node name, in the order of the file; without a namespace where the file names none.
-
-    Raises:
-        SettingError: The file is no parameter file, has no controller, or one that cannot be
-            used; the line names file and node.
-    """
+    """Return the settings of every joint controller in a ROS parameter file."""
     return parameter_file(path).loops
 
 
 def settings_from_parameters(document: object, where: str) -> dict[str, LoopSettings]:
-    """Return the settings of every joint controller in the content of a parameter file.
-
-    Args:
-        document: Node names to ``{"ros__parameters": {...}}``, where ``/**/NAME`` is a node in any
-            namespace; ``/**`` applies to all.
-        where: What the messages call it.
-
-    Raises:
-        SettingError: As for :func:`settings_from_parameter_file`.
-    """
+    """Return the settings of every joint controller in the content of a parameter file."""
     if not isinstance(document, Mapping):
         raise SettingError(f"{where} is no ROS parameter file: it must map node names")
     for name, node in document.items():

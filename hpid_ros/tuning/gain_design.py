@@ -25,23 +25,14 @@ _POINTS = 4001
 
 
 class RobustnessMargins(NamedTuple):
-    """How far a loop is from instability.
+    """How far a loop is from instability."""
 
-    Attributes:
-        gain: Factor by which the loop's gain may grow; infinite where any may.
-        gain_reduction: Factor to which it may fall.
-        phase: Phase that may be lost at the crossover, in [rad].
-        delay: Delay that may be added, in [s].
-        sensitivity: Ms, the largest magnitude of the sensitivity function.
-        crossover: Where the loop's gain is one, in [rad/s].
-    """
-
-    gain: float
-    gain_reduction: float
-    phase: float
-    delay: float
-    sensitivity: float
-    crossover: float
+    gain: float  # factor by which the loop's gain may grow; infinite where any may
+    gain_reduction: float  # factor to which it may fall
+    phase: float  # [rad] phase that may be lost at the crossover
+    delay: float  # [s] delay that may be added
+    sensitivity: float  # ms, the largest magnitude of the sensitivity function
+    crossover: float  # [rad/s] where the loop's gain is one
 
 
 class _Loop:
@@ -87,15 +78,6 @@ def loop_margins(
 
     Source of the definitions: K. J. Astrom and R. M. Murray, "Feedback Systems", section 9.3,
     and for Ms section 12.
-
-    Args:
-        gains: The gains, with integral action.
-        inertia: What one unit of effort accelerates, in [kg m^2].
-        delay: Of the loop, in [s].
-        filter_time: Time constant of the first-order filter of the velocity, in [s].
-
-    Raises:
-        GainError: The loop is unstable, without or because of delay and filter.
     """
     require_hurwitz(gains, inertia)
     loop = _Loop(gains, inertia, delay, filter_time)
@@ -145,23 +127,14 @@ _INERTIA_DIGITS, _GAIN_DIGITS = 3, 6
 
 @dataclass(frozen=True)
 class DesignedGains:
-    """One joint's gains by a rule.
-
-    Attributes:
-        joint: The joint.
-        inertia: What one unit of effort accelerates, in [kg m^2], to three digits.
-        gains: The rule's gains on exactly that inertia, to six digits.
-        margins: Of the loop with delay and velocity filter; None if it is unstable.
-        interval: Certified degrees at the loop's norm; None if there are none.
-        reason: Why it is unstable or not certified; empty if it is certified at its degree.
-    """
+    """One joint's gains by a rule."""
 
     joint: str
-    inertia: float
-    gains: Gains
-    margins: RobustnessMargins | None
-    interval: tuple[float, float] | None
-    reason: str
+    inertia: float  # [kg m^2] what one unit of effort accelerates, to three digits
+    gains: Gains  # the rule's gains on exactly that inertia, to six digits
+    margins: RobustnessMargins | None  # of the loop with delay and velocity filter
+    interval: tuple[float, float] | None  # certified degrees at the loop's norm
+    reason: str  # why it is unstable or not certified; empty if it is certified at its degree
 
 
 def design(
@@ -172,20 +145,7 @@ def design(
     delay: float,
     tell: Callable[[Sequence[str]], None] = lambda joints: None,
 ) -> dict[str, DesignedGains]:
-    """Return the joints' gains by a rule, judged.
-
-    Args:
-        loops: By joint: its degree, norm and velocity filter are judged with.
-        inertias: What one unit of effort accelerates, in [kg m^2], by joint.
-        rule: Name of the rule in :data:`~hpid_ros.tuning.rules.RULES`.
-        closed_loop_time: In [s].
-        delay: Of the loop, in [s].
-        tell: Called with the joints whose degrees have been certified.
-
-    Raises:
-        SettingError: There is no such rule, or a number is impossible.
-        RunError: A process died.
-    """
+    """Return the joints' gains by a rule, judged."""
     if rule not in RULES:
         raise SettingError(unknown_name("rule", rule, RULES))
     judged: list[Loop] = []
@@ -225,12 +185,7 @@ def _designed(
 
 
 def yaml_text(designs: Mapping[str, DesignedGains], head: str) -> str:
-    """Return the gains as ``controllers.joints`` of an experiment file, verdicts as comments.
-
-    Args:
-        designs: By the joint's name.
-        head: What the first comment says.
-    """
+    """Return the gains as ``controllers.joints`` of an experiment file, verdicts as comments."""
     rows = {joint: _row(each) for joint, each in designs.items()}
     width = max(len(joint) + len(row) for joint, row in rows.items())
     lines = [f"# {head}", "controllers:", "  joints:"]
@@ -241,13 +196,7 @@ def yaml_text(designs: Mapping[str, DesignedGains], head: str) -> str:
 
 
 def held_by_friction(joint: str, p: float, friction: float) -> str:
-    """Return one line if friction alone holds a joint far from its reference; else nothing.
-
-    Args:
-        joint: The joint.
-        p: Its proportional gain in [N m/rad].
-        friction: Its Coulomb friction in [N m].
-    """
+    """Return one line if friction alone holds a joint far from its reference; else nothing."""
     error = friction / p if p > 0.0 else 0.0
     if error <= _LARGEST_STUCK_ERROR:
         return ""

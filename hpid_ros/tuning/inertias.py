@@ -24,17 +24,6 @@ def inertia_ranges(
 
     It is 1 / (M^-1)_jj on a fixed base, rotors included; a wheel on the ground accelerates the
     robot as well, which is not in it.
-
-    Args:
-        description: The robot.
-        joints: Joints asked for.
-        payload: Largest payload in [kg]; the least is none.
-        poses: How many are sampled within the joints' limits, for each payload; or the poses
-            themselves, in [rad], joints that they leave out at 0.
-
-    Raises:
-        RobotDescriptionError: The robot lacks a joint, or has no link for the payload.
-        SettingError: No pose, or an impossible payload.
     """
     names = list(dict.fromkeys(joints))
     found: dict[str, list[float]] = {name: [] for name in names}
@@ -52,11 +41,7 @@ def inertia_ranges(
 
 
 def visited_poses(recorded: Sequence[JointSeries]) -> list[dict[str, float]]:
-    """Return poses of a recording, evenly spaced among its states: none in a long gap.
-
-    Args:
-        recorded: The joints, of one clock.
-    """
+    """Return poses of a recording, evenly spaced among its states: none in a long gap."""
     if not recorded:
         return []
     known = np.unique(np.concatenate([each.state_stamps_ns for each in recorded]))

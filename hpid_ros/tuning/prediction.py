@@ -37,18 +37,11 @@ PHYSICS_STEPS = 2
 
 
 class JointFacts(NamedTuple):
-    """What is known of a joint's drive and sensor, which no URDF says.
+    """What is known of a joint's drive and sensor, which no URDF says."""
 
-    Attributes:
-        delay: By which its efforts act late, in control periods.
-        noise: Standard deviation of what is added to its position, in [rad].
-        resolution: Smallest step of its measured position, in [rad]; 0 for none. That of its
-            controller's settings if None.
-    """
-
-    delay: int = 0
-    noise: float = 0.0
-    resolution: float | None = None
+    delay: int = 0  # by which its efforts act late, in control periods
+    noise: float = 0.0  # [rad] standard deviation of what is added to its position
+    resolution: float | None = None  # [rad] smallest step of its measured position
 
 
 def predict(
@@ -59,19 +52,7 @@ def predict(
     initial_positions: Mapping[str, float] | None = None,
     tell: Callable[[str], None] = lambda label: None,
 ) -> Comparison:
-    """Simulate controllers on a robot, as :func:`simulate` does, and compare them.
-
-    Args:
-        robot: As there, as all others.
-        loops: As there.
-        recorded: As there.
-        fixed_base: As there.
-        initial_positions: As there.
-        tell: As there.
-
-    Raises:
-        HpidError: As there.
-    """
+    """Simulate controllers on a robot, as :func:`simulate` does, and compare them."""
     runs = simulate(robot, loops, recorded, fixed_base, initial_positions, tell=tell)
     return Comparison(tuple(run_indices(each) for each in runs))
 
@@ -93,26 +74,6 @@ def simulate(
 
     The reference is the recorded one, from the recorded start; without a recording each joint
     steps by its ``norm.error_scale`` from where it starts.
-
-    Args:
-        robot: The robot's URDF, path or XML.
-        loops: Settings of the same joints, in the same order, by the controller's label.
-        recorded: The recorded joints, or none.
-        fixed_base: The robot's root is held.
-        initial_positions: Where joints start that are not recorded, in [rad]; others at 0.
-        facts: What is known of drives and sensors, by joint; those of others are ideal.
-        period: Between two states, in [s]; as the first controller's settings say if None.
-        has_velocities: Whether the robot measures velocities: differences of the positions.
-        engine: Who computes the physics; the default one if None.
-        tell: Called with the label of a controller that has been simulated.
-
-    Returns:
-        A run for each label, in their order.
-
-    Raises:
-        RunError: A process died.
-        SettingError: The recording has a gap, or its clock jumped.
-        HpidError: The robot lacks a joint, or cannot start where the recording does.
     """
     first = next(iter(loops.values()))
     joints = tuple(each.joint for each in first)
@@ -194,11 +155,6 @@ def recorded_motion(joint: str, times_ns: NDArray[np.int64], reference: Numbers)
 
     A jump is one nanosecond wide, as those of :func:`~hpid_ros.trajectory.generators.step` are: a
     ramp from one sample to the next would have a velocity that nobody was asked to follow.
-
-    Args:
-        joint: The joint.
-        times_ns: Of the samples, from 0 on, strictly increasing, (N,), in [ns].
-        reference: The samples, (N,), in [rad].
     """
     steps = np.abs(np.diff(reference))
     beside = np.maximum(np.append(steps[1:], 0.0), np.append(0.0, steps[:-1]))

@@ -19,15 +19,10 @@ Certifying = Callable[[int], AbstractContextManager[Callable[[Sequence[str]], No
 
 
 class Proposals(NamedTuple):
-    """What came of controllers.
+    """What came of controllers."""
 
-    Attributes:
-        found: What is proposed, by joint.
-        failures: Why there is nothing for the other joints.
-    """
-
-    found: dict[str, Upgrade]
-    failures: dict[str, HpidError]
+    found: dict[str, Upgrade]  # what is proposed, by joint
+    failures: dict[str, HpidError]  # why there is nothing for the other joints
 
 
 def propose(
@@ -38,20 +33,7 @@ def propose(
     goal: str,
     certifying: Certifying,
 ) -> Proposals:
-    """Propose a homogeneous PID for each controller.
-
-    Args:
-        loops: The controllers as they are.
-        inertias: Least and largest inertia by joint, in [kg m^2], of those that are known.
-        recorded: The recorded joints, or none.
-        limits: Of the motors' efforts by joint, in [N m], of those that are known.
-        goal: One of :data:`~hpid_ros.tuning.upgrade.GOALS`.
-        certifying: Shows the progress.
-
-    Raises:
-        SettingError: There is nothing for any joint.
-        RunError: A process died.
-    """
+    """Propose a homogeneous PID for each controller."""
     series = {each.joint: each for each in recorded}
     candidates: list[Candidate] = []
     proposals = Proposals({}, {})

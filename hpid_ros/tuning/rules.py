@@ -15,17 +15,11 @@ from hpid_ros.control.gains import Gains
 
 
 class SeriesPid(NamedTuple):
-    """A PID in series form, c(s) = gain (1 + 1 / (integral_time s)) (derivative_time s + 1).
+    """A PID in series form, c(s) = gain (1 + 1 / (integral_time s)) (derivative_time s + 1)."""
 
-    Attributes:
-        gain: Kc, in [N m/rad].
-        integral_time: tau_I, in [s].
-        derivative_time: tau_D, in [s].
-    """
-
-    gain: float
-    integral_time: float
-    derivative_time: float
+    gain: float  # [N m/rad] kc
+    integral_time: float  # [s] tau_I
+    derivative_time: float  # [s] tau_D
 
     def parallel(self) -> Gains:
         """Return the same controller in parallel form.
@@ -52,15 +46,6 @@ def simc_series(inertia: float, closed_loop_time: float, delay: float = 0.0) -> 
 
     Source: S. Skogestad, "Simple analytic rules for model reduction and PID controller tuning",
     Journal of Process Control 13 (2003) 291-309, Table 1, row "Double integrating".
-
-    Args:
-        inertia: What one unit of effort accelerates, in [kg m^2].
-        closed_loop_time: tau_c, the wanted closed-loop time constant in [s]; the source
-            recommends tau_c = delay for fast and robust control.
-        delay: theta, effective delay of the loop in [s].
-
-    Raises:
-        SettingError: A number is not positive (the delay: negative) or not finite.
     """
     time = _checked(inertia, closed_loop_time, delay)
     return SeriesPid(inertia / (4.0 * time**2), 4.0 * time, 4.0 * time)
@@ -70,14 +55,6 @@ def simc(inertia: float, closed_loop_time: float, delay: float = 0.0) -> Gains:
     """Return :func:`simc_series` in parallel form.
 
     With T = tau_c + theta: p = m / (2 T^2), i = m / (16 T^3), d = m / T.
-
-    Args:
-        inertia: What one unit of effort accelerates, in [kg m^2].
-        closed_loop_time: tau_c in [s].
-        delay: theta in [s].
-
-    Raises:
-        SettingError: A number is not positive (the delay: negative) or not finite.
     """
     return simc_series(inertia, closed_loop_time, delay).parallel()
 
@@ -90,14 +67,6 @@ def pole_placement(inertia: float, closed_loop_time: float, delay: float = 0.0) 
 
     Source: K. J. Astrom and T. Hagglund, "Advanced PID Control" (ISA, 2006), pole placement by
     comparing the coefficients of the characteristic polynomial.
-
-    Args:
-        inertia: What one unit of effort accelerates, in [kg m^2].
-        closed_loop_time: Time constant of the three poles in [s].
-        delay: Effective delay of the loop in [s].
-
-    Raises:
-        SettingError: A number is not positive (the delay: negative) or not finite.
     """
     rate = 1.0 / _checked(inertia, closed_loop_time, delay)
     return Gains(p=3.0 * rate**2 * inertia, i=rate**3 * inertia, d=3.0 * rate * inertia)

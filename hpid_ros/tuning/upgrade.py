@@ -31,35 +31,18 @@ _SAME_STEP = 1e-9  # [rad]; closer positions are the same count, told apart by r
 
 @dataclass(frozen=True)
 class LoopStatistics:
-    """Figures of one joint's recording.
+    """Figures of one joint's recording."""
 
-    Attributes:
-        largest_error: In [rad].
-        mean_square_error: In [rad^2].
-        largest_rate: Largest velocity of the joint, filtered as the loop would, in [rad/s].
-        resolution: Smallest step of the measured position in [rad]; 0 when it has none.
-        period: Median time between two states in [s].
-        states: How many states there were.
-    """
-
-    largest_error: float
-    mean_square_error: float
-    largest_rate: float
-    resolution: float
-    period: float
-    states: int
+    largest_error: float  # [rad]
+    mean_square_error: float  # [rad^2]
+    largest_rate: float  # [rad/s] largest velocity of the joint, filtered as the loop would
+    resolution: float  # [rad] smallest step of the measured position; 0 when it has none
+    period: float  # [s] median time between two states
+    states: int  # how many states there were
 
 
 def loop_statistics(series: JointSeries, filter_time_constant: float) -> LoopStatistics:
-    """Return the statistics of one joint's recording.
-
-    Args:
-        series: The recording.
-        filter_time_constant: Of the velocity filter that the loop will have, in [s].
-
-    Raises:
-        SettingError: The recording is too short, or the error is zero throughout.
-    """
+    """Return the statistics of one joint's recording."""
     error = series.error
     if len(error) < _LEAST_STATES:
         raise SettingError(
@@ -123,38 +106,23 @@ _LEAST_GAIN = 0.02  # of the goal's index; what is less is not worth another law
 
 @dataclass(frozen=True)
 class Candidate:
-    """A loop to be upgraded.
+    """A loop to be upgraded."""
 
-    Attributes:
-        pid: The loop as it is; its gains stay.
-        inertia: Least and largest inertia, in [kg m^2].
-        statistics: Of a recording under the PID, or None.
-        effort: The motor's limit in [N m]; infinite if unknown.
-    """
-
-    pid: LoopSettings
-    inertia: tuple[float, float]
-    statistics: LoopStatistics | None = None
-    effort: float = math.inf
+    pid: LoopSettings  # the loop as it is; its gains stay
+    inertia: tuple[float, float]  # [kg m^2] least and largest inertia
+    statistics: LoopStatistics | None = None  # of a recording under the PID, or None
+    effort: float = math.inf  # [N m] the motor's limit; infinite if unknown
 
 
 @dataclass(frozen=True)
 class Upgrade:
-    """A proposal for one joint.
+    """A proposal for one joint."""
 
-    Attributes:
-        settings: The loop, ready to run; the linear law where there is nothing to gain.
-        interval: Certified degrees.
-        inertia: Least and largest inertia that they are certified for, in [kg m^2].
-        reasons: Why a parameter has its value, by the parameter's name.
-        remarks: What to know of the loop as it is.
-    """
-
-    settings: LoopSettings
-    interval: tuple[float, float]
-    inertia: tuple[float, float]
+    settings: LoopSettings  # the loop, ready to run; the linear law where there is nothing to gain
+    interval: tuple[float, float]  # certified degrees
+    inertia: tuple[float, float]  # [kg m^2] least and largest inertia that they are certified for
     reasons: Mapping[str, str] = field(default_factory=dict)
-    remarks: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()  # what to know of the loop as it is
 
 
 def effort_scale(candidates: Sequence[Candidate]) -> float:
@@ -163,12 +131,6 @@ def effort_scale(candidates: Sequence[Candidate]) -> float:
     It is the root mean square of the proportional term p e over the states of all joints: where a
     PID works harder than that, the homogeneous one of a negative degree is gentler. Gravity and
     friction are not in it, the integral carries them.
-
-    Args:
-        candidates: The loops; those without a recording do not count.
-
-    Raises:
-        SettingError: There is no recording, or no proportional gain.
     """
     known = [(each.pid.gains.p, each.statistics) for each in candidates if each.statistics]
     states = sum(statistics.states for _, statistics in known)
@@ -191,21 +153,6 @@ def upgrades(
     The largest degree of the goal's sign is taken that lies in the inner four fifths of the
     certified interval, keeps the bandwidth at the floor of the norm within half and twice the
     PID's, and keeps T kd lam / m within what sampling bears.
-
-    Args:
-        candidates: The loops.
-        goal: ``smooth`` (gains fall close to the target), ``fast`` (they rise) or ``balanced``
-            (they rise where a joint's PID works little, and fall where it works hard, by one norm
-            in units of effort, :func:`effort_scale`).
-        tell: Called with the joints whose degrees have been certified.
-
-    Returns:
-        For each the proposal, or why there is none: the gains are not stable, not even as a
-        sampled PID, or no degree is certified.
-
-    Raises:
-        RunError: A process died.
-        SettingError: The goal needs a recording, and there is none.
     """
     scale = effort_scale(candidates) if goal == "balanced" else 0.0
     found: dict[int, Upgrade | HpidError] = {}
@@ -231,11 +178,7 @@ def upgrade(
     goal: str,
     statistics: LoopStatistics | None = None,
 ) -> Upgrade:
-    """Propose a degree and a norm for the gains of one PID; see :func:`upgrades`.
-
-    Raises:
-        GainError: The gains are not stable, or no degree is certified.
-    """
+    """Propose a degree and a norm for the gains of one PID; see :func:`upgrades`."""
     (found,) = upgrades([Candidate(pid, inertia, statistics)], goal)
     if isinstance(found, HpidError):
         raise found
@@ -250,12 +193,6 @@ def worthwhile(
     There is something to gain where another degree than 0 qualifies and, as far as a prediction
     says, each of the goal's indices falls by at least 2 %, and by more than is in doubt: the
     joint's own, or, with the goal ``balanced``, that of all joints together.
-
-    Args:
-        each: The proposal.
-        goal: One of :data:`GOALS`.
-        prediction: The PID, then the proposals, simulated on the robot; None if not known.
-        doubt: Half of the interval of the logarithm of a ratio.
     """
     settings = each.settings
     if settings.mu == 0.0:
@@ -285,12 +222,7 @@ def worthwhile(
 def _base(
     candidate: Candidate, scale: float
 ) -> tuple[LoopSettings, dict[str, str], tuple[str, ...]]:
-    """Return the homogeneous loop of degree 0, reasons, and remarks on the PID.
-
-    Args:
-        candidate: The loop.
-        scale: Of the norm in [N m]; 0 for a norm of the joint's own.
-    """
+    """Return the homogeneous loop of degree 0, reasons, and remarks on the PID."""
     pid = candidate.pid
     reasons: dict[str, str] = dict.fromkeys(("gains.p", "gains.i", "gains.d"), "as before")
     base = replace(pid, law="hpid", mu=0.0)
@@ -312,11 +244,7 @@ def _base(
 
 
 def _sampling_remarks(settings: LoopSettings, inertia: float) -> tuple[str, ...]:
-    """Say whether sampling is felt by the PID itself.
-
-    Raises:
-        GainError: The sampled PID is unstable.
-    """
+    """Say whether sampling is felt by the PID itself."""
     period = settings.timing.control_period
     margin = sampling_margin(settings.gains, period, 1.0, inertia)
     if margin <= GOOD_SAMPLING_MARGIN or settings.discretization != "explicit":

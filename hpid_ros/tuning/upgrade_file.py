@@ -24,14 +24,7 @@ def upgrade_text(
     notes: Mapping[str, Sequence[str]],
     slides: Collection[str] = frozenset(),
 ) -> str:
-    """Return the file.
-
-    Args:
-        loops: One for each joint: what is proposed, or the loop as it was.
-        header: Lines about the whole, without the comment sign.
-        notes: Further lines about a joint, by its name.
-        slides: The joints that slide: what is said of them is in m, N and kg.
-    """
+    """Return the file."""
     settings = [each.settings if isinstance(each, Upgrade) else each for each in loops]
     joints = ", ".join(each.joint for each in settings)
     lines = [*(f"# {shown(line)}".rstrip() for line in header), ""]

@@ -21,15 +21,7 @@ _DOUBLE = 8
 
 
 class Cursor:
-    """Reads CDR values one after the other and refuses to leave the buffer.
-
-    Args:
-        raw: A serialised message with its encapsulation header.
-        kind: What it is called in the messages of errors.
-
-    Raises:
-        MessageError: The header is not that of plain CDR.
-    """
+    """Reads CDR values one after the other and refuses to leave the buffer."""
 
     def __init__(self, raw: bytes, kind: str) -> None:
         self._kind = kind
@@ -136,10 +128,6 @@ class Writer:
 
 
 def require_nanoseconds(nanoseconds: int) -> None:
-    """Refuse a stamp whose nanoseconds are a second or more: it could not be sent back.
-
-    Raises:
-        MessageError: They are.
-    """
+    """Refuse a stamp whose nanoseconds are a second or more: it could not be sent back."""
     if nanoseconds >= NANOSECONDS:
         raise MessageError(f"a stamp's nanoseconds must be below 1e9, not {nanoseconds}")

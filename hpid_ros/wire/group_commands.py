@@ -23,11 +23,7 @@ _DOUBLE = 8
 
 
 class MultiArrayTemplate:
-    """A Float64MultiArray without a layout; the message has no place for names or stamps.
-
-    Args:
-        count: Numbers in it, at least one.
-    """
+    """A Float64MultiArray without a layout; the message has no place for names or stamps."""
 
     def __init__(self, count: int) -> None:
         writer = Writer()
@@ -38,15 +34,7 @@ class MultiArrayTemplate:
         self._numbers = struct.Struct(f"<{count}d")
 
     def encode(self, stamp_ns: int, *, effort: Sequence[float]) -> bytes:
-        """Return the serialised message.
-
-        Args:
-            stamp_ns: Is not in it.
-            effort: The numbers, in [N m] or [N].
-
-        Raises:
-            struct.error: There are more or fewer than the message has.
-        """
+        """Return the serialised message."""
         return self._head + self._numbers.pack(*effort)
 
 
@@ -54,11 +42,7 @@ _MOST_DIMENSIONS, _MOST_NUMBERS = 8, 64
 
 
 def decode_numbers(raw: bytes) -> tuple[float, ...]:
-    """Return the numbers of a serialised Float64MultiArray; its layout is passed over.
-
-    Raises:
-        MessageError: The bytes are none, or have more than 64 numbers.
-    """
+    """Return the numbers of a serialised Float64MultiArray; its layout is passed over."""
     cursor = Cursor(raw, "Float64MultiArray")
     dimensions = cursor.scalar("I")
     if dimensions > _MOST_DIMENSIONS:
@@ -75,12 +59,7 @@ def decode_numbers(raw: bytes) -> tuple[float, ...]:
 
 
 class DynamicJointStateTemplate:
-    """A DynamicJointState with the interface ``effort`` for each joint.
-
-    Args:
-        names: Joint names.
-        frame_id: ``header.frame_id``.
-    """
+    """A DynamicJointState with the interface ``effort`` for each joint."""
 
     def __init__(self, names: Sequence[str], frame_id: str = "") -> None:
         writer = Writer()
@@ -102,15 +81,7 @@ class DynamicJointStateTemplate:
         self._stamp, self._number = struct.Struct("<iI"), struct.Struct("<d")
 
     def encode(self, stamp_ns: int, *, effort: Sequence[float]) -> bytes:
-        """Return the serialised message.
-
-        Args:
-            stamp_ns: ``header.stamp`` in [ns].
-            effort: One for each name, in [N m] or [N].
-
-        Raises:
-            ValueError: There are more or fewer than names.
-        """
+        """Return the serialised message."""
         self._stamp.pack_into(self._buffer, ENCAPSULATION, *divmod(stamp_ns, NANOSECONDS))
         for offset, number in zip(self._offsets, effort, strict=True):
             self._number.pack_into(self._buffer, offset, number)

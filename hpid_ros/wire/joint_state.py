@@ -30,37 +30,18 @@ NAMES_OFFSET = STAMP_OFFSET + 8
 
 
 class JointStateFields(NamedTuple):
-    """All fields of a JointState.
+    """All fields of a JointState."""
 
-    Attributes:
-        stamp_ns: ``header.stamp`` in [ns].
-        frame_id: ``header.frame_id``.
-        names: Joint names.
-        position: In [rad] or [m]; empty when the message has none.
-        velocity: In [rad/s] or [m/s]; empty when the message has none.
-        effort: In [N m] or [N]; empty when the message has none.
-    """
-
-    stamp_ns: int
-    frame_id: str
-    names: tuple[str, ...]
-    position: tuple[float, ...]
-    velocity: tuple[float, ...]
-    effort: tuple[float, ...]
+    stamp_ns: int  # [ns] header.stamp
+    frame_id: str  # header.frame_id
+    names: tuple[str, ...]  # joint names
+    position: tuple[float, ...]  # [rad] or [m]; empty when the message has none
+    velocity: tuple[float, ...]  # [rad/s] or [m/s]; empty when the message has none
+    effort: tuple[float, ...]  # [N m] or [N]; empty when the message has none
 
 
 def decode_joint_state(raw: bytes) -> JointStateFields:
-    """Decode any serialised JointState, whatever its layout or byte order.
-
-    Args:
-        raw: The serialised message with its encapsulation header.
-
-    Returns:
-        All fields; arrays may differ in length from the names, as the wire allows.
-
-    Raises:
-        MessageError: The bytes are not a whole JointState with a possible stamp.
-    """
+    """Decode any serialised JointState, whatever its layout or byte order."""
     cursor = Cursor(raw, "JointState")
     seconds = cursor.scalar("i")
     nanoseconds = cursor.scalar("I")
@@ -84,35 +65,20 @@ class JointStateLayout:
     Two messages with the same frame, names and array lengths have the same layout; only the
     stamp and the doubles differ. Offsets are in bytes from the start of the raw message; an
     array that is empty has offset 0.
-
-    Attributes:
-        names: Joint names.
-        size: Length of the whole message in bytes.
-        position: Offset of the first position.
-        velocity: Offset of the first velocity.
-        effort: Offset of the first effort.
-        lengths: Numbers of positions, velocities and efforts.
-        fixed: ``(offset, bytes)`` of everything that is neither stamp nor double.
     """
 
-    names: tuple[str, ...]
-    size: int
-    position: int
-    velocity: int
-    effort: int
-    lengths: tuple[int, int, int]
+    names: tuple[str, ...]  # joint names
+    size: int  # length of the whole message in bytes
+    position: int  # offset of the first position
+    velocity: int  # offset of the first velocity
+    effort: int  # offset of the first effort
+    lengths: tuple[int, int, int]  # numbers of positions, velocities and efforts
+    # (offset, bytes) of everything that is neither stamp nor double
     fixed: tuple[tuple[int, bytes], ...]
 
     @classmethod
     def of(cls, raw: bytes) -> JointStateLayout:
-        """Learn the layout of one message.
-
-        Args:
-            raw: A serialised JointState.
-
-        Raises:
-            MessageError: The bytes are not a whole little-endian JointState.
-        """
+        """Learn the layout of one message."""
         fields = decode_joint_state(raw)
         if raw[1] != _LITTLE_ENDIAN[1]:
             raise MessageError("only little-endian JointStates have a fixed layout here")
@@ -167,13 +133,6 @@ class JointStateTemplate:
 
     The bytes equal those that ``rclpy.serialization.serialize_message`` gives for the same
     fields.
-
-    Args:
-        names: Joint names.
-        frame_id: ``header.frame_id``.
-        position: Whether messages carry one position for each name.
-        velocity: Whether messages carry one velocity for each name.
-        effort: Whether messages carry one effort for each name.
     """
 
     def __init__(
@@ -203,17 +162,7 @@ class JointStateTemplate:
         velocity: Sequence[float] = (),
         effort: Sequence[float] = (),
     ) -> bytes:
-        """Return the serialised message.
-
-        Args:
-            stamp_ns: ``header.stamp`` in [ns].
-            position: One position for each name when the template has them, else empty.
-            velocity: Likewise the velocities.
-            effort: Likewise the efforts.
-
-        Raises:
-            struct.error: An array does not have one number for each name.
-        """
+        """Return the serialised message."""
         layout, buffer = self.layout, self._buffer
         self._stamp.pack_into(buffer, STAMP_OFFSET, *divmod(stamp_ns, NANOSECONDS))
         if layout.position:

@@ -37,25 +37,15 @@ Point = tuple[int, tuple[float, ...], tuple[float, ...], tuple[float, ...], tupl
 
 
 class TrajectoryArrays(NamedTuple):
-    """A trajectory whose points have one layout.
+    """A trajectory whose points have one layout."""
 
-    Attributes:
-        stamp_ns: ``header.stamp`` in [ns].
-        names: Joint names.
-        times_ns: Time from start of each point in [ns], int64, shape (points,).
-        positions: In [rad], shape (points, numbers in each point).
-        velocities: In [rad/s], likewise; no columns where the message has none.
-        accelerations: In [rad/s^2], likewise.
-        efforts: In [N m], likewise.
-    """
-
-    stamp_ns: int
-    names: tuple[str, ...]
-    times_ns: NDArray[np.int64]
-    positions: Numbers
-    velocities: Numbers
-    accelerations: Numbers
-    efforts: Numbers
+    stamp_ns: int  # [ns] header.stamp
+    names: tuple[str, ...]  # joint names
+    times_ns: NDArray[np.int64]  # [ns] time from start of each point, int64, shape (points,)
+    positions: Numbers  # [rad] shape (points, numbers in each point)
+    velocities: Numbers  # [rad/s] likewise; no columns where the message has none
+    accelerations: Numbers  # [rad/s^2] likewise
+    efforts: Numbers  # [N m] likewise
 
     @property
     def lengths(self) -> NDArray[np.int64]:
@@ -69,31 +59,19 @@ class TrajectoryArrays(NamedTuple):
 
 
 class MixedTrajectory(NamedTuple):
-    """A trajectory whose points differ in what they give.
+    """A trajectory whose points differ in what they give."""
 
-    Attributes:
-        stamp_ns: ``header.stamp`` in [ns].
-        names: Joint names.
-        times_ns: Time from start of each point in [ns], int64, shape (points,).
-        positions: In [rad], shape (points, joints); NaN where a point has not one for each joint.
-        velocities: In [rad/s], likewise.
-        accelerations: In [rad/s^2], likewise.
-        efforts: In [N m], likewise.
-        lengths: Numbers that each point has in each of these arrays, shape (points, 4).
-        body: The message behind its encapsulation header, as doubles.
-        starts: Where in the body each point's arrays lie, shape (points, 4).
-    """
-
-    stamp_ns: int
-    names: tuple[str, ...]
-    times_ns: NDArray[np.int64]
-    positions: Numbers
-    velocities: Numbers
-    accelerations: Numbers
-    efforts: Numbers
+    stamp_ns: int  # [ns] header.stamp
+    names: tuple[str, ...]  # joint names
+    times_ns: NDArray[np.int64]  # [ns] time from start of each point, int64, shape (points,)
+    positions: Numbers  # [rad] shape (points, joints)
+    velocities: Numbers  # [rad/s] likewise
+    accelerations: Numbers  # [rad/s^2] likewise
+    efforts: Numbers  # [N m] likewise
+    # numbers that each point has in each of these arrays, shape (points, 4)
     lengths: NDArray[np.int64]
-    body: Numbers
-    starts: NDArray[np.int64]
+    body: Numbers  # the message behind its encapsulation header, as doubles
+    starts: NDArray[np.int64]  # where in the body each point's arrays lie, shape (points, 4)
 
     def point(self, index: int) -> Point:
         """Return one point as it came: its time in [ns], and its four arrays."""
@@ -107,19 +85,7 @@ class MixedTrajectory(NamedTuple):
 def decode_trajectory(
     raw: bytes, most_points: int = MOST_POINTS, most_mixed_points: int = MOST_MIXED_POINTS
 ) -> TrajectoryArrays | MixedTrajectory:
-    """Decode a serialised JointTrajectory.
-
-    Args:
-        raw: The serialised message with its encapsulation header.
-        most_points: Points of one layout that it may have.
-        most_mixed_points: Points that it may have that differ in layout.
-
-    Returns:
-        Arrays; mixed where points differ in layout or the byte order is foreign.
-
-    Raises:
-        MessageError: The bytes are no JointTrajectory, or it has too many points.
-    """
+    """Decode a serialised JointTrajectory."""
     cursor = Cursor(raw, "JointTrajectory")
     seconds, nanoseconds = cursor.scalar("i"), cursor.scalar("I")
     require_nanoseconds(nanoseconds)
@@ -292,15 +258,7 @@ def encode_trajectory(
     times_ns: NDArray[np.int64],
     arrays: Sequence[Numbers],
 ) -> bytes:
-    """Serialise a JointTrajectory, little endian.
-
-    Args:
-        stamp_ns: ``header.stamp`` in [ns], not negative.
-        names: Joint names.
-        times_ns: Time from start of each point in [ns], shape (points,), at least one.
-        arrays: Positions, velocities, accelerations and efforts, each of shape (points, joints);
-            a point whose row begins with NaN has none of them.
-    """
+    """Serialise a JointTrajectory, little endian."""
     writer = Writer()
     seconds, nanoseconds = divmod(stamp_ns, NANOSECONDS)
     writer.scalar("i", seconds)
@@ -350,11 +308,7 @@ def _as_records(
 
 
 def decode_float64(raw: bytes) -> float:
-    """Decode a serialised ``std_msgs/msg/Float64``.
-
-    Raises:
-        MessageError: The bytes are none.
-    """
+    """Decode a serialised ``std_msgs/msg/Float64``."""
     if len(raw) != ENCAPSULATION + 8 or raw[0] != 0 or raw[1] not in (0, 1):
         raise MessageError(f"a Float64 has 12 bytes in plain CDR, not {len(raw)}")
     (value,) = struct.unpack_from("<d" if raw[1] else ">d", raw, ENCAPSULATION)

@@ -20,34 +20,20 @@ _LEAST_PARAMETER = 4 + 1
 
 
 class ParameterEvent(NamedTuple):
-    """What one node told of its parameters at once.
+    """What one node told of its parameters at once."""
 
-    Attributes:
-        node: Its full name.
-        declared: Values of parameters that are new, by name; None for one that is not set.
-        changed: Values that were set later.
-    """
-
-    node: str
-    declared: Mapping[str, ParameterContent | None]
-    changed: Mapping[str, ParameterContent | None]
+    node: str  # its full name
+    declared: Mapping[str, ParameterContent | None]  # values of parameters that are new, by name
+    changed: Mapping[str, ParameterContent | None]  # values that were set later
 
 
 def decode_text(raw: bytes) -> str:
-    """Return the text of a serialised ``std_msgs/msg/String``.
-
-    Raises:
-        MessageError: It is none.
-    """
+    """Return the text of a serialised ``std_msgs/msg/String``."""
     return Cursor(raw, "String").string()
 
 
 def decode_parameter_event(raw: bytes) -> ParameterEvent:
-    """Return what a serialised ``rcl_interfaces/msg/ParameterEvent`` tells.
-
-    Raises:
-        MessageError: It is none.
-    """
+    """Return what a serialised ``rcl_interfaces/msg/ParameterEvent`` tells."""
     cursor = Cursor(raw, _EVENT)
     cursor.scalar("i")
     cursor.scalar("I")  # the stamp is that of the sender's clock

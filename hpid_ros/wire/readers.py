@@ -20,17 +20,11 @@ from hpid_ros.wire.joint_state import (
 
 
 class JointSample(NamedTuple):
-    """One joint's part of a JointState.
+    """One joint's part of a JointState."""
 
-    Attributes:
-        stamp_ns: Stamp of the message in [ns].
-        position: In [rad] or [m].
-        velocity: In [rad/s] or [m/s]; None when the message has no velocities.
-    """
-
-    stamp_ns: int
-    position: float
-    velocity: float | None
+    stamp_ns: int  # [ns] stamp of the message
+    position: float  # [rad] or [m]
+    velocity: float | None  # [rad/s] or [m/s]; None when the message has no velocities
 
 
 class JointReader:
@@ -38,9 +32,6 @@ class JointReader:
 
     The offsets are learned from the first message and used as long as the layout stays; any
     other layout takes the general decoder once.
-
-    Args:
-        joint: The joint to look for.
     """
 
     def __init__(self, joint: str) -> None:
@@ -50,12 +41,7 @@ class JointReader:
         self._has_velocity = False
 
     def read(self, raw: bytes) -> JointSample | None:
-        """Return this joint's sample, or None when the message is about other joints.
-
-        Raises:
-            MessageError: The bytes are no JointState, its stamp is impossible, it names this
-                joint twice, or an array that holds this joint has another length than the names.
-        """
+        """Return this joint's sample, or None when the message is about other joints."""
         layout = self._layout
         if layout is None or not layout.matches(raw):
             return self._learn(raw)
@@ -107,10 +93,6 @@ class EffortReader:
     A command with one name and one effort is recognised by everything between its stamp and
     its last eight bytes; that key is remembered with the name it stands for, and with the sender.
     So many are remembered, and none that is long, that strangers' cost less than a megabyte.
-
-    Attributes:
-        sender: ``header.frame_id`` of the command that was read last: controllers of this package
-            say there who they are.
     """
 
     _KEYS_AT_MOST, _KEY_BYTES_AT_MOST = 1024, 512
@@ -122,11 +104,7 @@ class EffortReader:
         self._effort = struct.Struct("<d")
 
     def read(self, raw: bytes) -> tuple[int, tuple[str, ...], tuple[float, ...]]:
-        """Return stamp in [ns], joint names and their efforts in [N m].
-
-        Raises:
-            MessageError: The bytes are no JointState, or do not have one effort for each name.
-        """
+        """Return stamp in [ns], joint names and their efforts in [N m]."""
         known = self._known.get(raw[NAMES_OFFSET:-8])
         if known is None:
             return self._learn(raw)
@@ -160,17 +138,11 @@ _Pick = Callable[[Sequence[float]], Sequence[float]]
 
 
 class RobotSample(NamedTuple):
-    """Several joints' part of a JointState, in the order that was asked for.
+    """Several joints' part of a JointState, in the order that was asked for."""
 
-    Attributes:
-        position: In [rad] or [m].
-        velocity: In [rad/s] or [m/s]; None when the message has no velocities.
-        effort: In [N m] or [N]; None when the message has no efforts.
-    """
-
-    position: Sequence[float]
-    velocity: Sequence[float] | None
-    effort: Sequence[float] | None
+    position: Sequence[float]  # [rad] or [m]
+    velocity: Sequence[float] | None  # [rad/s] or [m/s]; None when the message has no velocities
+    effort: Sequence[float] | None  # [N m] or [N]; None when the message has no efforts
 
 
 class RobotReader:
@@ -178,9 +150,6 @@ class RobotReader:
 
     As in :class:`~hpid_ros.wire.readers.JointReader`, the offsets are learned and used as
     long as the layout stays.
-
-    Args:
-        joints: The joints to look for, at least one.
     """
 
     def __init__(self, joints: Sequence[str]) -> None:
@@ -190,12 +159,7 @@ class RobotReader:
         self._picks: tuple[_Pick | None, ...] = ()
 
     def read(self, raw: bytes) -> RobotSample:
-        """Return the joints' sample.
-
-        Raises:
-            MessageError: The bytes are no JointState, it lacks one of the joints or names one
-                twice, or an array has another length than the names.
-        """
+        """Return the joints' sample."""
         layout = self._layout
         if layout is None or not layout.matches(raw):
             return self._learn(raw)
@@ -252,17 +216,11 @@ class RobotReader:
 
 
 class JointPart(NamedTuple):
-    """One of several joints in a JointState.
+    """One of several joints in a JointState."""
 
-    Attributes:
-        joint: Its place among the joints that were asked for.
-        position: In [rad] or [m].
-        velocity: In [rad/s] or [m/s]; None when the message has no velocities.
-    """
-
-    joint: int
-    position: float
-    velocity: float | None
+    joint: int  # its place among the joints that were asked for
+    position: float  # [rad] or [m]
+    velocity: float | None  # [rad/s] or [m/s]; None when the message has no velocities
 
 
 class _Known(NamedTuple):
@@ -278,9 +236,6 @@ class GroupReader:
 
     As in :class:`~hpid_ros.wire.readers.JointReader` offsets are learned, here of several layouts:
     the joints of a robot may be told by several publishers.
-
-    Args:
-        joints: The joints to look for.
     """
 
     _LAYOUTS_AT_MOST = 16
@@ -291,12 +246,7 @@ class GroupReader:
         self._stamp = struct.Struct("<iI")
 
     def read(self, raw: bytes) -> tuple[int, Sequence[JointPart]]:
-        """Return the stamp in [ns], and those of the joints that the message has.
-
-        Raises:
-            MessageError: The bytes are no JointState, its stamp is impossible, it names one of
-                the joints twice, or an array that holds one has another length than the names.
-        """
+        """Return the stamp in [ns], and those of the joints that the message has."""
         known = next((each for each in self._known if each.layout.matches(raw)), None)
         if known is None:
             return self._learn(raw)

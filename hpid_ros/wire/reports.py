@@ -21,33 +21,20 @@ PoseValues = tuple[Vector, tuple[float, float, float, float]]
 
 
 class Stamp(NamedTuple):
-    """Header of a message.
+    """Header of a message."""
 
-    Attributes:
-        stamp_ns: In [ns].
-        frame: Its ``frame_id``.
-    """
-
-    stamp_ns: int
-    frame: str
+    stamp_ns: int  # [ns]
+    frame: str  # its frame_id
 
 
 class Status(NamedTuple):
-    """One ``diagnostic_msgs/DiagnosticStatus`` with the stamp of its array.
+    """One ``diagnostic_msgs/DiagnosticStatus`` with the stamp of its array."""
 
-    Attributes:
-        stamp_ns: In [ns].
-        level: 0 good, 1 a warning, 2 an error.
-        name: Of what it is.
-        message: In words.
-        values: Figures as texts, by name.
-    """
-
-    stamp_ns: int
-    level: int
+    stamp_ns: int  # [ns]
+    level: int  # 0 good, 1 a warning, 2 an error
     name: str
-    message: str
-    values: Mapping[str, str]
+    message: str  # in words
+    values: Mapping[str, str]  # figures as texts, by name
 
 
 def encode_clock(stamp_ns: int) -> bytes:
@@ -65,16 +52,7 @@ def encode_odometry(
     twist: tuple[Vector, Vector],
     twist_covariance: Sequence[float],
 ) -> bytes:
-    """Return a serialised ``nav_msgs/msg/Odometry``.
-
-    Args:
-        header: Stamp and frame of the pose.
-        child: Frame of the twist, ``child_frame_id``.
-        pose: Position in [m] and quaternion x, y, z, w.
-        pose_covariance: 36 numbers, row by row.
-        twist: Linear [m/s] and angular [rad/s].
-        twist_covariance: 36 numbers, row by row.
-    """
+    """Return a serialised ``nav_msgs/msg/Odometry``."""
     writer = _begun(header)
     writer.string(child)
     for values in (*pose, pose_covariance, *twist, twist_covariance):
@@ -90,12 +68,7 @@ def encode_vector(header: Stamp, vector: Vector) -> bytes:
 
 
 def encode_pose(header: Stamp, pose: PoseValues) -> bytes:
-    """Return a serialised ``geometry_msgs/msg/PoseStamped``.
-
-    Args:
-        header: Its header.
-        pose: The pose.
-    """
+    """Return a serialised ``geometry_msgs/msg/PoseStamped``."""
     writer = _begun(header)
     for values in pose:
         writer.doubles(values)
@@ -103,12 +76,7 @@ def encode_pose(header: Stamp, pose: PoseValues) -> bytes:
 
 
 def encode_poses(header: Stamp, poses: Sequence[PoseValues]) -> bytes:
-    """Return a serialised ``geometry_msgs/msg/PoseArray``.
-
-    Args:
-        header: Its header.
-        poses: The poses.
-    """
+    """Return a serialised ``geometry_msgs/msg/PoseArray``."""
     writer = _begun(header)
     writer.scalar("I", len(poses))
     for pose in poses:

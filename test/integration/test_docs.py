@@ -1,6 +1,8 @@
 """The documentation says what the code says."""
 
 import importlib.util
+import inspect
+import pydoc
 import re
 
 import numpy as np
@@ -50,6 +52,25 @@ def range_of(spec):
     if isinstance(spec.default, float):
         return f"{spec.minimum:g} to {spec.maximum:g}".replace("0 to inf", "from 0")
     return ", ".join(f"`{each}`" for each in spec.choices or ("true", "false"))
+
+
+OFFERED = re.findall(r"auto(?:class|function):: (\S+)", (ROOT / "docs" / "api.md").read_text())
+
+
+@pytest.mark.parametrize("name", OFFERED)
+def test_what_is_offered_is_documented_with_its_arguments(name):
+    offered = pydoc.locate(name)
+    members = vars(offered).items() if inspect.isclass(offered) else [(name, offered)]
+    if inspect.isclass(offered):
+        assert inspect.getdoc(offered)
+    for member, value in members:
+        value = getattr(value, "__func__", getattr(value, "fget", value))
+        if inspect.isfunction(value) and not member.startswith("_"):
+            arguments = set(inspect.signature(value).parameters) - {"self", "cls"}
+            text = value.__doc__ or ""
+            assert text, f"{name}.{member}"
+            missing = {each for each in arguments if not re.search(rf"^ +{each}:", text, re.M)}
+            assert not missing, f"{name}.{member}"
 
 
 def test_every_other_parameter_of_a_node_is_documented():

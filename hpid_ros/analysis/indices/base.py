@@ -17,32 +17,18 @@ SLIP_FLOOR = 0.005
 
 @dataclass(frozen=True)
 class PoseErrors:
-    """Distances between two paths at equal times.
+    """Distances between two paths at equal times."""
 
-    Attributes:
-        final_position: At the end, in [m].
-        final_heading: At the end, absolute, in [rad].
-        largest_position: In [m].
-        largest_heading: Absolute, in [rad].
-        rms_position: Root of the mean square over the times, in [m].
-        rms_heading: Likewise, in [rad].
-    """
-
-    final_position: float
-    final_heading: float
-    largest_position: float
-    largest_heading: float
-    rms_position: float
-    rms_heading: float
+    final_position: float  # [m] at the end
+    final_heading: float  # [rad] at the end, absolute
+    largest_position: float  # [m]
+    largest_heading: float  # [rad] absolute
+    rms_position: float  # [m] root of the mean square over the times
+    rms_heading: float  # [rad] likewise
 
     @classmethod
     def between(cls, one: Numbers, other: Numbers) -> PoseErrors:
-        """Compare two paths.
-
-        Args:
-            one: x [m], y [m] and heading [rad], (N, 3).
-            other: At the same times, (N, 3).
-        """
+        """Compare two paths."""
         away = np.hypot(*(one - other)[:, :2].T)
         turned = np.abs(np.remainder(one[:, 2] - other[:, 2] + np.pi, 2.0 * np.pi) - np.pi)
         return cls(
@@ -57,24 +43,15 @@ class PoseErrors:
 
 @dataclass(frozen=True)
 class BaseFigures:
-    """What became of a base in one run.
+    """What became of a base in one run."""
 
-    Attributes:
-        path_length: Way that the base truly went, there and back both counted, in [m].
-        odometry: Of the wheels' odometry against the truth.
-        tracking: Of the true base against the path that the wheels' reference describes; None
-            without a reference of both wheels.
-        slip_left: How far the left wheel slid along its track, in [m].
-        slip_right: How far the right wheel slid along its track, in [m].
-        slip_lateral: How far the axle slid sideways, in [m].
-    """
-
-    path_length: float
-    odometry: PoseErrors
+    path_length: float  # [m] way that the base truly went, there and back both counted
+    odometry: PoseErrors  # of the wheels' odometry against the truth
+    # of the true base against the path that the wheels' reference describes
     tracking: PoseErrors | None
-    slip_left: float
-    slip_right: float
-    slip_lateral: float
+    slip_left: float  # [m] how far the left wheel slid along its track
+    slip_right: float  # [m] how far the right wheel slid along its track
+    slip_lateral: float  # [m] how far the axle slid sideways
 
     @property
     def has_slipped(self) -> bool:
@@ -87,11 +64,7 @@ class BaseFigures:
         return asdict(self)
 
     def line(self, label: str) -> str:
-        """Return one line that says what the slip did.
-
-        Args:
-            label: Name of the run.
-        """
+        """Return one line that says what the slip did."""
         return (
             f"{label}: the base slipped: left wheel {_mm(self.slip_left)}, right wheel "
             f"{_mm(self.slip_right)}, sideways {_mm(self.slip_lateral)} on "
@@ -103,15 +76,7 @@ class BaseFigures:
 def base_figures(
     odometry: Numbers, truth: Numbers, reference: Numbers | None, slip: tuple[float, float, float]
 ) -> BaseFigures:
-    """Compute the figures of one run.
-
-    Args:
-        odometry: Poses by the wheels at N times, x [m], y [m] and heading [rad], (N, 3).
-        truth: True poses at the same times, (N, 3). Only motion since the first time counts.
-        reference: Poses that were wanted at the same times, as seen from the first true one,
-            (N, 3); None if unknown.
-        slip: Of the left wheel, of the right wheel, and of the axle sideways, in [m].
-    """
+    """Compute the figures of one run."""
     driven = relative(truth)
     steps = np.hypot(*np.diff(driven[:, :2], axis=0).T)
     return BaseFigures(

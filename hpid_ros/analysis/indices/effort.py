@@ -41,17 +41,11 @@ WINDOWS = 512
 
 
 class Spectrum(NamedTuple):
-    """A one-sided power spectral density.
+    """A one-sided power spectral density."""
 
-    Attributes:
-        frequency: In [Hz], increasing from zero, (K,).
-        density: In the signal's unit squared over [Hz], (K,).
-        ends_at_half_rate: Whether the last frequency is half the sampling rate.
-    """
-
-    frequency: Numbers
-    density: Numbers
-    ends_at_half_rate: bool
+    frequency: Numbers  # [Hz] increasing from zero, (K,)
+    density: Numbers  # [Hz] in the signal's unit squared over, (K,)
+    ends_at_half_rate: bool  # whether the last frequency is half the sampling rate
 
 
 def saturation_share(series: JointSeries, limit: float | None = None) -> float:
@@ -60,10 +54,6 @@ def saturation_share(series: JointSeries, limit: float | None = None) -> float:
     A command holds until the next one. Where no limit is known, an effort is at one when it is
     the run's highest or lowest and stays so, to the last bit, over at least :data:`PLATEAU`
     commands: a clamp gives such plateaus and a moving loop does not.
-
-    Args:
-        series: The joint.
-        limit: Largest magnitude of the effort, in [N m].
     """
     effort, t = series.effort, series.command_time
     if effort.size < 2:
@@ -84,13 +74,6 @@ def energy(series: JointSeries) -> float | None:
     Exact for an effort that holds between commands and a position that is monotone there:
     :math:`\sum_k |u_k| |y_{k+1} - y_k|`, with no velocity to estimate. Both directions count:
     braking takes work from the joint that few drives give back.
-
-    Args:
-        series: The joint.
-
-    Returns:
-        The work; None if no command falls into the time of the states: their clocks have
-        nothing in common, and no position belongs to an effort.
     """
     if not series.effort.size:
         return 0.0
@@ -114,13 +97,6 @@ def spectrum(t: Numbers, x: Numbers) -> Spectrum | None:
     Hann windows of one second that overlap by half, each without its mean. Where the time
     between samples varies, each counts as one period, and straight lines bridge what was lost:
     interpolating all of them at even times would take away what is fast.
-
-    Args:
-        t: Increasing times, (M,), in [s].
-        x: Samples, (M,).
-
-    Returns:
-        The density; None if there are too few samples for one.
     """
     if x.size < SHORTEST_SEGMENT or t[-1] <= t[0]:
         return None
@@ -136,12 +112,6 @@ def amplitude_density(series: JointSeries) -> Spectrum | None:
     It begins where a window of a second says something, and lacks the bin at half the sampling
     rate of an even number of samples. That one is its own mirror image: a one-sided density has
     half of its neighbours' there, a drop that no signal has.
-
-    Args:
-        series: The joint.
-
-    Returns:
-        The density where it is not zero; None if there are too few commands for one.
     """
     found = spectrum(series.command_time, series.effort)
     if found is None:
@@ -181,15 +151,7 @@ def _mean_of_windows(x: Numbers, rate: float, length: int) -> Spectrum:
 
 
 def chatter(series: JointSeries, cutoff: float) -> float | None:
-    r"""Root mean square of the effort above a frequency, :math:`(\int_{f_c} S\,df)^{1/2}`.
-
-    Args:
-        series: The joint.
-        cutoff: The frequency, in [Hz].
-
-    Returns:
-        The magnitude, in [N m]; None if the commands are too few or too rare for it.
-    """
+    r"""Root mean square of the effort above a frequency, :math:`(\int_{f_c} S\,df)^{1/2}`."""
     found = spectrum(series.command_time, series.effort)
     if found is None or found.frequency[-1] <= cutoff:
         return None

@@ -32,11 +32,7 @@ _TOO_LARGE = "an integral of the recorded numbers is beyond 1.8e308: they are no
 
 
 def exact_sum(values: Numbers) -> float:
-    """Return the sum of finite numbers, rounded once; it depends on no order of them.
-
-    Args:
-        values: The numbers, (N,).
-    """
+    """Return the sum of finite numbers, rounded once; it depends on no order of them."""
     return exact_sum_of_blocks([values])
 
 
@@ -44,12 +40,6 @@ def exact_sum_of_blocks(blocks: Iterable[Numbers]) -> float:
     """Return the sum of all numbers of some arrays, rounded once.
 
     The sum of a long array that is computed block by block is never there as a whole.
-
-    Args:
-        blocks: Lines of numbers, which are not kept.
-
-    Raises:
-        SeriesError: A number, or the sum, is beyond what a number can be.
     """
     parts: list[float] = []
     for values in blocks:
@@ -93,15 +83,6 @@ def total_variation(u: ArrayLike) -> float:
 
     The sampled form of the paper's :math:`\int |du/dt|\,dt`. It needs no stamps: a step counts
     by its height, however long it took.
-
-    Args:
-        u: Samples, (M,).
-
-    Returns:
-        The variation, in the unit of u; zero for fewer than two samples.
-
-    Raises:
-        SeriesError: If u is not a line of finite numbers.
     """
     samples = _line("u", u)
     with np.errstate(over="ignore"):  # the sum refuses what comes of it
@@ -109,85 +90,30 @@ def total_variation(u: ArrayLike) -> float:
 
 
 def integral_of_absolute(t: ArrayLike, x: ArrayLike) -> float:
-    r"""Integral of an absolute value, :math:`\int |x|\,dt`: IAVC of an effort, IAE of an error.
-
-    Args:
-        t: Increasing times, (M,), in [s].
-        x: Samples, (M,).
-
-    Returns:
-        The integral, in the unit of x times [s]; zero for fewer than two samples.
-
-    Raises:
-        SeriesError: If the two are not lines of finite numbers of one length, or t falls.
-    """
+    r"""Integral of an absolute value, :math:`\int |x|\,dt`: IAVC of an effort, IAE of an error."""
     times, samples = _lines(t, x)
     return _trapezoid(times, samples, lambda t, x: np.abs(x))
 
 
 def itae(t: ArrayLike, e: ArrayLike) -> float:
-    r"""Integral of the time-weighted absolute error, :math:`\int t |e|\,dt`.
-
-    Args:
-        t: Increasing times since the start of the experiment, (N,), in [s].
-        e: Error, (N,), in [rad].
-
-    Returns:
-        The integral, in [rad s^2]; zero for fewer than two samples.
-
-    Raises:
-        SeriesError: If the two are not lines of finite numbers of one length, or t falls.
-    """
+    r"""Integral of the time-weighted absolute error, :math:`\int t |e|\,dt`."""
     times, samples = _lines(t, e)
     return _trapezoid(times, samples, lambda t, x: t * np.abs(x))
 
 
 def square_integral(t: ArrayLike, x: ArrayLike) -> float:
-    r"""Integral of a square, :math:`\int x^2\,dt`: ISE of an error.
-
-    Args:
-        t: Increasing times, (M,), in [s].
-        x: Samples, (M,).
-
-    Returns:
-        The integral, in the unit of x squared times [s]; zero for fewer than two samples.
-
-    Raises:
-        SeriesError: If the two are not lines of finite numbers of one length, or t falls.
-    """
+    r"""Integral of a square, :math:`\int x^2\,dt`: ISE of an error."""
     times, samples = _lines(t, x)
     return _trapezoid(times, samples, lambda t, x: np.square(x))
 
 
 def l2_norm(t: ArrayLike, x: ArrayLike) -> float:
-    r"""L2 norm of a signal, :math:`(\int x^2\,dt)^{1/2}`.
-
-    Args:
-        t: Increasing times, (M,), in [s].
-        x: Samples, (M,).
-
-    Returns:
-        The norm, in the unit of x times [s^0.5]; zero for fewer than two samples.
-
-    Raises:
-        SeriesError: If the two are not lines of finite numbers of one length, or t falls.
-    """
+    r"""L2 norm of a signal, :math:`(\int x^2\,dt)^{1/2}`."""
     return math.sqrt(square_integral(t, x))
 
 
 def root_mean_square(t: ArrayLike, x: ArrayLike) -> float:
-    r"""Root of the mean square over time, :math:`(\frac1T\int x^2\,dt)^{1/2}`.
-
-    Args:
-        t: Increasing times, (M,), in [s].
-        x: Samples, (M,), at least one.
-
-    Returns:
-        The mean, in the unit of x; of a single instant, the magnitude there.
-
-    Raises:
-        SeriesError: If the two are not lines of finite numbers of one length, or t falls.
-    """
+    r"""Root of the mean square over time, :math:`(\frac1T\int x^2\,dt)^{1/2}`."""
     times, samples = _lines(t, x)
     if not samples.size:
         raise SeriesError("a mean over time needs at least one sample, got none")

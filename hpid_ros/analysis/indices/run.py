@@ -69,18 +69,9 @@ DEFAULT_CUTOFF = 20.0
 
 @dataclass(frozen=True)
 class IndexSettings:
-    """What some of the indices need beside the arrays.
+    """What some of the indices need beside the arrays."""
 
-    Attributes:
-        cutoff: Frequency above which effort counts as chatter, in [Hz].
-        effort_limits: Largest magnitude of each joint's effort, in [N m]; a joint that is not
-            named has its limits found in its efforts.
-
-    Raises:
-        SeriesError: A value is not positive and finite.
-    """
-
-    cutoff: float = DEFAULT_CUTOFF
+    cutoff: float = DEFAULT_CUTOFF  # [Hz] frequency above which effort counts as chatter
     effort_limits: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -94,10 +85,6 @@ def joint_indices(series: JointSeries, settings: IndexSettings | None = None) ->
     """Return the indices of one joint; time counts from its first state.
 
     What needs a reference or efforts that the joint does not have is not defined (nan).
-
-    Args:
-        series: The joint.
-        settings: What some of them need beside the arrays.
     """
     t, u = series.command_time, series.effort
     return JointIndices(
@@ -113,13 +100,6 @@ def run_indices(run: RunSeries, settings: IndexSettings | None = None) -> RunInd
 
     The squares of the L2 norms are sums of the joints' own integrals, which equals the paper's
     integral of the sum and needs no stamps in common.
-
-    Args:
-        run: The run.
-        settings: What some of them need beside the arrays.
-
-    Raises:
-        SeriesError: An effort limit names a joint that the run does not have.
     """
     settings = settings or IndexSettings()
     for name in settings.effort_limits:

@@ -31,19 +31,12 @@ STEADY_SHARE = 0.1
 
 
 class Step(NamedTuple):
-    """One step: samples ``first`` to ``stop`` (exclusive) of the joint hold the new value.
+    """One step: samples ``first`` to ``stop`` (exclusive) of the joint hold the new value."""
 
-    Attributes:
-        first: The first sample at the new reference.
-        stop: The first sample after the hold.
-        start: What is left, in [rad].
-        goal: The new reference, in [rad].
-    """
-
-    first: int
-    stop: int
-    start: float
-    goal: float
+    first: int  # the first sample at the new reference
+    stop: int  # the first sample after the hold
+    start: float  # [rad] what is left
+    goal: float  # [rad] the new reference
 
     @property
     def height(self) -> float:
@@ -52,20 +45,12 @@ class Step(NamedTuple):
 
 
 class StepResponse(NamedTuple):
-    """How a joint answered one step; see docs/indices.md.
+    """How a joint answered one step; see docs/indices.md."""
 
-    Attributes:
-        rise_time: From 10 % to 90 % of the height, in [s]; infinite if 90 % is never reached.
-        settling_time: From the step until the joint stays within 2 % of the height, in [s];
-            infinite if it does not.
-        overshoot: Largest excursion beyond the goal, in [%] of the height.
-        steady_state_error: Magnitude of the mean error over the last tenth of the hold, [rad].
-    """
-
-    rise_time: float
-    settling_time: float
-    overshoot: float
-    steady_state_error: float
+    rise_time: float  # [s] from 10 % to 90 % of the height; infinite if 90 % is never reached
+    settling_time: float  # [s] from the step until the joint stays within 2 % of the height
+    overshoot: float  # [%] largest excursion beyond the goal of the height
+    steady_state_error: float  # [rad] magnitude of the mean error over the last tenth of the hold
 
 
 def find_steps(series: JointSeries) -> list[Step]:
@@ -73,9 +58,6 @@ def find_steps(series: JointSeries) -> list[Step]:
 
     A step is a jump between two samples, out of rest into a hold; at the first sample, the jump
     is from the measured position. Smooth motions have none.
-
-    Args:
-        series: The joint.
     """
     reference, stamps = series.reference, series.state_stamps_ns
     if not series.has_reference:
@@ -117,12 +99,7 @@ def _holds(reference: Numbers, stamps_ns: NDArray[np.int64]) -> Iterator[tuple[i
 
 
 def step_response(series: JointSeries, step: Step) -> StepResponse:
-    """Return how a joint answered a step.
-
-    Args:
-        series: The joint.
-        step: One of its steps.
-    """
+    """Return how a joint answered a step."""
     t = series.time[step.first : step.stop]
     position = series.position[step.first : step.stop]
     progress = (position - step.start) / step.height

@@ -13,31 +13,16 @@ from hpid_ros.recordings.series import SeriesError
 
 @dataclass(frozen=True)
 class PoseDeviation:
-    """Deviation of a frame from another over N instants.
+    """Deviation of a frame from another over N instants."""
 
-    Attributes:
-        rms_position: Root of the mean squared distance, in [m].
-        largest_position: In [m].
-        rms_orientation: Root of the mean squared angle, in [rad].
-        largest_orientation: In [rad].
-    """
-
-    rms_position: float
-    largest_position: float
-    rms_orientation: float
-    largest_orientation: float
+    rms_position: float  # [m] root of the mean squared distance
+    largest_position: float  # [m]
+    rms_orientation: float  # [rad] root of the mean squared angle
+    largest_orientation: float  # [rad]
 
     @classmethod
     def of(cls, distances: Numbers, angles: Numbers) -> PoseDeviation:
-        """Return the figures of deviations.
-
-        Args:
-            distances: (N,), in [m].
-            angles: (N,), in [rad].
-
-        Raises:
-            SeriesError: There is no instant.
-        """
+        """Return the figures of deviations."""
         if not len(distances) or len(distances) != len(angles):
             raise SeriesError(
                 f"a deviation needs one distance and one angle for each instant, got "
@@ -53,73 +38,46 @@ class PoseDeviation:
 
 @dataclass(frozen=True)
 class EndEffectorFigures:
-    """The end effector of one run in the task frame.
+    """The end effector of one run in the task frame."""
 
-    Attributes:
-        link: Its name.
-        frame: The task frame: ``odom``, or the root link where the base is unknown.
-        tracking: By the measured joints and the wheels' odometry, against the reference.
-        truth: By its true pose, against the reference; None where that was not recorded.
-    """
-
-    link: str
-    frame: str
+    link: str  # its name
+    frame: str  # the task frame: odom, or the root link where the base is unknown
+    # by the measured joints and the wheels' odometry, against the reference
     tracking: PoseDeviation
-    truth: PoseDeviation | None = None
+    truth: PoseDeviation | None = None  # by its true pose, against the reference
 
     def as_mapping(self) -> dict[str, object]:
         """Return all figures by name, with those of the deviations nested."""
         return asdict(self)
 
     def line(self, label: str) -> str:
-        """Return one line for people.
-
-        Args:
-            label: Name of the run.
-        """
+        """Return one line for people."""
         text = f"{label}: {self.link} in {self.frame}: {_deviation(self.tracking)}"
         return text if self.truth is None else f"{text}; in truth {_deviation(self.truth)}"
 
 
 @dataclass(frozen=True, eq=False)
 class EndEffectorPath:
-    """Where an end effector was to be and where it was, for the figure.
+    """Where an end effector was to be and where it was, for the figure."""
 
-    Attributes:
-        label: Name of the run.
-        reference: (N, 3), in [m].
-        position: At the same instants, (N, 3), in [m].
-    """
-
-    label: str
-    reference: Numbers
-    position: Numbers
+    label: str  # name of the run
+    reference: Numbers  # [m] (N, 3)
+    position: Numbers  # [m] at the same instants, (N, 3)
 
 
 @dataclass(frozen=True)
 class BrickFigures:
-    """What became of one brick in one run.
+    """What became of one brick in one run."""
 
-    Attributes:
-        name: Name of the brick.
-        grasped: Whether it was ever held.
-        distance: Between the brick and the hand at the first closing that was for it, in [m];
-            None if there was none.
-        angle: Between its faces and the fingers then, in [rad].
-        lost: Whether it was ever pulled out of the grip.
-        position_error: From where it lies at the end to its place, in [m]; None without a place.
-        orientation_error: Likewise, in [rad].
-        reason: Why it was missed or lost first, in words; empty if it was neither.
-    """
-
-    name: str
-    grasped: bool
+    name: str  # name of the brick
+    grasped: bool  # whether it was ever held
+    # [m] between the brick and the hand at the first closing that was for it
     distance: float | None
-    angle: float | None
-    lost: bool
-    position_error: float | None
-    orientation_error: float | None
-    reason: str = ""
+    angle: float | None  # [rad] between its faces and the fingers then
+    lost: bool  # whether it was ever pulled out of the grip
+    position_error: float | None  # [m] from where it lies at the end to its place
+    orientation_error: float | None  # [rad] likewise
+    reason: str = ""  # why it was missed or lost first, in words; empty if it was neither
 
     def as_mapping(self) -> dict[str, object]:
         """Return all figures by name but the name itself."""
@@ -128,11 +86,7 @@ class BrickFigures:
         return mapping
 
     def line(self, label: str) -> str:
-        """Return one line for people.
-
-        Args:
-            label: Name of the run.
-        """
+        """Return one line for people."""
         outcome = "lost" if self.lost else "carried" if self.grasped else "not grasped"
         text = f"{label}: brick {self.name} {outcome}"
         if self.reason:
@@ -151,12 +105,7 @@ def task_notes(
     end_effectors: Sequence[tuple[str, EndEffectorFigures]],
     bricks: Sequence[tuple[str, Sequence[BrickFigures]]],
 ) -> list[str]:
-    """Return the lines below the table of a brick task; none where there were no bricks.
-
-    Args:
-        end_effectors: By label of the run.
-        bricks: By label of the run.
-    """
+    """Return the lines below the table of a brick task; none where there were no bricks."""
     lines = [brick.line(label) for label, each in bricks for brick in each]
     return lines + [figures.line(label) for label, figures in end_effectors if lines]
 

@@ -16,39 +16,23 @@ SLACK = 64
 
 
 class TopicInfo(NamedTuple):
-    """A topic of a bag.
+    """A topic of a bag."""
 
-    Attributes:
-        type: Message type, for instance ``"sensor_msgs/msg/JointState"``.
-        encoding: Of the messages; ``"cdr"`` in all of ROS 2.
-        message_count: Number of messages by the index; None if the bag has none.
-        definition: The type's definition as recorded; empty if it was not.
-    """
-
-    type: str
-    encoding: str
-    message_count: int | None
-    definition: str
+    type: str  # message type, for instance "sensor_msgs/msg/JointState"
+    encoding: str  # of the messages; "cdr" in all of ROS 2
+    message_count: int | None  # number of messages by the index; None if the bag has none
+    definition: str  # the type's definition as recorded; empty if it was not
 
 
 class TopicBatch(NamedTuple):
-    """Messages of one topic, in the order in which the file holds them.
+    """Messages of one topic, in the order in which the file holds them."""
 
-    Attributes:
-        topic: Full name.
-        buffer: Bytes; valid until the next batch is asked for.
-        starts: First byte of each serialised message, (n,).
-        sizes: Their lengths in bytes, (n,).
-        log_times_ns: When they were recorded, (n,), in [ns].
-        places: Ascending numbers that order all messages of the bag as its files do, (n,).
-    """
-
-    topic: str
-    buffer: Bytes
-    starts: Integers
-    sizes: Integers
-    log_times_ns: Integers
-    places: Integers
+    topic: str  # full name
+    buffer: Bytes  # bytes; valid until the next batch is asked for
+    starts: Integers  # first byte of each serialised message, (n,)
+    sizes: Integers  # their lengths in bytes, (n,)
+    log_times_ns: Integers  # [ns] when they were recorded, (n,)
+    places: Integers  # ascending numbers that order all messages of the bag as its files do, (n,)
 
     def raw(self, index: int) -> bytes:
         """Return one serialised message."""
@@ -59,14 +43,7 @@ class TopicBatch(NamedTuple):
 def batch_of(
     topic: str, raws: Sequence[bytes], log_times_ns: Integers, places: Integers
 ) -> TopicBatch:
-    """Return messages that lie apart as a batch.
-
-    Args:
-        topic: Full name.
-        raws: The serialised messages.
-        log_times_ns: When they were recorded, (n,), in [ns].
-        places: Their places, (n,).
-    """
+    """Return messages that lie apart as a batch."""
     slack = bytes(SLACK)
     sizes = np.fromiter(map(len, raws), np.int64, len(raws))
     buffer = np.frombuffer(b"".join((slack, *raws, slack)), dtype=np.uint8)
@@ -74,12 +51,7 @@ def batch_of(
 
 
 def count_difference(told: Mapping[str, int], found: Mapping[str, int]) -> str:
-    """Return in words where two counts of messages differ; empty if nowhere.
-
-    Args:
-        told: What something counts, by topic.
-        found: What is there, by topic.
-    """
+    """Return in words where two counts of messages differ; empty if nowhere."""
     unequal = [(name, told[name], found.get(name, 0)) for name in sorted(told)]
     return "; ".join(
         f"{count} messages on {name}, not {seen}" for name, count, seen in unequal if count != seen
@@ -113,13 +85,7 @@ WORD = 8
 
 
 def gather_words(buffer: Bytes, starts: Integers, words: int) -> Words:
-    """Return ``words`` little-endian words from each start, (n, words).
-
-    Args:
-        buffer: The bytes, contiguous; each row must lie within.
-        starts: Where the rows begin, (n,); any alignment.
-        words: Words of a row.
-    """
+    """Return ``words`` little-endian words from each start, (n, words)."""
     width = words * WORD
     # One opaque item a place, overlapping: indexing it is one copy of a row's bytes.
     every: NDArray[np.void] = np.ndarray(

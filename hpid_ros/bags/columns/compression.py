@@ -31,9 +31,6 @@ class Allowance:
 
     :data:`LIMIT_VARIABLE` bytes, and :data:`RATIO` times what they are packed in: memory, disk and
     time stay in proportion to the file.
-
-    Raises:
-        SettingError: The environment variable is no number of bytes.
     """
 
     def __init__(self) -> None:
@@ -64,18 +61,7 @@ class Allowance:
 
 
 def decompressed(compression: str, raw: bytes, size: int, crc: int, allowance: Allowance) -> bytes:
-    """Return a chunk's records.
-
-    Args:
-        compression: ``"zstd"`` or ``"lz4"``.
-        raw: The records as stored.
-        size: Their length when decompressed; no more is.
-        crc: Their checksum, or 0.
-        allowance: Of the file.
-
-    Raises:
-        BagError: They cannot be decompressed, or have another length or checksum.
-    """
+    """Return a chunk's records."""
     allowance.require(len(raw), size)
     records, is_whole = _unpacked(compression, raw, size)
     allowance.spend(len(raw), len(records))
@@ -93,11 +79,7 @@ def decompressed_part(compression: str, raw: bytes, most: int, allowance: Allowa
 
 
 def decompressed_message(raw: bytes, allowance: Allowance) -> bytes:
-    """Return a message that was compressed by itself, with zstd.
-
-    Raises:
-        BagError: It cannot be decompressed, or holds more than may come out.
-    """
+    """Return a message that was compressed by itself, with zstd."""
     message, is_whole = _unpacked("zstd", raw, allowance.room(len(raw)))
     if not is_whole:
         raise allowance.refusal(len(raw))
@@ -106,20 +88,7 @@ def decompressed_message(raw: bytes, allowance: Allowance) -> bytes:
 
 
 def unpack_file(source: Path, target: Path, allowance: Allowance) -> bool:
-    """Unpack a zstd file as far as it goes.
-
-    Args:
-        source: The file.
-        target: What to write.
-        allowance: How much may come out.
-
-    Returns:
-        Whether it is whole.
-
-    Raises:
-        BagError: It holds more than may come out.
-        OSError: A file cannot be read or written.
-    """
+    """Unpack a zstd file as far as it goes."""
     zstd = zstd_library()
     packed, size = source.stat().st_size, 0
     with zstd.open(source, "rb") as stream, target.open("wb") as unpacked:

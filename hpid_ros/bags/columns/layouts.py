@@ -30,33 +30,14 @@ _BYTE_ORDERS = {0: ">", 1: "<"}
 
 
 class Doubles(NamedTuple):
-    """A sequence of doubles in a message.
+    """A sequence of doubles in a message."""
 
-    Attributes:
-        offset: Byte of the first, from the start of the message.
-        length: How many there are.
-    """
-
-    offset: int
-    length: int
+    offset: int  # byte of the first, from the start of the message
+    length: int  # how many there are
 
 
 class CdrWalker:
-    """Reads values one after the other and refuses to leave the message.
-
-    Args:
-        raw: The serialised message.
-        what: Its name for errors, for instance ``"a JointState"``.
-
-    Attributes:
-        order: Byte order as :mod:`struct` writes it.
-        offset: Byte of the next value.
-        variable: ``(offset, length)`` of the bytes that are numbers, and may differ between
-            messages of one layout.
-
-    Raises:
-        MessageError: By every method, when the message is no plain CDR or ends too soon.
-    """
+    """Reads values one after the other and refuses to leave the message."""
 
     def __init__(self, raw: bytes, what: str) -> None:
         if len(raw) < ENCAPSULATION or raw[0] != 0 or raw[1] not in _BYTE_ORDERS:
@@ -140,23 +121,14 @@ CONTROLLER_STATE = "control_msgs/msg/JointTrajectoryControllerState"
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """Where the numbers of a message lie. Rows begin :data:`ENCAPSULATION` bytes before it.
+    """Where the numbers of a message lie. Rows begin :data:`ENCAPSULATION` bytes before it."""
 
-    Attributes:
-        sample: The message that it was learned from.
-        names: Joint names; empty if the type carries none.
-        order: Byte order, ``"<"`` or ``">"``.
-        stamp: Offset of the header's stamp; None if the type has none.
-        fields: Doubles by field.
-        variable: ``(offset, length)`` of the bytes that may differ.
-    """
-
-    sample: bytes
-    names: tuple[str, ...]
-    order: str
-    stamp: int | None
-    fields: Mapping[str, Doubles]
-    variable: tuple[tuple[int, int], ...]
+    sample: bytes  # the message that it was learned from
+    names: tuple[str, ...]  # joint names; empty if the type carries none
+    order: str  # byte order, "<" or ">"
+    stamp: int | None  # offset of the header's stamp; None if the type has none
+    fields: Mapping[str, Doubles]  # doubles by field
+    variable: tuple[tuple[int, int], ...]  # (offset, length) of the bytes that may differ
 
     @property
     def words(self) -> int:
@@ -192,13 +164,7 @@ class Layout:
         return stamps
 
     def column(self, rows: Words, field: str, index: int) -> Numbers:
-        """Return one number of each row of this layout, (n,); a view.
-
-        Args:
-            rows: The messages, (n, words).
-            field: One of :attr:`fields`.
-            index: Place in the field.
-        """
+        """Return one number of each row of this layout, (n,); a view."""
         # Doubles lie at multiples of 8 bytes from the end of the encapsulation header.
         at = (self.fields[field].offset + ENCAPSULATION) // WORD + index
         column: Numbers = rows.view(f"{self.order}f8")[:, at]

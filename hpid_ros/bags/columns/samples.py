@@ -18,11 +18,7 @@ _GROWTH = 1.2
 
 
 class GrowingColumn:
-    """Numbers of one type, appended many at once.
-
-    Args:
-        kind: Their numpy type.
-    """
+    """Numbers of one type, appended many at once."""
 
     def __init__(self, kind: type[np.generic]) -> None:
         self._numbers: NDArray[np.generic] = np.empty(_FIRST_CAPACITY, kind)
@@ -62,12 +58,7 @@ class NumberColumn:
 
 
 class DeltaColumn:
-    """Integers whose steps are mostly small, kept as steps of 16 or 32 bits.
-
-    Args:
-        kind: ``numpy.uint16`` or ``numpy.uint32``: what most steps fit into. Others are kept
-            aside in full.
-    """
+    """Integers whose steps are mostly small, kept as steps of 16 or 32 bits."""
 
     def __init__(self, kind: type[np.unsignedinteger]) -> None:
         self._steps = GrowingColumn(kind)
@@ -114,9 +105,6 @@ class LayoutFamily:
     """Layouts whose numbers lie at the same places, and whose names or frames differ.
 
     The words that all of them share are compared once for all messages.
-
-    Args:
-        first: One of them.
     """
 
     def __init__(self, first: Layout) -> None:
@@ -144,11 +132,7 @@ class LayoutFamily:
         self._differing = [word for word in self._words if not is_shared[word]]
 
     def split(self, rows: Words) -> Iterator[tuple[Layout, Mask]]:
-        """Yield each layout that some rows have, and which these are.
-
-        Args:
-            rows: Messages of one length, (n, words).
-        """
+        """Yield each layout that some rows have, and which these are."""
         is_kin = self._equal(rows, self._shared, self.layouts[0], None)
         for layout in self.layouts:
             claims = self._equal(rows, self._differing, layout, is_kin)
@@ -164,19 +148,12 @@ class LayoutFamily:
 
 
 class JointSamples(NamedTuple):
-    """One joint's numbers in the order of the log.
+    """One joint's numbers in the order of the log."""
 
-    Attributes:
-        stamps_ns: Header stamps, (n,), in [ns]; None if the messages carry none.
-        log_times_ns: Receive times, (n,), in [ns]; None if they were not kept.
-        places: Ascending with the order of the files, (n,); None if not kept.
-        values: The numbers, (n,).
-    """
-
-    stamps_ns: Integers | None
-    log_times_ns: Integers | None
-    places: Integers | None
-    values: Numbers
+    stamps_ns: Integers | None  # [ns] header stamps, (n,); None if the messages carry none
+    log_times_ns: Integers | None  # [ns] receive times, (n,); None if they were not kept
+    places: Integers | None  # ascending with the order of the files, (n,); None if not kept
+    values: Numbers  # the numbers, (n,)
 
     def picked(self, which: Integers | Mask) -> JointSamples:
         """Return some of the samples."""

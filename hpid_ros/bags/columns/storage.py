@@ -46,18 +46,7 @@ Progress = Callable[[float], None]
 
 
 class Storage:
-    """An open bag of any storage and compression that rosbag2 writes.
-
-    Args:
-        path: A folder, or one ``.mcap`` or ``.db3`` file, also with ``.zstd`` after it.
-
-    Attributes:
-        unreadable: A line for each thing that could not be read so far.
-        custom_data: The texts that the recording was given, by name.
-
-    Raises:
-        BagError: There is no bag, or no file of it can be opened.
-    """
+    """An open bag of any storage and compression that rosbag2 writes."""
 
     def __init__(self, path: Path | str) -> None:
         self.path = Path(path)
@@ -174,10 +163,6 @@ class Storage:
         """Yield the messages of some topics, file by file.
 
         What cannot be read is in :attr:`unreadable` afterwards.
-
-        Args:
-            topics: Full names.
-            progress: Takes the share that has been read.
         """
         whole = max(sum(size for _, _, size in self._files), 1)
         before, found = 0, dict.fromkeys(topics, 0)

@@ -60,22 +60,7 @@ class _Group:
 
 
 class JointStream:
-    """Collects one field of a topic's messages by joint.
-
-    Args:
-        type: Type of the topic.
-        field: A field of its layouts.
-        joints: Only these; all if None.
-        elements: For types without names: which joint each element of the field is.
-        keeps_order: Whether places and receive times are kept. If not, messages must come in
-            the order of their receive times, and each joint in one kind of message.
-
-    Attributes:
-        names: All joints that messages name, in order of appearance.
-        message_count: Messages so far.
-        undecodable: How many of them are not of the type.
-        first_failure: What was wrong with the first of these.
-    """
+    """Collects one field of a topic's messages by joint."""
 
     def __init__(
         self,
@@ -102,11 +87,7 @@ class JointStream:
         self.first_failure = ""
 
     def add(self, batch: TopicBatch) -> None:
-        """Take the next messages of the topic.
-
-        Raises:
-            OrderNeededError: Their order matters, but is not kept.
-        """
+        """Take the next messages of the topic."""
         self.message_count += len(batch.starts)
         times = batch.log_times_ns
         if times[0] < self._last_log_time_ns or (times[1:] < times[:-1]).any():

@@ -41,17 +41,11 @@ _EMPTY = Ordered(np.empty(0, dtype=np.int64), np.empty(0))
 
 
 class Window(NamedTuple):
-    """The time that is read, both ends included.
+    """The time that is read, both ends included."""
 
-    Attributes:
-        origin_ns: First state of any joint, in [ns].
-        first_ns: Its first instant, in [ns].
-        last_ns: Its last instant, in [ns].
-    """
-
-    origin_ns: int
-    first_ns: int
-    last_ns: int
+    origin_ns: int  # [ns] first state of any joint
+    first_ns: int  # [ns] its first instant
+    last_ns: int  # [ns] its last instant
 
     @classmethod
     def of(cls, origin_ns: int, start: float | None, end: float | None) -> Window:
@@ -71,19 +65,7 @@ class _SampledReference(NamedTuple):
 
 
 class JointRun:
-    """One joint of a recording; taking it frees the recording's columns.
-
-    Args:
-        recording: The recording.
-        joint: The joint.
-        selection: What is asked for.
-
-    Attributes:
-        states: Its states in the order of their stamps.
-
-    Raises:
-        SeriesError: No state carries a usable position.
-    """
+    """One joint of a recording; taking it frees the recording's columns."""
 
     def __init__(self, recording: RecordedRun, joint: str, selection: BagSelection) -> None:
         self._recording, self._joint, self._selection = recording, joint, selection
@@ -110,11 +92,7 @@ class JointRun:
         return len(self.states.within(window.first_ns, window.last_ns).stamps_ns) > 0
 
     def series(self, window: Window) -> tuple[JointSeries, Losses, DataQuality]:
-        """Return the joint's series within a window, its losses and its quality.
-
-        Raises:
-            SeriesError: The window holds no state, or no command carries a usable effort.
-        """
+        """Return the joint's series within a window, its losses and its quality."""
         whole = self.states
         reference, kind, count, begin = self._reference(whole, window)
         states = whole.within(window.first_ns, window.last_ns)

@@ -18,33 +18,17 @@ from hpid_ros.wire import decode_trajectory
 
 
 class LoggedTrajectory(NamedTuple):
-    """A trajectory and its place in the log.
+    """A trajectory and its place in the log."""
 
-    Attributes:
-        log_time_ns: When it was recorded, in [ns].
-        place: Its place in the files.
-        topic: Where it was published.
-        places: Place of each joint among its names.
-        column: Gives the column of a joint and its place.
-    """
-
-    log_time_ns: int
-    place: int
-    topic: str
-    places: Mapping[str, int]
-    column: Callable[[str, int], Column]
+    log_time_ns: int  # [ns] when it was recorded
+    place: int  # its place in the files
+    topic: str  # where it was published
+    places: Mapping[str, int]  # place of each joint among its names
+    column: Callable[[str, int], Column]  # gives the column of a joint and its place
 
 
 def decoded_trajectory(raw: bytes) -> tuple[Mapping[str, int], Callable[[str, int], Column]]:
-    """Return the joints of a serialised trajectory and what gives their columns.
-
-    Args:
-        raw: The message.
-
-    Raises:
-        MessageError: The bytes are no trajectory.
-        TrajectoryError: They are, but a controller would refuse it.
-    """
+    """Return the joints of a serialised trajectory and what gives their columns."""
     # A recording may hold any number of points: reading it need not keep pace with a robot.
     decoded = decode_trajectory(raw, len(raw), len(raw))
     arrays = PointArrays(*decoded[3:7])
@@ -55,24 +39,7 @@ def decoded_trajectory(raw: bytes) -> tuple[Mapping[str, int], Callable[[str, in
 
 
 class RecordedRun:
-    """The messages of a run as columns and trajectories.
-
-    Args:
-        choice: The topics.
-        types: Their types.
-        joints: Only these joints' numbers; all if None.
-        has_order: Whether places and receive times of stamped commands are kept.
-
-    Attributes:
-        choice: The topics.
-        states: Positions, by topic.
-        commands: Efforts with stamps, by topic.
-        floats: Efforts without stamps, by topic.
-        setpoints: By topic.
-        sampled: Sampled references, by topic, controllers' own first.
-        trajectories: In the order of the files.
-        notes: What was left out on purpose.
-    """
+    """The messages of a run as columns and trajectories."""
 
     def __init__(
         self,
@@ -116,12 +83,7 @@ class RecordedRun:
             yield from streams.items()
 
     def add(self, batch: TopicBatch) -> None:
-        """Take the next messages of a topic.
-
-        Raises:
-            OrderNeededError: As :meth:`JointStream.add`.
-            BagError: A trajectory cannot be decoded.
-        """
+        """Take the next messages of a topic."""
         if batch.topic in self.choice.references.trajectory:
             self._add_trajectories(batch)
             return
@@ -158,11 +120,7 @@ class RecordedRun:
         return list(dict.fromkeys(name for each in self.states.values() for name in each.names))
 
     def take_states(self, joint: str) -> JointSamples | None:
-        """Return one joint's positions and forget them; None if there are none.
-
-        Raises:
-            SeriesError: Two topics have the joint.
-        """
+        """Return one joint's positions and forget them; None if there are none."""
         topics = [topic for topic, stream in self.states.items() if joint in stream.joints()]
         if len(topics) > 1:
             raise SeriesError(

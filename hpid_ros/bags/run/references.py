@@ -16,31 +16,19 @@ from hpid_ros.trajectory.spline import segment
 
 
 class ReferenceEvent(NamedTuple):
-    """A trajectory or setpoint of one joint, and its place in the log.
+    """A trajectory or setpoint of one joint, and its place in the log."""
 
-    Attributes:
-        log_time_ns: When it was recorded, in [ns].
-        place: Its place in the files.
-        column: What the joint was told.
-    """
-
-    log_time_ns: int
-    place: int
-    column: Column
+    log_time_ns: int  # [ns] when it was recorded
+    place: int  # its place in the files
+    column: Column  # what the joint was told
 
 
 class LoggedStates(NamedTuple):
-    """One joint's states in the order of the log.
+    """One joint's states in the order of the log."""
 
-    Attributes:
-        log_times_ns: When they were recorded, (n,), in [ns].
-        places: Their places in the files, (n,).
-        stamps_ns: Their stamps, (n,), in [ns].
-    """
-
-    log_times_ns: Integers
-    places: Integers
-    stamps_ns: Integers
+    log_times_ns: Integers  # [ns] when they were recorded, (n,)
+    places: Integers  # their places in the files, (n,)
+    stamps_ns: Integers  # [ns] their stamps, (n,)
 
     def first_after(self, log_time_ns: int, place: int) -> int:
         """Return the index of the first state that was logged after something else."""
@@ -74,18 +62,7 @@ def setpoint_events(joint: str, setpoints: JointSamples) -> Iterator[ReferenceEv
 def sample_setpoints(
     setpoints: JointSamples, states: LoggedStates, stamps_ns: Integers, first_position: float
 ) -> Numbers | None:
-    """Return what :func:`sample_events` gives for setpoints alone, all at once.
-
-    Args:
-        setpoints: In any order.
-        states: The joint's states.
-        stamps_ns: The stamps to sample at, strictly increasing, (n,), in [ns].
-        first_position: The joint's first position, in [rad].
-
-    Returns:
-        The reference, (n,), in [rad]; None where the stamps of the states jump back, so that
-        one after the other must be looked at.
-    """
+    """Return what :func:`sample_events` gives for setpoints alone, all at once."""
     assert setpoints.log_times_ns is not None
     assert setpoints.places is not None
     order = np.lexsort((setpoints.places, setpoints.log_times_ns))
@@ -117,15 +94,6 @@ def sample_events(
     its stamp lies ahead. A stamp earlier than that state moves the take-over back to the stamp:
     a recorder that started late got the latched message later than the controllers. A later
     message supersedes an earlier one. Before any the joint holds its first position.
-
-    Args:
-        events: In the order of the log.
-        states: The joint's states.
-        stamps_ns: The stamps to sample at, strictly increasing, (n,), in [ns].
-        first_position: The joint's first position, in [rad].
-
-    Returns:
-        The reference, (n,), in [rad].
     """
     spans: list[_Span] = []
     for event in events:
@@ -147,13 +115,7 @@ def sample_events(
 
 
 def interpolate(stamps_ns: Integers, times_ns: Integers, values: Numbers) -> Numbers:
-    """Return a sampled reference at other stamps: linear between, constant before and after.
-
-    Args:
-        stamps_ns: Where it is wanted, (n,), in [ns].
-        times_ns: Where it was sampled, strictly increasing, (k,), in [ns].
-        values: The samples, (k,).
-    """
+    """Return a sampled reference at other stamps: linear between, constant before and after."""
     origin = times_ns[0]  # differences of stamps are exact as doubles, stamps are not
     sampled: Numbers = np.interp(
         (stamps_ns - origin).astype(float), (times_ns - origin).astype(float), values
@@ -162,13 +124,7 @@ def interpolate(stamps_ns: Integers, times_ns: Integers, values: Numbers) -> Num
 
 
 def first_state(event: ReferenceEvent, states: LoggedStates, stamps_ns: Integers) -> int:
-    """Return the index of the first state under a reference; the length if there is none.
-
-    Args:
-        event: The reference.
-        states: The joint's states.
-        stamps_ns: Their stamps, strictly increasing, in [ns].
-    """
+    """Return the index of the first state under a reference; the length if there is none."""
     begin = len(stamps_ns)
     following = states.first_after(event.log_time_ns, event.place)
     if following < len(states.stamps_ns):

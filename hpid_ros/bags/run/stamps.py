@@ -14,21 +14,13 @@ from hpid_ros.recordings.quality import StampQuality
 
 
 class Ordered(NamedTuple):
-    """Samples with strictly increasing stamps.
+    """Samples with strictly increasing stamps."""
 
-    Attributes:
-        stamps_ns: Stamps, (n,), in [ns].
-        values: Their numbers, (n,).
-        repeated: Samples whose stamp was there; of several the last stands.
-        out_of_order: Samples with an earlier stamp than the one before in the log.
-        not_finite: Samples whose number was NaN, infinite or beyond 1e50.
-    """
-
-    stamps_ns: Integers
-    values: Numbers
-    repeated: int = 0
-    out_of_order: int = 0
-    not_finite: int = 0
+    stamps_ns: Integers  # [ns] stamps, (n,)
+    values: Numbers  # their numbers, (n,)
+    repeated: int = 0  # samples whose stamp was there; of several the last stands
+    out_of_order: int = 0  # samples with an earlier stamp than the one before in the log
+    not_finite: int = 0  # samples whose number was NaN, infinite or beyond 1e50
 
     def within(self, first_ns: int, last_ns: int) -> Ordered:
         """Return the samples of a window, both ends included."""
@@ -60,11 +52,7 @@ RUN_SPACING_NS = 1_000_000_000_000_000
 
 
 def separated(stamps_ns: Integers) -> Integers:
-    """Return stamps in which a run that began anew follows the one before.
-
-    Args:
-        stamps_ns: Stamps in the order of the log, (n,), in [ns].
-    """
+    """Return stamps in which a run that began anew follows the one before."""
     resets = np.diff(stamps_ns) <= -_RESET_NS
     if not resets.any():
         return stamps_ns
@@ -74,13 +62,7 @@ def separated(stamps_ns: Integers) -> Integers:
 
 
 def ordered(stamps_ns: Integers, values: Numbers, not_finite: int) -> Ordered:
-    """Put samples in the order of their stamps.
-
-    Args:
-        stamps_ns: Stamps in the order of the log, (n,), in [ns].
-        values: Their numbers, (n,).
-        not_finite: Kept in the result.
-    """
+    """Put samples in the order of their stamps."""
     is_late = stamps_ns[1:] > stamps_ns[:-1]
     if is_late.all():
         return Ordered(stamps_ns, values, not_finite=not_finite)
@@ -101,11 +83,6 @@ def carried(
     """Carry receive times to the clock of the states' headers.
 
     Between two states linearly, before the first and after the last by their distance.
-
-    Args:
-        log_times_ns: What is to be carried, (m,), in [ns].
-        state_log_times_ns: When the states were received, not falling, (n,), in [ns].
-        state_stamps_ns: What their headers say, (n,), in [ns].
     """
     is_last = np.ones(len(state_log_times_ns), dtype=np.bool_)
     is_last[:-1] = state_log_times_ns[1:] > state_log_times_ns[:-1]
@@ -133,15 +110,7 @@ def stamp_quality(
     out_of_order: int = 0,
     not_finite: int = 0,
 ) -> StampQuality:
-    """Return what the stamps of one joint's samples say.
-
-    Args:
-        stamps_ns: Stamps, strictly increasing, (n,), in [ns].
-        origin_ns: First state of any joint, in [ns].
-        repeated: Samples that were dropped because their stamp was there.
-        out_of_order: Samples that had to be moved.
-        not_finite: Samples that were dropped because they were NaN or infinite.
-    """
+    """Return what the stamps of one joint's samples say."""
     counts = {"repeated": repeated, "out_of_order": out_of_order, "not_finite": not_finite}
     if not len(stamps_ns):
         return StampQuality(**counts)

@@ -28,18 +28,7 @@ _CONTROLLER = "_controller"
 
 
 def find_topic(where: str, name: str, types: Mapping[str, str], allowed: Collection[str]) -> str:
-    """Return the full name of a topic.
-
-    Args:
-        where: The bag, for errors.
-        name: With a leading slash the full name; without one also its last parts, so that
-            ``joint_states`` finds ``/arm/joint_states``.
-        types: Types of all topics by full name.
-        allowed: Types that it may have.
-
-    Raises:
-        BagError: If there is no such topic, if there are several, or it has another type.
-    """
+    """Return the full name of a topic."""
     found = matching(name, types)
     if not found:
         raise BagError(f"{where}: {unknown_name('topic', name, types)}")
@@ -92,19 +81,12 @@ _NEITHER_STATES_NOR_COMMANDS = ("reference", "terms")
 
 
 class ReferenceTopics(NamedTuple):
-    """Topics that say what the joints were to follow.
+    """Topics that say what the joints were to follow."""
 
-    Attributes:
-        trajectory: JointTrajectory.
-        setpoint: Float64, by joint.
-        sampled: JointState with sampled references.
-        controller_state: JointTrajectoryControllerState with references.
-    """
-
-    trajectory: tuple[str, ...] = ()
-    setpoint: Mapping[str, str] = {}
-    sampled: tuple[str, ...] = ()
-    controller_state: tuple[str, ...] = ()
+    trajectory: tuple[str, ...] = ()  # jointTrajectory
+    setpoint: Mapping[str, str] = {}  # float64, by joint
+    sampled: tuple[str, ...] = ()  # jointState with sampled references
+    controller_state: tuple[str, ...] = ()  # jointTrajectoryControllerState with references
 
 
 NO_REFERENCES = ReferenceTopics()
@@ -113,29 +95,19 @@ NO_REFERENCES = ReferenceTopics()
 
 @dataclass(frozen=True)
 class TopicChoice:
-    """The topics of a run.
+    """The topics of a run."""
 
-    Attributes:
-        states: Of the states; each joint is on one of them.
-        commands: Of stamped commands, JointState or JointTrajectoryControllerState.
-        command_topics: Where single joints' commands without stamps are, by joint.
-        references: Of the references.
-        has_commands: Whether efforts are wanted, and there is anything that may carry them.
-        is_measured: Whether the efforts are those that the states measured.
-        may_be_measured: Whether those are to be taken if nothing else carries efforts.
-        in_doubt: Topics that may carry efforts, or something else.
-        relays: Where controllers are asked for relays.
-    """
-
-    states: tuple[str, ...]
+    states: tuple[str, ...]  # of the states; each joint is on one of them
+    # of stamped commands, JointState or JointTrajectoryControllerState
     commands: tuple[str, ...] = ()
     command_topics: Mapping[str, CommandTopic] = field(default_factory=dict)
     references: ReferenceTopics = NO_REFERENCES
+    # whether efforts are wanted, and there is anything that may carry them
     has_commands: bool = True
-    is_measured: bool = False
-    may_be_measured: bool = False
-    in_doubt: tuple[str, ...] = ()
-    relays: tuple[str, ...] = ()
+    is_measured: bool = False  # whether the efforts are those that the states measured
+    may_be_measured: bool = False  # whether those are to be taken if nothing else carries efforts
+    in_doubt: tuple[str, ...] = ()  # topics that may carry efforts, or something else
+    relays: tuple[str, ...] = ()  # where controllers are asked for relays
 
     def measured(self) -> TopicChoice:
         """Return the same with the efforts that the states measured, and no others."""
@@ -165,17 +137,7 @@ class TopicChoice:
 
 
 def choose_topics(where: str, types: Mapping[str, str], selection: BagSelection) -> TopicChoice:
-    """Find the topics of a run.
-
-    Args:
-        where: The bag, for errors.
-        types: Types of its topics by full name.
-        selection: What is asked for.
-
-    Raises:
-        BagError: A topic that was named is not there or of a wrong type, or what is needed
-            cannot be found or could be any of several.
-    """
+    """Find the topics of a run."""
     return _Chooser(where, types, selection).choice()
 
 

@@ -12,15 +12,7 @@ from hpid_ros.wire import JointReader
 
 
 def measures_velocity(path: Path, joint: str) -> bool:
-    """Tell whether the first state of a joint in a bag has a velocity.
-
-    Args:
-        path: The bag.
-        joint: The joint.
-
-    Raises:
-        BagError: The bag cannot be read, or has no states.
-    """
+    """Tell whether the first state of a joint in a bag has a velocity."""
     reader = JointReader(joint)
     with Storage(path) as bag:
         types = {name: info.type for name, info in bag.topics().items()}

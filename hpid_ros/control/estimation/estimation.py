@@ -25,14 +25,6 @@ class Estimation:
 
     That is the measured position and the velocity of a source, or both by an observer, which hears
     the efforts that are sent and may have the disturbance that it estimates fed forward.
-
-    Attributes:
-        position: Of the last sample, in [rad].
-        velocity: Of the last sample, in [rad/s].
-
-    Args:
-        settings: Checked settings.
-        law: Whose effort drives the joint.
     """
 
     __slots__ = (
@@ -78,10 +70,6 @@ class Estimation:
         """Go by other settings; what is estimated is carried over.
 
         The law still has its former settings; :meth:`feed_anew` is to follow once it has these.
-
-        Args:
-            settings: Checked settings of the same joint.
-            position: Measured at the last sample, in [rad]; None before the first one.
         """
         before, self._settings = self._settings, settings
         figures = observer_figures(settings)
@@ -126,11 +114,7 @@ class Estimation:
             self._observer.send(law.driving_effort + self._fed / law.gain)
 
     def coast(self, since: float) -> None:
-        """Let the observer, if there is one, go on under the effort sent, without a sample.
-
-        Args:
-            since: Time since its last sample in [s].
-        """
+        """Let the observer, if there is one, go on under the effort sent, without a sample."""
         if self._observer is not None:
             self.send()
             self._observer.coast(since)
@@ -138,17 +122,7 @@ class Estimation:
     def update(
         self, position: float, velocity: float | None, dt: float, model: ModelTerm | None
     ) -> ModelTerm | None:
-        """Take a sample.
-
-        Args:
-            position: Measured, in [rad].
-            velocity: Measured, in [rad/s]; None when the robot reports none.
-            dt: Time since the last sample in [s]; 0 for the first one.
-            model: The model's term of the sample; None without a model.
-
-        Returns:
-            The model's term with what the observer feeds forward.
-        """
+        """Take a sample."""
         observer = self._observer
         if observer is None:
             self.position = position + self._fade(dt) if self._off else position
@@ -174,20 +148,12 @@ class Estimation:
         return deepcopy(self._source)
 
     def put_back(self, source: VelocitySource) -> None:
-        """Go on with a velocity source as it was.
-
-        Args:
-            source: From :meth:`copy_of_source`, of the same settings.
-        """
+        """Go on with a velocity source as it was."""
         self._source = source
         self._observer = source if isinstance(source, Observer) else None
 
     def source_of_stop(self, position: float) -> VelocitySource:
-        """Return what tells the velocity to who takes the law's place.
-
-        Args:
-            position: Measured at the last sample, in [rad].
-        """
+        """Return what tells the velocity to who takes the law's place."""
         if self._observer is None:
             return self._source
         # It knows the efforts of the loop, not those of the stop.

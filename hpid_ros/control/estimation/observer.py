@@ -24,21 +24,13 @@ _SPAN = 4.0  # by which the degree may raise or lower the bandwidth
 
 
 class ObserverFigures(NamedTuple):
-    """What an observer goes by.
+    """What an observer goes by."""
 
-    Attributes:
-        inertia: What one unit of effort accelerates, in [kg m^2], positive.
-        bandwidth: Of the observer, in [1/s], positive.
-        period: Nominal time between two samples, in [s], positive.
-        degree: Homogeneity degree; 0 is the linear observer.
-        innovation_scale: Innovation at which the bandwidth is ``bandwidth`` whatever the degree,
-            in [rad], positive.
-    """
-
-    inertia: float
-    bandwidth: float
-    period: float
-    degree: float = 0.0
+    inertia: float  # [kg m^2] what one unit of effort accelerates, positive
+    bandwidth: float  # [1/s] of the observer, positive
+    period: float  # [s] nominal time between two samples, positive
+    degree: float = 0.0  # homogeneity degree; 0 is the linear observer
+    # [rad] innovation at which the bandwidth is bandwidth whatever the degree, positive
     innovation_scale: float = 1e-3
 
 
@@ -67,17 +59,6 @@ class Observer:
     Source: gains under a dilation of the innovation, A. Polyakov, HCS Toolbox for MATLAB,
     "Homogeneous Observer"; why a prefilter, X. Ping, K. Zimenko, A. Polyakov, D. Efimov,
     "Filtering Homogeneous Observer for MIMO System", arXiv:2401.03135 (2024), read in extracts.
-
-    Attributes:
-        position: Estimate after the last sample, in [rad].
-        velocity: In [rad/s].
-        disturbance: w, in [rad/s^2].
-
-    Args:
-        figures: What it goes by.
-
-    Raises:
-        SettingError: A figure is out of its range.
     """
 
     __slots__ = (
@@ -92,9 +73,9 @@ class Observer:
         "velocity",
     )
 
-    position: float
-    velocity: float
-    disturbance: float
+    position: float  # [rad] estimate after the last sample
+    velocity: float  # [rad/s]
+    disturbance: float  # [rad/s^2] w
     _covariance: tuple[float, float, float, float, float, float]
     _innovation: float
     _coasted: float
@@ -117,14 +98,7 @@ class Observer:
         return self._figures.inertia * self.disturbance
 
     def retune(self, figures: ObserverFigures) -> None:
-        """Go by other figures from the next sample on; the estimates stay.
-
-        Args:
-            figures: The figures.
-
-        Raises:
-            SettingError: A figure is out of its range.
-        """
+        """Go by other figures from the next sample on; the estimates stay."""
         _check(figures)
         # The effort sent gives another acceleration, and the joint moves on as before.
         before = self._acceleration
@@ -134,20 +108,11 @@ class Observer:
         self._restart_covariance()
 
     def send(self, effort: float) -> None:
-        """Note what acts on the joint from the last sample on.
-
-        Args:
-            effort: In units of the inertia: what was sent after all limits, in [N m], without
-                what a model meant for the joint's own forces.
-        """
+        """Note what acts on the joint from the last sample on."""
         self._acceleration = effort / self._figures.inertia
 
     def coast(self, dt: float) -> None:
-        """Go on without a measurement, under the effort sent.
-
-        Args:
-            dt: For so long, in [s]; the next sample's ``dt`` includes it.
-        """
+        """Go on without a measurement, under the effort sent."""
         if self._has_begun:
             self._follow(dt)
             self._coasted += dt
@@ -158,13 +123,7 @@ class Observer:
         self.velocity += dt * acceleration
 
     def update(self, position: float, velocity: float | None, dt: float) -> float:
-        """Return the velocity in [rad/s]; the measured one is not used.
-
-        Args:
-            position: Measured, in [rad].
-            velocity: Measured, in [rad/s].
-            dt: Time since the last sample in [s]; 0 for the first one.
-        """
+        """Return the velocity in [rad/s]; the measured one is not used."""
         if not self._has_begun:
             self.take_over(position, self.velocity)
             return self.velocity
@@ -219,12 +178,7 @@ class Observer:
         return min(max(float(size**degree), 1.0 / _SPAN), _SPAN)
 
     def take_over(self, position: float, velocity: float) -> None:
-        """Go on from where another source stands, as if all that acts were in balance.
-
-        Args:
-            position: Of the last sample in [rad].
-            velocity: Of the last sample in [rad/s].
-        """
+        """Go on from where another source stands, as if all that acts were in balance."""
         self.position, self.velocity = position, velocity
         self.disturbance = -self._acceleration
         self._has_begun = True
@@ -257,9 +211,6 @@ def _stationary(t: float) -> _Covariance:
 
     It is the inverse of :math:`\sum_j \theta^j c_j' c_j` with
     :math:`c_j = (1, -j t, j^2 t^2 / 2)`.
-
-    Args:
-        t: Bandwidth times period.
     """
     theta = max(math.exp(-t), _LEAST_MEMORY)
     rest = -math.expm1(-t) if theta > _LEAST_MEMORY else 1.0 - theta

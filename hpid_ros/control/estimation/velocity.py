@@ -16,9 +16,6 @@ class Unwrapper:
     A step of more than half a turn between two states is a turn that the encoder has left out,
     if both positions are such as a wrapping encoder gives: within (-turn/2, turn/2] or
     [0, turn). Positions of an encoder that counts its turns are left alone.
-
-    Args:
-        turn: By how much the encoder wraps around, in [rad], positive.
     """
 
     __slots__ = ("_before", "_has_wrapped", "_largest", "_offset", "_turn")
@@ -28,11 +25,7 @@ class Unwrapper:
         self.reset()
 
     def begin_anew_after(self, turn: float) -> None:
-        """Go by another turn from the next position on; those before stay what they were.
-
-        Args:
-            turn: By how much the encoder wraps around, in [rad], positive; inf if it does not.
-        """
+        """Go by another turn from the next position on; those before stay what they were."""
         self._turn = turn
         self._largest = turn * (1.0 + _ROUNDING)
 
@@ -52,11 +45,7 @@ class Unwrapper:
             self._before = math.nan
 
     def update(self, position: float) -> float:
-        """Return the continuous position in [rad].
-
-        Args:
-            position: As the encoder gives it, in [rad], finite.
-        """
+        """Return the continuous position in [rad]."""
         step = position - self._before
         if abs(step) > 0.5 * self._turn and max(abs(position), abs(self._before)) < self._largest:
             self._offset -= self._turn * round(step / self._turn)
@@ -69,21 +58,10 @@ class VelocitySource(Protocol):
     """Gives one velocity a sample."""
 
     def update(self, position: float, velocity: float | None, dt: float) -> float:
-        """Return the velocity in [rad/s] at this sample.
-
-        Args:
-            position: Measured, in [rad].
-            velocity: Measured, in [rad/s]; None when the robot reports none.
-            dt: Time since the last sample in [s]; 0 for the first one.
-        """
+        """Return the velocity in [rad/s] at this sample."""
 
     def take_over(self, position: float, velocity: float) -> None:
-        """Go on from where another source stands.
-
-        Args:
-            position: Of the last sample in [rad].
-            velocity: Of the last sample in [rad/s].
-        """
+        """Go on from where another source stands."""
 
     def reset(self) -> None:
         """Forget the past: the next sample is the first one."""
@@ -94,12 +72,6 @@ class FilteredVelocity:
 
     The filter is discretised by backward Euler, hence stable for every period:
     ``v += dt / (tau + dt) ((x - x_before) / dt - v)``.
-
-    Args:
-        time_constant: tau in [s]; 0 gives the bare difference.
-
-    Raises:
-        SettingError: The time constant is negative or not finite.
     """
 
     __slots__ = ("_position", "_velocity", "time_constant")
@@ -138,17 +110,7 @@ _FEW_ZEROS = 10  # a driver that is quantised, or asked at rest, tells as many
 
 
 class MeasuredVelocity:
-    """The robot's own velocity, or the filtered difference in samples that report none.
-
-    Attributes:
-        is_reported: Whether the last sample had a velocity.
-        moved_at_zero: How far the joint has come while every velocity that was reported was
-            exactly 0, in [rad], over ten samples and more: drivers fill in zeros for what they do
-            not measure.
-
-    Args:
-        time_constant: Of the filter for samples without a velocity, in [s].
-    """
+    """The robot's own velocity, or the filtered difference in samples that report none."""
 
     __slots__ = ("_fallback", "_zero_since", "_zeros", "is_reported", "moved_at_zero")
 
@@ -199,13 +161,6 @@ class HomogeneousDifferentiator:
     (1998); the gains, A. Levant, "Higher-order sliding modes, differentiation and output-feedback
     control", Int. J. Control 76 (2003); the step, M. R. Mojallizadeh, B. Brogliato, V. Acary,
     "Time-discretizations of differentiators", Int. J. Robust Nonlinear Control 31 (2021).
-
-    Args:
-        acceleration_bound: L, an acceleration that the joint does not exceed, in [rad/s^2]. The
-            larger, the sooner it converges and the more noise it lets through.
-
-    Raises:
-        SettingError: The bound is not positive and finite.
     """
 
     __slots__ = ("_position", "_velocity", "acceleration_bound")

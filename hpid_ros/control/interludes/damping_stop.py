@@ -9,18 +9,7 @@ from hpid_ros.control.reference import LARGEST_POSITION
 
 
 class DampingStop:
-    """Answers states with ``-damping velocity``, fading to nothing over a duration.
-
-    Args:
-        damping: The loop's derivative gain in [N m s/rad].
-        velocity: Its velocity source, with its past.
-        hears_velocity: Whether measured velocities are used.
-        limits: Its limits of motion.
-        clamp: Least and largest effort in [N m].
-        effort: Its last effort in [N m].
-        stamp_ns: Stamp of its last state in [ns].
-        duration: In [s], positive.
-    """
+    """Answers states with ``-damping velocity``, fading to nothing over a duration."""
 
     def __init__(
         self,

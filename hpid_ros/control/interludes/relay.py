@@ -47,24 +47,13 @@ _STALLED = 5.0  # [s] without a switch at full weight: friction or a load holds 
 
 @dataclass(frozen=True)
 class RelayRequest:
-    """What a relay shall do.
+    """What a relay shall do."""
 
-    Attributes:
-        amplitude: Of the effort, a, in [N m].
-        hysteresis: Of s, in [rad].
-        deviation: Largest error; beyond it the relay gives back, in [rad].
-        cycles: After so many whole cycles at full weight it gives back.
-        duration: At the latest after so long, in [s], both ramps included.
-
-    Raises:
-        SettingError: A number is not finite, not positive, or too large.
-    """
-
-    amplitude: float
-    hysteresis: float
-    deviation: float
-    cycles: float
-    duration: float
+    amplitude: float  # [N m] of the effort, a
+    hysteresis: float  # [rad] of s
+    deviation: float  # [rad] largest error; beyond it the relay gives back
+    cycles: float  # after so many whole cycles at full weight it gives back
+    duration: float  # [s] at the latest after so long, both ramps included
 
     def __post_init__(self) -> None:
         bounds = {"cycles": float(_MOST_CYCLES), "duration": LONGEST}
@@ -76,14 +65,7 @@ class RelayRequest:
 
     @classmethod
     def asked(cls, numbers: Sequence[float]) -> RelayRequest | None:
-        """Return what a message on ``~/relay`` asks for; None for the end of a relay.
-
-        Args:
-            numbers: Of the message, in the order of the attributes; none end a relay.
-
-        Raises:
-            SettingError: There are more or fewer, or one is out of range.
-        """
+        """Return what a message on ``~/relay`` asks for; None for the end of a relay."""
         if not numbers:
             return None
         names = list(cls.__dataclass_fields__)
@@ -98,15 +80,7 @@ class RelayRequest:
 def reason_against(
     request: RelayRequest, gains: Gains, limits: EffortLimits, load: float, error: float
 ) -> str:
-    """Return why a relay would not be safe, in words; nothing if it is.
-
-    Args:
-        request: What it shall do.
-        gains: Of the law that holds the joint before and after.
-        limits: Of the effort.
-        load: What the integral and a model carry, in [N m].
-        error: In [rad].
-    """
+    """Return why a relay would not be safe, in words; nothing if it is."""
     least, most = limits.u_clamp_min, limits.u_clamp_max
     if not (gains.p > 0.0 and gains.d > 0.0):
         return "gains.p and gains.d must be positive"
@@ -124,16 +98,7 @@ def reason_against(
 
 
 class Relay:
-    """One relay, from its start until it has given back.
-
-    Attributes:
-        ending: Why it gives back, or has, in words; empty while it goes on.
-        cycles: Whole cycles at full weight.
-
-    Args:
-        request: What it shall do.
-        lead: T in [s].
-    """
+    """One relay, from its start until it has given back."""
 
     __slots__ = (
         *("_lead", "_request", "_side", "_since_switch", "_time", "_weight"),
@@ -158,22 +123,11 @@ class Relay:
         return bool(self.ending) and self._weight == 0.0
 
     def end(self, reason: str) -> None:
-        """Give back from now on.
-
-        Args:
-            reason: Why, in words.
-        """
+        """Give back from now on."""
         self.ending = self.ending or reason
 
     def update(self, error: float, error_rate: float, replaced: float, dt: float) -> float:
-        """Take one sample and return what is added to the law's effort, in [N m].
-
-        Args:
-            error: Reference minus measured position, in [rad].
-            error_rate: Its time derivative, in [rad/s].
-            replaced: Proportional and derivative term of the law, in [N m].
-            dt: Time since the last sample in [s].
-        """
+        """Take one sample and return what is added to the law's effort, in [N m]."""
         request = self._request
         self._time += dt
         if abs(error) > request.deviation:

@@ -19,15 +19,10 @@ _SHORTEST_PERIOD = 1e-3  # [s] between two looks
 
 
 class Silence(NamedTuple):
-    """States have stopped to come.
+    """States have stopped to come."""
 
-    Attributes:
-        duration: Since the last new one, in [s].
-        is_new: Whether it has not been noticed before.
-    """
-
-    duration: float
-    is_new: bool
+    duration: float  # [s] since the last new one
+    is_new: bool  # whether it has not been noticed before
 
 
 class Watchdog:
@@ -89,17 +84,7 @@ class Watchdog:
         return self.look(now_ns)
 
     def observe(self, stamp_ns: int, now_ns: int) -> tuple[Silence | None, bool]:
-        """Take note of a state; one that repeats the last stamp is not new.
-
-        Args:
-            stamp_ns: Its stamp in [ns].
-            now_ns: When it came.
-
-        Returns:
-            The silence that it ends, if an effort was given in it and it has not been looked at;
-            and whether it ends one that nobody has noticed, so that no effort was given: the
-            process was stopped, or busy.
-        """
+        """Take note of a state; one that repeats the last stamp is not new."""
         if stamp_ns == self._stamp_ns:
             return None, False
         before_ns, self._stamp_ns, self._last_ns = self._last_ns, stamp_ns, now_ns
@@ -116,18 +101,7 @@ class Watchdog:
 
 
 class SupervisedLoop:
-    """A joint loop and what answers in its place.
-
-    Args:
-        loop: The loop.
-        lapsed: Called when states have stopped to come, with the silence in [s] and the effort
-            that is given until one does, in [N m].
-        cut: Called when they have stopped to come in a damping stop: there is nothing to damp by.
-
-    Attributes:
-        loop: The loop.
-        watchdog: Knows how long no new state has come.
-    """
+    """A joint loop and what answers in its place."""
 
     def __init__(
         self,
@@ -146,14 +120,7 @@ class SupervisedLoop:
         self._stop = None
 
     def damp(self, duration: float) -> bool:
-        """Let a damping stop answer from now on.
-
-        Args:
-            duration: In [s]; 0 is none.
-
-        Returns:
-            Whether there is one: without a state before there is nothing to damp by.
-        """
+        """Let a damping stop answer from now on."""
         has_begun = self.loop.stamp_ns is not None and duration > 0.0
         self._stop = self.loop.damping_stop(duration) if has_begun else None
         return has_begun
@@ -168,11 +135,7 @@ class SupervisedLoop:
         self._was_held = True
 
     def look(self, now_ns: int) -> None:
-        """Take note of a silence.
-
-        Args:
-            now_ns: The time on the watchdog's clock in [ns].
-        """
+        """Take note of a silence."""
         self._note(self.watchdog.look(now_ns))
 
     def catch_up(self, now_ns: int) -> None:
@@ -187,16 +150,7 @@ class SupervisedLoop:
         now_ns: int,
         answer: Callable[[], float] | None = None,
     ) -> float:
-        """Take one state and return the effort that answers it in [N m].
-
-        Args:
-            stamp_ns: Its stamp in [ns].
-            position: In [rad].
-            velocity: In [rad/s]; None where it carries none.
-            now_ns: When it came, on the watchdog's clock in [ns].
-            answer: Steps the loop in its own way, for instance with a model; ``loop.step`` if
-                None.
-        """
+        """Take one state and return the effort that answers it in [N m]."""
         silence, is_unnoticed = self.watchdog.observe(stamp_ns, now_ns)
         self._note(silence)
         if is_unnoticed:

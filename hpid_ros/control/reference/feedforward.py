@@ -13,20 +13,13 @@ class FeedforwardFigures(NamedTuple):
     .. math:: \tau = J \ddot r + b \dot r + c\,\mathrm{sat}(\dot r / v) + \tau_r
 
     with the reference r and the effort :math:`\tau_r` that was planned for it.
-
-    Attributes:
-        inertia: J in [kg m^2].
-        viscous_friction: b in [N m s/rad].
-        coulomb_friction: c in [N m].
-        friction_velocity: v in [rad/s], positive.
-        hears_trajectory: Whether planned efforts are added.
     """
 
-    inertia: float = 0.0
-    viscous_friction: float = 0.0
-    coulomb_friction: float = 0.0
-    friction_velocity: float = 1.0
-    hears_trajectory: bool = True
+    inertia: float = 0.0  # [kg m^2] J
+    viscous_friction: float = 0.0  # [N m s/rad] b
+    coulomb_friction: float = 0.0  # [N m] c
+    friction_velocity: float = 1.0  # [rad/s] v, positive
+    hears_trajectory: bool = True  # whether planned efforts are added
 
     @property
     def is_by_model(self) -> bool:
@@ -34,12 +27,7 @@ class FeedforwardFigures(NamedTuple):
         return bool(self.inertia or self.viscous_friction or self.coulomb_friction)
 
     def effort(self, velocity: float, acceleration: float) -> float:
-        """Return the effort of inertia and friction, in [N m].
-
-        Args:
-            velocity: Of the reference, in [rad/s].
-            acceleration: Of the reference, in [rad/s^2].
-        """
+        """Return the effort of inertia and friction, in [N m]."""
         direction = min(max(velocity / self.friction_velocity, -1.0), 1.0)
         return (
             self.inertia * acceleration
@@ -53,13 +41,6 @@ class Feedforward:
 
     Where another motion, or a parameter, changes the effort although the reference does not, the
     loop's integral takes the difference; what it cannot take is kept here, and fades.
-
-    Attributes:
-        effort: Of the last sample, in [N m].
-        is_active: Whether it may be another than 0 while no effort is planned.
-
-    Args:
-        figures: What is fed forward.
     """
 
     __slots__ = (
@@ -87,14 +68,7 @@ class Feedforward:
         self.is_active = bool(self._figures.is_by_model or self._last[2] or self._kept)
 
     def update(self, stamp_ns: int, velocity: float, acceleration: float, planned: float) -> float:
-        """Take a sample of the reference and return its effort in [N m].
-
-        Args:
-            stamp_ns: The control clock in [ns].
-            velocity: In [rad/s].
-            acceleration: In [rad/s^2].
-            planned: The effort planned for it, in [N m].
-        """
+        """Take a sample of the reference and return its effort in [N m]."""
         self._last = velocity, acceleration, planned
         effort = self._of(self._figures)
         if self._kept:
@@ -118,21 +92,11 @@ class Feedforward:
         return self._kept * min(left / (self._kept_to_ns - self._kept_from_ns), 1.0)
 
     def change_by(self, planned: float) -> float:
-        """Return by how much another motion changes the effort at the same reference, in [N m].
-
-        Args:
-            planned: The effort planned for the present instant, in [N m].
-        """
+        """Return by how much another motion changes the effort at the same reference, in [N m]."""
         return planned - self._last[2] if self._figures.hears_trajectory else 0.0
 
     def retune(self, figures: FeedforwardFigures, velocity: float, acceleration: float) -> float:
-        """Go by other figures, and return by how much that changes the effort, in [N m].
-
-        Args:
-            figures: What is fed forward from now on.
-            velocity: Of the reference in the last sample, in [rad/s].
-            acceleration: Likewise, in [rad/s^2].
-        """
+        """Go by other figures, and return by how much that changes the effort, in [N m]."""
         self._last = velocity, acceleration, self._last[2]
         change = self._of(figures) - self._of(self._figures)
         self._figures = figures
@@ -141,13 +105,7 @@ class Feedforward:
         return change
 
     def keep(self, effort: float, stamp_ns: int, duration: float) -> None:
-        """Add an effort that fades.
-
-        Args:
-            effort: In [N m], beside what is left of one before.
-            stamp_ns: The control clock in [ns].
-            duration: How long it takes in [s]; 0 drops it.
-        """
+        """Add an effort that fades."""
         self._kept = effort + (self._faded(stamp_ns) if self._kept else 0.0)
         self._kept_from_ns = stamp_ns
         self._kept_to_ns = stamp_ns + max(round(duration / SECONDS_PER_NANOSECOND), 1)

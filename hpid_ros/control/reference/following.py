@@ -46,16 +46,9 @@ class Motion(Protocol):
 
 @dataclass(frozen=True)
 class Setpoint:
-    """Hold one position.
+    """Hold one position."""
 
-    Attributes:
-        position: In [rad].
-
-    Raises:
-        SettingError: The position is not finite, or no joint's.
-    """
-
-    position: float
+    position: float  # [rad]
 
     def __post_init__(self) -> None:
         if not -LARGEST_POSITION <= self.position <= LARGEST_POSITION:
@@ -92,15 +85,10 @@ class Setpoint:
 
 @dataclass(frozen=True)
 class Turned:
-    """Another reference, whole turns away.
+    """Another reference, whole turns away."""
 
-    Attributes:
-        onto: The other reference.
-        offset: How much further this one is, in [rad].
-    """
-
-    onto: Reference
-    offset: float
+    onto: Reference  # the other reference
+    offset: float  # [rad] how much further this one is
 
     def sample(self, stamp_ns: int) -> tuple[float, float, float]:
         """Return the reference at an instant."""
@@ -120,13 +108,6 @@ class Glide:
 
     .. math::
         \delta\,(1 - 10 s^3 + 15 s^4 - 6 s^5) + \dot\delta\,T\,(s - 6 s^3 + 8 s^4 - 3 s^5)
-
-    Args:
-        onto: The reference to end on.
-        now_ns: The instant of the start in [ns].
-        position: Where it starts in [rad].
-        velocity: How fast it starts in [rad/s].
-        duration: T in [s], positive.
     """
 
     def __init__(
@@ -167,20 +148,7 @@ class Glide:
 
 
 class Following:
-    """Turns motions into the reference of each sample.
-
-    Attributes:
-        motion: What is followed; None while the joint is held where it was.
-        position: The reference's position of the last sample in [rad].
-        velocity: Its velocity in [rad/s].
-        acceleration: Its acceleration in [rad/s^2].
-        turn: A motion that is taken up may be told as many turns away as bring it nearest to
-            the reference, in [rad]; 0 takes it as it is told.
-        gives_effort: Whether what is followed says which effort it needs.
-        has_turned: Whether another motion was taken up since this was last set to False.
-        lost_turn: The same of the first motion after a restart, if it is under way: the
-            position begins anew after so much, and the turns until now were not counted.
-    """
+    """Turns motions into the reference of each sample."""
 
     __slots__ = (
         *("_glide_end_ns", "_is_first", "_pending", "_reference"),
@@ -220,22 +188,12 @@ class Following:
         self.position = self.velocity = self.acceleration = 0.0
 
     def stand(self, position: float) -> None:
-        """Hold a position until there is a motion.
-
-        Args:
-            position: In [rad].
-        """
+        """Hold a position until there is a motion."""
         self._reference, self._glide_end_ns = Setpoint(position), None
         self.position, self.velocity, self.acceleration = position, 0.0, 0.0
 
     def take_over(self, stamp_ns: int, position: float, duration: float) -> None:
-        """Start from a position again, and glide onto what is followed.
-
-        Args:
-            stamp_ns: The control clock in [ns].
-            position: Where the joint is in [rad].
-            duration: How long the glide takes in [s]; 0 jumps.
-        """
+        """Start from a position again, and glide onto what is followed."""
         onto = self._onto()
         self.stand(position)
         if self.motion is not None and self._pending is None:
@@ -249,11 +207,6 @@ class Following:
         """Return the reference of a sample: position, velocity and acceleration.
 
         There must be a reference, see :attr:`is_standing`.
-
-        Args:
-            stamp_ns: The control clock in [ns].
-            duration: How long a glide takes that begins now, in [s].
-            limits: Where the reference ends; None where it does not.
         """
         if self._pending is not None:
             self._begin(self._pending, stamp_ns, duration)
@@ -270,11 +223,7 @@ class Following:
         return wanted
 
     def effort(self, stamp_ns: int) -> float:
-        """Return the effort that was planned for the instant of a sample, in [N m].
-
-        Args:
-            stamp_ns: The control clock in [ns].
-        """
+        """Return the effort that was planned for the instant of a sample, in [N m]."""
         if self._reference is None or not self.gives_effort:
             return 0.0
         return self._reference.effort(stamp_ns)
@@ -317,10 +266,6 @@ def whole_turns(away: float, turn: float) -> float:
 
     Where just half a turn is left it leads the way that was told, as ``wraparound_joint`` of
     joint_trajectory_controller has it.
-
-    Args:
-        away: From a target to where the joint should be now, in [rad].
-        turn: In [rad]; 0 for none.
     """
     if not turn:
         return 0.0

@@ -25,21 +25,7 @@ LEAST_WRAP = 1e-6
 
 @dataclass(frozen=True)
 class NormSettings(ParameterRecord):
-    """The homogeneous norm: what it is, and between which bounds it is used.
-
-    Attributes:
-        type: Of the norm.
-        error_scale: Error at rest whose norm is 1, in [rad].
-        rate_weight: Weight of the error rate, in [s/rad].
-        effort_scale: Effort of the PID's proportional or derivative term whose norm is 1, in
-            [N m]; it takes the place of the two before. 0 is off.
-        floor: Its least value; -1 computes it.
-        cap: Its largest value.
-
-    Raises:
-        SettingError: As for :class:`ParameterRecord`, or ``effort_scale`` is given beside what
-            it takes the place of.
-    """
+    """The homogeneous norm: what it is, and between which bounds it is used."""
 
     type: NormType = parameter("norm.type")
     error_scale: float = parameter("norm.error_scale")
@@ -59,15 +45,7 @@ class NormSettings(ParameterRecord):
                 )
 
     def family(self, p: float, d: float) -> NormFamily:
-        """Return the norm for every degree.
-
-        Args:
-            p: Proportional gain in [N m/rad].
-            d: Derivative gain in [N m s/rad].
-
-        Raises:
-            SettingError: ``effort_scale`` is given, and one of the gains is 0.
-        """
+        """Return the norm for every degree."""
         scale = self.effort_scale
         if not scale:
             return NormFamily(self.type, self.error_scale, self.rate_weight)
@@ -81,17 +59,7 @@ class NormSettings(ParameterRecord):
 
 @dataclass(frozen=True)
 class EffortLimits(ParameterRecord):
-    """The efforts that may be given.
-
-    Attributes:
-        u_clamp_max: Largest effort, in [N m].
-        u_clamp_min: Least effort, in [N m].
-        effort_rate_max: Largest change of the effort, in [N m/s]; 0 is none.
-        fallback_effort: Wanted while there is no usable state, in [N m].
-
-    Raises:
-        SettingError: As for :class:`ParameterRecord`, or the limits are the wrong way round.
-    """
+    """The efforts that may be given."""
 
     u_clamp_max: float = parameter("u_clamp_max")
     u_clamp_min: float = parameter("u_clamp_min")
@@ -114,17 +82,7 @@ class EffortLimits(ParameterRecord):
 
 @dataclass(frozen=True)
 class IntegralLimits(ParameterRecord):
-    """What keeps the integral term from winding up.
-
-    Attributes:
-        i_clamp_max: Its largest value, in [N m].
-        i_clamp_min: Its least value, in [N m].
-        antiwindup_strategy: What it does while the effort is limited.
-        tracking_time_constant: Of back calculation, in [s]; 0 chooses it from the gains.
-
-    Raises:
-        SettingError: As for :class:`ParameterRecord`, or the limits are the wrong way round.
-    """
+    """What keeps the integral term from winding up."""
 
     i_clamp_max: float = parameter("i_clamp_max")
     i_clamp_min: float = parameter("i_clamp_min")
@@ -138,13 +96,7 @@ class IntegralLimits(ParameterRecord):
 
 @dataclass(frozen=True)
 class VelocitySettings(ParameterRecord):
-    """Where the velocity comes from.
-
-    Attributes:
-        source: The source.
-        filter_time_constant: Of the first-order filter, in [s].
-        acceleration_bound: Of the homogeneous differentiator, in [rad/s^2].
-    """
+    """Where the velocity comes from."""
 
     source: VelocitySourceName = parameter("velocity_source")
     filter_time_constant: float = parameter("velocity_filter_time_constant")
@@ -165,15 +117,7 @@ class VelocitySettings(ParameterRecord):
 
 @dataclass(frozen=True)
 class ObserverSettings(ParameterRecord):
-    """The observer, where the velocity comes from one.
-
-    Attributes:
-        bandwidth: In [1/s]; 0 chooses it.
-        degree: Homogeneity degree; 0 is linear.
-        innovation_scale: Innovation at which the degree leaves the bandwidth as it is, in [rad];
-            0 chooses it.
-        feed_disturbance: Whether the effort against the estimated disturbance is added.
-    """
+    """The observer, where the velocity comes from one."""
 
     bandwidth: float = parameter("observer.bandwidth")
     degree: float = parameter("observer.degree")
@@ -183,17 +127,7 @@ class ObserverSettings(ParameterRecord):
 
 @dataclass(frozen=True)
 class FeedforwardSettings(ParameterRecord):
-    """What is added to the law's effort for the reference's sake.
-
-    Attributes:
-        inertia: Effort for the reference's acceleration, in [kg m^2]; negative takes that of the
-            loop.
-        viscous_friction: Effort for its velocity, in [N m s/rad]; negative takes that of the
-            robot's description.
-        coulomb_friction: Effort in the direction in which it moves, in [N m]; likewise.
-        friction_velocity: The velocity from which on that effort is whole, in [rad/s].
-        trajectory_effort: Whether the efforts of trajectories are added.
-    """
+    """What is added to the law's effort for the reference's sake."""
 
     inertia: float = parameter("feedforward.inertia")
     viscous_friction: float = parameter("feedforward.viscous_friction")
@@ -204,16 +138,7 @@ class FeedforwardSettings(ParameterRecord):
 
 @dataclass(frozen=True)
 class EncoderSettings(ParameterRecord):
-    """What is known of the encoder, and which of its positions are believed.
-
-    Attributes:
-        wrap: It begins anew after so much, in [rad]; 0 never, -1 if not known.
-        resolution: Step of the measured position, in [rad]; 0 if unknown.
-        step_max: Largest believable step between two positions, in [rad]; 0 chooses it.
-
-    Raises:
-        SettingError: As for :class:`ParameterRecord`, or turns too small to be counted.
-    """
+    """What is known of the encoder, and which of its positions are believed."""
 
     wrap: float = parameter("encoder_wrap")
     resolution: float = parameter("encoder_resolution")
@@ -229,13 +154,7 @@ class EncoderSettings(ParameterRecord):
 
 @dataclass(frozen=True)
 class SoftStop(ParameterRecord):
-    """How a stop is approached.
-
-    Attributes:
-        margin: Effort towards a stop begins to fade this far before it, in [rad].
-        k_position: Velocity allowed for each rad of distance, in [1/s]; 0 chooses it.
-        k_velocity: Braking for each rad/s beyond it, in [N m s/rad]; 0 chooses it.
-    """
+    """How a stop is approached."""
 
     margin: float = parameter("soft_stop.margin")
     k_position: float = parameter("soft_stop.k_position")
@@ -244,20 +163,7 @@ class SoftStop(ParameterRecord):
 
 @dataclass(frozen=True)
 class MotionSettings(ParameterRecord):
-    """How far and how fast the joint may move.
-
-    Attributes:
-        position_max: Upper soft stop, in [rad]; 1e6 is none.
-        position_min: Lower soft stop, in [rad]; -1e6 is none.
-        velocity_max: In [rad/s]; 1e6 is none.
-        soft_stop: How the stops are approached.
-        angle_wraparound: Whether each new reference is reached the shorter way round.
-        multi_turn: Whether it never is, also where the encoder begins anew.
-
-    Raises:
-        SettingError: As for :class:`ParameterRecord`, the stops are the wrong way round, or the
-            way round may lead through one, or shall be taken and not be taken.
-    """
+    """How far and how fast the joint may move."""
 
     position_max: float = parameter("position_max")
     position_min: float = parameter("position_min")
@@ -303,17 +209,7 @@ class MotionSettings(ParameterRecord):
 
 @dataclass(frozen=True)
 class Timing(ParameterRecord):
-    """The times between states, and what follows when one stays away.
-
-    Attributes:
-        control_period: Nominal time between two states, in [s].
-        state_timeout: A longer time between two states is a gap, in [s].
-        state_clock: What stamps the states.
-        takeover_time: How long the reference glides onto a motion under way, in [s]; 0 jumps.
-
-    Raises:
-        SettingError: As for :class:`ParameterRecord`, or every state would be a gap.
-    """
+    """The times between states, and what follows when one stays away."""
 
     control_period: float = parameter("control_period")
     state_timeout: float = parameter("state_timeout")

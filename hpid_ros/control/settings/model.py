@@ -11,24 +11,7 @@ from hpid_ros.control.settings.records import ParameterRecord, parameter
 
 @dataclass(frozen=True)
 class ModelSettings(ParameterRecord):
-    """The model that a loop's effort takes into account; see :data:`.MODEL_PARAMETERS`.
-
-    Attributes:
-        compensation: The model-based term.
-        description: URDF, XML text or path; empty for the robot's own.
-        payload: In [kg].
-        payload_link: Link that carries it.
-        mass_scale: Factor on masses and inertias.
-        locked_joints: Names separated by commas.
-        left_wheel: Joint of the left wheel; empty for a fixed base.
-        right_wheel: Joint of the right wheel.
-        wheel_radius: In [m]; 0 is the URDF's.
-        wheel_separation: In [m]; 0 is the URDF's.
-        effort_filter_time_constant: In [s]; -1 lets the model choose.
-
-    Raises:
-        SettingError: As for :class:`ParameterRecord`, or only one wheel is named.
-    """
+    """The model that a loop's effort takes into account; see :data:`.MODEL_PARAMETERS`."""
 
     compensation: Compensation = parameter("compensation")
     description: str = parameter("model.description")

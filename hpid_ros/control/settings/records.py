@@ -21,20 +21,12 @@ AnyRecord = TypeVar("AnyRecord")
 
 
 def parameter(name: str) -> Any:
-    """Declare the field of a record that holds a parameter; its default is the table's.
-
-    Args:
-        name: Dotted name of the parameter.
-    """
+    """Declare the field of a record that holds a parameter; its default is the table's."""
     return field(default=PARAMETERS[name].default, metadata={_KEY: name})
 
 
 class ParameterRecord:
-    """A frozen dataclass whose fields are declared by :func:`parameter`, or are records.
-
-    Raises:
-        SettingError: A value has another type, is out of its range, or none of the choices.
-    """
+    """A frozen dataclass whose fields are declared by :func:`parameter`, or are records."""
 
     def __post_init__(self) -> None:
         for name, spec in _layout(cast(Any, type(self))).leaves:
@@ -45,15 +37,7 @@ class ParameterRecord:
 
 
 def from_values(kind: type[AnyRecord], values: Mapping[str, object]) -> AnyRecord:
-    """Return the record that holds a set of parameters.
-
-    Args:
-        kind: What it is.
-        values: By dotted name; what is left out has its default.
-
-    Raises:
-        SettingError: A wrong type, a value out of range, or values that exclude each other.
-    """
+    """Return the record that holds a set of parameters."""
     return cast(AnyRecord, _assembled(_layout(cast(Any, kind)), values))
 
 
@@ -63,15 +47,7 @@ def to_values(record: object) -> dict[str, Value]:
 
 
 def with_values(record: AnyRecord, changes: Mapping[str, object]) -> AnyRecord:
-    """Return a record with some of its parameters changed, checked again.
-
-    Args:
-        record: What is changed.
-        changes: By dotted name.
-
-    Raises:
-        SettingError: As for :func:`from_values`, or the record holds no such parameter.
-    """
+    """Return a record with some of its parameters changed, checked again."""
     paths = _paths(cast(Any, type(record)))
     for name in changes:
         if name not in paths:
@@ -83,19 +59,13 @@ _Path = tuple[str, ...]  # names of fields, from a record to a value
 
 
 class _Layout(NamedTuple):
-    """The fields of a record.
+    """The fields of a record."""
 
-    Attributes:
-        kind: The record.
-        is_checking: Whether it checks its parameters itself.
-        leaves: Its fields that hold a parameter, and the parameter.
-        groups: Its fields that hold records, and their layout.
-    """
-
-    kind: type
-    is_checking: bool
+    kind: type  # the record
+    is_checking: bool  # whether it checks its parameters itself
+    # its fields that hold a parameter, and the parameter
     leaves: tuple[tuple[str, ParameterSpec], ...]
-    groups: tuple[tuple[str, _Layout], ...]
+    groups: tuple[tuple[str, _Layout], ...]  # its fields that hold records, and their layout
 
     def paths(self) -> Iterator[tuple[str, _Path]]:
         """Yield each parameter and where it is."""

@@ -43,27 +43,16 @@ class DescribedJoint(Protocol):
 
 @dataclass(frozen=True)
 class RobotLimits:
-    """What the robot's description allows a joint; it holds beside the parameters.
+    """What the robot's description allows a joint; it holds beside the parameters."""
 
-    Attributes:
-        effort: Largest absolute effort in [N m].
-        lower: Lowest position in [rad].
-        upper: Highest position in [rad].
-        velocity: Largest absolute velocity in [rad/s].
-        damping: Its viscous friction, in [N m s/rad].
-        friction: Its Coulomb friction, in [N m].
-        is_continuous: Whether the joint turns without end.
-        is_slide: Whether it slides: "rad" reads "m" then, and "N m" reads "N".
-    """
-
-    effort: float = math.inf
-    lower: float = -math.inf
-    upper: float = math.inf
-    velocity: float = math.inf
-    damping: float = 0.0
-    friction: float = 0.0
-    is_continuous: bool = False
-    is_slide: bool = False
+    effort: float = math.inf  # [N m] largest absolute effort
+    lower: float = -math.inf  # [rad] lowest position
+    upper: float = math.inf  # [rad] highest position
+    velocity: float = math.inf  # [rad/s] largest absolute velocity
+    damping: float = 0.0  # [N m s/rad] its viscous friction
+    friction: float = 0.0  # [N m] its Coulomb friction
+    is_continuous: bool = False  # whether the joint turns without end
+    is_slide: bool = False  # whether it slides: "rad" reads "m" then, and "N m" reads "N"
 
     @classmethod
     def of(cls, joint: DescribedJoint) -> RobotLimits:
@@ -81,11 +70,7 @@ class RobotLimits:
         )
 
     def within(self, settings: LoopSettings) -> LoopSettings:
-        """Return the settings within these limits.
-
-        Raises:
-            SettingError: The positions that the settings allow are none that the robot allows.
-        """
+        """Return the settings within these limits."""
         effort, motion, encoder = settings.effort, settings.motion, settings.encoder
         ahead = settings.feedforward
         wraps = self.is_continuous and encoder.wrap < 0.0

@@ -37,33 +37,19 @@ Value = str | float | bool
 
 @dataclass(frozen=True)
 class ParameterSpec:
-    """One parameter of a joint loop.
+    """One parameter of a joint loop."""
 
-    Attributes:
-        name: Dotted name, as in ROS.
-        default: Its value when none is given; its type is the parameter's type.
-        description: What it is, with the unit in brackets.
-        minimum: Least allowed number.
-        maximum: Largest allowed number.
-        choices: Allowed texts.
-        slider: The ends of a slider in a parameter client, each of them allowed and sensible;
-            None where a field for a number serves better. ROS refuses what lies beyond.
-    """
-
-    name: str
-    default: Value
-    description: str
-    minimum: float = -math.inf
-    maximum: float = math.inf
-    choices: tuple[str, ...] = ()
+    name: str  # dotted name, as in ROS
+    default: Value  # its value when none is given; its type is the parameter's type
+    description: str  # what it is, with the unit in brackets
+    minimum: float = -math.inf  # least allowed number
+    maximum: float = math.inf  # largest allowed number
+    choices: tuple[str, ...] = ()  # allowed texts
+    # the ends of a slider in a parameter client, each of them allowed and sensible
     slider: tuple[float, float] | None = None
 
     def checked(self, value: object) -> Value:
-        """Return the value in the parameter's type.
-
-        Raises:
-            SettingError: Wrong type, not finite, out of range, or not one of the choices.
-        """
+        """Return the value in the parameter's type."""
         if not isinstance(self.default, float):
             return self._flag_or_text(value)
         if type(value) is not float and (

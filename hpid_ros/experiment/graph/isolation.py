@@ -35,15 +35,7 @@ _FILE = re.compile(r"(?:sem\.)?(fastrtps_(?:port\d+|[0-9a-f]{16}))(?:_el|_sl|_mu
 
 
 def clear_dead(folder: Path = SHARED_MEMORY, least_age: float = YOUNG) -> int:
-    """Remove the segments and ports that no living process holds, and what is left of them.
-
-    Args:
-        folder: Where they lie.
-        least_age: What was made or used later than this is left alone, in [s].
-
-    Returns:
-        How many there were.
-    """
+    """Remove the segments and ports that no living process holds, and what is left of them."""
     if not folder.is_dir():
         return 0
     names = {entry.name for entry in folder.iterdir()}
@@ -121,11 +113,7 @@ _SOCKET_TABLES = ("tcp", "tcp6", "udp", "udp6", "raw", "raw6")
 
 
 def closed_environment(domain: int) -> dict[str, str]:
-    """Return the environment for a closed process.
-
-    Args:
-        domain: Its ROS domain.
-    """
+    """Return the environment for a closed process."""
     environment = {name: value for name, value in os.environ.items() if name not in _OPENING}
     environment.update(CLOSED_MODE)
     environment["ROS_DOMAIN_ID"] = str(domain)
@@ -141,12 +129,6 @@ def own_domain() -> Iterator[int]:
 
     It is the one whose last use is the longest ago: what a process that was killed there left
     behind has then been cleared.
-
-    Yields:
-        The domain.
-
-    Raises:
-        RunError: All domains are taken.
     """
     folder = Path(tempfile.gettempdir()) / f"hpid_ros_domains_{os.getuid()}"
     folder.mkdir(mode=0o700, exist_ok=True)
@@ -186,14 +168,7 @@ def _last_use(lock: Path) -> float:
 
 
 def require_no_sockets(pids: Iterable[int]) -> None:
-    """Make sure that no process has a network socket.
-
-    Args:
-        pids: The processes.
-
-    Raises:
-        RunError: One of them has.
-    """
+    """Make sure that no process has a network socket."""
     for pid in pids:
         try:
             addresses = network_sockets(pid)
@@ -207,11 +182,7 @@ def require_no_sockets(pids: Iterable[int]) -> None:
 
 
 def network_sockets(pid: int) -> set[str]:
-    """Return the kinds of network socket that a process holds, for instance ``udp``.
-
-    Args:
-        pid: The process, of this user.
-    """
+    """Return the kinds of network socket that a process holds, for instance ``udp``."""
     inodes = _socket_inodes(Path(f"/proc/{pid}/fd"))
     kinds = set()
     for kind in _SOCKET_TABLES:

@@ -11,24 +11,13 @@ PROCESSES = ("each", "composed", "single")
 
 @dataclass(frozen=True)
 class GraphOptions:
-    """Choices that change how fast a run goes and, in lock-step, nothing of its numbers.
+    """Choices that change how fast a run goes and, in lock-step, nothing of its numbers."""
 
-    Attributes:
-        processes: ``each``: every controller in a process of its own; ``composed``: all
-            controllers in one process beside the bridge's; ``single``: controllers, bridge and
-            recorder in one process.
-        is_recorded: Whether a recorder writes a bag.
-        is_realtime: The wall clock paces the states, and no state waits for its answers.
-        realtime_priority: SCHED_FIFO priority of controllers and bridge; 0 asks for none.
-
-    Raises:
-        SettingError: There is no such form, or the priority is out of range.
-    """
-
-    processes: str = "each"
-    is_recorded: bool = True
+    processes: str = "each"  # each: every controller in a process of its own
+    is_recorded: bool = True  # whether a recorder writes a bag
+    # the wall clock paces the states, and no state waits for its answers
     is_realtime: bool = False
-    realtime_priority: int = 0
+    realtime_priority: int = 0  # SCHED_FIFO priority of controllers and bridge; 0 asks for none
 
     def __post_init__(self) -> None:
         if self.processes not in PROCESSES:

@@ -23,15 +23,11 @@ _LIBC = ctypes.CDLL(None)
 
 @dataclass(frozen=True)
 class Beginning:
-    """What a child runs before its program, for ``preexec_fn``.
+    """What a child runs before its program, for ``preexec_fn``."""
 
-    Attributes:
-        parting: What the kernel sends the child when its parent is gone, however that came about.
-        is_batch: Schedule it as a batch job: it yields the processor to nobody by waking
-            somebody.
-    """
-
+    # what the kernel sends the child when its parent is gone, however that came about
     parting: signal.Signals
+    # schedule it as a batch job: it yields the processor to nobody by waking somebody
     is_batch: bool = False
 
     def __call__(self) -> None:
@@ -42,12 +38,7 @@ class Beginning:
 
 
 def end_all(processes: Iterable[subprocess.Popen[bytes]], patience: float) -> None:
-    """Ask all to end with SIGTERM, then kill those that have not gone.
-
-    Args:
-        processes: The children; those that have ended are passed over.
-        patience: Time for all of them to go, in [s].
-    """
+    """Ask all to end with SIGTERM, then kill those that have not gone."""
     running = [process for process in processes if process.poll() is None]
     for process in running:
         process.terminate()
@@ -61,21 +52,7 @@ def end_all(processes: Iterable[subprocess.Popen[bytes]], patience: float) -> No
 
 
 class NodeProcess:
-    """One node in a process of its own, in a session of its own, with a pipe for its events.
-
-    Args:
-        name: Name of the node and of its log file.
-        executable: Module below ``hpid_ros.nodes``.
-        arguments: ROS arguments, for instance ``["-p", "joint:=elbow"]``.
-        environment: Its whole environment.
-        log: File for what it prints.
-        is_renamed: Whether the name is given to its node; a process of several nodes keeps
-            their names.
-        is_batch: Schedule it as a batch job. In lock-step a bridge then has woken all
-            controllers before one of them runs on its processor.
-        prefix: Command in front of the node's own, for instance to enter a namespace.
-        has_input: Whether it gets a pipe as its standard input, ``process.stdin``.
-    """
+    """One node in a process of its own, in a session of its own, with a pipe for its events."""
 
     popen: ClassVar[type[subprocess.Popen[bytes]]] = subprocess.Popen
 
@@ -139,14 +116,7 @@ class NodeProcess:
 
 
 class NodeGroup:
-    """Starts nodes and ends all of them, whatever happens.
-
-    Args:
-        environment: Environment of every node.
-        logs: Folder for their logs.
-        is_batch: As for :class:`NodeProcess`.
-        prefix: As for :class:`NodeProcess`.
-    """
+    """Starts nodes and ends all of them, whatever happens."""
 
     def __init__(
         self,
@@ -170,15 +140,7 @@ class NodeGroup:
         is_renamed: bool = True,
         has_input: bool = False,
     ) -> NodeProcess:
-        """Start a node.
-
-        Args:
-            name: Its name.
-            executable: Module below ``hpid_ros.nodes``.
-            arguments: ROS arguments.
-            is_renamed: As for :class:`NodeProcess`.
-            has_input: As for :class:`NodeProcess`.
-        """
+        """Start a node."""
         log = self._logs / f"{name}.log"
         with uninterrupted():
             node = NodeProcess(
@@ -196,12 +158,7 @@ class NodeGroup:
         return node
 
     def stop(self, names: Sequence[str] | None = None, patience: float = 1.5) -> None:
-        """End nodes: ask all of them, then kill those that have not gone.
-
-        Args:
-            names: The nodes; None for all.
-            patience: Time to go in [s].
-        """
+        """End nodes: ask all of them, then kill those that have not gone."""
         chosen = self.nodes if names is None else names
         end_all((self.nodes[name].process for name in chosen), patience)
 

@@ -41,21 +41,7 @@ COMPOSED, SINGLE = "joint_controllers", "single_process"
 
 
 class GraphNodes:
-    """Starts the nodes of one run.
-
-    Attributes:
-        bridge: Name of the process that holds the bridge.
-        recorder: Name of the process that holds the recorder.
-        vital: Names of the processes that a run cannot do without.
-        topics: What is recorded, in the order in which the recorder subscribes.
-
-    Args:
-        experiment: The experiment.
-        label: Which of its controllers.
-        bag: Folder of the bag to create.
-        folder: Existing folder for parameter files and logs.
-        options: How the run is spread over processes, paced and recorded.
-    """
+    """Starts the nodes of one run."""
 
     def __init__(
         self,
@@ -75,11 +61,7 @@ class GraphNodes:
         self.vital = frozenset({self.bridge, self.recorder, REFERENCE})
 
     def start(self, group: NodeGroup) -> list[NodeProcess]:
-        """Write the parameter files and start every process.
-
-        Args:
-            group: Takes the processes.
-        """
+        """Write the parameter files and start every process."""
         settings = self._experiment.controllers[self._label]
         write_run_files(self._folder, self._experiment, settings)
         reference = _parameters(reference_file=self._experiment.path)
@@ -163,14 +145,7 @@ class GraphNodes:
 
 
 def require_node_names(joints: Iterable[str]) -> None:
-    """Refuse joints after which no node, and no file of its log, can be called.
-
-    Args:
-        joints: Their names, as the robot's description has them.
-
-    Raises:
-        ExperimentError: A name is not letters, digits and underscores.
-    """
+    """Refuse joints after which no node, and no file of its log, can be called."""
     for joint in joints:
         if not _NODE_NAME.fullmatch(controller_name(joint)):
             raise ExperimentError(
@@ -200,19 +175,6 @@ def run_on_graph(
 
     The graph is closed to everything outside this run. Whatever ends the run, also an
     interrupt, ends every process, and the recorder finishes its bag.
-
-    Args:
-        experiment: The experiment.
-        label: Which of its controllers.
-        bag: Folder of the bag to create; not used when nothing is recorded.
-        folder: Existing folder for parameter files and logs of the nodes.
-        progress: Is told how far the run is.
-        options: How it is spread over processes, paced and recorded; by default every node has
-            a process of its own, in lock-step, recorded.
-
-    Raises:
-        ExperimentError: A joint's name cannot be part of a node's.
-        RunError: A node failed, or something was not recorded.
     """
     options = options or GraphOptions()
     require_node_names(each.joint for each in experiment.controllers[label])
@@ -272,11 +234,7 @@ class _GraphRun:
             self._take_events(node)
 
     def wait_for(self, event: str, node: str, within: float | None, what: str) -> None:
-        """Wait for an event of a node.
-
-        Raises:
-            RunError: It did not come in time, or a node that is needed has ended.
-        """
+        """Wait for an event of a node."""
         self._wait(lambda: (node, event) in self.events, within, lambda: what)
 
     def wait_until_recorded(self, within: float) -> None:

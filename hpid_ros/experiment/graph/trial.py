@@ -17,19 +17,12 @@ _MILLISECONDS = 1e-3  # in a microsecond
 
 @dataclass(frozen=True)
 class Trial:
-    """What a graph did as fast as it could, beside what is asked of it.
+    """What a graph did as fast as it could, beside what is asked of it."""
 
-    Attributes:
-        cycles: States of the trial.
-        median: Time of one cycle, from a state to the next, in [ms].
-        p99: What 99 of 100 cycles do not exceed, in [ms].
-        period: The control period that is asked for, in wall time, in [ms].
-    """
-
-    cycles: int
-    median: float
-    p99: float
-    period: float
+    cycles: int  # states of the trial
+    median: float  # [ms] time of one cycle, from a state to the next
+    p99: float  # [ms] what 99 of 100 cycles do not exceed
+    period: float  # [ms] the control period that is asked for, in wall time
 
     @property
     def holds(self) -> bool:
@@ -54,17 +47,7 @@ class Trial:
 
 
 def run_trial(experiment: Experiment, label: str, options: GraphOptions) -> Trial:
-    """Run the beginning of an experiment in lock-step, in the same processes.
-
-    Args:
-        experiment: The experiment.
-        label: Which of its controllers.
-        options: Of the run in real time.
-
-    Raises:
-        ExperimentError: A joint's name cannot be part of a node's.
-        RunError: A node failed.
-    """
+    """Run the beginning of an experiment in lock-step, in the same processes."""
     short = replace(experiment, duration=min(LONGEST, experiment.duration))
     with tempfile.TemporaryDirectory(prefix="hpid_trial_") as name:
         folder = Path(name)

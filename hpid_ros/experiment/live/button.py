@@ -16,11 +16,7 @@ _ENDS_WITHIN = 8.0  # [s] from the release
 
 
 class Button:
-    """Bytes on a process's standard input while somebody holds it, and its end afterwards.
-
-    Attributes:
-        within: Longest time between two presses, in [s]; then the joints stop.
-    """
+    """Bytes on a process's standard input while somebody holds it, and its end afterwards."""
 
     def __init__(self, within: float = HELD_WITHIN) -> None:
         self.within = within

@@ -25,16 +25,7 @@ _REFERENCE_PERIODS, _LEAST_REFERENCE_TIMEOUT = 5.0, 0.5  # of ~/reference; [s]
 
 
 def chosen(graph: RunningGraph, joints: Sequence[str]) -> list[RunningController]:
-    """Return the controllers of the joints that are to be excited, in their order.
-
-    Args:
-        graph: What runs.
-        joints: Names; all that run if there are none.
-
-    Raises:
-        SettingError: One does not run, tells no reference, or they are in several namespaces.
-        RunError: Nobody says where a joint is.
-    """
+    """Return the controllers of the joints that are to be excited, in their order."""
     for joint in joints:
         if joint not in graph.controllers:
             raise SettingError(unknown_name("joint", joint, graph.controllers))
@@ -57,15 +48,7 @@ def chosen(graph: RunningGraph, joints: Sequence[str]) -> list[RunningController
 
 
 def bounds_of(controller: RunningController, inertia: float | None) -> JointBounds:
-    """Return the bounds of a running controller's joint.
-
-    Args:
-        controller: The controller; its position is known.
-        inertia: Of its joint in [kg m^2]; None where neither it nor anybody says so.
-
-    Raises:
-        SettingError: The inertia is unknown, and not to be taken from the gains.
-    """
+    """Return the bounds of a running controller's joint."""
     settings, limits = controller.settings, controller.limits
     known = inertia or settings.inertia
     if not known and settings.model.is_decoupling:
@@ -104,20 +87,7 @@ def carry_out(
     tell: Tell,
     button: Button | None = None,
 ) -> Ending:
-    """Excite joints and record them; however it ends, the joints have come to rest before.
-
-    Args:
-        plan: The plan.
-        controllers: Of its joints.
-        graph: What runs; the bag keeps its controllers' parameters.
-        bag: Folder to create.
-        states: Topic of the states.
-        tell: Told how far it is.
-        button: What must be held for it to move; None where nothing must.
-
-    Raises:
-        RunError: As for :func:`~hpid_ros.experiment.live.watching.carried_out`.
-    """
+    """Excite joints and record them; however it ends, the joints have come to rest before."""
     order = _order(plan, controllers)
     space = controllers[0].namespace
     return carried_out(_EXCITER, order, graph, space, bag, states, tell, button)

@@ -25,23 +25,14 @@ _READER = "hpid_ros.nodes.parts.live.graph_reader"
 
 @dataclass(frozen=True)
 class RunningController:
-    """A joint controller that runs.
+    """A joint controller that runs."""
 
-    Attributes:
-        node: Its full name.
-        settings: In force, within the limits of its robot.
-        limits: Those of its robot, which are in the settings already.
-        introspection_rate: Of its ``~/reference`` in [Hz].
-        position: Where its joint is in [rad] or [m]; None if nobody says so.
-        effort: Its mean effort in [N m] or [N]; None likewise.
-    """
-
-    node: str
-    settings: LoopSettings
-    limits: RobotLimits
-    introspection_rate: float
-    position: float | None
-    effort: float | None
+    node: str  # its full name
+    settings: LoopSettings  # in force, within the limits of its robot
+    limits: RobotLimits  # those of its robot, which are in the settings already
+    introspection_rate: float  # [Hz] of its ~/reference
+    position: float | None  # [rad] where its joint is or [m]; None if nobody says so
+    effort: float | None  # [N m] its mean effort or [N]; None likewise
 
     @property
     def namespace(self) -> str:
@@ -51,40 +42,20 @@ class RunningController:
 
 @dataclass(frozen=True)
 class RunningGraph:
-    """What runs.
+    """What runs."""
 
-    Attributes:
-        controllers: By joint, in the order of the nodes' names.
-        document: Their parameters, as a parameter file has them.
-        has_commands: Whether they told efforts on ``joint_commands``.
-    """
-
-    controllers: Mapping[str, RunningController]
-    document: Mapping[str, Any]
-    has_commands: bool
+    controllers: Mapping[str, RunningController]  # by joint, in the order of the nodes' names
+    document: Mapping[str, Any]  # their parameters, as a parameter file has them
+    has_commands: bool  # whether they told efforts on joint_commands
 
 
 def running_loops() -> dict[str, LoopSettings]:
-    """Return the settings of all running controllers by the names of their nodes.
-
-    Raises:
-        RunError: The graph cannot be read.
-        SettingError: There is no controller.
-    """
+    """Return the settings of all running controllers by the names of their nodes."""
     return settings_from_parameters(_read()["controllers"], "the running graph")
 
 
 def running_graph(states: str = "joint_states", namespace: str | None = None) -> RunningGraph:
-    """Return what runs, and where the joints are.
-
-    Args:
-        states: Topic of the states.
-        namespace: Only what runs below it.
-
-    Raises:
-        RunError: The graph cannot be read.
-        SettingError: There is no controller, or two controllers have one joint.
-    """
+    """Return what runs, and where the joints are."""
     below = f"/{namespace.strip('/')}" if namespace else ""
     read = _read(states, below)
     document = read["controllers"]
@@ -116,16 +87,7 @@ def _finite(value: float | None) -> float | None:
 
 
 def described_limits(source: str, joint: str) -> RobotLimits:
-    """Return the limits of a joint in the description that its controller has.
-
-    Args:
-        source: XML text or a path, empty for none.
-        joint: Its name.
-
-    Raises:
-        RunError: It is a file that is not here.
-        HpidError: It cannot be read, or lacks the joint.
-    """
+    """Return the limits of a joint in the description that its controller has."""
     if not source:
         return RobotLimits()
     if not source.lstrip().startswith("<"):

@@ -21,19 +21,6 @@ class HeldMotion:
 
     It begins with the first :meth:`press` after it is ``ready``, goes on while presses come at
     least as often as they must, and otherwise the joints come to rest. It is recorded either way.
-
-    Args:
-        plan: The motion.
-        controllers: Of its joints.
-        graph: What runs.
-        bag: Folder to create.
-        states: Topic of the states.
-        within: Longest time between two presses, in [s].
-
-    Attributes:
-        bag: The recording, once it has ended.
-        stage: How far it is.
-        seconds: How long it has been moving, in [s].
     """
 
     def __init__(
@@ -69,27 +56,13 @@ class HeldMotion:
 
     @property
     def ending(self) -> Ending | None:
-        """How it ended, once its recording is closed; None before.
-
-        Raises:
-            RunError: It could not begin, a process has ended, or joints are not known to rest.
-        """
+        """How it ended, once its recording is closed; None before."""
         if self._failure is not None:
             raise self._failure
         return self._ending
 
     def wait(self, timeout: float | None = None) -> Ending | None:
-        """Wait until it has ended, and its recording is closed.
-
-        Args:
-            timeout: For at most so long, in [s]; None waits for ever.
-
-        Returns:
-            How it ended; None if it has not yet.
-
-        Raises:
-            RunError: It could not begin, a process has ended, or joints are not known to rest.
-        """
+        """Wait until it has ended, and its recording is closed."""
         self._has_ended.wait(timeout)
         return self.ending
 

@@ -28,19 +28,7 @@ def carry_out_relay(
     states: str,
     tell: Tell,
 ) -> Ending:
-    """Have a relay drive a joint for some cycles, and record it.
-
-    Args:
-        planned: The relay.
-        controller: Of the joint.
-        graph: What runs.
-        bag: Folder to create.
-        states: Topic of the states.
-        tell: Told how far it is.
-
-    Raises:
-        RunError: As for :func:`~hpid_ros.experiment.live.watching.carried_out`.
-    """
+    """Have a relay drive a joint for some cycles, and record it."""
     mover = Mover(
         "hpid_relay_tester",
         "parts.live.relay_tester",
@@ -52,36 +40,19 @@ def carry_out_relay(
 
 
 class RelayFindings(NamedTuple):
-    """What the bag of a relay test tells of the joint.
+    """What the bag of a relay test tells of the joint."""
 
-    Attributes:
-        cycle: The limit cycle.
-        identified: The joint, by the equation of motion.
-        inertia: Least and largest that it may have, in [kg m^2].
-        delay: From effort to motion, in [s]; 0 if it is not told.
-        is_by_cycle: Whether the inertia is the limit cycle's, for want of a better one.
-    """
-
-    cycle: RelayCycle
-    identified: JointIdentification
-    inertia: tuple[float, float]
-    delay: float
-    is_by_cycle: bool
+    cycle: RelayCycle  # the limit cycle
+    identified: JointIdentification  # the joint, by the equation of motion
+    inertia: tuple[float, float]  # [kg m^2] least and largest that it may have
+    delay: float  # [s] from effort to motion; 0 if it is not told
+    is_by_cycle: bool  # whether the inertia is the limit cycle's, for want of a better one
 
 
 def relay_findings(
     bag: Path, controller: RunningController, planned: PlannedRelay
 ) -> RelayFindings:
-    """Return what a bag tells.
-
-    Args:
-        bag: Of the test.
-        controller: Of the joint.
-        planned: The relay.
-
-    Raises:
-        HpidError: The bag cannot be read, or there was no limit cycle.
-    """
+    """Return what a bag tells."""
     joint = controller.settings.joint
     record = _record(bag, joint)
     gains, request = controller.settings.gains, planned.request

@@ -37,34 +37,21 @@ Where a button must be held also with ``ready``.
 
 
 class Mover(NamedTuple):
-    """A process that moves joints.
+    """A process that moves joints."""
 
-    Attributes:
-        name: Of its node.
-        executable: Module below ``hpid_ros.nodes``.
-        unless_stopped: What joints do if nobody stops them, in words.
-        topics: That it publishes, and that are recorded.
-    """
-
-    name: str
-    executable: str
-    unless_stopped: str
-    topics: tuple[str, ...]
+    name: str  # of its node
+    executable: str  # module below hpid_ros.nodes
+    unless_stopped: str  # what joints do if nobody stops them, in words
+    topics: tuple[str, ...]  # that it publishes, and that are recorded
 
 
 @dataclass(frozen=True)
 class Ending:
-    """How an excitation ended.
+    """How an excitation ended."""
 
-    Attributes:
-        reason: Why it was stopped, in words; empty if it went to its end.
-        is_interrupted: Whether somebody wanted it to end.
-        is_at_rest: Whether the joints were seen to rest.
-    """
-
-    reason: str
-    is_interrupted: bool = False
-    is_at_rest: bool = True
+    reason: str  # why it was stopped, in words; empty if it went to its end
+    is_interrupted: bool = False  # whether somebody wanted it to end
+    is_at_rest: bool = True  # whether the joints were seen to rest
 
 
 def carried_out(
@@ -77,21 +64,7 @@ def carried_out(
     tell: Tell,
     button: Button | None = None,
 ) -> Ending:
-    """Run a process that moves joints, and record; however it ends, it has let the joints rest.
-
-    Args:
-        mover: The process.
-        order: What it is to do, for its ``plan_file``.
-        graph: What runs; the bag keeps its controllers' parameters.
-        namespace: Of the controllers.
-        bag: Folder to create.
-        states: Topic of the states.
-        tell: Told how far it is.
-        button: What must be held for it to move; None where nothing must.
-
-    Raises:
-        RunError: It could not begin, a process has ended, or joints are not known to rest.
-    """
+    """Run a process that moves joints, and record; however it ends, it has let the joints rest."""
     remapped = ["-r", f"joint_states:={states}"] if states != "joint_states" else []
     arguments = ["-r", f"__ns:={namespace}", *remapped]
     with tempfile.TemporaryDirectory(prefix="hpid_live_") as folder:
@@ -122,11 +95,7 @@ def _recorded(
     place: Path,
     arguments: Sequence[str],
 ) -> Iterator[NodeProcess]:
-    """Record while the block runs, and close the bag when nothing is told any more.
-
-    Raises:
-        RunError: The recorder has failed.
-    """
+    """Record while the block runs, and close the bag when nothing is told any more."""
     parameters = place / "controllers.yaml"
     parameters.write_text(yaml.safe_dump(dict(graph.document), sort_keys=False))
     commands = ["joint_commands"] if graph.has_commands else []
@@ -179,11 +148,7 @@ def _watched(
 def _stopped(
     mover: Mover, process: NodeProcess, reason: str, *, is_interrupted: bool = False
 ) -> Ending:
-    """Ask the process to stop the joints, and return when they rest.
-
-    Raises:
-        RunError: Nobody has stopped them.
-    """
+    """Ask the process to stop the joints, and return when they rest."""
     process.process.send_signal(signal.SIGINT)
     try:
         process.process.wait(_ENDS_WITHIN)

@@ -57,25 +57,16 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Marker:
-    """What a result's marker says.
+    """What a result's marker says."""
 
-    Attributes:
-        files: Files that the package wrote, relative to the folder, with slashes.
-        folders: Folders that a run was writing to; empty once it has ended.
-        is_finished: Whether the run came to its end.
-    """
-
+    # files that the package wrote, relative to the folder, with slashes
     files: frozenset[str] = frozenset()
-    folders: frozenset[str] = frozenset()
-    is_finished: bool = False
+    folders: frozenset[str] = frozenset()  # folders that a run was writing to
+    is_finished: bool = False  # whether the run came to its end
 
     @classmethod
     def read(cls, folder: Path) -> Marker | None:
-        """Return the marker of a folder; None if it has none.
-
-        Raises:
-            ResultExistsError: It is damaged, or leads out of the folder.
-        """
+        """Return the marker of a folder; None if it has none."""
         file = folder / MARKER
         if not _is_file(file):
             return None
@@ -119,11 +110,7 @@ class Marker:
 
 
 class ResultFolder(ResultPlaces):
-    """Places in the folder of one result; finished when its ``with`` block ends without an error.
-
-    Attributes:
-        path: Where it is written; from its end on where it was asked for.
-    """
+    """Places in the folder of one result; finished when its ``with`` block ends without error."""
 
     def __init__(self, path: Path, output: Path, former: Marker | None = None) -> None:
         self.path = path
@@ -140,18 +127,7 @@ class ResultFolder(ResultPlaces):
         inputs: Iterable[Path] = (),
         option: str = "--output",
     ) -> Self:
-        """Make the folder.
-
-        Args:
-            path: Where; it must not exist, or be empty.
-            force: Replace a result that is there already. Anything else is never replaced.
-            inputs: Files that are read; their folders are no place for a result.
-            option: How another folder is named.
-
-        Raises:
-            ResultExistsError: The path exists and is not to be replaced.
-            ExperimentError: The folder cannot be made.
-        """
+        """Make the folder."""
         former = check_place(path, force=force, inputs=inputs, option=option)
         with told(f"cannot make the result folder {path}"):
             place = path if former is None else _aside(path)
@@ -162,25 +138,14 @@ class ResultFolder(ResultPlaces):
 
     @classmethod
     def reopen(cls, path: Path) -> Self:
-        """Return a result that is there, to be carried on in its place.
-
-        Raises:
-            ResultExistsError: It is no result of this package.
-        """
+        """Return a result that is there, to be carried on in its place."""
         former = Marker.read(path)
         if former is None:
             raise ResultExistsError(f"{path} has no {MARKER}: {_NOT_OURS}")
         return cls(path, path, former)
 
     def file(self, name: str) -> Path:
-        """Return the path of a file that is about to be written, and note that it is ours.
-
-        Args:
-            name: Relative to the folder, with slashes.
-
-        Raises:
-            ResultExistsError: Somebody else's file is there.
-        """
+        """Return the path of a file that is about to be written, and note that it is ours."""
         with told(f"cannot write {self.path / name}"):
             self._claim(self._files, name)
             path = self.path / name
@@ -188,15 +153,7 @@ class ResultFolder(ResultPlaces):
         return path
 
     def folder(self, name: str, *, is_made: bool = False) -> Path:
-        """Return a folder of which everything is ours.
-
-        Args:
-            name: Relative to the folder, with slashes.
-            is_made: Make it.
-
-        Raises:
-            ResultExistsError: Somebody else's file is there.
-        """
+        """Return a folder of which everything is ours."""
         with told(f"cannot make {self.path / name}"):
             self._claim(self._folders, name)
             path = self.path / name
@@ -205,20 +162,11 @@ class ResultFolder(ResultPlaces):
         return path
 
     def add(self, name: str) -> None:
-        """Note a file that was just written into a folder that was empty.
-
-        Args:
-            name: As for :meth:`file`.
-        """
+        """Note a file that was just written into a folder that was empty."""
         self._files.add(name)
 
     def finish(self) -> None:
-        """Take the place of the former result, if there is one, and say that it is finished.
-
-        Raises:
-            ResultExistsError: Somebody else's file is in the way.
-            ExperimentError: The files cannot be moved.
-        """
+        """Take the place of the former result, if there is one, and say that it is finished."""
         written = Marker(frozenset(self._files), frozenset(self._folders)).expanded(self.path)
         with told(f"what was run is in {self.path}, but {self._output} cannot be finished"):
             if self._former is not None and self.path != self._output:
@@ -299,20 +247,7 @@ _NOT_OURS = "this package did not write it"
 
 
 def check_place(path: Path, *, force: bool, inputs: Iterable[Path], option: str) -> Marker | None:
-    """Refuse a place for a result that is no place for one, before anything is run.
-
-    Args:
-        path: The folder.
-        force: As for :meth:`ResultFolder.create`, as is all else.
-        inputs: Files that are read.
-        option: How another folder is named.
-
-    Returns:
-        The marker of the result that is to be replaced; None if there is nothing.
-
-    Raises:
-        ResultExistsError: Something is there that is not to be replaced.
-    """
+    """Refuse a place for a result that is no place for one, before anything is run."""
     if not os.path.lexists(path):
         return None
     if path.is_symlink():
@@ -367,11 +302,7 @@ def _aside(path: Path) -> Path:
 
 
 def _inside(name: object) -> str:
-    """Return a name from a marker, which may be anybody's, if it stays inside the folder.
-
-    Raises:
-        ValueError: It does not.
-    """
+    """Return a name from a marker, which may be anybody's, if it stays inside the folder."""
     if not isinstance(name, str) or not name or "\0" in name:
         raise ValueError(f"{name!r} is no name")
     path = PurePosixPath(name)

@@ -12,36 +12,17 @@ from hpid_ros.base.output_files import write_file
 
 
 class ResultPlaces(ABC):
-    """Where the parts of one result lie; what is written there is noted as this package's.
+    """Where the parts of one result lie; what is written there is noted as this package's."""
 
-    Attributes:
-        path: The folder in which they are.
-    """
-
-    path: Path
+    path: Path  # the folder in which they are
 
     @abstractmethod
     def file(self, name: str) -> Path:
-        """Return the path of a file that is about to be written, and note that it is ours.
-
-        Args:
-            name: Relative to the folder, with slashes.
-
-        Raises:
-            ResultExistsError: Somebody else's file is there.
-        """
+        """Return the path of a file that is about to be written, and note that it is ours."""
 
     @abstractmethod
     def folder(self, name: str, *, is_made: bool = False) -> Path:
-        """Return a folder of which everything is ours.
-
-        Args:
-            name: Relative to the folder, with slashes.
-            is_made: Make it.
-
-        Raises:
-            ResultExistsError: Somebody else's file is there.
-        """
+        """Return a folder of which everything is ours."""
 
     @property
     def figures(self) -> Path:
@@ -57,31 +38,18 @@ class ResultPlaces(ABC):
         return self.folder(f"nodes/{label}", is_made=True)
 
     def write(self, name: str, content: str | bytes) -> None:
-        """Write one file of the result as a whole.
-
-        Args:
-            name: As for :meth:`file`.
-            content: What it shall hold.
-        """
+        """Write one file of the result as a whole."""
         path = self.file(name)
         with told(f"cannot write {path}"):
             write_file(path, content)
 
     def part(self, name: str) -> ResultPart:
-        """Return the places of one of several results that lie beside each other.
-
-        Args:
-            name: Of its folder in this one.
-        """
+        """Return the places of one of several results that lie beside each other."""
         return ResultPart(self, name)
 
 
 class ResultPart(ResultPlaces):
-    """A result inside another one, which stands and falls with it.
-
-    Attributes:
-        path: Its folder.
-    """
+    """A result inside another one, which stands and falls with it."""
 
     def __init__(self, whole: ResultPlaces, name: str) -> None:
         self._whole, self._name = whole, name
@@ -102,14 +70,7 @@ class ResultPart(ResultPlaces):
 
 @contextmanager
 def told(what: str) -> Iterator[None]:
-    """Turn an error of the operating system into one line.
-
-    Args:
-        what: What cannot be done.
-
-    Raises:
-        ExperimentError: It cannot be done.
-    """
+    """Turn an error of the operating system into one line."""
     try:
         yield
     except HpidError:  # one of them is an OSError, too

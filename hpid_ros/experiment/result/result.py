@@ -27,19 +27,11 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Result:
-    """A comparison, computed.
+    """A comparison, computed."""
 
-    Attributes:
-        experiment: What was compared.
-        runs: The recorded runs, the baseline first.
-        comparison: Their numbers.
-        base: How the base drove in each run; empty for a robot without a base.
-        task: The end effector in each run, and what became of bricks.
-    """
-
-    experiment: Experiment
-    runs: tuple[RunSeries, ...]
-    comparison: Comparison
+    experiment: Experiment  # what was compared
+    runs: tuple[RunSeries, ...]  # the recorded runs, the baseline first
+    comparison: Comparison  # their numbers
     base: Mapping[str, BaseFigures] = field(default_factory=dict)
     task: TaskResult = field(default_factory=TaskResult)
 
@@ -101,15 +93,7 @@ class Result:
 
 
 def compute(experiment: Experiment, bags: Mapping[str, Path]) -> Result:
-    """Read the bags and compute the indices.
-
-    Args:
-        experiment: What was run.
-        bags: The bag of each controller, the baseline first.
-
-    Raises:
-        HpidError: A bag cannot be read or lacks something.
-    """
+    """Read the bags and compute the indices."""
     how = Measuring(
         BagSelection(joints=experiment.world.joints), description=experiment.description
     )
@@ -126,14 +110,7 @@ def compute(experiment: Experiment, bags: Mapping[str, Path]) -> Result:
 def save_numbers(
     result: Result, folder: ResultPlaces, reports: Sequence[RunReport], how: str
 ) -> None:
-    """Write the numbers of a result: indices and table, and how long everything took.
-
-    Args:
-        result: The result.
-        folder: Its folder.
-        reports: How the runs went.
-        how: On what they ran, for instance ``"ROS 2 graph"``.
-    """
+    """Write the numbers of a result: indices and table, and how long everything took."""
     from hpid_ros.report.tables.table import table_text
 
     folder.write("result.json", json.dumps(result.as_mapping(), indent=2) + "\n")
@@ -156,15 +133,7 @@ def save(
     *,
     has_figures: bool = True,
 ) -> None:
-    """Write the result: first the numbers, then what is drawn from them.
-
-    Args:
-        result: The result.
-        folder: Its folder.
-        reports: How the runs went.
-        how: On what they ran, for instance ``"ROS 2 graph"``.
-        has_figures: Draw the figures as well.
-    """
+    """Write the result: first the numbers, then what is drawn from them."""
     save_numbers(result, folder, reports, how)
 
     # Drawing is slow to import, and numbers that are saved survive a failure to draw them.

@@ -44,16 +44,7 @@ from hpid_ros.wire.reports import POSE, Status
 def base_results(
     experiment: Experiment, bags: Mapping[str, Path], runs: Sequence[RunSeries]
 ) -> dict[str, BaseFigures]:
-    """Compute the figures of the base of each run; none for a robot without a base.
-
-    Args:
-        experiment: What was run.
-        bags: The bag of each run.
-        runs: The runs, read from them.
-
-    Raises:
-        BagError: A bag lacks the odometry, the truth or the slip.
-    """
+    """Compute the figures of the base of each run; none for a robot without a base."""
     base = experiment.world.base
     if base is None:
         return {}
@@ -79,18 +70,7 @@ def _base(world: WorldSettings, base: DifferentialDrive, bag: Path, run: RunSeri
 def reference_poses(
     world: WorldSettings, base: DifferentialDrive, run: RunSeries, stamps_ns: NDArray[np.int64]
 ) -> Numbers | None:
-    """Return where the base would be if its wheels followed their references and did not slip.
-
-    Args:
-        world: The world, for where the wheels stood at time 0.
-        base: The base.
-        run: A run of it.
-        stamps_ns: When, (N,), in [ns]; stamps of states.
-
-    Returns:
-        x [m], y [m] and heading [rad] from where the base stood at time 0, (N, 3); None where
-        the run has not both wheels.
-    """
+    """Return where the base would be if its wheels followed their references and did not slip."""
     series = {each.joint: each for each in run.joints}
     if not all(wheel in series for wheel in base.joints):
         return None
@@ -108,17 +88,11 @@ _PATH_POINTS = 4000
 
 @dataclass(frozen=True, eq=False)
 class TaskResult:
-    """The task of each run.
-
-    Attributes:
-        end_effectors: By label; empty for a robot whose end effector no driven joint moves.
-        bricks: By label; empty without bricks.
-        paths: The paths of the end effector, for the figure.
-    """
+    """The task of each run."""
 
     end_effectors: Mapping[str, EndEffectorFigures] = field(default_factory=dict)
     bricks: Mapping[str, tuple[BrickFigures, ...]] = field(default_factory=dict)
-    paths: tuple[EndEffectorPath, ...] = ()
+    paths: tuple[EndEffectorPath, ...] = ()  # the paths of the end effector, for the figure
 
     def as_mapping(self) -> dict[str, object]:
         """Return ``end_effector`` and ``bricks``, each by run; without what there is not."""
@@ -143,16 +117,7 @@ class TaskResult:
 def task_result(
     experiment: Experiment, bags: Mapping[str, Path], runs: Sequence[RunSeries]
 ) -> TaskResult:
-    """Compute the task of each run.
-
-    Args:
-        experiment: What was run.
-        bags: The bag of each run.
-        runs: The runs, read from them.
-
-    Raises:
-        BagError: A bag cannot be read.
-    """
+    """Compute the task of each run."""
     frame = _frame(experiment)
     end_effectors, bricks, paths = {}, {}, []
     for run in runs:
@@ -172,13 +137,6 @@ def brick_figures(experiment: Experiment, bag: Path) -> tuple[BrickFigures, ...]
 
     What the gripper did is on ``grip_events``; where the bricks lie at the end is the last
     message on ``brick_poses``.
-
-    Args:
-        experiment: What was run.
-        bag: The bag of one run.
-
-    Raises:
-        BagError: The bag cannot be read.
     """
     events = read_statuses(bag, GRIP_EVENTS)
     poses = read_poses(bag, BRICK_POSES)

@@ -40,11 +40,7 @@ _HEADERS = [
 
 
 def require_token(token: str) -> None:
-    """Refuse a token that can be guessed, or that an address cannot hold.
-
-    Raises:
-        SettingError: It is too short, or has other characters than letters, digits, - and _.
-    """
+    """Refuse a token that can be guessed, or that an address cannot hold."""
     if len(token) < LEAST_TOKEN or not _TOKEN.fullmatch(token):
         raise SettingError(
             f"a token must have {LEAST_TOKEN} characters at least, letters, digits, - and _ only"
@@ -52,31 +48,17 @@ def require_token(token: str) -> None:
 
 
 class Verdict(NamedTuple):
-    """What is done with a request.
+    """What is done with a request."""
 
-    Attributes:
-        status: 200 to pass it on, 303 to give the browser its cookie, else the refusal.
-        reason: One line for a refusal.
-    """
-
-    status: int
-    reason: str = ""
+    status: int  # 200 to pass it on, 303 to give the browser its cookie, else the refusal
+    reason: str = ""  # one line for a refusal
 
 
 _PASS, _WELCOME = Verdict(200), Verdict(303)
 
 
 class Access:
-    """Decides about requests.
-
-    Attributes:
-        cookie: Name of the cookie; another server on this host has another.
-
-    Args:
-        token: That opens the page.
-        port: Of the server.
-        hosts: Names under which it may be asked for, without the port; none for any.
-    """
+    """Decides about requests."""
 
     def __init__(self, token: str, port: int, hosts: tuple[str, ...] = LOOPBACK) -> None:
         self._token, self._port, self._hosts = token, port, hosts
@@ -91,16 +73,7 @@ class Access:
         query: str,
         cookies: str,
     ) -> Verdict:
-        """Decide about one request.
-
-        Args:
-            kind: ``http`` or ``websocket``.
-            method: Of HTTP.
-            host: The header ``Host``.
-            origin: The header ``Origin``; None without one.
-            query: Of the address.
-            cookies: The header ``Cookie``.
-        """
+        """Decide about one request."""
         if not self._is_known(host):
             return Verdict(421, f"this server is not {host!r}")
         if origin is not None and origin not in (f"http://{host}", f"https://{host}"):
@@ -134,12 +107,7 @@ class Access:
 
 
 class Guard:
-    """The server in front of which an :class:`Access` stands.
-
-    Args:
-        app: The server.
-        access: Decides.
-    """
+    """The server in front of which an :class:`Access` stands."""
 
     def __init__(self, app: App, access: Access) -> None:
         self._app, self._access = app, access

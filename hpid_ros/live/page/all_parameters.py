@@ -16,14 +16,7 @@ _APART = {*SLIDERS, "joint", "law"}  # with controls of their own, or not to be 
 
 
 class AllParameters:
-    """Fields for the parameters that have no slider; made when they are first looked at.
-
-    Args:
-        session: The session.
-        chosen: Returns the nodes that are chosen.
-        may_edit: Tells whether this page has the controllers in hand.
-        edited: Called after something was staged.
-    """
+    """Fields for the parameters that have no slider; made when they are first looked at."""
 
     def __init__(
         self,

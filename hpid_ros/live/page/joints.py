@@ -27,13 +27,7 @@ _TIPS = {
 
 
 class JointTable:
-    """A row for every controller.
-
-    Args:
-        session: The session.
-        select: Called when other controllers are chosen.
-        window: Returns the length of the window in [s].
-    """
+    """A row for every controller."""
 
     def __init__(
         self, session: LiveSession, select: Callable[[], None], window: Callable[[], float]

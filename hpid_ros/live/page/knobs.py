@@ -37,13 +37,6 @@ class Knob:
 
     Of several joints a gain is a factor on what each has in force; all else is one value for all.
     The bandwidth is always such a factor.
-
-    Args:
-        session: The session.
-        name: Of the parameter, or :data:`BANDWIDTH`.
-        chosen: Returns the nodes that are chosen.
-        may_edit: Tells whether this page has the controllers in hand.
-        edited: Called after something was staged.
     """
 
     def __init__(
@@ -80,12 +73,7 @@ class Knob:
             ui.element("div").classes("interval-zero")
 
     def show_interval(self, advice: Advice | None, *, is_current: bool) -> None:
-        """Draw the certified degrees.
-
-        Args:
-            advice: What is known; None before anything is.
-            is_current: Whether it is of what is chosen, or still of something before.
-        """
+        """Draw the certified degrees."""
         if is_current:
             low, high = (advice.interval if advice is not None else None) or (0.0, 0.0)
             begin, end = (100.0 * (each + 0.5) for each in (low, high))

@@ -21,14 +21,7 @@ _STEP = 0.1  # [rad], of the response that is shown
 
 
 class TuningPanel:
-    """Parameters of the joints that are chosen.
-
-    Args:
-        session: The session.
-        trials: What moves joints.
-        page: Of whom.
-        chosen: Returns the nodes that are chosen.
-    """
+    """Parameters of the joints that are chosen."""
 
     def __init__(
         self, session: LiveSession, trials: Trials, page: str, chosen: Callable[[], list[str]]

@@ -39,28 +39,16 @@ _STARTS_WITHIN, _ENDS_WITHIN = 15.0, 3.0  # [s]
 
 @dataclass(frozen=True)
 class ServerSettings:
-    """How the page is served.
+    """How the page is served."""
 
-    Attributes:
-        host: Address to listen at; others than the loopback need a token of their own.
-        port: 0 chooses a free one.
-        token: That opens the page; empty draws one.
-        rate: Frames a second.
-        button_timeout: Without a word of a button that is held, in [s]; then joints stop.
-    """
-
-    host: str = "127.0.0.1"
-    port: int = 8080
-    token: str = ""
-    rate: float = 30.0
-    button_timeout: float = HELD_WITHIN
+    host: str = "127.0.0.1"  # address to listen at
+    port: int = 8080  # 0 chooses a free one
+    token: str = ""  # that opens the page; empty draws one
+    rate: float = 30.0  # frames a second
+    button_timeout: float = HELD_WITHIN  # [s] without a word of a button that is held
 
     def __post_init__(self) -> None:
-        """Refuse what is not safe.
-
-        Raises:
-            SettingError: Another host without a token, or a token that can be guessed.
-        """
+        """Refuse what is not safe."""
         if self.token:
             require_token(self.token)
         elif self.host not in LOOPBACK:
@@ -71,11 +59,7 @@ class ServerSettings:
 
 
 class Served:
-    """A page that is served.
-
-    Attributes:
-        url: Its address, with the token.
-    """
+    """A page that is served."""
 
     def __init__(
         self,
@@ -99,11 +83,7 @@ class Served:
         self._trials.cancel()
 
     def stop(self) -> list[str]:
-        """End the server and what it has begun; no parameter and no state is changed.
-
-        Returns:
-            The joints whose controllers keep what a trial has set, as it could not end in time.
-        """
+        """End the server and what it has begun; no parameter and no state is changed."""
         tried = self._trials.unfinished()
         self._trials.close()
         self._advice.close()
@@ -114,16 +94,7 @@ class Served:
 
 
 def serve(graph: Graph, settings: ServerSettings, start: Starter | None = None) -> Served:
-    """Serve the page of a graph, in a thread of its own.
-
-    Args:
-        graph: The running graph.
-        settings: How.
-        start: Begins a motion; None for those that are carried out on the graph.
-
-    Raises:
-        SettingError: The address cannot be listened at.
-    """
+    """Serve the page of a graph, in a thread of its own."""
     listener = _listener(settings)
     port = int(listener.getsockname()[1])
     token = settings.token or secrets.token_urlsafe(24)
@@ -211,13 +182,7 @@ def _api(trials: Trials, frames: Frames) -> FastAPI:
 
 
 class Frames:
-    """What every page is sent, many times a second; and what comes back while a button is held.
-
-    Args:
-        session: The session.
-        trials: What moves joints.
-        period: Between two frames in [s].
-    """
+    """What every page is sent, many times a second; and what comes back while a button is held."""
 
     def __init__(self, session: LiveSession, trials: Trials, period: float) -> None:
         self._session, self._trials, self._period = session, trials, period

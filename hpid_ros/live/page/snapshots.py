@@ -14,13 +14,7 @@ _LARGEST_FILE = 1_000_000  # bytes
 
 
 class SnapshotPanel:
-    """Keeps what is in force, goes back to it, writes and reads parameter files.
-
-    Args:
-        session: The session.
-        chosen: Returns the nodes that are chosen.
-        may_edit: Tells whether this page has the controllers in hand.
-    """
+    """Keeps what is in force, goes back to it, writes and reads parameter files."""
 
     def __init__(
         self,

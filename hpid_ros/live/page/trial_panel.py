@@ -23,14 +23,7 @@ _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
 
 
 class TrialPanel:
-    """A motion, a button to hold, and what came of it.
-
-    Args:
-        session: The session.
-        trials: What moves joints.
-        page: Of whom.
-        chosen: Returns the nodes that are chosen.
-    """
+    """A motion, a button to hold, and what came of it."""
 
     def __init__(
         self, session: LiveSession, trials: Trials, page: str, chosen: Callable[[], list[str]]

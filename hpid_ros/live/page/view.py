@@ -29,12 +29,7 @@ _LOST = (
 
 
 class PageView:
-    """Builds one page, within the client that it is for.
-
-    Args:
-        session: The session.
-        trials: What moves joints.
-    """
+    """Builds one page, within the client that it is for."""
 
     def __init__(self, session: LiveSession, trials: Trials) -> None:
         self._session, self._trials = session, trials

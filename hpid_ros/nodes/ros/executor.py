@@ -73,22 +73,11 @@ class ClosingNode(Node):
     """A node that has something to do before its context is gone.
 
     Its parameters are taken in the types that it declares, and no request brings it down.
-
-    Attributes:
-        sources: The parameter files of the process.
-        made: All nodes of the process, in part or in whole.
-
-    Args:
-        name: Node name.
-        options: Passed on to ``rclpy.node.Node``.
-
-    Raises:
-        SettingError: A parameter file has this node in another namespace only.
     """
 
     supervisor: Supervisor | None = None
     sources = ParameterSources()
-    made: ClassVar[list[Node]] = []
+    made: ClassVar[list[Node]] = []  # all nodes of the process, in part or in whole
 
     def __new__(cls, *_: Any, **__: Any) -> ClosingNode:
         """Remember what is made in this process: also a node that is refused is destroyed."""
@@ -101,23 +90,12 @@ class ClosingNode(Node):
         self.guard(lambda line: self.get_logger().warning(line, throttle_duration_sec=1.0))
 
     def guard(self, fault: Callable[[str], None]) -> None:
-        """Guard the services that are there; for nodes that rclpy builds in a way of its own.
-
-        Args:
-            fault: Called with one line for a request that raised.
-        """
+        """Guard the services that are there; for nodes that rclpy builds in a way of its own."""
         guard_services(self, fault)
         self.sources.require_namespace(self)
 
     def require_given(self, *names: str) -> None:
-        """Refuse a default where parameter files were given, and one has nothing for this node.
-
-        Args:
-            names: Of the parameter, before it is declared, or of several of which one will do.
-
-        Raises:
-            SettingError: Whoever gave that file had something else in mind.
-        """
+        """Refuse a default where parameter files were given, and one has nothing for this node."""
         lines = self.sources.without([self])
         if lines and not given_parameters(self).keys() & set(names):
             raise SettingError(f"{' or '.join(names)} must be given: {lines[0]}")
@@ -125,11 +103,7 @@ class ClosingNode(Node):
     def declare_parameters(
         self, namespace: str, parameters: list[Any], ignore_override: bool = False
     ) -> list[Parameter]:
-        """Declare parameters, as rclpy does; what was given for them is read in their types.
-
-        Raises:
-            SettingError: What was given cannot be read so, or is out of range.
-        """
+        """Declare parameters, as rclpy does; what was given for them is read in their types."""
         given = given_parameters(self)
         for name, default, *_ in parameters:
             full = f"{namespace}.{name}" if namespace else name
@@ -158,11 +132,7 @@ class ClosingNode(Node):
         return super().create_subscription(kind, topic, callback, copy(qos), **options)
 
     def wind_down(self) -> Future | None:
-        """Begin what takes time before the end; called once, while spinning goes on.
-
-        Returns:
-            What is done when the node may be closed; None if it may be now.
-        """
+        """Begin what takes time before the end; called once, while spinning goes on."""
         return None
 
     def leave_at_once(self) -> None:
@@ -172,21 +142,12 @@ class ClosingNode(Node):
         """Send or write what must not be lost; called once, while the context is alive."""
 
     def request_stop(self, code: int = 0) -> None:
-        """End this node's process.
-
-        Args:
-            code: Exit code of the process.
-        """
+        """End this node's process."""
         if self.supervisor is not None:
             self.supervisor.request(code)
 
     def hand_over(self, callback: Callable[..., None], *arguments: object) -> None:
-        """Have the executor's thread call something soon; from any thread.
-
-        Args:
-            callback: What it calls; whatever that raises ends the process, as in a subscription.
-            arguments: With these.
-        """
+        """Have the executor's thread call something soon; from any thread."""
         executor = self.executor
         if executor is not None:  # else the node has ended
             executor.create_task(self._call, callback, arguments)
@@ -216,11 +177,7 @@ class ClosingNode(Node):
         """Go on after :meth:`hold`."""
 
     def abandon(self) -> bool:
-        """Leave for ever: the executor has not heeded the request to stop.
-
-        Returns:
-            Whether the process may end without closing its nodes, if the executor stays stuck.
-        """
+        """Leave for ever: the executor has not heeded the request to stop."""
         return False
 
 
@@ -239,20 +196,7 @@ def run(
     usage: Usage | None = None,
     niceness: int = 0,
 ) -> int:
-    """Run nodes until a signal or one of them ends the process.
-
-    Args:
-        make_nodes: Makes the nodes once the context is there.
-        args: Command line with ROS arguments; None for that of the process.
-        usage: What ``--help`` prints; nothing is started then.
-        niceness: By how much the process, the middleware's threads included, yields to others.
-
-    Returns:
-        The exit code where nothing was started: 0 for help, 2 when arguments cannot be used. Else
-        the process ends here, with 0 after SIGINT, SIGTERM and SIGHUP, 1 when a callback raised
-        or a joint is another's, 2 when parameters cannot be used, and by the signal after another
-        one. Whatever it is, every node has been closed while the graph was there.
-    """
+    """Run nodes until a signal or one of them ends the process."""
     command_line = list(sys.argv if args is None else args)
     try:
         surplus = remove_ros_args(command_line)[1:]

@@ -38,18 +38,7 @@ _WORDS = {
 
 
 def as_declared(given: Parameter, kind: Parameter.Type) -> Parameter:
-    """Return a parameter that was given in the type that was declared.
-
-    Args:
-        given: As it came.
-        kind: The declared type; ``NOT_SET`` takes any.
-
-    Returns:
-        Of the declared type, or of type ``NOT_SET`` where nothing was given.
-
-    Raises:
-        SettingError: It is of another type, and says nothing that the declared one could mean.
-    """
+    """Return a parameter that was given in the type that was declared."""
     if given.type_ == kind or kind == _Type.NOT_SET:
         return given
     if kind in (_Type.DOUBLE, _Type.DOUBLE_ARRAY):
@@ -68,12 +57,7 @@ def as_declared(given: Parameter, kind: Parameter.Type) -> Parameter:
 
 
 def is_same(present: Parameter, change: Parameter) -> bool:
-    """Tell whether a change would change nothing.
-
-    Args:
-        present: The parameter as the node has it.
-        change: Of the declared type.
-    """
+    """Tell whether a change would change nothing."""
     return bool(present.get_parameter_value() == change.get_parameter_value())
 
 
@@ -83,14 +67,6 @@ def require_known(nodes: Sequence[tuple[str, Collection[str], Collection[str]]])
     rclpy ignores them silently, and a mistyped gain would be a gain of zero. What is given on
     the command line goes to every node of a process, so it is enough that one of them has it;
     what is in a node's own section of a file that node must have.
-
-    Args:
-        nodes: Name of each node of the process, the parameters that it was given, and those that
-            it has.
-
-    Raises:
-        SettingError: There is such a parameter; the line names the first of these nodes, and what
-            is nearest.
     """
     for first, given, _ in nodes:
         for name in given:
@@ -144,11 +120,7 @@ _Names.add_multi_constructor("tag:yaml.org,2002:python/", lambda loader, suffix,
 
 
 class ParameterSources:
-    """The parameter files of a process.
-
-    Args:
-        command_line: Its arguments, with files that rcl has read.
-    """
+    """The parameter files of a process."""
 
     def __init__(self, command_line: Sequence[str] = ()) -> None:
         self._files: dict[str, list[str]] = {}
@@ -157,11 +129,7 @@ class ParameterSources:
             self._files[file] = list(node_sections(yaml.load(text, _Names)))
 
     def require_namespace(self, node: Node) -> None:
-        """Refuse a file that has this node in another namespace only.
-
-        Raises:
-            SettingError: There is one; the line says how it can be mended.
-        """
+        """Refuse a file that has this node in another namespace only."""
         full, name = node.get_fully_qualified_name(), node.get_name()
         for file, sections in self._files.items():
             elsewhere = [each for each in sections if each.rpartition("/")[2] == name]

@@ -17,9 +17,6 @@ def failures() -> list[RegisterEventHandler]:
 
     The reason is the last line that the process wrote to stderr. One that a signal ended, as
     somebody who tries out what becomes of the others may do, has not failed.
-
-    Returns:
-        Actions of a launch description, before those that start processes.
     """
     last_words: dict[int, str] = {}
 

@@ -85,14 +85,7 @@ def overridable() -> QoSOverridingOptions:
 def subscribe_raw(
     node: Node, topic: str, callback: Callable[[bytes], None], profile: QoSProfile
 ) -> Subscription:
-    """Subscribe to joint states or commands as bytes, with a profile that can be overridden.
-
-    Args:
-        node: The node.
-        topic: Name of the topic.
-        callback: Called with each message as it came, in CDR.
-        profile: The profile where nothing overrides it.
-    """
+    """Subscribe to joint states or commands as bytes, with a profile that can be overridden."""
     return node.create_subscription(
         JointState, topic, callback, profile, raw=True, qos_overriding_options=overridable()
     )

@@ -14,12 +14,7 @@ from hpid_ros.control.settings.table import ParameterSpec
 
 
 def descriptor(spec: ParameterSpec, *, read_only: bool = False) -> ParameterDescriptor:
-    """Return what ROS tools show of a parameter.
-
-    Args:
-        spec: The parameter.
-        read_only: Whether it is fixed when the node starts.
-    """
+    """Return what ROS tools show of a parameter."""
     description = ParameterDescriptor(
         description=spec.description,
         read_only=read_only,
@@ -42,13 +37,7 @@ def _constraints(spec: ParameterSpec) -> str:
 
 
 def declare(node: Node, specs: Iterable[ParameterSpec], read_only: Iterable[str] = ()) -> None:
-    """Declare parameters from their table.
-
-    Args:
-        node: The node that gets them.
-        specs: The table.
-        read_only: Names of those that are fixed when the node starts.
-    """
+    """Declare parameters from their table."""
     fixed = set(read_only)
     for spec in specs:
         node.declare_parameter(
@@ -57,15 +46,7 @@ def declare(node: Node, specs: Iterable[ParameterSpec], read_only: Iterable[str]
 
 
 def read_only(node: Node, name: str, default: object, description: str) -> Any:
-    """Declare one parameter that is fixed when the node starts, and return its value.
-
-    Args:
-        node: The node that gets it.
-        name: Its name.
-        default: Its default, whose type is the parameter's; a ``Parameter.Type`` for a list
-            that may be left out, whose value is then None.
-        description: What it is, with the unit in brackets.
-    """
+    """Declare one parameter that is fixed when the node starts, and return its value."""
     parameter = node.declare_parameter(
         name, default, ParameterDescriptor(description=description, read_only=True)
     )
@@ -75,18 +56,7 @@ def read_only(node: Node, name: str, default: object, description: str) -> Any:
 def read_choice(
     node: Node, name: str, default: str, description: str, choices: Iterable[str]
 ) -> str:
-    """Declare one text of a few, fixed when the node starts, and return it.
-
-    Args:
-        node: The node that gets it.
-        name: Its name.
-        default: Its default.
-        description: What it is.
-        choices: What it may be.
-
-    Raises:
-        SettingError: It is none of them.
-    """
+    """Declare one text of a few, fixed when the node starts, and return it."""
     allowed = ", ".join(choices)
     descriptor = ParameterDescriptor(
         description=description, read_only=True, additional_constraints=f"one of: {allowed}"
@@ -100,18 +70,7 @@ def read_choice(
 def read_number(
     node: Node, name: str, default: float, description: str, limits: tuple[float, float]
 ) -> float:
-    """Declare one number that is fixed when the node starts, and return its value.
-
-    Args:
-        node: The node that gets it.
-        name: Its name.
-        default: Its default.
-        description: What it is, with the unit in brackets.
-        limits: Least and largest allowed value.
-
-    Raises:
-        SettingError: It is out of range or not a number.
-    """
+    """Declare one number that is fixed when the node starts, and return its value."""
     value = float(read_only(node, name, default, description))
     low, high = limits
     if not low <= value <= high:

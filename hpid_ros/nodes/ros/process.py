@@ -35,15 +35,6 @@ def schedule(node: Node) -> str:
     Both hold for every thread that the process has, so this is called when the middleware's are
     there: at the end of a node's construction. Children that a node starts do not inherit the
     priority. A priority that the system refuses is one line in the log, no end of the process.
-
-    Args:
-        node: The node.
-
-    Returns:
-        How the process is scheduled now, in a few words.
-
-    Raises:
-        SettingError: The priority is out of range, or there is no such CPU.
     """
     priority = int(
         read_only(node, "realtime_priority", 0, "SCHED_FIFO priority, 1 to 99; 0 for none")
@@ -119,9 +110,6 @@ def end(code: int) -> NoReturn:
     There Python's objects, the statics of Fast DDS and threads that are still running go in no
     order: about once in a thousand ends on a busy machine a process crashed or stood still for
     ever, with all of its work done.
-
-    Args:
-        code: The exit code.
     """
     _flush()
     os._exit(code)
@@ -139,11 +127,7 @@ _MARK = b"dds.sec.auth.plugin"  # the property that names the authentication plu
 
 
 def warn_if_unprotected(node: Node) -> None:
-    """Log one warning when security was asked for and the loaded Fast DDS has none.
-
-    Args:
-        node: Any node of the process; its middleware is loaded.
-    """
+    """Log one warning when security was asked for and the loaded Fast DDS has none."""
     if os.environ.get("ROS_SECURITY_ENABLE", "").lower() != "true":
         return
     library = _loaded_middleware()

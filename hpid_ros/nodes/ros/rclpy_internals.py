@@ -31,12 +31,6 @@ def given_parameters(node: Node) -> dict[str, Parameter]:
 
     Uses ``Node._parameter_overrides``, which rclpy reads when a parameter is declared: whoever
     changes an entry before changes what is declared. Values have the types that they came in.
-
-    Args:
-        node: Any node.
-
-    Raises:
-        SettingError: This rclpy lacks it.
     """
     given: dict[str, Parameter] = _private(node, "_parameter_overrides", "given parameters")
     return given
@@ -47,12 +41,6 @@ def lifecycle_state(node: LifecycleNode) -> str:
 
     Uses ``LifecycleNodeMixin._state_machine`` and its ``current_state``, a pair of id and label;
     the public way is a request to the node's own service, which it cannot wait for.
-
-    Args:
-        node: The node.
-
-    Raises:
-        SettingError: This rclpy lacks it.
     """
     machine = _private(node, "_state_machine", "the lifecycle")
     _, label = _private(machine, "current_state", "the lifecycle")
@@ -71,12 +59,6 @@ def service_callback(service: Service) -> ServiceCallback:
     """Return what answers the requests of a service, also of those that rclpy makes itself.
 
     Uses ``Service.callback``.
-
-    Args:
-        service: The service.
-
-    Raises:
-        SettingError: This rclpy lacks it.
     """
     callback: ServiceCallback = _private(service, "callback", "the services of a node")
     return callback
@@ -86,14 +68,6 @@ def answer_with(service: Service, callback: ServiceCallback) -> None:
     """Have a service's requests answered by something else from now on.
 
     Uses ``Service.callback``, which the executors read at each request.
-
-    Args:
-        service: The service.
-        callback: Takes request and response, and returns the response.
-
-    Raises:
-        SettingError: This rclpy lacks it: without the check an attribute that nobody reads would
-            be set, and a request could bring the node down.
     """
     service_callback(service)
     service.callback = callback
@@ -113,12 +87,6 @@ class MatchCounter:
     Uses the ``EventHandle`` below ``rclpy.event_handler``. The public way is a callback, which
     comes after whatever the executor does first; this is true at the time of the call, also where
     one subscription has taken another's place since the last one.
-
-    Args:
-        publisher: The publisher; the middleware keeps it, and its node, until :meth:`destroy`.
-
-    Raises:
-        SettingError: This rclpy lacks it.
     """
 
     def __init__(self, publisher: Publisher) -> None:
@@ -140,12 +108,6 @@ def taker(subscription: Subscription) -> Callable[[], bytes | None]:
     Uses ``take_message`` of ``Subscription.handle``, which the executors of rclpy call. The public
     way is a callback, which costs several times as much as the message itself. No executor may
     have the subscription's node.
-
-    Args:
-        subscription: The subscription; until it is destroyed.
-
-    Raises:
-        SettingError: This rclpy lacks it.
     """
     handle = subscription.handle
     take = _private(handle, "take_message", "the messages of a subscription")

@@ -43,9 +43,6 @@ class Answers:
     A request can come before its client's reader of answers has been discovered. Fast DDS then
     stops the whole process for ``max_blocking_time`` (0 in this package's profiles) and drops the
     answer, of which rclpy only warns: the client would wait for ever.
-
-    Args:
-        node: The node that serves.
     """
 
     def __init__(self, node: Node) -> None:
@@ -61,12 +58,7 @@ class Answers:
 
     @contextmanager
     def sent(self, again: Callable[[], None], deadline: float = math.inf) -> Iterator[None]:
-        """Send an answer in this block; if it is lost, it is sent again.
-
-        Args:
-            again: What sends it again.
-            deadline: Until when, on the monotonic clock; at most 10 s from now.
-        """
+        """Send an answer in this block; if it is lost, it is sent again."""
         begun = time.monotonic()
         with warnings.catch_warnings(record=True) as said:
             warnings.simplefilter("always")
@@ -102,10 +94,6 @@ def guard_services(node: Node, fault: Callable[[str], None]) -> None:
 
     What is set to the value that it has is taken, also where it is fixed: so what was dumped can
     be loaded. Whatever is refused is refused with a reason.
-
-    Args:
-        node: The node, with all of its services.
-        fault: Called with one line for a request that raised, or was refused.
     """
     own = {
         "set_parameters": _whole_sets(node, fault),
@@ -172,12 +160,7 @@ def _atomic_sets(node: Node, fault: Callable[[str], None]) -> ServiceCallback:
 
 
 def _changes(node: Node, messages: Sequence[ParameterMessage]) -> list[Parameter]:
-    """Return what messages would change, in the declared types.
-
-    Raises:
-        ValueError: There is no such parameter, or it cannot have a value of this type.
-        TypeError: The value is of no type at all.
-    """
+    """Return what messages would change, in the declared types."""
     changes = []
     for message in messages:
         if not node.has_parameter(message.name):

@@ -43,9 +43,6 @@ class _Outlet:
     """The way to a parent, which all nodes of a process share and which makes none of them wait.
 
     What a full pipe does not take waits for the next line, the last thousand lines of it.
-
-    Args:
-        fd: File descriptor of the pipe.
     """
 
     def __init__(self, fd: int) -> None:
@@ -83,21 +80,13 @@ _OUTLETS: dict[int, _Outlet] = {}
 
 
 def flush_events(within: float) -> None:
-    """Give a parent that is slow to read this long to take what waits for it.
-
-    Args:
-        within: In [s].
-    """
+    """Give a parent that is slow to read this long to take what waits for it."""
     for outlet in _OUTLETS.values():
         outlet.flush(within)
 
 
 class StatusPipe:
-    """Writes events for a parent; does nothing when there is none, and waits for nobody to read.
-
-    Args:
-        node: The node; it gets the parameter ``status_fd``.
-    """
+    """Writes events for a parent process, if there is one, and never waits for a reader."""
 
     def __init__(self, node: Node) -> None:
         fd = read_only(
@@ -109,12 +98,7 @@ class StatusPipe:
             self._outlet = _OUTLETS[fd] = _OUTLETS.get(fd) or _Outlet(fd)
 
     def send(self, event: str, **values: object) -> None:
-        """Write one event.
-
-        Args:
-            event: Its name.
-            values: What belongs to it; numbers, texts, lists and mappings of those.
-        """
+        """Write one event."""
         if self._outlet is not None:
             self._outlet.put((json.dumps({"event": event, **values}) + "\n").encode())
 
@@ -125,15 +109,7 @@ ERROR = DiagnosticStatus.ERROR
 
 
 class Diagnostics:
-    """Publishes a node's status, and notes what has gone wrong.
-
-    Attributes:
-        last_fault: One line for what was wrong last; ``"none"`` if nothing has been.
-
-    Args:
-        node: The node.
-        hardware_id: What it is about, for instance the joint.
-    """
+    """Publishes a node's status, and notes what has gone wrong."""
 
     def __init__(self, node: Node, hardware_id: str) -> None:
         self._node = node
@@ -147,13 +123,7 @@ class Diagnostics:
         self._node.get_logger().warning(line, throttle_duration_sec=1.0)
 
     def publish(self, level: bytes, message: str, values: Mapping[str, object]) -> None:
-        """Publish one status.
-
-        Args:
-            level: ``OK``, ``WARN`` or ``ERROR``.
-            message: One line.
-            values: Figures by name; the name carries the unit in brackets.
-        """
+        """Publish one status."""
         status = DiagnosticStatus(
             level=level,
             name=self._node.get_fully_qualified_name(),

@@ -17,11 +17,6 @@ def steady_timer(node: Node, period: float, callback: Callable[[], object]) -> T
 
     A node's own timers follow its ROS clock: they wait when somebody sets the time back, and
     with ``use_sim_time`` while the simulation stands still.
-
-    Args:
-        node: The node.
-        period: In [s].
-        callback: Called when it has passed, again and again.
     """
     # The executor has a thread for each clock, and warns from eight timers of one clock on, which
     # the controllers of a few joints have together: so there is one for each node.

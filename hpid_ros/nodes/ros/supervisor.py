@@ -81,17 +81,7 @@ class Supervised(Protocol):
 
 
 class Supervisor:
-    """The end of a process, asked for once by a signal or a node, and the thread beside it.
-
-    Attributes:
-        future: Done when the end has been asked for.
-        code: Exit code of the process.
-        ends_by: The signal to end by in the end; None for an ordinary exit.
-        is_heeded: To be set by the executor's thread when it has begun to end.
-        are_left: Likewise, when all nodes have been left.
-        has_abandoned: Whether nodes were left without the executor.
-        failure: What a callback raised that could not raise it itself.
-    """
+    """The end of a process, asked for once by a signal or a node, and the thread beside it."""
 
     def __init__(self) -> None:
         self.future: Future = Future()
@@ -144,13 +134,7 @@ class Supervisor:
         self._tell(_LOOK_ANEW)
 
     def request(self, code: int = 0, ends_by: int | None = None) -> None:
-        """Ask for the end.
-
-        Args:
-            code: Exit code of the process; the first that is not zero decides, also when it
-                comes after the end was asked for: what fails while closing has failed.
-            ends_by: The signal that it ends by instead.
-        """
+        """Ask for the end."""
         with self._lock:
             self.code = self.code or code
             if not self.future.done():

@@ -13,18 +13,7 @@ from hpid_ros.wire import MixedTrajectory, TrajectoryArrays
 
 
 def column_of(decoded: TrajectoryArrays | MixedTrajectory, joint: str) -> Column | None:
-    """Check a decoded message and return one joint's column.
-
-    Args:
-        decoded: The message.
-        joint: The joint.
-
-    Returns:
-        None when the message is about other joints.
-
-    Raises:
-        TrajectoryError: The trajectory is malformed; the line says how.
-    """
+    """Check a decoded message and return one joint's column."""
     if joint not in decoded.names:
         return None
     return column_from_arrays(

@@ -14,25 +14,15 @@ _HELP = ("-h", "--help")
 
 @dataclass(frozen=True)
 class Usage:
-    """An executable in a few lines.
+    """An executable in a few lines."""
 
-    Attributes:
-        name: Of the executable.
-        about: What it does, in one sentence.
-        needs: Parameters that must be given, as an example, for instance ``-p joint:=elbow``.
-        parameters: Names of all parameters; ``motor.*`` is a group of them.
-        listens: Topics that it subscribes to.
-        tells: Topics that it publishes.
-        serves: Services beside those of every node.
-    """
-
-    name: str
-    about: str
-    needs: str = ""
-    parameters: Sequence[str] = ()
-    listens: Sequence[str] = ()
-    tells: Sequence[str] = ()
-    serves: Sequence[str] = ()
+    name: str  # of the executable
+    about: str  # what it does, in one sentence
+    needs: str = ""  # parameters that must be given, as an example, for instance -p joint:=elbow
+    parameters: Sequence[str] = ()  # names of all parameters; motor.* is a group of them
+    listens: Sequence[str] = ()  # topics that it subscribes to
+    tells: Sequence[str] = ()  # topics that it publishes
+    serves: Sequence[str] = ()  # services beside those of every node
 
     def tell(self) -> None:
         """Print all of it; whoever reads it may have read enough after some lines, as head has."""

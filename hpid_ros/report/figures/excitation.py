@@ -29,11 +29,7 @@ _NEAR = 3.0  # a limit further away than so many times the motion is not drawn
 
 @figure_style()
 def excitation_figure(plan: ExcitationPlan) -> Figure:
-    """Return a row for each joint: its position and its velocity, with limits that are near.
-
-    Args:
-        plan: The plan.
-    """
+    """Return a row for each joint: its position and its velocity, with limits that are near."""
     count = len(plan.joints)
     figure = Figure(figsize=(WIDTH_IN, _ROW_HEIGHT_IN * count + 1.0), dpi=DOTS_PER_INCH)
     grid = figure.subplots(count, 2, squeeze=False, sharex=True)

@@ -33,33 +33,19 @@ _AIR = 0.06  # of the axis beyond the curves, above and below
 
 
 class FilmChart(NamedTuple):
-    """A chart as pixels, and the numbers in it.
+    """A chart as pixels, and the numbers in it."""
 
-    Attributes:
-        pale: Before anything happened, (rows, columns, 3).
-        full: With all that happens.
-        first: First instant, seconds since each run's first state.
-        last: Last instant.
-        left: Column of the first instant.
-        right: Column of the last one.
-        top: Uppermost row of the panel.
-        bottom: Lowest row of it.
-        symbol: What is read off, for instance ``|e|``.
-        unit: In what.
-        readings: One signal a run: what is read off.
-    """
-
-    pale: NDArray[np.uint8]
-    full: NDArray[np.uint8]
-    first: float
-    last: float
-    left: float
-    right: float
-    top: int
-    bottom: int
-    symbol: str
+    pale: NDArray[np.uint8]  # before anything happened, (rows, columns, 3)
+    full: NDArray[np.uint8]  # with all that happens
+    first: float  # first instant, seconds since each run's first state
+    last: float  # last instant
+    left: float  # column of the first instant
+    right: float  # column of the last one
+    top: int  # uppermost row of the panel
+    bottom: int  # lowest row of it
+    symbol: str  # what is read off, for instance |e|
     unit: str
-    readings: tuple[Signal, ...]
+    readings: tuple[Signal, ...]  # one signal a run: what is read off
 
 
 class _Curves(NamedTuple):
@@ -78,17 +64,7 @@ def film_chart(
     size: tuple[int, int],
     window: tuple[float, float],
 ) -> FilmChart:
-    """Return the chart of some runs.
-
-    Args:
-        runs: The runs, the baseline first.
-        joint: Show this joint's position and reference; if None, the error's norm over all.
-        size: Width and height, in pixels.
-        window: First and last instant, seconds since each run's first state.
-
-    Raises:
-        SeriesError: The runs have no such joint.
-    """
+    """Return the chart of some runs."""
     curves = _norms(runs) if joint is None else _positions(runs, joint)
     width, height = size
     inches = width / _DOTS_PER_INCH, height / _DOTS_PER_INCH
@@ -118,11 +94,7 @@ def film_chart(
 
 
 def run_color(place: int) -> str:
-    """Return the colour of a run, as in the figures.
-
-    Args:
-        place: Its place among the runs.
-    """
+    """Return the colour of a run, as in the figures."""
     return RUN_STYLES[place % len(RUN_STYLES)].color
 
 

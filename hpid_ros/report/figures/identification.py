@@ -35,12 +35,7 @@ _LINE_LENGTH = 52  # characters of a reason
 def identification_figure(
     found: Sequence[JointIdentification], slides: Sequence[str] = ()
 ) -> Figure:
-    """Return a row for each joint: its efforts, and beside them what its motion cannot tell.
-
-    Args:
-        found: The joints.
-        slides: Those that slide.
-    """
+    """Return a row for each joint: its efforts, and beside them what its motion cannot tell."""
     heights = [_ROW_HEIGHT_IN if each.fit is not None else _BARE_HEIGHT_IN for each in found]
     figure = Figure(figsize=(WIDTH_IN, sum(heights) + 0.6), dpi=DOTS_PER_INCH)
     grid = figure.subplots(
@@ -124,12 +119,7 @@ def _handles() -> list[Line2D]:
 
 
 def saved(figure: Figure, form: str) -> bytes:
-    """Return a figure as the content of a file.
-
-    Args:
-        figure: The figure.
-        form: ``png``, ``pdf`` or ``svg``.
-    """
+    """Return a figure as the content of a file."""
     content = io.BytesIO()
     metadata = {"pdf": {"CreationDate": None}, "svg": {"Date": None}}.get(form)
     figure.savefig(content, format=form, metadata=metadata)

@@ -55,10 +55,6 @@ def margins_figure(name: str, report: LoopReport) -> Figure:
     """Return Bode, Nyquist, |S| and |T| of a loop on the inertia where its PID is worst.
 
     The band of a homogeneous law is over all its multipliers; a recording is drawn as points.
-
-    Args:
-        name: Of the loop.
-        report: What is known of it.
     """
     family, found = report.family, report.found
     measured = None if report.measured is None else report.measured[0]
@@ -86,14 +82,7 @@ def margins_figure(name: str, report: LoopReport) -> Figure:
 
 
 class _Lines:
-    """What every panel draws: open loops at the frequencies shown.
-
-    Args:
-        frequency: In [rad/s], (N,).
-        pid: The loop of the PID.
-        band: The loops of the homogeneous law, or none.
-        measured: The joint by a recording.
-    """
+    """What every panel draws: open loops at the frequencies shown."""
 
     def __init__(
         self,
@@ -274,14 +263,7 @@ def _place_of(lines: _Lines, level: float) -> float | None:
 
 
 def _arrow(panel: Axes, x: float, ends: tuple[float, float], text: str) -> None:
-    """Mark a margin, its text beside the end that is away from the curve.
-
-    Args:
-        panel: Where.
-        x: Frequency in [Hz].
-        ends: The level that counts, and the curve.
-        text: What it is.
-    """
+    """Mark a margin, its text beside the end that is away from the curve."""
     panel.plot([x, x], ends, color=INK, linewidth=1.4, marker="_", markersize=6, zorder=5)
     low, high = panel.get_xlim()
     is_at_the_edge = math.log(x / low) > _EDGE * math.log(high / low)
@@ -376,19 +358,12 @@ def _disk(margins: Margins) -> Circle:
 
 
 class _Peaked(NamedTuple):
-    """A magnitude with a peak that is a figure of the loop.
+    """A magnitude with a peak that is a figure of the loop."""
 
-    Attributes:
-        title: Of its panel.
-        function: Of the open loop.
-        name: Of the peak among the margins.
-        symbol: Of the peak.
-    """
-
-    title: str
-    function: Callable[[Complexes], Numbers]
-    name: str
-    symbol: str
+    title: str  # of its panel
+    function: Callable[[Complexes], Numbers]  # of the open loop
+    name: str  # of the peak among the margins
+    symbol: str  # of the peak
 
 
 _SENSITIVITY = _Peaked("sensitivity |S|", _sensitivity, "sensitivity", "$M_s$")

@@ -50,20 +50,11 @@ class TickLabels(Formatter):
     """
 
     def __call__(self, x: float, pos: int | None = None) -> str:
-        """Return the label of one place, as for a cursor.
-
-        Args:
-            x: The place.
-            pos: Its number among the ticks; not used.
-        """
+        """Return the label of one place, as for a cursor."""
         return _readable(f"{x:.9g}")
 
     def format_ticks(self, values: Sequence[float]) -> list[str]:
-        """Return the labels of all ticks of an axis.
-
-        Args:
-            values: Where the ticks are, increasing.
-        """
+        """Return the labels of all ticks of an axis."""
         largest = max((abs(value) for value in values), default=0.0)
         step = min((abs(b - a) for a, b in itertools.pairwise(values)), default=largest)
         if step <= 0.0:
@@ -106,21 +97,7 @@ def joint_panels(
     level: float | None = 0.0,
     is_log: bool = False,
 ) -> Figure:
-    """Return a figure with one panel a joint, the joints' names above, one legend for all.
-
-    Args:
-        runs: The runs, the baseline first.
-        label: Name of the signal.
-        unit: Its unit where a joint turns; empty where it has none.
-        signal_of: The signal of a joint of a run.
-        buckets: Detail of each line, see :func:`~hpid_ros.analysis.signals.envelope`.
-        reference_of: What is drawn behind the runs, from the first run.
-        level: Where a thin line stands if there is no reference.
-        is_log: Whether the signal's axis is logarithmic.
-
-    Raises:
-        SeriesError: If there is no run, or the runs' joints differ.
-    """
+    """Return a figure with one panel a joint, the joints' names above, one legend for all."""
     names = joint_names(runs)
     units = JointUnits.of(runs)
     if unit:
@@ -154,18 +131,7 @@ def single_panel(
     notes: Sequence[str],
     buckets: int,
 ) -> Figure:
-    """Return a figure with one panel that holds one signal of each run.
-
-    Args:
-        runs: The runs, the baseline first.
-        label: Name and unit of the signal.
-        signals: One signal a run.
-        notes: What the legend says of each run after its label.
-        buckets: Detail of each line, see :func:`~hpid_ros.analysis.signals.envelope`.
-
-    Raises:
-        SeriesError: If there is no run, or the runs' joints differ.
-    """
+    """Return a figure with one panel that holds one signal of each run."""
     joint_names(runs)
     figure = Figure(figsize=(WIDTH_IN, NORM_HEIGHT_IN), dpi=DOTS_PER_INCH)
     panel = figure.subplots()
@@ -189,15 +155,7 @@ def panel_grid(
     shares_x: bool = True,
     suffixes: Sequence[str] = (),
 ) -> tuple[Figure, list[Axes]]:
-    """Return a figure with one titled panel for each name, and the panels.
-
-    Args:
-        names: The titles.
-        x_label: What is below all panels.
-        y_label: What is beside them.
-        shares_x: Whether all panels have one range of x; only the lowest are labelled then.
-        suffixes: What follows each name in the title; nothing if there are none.
-    """
+    """Return a figure with one titled panel for each name, and the panels."""
     rows, columns = _grid(len(names))
     figure = Figure(figsize=(WIDTH_IN, 0.8 + PANEL_HEIGHT_IN * rows), dpi=DOTS_PER_INCH)
     axes = figure.subplots(rows, columns, sharex=shares_x, squeeze=False)
@@ -216,14 +174,7 @@ def panel_grid(
 def draw_runs(
     panel: Axes, runs: Sequence[RunSeries], signals: Sequence[Signal], buckets: int
 ) -> None:
-    """Draw one signal of each run into a panel, the calmest on top so that none is hidden.
-
-    Args:
-        panel: Where.
-        runs: The runs, the baseline first; each counts time from its own start.
-        signals: One signal a run.
-        buckets: Detail of each line.
-    """
+    """Draw one signal of each run into a panel, the calmest on top so that none is hidden."""
     roughness = [total_variation(signal.values) for signal in signals]
     back_to_front = sorted(range(len(runs)), key=lambda k: -roughness[k])
     for k, (run, signal, style) in enumerate(zip(runs, signals, run_styles(), strict=False)):
@@ -271,11 +222,7 @@ def series_of(runs: Sequence[RunSeries], joint: str) -> list[JointSeries]:
 
 
 def joint_names(runs: Sequence[RunSeries]) -> tuple[str, ...]:
-    """Return the joints of the runs.
-
-    Raises:
-        SeriesError: If there is no run, or the runs' joints differ.
-    """
+    """Return the joints of the runs."""
     if not runs:
         raise SeriesError("a figure needs at least one run, got none")
     names = runs[0].joint_names

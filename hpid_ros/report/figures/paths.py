@@ -32,14 +32,7 @@ _REFERENCE_WIDTH = 3.2  # [pt]: wide enough to be seen on both sides of a run's 
 
 
 def path_figure(paths: Sequence[EndEffectorPath]) -> Figure:
-    """Return both views, each with one scale for both of its axes.
-
-    Args:
-        paths: One for each run, the baseline first.
-
-    Raises:
-        SeriesError: There is none.
-    """
+    """Return both views, each with one scale for both of its axes."""
     if not paths:
         raise SeriesError("a figure of paths needs at least one, got none")
     figure = Figure(figsize=(WIDTH_IN, _HEIGHT_IN), dpi=DOTS_PER_INCH)
@@ -75,12 +68,7 @@ def path_figure(paths: Sequence[EndEffectorPath]) -> Figure:
 
 
 def path_data(paths: Sequence[EndEffectorPath], labels: Sequence[str]) -> FigureData:
-    """Return both views for the report.
-
-    Args:
-        paths: One for each run that has one.
-        labels: Labels of all runs, in the comparison's order.
-    """
+    """Return both views for the report."""
     panels: list[Panel] = []
     for title, across, up, x_label, y_label in VIEWS:
         lines = [line_data(-1, paths[0].reference[:, across], paths[0].reference[:, up])]

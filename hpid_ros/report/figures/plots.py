@@ -46,16 +46,7 @@ LEAST_NORM = 1e-6
 
 @figure_style()
 def norm_figure(runs: Sequence[RunSeries], gains: Gains, buckets: int) -> Figure:
-    """Return the homogeneous norm over time, one panel a joint, its axis logarithmic.
-
-    Args:
-        runs: Runs whose gains are known, the baseline first.
-        gains: What their laws did.
-        buckets: Detail of each line.
-
-    Raises:
-        SeriesError: If there is no run, or the runs' joints differ.
-    """
+    """Return the homogeneous norm over time, one panel a joint, its axis logarithmic."""
 
     def norm_of(run: RunSeries, series: JointSeries) -> Signal:
         stamps_ns, values = gains[run.label][series.joint].norm
@@ -117,13 +108,6 @@ def positions_figure(runs: Sequence[RunSeries], buckets: int = BUCKETS) -> Figur
 
     Of joints that slide it is in [m], as all figures have [N] for [N m] of them; what stands over
     joints of both kinds names both units, and the panels their own.
-
-    Args:
-        runs: The runs, the baseline first.
-        buckets: Detail of each line, see :func:`~hpid_ros.analysis.signals.envelope`.
-
-    Raises:
-        SeriesError: If there is no run, or the runs' joints differ.
     """
     return joint_panels(runs, "position", "rad", _position, buckets, _reference)
 
@@ -193,21 +177,6 @@ def save_figures(
     """Draw all figures into a folder, which must exist; files of the same name are replaced.
 
     A figure that would be empty, for want of any reference or effort, is left out.
-
-    Args:
-        runs: The runs, the baseline first; none if only numbers are there.
-        folder: Where they go.
-        formats: Any of :data:`FORMATS`.
-        comparison: The numbers, for the figure of error against effort.
-        repeats: The single runs of the comparison's medians.
-        gains: What the runs' laws did to their gains; runs that are not in it are left out.
-        paths: The paths of the end effector.
-
-    Returns:
-        The files written, by figure, then format.
-
-    Raises:
-        SeriesError: If a format is unknown, there is nothing to draw, or the runs' joints differ.
     """
     wanted = tuple(formats)
     for form in wanted:
@@ -258,13 +227,7 @@ def _drawings(
 
 @figure_style()
 def render(figure: Figure, form: str, transparent: bool = False) -> bytes:
-    """Return a figure as the bytes of a file; the same figure gives the same bytes.
-
-    Args:
-        figure: One of this module's figures.
-        form: One of :data:`FORMATS`.
-        transparent: Whether the paper is left out.
-    """
+    """Return a figure as the bytes of a file; the same figure gives the same bytes."""
     buffer = io.BytesIO()
     figure.savefig(
         buffer,

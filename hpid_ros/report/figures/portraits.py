@@ -57,10 +57,6 @@ def phase_curve(series: JointSeries, points: int) -> PhaseCurve:
 
     The rate is the slope of a parabola fitted over 25 ms, since a bare difference of encoder
     counts would hide everything. A jump of the reference is in no fit.
-
-    Args:
-        series: The joint.
-        points: So many at most, evenly spaced.
     """
     if not series.has_reference:
         return PhaseCurve(np.empty(0), np.empty(0))
@@ -105,15 +101,7 @@ DECADES_AT_MOST = 6.0
 
 
 def spectrum_panels(runs: Sequence[RunSeries], cutoff: float = DEFAULT_CUTOFF) -> Figure:
-    """Return the amplitude spectral density of the effort, one panel a joint, both axes log.
-
-    Args:
-        runs: The runs, the baseline first.
-        cutoff: The frequency above which effort counts as chatter, in [Hz]; it is marked.
-
-    Raises:
-        SeriesError: If there is no run, or the runs' joints differ.
-    """
+    """Return the amplitude spectral density of the effort, one panel a joint, both axes log."""
     names = joint_names(runs)
     units, unit = JointUnits.of(runs), "N m / Hz$^{0.5}$"
     label = f"effort density [{units.over_all(unit)}]"
@@ -146,15 +134,7 @@ def spectrum_panels(runs: Sequence[RunSeries], cutoff: float = DEFAULT_CUTOFF) -
 
 
 def phase_panels(runs: Sequence[RunSeries], points: int) -> Figure:
-    """Return error rate over error, one panel a joint, each with ranges of its own.
-
-    Args:
-        runs: The runs, the baseline first.
-        points: Detail of each curve.
-
-    Raises:
-        SeriesError: If there is no run, or the runs' joints differ.
-    """
+    """Return error rate over error, one panel a joint, each with ranges of its own."""
     names = joint_names(runs)
     units = JointUnits.of(runs)
     figure, panels = panel_grid(

@@ -29,12 +29,6 @@ def pareto_front(points: Sequence[tuple[float, float]]) -> list[int]:
     """Return the places of the points that no other point beats in both costs.
 
     Of equal points the first is there; one that is not finite is not.
-
-    Args:
-        points: Two costs of each.
-
-    Returns:
-        In the order of the first cost.
     """
     finite = [k for k, point in enumerate(points) if all(map(math.isfinite, point))]
     front: list[int] = []
@@ -54,27 +48,16 @@ SHOWN_UP_TO = 6.0
 
 
 class SearchPoints(NamedTuple):
-    """The points of one search.
+    """The points of one search."""
 
-    Attributes:
-        label: Name of the search.
-        ratios: Of each point, each index over the baseline's, by key.
-        best: Place of the point that it chose; None if it chose none.
-    """
-
-    label: str
-    ratios: Sequence[Mapping[str, float]]
-    best: int | None
+    label: str  # name of the search
+    ratios: Sequence[Mapping[str, float]]  # of each point, each index over the baseline's, by key
+    best: int | None  # place of the point that it chose; None if it chose none
 
 
 @figure_style()
 def front_figure(searches: Sequence[SearchPoints], baseline: str = "PID") -> Figure:
-    """Return the trade-offs of searches, as ratios to their baseline.
-
-    Args:
-        searches: With one and the same baseline.
-        baseline: Its name.
-    """
+    """Return the trade-offs of searches, as ratios to their baseline."""
     figure = Figure(figsize=(WIDTH_IN, NORM_HEIGHT_IN), dpi=DOTS_PER_INCH)
     looks = [
         (search, style, MARKERS[k % len(MARKERS)])
@@ -136,11 +119,7 @@ _SPACE = 0.6  # of a row, for all its controllers
 
 @figure_style()
 def ratio_figure(study: Mapping[str, Any]) -> Figure:
-    """Return medians with bars from quartile to quartile, one panel an index.
-
-    Args:
-        study: As ``study.json`` of a study's folder has it.
-    """
+    """Return medians with bars from quartile to quartile, one panel an index."""
     experiments: Mapping[str, Any] = study["experiments"]
     labels = _labels(experiments)
     looks = {

@@ -29,19 +29,12 @@ NORM_HEIGHT_IN = 4.0
 
 @dataclass(frozen=True)
 class RunStyle:
-    """The line of one run.
+    """The line of one run."""
 
-    Attributes:
-        color: Its colour.
-        tint: The colour of the gaps between its dashes.
-        dashes: Lengths of dashes and gaps in [pt], or None for a solid line.
-        width: Line width in [pt].
-    """
-
-    color: str
-    tint: str
-    dashes: tuple[float, ...] | None
-    width: float
+    color: str  # its colour
+    tint: str  # the colour of the gaps between its dashes
+    dashes: tuple[float, ...] | None  # [pt] lengths of dashes and gaps, or None for a solid line
+    width: float  # [pt] line width
 
 
 # Dark blue, orange, green, purple: their lightness differs as well as their hue. Four more hues
@@ -114,11 +107,7 @@ _SETS = {
 
 
 def ratio_ticks(axis: Axis) -> None:
-    """Put ticks at round ratios within the axis's present limits.
-
-    Args:
-        axis: Its scale is logarithmic, and what it shows is drawn already.
-    """
+    """Put ticks at round ratios within the axis's present limits."""
     low, high = sorted(axis.get_view_interval())
     span = high / low
     parts = _SETS["few" if span > _WIDE else "some" if span > _NARROW else "many"]

@@ -32,11 +32,7 @@ MARKER_SIZE = 8.0
 
 
 def can_be_drawn(comparison: Comparison) -> bool:
-    """Tell whether any run has both its error and its efforts.
-
-    Args:
-        comparison: The runs.
-    """
+    """Tell whether any run has both its error and its efforts."""
     return any(
         not any(math.isnan(run.value(quantity)) for quantity in (ERROR, *EFFORTS))
         for run in comparison.runs
@@ -48,10 +44,6 @@ def trade_off_figure(comparison: Comparison, repeats: Sequence[RunIndices] = ())
     """Return the error over the effort's variation and over the effort spent.
 
     Medians carry bars from quartile to quartile; single repeats are small and hollow.
-
-    Args:
-        comparison: The runs.
-        repeats: The single runs that medians are of.
     """
     figure = Figure(figsize=(WIDTH_IN, NORM_HEIGHT_IN), dpi=DOTS_PER_INCH)
     styles = {

@@ -12,30 +12,13 @@ _BEGIN, _END = "<!-- animation -->", "<!-- end of animation -->"
 
 
 def require_place(page: str) -> None:
-    """Refuse a report that has no place for an animation.
-
-    Args:
-        page: The report.
-
-    Raises:
-        SeriesError: An earlier version wrote it.
-    """
+    """Refuse a report that has no place for an animation."""
     if _END not in page.partition(_BEGIN)[2]:
         raise SeriesError("the report has no place for an animation: an earlier version wrote it")
 
 
 def with_animation(page: str, moving: bytes, still: bytes, text: str) -> str:
-    """Return a report with an animation below its answer, in the place of any that is there.
-
-    Args:
-        page: The report.
-        moving: The animation, WebP.
-        still: One frame of it, WebP, for readers who do not want motion.
-        text: What it shows.
-
-    Raises:
-        SeriesError: The report has no place for one: an earlier version wrote it.
-    """
+    """Return a report with an animation below its answer, in the place of any that is there."""
     require_place(page)
     before, begin, rest = page.partition(_BEGIN)
     _, end, after = rest.partition(_END)

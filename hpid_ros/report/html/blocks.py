@@ -43,32 +43,22 @@ class Paragraph:
 
 @dataclass(frozen=True)
 class Steps:
-    """What to do, one thing after the other.
-
-    Attributes:
-        entries: Each in words, with the lines of the commands that do it, if there are any.
-    """
+    """What to do, one thing after the other."""
 
     kind: ClassVar = "steps"
+    # each in words, with the lines of the commands that do it, if there are any
     entries: Sequence[tuple[str, Sequence[str]]]
 
 
 @dataclass(frozen=True)
 class PlainTable:
-    """A table of texts and numbers with one line of headings.
-
-    Attributes:
-        name: What a screen reader calls it.
-        columns: The headings.
-        rows: The rows, each as long as the headings.
-        is_prose: Whether the last column holds sentences, which are broken into lines.
-    """
+    """A table of texts and numbers with one line of headings."""
 
     kind: ClassVar = "plain_table"
-    name: str
-    columns: Sequence[str]
-    rows: Sequence[Sequence[str]]
-    is_prose: bool = False
+    name: str  # what a screen reader calls it
+    columns: Sequence[str]  # the headings
+    rows: Sequence[Sequence[str]]  # the rows, each as long as the headings
+    is_prose: bool = False  # whether the last column holds sentences, which are broken into lines
 
     @classmethod
     def of(cls, name: str, columns: Sequence[str], rows: Iterable[Iterable[object]]) -> PlainTable:
@@ -88,28 +78,19 @@ class PlainTable:
 
 @dataclass(frozen=True)
 class Settings:
-    """Names and values as a list, where they are many and short.
-
-    Attributes:
-        entries: The pairs.
-    """
+    """Names and values as a list, where they are many and short."""
 
     kind: ClassVar = "settings"
-    entries: Sequence[tuple[str, str]]
+    entries: Sequence[tuple[str, str]]  # the pairs
 
 
 @dataclass(frozen=True)
 class Properties:
-    """A table of names and values.
-
-    Attributes:
-        name: What a screen reader calls it.
-        entries: The pairs.
-    """
+    """A table of names and values."""
 
     kind: ClassVar = "properties"
-    name: str
-    entries: Sequence[tuple[str, str]]
+    name: str  # what a screen reader calls it
+    entries: Sequence[tuple[str, str]]  # the pairs
 
     @classmethod
     def of(cls, name: str, entries: Mapping[str, object]) -> Properties:
@@ -128,17 +109,11 @@ class Title:
 
 @dataclass(frozen=True)
 class Cell:
-    """A number, or a ratio with its verdict.
+    """A number, or a ratio with its verdict."""
 
-    Attributes:
-        text: As it is printed.
-        mark: The verdict's sign; empty for a number.
-        verdict: Which one; None for a number.
-    """
-
-    text: str
-    mark: str = ""
-    verdict: Verdict | None = None
+    text: str  # as it is printed
+    mark: str = ""  # the verdict's sign; empty for a number
+    verdict: Verdict | None = None  # which one; None for a number
 
     @property
     def style(self) -> str:
@@ -153,39 +128,24 @@ class Cell:
 
 @dataclass(frozen=True)
 class IndexRow:
-    """A row of an index table.
+    """A row of an index table."""
 
-    Attributes:
-        title: A joint, or a quantity.
-        groups: Cells that belong together, those of one quantity.
-    """
-
-    title: str | Title
-    groups: Sequence[Sequence[Cell]]
+    title: str | Title  # a joint, or a quantity
+    groups: Sequence[Sequence[Cell]]  # cells that belong together, those of one quantity
 
 
 @dataclass(frozen=True)
 class IndexTable:
-    """Rows by runs and ratios, for one quantity or for several beside each other.
-
-    Attributes:
-        name: What a screen reader calls it.
-        corner: Heading of the rows' titles.
-        headings: Of the cells of one group.
-        rows: The rows.
-        total: The last one, below a line; None if there is none.
-        groups: Quantities above the headings; empty where the rows or the table name them.
-        columns: Beside the rows' titles, for the size of type on paper.
-    """
+    """Rows by runs and ratios, for one quantity or for several beside each other."""
 
     kind: ClassVar = "index_table"
-    name: str
-    corner: str
-    headings: Sequence[str]
+    name: str  # what a screen reader calls it
+    corner: str  # heading of the rows' titles
+    headings: Sequence[str]  # of the cells of one group
     rows: Sequence[IndexRow]
-    total: IndexRow | None = None
-    groups: Sequence[Title] = ()
-    columns: int = 0
+    total: IndexRow | None = None  # the last one, below a line; None if there is none
+    groups: Sequence[Title] = ()  # quantities above the headings
+    columns: int = 0  # beside the rows' titles, for the size of type on paper
 
     @property
     def printed_columns(self) -> int:
@@ -208,11 +168,7 @@ Block: TypeAlias = (
 
 
 def value_text(value: object) -> str:
-    """Return a setting or a fact as a text.
-
-    Args:
-        value: Any plain value, or a list of them.
-    """
+    """Return a setting or a fact as a text."""
     if value is None:
         return NOTHING
     if isinstance(value, bool):

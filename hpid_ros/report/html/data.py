@@ -72,12 +72,7 @@ class Figure(TypedDict):
 
 
 def page_data(figures: Sequence[Figure], labels: Sequence[str]) -> dict[str, object]:
-    """Return figures and runs as the page's program is given them, as JSON.
-
-    Args:
-        figures: The figures.
-        labels: Labels of the runs, in the comparison's order.
-    """
+    """Return figures and runs as the page's program is given them, as JSON."""
     runs = []
     for k, label in enumerate(labels):
         style = RUN_STYLES[k % len(RUN_STYLES)]
@@ -98,19 +93,7 @@ def figure_data(
     is_free: bool = False,
     are_points: bool = False,
 ) -> Figure:
-    """Return a figure.
-
-    Args:
-        name: Its name, also of its place in the page.
-        caption: What stands below it.
-        panels: Its charts.
-        group: Figures of one group zoom together.
-        x_name: Name and unit of x in read-outs.
-        x_log: Whether x is logarithmic.
-        y_log: Whether y is.
-        is_free: Whether x is no running variable: curves, points.
-        are_points: Whether lines are points, or bars of two.
-    """
+    """Return a figure."""
     return {
         "name": name,
         "caption": caption,
@@ -125,13 +108,7 @@ def figure_data(
 
 
 def line_data(k: int, x: ArrayLike, y: ArrayLike) -> Line:
-    """Return a line of a run.
-
-    Args:
-        k: The run's number, -1 for the reference.
-        x: Where, (N,).
-        y: Values, (N,).
-    """
+    """Return a line of a run."""
     return {"run": k, "x": _packed(x), "y": _packed(y)}
 
 
@@ -151,14 +128,7 @@ def figures_data(
     repeats: Sequence[RunIndices],
     gains: Gains,
 ) -> list[Figure]:
-    """Return all figures that can be drawn.
-
-    Args:
-        runs: The recordings, the baseline first.
-        comparison: The numbers.
-        repeats: The single runs that medians are of.
-        gains: What the runs' laws did to their gains, of those for which it is known.
-    """
+    """Return all figures that can be drawn."""
     figures = list(_Figures(runs, comparison, gains).all()) if runs else []
     if comparison.others and can_be_drawn(comparison):
         figures.append(_trade_off(comparison, repeats))

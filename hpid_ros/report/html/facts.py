@@ -29,11 +29,7 @@ Parameters = Mapping[str, Mapping[str, Mapping[str, object]]]
 
 
 def index_table(comparison: Comparison) -> IndexTable:
-    """Return the paper's Table I: joints by indices, runs and ratios, a total line.
-
-    Args:
-        comparison: What it shows.
-    """
+    """Return the paper's Table I: joints by indices, runs and ratios, a total line."""
     headings = _run_headings(comparison)
     joints = (*comparison.joint_names, None)
     cells = [_index_cells(comparison, quantity, joints) for quantity in comparison.indices]
@@ -53,20 +49,12 @@ def index_table(comparison: Comparison) -> IndexTable:
 
 
 def norm_table(comparison: Comparison) -> IndexTable:
-    """Return what the comparison shows over all joints alone: the L2 norms.
-
-    Args:
-        comparison: What it shows.
-    """
+    """Return what the comparison shows over all joints alone: the L2 norms."""
     return _overall_table(comparison, comparison.norms, "L2 norms over all joints")
 
 
 def legend(comparison: Comparison) -> Iterator[Block]:
-    """Yield what symbols and marks of the tables mean, and why numbers are not there.
-
-    Args:
-        comparison: What the tables show.
-    """
+    """Yield what symbols and marks of the tables mean, and why numbers are not there."""
     shown = comparison.indices or comparison.norms
     text = "; ".join(f"{quantity.symbol}: {quantity.meaning}" for quantity in shown) + "."
     if any(run.spread for run in comparison.runs):
@@ -83,11 +71,7 @@ def legend(comparison: Comparison) -> Iterator[Block]:
 
 
 def further_tables(comparison: Comparison) -> Iterator[Block]:
-    """Yield every quantity that all runs have: over all joints, then each one by joint.
-
-    Args:
-        comparison: What it shows.
-    """
+    """Yield every quantity that all runs have: over all joints, then each one by joint."""
     quantities = [
         quantity
         for quantity in QUANTITIES.values()
@@ -101,11 +85,7 @@ def further_tables(comparison: Comparison) -> Iterator[Block]:
 
 
 def parameter_tables(parameters: Parameters) -> Iterator[Block]:
-    """Yield for each run a heading, the settings that all joints share, and those that differ.
-
-    Args:
-        parameters: Settings by run, joint and parameter.
-    """
+    """Yield for each run a heading, the settings that all joints share, and those that differ."""
     for label, joints in parameters.items():
         yield Heading(label)
         names = list(dict.fromkeys(name for settings in joints.values() for name in settings))
@@ -125,11 +105,7 @@ def parameter_tables(parameters: Parameters) -> Iterator[Block]:
 
 
 def losses(runs: Sequence[RunSeries]) -> Iterator[Block]:
-    """Yield for each run what went missing: a line if nothing did, else a table by joint.
-
-    Args:
-        runs: The runs.
-    """
+    """Yield for each run what went missing: a line if nothing did, else a table by joint."""
     for run in runs:
         counts = {(len(s.state_stamps_ns), len(s.command_stamps_ns)) for s in run.joints}
         if not any(run.losses.values()) and len(counts) == 1:
@@ -154,11 +130,7 @@ def losses(runs: Sequence[RunSeries]) -> Iterator[Block]:
 
 
 def retunes(runs: Sequence[RunSeries]) -> Iterator[Block]:
-    """Yield a table of the changes of parameters while runs were recorded; nothing without one.
-
-    Args:
-        runs: The runs.
-    """
+    """Yield a table of the changes of parameters while runs were recorded; nothing without one."""
     rows = [
         (run.label, f"{(each.stamp_ns - run.start_ns) / 1e9:.3f}", each.node, each.change)
         for run in runs
@@ -170,11 +142,7 @@ def retunes(runs: Sequence[RunSeries]) -> Iterator[Block]:
 
 
 def data_quality(runs: Sequence[RunSeries]) -> Iterator[Block]:
-    """Yield for each run that was read from a recording what it was made of.
-
-    Args:
-        runs: The runs.
-    """
+    """Yield for each run that was read from a recording what it was made of."""
     for run in runs:
         quality = run.quality
         if not quality.joints:

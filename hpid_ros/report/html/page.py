@@ -67,21 +67,7 @@ def render_report(
     gains: Gains | None = None,
     paths: Sequence[EndEffectorPath] = (),
 ) -> str:
-    """Return the report as the text of an HTML file.
-
-    Args:
-        comparison: The numbers.
-        runs: Recordings of the comparison's runs, in its order; some or all may be missing.
-        provenance: Where they come from: versions, seed, hash, command; may be nested.
-        parameters: What each controller was set to, by run, joint and parameter.
-        warnings: What keeps the runs from being compared fairly, one line each.
-        repeats: The single runs that the comparison's medians are of.
-        gains: What the runs' laws did to their gains, of those for which it is known.
-        paths: The paths of the end effector.
-
-    Raises:
-        SeriesError: If the runs are not those of the comparison.
-    """
+    """Return the report as the text of an HTML file."""
     labels = [run.label for run in comparison.runs]
     if [run.label for run in runs] != [x for x in labels if x in {run.label for run in runs}]:
         raise SeriesError(
@@ -125,17 +111,7 @@ def render_page(
     figures: Sequence[Figure],
     labels: Sequence[str],
 ) -> str:
-    """Return a page as the text of an HTML file.
-
-    Args:
-        title: Its heading.
-        answer: What stands first.
-        warnings: What that must be read with, one line each.
-        indices: What stands below ``Indices``, before the tabs.
-        sections: Each a tab; the figures are in that called ``Figures``.
-        figures: They.
-        labels: Of the runs that they show.
-    """
+    """Return a page as the text of an HTML file."""
     return template("page.html").render(
         title=title,
         answer=answer,
@@ -169,11 +145,7 @@ def script() -> Markup:
 
 
 def template(name: str) -> Template:
-    """Return one of the report's templates.
-
-    Args:
-        name: Of its file.
-    """
+    """Return one of the report's templates."""
     return _templates().get_template(name)
 
 

@@ -19,12 +19,7 @@ _PLAIN = 10.0  # percent; above it decimals say nothing
 
 
 def engine_grids(totals: Sequence[EngineTotal], note: str) -> list[Grid]:
-    """Return the distances of the paper's indices, then of each experiment all numbers.
-
-    Args:
-        totals: Of at least one experiment, all in the same two engines.
-        note: What the numbers are of, a sentence.
-    """
+    """Return the distances of the paper's indices, then of each experiment all numbers."""
     experiments = dict.fromkeys(total.experiment for total in totals)
     return [
         _summary(totals, note),
@@ -33,11 +28,7 @@ def engine_grids(totals: Sequence[EngineTotal], note: str) -> list[Grid]:
 
 
 def engines_csv(totals: Sequence[EngineTotal]) -> str:
-    """Return every number of every seed in both engines, at full precision.
-
-    Args:
-        totals: As for :func:`engine_grids`.
-    """
+    """Return every number of every seed in both engines, at full precision."""
     engines = _engines(totals)
     names = ("experiment", "controller", "seed", "quantity", "unit")
     rows: list[list[object]] = [[*names, *engines, "distance"]]
@@ -56,11 +47,7 @@ def engines_csv(totals: Sequence[EngineTotal]) -> str:
 
 
 def format_distance(distance: float | None) -> str:
-    """Return a distance in percent, with its sign: +0.120 %.
-
-    Args:
-        distance: A ratio less 1; None if there is none.
-    """
+    """Return a distance in percent, with its sign: +0.120 %."""
     if distance is None:
         return _NOTHING
     percent = 100.0 * distance

@@ -53,9 +53,6 @@ def table_csv(comparison: Comparison) -> str:
     baseline's (``inf`` against zero) and empty in the baseline's own rows; repeats and
     quartiles are empty for a single run; ``note`` says why value or ratio are not defined, and
     what stands in for a recorded reference or commanded efforts.
-
-    Args:
-        comparison: What it holds.
     """
     rows: list[tuple[object, ...]] = [CSV_COLUMNS]
     for run in comparison.runs:
@@ -109,9 +106,6 @@ def table_latex(comparison: Comparison) -> str:
     No package is needed. The lower value of each pair is bold, unless the runs cannot be compared;
     below the joints stand the totals and their ratios, below the table the L2 norms and what the
     numbers must be read with.
-
-    Args:
-        comparison: What it holds.
     """
     lines = ["% Lower is better; bold: the lowest."]
     if comparison.indices:

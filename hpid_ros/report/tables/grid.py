@@ -16,21 +16,13 @@ _TEXTS = ("joint", "controller", "verdict", "certified")  # columns that may fol
 
 
 class Grid(NamedTuple):
-    """One table.
+    """One table."""
 
-    Attributes:
-        key: Its name in files.
-        title: What it shows.
-        headings: Of the columns; the first column is text.
-        rows: The cells.
-        note: What must be known to read it.
-    """
-
-    key: str
-    title: str
-    headings: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
-    note: str = ""
+    key: str  # its name in files
+    title: str  # what it shows
+    headings: tuple[str, ...]  # of the columns; the first column is text
+    rows: tuple[tuple[str, ...], ...]  # the cells
+    note: str = ""  # what must be known to read it
 
     def markdown(self) -> str:
         """Return the table as Markdown, without its title."""
@@ -53,11 +45,7 @@ class Grid(NamedTuple):
 
 
 def grids_text(grids: Iterable[Grid]) -> str:
-    """Return tables as plain text, one line a row however long it is.
-
-    Args:
-        grids: The tables.
-    """
+    """Return tables as plain text, one line a row however long it is."""
     console = plain_console(UNLIMITED_WIDTH)
     with console.capture() as capture:
         for grid in grids:
@@ -67,11 +55,7 @@ def grids_text(grids: Iterable[Grid]) -> str:
 
 
 def grids_markdown(grids: Iterable[Grid]) -> str:
-    """Return tables as Markdown, each between comments that name it.
-
-    Args:
-        grids: The tables.
-    """
+    """Return tables as Markdown, each between comments that name it."""
     parts = []
     for grid in grids:
         body = f"### {grid.title}\n\n{grid.markdown()}"

@@ -39,15 +39,7 @@ def report(
     moved: Mapping[str, MovedInertia],
     missing: Sequence[str] = (),
 ) -> Iterator[WideTable | Text | str]:
-    """Yield what to print.
-
-    Args:
-        found: By joint.
-        sources: Where each joint's efforts are from.
-        slides: Joints that slide.
-        moved: What motors move, by joint, where a robot is known.
-        missing: What the recording lacks, in lines.
-    """
+    """Yield what to print."""
     has_robot = bool(moved) or any(EFFORT_SCALE in each.estimates for each in found)
     yield _table(found, moved, has_robot)
     yield Text(_caption(has_robot), style="dim")
@@ -112,12 +104,7 @@ def _cell(each: JointIdentification, name: str, factor: float = 1.0) -> str:
 
 
 def with_interval(value: float, half_width: float) -> str:
-    """Return a number and half of its interval, with as many decimals as that has to say.
-
-    Args:
-        value: The number.
-        half_width: Of its interval.
-    """
+    """Return a number and half of its interval, with as many decimals as that has to say."""
     if not math.isfinite(half_width) or half_width <= 0.0:
         return f"{value:.3g} ±{half_width:.2g}"
     decimals = 1 - math.floor(math.log10(half_width))
@@ -192,14 +179,7 @@ def as_mapping(
     slides: Sequence[str],
     moved: Mapping[str, MovedInertia],
 ) -> dict[str, Any]:
-    """Return everything as JSON has it, by joint.
-
-    Args:
-        found: As for :func:`report`.
-        sources: As there.
-        slides: As there.
-        moved: As there.
-    """
+    """Return everything as JSON has it, by joint."""
     facts = (
         *("method", "why", "cutoff", "rows", "time", "stribeck_speed", "residual", "explained"),
         *("condition", "travel", "speed", "acceleration"),

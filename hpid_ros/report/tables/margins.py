@@ -19,11 +19,7 @@ _PLACES = ("frozen", "certified mu", "inertia", "friction", "norm", "worst at m"
 
 
 class MarginTable:
-    """The worst margins of each loop, and below them where, and what is certain.
-
-    Args:
-        reports: By the name to show.
-    """
+    """The worst margins of each loop, and below them where, and what is certain."""
 
     def __init__(self, reports: Mapping[str, LoopReport]) -> None:
         self._reports = reports

@@ -20,10 +20,6 @@ def format_values(values: Iterable[float], digits: int = SIGNIFICANT_DIGITS) -> 
 
     The largest decides: it shows about `digits` digits. A number that would read as zero
     without being zero, and a column of very large or small numbers, are scientific.
-
-    Args:
-        values: The column; nan is what is not defined.
-        digits: Digits of the largest number, and the decimals' limit plus one.
     """
     column = list(values)
     largest = max((abs(value) for value in column if math.isfinite(value)), default=0.0)
@@ -39,11 +35,7 @@ def format_values(values: Iterable[float], digits: int = SIGNIFICANT_DIGITS) -> 
 
 
 def format_ratio(ratio: float) -> str:
-    """Return a ratio in at most five characters or so: 0.612, 12.35, 1.2e5, inf.
-
-    Args:
-        ratio: A cost over the baseline's; nan if there is none.
-    """
+    """Return a ratio in at most five characters or so: 0.612, 12.35, 1.2e5, inf."""
     if math.isnan(ratio):
         return UNDEFINED
     if math.isinf(ratio) or ratio < 10.0:
@@ -52,11 +44,7 @@ def format_ratio(ratio: float) -> str:
 
 
 def format_quartiles(quartiles: tuple[float, float] | None) -> str:
-    """Return the quartiles of repeated runs as one text.
-
-    Args:
-        quartiles: First and third, or None if there are none.
-    """
+    """Return the quartiles of repeated runs as one text."""
     if quartiles is None:
         return UNDEFINED
     low, high = format_values(quartiles, SIGNIFICANT_DIGITS - 1)
@@ -75,22 +63,12 @@ def _scientific(value: float) -> str:
 
 
 def footnotes(comparison: Comparison) -> list[str]:
-    """Return what units mean and why numbers and ratios are not defined, one sentence each.
-
-    Args:
-        comparison: The comparison.
-    """
+    """Return what units mean and why numbers and ratios are not defined, one sentence each."""
     return [*_of_units(comparison), *_of_numbers(comparison), *_of_ratios(comparison)]
 
 
 def slides_note(joints: Sequence[str], slides: Collection[str], angle_unit: str = "rad") -> str:
-    """Return a sentence on joints of unlike units that stand beside each other; else nothing.
-
-    Args:
-        joints: Names of those that are shown.
-        slides: Names of those that slide.
-        angle_unit: Of the joints that turn.
-    """
+    """Return a sentence on joints of unlike units that stand beside each other; else nothing."""
     sliding = [joint for joint in joints if joint in slides]
     if len(sliding) in (0, len(joints)):
         return ""

@@ -42,11 +42,7 @@ LAYOUTS = ((3, 5), (2, 5), (1, 5), (1, 4))
 
 
 class ComparisonTable:
-    """The table as a rich renderable that suits itself to the width it gets.
-
-    Attributes:
-        comparison: What it shows.
-    """
+    """The table as a rich renderable that suits itself to the width it gets."""
 
     def __init__(self, comparison: Comparison) -> None:
         self.comparison = comparison
@@ -91,12 +87,7 @@ class ComparisonTable:
 
 
 def table_text(comparison: Comparison, width: int = 100) -> str:
-    """Return the table as plain text without colours or trailing spaces.
-
-    Args:
-        comparison: What it shows.
-        width: Columns at most; a table too wide for it is broken into blocks.
-    """
+    """Return the table as plain text without colours or trailing spaces."""
     console = plain_console(width)
     with console.capture() as capture:
         console.print(ComparisonTable(comparison))

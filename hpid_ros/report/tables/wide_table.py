@@ -22,17 +22,11 @@ _LEAST_TEXT = 20
 
 
 class TableColumn(NamedTuple):
-    """One column of a table.
-
-    Attributes:
-        heading: Its heading.
-        cells: One for each row.
-        is_text: Whether it is text, which may fold; else its cells are numbers.
-    """
+    """One column of a table."""
 
     heading: str
-    cells: Sequence[str | Text]
-    is_text: bool = False
+    cells: Sequence[str | Text]  # one for each row
+    is_text: bool = False  # whether it is text, which may fold; else its cells are numbers
 
     @property
     def width(self) -> int:
@@ -46,16 +40,7 @@ class TableColumn(NamedTuple):
 
 
 class WideTable:
-    """A table as a rich renderable that suits itself to the width it gets.
-
-    Args:
-        names: Columns that name the rows; every block begins with them.
-        columns: The other columns.
-        title: Above the first block.
-        box: Lines of the table, without edges; None for none.
-        header_style: Of the headings.
-        padding: Spaces to the right of each column.
-    """
+    """A table as a rich renderable that suits itself to the width it gets."""
 
     def __init__(
         self,
@@ -111,14 +96,7 @@ class WideTable:
 def pieces(
     names: Sequence[TableColumn], columns: Sequence[TableColumn], width: int, gap: int
 ) -> list[list[TableColumn]]:
-    """Return the columns, broken where those of a block and the names fill the width.
-
-    Args:
-        names: Columns that stand at the left of every block.
-        columns: The columns.
-        width: Of a block at most.
-        gap: Between two columns.
-    """
+    """Return the columns, broken where those of a block and the names fill the width."""
     taken = sum(each.width + gap for each in names)
     found: list[list[TableColumn]] = [[]]
     used = taken

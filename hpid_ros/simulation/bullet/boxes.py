@@ -10,15 +10,7 @@ from hpid_ros.simulation.world.workpieces import Brick, Support
 
 
 def put_boxes(client: int, boxes: Iterable[Support]) -> tuple[int, ...]:
-    """Put boxes into a simulation.
-
-    Args:
-        client: PyBullet's client.
-        boxes: What to put there.
-
-    Returns:
-        Bullet's body of each.
-    """
+    """Put boxes into a simulation."""
     bodies = []
     for box in boxes:
         shape = pybullet.createCollisionShape(
@@ -46,14 +38,7 @@ def put_boxes(client: int, boxes: Iterable[Support]) -> tuple[int, ...]:
 
 
 def let_hand_pass(client: int, robot: int, link: int, bricks: Iterable[int]) -> None:
-    """Let a hand pass through bricks: it has no joint to put its fingers around them.
-
-    Args:
-        client: PyBullet's client.
-        robot: The robot's body.
-        link: Bullet's index of a link of the hand; all that is rigidly connected belongs to it.
-        bricks: Bodies of the bricks.
-    """
+    """Let a hand pass through bricks: it has no joint to put its fingers around them."""
     for index in _hand_links(client, robot, link):
         for brick in bricks:
             pybullet.setCollisionFilterPair(
@@ -74,13 +59,7 @@ def box_pose(client: int, body: int) -> Pose:
 
 
 def _hand_links(client: int, robot: int, link: int) -> list[int]:
-    """Return the links that are rigidly connected with a link, itself included.
-
-    Args:
-        client: PyBullet's client.
-        robot: The robot's body.
-        link: Bullet's index of the link.
-    """
+    """Return the links that are rigidly connected with a link, itself included."""
     infos = [
         pybullet.getJointInfo(robot, index, physicsClientId=client)
         for index in range(pybullet.getNumJoints(robot, physicsClientId=client))

@@ -27,9 +27,6 @@ def captured() -> Iterator[list[str]]:
 
     The process's file descriptors are diverted, so the block is meant to be short: loading a
     model, not stepping it.
-
-    Yields:
-        The lines, filled when the block is left.
     """
     lines: list[str] = []
     with tempfile.TemporaryFile() as sink:
@@ -64,11 +61,7 @@ with captured():
 
 
 def connected(gui: bool) -> int:
-    """Return the client of a new, empty simulation.
-
-    Args:
-        gui: Show PyBullet's window.
-    """
+    """Return the client of a new, empty simulation."""
     with captured():
         client: int = pybullet.connect(pybullet.GUI if gui else pybullet.DIRECT)
     return client

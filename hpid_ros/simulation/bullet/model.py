@@ -36,10 +36,6 @@ def add_rotors(robot: ElementTree.Element, joints: Iterable[JointDescription]) -
     The inertia is the same about every axis: then a turning rotor's inertia stays constant as
     seen from its parent, as that of a real, axially symmetric rotor does. The rotor has no
     collision shape.
-
-    Args:
-        robot: Root element of the URDF; it is changed.
-        joints: Joints of the robot.
     """
     elements = {element.get("name"): element for element in robot.findall("joint")}
     for joint in geared(joints):
@@ -66,12 +62,6 @@ def couple_rotors(
 
     The constraint acts on velocities alone (erp 0): no position of a rotor is ever read, so its
     drift against the joint's, some 1e-6 rad in half a second, means nothing.
-
-    Args:
-        client: PyBullet's client.
-        body: The robot.
-        indices: Bullet's joint index by joint name.
-        joints: Joints of the robot.
     """
     for joint in geared(joints):
         gear = pybullet.createConstraint(
@@ -119,15 +109,6 @@ def bullet_urdf(
     Rotors are added; links without an inertial element become weightless frames (Bullet would
     make 1 kg and 1 kg m^2 of each); mesh paths become absolute, since the text is loaded from
     a temporary file; and what nobody will see is left out, which loads many times faster.
-
-    Args:
-        description: The robot.
-        is_touched: Whether the robot stands on something or meets something. Where it does not,
-            a collision mesh that is not there is left out, and the log says so.
-        is_shown: Whether there is a window.
-
-    Raises:
-        RobotDescriptionError: A collision mesh is not there, and the robot is touched.
     """
     robot = ElementTree.fromstring(description.xml)
     missing: list[str] = []
@@ -150,11 +131,7 @@ def bullet_urdf(
 
 
 def _place_meshes(link: ElementTree.Element, tag: str, folder: Path | None) -> list[str]:
-    """Make the paths of a link's meshes absolute; leave out shapes whose mesh is missing.
-
-    Returns:
-        What is missing, in words.
-    """
+    """Make the paths of a link's meshes absolute; leave out shapes whose mesh is missing."""
     missing = []
     for shape in link.findall(tag):
         mesh = shape.find("geometry/mesh")

@@ -18,16 +18,7 @@ _UNYIELDING = 1e5  # [N], far beyond any grip: the constraint itself never gives
 
 
 class BulletPhysics:
-    """:class:`~hpid_ros.simulation.world.physics.Physics` in a PyBullet of its own.
-
-    Args:
-        settings: Settings of the world.
-        description: The robot.
-
-    Raises:
-        RobotDescriptionError: Bullet cannot load the robot.
-        SettingError: A brick does not stay where it is put.
-    """
+    """:class:`~hpid_ros.simulation.world.physics.Physics` in a PyBullet of its own."""
 
     def __init__(self, settings: WorldSettings, description: RobotDescription) -> None:
         self._settings, self._description = settings, description
@@ -197,13 +188,7 @@ class BulletPhysics:
 
 
 def _link_pose(client: int, body: int, index: int) -> Pose:
-    """Return the pose of a link's URDF frame.
-
-    Args:
-        client: PyBullet's client.
-        body: The robot.
-        index: Bullet's index of the link; -1 is the root.
-    """
+    """Return the pose of a link's URDF frame."""
     if index != _ROOT:
         state = pybullet.getLinkState(body, index, physicsClientId=client)
         return Pose(state[4], state[5])

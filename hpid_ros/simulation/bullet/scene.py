@@ -111,31 +111,18 @@ NO_SPEED_LIMIT = 1e6  # [rad/s], Bullet's own is 100: rotors turn faster
 
 @dataclass(frozen=True)
 class Scene:
-    """A loaded robot, in Bullet's numbers.
+    """A loaded robot, in Bullet's numbers."""
 
-    Attributes:
-        body: The robot.
-        driven: Bullet's indices of the driven joints, in the settings' order.
-        links: Bullet's index of every link; -1 is the root.
-        payload: Index of the payload link; None where the robot has none.
-        payload_own: Mass in [kg] and moments in [kg m^2] of the bare payload link.
-        bricks: The bricks, in the settings' order.
-    """
-
-    body: int
-    driven: tuple[int, ...]
-    links: Mapping[str, int]
-    payload: int | None
+    body: int  # the robot
+    driven: tuple[int, ...]  # bullet's indices of the driven joints, in the settings' order
+    links: Mapping[str, int]  # bullet's index of every link; -1 is the root
+    payload: int | None  # index of the payload link; None where the robot has none
+    # [kg] mass and moments in [kg m^2] of the bare payload link
     payload_own: tuple[float, tuple[float, float, float]]
-    bricks: tuple[int, ...] = ()
+    bricks: tuple[int, ...] = ()  # the bricks, in the settings' order
 
     def load_payload(self, client: int, mass: float) -> None:
-        """Put a solid cube at the payload link's centre of mass.
-
-        Args:
-            client: PyBullet's client.
-            mass: Mass of the cube, in [kg].
-        """
+        """Put a solid cube at the payload link's centre of mass."""
         own_mass, own_moments = self.payload_own
         moment = mass * PAYLOAD_EDGE**2 / 6.0
         pybullet.changeDynamics(
@@ -150,21 +137,7 @@ class Scene:
 def build_scene(
     client: int, urdf: str, description: RobotDescription, settings: WorldSettings
 ) -> Scene:
-    """Build everything anew in an empty simulation.
-
-    Args:
-        client: PyBullet's client, just connected or reset.
-        urdf: The text that Bullet loads, from :func:`.bullet_urdf`.
-        description: The robot.
-        settings: Settings of the world.
-
-    Returns:
-        The scene at rest in its starting pose.
-
-    Raises:
-        RobotDescriptionError: Bullet cannot load the URDF.
-        SettingError: A brick does not stay where it is put.
-    """
+    """Build everything anew in an empty simulation."""
     pybullet.setGravity(0.0, 0.0, -settings.gravity, physicsClientId=client)
     pybullet.setTimeStep(settings.physics_period, physicsClientId=client)
     pybullet.setPhysicsEngineParameter(

@@ -46,42 +46,25 @@ _SHORTEST = 2.0
 
 
 class Touch(NamedTuple):
-    """The contact of two shapes.
+    """The contact of two shapes."""
 
-    Attributes:
-        pair: Its index in the model.
-        stiffness: In [N/m]; 0 where the contact is hard.
-        damping: In [N s/m].
-    """
-
-    pair: int
-    stiffness: float
-    damping: float
+    pair: int  # its index in the model
+    stiffness: float  # [N/m] 0 where the contact is hard
+    damping: float  # [N s/m]
 
 
 @dataclass(frozen=True)
 class MujocoModel:
-    """A compiled model and what is where in it.
-
-    Attributes:
-        model: The model.
-        positions: Address of each joint's position, by joint.
-        velocities: Address of each joint's velocity, by joint.
-        links: Body of each link.
-        bricks: Body of each brick, in the settings' order.
-        welds: Equality that holds each brick in the hand, in the settings' order.
-        touches: The contacts that have a stiffness of their own.
-        shapes: Shapes of the robot, to put it on the ground.
-    """
+    """A compiled model and what is where in it."""
 
     model: Any
-    positions: Mapping[str, int]
-    velocities: Mapping[str, int]
-    links: Mapping[str, int]
-    bricks: tuple[int, ...]
-    welds: tuple[int, ...]
-    touches: tuple[Touch, ...]
-    shapes: tuple[int, ...]
+    positions: Mapping[str, int]  # address of each joint's position, by joint
+    velocities: Mapping[str, int]  # address of each joint's velocity, by joint
+    links: Mapping[str, int]  # body of each link
+    bricks: tuple[int, ...]  # body of each brick, in the settings' order
+    welds: tuple[int, ...]  # equality that holds each brick in the hand, in the settings' order
+    touches: tuple[Touch, ...]  # the contacts that have a stiffness of their own
+    shapes: tuple[int, ...]  # shapes of the robot, to put it on the ground
 
 
 class _Shape(NamedTuple):
@@ -95,15 +78,7 @@ class _Shape(NamedTuple):
 
 
 def build_model(settings: WorldSettings, description: RobotDescription) -> MujocoModel:
-    """Return the model of a world.
-
-    Args:
-        settings: The world.
-        description: Its robot.
-
-    Raises:
-        RobotDescriptionError: MuJoCo cannot take the robot.
-    """
+    """Return the model of a world."""
     root = ElementTree.fromstring(description.xml)
     spec = _spec(settings)
     is_touched = not settings.fixed_base or bool(settings.workplace)
@@ -381,10 +356,6 @@ def soften(model: Any, touches: tuple[Touch, ...]) -> None:
     Source: MuJoCo's documentation, "Computation", constraint model: with a constant impedance d
     the regulariser is ``R = (1 - d) / d * A``, A the inverse weight of both bodies, and the force
     at rest is ``k r / (d R)`` for ``solref = (-k, -b)``; with ``k = K R d`` it is ``K r``.
-
-    Args:
-        model: The model, whose constants are up to date.
-        touches: The contacts.
     """
     for touch in touches:
         shapes = model.pair_geom1[touch.pair], model.pair_geom2[touch.pair]

@@ -36,20 +36,7 @@ mujoco.set_mju_user_warning(_note)
 
 
 class MujocoPhysics:
-    """:class:`~hpid_ros.simulation.world.physics.Physics` in MuJoCo.
-
-    Attributes:
-        model: MuJoCo's own ``MjModel``.
-        data: Its ``MjData``.
-
-    Args:
-        settings: Settings of the world.
-        description: The robot.
-
-    Raises:
-        RobotDescriptionError: MuJoCo cannot take the robot.
-        SettingError: A brick does not stay where it is put.
-    """
+    """:class:`~hpid_ros.simulation.world.physics.Physics` in MuJoCo."""
 
     def __init__(self, settings: WorldSettings, description: RobotDescription) -> None:
         self._settings, self._description = settings, description
@@ -80,11 +67,7 @@ class MujocoPhysics:
         return list(zip(positions.tolist(), velocities.tolist(), strict=True))
 
     def advance(self, torques: Sequence[float], steps: int = 1) -> None:
-        """Take physics steps.
-
-        Raises:
-            RunError: The simulation is unstable; MuJoCo would start it anew without a word.
-        """
+        """Take physics steps."""
         data = self.data
         data.qfrc_applied[self._velocities] = torques
         mujoco.mj_step(self.model, data, steps)

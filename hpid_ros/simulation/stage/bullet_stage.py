@@ -19,11 +19,7 @@ _AMBIENT, _DIFFUSE, _SPECULAR = 0.60, 0.42, 0.04
 
 
 class BulletStage:
-    """:class:`~hpid_ros.simulation.stage.stage.Stage` in PyBullet.
-
-    Args:
-        settings: What is on it.
-    """
+    """:class:`~hpid_ros.simulation.stage.stage.Stage` in PyBullet."""
 
     def __init__(self, settings: StageSettings) -> None:
         self._settings = settings

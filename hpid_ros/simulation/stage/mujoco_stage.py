@@ -33,15 +33,7 @@ _logger = logging.getLogger(__name__)
 
 
 class MujocoStage:
-    """:class:`~hpid_ros.simulation.stage.stage.Stage` in MuJoCo.
-
-    Args:
-        settings: What is on it.
-
-    Raises:
-        LibraryError: There is no OpenGL that needs no screen.
-        RobotDescriptionError: MuJoCo cannot read a mesh.
-    """
+    """:class:`~hpid_ros.simulation.stage.stage.Stage` in MuJoCo."""
 
     def __init__(self, settings: StageSettings) -> None:
         self._context: Any = None

@@ -21,15 +21,10 @@ LIGHT = (0.35, -0.5, 1.0)
 
 
 class Picture(NamedTuple):
-    """What a camera sees.
+    """What a camera sees."""
 
-    Attributes:
-        pixels: Its colours.
-        depth: How far away along the line of sight's middle each pixel is, (rows, columns), in
-            [m]; far beyond everything where nothing is.
-    """
-
-    pixels: Pixels
+    pixels: Pixels  # its colours
+    # [m] how far away along the line of sight's middle each pixel is, (rows, columns)
     depth: Numbers
 
 
@@ -37,32 +32,20 @@ class Stage(Protocol):
     """Bodies before a white background, and a camera."""
 
     def draw(self, placements: Numbers) -> Picture:
-        """Return a picture.
-
-        Args:
-            placements: Of each body: x y z in [m], and a unit quaternion x y z w, (K, 7).
-        """
+        """Return a picture."""
 
     def close(self) -> None:
         """Free what draws; a second call does nothing."""
 
 
 class StageSettings(NamedTuple):
-    """What is on a stage.
+    """What is on a stage."""
 
-    Attributes:
-        bodies: The K bodies.
-        view: The camera.
-        width: Of a picture, in pixels.
-        height: Of a picture, in pixels.
-        is_lit: Whether bodies throw shadows, and edges are smoothed: twice the work.
-    """
-
-    bodies: Sequence[Body]
-    view: View
-    width: int
-    height: int
-    is_lit: bool = True
+    bodies: Sequence[Body]  # the K bodies
+    view: View  # the camera
+    width: int  # of a picture, in pixels
+    height: int  # of a picture, in pixels
+    is_lit: bool = True  # whether bodies throw shadows, and edges are smoothed: twice the work
 
 
 MESHES = {"pybullet": frozenset({".obj", ".stl", ".dae"}), "mujoco": frozenset({".obj", ".stl"})}
@@ -74,14 +57,6 @@ def open_stage(engine: str, settings: StageSettings) -> Stage:
 
     PyBullet's draws by itself, wherever PyBullet is installed. MuJoCo's needs OpenGL, for which it
     needs no screen.
-
-    Args:
-        engine: Who draws: ``pybullet`` or ``mujoco``.
-        settings: What is on it.
-
-    Raises:
-        SettingError: There is no such engine, or it is not installed.
-        LibraryError: There is no OpenGL for MuJoCo.
     """
     require_engine(engine)
     # Imported where it is asked for, as the engines themselves.

@@ -16,19 +16,12 @@ NEAREST, FARTHEST = 0.016, 4.0
 
 
 class View(NamedTuple):
-    """A camera that looks at a point, its picture upright.
+    """A camera that looks at a point, its picture upright."""
 
-    Attributes:
-        target: The point in the middle of the picture, in [m].
-        distance: From the camera to it, in [m].
-        azimuth: Where the camera stands, about z from x, in [rad].
-        elevation: How far above the point it stands, less than a right angle, in [rad].
-    """
-
-    target: Vector
-    distance: float
-    azimuth: float
-    elevation: float
+    target: Vector  # [m] the point in the middle of the picture
+    distance: float  # [m] from the camera to it
+    azimuth: float  # [rad] where the camera stands, about z from x
+    elevation: float  # [rad] how far above the point it stands, less than a right angle
 
     @property
     def axes(self) -> Numbers:

@@ -16,9 +16,6 @@ def triangles_of(file: Path) -> tuple[Numbers, NDArray[np.int32]]:
     """Return corners, (N, 3), in the file's units, and triangles of three corners each, (M, 3).
 
     Faces of more corners become fans. Everything but corners and faces is passed over.
-
-    Raises:
-        RobotDescriptionError: The file cannot be read, or has no face.
     """
     corners: list[list[float]] = []
     faces: list[tuple[int, int, int]] = []

@@ -67,22 +67,14 @@ class Disturbances(Record):
 
 
 def require_mass(name: str, mass: float) -> float:
-    """Return the mass of a payload, in [kg].
-
-    Raises:
-        SettingError: It is negative or not finite.
-    """
+    """Return the mass of a payload, in [kg]."""
     if not (math.isfinite(mass) and mass >= 0.0):
         raise SettingError(f"{name} {mass!r} must be a finite number >= 0 [kg]")
     return float(mass)
 
 
 def vector(name: str, values: Sequence[float]) -> tuple[float, float, float]:
-    """Return three finite numbers.
-
-    Raises:
-        SettingError: They are not three, or not finite.
-    """
+    """Return three finite numbers."""
     if len(values) != 3 or not all(math.isfinite(value) for value in values):
         raise SettingError(f"{name} {list(values)} must be three finite numbers")
     return float(values[0]), float(values[1]), float(values[2])

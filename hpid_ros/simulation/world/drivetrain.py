@@ -15,22 +15,14 @@ from hpid_ros.simulation.world.physics import Physics
 
 
 class EffortLimits:
-    """Holds efforts to what the joints' motors can give.
-
-    Args:
-        joints: The driven joints.
-    """
+    """Holds efforts to what the joints' motors can give."""
 
     def __init__(self, joints: Sequence[JointDescription]) -> None:
         self._joints = joints
         self._limits = [min(joint.effort, sys.float_info.max) for joint in joints]
 
     def hold(self, efforts: Sequence[float]) -> list[float]:
-        """Return the torques at the joints for their commanded efforts, all in [N m].
-
-        Raises:
-            SettingError: There is not one finite effort for each joint.
-        """
+        """Return the torques at the joints for their commanded efforts, all in [N m]."""
         if len(efforts) != len(self._limits):
             raise SettingError(f"{len(efforts)} efforts for {len(self._limits)} driven joints")
         held = [float(effort) for effort in efforts]
@@ -48,14 +40,6 @@ class Drivetrain:
 
     The friction of motors and gears joins the joints' own in the engine's solver: viscous friction
     as joint damping, Coulomb friction and the gears' loss as what a joint is braked with.
-
-    Args:
-        physics: The engine.
-        settings: Settings of the world.
-        joints: The driven joints, in the settings' order.
-
-    Raises:
-        SettingError: A drive does not fit its joint.
     """
 
     def __init__(
@@ -116,10 +100,6 @@ class Sensors:
 
     What is drawn by chance comes from a stream of each joint's own, which neither the other
     joints nor the number of readings change.
-
-    Args:
-        settings: Settings of the world.
-        start: Positions of the driven joints at time 0, in [rad].
     """
 
     def __init__(self, settings: WorldSettings, start: Sequence[float]) -> None:
@@ -146,11 +126,7 @@ class Sensors:
         return tuple(self._offsets)
 
     def sample(self, positions: Sequence[float]) -> None:
-        """Measure once; called once a control period.
-
-        Args:
-            positions: True positions, in [rad].
-        """
+        """Measure once; called once a control period."""
         before, self.positions = self.positions, self._read(positions)
         if self._has_differences:
             self.velocities = tuple(
@@ -173,11 +149,5 @@ class Sensors:
 
 
 def stream(seed: int, purpose: str, joint: str) -> random.Random:
-    """Return a joint's own source of chance, the same in every process.
-
-    Args:
-        seed: Of the world.
-        purpose: What is drawn from it.
-        joint: Name of the joint.
-    """
+    """Return a joint's own source of chance, the same in every process."""
     return random.Random(f"{seed} {purpose} {joint}")

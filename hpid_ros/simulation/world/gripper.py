@@ -38,30 +38,16 @@ _ROTATIONS = [
 
 
 class Fit(NamedTuple):
-    """How a brick lies in the hand.
-
-    Attributes:
-        brick: Which brick.
-        distance: Between its centre and the grasp frame, in [m].
-        angle: Between its faces and the fingers, in [rad].
-        width: Its edge between the fingers, in [m].
-    """
+    """How a brick lies in the hand."""
 
     brick: int
-    distance: float
-    angle: float
-    width: float
+    distance: float  # [m] between its centre and the grasp frame
+    angle: float  # [rad] between its faces and the fingers
+    width: float  # [m] its edge between the fingers
 
 
 def fit_of(index: int, size: Sequence[float], brick: Pose, hand: Pose) -> Fit:
-    """Return how a brick lies in the hand.
-
-    Args:
-        index: Which brick.
-        size: Its edges along its own axes, in [m].
-        brick: Pose of its centre.
-        hand: The grasp frame, whose fingers close along y.
-    """
+    """Return how a brick lies in the hand."""
     relative = _matrix(hand.orientation).T @ _matrix(brick.orientation)
     nearest = max(_ROTATIONS, key=lambda rotation: float(np.sum(rotation * relative)))
     # The chord of an angle is exact for small ones, where the arc cosine of the trace is not.
@@ -72,12 +58,7 @@ def fit_of(index: int, size: Sequence[float], brick: Pose, hand: Pose) -> Fit:
 
 
 def misfit(fit: Fit, gripper: GripperSettings) -> str:
-    """Return why a brick cannot be held; empty when it can.
-
-    Args:
-        fit: How it lies in the hand.
-        gripper: The hand.
-    """
+    """Return why a brick cannot be held; empty when it can."""
     if fit.distance > gripper.tolerance:
         return f"{fit.distance:.4g} m away, at most {gripper.tolerance:g} m"
     if fit.angle > gripper.angle_tolerance:
@@ -102,38 +83,19 @@ PULL_TIME = 0.02
 
 
 class GripEvent(NamedTuple):
-    """What came of closing or opening, or of holding.
+    """What came of closing or opening, or of holding."""
 
-    Attributes:
-        stamp_ns: When, in simulated time, in [ns].
-        outcome: ``grasped``, ``missed``, ``released`` or ``lost``.
-        brick: Name of the brick; of a miss, of the nearest one.
-        distance: Between the brick's centre and the grasp frame, in [m].
-        angle: Between the brick's faces and the fingers, in [rad].
-        force: Between the hand and the brick when it was lost, in [N]; 0 otherwise.
-        reason: Why it was missed or lost, in words; empty otherwise.
-    """
-
-    stamp_ns: int
-    outcome: str
-    brick: str
-    distance: float
-    angle: float
-    force: float = 0.0
-    reason: str = ""
+    stamp_ns: int  # [ns] when, in simulated time
+    outcome: str  # grasped, missed, released or lost
+    brick: str  # name of the brick; of a miss, of the nearest one
+    distance: float  # [m] between the brick's centre and the grasp frame
+    angle: float  # [rad] between the brick's faces and the fingers
+    force: float = 0.0  # [N] between the hand and the brick when it was lost; 0 otherwise
+    reason: str = ""  # why it was missed or lost, in words; empty otherwise
 
 
 class Gripper:
-    """The gripper of a robot among bricks.
-
-    Args:
-        physics: The engine.
-        workplace: The bricks, the gripper's settings and its schedule.
-        step: Time between two physics steps, in [s].
-
-    Attributes:
-        events: What happened since time 0, in order.
-    """
+    """The gripper of a robot among bricks."""
 
     def __init__(self, physics: Physics, workplace: Workplace, step: float) -> None:
         self._physics = physics
@@ -156,25 +118,12 @@ class Gripper:
         return None if self._held is None else self._bricks[self._held]
 
     def actuate(self, now_ns: int) -> None:
-        """Do what is due.
-
-        Args:
-            now_ns: Simulated time, in [ns].
-        """
+        """Do what is due."""
         while self._pending and self._pending[-1].time_ns <= now_ns:
             self.move(self._pending.pop().is_closed, now_ns)
 
     def move(self, is_closed: bool, now_ns: int) -> GripEvent | None:
-        """Close or open the fingers.
-
-        Args:
-            is_closed: Whether they close.
-            now_ns: Simulated time, in [ns].
-
-        Returns:
-            What came of it; None when nothing changed: open fingers opened without a brick, or
-            closed around one that they hold already.
-        """
+        """Close or open the fingers."""
         event = self._close(now_ns) if is_closed else self._open(now_ns)
         if event is not None:
             self.events.append(event)
@@ -186,11 +135,7 @@ class Gripper:
             self._forces.append(self._physics.grip_force())
 
     def update(self, now_ns: int) -> None:
-        """Drop the brick if it was pulled too hard, after each control period.
-
-        Args:
-            now_ns: Simulated time, in [ns].
-        """
+        """Drop the brick if it was pulled too hard, after each control period."""
         if self._held is None:
             return
         force, limit = self._force(), self._settings.holding_force

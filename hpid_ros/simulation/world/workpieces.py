@@ -91,11 +91,7 @@ class GripCommand(Record):
 
 @dataclass(frozen=True)
 class Workplace(Record):
-    """Everything of a brick task that is not the robot.
-
-    Raises:
-        SettingError: Two things have one name.
-    """
+    """Everything of a brick task that is not the robot."""
 
     bricks: tuple[Brick, ...] = quantity("What can be carried", default=(), names=True)
     supports: tuple[Support, ...] = quantity("What stays", default=(), names=True)

@@ -19,29 +19,16 @@ from hpid_ros.simulation.world.physics import Physics
 
 
 class Pulse(NamedTuple):
-    """A wrench under way.
+    """A wrench under way."""
 
-    Attributes:
-        link: Name of the link.
-        force: On the origin of its frame, in the world frame, in [N].
-        torque: In the world frame, in [N m].
-        steps_left: Physics steps that it still acts.
-    """
-
-    link: str
-    force: Vector
-    torque: Vector
-    steps_left: int
+    link: str  # name of the link
+    force: Vector  # [N] on the origin of its frame, in the world frame
+    torque: Vector  # [N m] in the world frame
+    steps_left: int  # physics steps that it still acts
 
 
 class DisturbanceSchedule:
-    """The schedule of a world, and what is asked for besides.
-
-    Args:
-        physics: The engine.
-        description: The robot in it.
-        settings: Settings of the world.
-    """
+    """The schedule of a world, and what is asked for besides."""
 
     def __init__(
         self, physics: Physics, description: RobotDescription, settings: WorldSettings
@@ -61,11 +48,7 @@ class DisturbanceSchedule:
         return bool(self._pulses)
 
     def advance(self, now_ns: int) -> None:
-        """Begin the disturbances that are due.
-
-        Args:
-            now_ns: Simulated time in [ns].
-        """
+        """Begin the disturbances that are due."""
         while self._pending and self._pending[-1].start_ns <= now_ns:
             event = self._pending.pop()
             if isinstance(event, PayloadChange):
@@ -103,21 +86,10 @@ class World:
     There is no control inside. The same sequence of calls gives the same numbers to the last
     bit, in any process. Joints that are not driven move freely against their friction. At time 0
     the robot rests, as :class:`~hpid_ros.simulation.world.physics.Physics` says.
-
-    Attributes:
-        settings: Settings of the world.
-        description: The robot.
-        gripper: Its gripper and the bricks around it; None where there are no bricks.
     """
 
     def __init__(self, settings: WorldSettings) -> None:
-        """Build the world.
-
-        Raises:
-            RobotDescriptionError: The URDF cannot be read, or lacks a driven joint or
-                a link that carries the payload or is to be pushed.
-            SettingError: An initial position is impossible, or a drive does not fit its joint.
-        """
+        """Build the world."""
         self.settings = settings
         self.description = RobotDescription.load(settings.robot_description)
         joints = self.description.select(settings.joints)
@@ -155,11 +127,7 @@ class World:
         self._physics.close()
 
     def reset(self, seed: int | None = None) -> None:
-        """Go back to time 0; what follows is what would follow in a fresh world.
-
-        Args:
-            seed: What is drawn by chance is drawn anew from it; if None, from the seed as it is.
-        """
+        """Go back to time 0; what follows is what would follow in a fresh world."""
         if seed is not None:
             self.settings = replace(self.settings, seed=seed)
         self._encoders = self.settings.encoders
@@ -227,11 +195,7 @@ class World:
             self._sensors.sample(self.true_positions())
 
     def link_pose(self, name: str) -> Pose:
-        """Return the pose of a link's frame.
-
-        Raises:
-            RobotDescriptionError: The robot has no such link.
-        """
+        """Return the pose of a link's frame."""
         return self._physics.link_pose(self.description.link(name))
 
     def base_pose(self) -> Pose:
@@ -245,32 +209,13 @@ class World:
     def apply_wrench(
         self, link: str, force: Sequence[float], torque: Sequence[float], duration_ns: int
     ) -> None:
-        """Push a link from the next step on.
-
-        Args:
-            link: Name of the link.
-            force: Force on the origin of the link's frame, in the world frame, in [N].
-            torque: Torque, in the world frame, in [N m].
-            duration_ns: How long, in [ns]; rounded to whole physics steps, at least one.
-
-        Raises:
-            RobotDescriptionError: The robot has no such link.
-            SettingError: A component is not finite, or the duration is not positive.
-        """
+        """Push a link from the next step on."""
         if duration_ns <= 0:
             raise SettingError(f"duration {duration_ns} ns of a wrench must be positive")
         self._schedule.push(link, force, torque, duration_ns)
 
     def set_payload(self, mass: float) -> None:
-        """Change the payload, a solid cube at the payload link; until the next reset.
-
-        Args:
-            mass: Mass, in [kg].
-
-        Raises:
-            RobotDescriptionError: The robot has no payload link.
-            SettingError: The mass is negative or not finite.
-        """
+        """Change the payload, a solid cube at the payload link; until the next reset."""
         self._schedule.load(mass)
 
     def _begin(self) -> None:
@@ -310,16 +255,7 @@ class World:
 
 
 def build_physics(settings: WorldSettings, description: RobotDescription) -> Physics:
-    """Return the engine of a world, at time 0.
-
-    Args:
-        settings: Settings of the world.
-        description: The robot.
-
-    Raises:
-        RobotDescriptionError: The engine cannot load the robot.
-        SettingError: A brick does not stay where it is put, or the engine is not installed.
-    """
+    """Return the engine of a world, at time 0."""
     require_engine(settings.engine)
     # Imported where it is asked for: either takes a while, and one of them may not be installed.
     if settings.engine == "mujoco":

@@ -29,13 +29,6 @@ class Cluster:
     """The workers of a scheduler. It runs batches: call it with tasks.
 
     A worker that is lost gives its runs to the others; a worker that comes later takes part.
-
-    Args:
-        address: Of the scheduler, ``tcp://HOST:PORT`` or ``HOST:PORT``.
-
-    Raises:
-        SettingError: Dask is not installed, or that is no address.
-        RunError: No scheduler answers, or a worker computes with something else.
     """
 
     def __init__(self, address: str) -> None:
@@ -68,12 +61,7 @@ class Cluster:
         return f"{count} at {self._address}{at_once}{page}"
 
     def __call__(self, tasks: Sequence[RunTask]) -> Outcomes:
-        """Run tasks, as :func:`~hpid_ros.studies.batch.run_batch` does.
-
-        Raises:
-            RunError: While iterating: the scheduler is lost, a run has lost its worker again and
-                again, or a worker computes with something else than this process.
-        """
+        """Run tasks, as :func:`~hpid_ros.studies.batch.run_batch` does."""
         packed, parcel = pack(tasks)
         if not packed:
             return
@@ -175,12 +163,7 @@ def _connect(address: str) -> Any:
 
 
 async def _identity(address: str) -> None:
-    """Ask who is there.
-
-    Raises:
-        OSError: Nobody that speaks Dask's language.
-        RunError: Somebody else of Dask.
-    """
+    """Ask who is there."""
     from distributed.core import rpc
 
     connect: Any = rpc

@@ -24,13 +24,9 @@ Naming = Callable[[str | Path], str]
 
 @dataclass(frozen=True)
 class Parcel:
-    """Files that runs need.
+    """Files that runs need."""
 
-    Attributes:
-        files: Contents by name; a name tells its content.
-    """
-
-    files: Mapping[str, bytes]
+    files: Mapping[str, bytes]  # contents by name; a name tells its content
 
     @property
     def name(self) -> str:
@@ -44,17 +40,7 @@ class Parcel:
 
 
 def pack(tasks: Sequence[RunTask]) -> tuple[list[RunTask], Parcel]:
-    """Put the robots of runs into a parcel.
-
-    Args:
-        tasks: Runs whose robots are files or texts of this machine.
-
-    Returns:
-        The runs, which name their robots by the parcel's names, and the parcel.
-
-    Raises:
-        RobotDescriptionError: A URDF cannot be read.
-    """
+    """Put the robots of runs into a parcel."""
     files: dict[str, bytes] = {}
     known: dict[str, str] = {"": ""}
 
@@ -92,12 +78,7 @@ class Depot:
         self._lock = threading.Lock()
 
     def unpack(self, parcel: Parcel, task: RunTask) -> RunTask:
-        """Return a run whose robots are files of this machine.
-
-        Args:
-            parcel: From :func:`pack`.
-            task: A run of it.
-        """
+        """Return a run whose robots are files of this machine."""
         with self._lock:
             folder = self._folder or self._begin()
             for name, content in parcel.files.items():

@@ -25,9 +25,6 @@ def traits(engines: tuple[str, ...]) -> Mapping[str, str]:
     """Return what decides numbers beside a task: versions, and a digest of our own sources.
 
     Python counts by its minor version, which also decides whether tasks can be read.
-
-    Args:
-        engines: The engines that compute.
     """
     counted = {*_COMPUTING, *engines}
     found = {name: version for name, version in versions().items() if name in counted}
@@ -40,12 +37,7 @@ def traits(engines: tuple[str, ...]) -> Mapping[str, str]:
 
 
 def differences(own: Mapping[str, str], others: Mapping[str, str]) -> str:
-    """Say what of a client a worker has not, or in another version.
-
-    Args:
-        own: Of the client.
-        others: Of the worker.
-    """
+    """Say what of a client a worker has not, or in another version."""
     return ", ".join(
         f"{name} {others[name]} instead of {version}" if name in others else f"no {name}"
         for name, version in own.items()
@@ -54,17 +46,7 @@ def differences(own: Mapping[str, str], others: Mapping[str, str]) -> str:
 
 
 def work(parcel: Parcel, wanted: Mapping[str, str], place: int, task: RunTask) -> Outcome:
-    """Run a task on this worker.
-
-    Args:
-        parcel: What the task needs.
-        wanted: The client's traits, with this task's engine.
-        place: The task's place among the tasks.
-        task: From :func:`~hpid_ros.studies.cluster.parcel.pack`.
-
-    Raises:
-        RunError: This worker computes with something else than the client.
-    """
+    """Run a task on this worker."""
     found = differences(wanted, traits((task.world.engine,)))
     if found:
         raise RunError(f"it has {found}")

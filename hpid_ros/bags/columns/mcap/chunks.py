@@ -36,51 +36,29 @@ _WORDS = 4
 
 
 class Messages(NamedTuple):
-    """Message records in a buffer, by channel and then by place.
+    """Message records in a buffer, by channel and then by place."""
 
-    Attributes:
-        starts: Where the records begin, (n,).
-        lengths: Lengths of their contents, (n,).
-        channels: Their channels, (n,).
-        log_times_ns: Their log times, (n,), in [ns].
-    """
-
-    starts: Integers
-    lengths: Integers
-    channels: Integers
-    log_times_ns: Integers
+    starts: Integers  # where the records begin, (n,)
+    lengths: Integers  # lengths of their contents, (n,)
+    channels: Integers  # their channels, (n,)
+    log_times_ns: Integers  # [ns] their log times, (n,)
 
 
 @dataclass
 class Chunk:
-    """One chunk's records in a buffer.
+    """One chunk's records in a buffer."""
 
-    Attributes:
-        begin: Where they begin in the buffer.
-        end: Where they end.
-        position: Where the chunk begins in the file, for messages to people.
-        index: Channel and raw entries of each message index record that followed it.
-        starts: Where its messages are, if that is known already.
-    """
-
-    begin: int
-    end: int
-    position: int
+    begin: int  # where they begin in the buffer
+    end: int  # where they end
+    position: int  # where the chunk begins in the file, for messages to people
     index: list[tuple[int, bytes]] = field(default_factory=list)
-    starts: list[int] | None = None
+    starts: list[int] | None = None  # where its messages are, if that is known already
 
 
 def locate(
     buffer: Bytes, chunks: Sequence[Chunk], catalogue: Catalogue, report: Report
 ) -> Iterator[Messages]:
-    """Yield the messages of chunks; of intact ones all at once, of others one by one.
-
-    Args:
-        buffer: Holds all of them.
-        chunks: In the order of the buffer.
-        catalogue: Takes schemas and channels found on the way.
-        report: Told of what cannot be read.
-    """
+    """Yield the messages of chunks; of intact ones all at once, of others one by one."""
     indexed = [chunk for chunk in chunks if chunk.index]
     is_intact, messages = _by_index(buffer, indexed)
     intact = {id(chunk) for chunk, fine in zip(indexed, is_intact, strict=True) if fine}
@@ -166,15 +144,7 @@ def _messages_at(buffer: Bytes, starts: list[int], end: int) -> Messages:
 
 
 def walk(buffer: Bytes, begin: int, end: int, catalogue: Catalogue, starts: list[int]) -> int:
-    """Walk records until the end, or until something is no record; return where that was.
-
-    Args:
-        buffer: The bytes.
-        begin: Where the first record begins.
-        end: Where the last must end.
-        catalogue: Takes schemas and channels.
-        starts: Takes the places of messages.
-    """
+    """Walk records until the end, or until something is no record; return where that was."""
     view = buffer.data
     unpack = FRAME.unpack_from
     at, last = begin, end - FRAME_SIZE

@@ -39,32 +39,17 @@ _CRC_SIZE = 4
 
 
 class McapSummary(NamedTuple):
-    """What the end of a file says about it.
+    """What the end of a file says about it."""
 
-    Attributes:
-        catalogue: Its channels.
-        counts: Number of messages by channel; None if there are no statistics.
-        chunk_channels: Channels of each chunk, by its position in the file. None named is no
-            empty chunk, but one that was written without an index: any may be in it.
-        is_complete: Whether all channels are in the catalogue, with their schemas.
-    """
-
-    catalogue: Catalogue
-    counts: Mapping[int, int] | None
+    catalogue: Catalogue  # its channels
+    counts: Mapping[int, int] | None  # number of messages by channel
+    # channels of each chunk, by its position in the file
     chunk_channels: Mapping[int, frozenset[int]]
-    is_complete: bool
+    is_complete: bool  # whether all channels are in the catalogue, with their schemas
 
 
 def read_summary(stream: BinaryIO, size: int) -> McapSummary:
-    """Read the summary of a file.
-
-    Args:
-        stream: The file.
-        size: Its length in bytes.
-
-    Raises:
-        BagError: There is none, or it is damaged.
-    """
+    """Read the summary of a file."""
     tail_size = FRAME_SIZE + _FOOTER_FIELDS + len(MAGIC)
     if size < tail_size + len(MAGIC):
         raise BagError("no footer")
@@ -128,15 +113,7 @@ def _chunk_channels(content: bytes) -> tuple[int, frozenset[int]]:
 
 
 class McapFile:
-    """An open MCAP file.
-
-    Args:
-        path: The file.
-        report: Takes a line about what cannot be read while opening.
-
-    Raises:
-        BagError: The file cannot be opened, or is no MCAP file.
-    """
+    """An open MCAP file."""
 
     def __init__(self, path: Path, report: Report) -> None:
         try:
@@ -193,13 +170,7 @@ class McapFile:
     def batches(
         self, topics: frozenset[str], report: Report, done: Advance
     ) -> Iterator[TopicBatch]:
-        """Yield the messages of some topics; what cannot be read is reported, never raised.
-
-        Args:
-            topics: Full names.
-            report: Takes one line about each part that cannot be read.
-            done: Takes the number of bytes that are done.
-        """
+        """Yield the messages of some topics; what cannot be read is reported, never raised."""
         numbers = frozenset(n for n, c in self._catalogue.channels.items() if c.topic in topics)
         chunks = self._chunk_channels
         found: Counter[int] = Counter()

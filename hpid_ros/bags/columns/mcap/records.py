@@ -32,30 +32,16 @@ Peek = Callable[[int], "tuple[int, int] | None"]
 
 
 class Channel(NamedTuple):
-    """A channel record with its schema resolved.
+    """A channel record with its schema resolved."""
 
-    Attributes:
-        topic: Full name of the topic.
-        type: Message type.
-        definition: Text of the schema.
-        encoding: ``"cdr"`` for all of ROS 2.
-    """
-
-    topic: str
-    type: str
-    definition: str
-    encoding: str
+    topic: str  # full name of the topic
+    type: str  # message type
+    definition: str  # text of the schema
+    encoding: str  # "cdr" for all of ROS 2
 
 
 class Fields:
-    """Reads the fields of one record's content.
-
-    Args:
-        content: The bytes after the frame.
-
-    Raises:
-        BagError: By every method, when the content ends too soon or a text is not UTF-8.
-    """
+    """Reads the fields of one record's content."""
 
     def __init__(self, content: bytes) -> None:
         self._content = content
@@ -82,12 +68,7 @@ class Fields:
 
 
 class Catalogue:
-    """Schemas and channels, as their records come by.
-
-    Attributes:
-        channels: By number.
-        lacks_schemas: Whether a channel came by whose schema had not.
-    """
+    """Schemas and channels, as their records come by."""
 
     def __init__(self) -> None:
         self.channels: dict[int, Channel] = {}
@@ -95,11 +76,7 @@ class Catalogue:
         self._schemas: dict[int, tuple[str, str]] = {}
 
     def add(self, opcode: int, content: bytes) -> None:
-        """Take a record; those of other opcodes are passed over.
-
-        Raises:
-            BagError: It is damaged.
-        """
+        """Take a record; those of other opcodes are passed over."""
         fields = Fields(content)
         if opcode == SCHEMA:
             number, name = fields.number(2), fields.text()
@@ -114,13 +91,7 @@ class Catalogue:
 
 
 def is_sound(peek: Peek, position: int, end: int) -> bool:
-    """Tell whether records follow each other from a position on, as far as can be seen.
-
-    Args:
-        peek: Gives opcode and length at a position.
-        position: Where the first record would begin.
-        end: Where the last one must end.
-    """
+    """Tell whether records follow each other from a position on, as far as can be seen."""
     for _ in range(_SUCCESSORS):
         if position == end:
             return True
@@ -141,13 +112,7 @@ def is_plausible(opcode: int, length: int) -> bool:
 
 
 def candidates(window: Bytes, opcode: int, room: int) -> list[int]:
-    """Return where records of one kind may begin in a window of bytes.
-
-    Args:
-        window: The bytes.
-        opcode: The kind.
-        room: Bytes from the window's begin to the end of what may hold records.
-    """
+    """Return where records of one kind may begin in a window of bytes."""
     inner = len(window) - FRAME_SIZE
     if inner < 0:
         return []

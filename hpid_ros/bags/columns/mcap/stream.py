@@ -40,13 +40,7 @@ _WINDOW = 1 << 20
 
 
 class Arena:
-    """The records of several chunks one after the other in one buffer.
-
-    Attributes:
-        buffer: The bytes.
-        chunks: The chunks that are in it.
-        fill: Where the next chunk goes.
-    """
+    """The records of several chunks one after the other in one buffer."""
 
     def __init__(self) -> None:
         self.buffer: Bytes = np.zeros(_BATCH_BYTES + 2 * SLACK, dtype=np.uint8)
@@ -77,17 +71,7 @@ class Arena:
 
 
 class RecordStream:
-    """The records of one file.
-
-    Args:
-        stream: The file.
-        size: Its length in bytes.
-        catalogue: Takes schemas and channels as they come by.
-        has_chunks: Whether the messages are known to be in chunks.
-
-    Attributes:
-        is_finished: Whether the end of the data was seen.
-    """
+    """The records of one file."""
 
     def __init__(
         self, stream: BinaryIO, size: int, catalogue: Catalogue, has_chunks: bool = False
@@ -102,13 +86,7 @@ class RecordStream:
     def fill(
         self, arena: Arena, is_wanted: Callable[[int], bool], report: Report
     ) -> Iterator[int]:
-        """Fill the arena over and over; yield the position each time it is to be emptied.
-
-        Args:
-            arena: Takes the chunks; messages outside of chunks are one chunk of their own.
-            is_wanted: Tells for the position of a chunk whether to read it.
-            report: Takes a line about each part that cannot be read.
-        """
+        """Fill the arena over and over; yield the position each time it is to be emptied."""
         position = len(MAGIC)
         while position < self._size:
             opcode, length = self._peek(position) or (0, 0)

@@ -60,15 +60,7 @@ Row = tuple[int, int, int, bytes]
 
 
 class SqliteFile:
-    """An open ``.db3`` file.
-
-    Args:
-        path: The file; a write-ahead log beside it is read too.
-        report: Takes a line about what cannot be read while opening.
-
-    Raises:
-        BagError: The file cannot be opened, or its topics cannot be read.
-    """
+    """An open ``.db3`` file."""
 
     def __init__(self, path: Path, report: Report) -> None:
         path = path.resolve()  # a log lies beside the file, not beside a link to it
@@ -116,12 +108,7 @@ class SqliteFile:
         return dict(sorted(found.items()))
 
     def _columns(self, table: str) -> set[str]:
-        """Return the columns of a table; none if there is no such table.
-
-        Raises:
-            BagError: It is a view, or some of it is computed when it is read: not a bag, and
-                whatever it computes may have no end.
-        """
+        """Return the columns of a table; none if there is no such table."""
         row = self._connection.execute(
             "SELECT type, rootpage FROM sqlite_master "
             "WHERE name = ? COLLATE NOCASE AND type IN ('table', 'view')",
@@ -156,13 +143,7 @@ class SqliteFile:
     def batches(
         self, topics: frozenset[str], report: Report, done: Advance
     ) -> Iterator[TopicBatch]:
-        """Yield the messages of some topics; what cannot be read is reported, never raised.
-
-        Args:
-            topics: Full names.
-            report: Takes one line about each part that cannot be read.
-            done: Takes the number of bytes that are done.
-        """
+        """Yield the messages of some topics; what cannot be read is reported, never raised."""
         self._steps = 0
         wanted = {name: numbers for name, (numbers, _) in self._topics.items() if name in topics}
         place, (following, largest) = 0, self._ids(report)
@@ -191,11 +172,7 @@ class SqliteFile:
         done(self._size)
 
     def pages(self) -> Iterator[Rows]:
-        """Yield rows straight from the pages, as far as these are as rosbag2 writes them.
-
-        Raises:
-            UnusualPageError: They are not; what was yielded before is right.
-        """
+        """Yield rows straight from the pages, as far as these are as rosbag2 writes them."""
         if self._pages is not None:
             yield from self._pages.rows()
 
@@ -319,11 +296,6 @@ def _whole_pages(path: Path, stack: ExitStack, report: Report) -> tuple[Path, bo
 
     SQLite takes what is missing of the last page to be zeros, so that its rows would be wrong: a
     file that ends within a page is copied up to there.
-
-    Args:
-        path: The file.
-        stack: Takes the folder of the copy.
-        report: Told of what is missing.
     """
     if _is_filled(path, "-wal"):  # the log has the pages, and their count
         return path, False

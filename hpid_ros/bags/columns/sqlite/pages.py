@@ -33,37 +33,19 @@ class UnusualPageError(Exception):
 
 
 class Rows(NamedTuple):
-    """Rows of the table in a buffer of pages.
+    """Rows of the table in a buffer of pages."""
 
-    Attributes:
-        buffer: The pages.
-        ids: Row numbers, ascending, (n,).
-        topic_ids: Their topics, (n,).
-        times_ns: Their timestamps, (n,), in [ns].
-        starts: Where their data begins in the buffer, (n,).
-        sizes: How long it is, (n,); of a row that goes on elsewhere the negative of it.
-        local_ends: Where such a row leaves its page: there is the number of the next, (n,).
-    """
-
-    buffer: Bytes
-    ids: Integers
-    topic_ids: Integers
-    times_ns: Integers
-    starts: Integers
-    sizes: Integers
-    local_ends: Integers
+    buffer: Bytes  # the pages
+    ids: Integers  # row numbers, ascending, (n,)
+    topic_ids: Integers  # their topics, (n,)
+    times_ns: Integers  # [ns] their timestamps, (n,)
+    starts: Integers  # where their data begins in the buffer, (n,)
+    sizes: Integers  # how long it is, (n,); of a row that goes on elsewhere the negative of it
+    local_ends: Integers  # where such a row leaves its page: there is the number of the next, (n,)
 
 
 class PageReader:
-    """Reads the table of messages of an SQLite file.
-
-    Args:
-        stream: The file.
-        root: Number of the table's root page.
-
-    Raises:
-        UnusualPageError: The file has no proper header.
-    """
+    """Reads the table of messages of an SQLite file."""
 
     def __init__(self, stream: BinaryIO, root: int) -> None:
         stream.seek(0)
@@ -79,11 +61,7 @@ class PageReader:
         self._passed: set[int] = set()
 
     def rows(self) -> Iterator[Rows]:
-        """Yield the rows in the order of their numbers.
-
-        Raises:
-            UnusualPageError: A page is not as expected; all rows before were yielded.
-        """
+        """Yield the rows in the order of their numbers."""
         pages: list[int] = []
         last = -(2**63)
         self._passed.clear()
@@ -101,9 +79,6 @@ class PageReader:
 
         In a file that was cut off the pages that lead to its leaves may be what is missing.
         Leaves of other tables are told apart by their records.
-
-        Args:
-            following: The first row number that is wanted.
         """
         for rows in self._loose_leaves():
             begin = int(np.searchsorted(rows.ids, following))
@@ -137,15 +112,7 @@ class PageReader:
             yield rows
 
     def data(self, rows: Rows, index: int) -> bytes:
-        """Return the data of one row, also if it goes on elsewhere.
-
-        Args:
-            rows: Some rows.
-            index: Which of them.
-
-        Raises:
-            UnusualPageError: A page of it is missing.
-        """
+        """Return the data of one row, also if it goes on elsewhere."""
         start, size = int(rows.starts[index]), abs(int(rows.sizes[index]))
         if rows.sizes[index] >= 0:
             return rows.buffer[start : start + size].tobytes()

@@ -8,16 +8,7 @@ from hpid_ros.base.errors import SettingError
 
 
 def agreed(question: str, *, is_given: bool, option: str = "--yes") -> bool:
-    """Ask a person, and return whether the answer is yes.
-
-    Args:
-        question: In one line, without a question mark.
-        is_given: Whether the answer was given as an option.
-        option: How it is given.
-
-    Raises:
-        SettingError: There is nobody to ask.
-    """
+    """Ask a person, and return whether the answer is yes."""
     if is_given:
         return True
     if not sys.stdin.isatty():

@@ -41,12 +41,7 @@ if TYPE_CHECKING:
 
 
 def refuse_existing(options: argparse.Namespace) -> None:
-    """Refuse outputs that would replace something, or that cannot be drawn, before any reading.
-
-    Raises:
-        ResultExistsError: A file is there and ``--force`` was not given.
-        SettingError: A figure's format is unknown.
-    """
+    """Refuse outputs that would replace something, or that cannot be drawn, before any reading."""
     for form in figure_formats(options):
         if form not in ("png", "pdf", "svg"):
             raise SettingError(unknown_name("figure format", form, ("png", "pdf", "svg")))
@@ -72,14 +67,7 @@ def figure_formats(options: argparse.Namespace) -> list[str]:
 
 
 def write_outputs(options: argparse.Namespace, found: Summary) -> list[Path]:
-    """Write what was asked for.
-
-    Returns:
-        What was written: files, or the folder of the figures.
-
-    Raises:
-        SettingError: Something cannot be written.
-    """
+    """Write what was asked for."""
     written: list[Path] = []
     try:
         if options.save is not None:
@@ -166,11 +154,7 @@ def _settings(parameters: Mapping[str, Mapping[str, object]]) -> dict[str, LoopS
 
 
 def parameters_from_file(path: Path, labels: Sequence[str]) -> Parameters:
-    """Return what a parameter file says, for each label.
-
-    Raises:
-        SettingError: The file holds no controller.
-    """
+    """Return what a parameter file says, for each label."""
     from hpid_ros.tuning.controller_files import settings_from_parameter_file
 
     settings = settings_from_parameter_file(path).values()
@@ -265,11 +249,6 @@ def _with_end_effectors(text: str, form: str, figures: Mapping[str, EndEffectorF
 
     As lines below a table, as ``end_effector`` in JSON; CSV and LaTeX are tables of joints and
     stay as they are.
-
-    Args:
-        text: The comparison as printed.
-        form: ``table``, ``csv``, ``json`` or ``latex``.
-        figures: By label of the run.
     """
     if not figures:
         return text

@@ -154,12 +154,7 @@ def _add_robot(group: Any) -> None:
 
 
 def sources_of(options: argparse.Namespace) -> list[Source]:
-    """Return what is to be read, the baseline first if it was named by a path.
-
-    Raises:
-        SettingError: Nothing is named, or labels do not fit.
-        BagError: A result folder has no bags.
-    """
+    """Return what is to be read, the baseline first if it was named by a path."""
     from hpid_ros.base.errors import SettingError
     from hpid_ros.base.names import require_label
     from hpid_ros.metrics.sources import Source, expanded
@@ -204,12 +199,7 @@ def baseline_label(options: argparse.Namespace) -> str | None:
 
 
 def measuring(options: argparse.Namespace) -> Measuring:
-    """Return how the bags are to be read, and what is to be computed of them.
-
-    Raises:
-        HpidError: The options are no selection, an effort limit is no number, or the robot
-            cannot be used.
-    """
+    """Return how the bags are to be read, and what is to be computed of them."""
     from hpid_ros.metrics import Measuring
 
     selection = bag_selection(options, options.joints, _reference(options.reference))
@@ -223,11 +213,7 @@ def measuring(options: argparse.Namespace) -> Measuring:
 
 
 def _reference(text: str) -> Reference:
-    """Return a kind or a topic as it is, and the trajectory of a file.
-
-    Raises:
-        HpidError: The file is not there, or has no usable reference.
-    """
+    """Return a kind or a topic as it is, and the trajectory of a file."""
     if Path(text).suffix not in (".yaml", ".yml") and not Path(text).is_file():
         return text
     from hpid_ros.experiment.description import load_reference
@@ -252,12 +238,7 @@ def _effort_limits(texts: Sequence[str]) -> dict[str, float]:
 
 
 def _task_frame(options: argparse.Namespace) -> TaskFrame | None:
-    """Return the robot that the options name; None without one.
-
-    Raises:
-        SettingError: There are options of a robot, but no robot.
-        HpidError: The robot cannot be used.
-    """
+    """Return the robot that the options name; None without one."""
     if options.robot is None:
         if options.end_effector is not None or options.wheels is not None:
             from hpid_ros.base.errors import SettingError

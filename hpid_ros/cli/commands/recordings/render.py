@@ -134,11 +134,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _settings(options: argparse.Namespace) -> FilmSettings:
-    """Return what the options say.
-
-    Raises:
-        SettingError: The size is none, or options exclude each other.
-    """
+    """Return what the options say."""
     from hpid_ros.rendering import FilmSettings
 
     size = _SIZE.fullmatch(options.size)

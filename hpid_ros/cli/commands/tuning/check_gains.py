@@ -37,12 +37,7 @@ _HEADINGS = ("mu", "certified mu", "rho", "T kd", "lam", "settles", "inertia")
 
 
 class GainTable:
-    """One row for each loop, and the reasons below.
-
-    Args:
-        verdicts: By the name to show.
-        slides: Those of the names whose joints are known to slide.
-    """
+    """One row for each loop, and the reasons below."""
 
     def __init__(
         self, verdicts: Mapping[str, GainVerdict], slides: Collection[str] = frozenset()

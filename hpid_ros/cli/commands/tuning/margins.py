@@ -168,15 +168,10 @@ def _chosen(file: ParameterFile, found: LoopFile, options: argparse.Namespace) -
 
 
 class _RobotFacts(NamedTuple):
-    """What a robot says of one joint's loop beside its inertia.
+    """What a robot says of one joint's loop beside its inertia."""
 
-    Attributes:
-        friction: Viscous friction in [N m s/rad].
-        delay: Of its drive, in [s].
-    """
-
-    friction: float = 0.0
-    delay: float = 0.0
+    friction: float = 0.0  # [N m s/rad] viscous friction
+    delay: float = 0.0  # [s] of its drive
 
 
 def _families(

@@ -96,11 +96,7 @@ def add(commands: Any) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Take the form of the command that the arguments ask for.
-
-    Raises:
-        SettingError: They ask for none, or for two.
-    """
+    """Take the form of the command that the arguments ask for."""
     if options.verify is not None:
         from hpid_ros.cli.commands.tuning.road import run_verify
 

@@ -12,18 +12,7 @@ from hpid_ros.nodes.ros.status import ERROR, OK, WARN, Diagnostics
 
 
 class GoalHealth:
-    """Counts goals and what could not be used, and publishes the status.
-
-    Attributes:
-        period: Time between two reports in [s].
-        fault: Notes one line for what could not be used, or has gone wrong.
-        misread: Bytes that were no state of the joints, or no reference.
-        stood_still: How often the process had not run for a while.
-
-    Args:
-        node: The node.
-        joints: Its joints.
-    """
+    """Counts goals and what could not be used, and publishes the status."""
 
     period = 1.0
 
@@ -54,14 +43,7 @@ class GoalHealth:
     def report(
         self, course: str, against: str, warnings: Sequence[str], values: dict[str, object]
     ) -> None:
-        """Publish the status now.
-
-        Args:
-            course: What the node does.
-            against: Why no goal would be followed; empty if one would be.
-            warnings: What else somebody should know.
-            values: Further figures.
-        """
+        """Publish the status now."""
         level = ERROR if against else WARN if warnings else OK
         self._diagnostics.publish(
             level,

@@ -20,20 +20,7 @@ _STOOD_STILL = 0.25  # [s] without a look; an executor that is merely busy is fa
 
 
 class FollowerInputs:
-    """Gives a follower the states and references of its joints, and tells it of silence.
-
-    Attributes:
-        has_told: By joint whether its controller has told a reference.
-
-    Args:
-        node: The node that listens.
-        follower: The follower.
-        state_topics: Topics of the joints' states.
-        references: Topic of each joint's reference, in the order of the joints.
-        act: Called with what follows from each state, reference or silence.
-        misread: Called with one line for each message that cannot be used.
-        stood_still: Called with the time in [s] for which the process has stood still.
-    """
+    """Gives a follower the states and references of its joints, and tells it of silence."""
 
     def __init__(
         self,

@@ -24,18 +24,7 @@ from hpid_ros.robot.description import RobotDescription
 
 
 class GroupParameters:
-    """Makes of a node's parameters the settings of its group.
-
-    Attributes:
-        joints: Names of the joints.
-        state_topics: Topics that hold their states.
-
-    Args:
-        node: The node; it gets the parameters.
-
-    Raises:
-        HpidError: They cannot be used as a whole, or the robot cannot be found or read.
-    """
+    """Makes of a node's parameters the settings of its group."""
 
     def __init__(self, node: Node) -> None:
         self._node = node
@@ -73,24 +62,13 @@ class GroupParameters:
         self.settings()
 
     def settings(self, changes: Sequence[Parameter] = ()) -> GroupSettings:
-        """Return the settings that would be in force after a change.
-
-        Args:
-            changes: What is about to be set.
-
-        Raises:
-            SettingError: A value is out of range.
-        """
+        """Return the settings that would be in force after a change."""
         values = {name: self._node.get_parameter(name).value for name in self._names}
         values.update({each.name: each.value for each in changes if each.name in values})
         return GroupSettings.from_parameters(self.joints, self._facts, values)
 
     def verdict(self, changes: Sequence[Parameter]) -> SetParametersResult:
-        """Say whether a change can be put in force.
-
-        Args:
-            changes: What is about to be set.
-        """
+        """Say whether a change can be put in force."""
         try:
             self.settings(changes)
         except HpidError as error:
@@ -101,17 +79,7 @@ class GroupParameters:
 def joint_facts(
     joints: Sequence[str], source: str, wrapping: Sequence[str], counting: Sequence[str]
 ) -> dict[str, JointFacts]:
-    """Return what is known of joints.
-
-    Args:
-        joints: Their names.
-        source: URDF, XML text or a path; empty for none.
-        wrapping: Joints whose controllers have ``angle_wraparound``.
-        counting: Joints whose controllers have ``multi_turn``.
-
-    Raises:
-        HpidError: The robot cannot be found or read, or a joint is none of these.
-    """
+    """Return what is known of joints."""
     require_joints(joints, wrapping, counting)
     facts = {joint: JointFacts() for joint in joints}
     if source:

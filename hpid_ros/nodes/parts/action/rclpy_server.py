@@ -24,11 +24,6 @@ class DeferringServer(ActionServer):
     """An action server whose goals are executed when somebody has their result.
 
     And one that answers a client that is not matched yet, too: in a block of :attr:`sent`.
-
-    Args:
-        sent: Makes a block in which something is sent, from what sends it again.
-        arguments: Passed on to ``rclpy.action.ActionServer``.
-        options: Likewise.
     """
 
     _handle: Any

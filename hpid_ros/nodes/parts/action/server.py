@@ -52,14 +52,7 @@ _ARRAYS = ("positions", "velocities", "accelerations", "effort")
 
 
 def request_of(goal: Any) -> GoalRequest:
-    """Read a goal; this takes a while where it has many points.
-
-    Args:
-        goal: A ``FollowJointTrajectory.Goal``.
-
-    Raises:
-        GoalError: It is no trajectory of joints.
-    """
+    """Read a goal; this takes a while where it has many points."""
     if goal.multi_dof_trajectory.points or goal.multi_dof_trajectory.joint_names:
         raise GoalError("multi_dof_trajectory cannot be followed, only trajectory")
     trajectory = goal.trajectory
@@ -111,13 +104,7 @@ def _tolerances(messages: Iterable[Any]) -> tuple[AskedTolerance, ...]:
 
 
 def fill_feedback(message: Any, names: Sequence[str], feedback: Feedback) -> Any:
-    """Write feedback into a message and return it.
-
-    Args:
-        message: A new ``FollowJointTrajectory.Feedback``.
-        names: All joints, in the order of the feedback.
-        feedback: How the goal is doing.
-    """
+    """Write feedback into a message and return it."""
     seconds, nanoseconds = divmod(feedback.stamp_ns, NANOSECONDS)
     message.header.stamp = Time(sec=seconds, nanosec=nanoseconds)
     message.joint_names = list(names)
@@ -137,11 +124,7 @@ def _point(joints: Sequence[Sequence[float]], since_start_ns: int) -> JointTraje
 
 
 def action_type() -> Any:
-    """Return ``control_msgs/action/FollowJointTrajectory``.
-
-    Raises:
-        SettingError: control_msgs is not installed.
-    """
+    """Return ``control_msgs/action/FollowJointTrajectory``."""
     try:
         from control_msgs.action import FollowJointTrajectory
     except ImportError:
@@ -156,16 +139,6 @@ class GoalServer:
     """Takes goals from clients, one at a time, the newest first, and tells how they end.
 
     Goals are read on a thread. All else is called on the executor's, and calls back there.
-
-    Args:
-        node: The node that serves.
-        begin: Called with each goal; returns how the one before it has ended, None if there was
-            none. Raises a :class:`.GoalError` for one that is not obeyed.
-        cancel: Called when the client of the goal that is followed cancels it; it shall end it.
-        note: Called with the result of every goal.
-
-    Raises:
-        SettingError: control_msgs is not installed.
     """
 
     def __init__(
@@ -200,33 +173,19 @@ class GoalServer:
         )
 
     def tell(self, feedback: Feedback, names: tuple[str, ...]) -> None:
-        """Send feedback to the client of the goal that is followed.
-
-        Args:
-            feedback: How it is doing.
-            names: All joints, in the order of the feedback.
-        """
+        """Send feedback to the client of the goal that is followed."""
         if self._active is not None:
             message = fill_feedback(self._type.Feedback(), names, feedback)
             self._active.publish_feedback(message)
 
     def end(self, result: Result) -> None:
-        """End the goal that is followed.
-
-        Args:
-            result: How it ended.
-        """
+        """End the goal that is followed."""
         handle, self._active = self._active, None
         if handle is not None:
             self._finish(handle, result)
 
     def leave(self) -> Future | None:
-        """Take no more goals.
-
-        Returns:
-            What is done when all goals have their results and clients had time to hear of
-            them; None if there are none.
-        """
+        """Take no more goals."""
         self._is_leaving = True
         self._replace_waiting(_ENDED)
         self._left = Future() if self._ending else None

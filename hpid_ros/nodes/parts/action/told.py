@@ -26,15 +26,7 @@ _HEARD_WITHIN = Duration(seconds=0.5)
 
 
 class ToldTrajectories:
-    """Tells controllers trajectories, and hears what others tell them.
-
-    Args:
-        node: The node.
-        joints: Its joints.
-        is_listening: Asked whether it matters what others tell.
-        give_way: Called on the executor's thread with the joints of this group that somebody
-            else has told something which their controllers follow.
-    """
+    """Tells controllers trajectories, and hears what others tell them."""
 
     def __init__(
         self,
@@ -53,11 +45,7 @@ class ToldTrajectories:
         TrajectorySubscriptions(node, self._on_trajectory)
 
     def tell(self, told: GroupTrajectory) -> None:
-        """Publish a trajectory, latched.
-
-        Args:
-            told: What joints are told.
-        """
+        """Publish a trajectory, latched."""
         raw = encode_trajectory(told.stamp_ns, told.names, told.times_ns, told.arrays)
         self._own.append(raw)
         self._sent += 1

@@ -38,12 +38,6 @@ class RobotBridge(executor.ClosingNode):
     In ``lockstep`` every state waits for the command of every driven joint that carries its
     stamp, then the physics advance by one control period. In ``realtime`` the wall clock paces
     the states, and each joint gets its newest command.
-
-    Args:
-        engine: Who computes the physics; the node is called after it.
-
-    Raises:
-        HpidError: The parameters given at start cannot be used.
     """
 
     def __init__(self, engine: str) -> None:
@@ -258,12 +252,7 @@ def _totals(counts: Iterable[AnswerCounts]) -> dict[str, int]:
 
 
 def usage(name: str, engine: str) -> Usage:
-    """Return how a bridge is used.
-
-    Args:
-        name: Its executable.
-        engine: The engine in words.
-    """
+    """Return how a bridge is used."""
     return Usage(
         name,
         f"Simulates a robot in {engine} behind the topics of a real one.",

@@ -21,11 +21,6 @@ class HeldCommands:
     A command stands until the joint's next one, whichever state it answers, so that a late
     controller costs delay and not effort. A joint whose last command came too long ago gets no
     effort: its controller is gone.
-
-    Args:
-        joints: The driven joints, in the order of the efforts.
-        timeout_ns: Simulated time for which a command stands, in [ns].
-        limits: Largest absolute effort of each joint in [N m]; without limit if not given.
     """
 
     missing: tuple[str, ...] = ()
@@ -52,28 +47,14 @@ class HeldCommands:
         return tuple(joint for joint in self.joints if self._effort(joint) is None)
 
     def begin(self, stamp_ns: int) -> None:
-        """Note the present state; a clock that goes back ends all commands.
-
-        Args:
-            stamp_ns: Its stamp in [ns].
-        """
+        """Note the present state; a clock that goes back ends all commands."""
         if stamp_ns < self._stamp_ns:
             self._held.clear()
             self._last.clear()
         self._stamp_ns = stamp_ns
 
     def answer(self, stamp_ns: int, names: Sequence[str], efforts: Sequence[float]) -> bool:
-        """Take a command.
-
-        Args:
-            stamp_ns: Stamp of the state that it answers in [ns]; another than the present one
-                is counted as stale, and the command is taken all the same.
-            names: Its joints.
-            efforts: Their efforts in [N m]; one that is not finite is taken as zero.
-
-        Returns:
-            False: no command completes anything.
-        """
+        """Take a command."""
         for name, effort in zip(names, efforts, strict=True):
             counts = self.counts.get(name)
             if counts is None:
@@ -118,13 +99,9 @@ class HeldCommands:
 
 
 class Conflicts(Protocol):
-    """Counts a joint's conflicting commands.
+    """Counts a joint's conflicting commands."""
 
-    Attributes:
-        conflicting: Commands that cannot come from one sender alone.
-    """
-
-    conflicting: int
+    conflicting: int  # commands that cannot come from one sender alone
 
 
 class Commanders:
@@ -134,12 +111,6 @@ class Commanders:
     command who they are (:func:`.sender_of`); the middleware does not, in
     rclpy of Jazzy. All who say nothing are one sender: two of them are both obeyed, give
     themselves away by answers that differ, and are named as far as the graph knows them.
-
-    Args:
-        node: Who is commanded on ``joint_commands``.
-        joints: Its joints.
-        counts: Conflicting commands of each joint, by joint; kept up to date by others.
-        patience: The longest silence of the one that is followed, in [s].
     """
 
     def __init__(
@@ -160,13 +131,7 @@ class Commanders:
     def heed(
         self, names: tuple[str, ...], efforts: tuple[float, ...], sender: str
     ) -> tuple[tuple[str, ...], tuple[float, ...]]:
-        """Return what is to be obeyed of a command.
-
-        Args:
-            names: Its joints.
-            efforts: Their efforts in [N m].
-            sender: Who sent it.
-        """
+        """Return what is to be obeyed of a command."""
         now = time.perf_counter()
         if len(names) == 1:
             followed = self._followed.get(names[0])

@@ -57,16 +57,7 @@ OVER_THE_FILE = {
 
 
 def read_world_file(node: Node, engine: str) -> WorldFile:
-    """Declare the parameters of a world and return what they say.
-
-    Args:
-        node: The bridge.
-        engine: Who computes the physics, whatever the file says.
-
-    Raises:
-        SettingError: A value is out of range.
-        HpidError: The file or the robot cannot be read, or the robot lacks a joint.
-    """
+    """Declare the parameters of a world and return what they say."""
     file = str(
         read_only(
             node,
@@ -150,27 +141,16 @@ def _gui(node: Node) -> bool:
 
 @dataclass(frozen=True)
 class Pace:
-    """When a state is published.
+    """When a state is published."""
 
-    Attributes:
-        is_lockstep: Every state waits for its answers; otherwise the wall clock paces them.
-        end_ns: Stamp of the last state in [ns]; None runs for ever.
-        exits: Whether the process ends after the last state.
-        real_time_factor: Simulated time per wall time in realtime.
-        answer_timeout: Wall time that lockstep waits for one answer in [s].
-        command_timeout_ns: Simulated time for which a command stands in realtime in [ns].
-        subscribers: Subscribers that the states must have before the first one.
-        publishers: Publishers that the commands must have before the first state.
-    """
-
-    is_lockstep: bool
-    end_ns: int | None
-    exits: bool
-    real_time_factor: float
-    answer_timeout: float
-    command_timeout_ns: int
-    subscribers: int
-    publishers: int
+    is_lockstep: bool  # every state waits for its answers; otherwise the wall clock paces them
+    end_ns: int | None  # [ns] stamp of the last state; None runs for ever
+    exits: bool  # whether the process ends after the last state
+    real_time_factor: float  # simulated time per wall time in realtime
+    answer_timeout: float  # [s] wall time that lockstep waits for one answer
+    command_timeout_ns: int  # [ns] simulated time for which a command stands in realtime
+    subscribers: int  # subscribers that the states must have before the first one
+    publishers: int  # publishers that the commands must have before the first state
 
     @property
     def command_patience(self) -> float:
@@ -181,16 +161,7 @@ class Pace:
 
 
 def read_pace(node: Node, joints: int, answer_timeout: float) -> Pace:
-    """Declare the parameters of time and return what they say.
-
-    Args:
-        node: The bridge.
-        joints: Number of driven joints; lockstep waits for as many controllers.
-        answer_timeout: Wall time that lockstep waits for one answer in [s].
-
-    Raises:
-        SettingError: A value is out of range.
-    """
+    """Declare the parameters of time and return what they say."""
     mode = read_choice(node, "mode", "lockstep", f"Pace of the states: {', '.join(MODES)}", MODES)
     everyone = joints if mode == "lockstep" else 0
 

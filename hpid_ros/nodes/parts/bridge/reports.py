@@ -39,17 +39,6 @@ class BridgeReports:
 
     The URDF is latched on ``robot_description``, where RViz and Foxglove look for it.
     Among bricks the service ``~/grip`` closes or opens the gripper.
-
-    Args:
-        node: The bridge; it gets the parameters ``report_rate`` and ``ee_link``.
-        world: Its world.
-        prefix: Of the frames' names.
-        end_ns: Stamp of the last state in [ns], which is reported in any case; None if there is
-            none.
-
-    Raises:
-        RobotDescriptionError: The robot lacks the link of ``ee_link``.
-        SettingError: The rate is out of range.
     """
 
     def __init__(self, node: Node, world: World, prefix: str, end_ns: int | None = None) -> None:
@@ -87,12 +76,7 @@ class BridgeReports:
         }
 
     def sample(self, stamp_ns: int, positions: Sequence[float]) -> None:
-        """Publish what is due; once for each state.
-
-        Args:
-            stamp_ns: Simulated time in [ns].
-            positions: Measured positions of the driven joints in [rad].
-        """
+        """Publish what is due; once for each state."""
         for topic, raw in self._reports.sample(stamp_ns, positions):
             self._publishers[topic].publish(raw)
 
@@ -122,9 +106,6 @@ class BridgeTiming:
 
     A cycle is the time between two published states; a joint's latency the time from a state's
     publication to the arrival of the joint's answer to it.
-
-    Args:
-        joints: The driven joints.
     """
 
     def __init__(self, joints: Sequence[str]) -> None:
@@ -157,11 +138,7 @@ class BridgeTiming:
         return (time.perf_counter_ns() - self._first_ns) / NANOSECONDS
 
     def recent(self, simulated_ns: int) -> dict[str, float]:
-        """Return the figures since the last call, with their units, for ``/diagnostics``.
-
-        Args:
-            simulated_ns: Simulated time in [ns].
-        """
+        """Return the figures since the last call, with their units, for ``/diagnostics``."""
         now, (then, before) = time.perf_counter_ns(), self._reported
         self._reported = now, simulated_ns
         cycle = self._cycles.recent()

@@ -16,18 +16,7 @@ from hpid_ros.simulation.world.world import World
 
 
 class BridgeServices:
-    """``~/pause``, ``~/step``, ``~/reset`` and the topic ``~/wrench``.
-
-    Args:
-        node: The bridge.
-        world: Its world.
-        prefix: Of the frames' names.
-        reset: Called to go back to time zero.
-        resume: Called when the simulation may go on.
-
-    Raises:
-        SettingError: The parameter ``wrench_duration`` is out of range.
-    """
+    """``~/pause``, ``~/step``, ``~/reset`` and the topic ``~/wrench``."""
 
     def __init__(
         self,
@@ -63,11 +52,7 @@ class BridgeServices:
         return self._is_paused
 
     def pause(self, is_paused: bool) -> None:
-        """Let time stand still from now on, or go on.
-
-        Args:
-            is_paused: Whether it stands still.
-        """
+        """Let time stand still from now on, or go on."""
         self._is_paused, self._steps = is_paused, 0
         if not is_paused:
             self._resume()

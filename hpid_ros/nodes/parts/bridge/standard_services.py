@@ -14,13 +14,7 @@ from hpid_ros.simulation.world.world import World
 
 
 def offer_standard_services(node: ClosingNode, simulation: BridgeServices, world: World) -> None:
-    """Offer them where their package is installed; do nothing where it is not.
-
-    Args:
-        node: The bridge.
-        simulation: Pauses, steps and resets it.
-        world: Its world.
-    """
+    """Offer them where their package is installed; do nothing where it is not."""
     try:
         from simulation_interfaces import srv
     except ImportError:

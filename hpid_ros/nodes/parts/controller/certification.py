@@ -14,15 +14,7 @@ _POLL_PERIOD = 0.1  # [s]
 
 
 class Certification:
-    """Warns of a degree that is not certified, or refuses it.
-
-    Args:
-        node: The controller; it gets ``certify`` and ``require_certificate``.
-        settings: Those that it starts with.
-
-    Raises:
-        GainError: A certificate is required and the start has none.
-    """
+    """Warns of a degree that is not certified, or refuses it."""
 
     def __init__(self, node: Node, settings: LoopSettings) -> None:
         self._is_on = read_only(
@@ -46,9 +38,6 @@ class Certification:
         """Refuse settings that are about to be set, if a certificate is required.
 
         What is not known yet is refused as well, and begun: the same set succeeds later.
-
-        Raises:
-            GainError: They are not certified, or not yet.
         """
         if not self._is_required:
             return

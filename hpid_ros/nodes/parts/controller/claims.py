@@ -28,12 +28,7 @@ _TRIES, _PAUSE = 10, 0.002  # [s]; between the two sockets of a holder lies less
 
 
 class HostLock:
-    """The right to something on this host, or rather in this network namespace.
-
-    Args:
-        key: What it is a right to.
-        owner: Full name of the node that would hold it.
-    """
+    """The right to something on this host, or rather in this network namespace."""
 
     def __init__(self, key: str, owner: str) -> None:
         self._name = _PREFIX + hashlib.sha256(key.encode()).hexdigest()[:16]
@@ -51,11 +46,7 @@ class HostLock:
             return ""
 
     def take(self) -> str:
-        """Take the right.
-
-        Returns:
-            Empty if it is held now; else who holds it, in words.
-        """
+        """Take the right."""
         if self._sockets:
             return ""
         try:
@@ -114,28 +105,16 @@ class ClaimState(Enum):
 
 @dataclass(frozen=True)
 class Claim:
-    """One controller's claim of one joint.
-
-    Attributes:
-        joint: The joint.
-        commands: Full name of the topic of its commands.
-        node: Full name of the node that claims.
-        host: Name of its host.
-        pid: Its process.
-        since_ns: When its process began, or came back to life, by its host's clock in [ns].
-        realm: Where one kernel grants a joint to one process alone: among claims of one realm
-            there is nothing to decide.
-        state: How far it has come.
-    """
+    """One controller's claim of one joint."""
 
     joint: str
-    commands: str
-    node: str
-    host: str
-    pid: int
-    since_ns: int
+    commands: str  # full name of the topic of its commands
+    node: str  # full name of the node that claims
+    host: str  # name of its host
+    pid: int  # its process
+    since_ns: int  # [ns] when its process began, or came back to life, by its host's clock
     realm: str
-    state: ClaimState = ClaimState.WISHED
+    state: ClaimState = ClaimState.WISHED  # how far it has come
 
     @property
     def owner(self) -> tuple[str, str, int, str]:
@@ -163,12 +142,7 @@ class HeardClaims:
         self._heard: dict[tuple[str, str, int, str], tuple[float, Claim]] = {}
 
     def receive(self, claim: Claim, now: float) -> None:
-        """Take a claim that was told.
-
-        Args:
-            claim: The claim; one that is released ends.
-            now: The time in [s], on any clock that does not go back.
-        """
+        """Take a claim that was told."""
         if claim.state is ClaimState.RELEASED:
             self._heard.pop(claim.owner, None)
         else:

@@ -47,12 +47,7 @@ class CommandSink(Protocol):
         """Where they go."""
 
     def send(self, stamp_ns: int, effort: float) -> None:
-        """Publish an effort.
-
-        Args:
-            stamp_ns: Stamp of the state that it answers in [ns].
-            effort: In [N m].
-        """
+        """Publish an effort."""
 
 
 def _joint_state_publisher(node: Node) -> Publisher:
@@ -66,11 +61,6 @@ class JointStateCommands:
 
     The convention of Isaac Sim and of ``topic_based_ros2_control``. Efforts have no frame: in its
     place stands who sends them.
-
-    Args:
-        node: The node that publishes.
-        joint: The joint.
-        sender: Who it is.
     """
 
     def __init__(self, node: Node, joint: str, sender: str) -> None:
@@ -83,13 +73,7 @@ class JointStateCommands:
 
 
 class Float64MultiArrayCommands:
-    """An array of one, for the forward and effort group controllers of ros2_control.
-
-    Args:
-        node: The node that publishes, on ``~/commands``.
-        joint: The joint.
-        sender: Who it is, for which the message has no place.
-    """
+    """An array of one, for the forward and effort group controllers of ros2_control."""
 
     def __init__(self, node: Node, joint: str, sender: str) -> None:
         self.publisher = node.create_publisher(
@@ -104,13 +88,7 @@ class Float64MultiArrayCommands:
 
 
 class Float64Commands:
-    """A bare number, for Gazebo's joint force topics.
-
-    Args:
-        node: The node that publishes, on ``~/command``.
-        joint: The joint.
-        sender: Who it is, for which the message has no place.
-    """
+    """A bare number, for Gazebo's joint force topics."""
 
     def __init__(self, node: Node, joint: str, sender: str) -> None:
         self.publisher = node.create_publisher(
@@ -130,9 +108,6 @@ class SharedCommands:
     What a controller gives while a state is handed round goes out with the answers of the others;
     what it gives at any other time, or from another thread, goes out at once, and takes the place
     of an answer that still waits for the others.
-
-    Args:
-        node: The node that publishes.
     """
 
     def __init__(self, node: Node) -> None:
@@ -146,13 +121,7 @@ class SharedCommands:
         self._lock = threading.Lock()
 
     def sink(self, controller: Node, joint: str, sender: str) -> CommandSink:
-        """Return the sink of one controller; its own where it publishes on another topic.
-
-        Args:
-            controller: The controller.
-            joint: Its joint.
-            sender: Who it is.
-        """
+        """Return the sink of one controller; its own where it publishes on another topic."""
         topic = controller.resolve_topic_name(_JOINT_STATE_TOPIC)
         if topic != self._node.resolve_topic_name(_JOINT_STATE_TOPIC):
             return JointStateCommands(controller, joint, sender)
@@ -176,13 +145,7 @@ class SharedCommands:
                 self._publish_answers()
 
     def give(self, joint: str, stamp_ns: int, effort: float) -> None:
-        """Take one joint's effort.
-
-        Args:
-            joint: The joint.
-            stamp_ns: Stamp of the state that it answers in [ns].
-            effort: In [N m] or [N].
-        """
+        """Take one joint's effort."""
         if self._collector == threading.get_ident():
             with self._lock:
                 self._answers[joint] = stamp_ns, effort
@@ -225,13 +188,7 @@ class _SharedSink:
 
 
 def sender_of(node: Node, is_alone: bool) -> str:
-    """Return what tells a node's commands from those of all others.
-
-    Args:
-        node: The node.
-        is_alone: Whether no other node of its name can command the joint. Then the name says it
-            all, and two runs of one experiment record the same bytes.
-    """
+    """Return what tells a node's commands from those of all others."""
     name = str(node.get_fully_qualified_name())
     if is_alone:
         return name
@@ -258,9 +215,6 @@ class Commands:
 
     They never overtake each other: what one of them gives is whole, and after :meth:`shut`
     nothing is given by either, whatever the other was about to give.
-
-    Args:
-        sink: Where they go.
     """
 
     def __init__(self, sink: CommandSink) -> None:
@@ -271,35 +225,21 @@ class Commands:
         self._is_held = self._is_shut = False
 
     def send(self, stamp_ns: int, effort: float) -> None:
-        """Publish the effort that answers a state.
-
-        Args:
-            stamp_ns: Stamp of the state in [ns].
-            effort: In [N m].
-        """
+        """Publish the effort that answers a state."""
         with self._lock:
             if not (self._is_held or self._is_shut):
                 self._stamp_ns = stamp_ns
                 self._sink.send(stamp_ns, effort)
 
     def leave(self, stamp_ns: int) -> None:
-        """Publish a zero, the last command until the next state is answered.
-
-        Args:
-            stamp_ns: Stamp of the last state in [ns].
-        """
+        """Publish a zero, the last command until the next state is answered."""
         with self._lock:
             self._stamp_ns = None
             if not (self._is_held or self._is_shut):
                 self._sink.send(stamp_ns, 0.0)
 
     def fall_back(self, effort: float, is_due: Callable[[], bool]) -> None:
-        """Publish an effort that answers no state.
-
-        Args:
-            effort: In [N m].
-            is_due: Asked when no other command can come between its answer and the effort.
-        """
+        """Publish an effort that answers no state."""
         if not self._lock.acquire(timeout=_LOCK_WITHIN):
             return
         try:

@@ -32,12 +32,7 @@ class LoopTiming:
         """When the last sample began on a steady clock, in [ns]."""
 
     def note(self, began_ns: int, ended_ns: int) -> None:
-        """Note one sample.
-
-        Args:
-            began_ns: When its callback began on a steady clock, in [ns].
-            ended_ns: When its command was sent, in [ns].
-        """
+        """Note one sample."""
         if self.last_ns is not None:
             self._note_period(began_ns - self.last_ns)
         self.last_ns = began_ns
@@ -75,22 +70,7 @@ _ON_FALLBACK = (LoopState.SILENT, LoopState.FAULT)
 
 
 class ControllerHealth:
-    """Counts what a controller refused, and publishes its status.
-
-    Attributes:
-        period: Time between two reports in [s].
-        fault: Notes one line for what could not be used, or has gone wrong.
-        foreign: States that were about other joints.
-        misread: Bytes that were no state of this joint.
-
-    Args:
-        node: The controller.
-        loop: Its loop.
-        certification: Its certificate.
-        timing: Its timing.
-        model: Its model; None without a compensation.
-        is_slide: Whether the joint slides: its units are m and N.
-    """
+    """Counts what a controller refused, and publishes its status."""
 
     period = 1.0
 
@@ -169,14 +149,7 @@ class ControllerHealth:
         return f"{course}; {relay.cycles} cycles" + ("" if relay.is_over else "; in force")
 
     def report(self, lifecycle: str, waiting: str, claim: str, refusal: str) -> None:
-        """Publish the status now.
-
-        Args:
-            lifecycle: The managed node's state.
-            waiting: What an active controller still waits for; empty if nothing.
-            claim: How its claim of the joint stands.
-            refusal: Whose the joint is if not its own; empty if nobody has said so.
-        """
+        """Publish the status now."""
         loop, counts = self._loop, self._loop.counts
         is_active = lifecycle == "active"
         message, level = loop.state.value, OK

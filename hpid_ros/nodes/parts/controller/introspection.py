@@ -13,16 +13,7 @@ from hpid_ros.wire import JointStateTemplate
 
 
 class Introspection:
-    """Publishes the reference, the law's terms and the observer's estimate at a limited rate.
-
-    Args:
-        node: The controller's node; it gets the parameter ``introspection_rate``.
-        joint: The joint.
-        has_model: Whether a model adds a term of its own.
-
-    Raises:
-        SettingError: The rate is not a number.
-    """
+    """Publishes the reference, the law's terms and the observer's estimate at a limited rate."""
 
     def __init__(self, node: Node, joint: str, has_model: bool = False) -> None:
         rate = read_number(
@@ -50,12 +41,7 @@ class Introspection:
         self._terms_template = JointStateTemplate(names, effort=True)
 
     def sample(self, stamp_ns: int, loop: JointLoop) -> None:
-        """Publish this sample if it is due on the control clock.
-
-        Args:
-            stamp_ns: The sample's stamp in [ns].
-            loop: The loop that has just taken it.
-        """
+        """Publish this sample if it is due on the control clock."""
         if not self._is_on:
             return
         if self._last_ns is not None and 0 <= stamp_ns - self._last_ns < self._period_ns:

@@ -38,14 +38,7 @@ _STARTED_NS = time.time_ns()  # one for all joints of a process: all of them win
 
 
 def claims_joint(node: Node) -> bool:
-    """Declare the parameter ``claim`` and tell whether it asks for a joint of the node's own.
-
-    Args:
-        node: The controller.
-
-    Raises:
-        SettingError: There is no such scope.
-    """
+    """Declare the parameter ``claim`` and tell whether it asks for a joint of the node's own."""
     scope = read_choice(
         node,
         "claim",
@@ -58,17 +51,7 @@ def claims_joint(node: Node) -> bool:
 
 
 class JointClaim:
-    """The claim of a controller's joint, from activation until the joint has been left.
-
-    Args:
-        node: The controller.
-        is_claiming: Whether it claims anything, see :func:`claims_joint`.
-        joint: Its joint.
-        commands: Full name of the topic of its commands.
-        lose: Called when the joint is another's after all, with the reason, and whether the claim
-            was held already.
-        what: What is claimed, in words; the joint if empty.
-    """
+    """The claim of a controller's joint, from activation until the joint has been left."""
 
     def __init__(
         self,
@@ -124,11 +107,7 @@ class JointClaim:
         )
 
     def take(self) -> None:
-        """Claim the joint.
-
-        Raises:
-            ClaimError: Another controller has claimed it.
-        """
+        """Claim the joint."""
         if not self._is_claiming or self._mine is not None:
             return
         holder = self._lock.take() if self._lock else ""
@@ -147,11 +126,7 @@ class JointClaim:
         self._become(state)
 
     def settle(self) -> bool:
-        """Hold the joint once others have had the time to say that it is theirs.
-
-        Returns:
-            Whether it is held.
-        """
+        """Hold the joint once others have had the time to say that it is theirs."""
         if self._mine is not None and self._mine.state is ClaimState.WISHED:
             now = _now()
             if self._listening_since is None:  # the first call while messages are taken

@@ -19,14 +19,6 @@ class ManagedNode(LifecycleNode, executor.ClosingNode):
     A transition that raises leaves the node unconfigured, after :meth:`leave`; it never ends the
     process. One whose joint is another's fails, and the node stays as it was. Requests that the
     present state does not have are refused.
-
-    Attributes:
-        is_active: Whether the node is active.
-        is_starting: Whether the process ends if it turns out that the node may not be active.
-
-    Args:
-        name: Node name.
-        options: Passed on to ``rclpy.node.Node``.
     """
 
     def __init__(self, name: str, **options: Any) -> None:
@@ -40,11 +32,7 @@ class ManagedNode(LifecycleNode, executor.ClosingNode):
         self.guard(self.refuse)
 
     def start(self) -> None:
-        """Configure and activate, unless ``autostart`` is false.
-
-        Raises:
-            HpidError: What a transition met.
-        """
+        """Configure and activate, unless ``autostart`` is false."""
         if not self._autostart:
             return
         for trigger in (self.trigger_configure, self.trigger_activate):

@@ -17,19 +17,7 @@ if TYPE_CHECKING:
 
 
 def model_compensation(node: Node, settings: LoopSettings, robot: str) -> ModelCompensation | None:
-    """Build the model that a controller's settings ask for, and say in its log what it is.
-
-    Args:
-        node: The controller.
-        settings: Its loop's.
-        robot: The robot's URDF, where the settings name none.
-
-    Returns:
-        None without a compensation.
-
-    Raises:
-        HpidError: The model cannot be built, or the joints' efforts would not settle.
-    """
+    """Build the model that a controller's settings ask for, and say in its log what it is."""
     if not settings.model.is_on:
         return None
     # Pinocchio takes a moment to import, and a controller without a model does without.
@@ -43,12 +31,7 @@ def model_compensation(node: Node, settings: LoopSettings, robot: str) -> ModelC
 
 
 class ModelCompensation:
-    """Lets a loop answer states with the model's term.
-
-    Args:
-        model: The model.
-        kind: Its compensation.
-    """
+    """Lets a loop answer states with the model's term."""
 
     def __init__(self, model: LoopModel, kind: str) -> None:
         self._compensator = model.compensator
@@ -60,11 +43,6 @@ class ModelCompensation:
 
         A state that the model cannot use is answered with the term of the last one that it
         could, for at most ``state_timeout``; after that the loop gives ``fallback_effort``.
-
-        Args:
-            loop: The joint's loop.
-            sample: The joint's own part of the state.
-            raw: The serialised state.
         """
         return self._compensator.answer(loop, *sample, self._term(sample.stamp_ns, raw))
 

@@ -34,10 +34,6 @@ class TrajectorySubscriptions:
     publisher (``ros2 topic pub``, rqt, MoveIt), and a volatile one gets nothing that was
     published before. So there are both, and what a latched publisher sends to both is taken
     once.
-
-    Args:
-        node: The node that listens.
-        take: Called with the bytes of each message.
     """
 
     def __init__(self, node: Node, take: Callable[[bytes], None]) -> None:
@@ -90,13 +86,7 @@ class ReferenceDecoder:
         self._thread: threading.Thread | None = None
 
     def decode(self, source: object, raw: bytes, take: Callable[[Decoded], None]) -> None:
-        """Decode a message soon.
-
-        Args:
-            source: Whose newest message this is.
-            raw: A serialised JointTrajectory.
-            take: Called on the decoder's thread.
-        """
+        """Decode a message soon."""
         with self._changed:
             self._waiting[source] = raw, take
             if self._thread is None:
@@ -136,14 +126,6 @@ class ControllerReferences:
     A trajectory is decoded on another thread and handed back to the executor's, which alone
     calls what is given here. Of all references the one that came last is followed, however long
     they took to decode.
-
-    Args:
-        node: The controller.
-        joint: Its joint.
-        follow: Called with each motion of the joint.
-        relay: Called with what is asked of a relay; with None for its end.
-        refuse: Called with one line for each message that could not be used.
-        reason_against: Asked when a reference comes; returns why none is taken now, or nothing.
     """
 
     def __init__(

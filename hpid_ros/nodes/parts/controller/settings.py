@@ -20,11 +20,7 @@ from hpid_ros.robot.description import RobotDescription
 
 
 def robot_source(node: Node) -> str:
-    """Declare ``robot_description`` and return it: XML text or a path, empty for none.
-
-    Args:
-        node: The controller.
-    """
+    """Declare ``robot_description`` and return it: XML text or a path, empty for none."""
     return str(
         read_only(
             node,
@@ -36,19 +32,7 @@ def robot_source(node: Node) -> str:
 
 
 def robot_limits(node: Node, source: str) -> RobotLimits:
-    """Return what a robot's description allows a joint.
-
-    Args:
-        node: The controller, with the parameter ``joint``.
-        source: From :func:`robot_source`.
-
-    Returns:
-        None of them where no robot is given. A velocity of 0 is none either, as many URDFs
-        write it.
-
-    Raises:
-        HpidError: The robot cannot be found or read, or lacks the joint.
-    """
+    """Return what a robot's description allows a joint."""
     joint = node.get_parameter("joint").value
     if not source or not joint:  # a missing joint is refused with the other settings
         return RobotLimits()
@@ -59,18 +43,7 @@ def robot_limits(node: Node, source: str) -> RobotLimits:
 
 
 class ControllerSettings:
-    """Makes of a controller's parameters the settings of its loop, within the robot's limits.
-
-    Attributes:
-        robot: The parameter ``robot_description``: XML text or a path, empty for none.
-        is_slide: Whether it has the joint as prismatic.
-
-    Args:
-        node: The controller; it gets the parameters of its loop, of its model and of its robot.
-
-    Raises:
-        HpidError: The robot cannot be found or read, or lacks the joint.
-    """
+    """Makes of a controller's parameters the settings of its loop, within the robot's limits."""
 
     def __init__(self, node: Node) -> None:
         self._node = node
@@ -85,14 +58,7 @@ class ControllerSettings:
         self._last: tuple[Mapping[str, Value], LoopSettings] | None = None
 
     def with_changes(self, changes: Sequence[Parameter] = ()) -> LoopSettings:
-        """Return the settings that would be in force after a change.
-
-        Args:
-            changes: What is about to be set.
-
-        Raises:
-            HpidError: The parameters cannot be used as a whole.
-        """
+        """Return the settings that would be in force after a change."""
         values = {name: self._node.get_parameter(name).value for name in PARAMETERS}
         values |= {each.name: each.value for each in changes if each.name in LOOP_PARAMETERS}
         if self._last is None or self._last[0] != values:  # checked first, put in force afterwards
@@ -108,12 +74,7 @@ class ControllerSettings:
     def verdict(
         self, changes: Sequence[Parameter], require: Callable[[LoopSettings], None]
     ) -> SetParametersResult:
-        """Say whether a change can be put in force.
-
-        Args:
-            changes: What is about to be set.
-            require: Raises an :class:`.HpidError` for settings that are refused.
-        """
+        """Say whether a change can be put in force."""
         if concern_the_loop(changes):
             try:
                 require(self.with_changes(changes))

@@ -31,11 +31,7 @@ class StateSource(Protocol):
 
 
 class OwnStates:
-    """A subscription of the controller's own.
-
-    Args:
-        node: The controller.
-    """
+    """A subscription of the controller's own."""
 
     def __init__(self, node: Node) -> None:
         self._node = node
@@ -61,10 +57,6 @@ class SharedStates:
     It begins when all that are going to listen are ready, so that a robot in lock-step, which
     publishes once somebody listens, is answered for every joint from its first state on. Who is
     ready later joins it. Only the executor's thread may call.
-
-    Args:
-        node: The node that subscribes.
-        handing_round: Entered for the time in which a state is given to all.
     """
 
     def __init__(

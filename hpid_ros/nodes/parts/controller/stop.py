@@ -21,17 +21,7 @@ _LONGEST = 4.0  # [s]; launch kills what has not ended 5 s after it was asked to
 
 
 class ControllerStop:
-    """Gives a last command of zero effort, after a damping ramp if one is wished.
-
-    Args:
-        node: The controller; it gets ``stop`` and ``stop_duration``.
-        joint: Its loop.
-        commands: Where its commands go.
-        finish: Called when the joint has been left.
-
-    Raises:
-        SettingError: There is no such stop.
-    """
+    """Gives a last command of zero effort, after a damping ramp if one is wished."""
 
     def __init__(
         self, node: Node, joint: SupervisedLoop, commands: Commands, finish: Callable[[], None]

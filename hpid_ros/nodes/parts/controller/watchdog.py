@@ -17,10 +17,6 @@ class StateWatchdog:
 
     Two threads look: that of the supervisor gives the effort, which no callback may delay; that of
     the executor tells the loop.
-
-    Args:
-        node: The controller; it gets ``state_watchdog``.
-        joint: Its loop.
     """
 
     def __init__(self, node: ClosingNode, joint: SupervisedLoop) -> None:
@@ -36,11 +32,7 @@ class StateWatchdog:
         self._timer: Timer | None = None
 
     def watch(self, timeout: float) -> None:
-        """Look from now on, or with another timeout.
-
-        Args:
-            timeout: Longest time without a state in [s].
-        """
+        """Look from now on, or with another timeout."""
         if not self._is_on or timeout == self._watchdog.timeout:
             return
         self._destroy_timer()

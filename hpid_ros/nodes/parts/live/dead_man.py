@@ -11,14 +11,7 @@ _AT_ONCE = 65536
 
 
 class DeadMan:
-    """Whether the button is held. Whoever should write may be gone, and the end of input says so.
-
-    Attributes:
-        is_gone: Whether nothing can come any more.
-
-    Args:
-        within: Longest time between two bytes, in [s].
-    """
+    """Whether the button is held. The end of input says that the writer is gone."""
 
     def __init__(self, within: float) -> None:
         self._within = within

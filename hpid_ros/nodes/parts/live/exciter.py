@@ -40,11 +40,7 @@ _STATES_WITHIN = 30.0  # [s] for states to come again, so that joints can be tol
 
 
 class Exciter(executor.ClosingNode):
-    """The shell around one goal and one watch.
-
-    Raises:
-        HpidError: There is no plan that can be used.
-    """
+    """The shell around one goal and one watch."""
 
     def __init__(self) -> None:
         super().__init__("hpid_exciter")

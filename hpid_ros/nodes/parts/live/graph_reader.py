@@ -53,13 +53,7 @@ def nodes_with_parameters(node: Node) -> list[str]:
 
 
 def read(node: Node, name: str, more: Sequence[str] = ()) -> dict[str, Any]:
-    """Return the loop parameters of one node; empty when it is no joint controller.
-
-    Args:
-        node: Who asks.
-        name: Full name of the other node.
-        more: Other parameters that a controller has.
-    """
+    """Return the loop parameters of one node; empty when it is no joint controller."""
     client = AsyncParameterClient(node, name)
     if not client.wait_for_services(timeout_sec=_ANSWER_WITHIN):
         return {}
@@ -77,12 +71,7 @@ def read(node: Node, name: str, more: Sequence[str] = ()) -> dict[str, Any]:
 
 
 def controllers(node: Node, namespace: str = "") -> dict[str, dict[str, Any]]:
-    """Return the parameters of all joint controllers by the full names of their nodes.
-
-    Args:
-        node: Who asks.
-        namespace: Only those below it.
-    """
+    """Return the parameters of all joint controllers by the full names of their nodes."""
     for _ in range(_LOOKS):
         names = [name for name in nodes_with_parameters(node) if is_below(name, namespace)]
         read_ones = {name: read(node, name, _MORE) for name in names}
@@ -93,13 +82,7 @@ def controllers(node: Node, namespace: str = "") -> dict[str, dict[str, Any]]:
 
 
 class StateListener:
-    """Takes the newest position of each joint, and its mean effort.
-
-    Args:
-        node: Who listens.
-        topic: Of the states, in each of the namespaces unless it begins with a slash.
-        namespaces: Of the controllers.
-    """
+    """Takes the newest position of each joint, and its mean effort."""
 
     def __init__(self, node: Node, topic: str, namespaces: Iterable[str]) -> None:
         self._positions: dict[str, float] = {}

@@ -13,14 +13,7 @@ from hpid_ros.nodes.ros.parameters import read_only
 
 
 def read_order(node: Node) -> dict[str, Any]:
-    """Return what the file says that the parameter ``plan_file`` names.
-
-    Args:
-        node: The node; it gets the parameter.
-
-    Raises:
-        SettingError: It cannot be read.
-    """
+    """Return what the file says that the parameter ``plan_file`` names."""
     file = str(read_only(node, "plan_file", "", "JSON file that hpid has written"))
     try:
         return dict(json.loads(Path(file).read_text()))

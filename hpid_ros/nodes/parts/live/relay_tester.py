@@ -28,11 +28,7 @@ _IN_FORCE = "; in force"
 
 
 class RelayTester(executor.ClosingNode):
-    """Allows relays, asks for one, listens to how it goes, and forbids them again.
-
-    Raises:
-        SettingError: There is no order that can be used.
-    """
+    """Allows relays, asks for one, listens to how it goes, and forbids them again."""
 
     def __init__(self) -> None:
         super().__init__("hpid_relay_tester")

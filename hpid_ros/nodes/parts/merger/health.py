@@ -16,42 +16,20 @@ _MICROSECOND = 1e3  # [ns]
 
 
 class Standing(NamedTuple):
-    """How a merger stands at its surroundings.
+    """How a merger stands at its surroundings."""
 
-    Attributes:
-        lifecycle: The managed node's state.
-        waiting: What it waits for before it sends anything; empty if nothing.
-        is_unheard: Whether that is a controller that does not act, or cannot be used.
-        claim: How its claim of the topic stands.
-        refusal: Whose the topic is if not its own; empty if nobody has said so.
-        told_by: Who says whether the receiver is active.
-        rivals: Nodes that publish beside it.
-        withheld: Messages that were not sent while it was not known to whom they would go.
-    """
-
-    lifecycle: str
-    waiting: str
-    is_unheard: bool
-    claim: str
-    refusal: str
-    told_by: str
-    rivals: Sequence[str]
-    withheld: int
+    lifecycle: str  # the managed node's state
+    waiting: str  # what it waits for before it sends anything; empty if nothing
+    is_unheard: bool  # whether that is a controller that does not act, or cannot be used
+    claim: str  # how its claim of the topic stands
+    refusal: str  # whose the topic is if not its own; empty if nobody has said so
+    told_by: str  # who says whether the receiver is active
+    rivals: Sequence[str]  # nodes that publish beside it
+    withheld: int  # messages that were not sent while it was not known to whom they would go
 
 
 class MergerHealth:
-    """Counts what came, and publishes the merger's status.
-
-    Attributes:
-        period: Time between two reports in [s].
-        fault: Notes one line for what could not be used, or has gone wrong.
-        misread: Bytes that were no command.
-        delays: From the first answer of a round to its message, in [ns].
-
-    Args:
-        node: The merger.
-        topic: Full name of the topic of the merged commands.
-    """
+    """Counts what came, and publishes the merger's status."""
 
     period = 1.0
 
@@ -77,13 +55,7 @@ class MergerHealth:
         self.fault(line)
 
     def report(self, standing: Standing, merger: CommandMerger | None, conflict: str) -> None:
-        """Publish the status now.
-
-        Args:
-            standing: How it stands.
-            merger: What it merges with; None while it does not.
-            conflict: One line about joints that are commanded twice; empty if there is none.
-        """
+        """Publish the status now."""
         level, message = self._verdict(standing, merger, conflict)
         self._diagnostics.publish(
             level,

@@ -27,16 +27,11 @@ class Template(Protocol):
 
 @dataclass(frozen=True)
 class Interface:
-    """A message for the efforts of several joints.
+    """A message for the efforts of several joints."""
 
-    Attributes:
-        topic: Where it goes, where nothing else is said.
-        message: Returns its type, or raises :class:`SettingError`.
-        template: Makes a template of joint names and a sender.
-    """
-
-    topic: str
-    message: Callable[[], Any]
+    topic: str  # where it goes, where nothing else is said
+    message: Callable[[], Any]  # returns its type, or raises SettingError
+    # makes a template of joint names and a sender
     template: Callable[[Sequence[str], str], Template]
 
 
@@ -75,17 +70,6 @@ class GroupOutput:
 
     One that is guarded publishes nothing from the moment in which the middleware has matched a
     subscription that nobody has looked at yet: it may be a controller with other joints.
-
-    Args:
-        node: The node that publishes.
-        interface: One of :data:`INTERFACES`.
-        topic: Where to; empty for the interface's own topic.
-        sender: Who it is, for messages that have a place for that.
-        is_guarded: Whether a message of another size would do harm.
-        matched: Called when a subscriber has come or gone.
-
-    Raises:
-        SettingError: There is no such interface, or its messages are not installed.
     """
 
     def __init__(

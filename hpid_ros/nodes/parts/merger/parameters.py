@@ -22,54 +22,26 @@ _LEAST_SHARE = 0.01
 
 @dataclass(frozen=True)
 class MergerParameters:
-    """What the parameters say.
+    """What the parameters say."""
 
-    Attributes:
-        joints: The order that was given; empty to take the controller's.
-        controller: Full name of the controller that gets the commands; empty for whoever
-            subscribes.
-        manager: Full name of that controller's manager.
-        interface: Message of the merged commands.
-        straggler_wait: See :class:`~hpid_ros.merging.MergerSettings`.
-        fade_in_time: Likewise, in [s].
-        timeout: Of joints that have none of their own, in [s].
-        timeouts: By joint, in [s].
-        fallbacks: By joint, in [N m] or [N].
-    """
-
-    joints: tuple[str, ...]
-    controller: str
-    manager: str
-    interface: str
-    straggler_wait: float
-    fade_in_time: float
-    timeout: float
-    timeouts: dict[str, float]
-    fallbacks: dict[str, float]
+    joints: tuple[str, ...]  # the order that was given; empty to take the controller's
+    controller: str  # full name of the controller that gets the commands
+    manager: str  # full name of that controller's manager
+    interface: str  # message of the merged commands
+    straggler_wait: float  # see MergerSettings
+    fade_in_time: float  # [s] likewise
+    timeout: float  # [s] of joints that have none of their own
+    timeouts: dict[str, float]  # [s] by joint
+    fallbacks: dict[str, float]  # [N m] by joint or [N]
 
     def settings(self, order: Sequence[str]) -> MergerSettings:
-        """Return the settings of a merger.
-
-        Args:
-            order: The joints in their order.
-
-        Raises:
-            SettingError: A timeout or a fallback is that of none of these joints.
-        """
+        """Return the settings of a merger."""
         joints = joints_of(order, self.timeout, self.timeouts, self.fallbacks)
         return MergerSettings(joints, self.straggler_wait, self.fade_in_time)
 
 
 def read_parameters(node: Node, joints: Sequence[str]) -> MergerParameters:
-    """Declare the parameters of a merger and return what they say.
-
-    Args:
-        node: The merger.
-        joints: The order if the parameters name none, nor a controller.
-
-    Raises:
-        SettingError: They cannot be used.
-    """
+    """Declare the parameters of a merger and return what they say."""
     given = read_only(
         node,
         "joints",

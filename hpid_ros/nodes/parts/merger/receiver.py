@@ -30,15 +30,7 @@ _STATE = ".state"
 
 
 class ReceiverWatch:
-    """Keeps what is known of a receiver up to date.
-
-    Args:
-        node: The merger.
-        receiver: What is known.
-        output: Of the merged commands.
-        manager: Full name of the controller's manager.
-        changed: Called when there may be something new.
-    """
+    """Keeps what is known of a receiver up to date."""
 
     def __init__(
         self,
@@ -143,14 +135,6 @@ def _hear_activity(node: Node, manager: str, hear: Callable[[Mapping[str, str]],
 
     Its topic of activity says so at once; where the package of that message is not installed, its
     diagnostics do, once a second.
-
-    Args:
-        node: The node that listens.
-        manager: Full name of the manager.
-        hear: Called with the states of its controllers, by their names.
-
-    Returns:
-        Where it says so.
     """
     try:
         from controller_manager_msgs.msg import ControllerManagerActivity

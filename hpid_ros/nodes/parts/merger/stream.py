@@ -26,12 +26,6 @@ class MergedStream:
     """A merger with its clock, its timer and its output.
 
     What is sent is whole and in the order in which it was merged, whichever thread sends it.
-
-    Args:
-        node: The merger's node.
-        output: Where merged commands go.
-        note_delay: Called with the time from the first answer of a round to its message, in [ns].
-        changed: Called on the executor's thread when a joint has fallen silent or come back.
     """
 
     def __init__(
@@ -52,11 +46,7 @@ class MergedStream:
         self._is_armed = False
 
     def begin(self, settings: MergerSettings) -> CommandMerger:
-        """Merge from now on.
-
-        Args:
-            settings: How, and which joints in which order.
-        """
+        """Merge from now on."""
         merger = CommandMerger(settings)
         with self._lock:
             self.output.agree(settings.names)
@@ -72,14 +62,7 @@ class MergedStream:
         self._disarm()
 
     def take(self, joint: str, stamp_ns: int, effort: float, *, is_signed: bool = True) -> None:
-        """Take a command, on the executor's thread.
-
-        Args:
-            joint: Its joint.
-            stamp_ns: Stamp of the state that it answers in [ns].
-            effort: In [N m] or [N].
-            is_signed: Whether its sender is known.
-        """
+        """Take a command, on the executor's thread."""
         merger = self.merger
         if merger is None:
             return
@@ -157,11 +140,7 @@ class MergedStream:
     # What follows is called on the supervisor's thread, also while a callback does not return.
 
     def look(self) -> float:
-        """Send the fallbacks of joints that have fallen silent, and what else is due.
-
-        Returns:
-            When to look again, in [s].
-        """
+        """Send the fallbacks of joints that have fallen silent, and what else is due."""
         merger = self.merger
         if merger is None:
             return math.inf
@@ -200,12 +179,7 @@ class MergedStream:
 
 
 class MergedCommands:
-    """One joint's commands, handed to a merger of the same process; a ``CommandSink``.
-
-    Args:
-        stream: The merger's.
-        joint: The joint.
-    """
+    """One joint's commands, handed to a merger of the same process; a ``CommandSink``."""
 
     def __init__(self, stream: MergedStream, joint: str) -> None:
         self.publisher = MergedTopic(stream)
@@ -223,9 +197,6 @@ class MergedTopic:
     """The topic of merged commands, as a controller of the same process sees it.
 
     Nobody hears it before the merger has a receiver.
-
-    Args:
-        stream: The merger's.
     """
 
     def __init__(self, stream: MergedStream) -> None:

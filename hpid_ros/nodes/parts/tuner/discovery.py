@@ -29,12 +29,6 @@ class Discovery:
 
     A node that has other parameters is no controller of this package, and is not asked again
     before it has gone. Of the executor's thread alone.
-
-    Args:
-        node: Who looks.
-        requests: How it asks.
-        found: Called with a controller that is new or back, and whenever it was read anew.
-        gone: Called with the name of a controller that has gone.
     """
 
     def __init__(

@@ -52,23 +52,14 @@ _LIFECYCLE, _SAMPLES = "lifecycle", "samples"
 
 @dataclass
 class _Known(KnownParameters):
-    """A controller that has been found.
+    """A controller that has been found."""
 
-    Attributes:
-        topics: Where its samples come from.
-        is_settled: Whether the graph has told all of these since it came.
-    """
-
-    topics: ControllerTopics
-    is_settled: bool = False
+    topics: ControllerTopics  # where its samples come from
+    is_settled: bool = False  # whether the graph has told all of these since it came
 
 
 class LiveGraph:
-    """A :class:`~hpid_ros.live.graph.Graph`, whose requests the node's executor carries out.
-
-    Args:
-        node: The node; somebody spins it.
-    """
+    """A :class:`~hpid_ros.live.graph.Graph`, whose requests the node's executor carries out."""
 
     def __init__(self, node: ClosingNode) -> None:
         self._node = node
@@ -124,12 +115,7 @@ class LiveGraph:
         return self._order(node, lambda answer: change(node, transition, answer))
 
     def running(self, nodes: Sequence[str], state_of: StateOf) -> RunningGraph:
-        """Return controllers as whatever moves joints wants them.
-
-        Raises:
-            KeyError: One has not been seen.
-            RunError: Two of them have one joint.
-        """
+        """Return controllers as whatever moves joints wants them."""
         with self._lock:
             known = [self._known[node] for node in nodes]
             has_commands = all(

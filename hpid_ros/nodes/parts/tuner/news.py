@@ -24,26 +24,15 @@ _OWN_FIGURE = "certified degrees"
 
 
 class Listeners(NamedTuple):
-    """Who is called with news, on the executor's thread.
+    """Who is called with news, on the executor's thread."""
 
-    Attributes:
-        event: With what a node told of its parameters.
-        health: With a full name and what that node said of itself.
-        lifecycle: With a full name and the label of that node's state.
-    """
-
-    event: Callable[[ParameterEvent], None]
-    health: Callable[[str, Health], None]
-    lifecycle: Callable[[str, str], None]
+    event: Callable[[ParameterEvent], None]  # with what a node told of its parameters
+    health: Callable[[str, Health], None]  # with a full name and what that node said of itself
+    lifecycle: Callable[[str, str], None]  # with a full name and the label of that node's state
 
 
 class News:
-    """Listens to parameter events, diagnostics, and the lifecycles of chosen controllers.
-
-    Args:
-        node: Who listens.
-        listeners: Whom it tells.
-    """
+    """Listens to parameter events, diagnostics, and the lifecycles of chosen controllers."""
 
     def __init__(self, node: Node, listeners: Listeners) -> None:
         self._node, self._listeners = node, listeners

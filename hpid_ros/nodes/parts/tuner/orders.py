@@ -41,15 +41,10 @@ _SETTLED = {
 
 @dataclass
 class KnownParameters:
-    """A controller that has been found, as far as orders want it.
+    """A controller that has been found, as far as orders want it."""
 
-    Attributes:
-        seen: As the page knows it.
-        parameters: All that are read of it.
-    """
-
-    seen: SeenController
-    parameters: dict[str, Any]
+    seen: SeenController  # as the page knows it
+    parameters: dict[str, Any]  # all that are read of it
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,13 +70,7 @@ class _Doubt:
 
 
 class Orders:
-    """Asks controllers; of the executor's thread alone.
-
-    Args:
-        requests: How it asks.
-        known: Returns what is known of a controller, by its full name.
-        doubt: Called with the name of a controller whose parameters are not known for certain.
-    """
+    """Asks controllers; of the executor's thread alone."""
 
     def __init__(
         self,
@@ -110,13 +99,7 @@ class Orders:
         self._requests.call(GetState, service, GetState.Request(), _STATE_WITHIN, answered)
 
     def set(self, controller: str, values: Mapping[str, Value], answer: Future[Answer]) -> None:
-        """Have parameters set, all or none.
-
-        Args:
-            controller: Full name of the node.
-            values: By name.
-            answer: Is resolved when they are seen in force, or when they are not going to be.
-        """
+        """Have parameters set, all or none."""
         try:
             messages = [parameter(*each).to_parameter_msg() for each in values.items()]
         except (TypeError, ValueError) as error:  # what no parameter can be
@@ -157,13 +140,7 @@ class Orders:
                 taken.answer.set_result(taken.told)
 
     def change_state(self, controller: str, transition: str, answer: Future[Answer]) -> None:
-        """Have a controller go through a transition.
-
-        Args:
-            controller: Full name of the node.
-            transition: One of :data:`TRANSITIONS`.
-            answer: Is resolved when it has, or with why it has not.
-        """
+        """Have a controller go through a transition."""
         within = _STOPS_WITHIN if transition == "deactivate" else _CHANGES_WITHIN
         last_fault = _fault(self._known(controller).seen)
 

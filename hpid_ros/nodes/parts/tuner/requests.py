@@ -36,11 +36,7 @@ class _Request:
 
 
 class Requests:
-    """Calls services; of the executor's thread alone.
-
-    Args:
-        node: Who asks.
-    """
+    """Calls services; of the executor's thread alone."""
 
     def __init__(self, node: Node) -> None:
         self._node = node
@@ -49,27 +45,14 @@ class Requests:
         self._open: list[_Request] = []
 
     def prepare(self, kind: Any, service: str) -> Client:
-        """Return the client of a service: a server takes a moment to find a new one.
-
-        Args:
-            kind: Type of the service.
-            service: Its full name.
-        """
+        """Return the client of a service: a server takes a moment to find a new one."""
         if service not in self._clients:
             self._clients[service] = self._node.create_client(kind, service)
             self._born[service] = time.monotonic()
         return self._clients[service]
 
     def call(self, kind: Any, service: str, content: Any, within: float, take: Take) -> None:
-        """Call a service, as soon as it is there.
-
-        Args:
-            kind: Type of the service.
-            service: Its full name.
-            content: The request.
-            within: Time for the answer in [s].
-            take: Called with the answer.
-        """
+        """Call a service, as soon as it is there."""
         deadline = time.monotonic() + within
         request = _Request(service, self.prepare(kind, service), content, take, deadline)
         self._open.append(request)

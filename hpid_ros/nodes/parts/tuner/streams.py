@@ -32,9 +32,6 @@ class Streams:
     """Subscriptions of a node of their own, which no executor spins: a message costs its copy.
 
     Of one thread at a time.
-
-    Args:
-        node: Beside which it stands; its own is called ``NAME_streams``.
     """
 
     def __init__(self, node: Node) -> None:

@@ -20,30 +20,18 @@ JOINT_STATE = "sensor_msgs/msg/JointState"
 
 
 class Topic(NamedTuple):
-    """A topic.
+    """A topic."""
 
-    Attributes:
-        name: Its full name.
-        type: One of :data:`KINDS`.
-        is_reliable: Whether what was lost is sent again.
-    """
-
-    name: str
-    type: str
-    is_reliable: bool = False
+    name: str  # its full name
+    type: str  # one of KINDS
+    is_reliable: bool = False  # whether what was lost is sent again
 
 
 class ControllerTopics(NamedTuple):
-    """The topics of one controller that tell how it does.
+    """The topics of one controller that tell how it does."""
 
-    Attributes:
-        states: Where its states come from.
-        commands: Where its commands go; None where they are not to be listened to.
-        reference: Its reference.
-    """
-
-    states: Topic
-    commands: Topic | None
+    states: Topic  # where its states come from
+    commands: Topic | None  # where its commands go; None where they are not to be listened to
     reference: Topic
 
 
@@ -52,10 +40,6 @@ def controller_topics(node: Node, controller: str) -> tuple[ControllerTopics, bo
 
     One that is not active listens to no states, and one of several in a process may leave both to
     the process: these have their usual names then.
-
-    Args:
-        node: Who asks.
-        controller: Full name of the controller.
     """
     space, _, name = controller.rpartition("/")
     known = [

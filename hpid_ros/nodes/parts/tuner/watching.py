@@ -21,12 +21,7 @@ _STAMP_OFFSET = 4  # of a message with a header, in bytes
 
 
 class Watched(NamedTuple):
-    """A controller that is looked at.
-
-    Attributes:
-        joint: Its joint.
-        topics: Its topics.
-    """
+    """A controller that is looked at."""
 
     joint: str
     topics: ControllerTopics
@@ -36,9 +31,6 @@ class Watching:
     """Takes samples; every method may be called from any thread.
 
     A topic that several controllers share is subscribed to, taken and decoded once.
-
-    Args:
-        node: Beside which the subscriptions stand.
     """
 
     def __init__(self, node: Node) -> None:
@@ -50,11 +42,7 @@ class Watching:
         self._columns: dict[Topic, MessageColumns] = {}
 
     def watch(self, watched: Mapping[str, Watched]) -> None:
-        """Take samples of these controllers from now on, and of no others.
-
-        Args:
-            watched: By the full names of their nodes.
-        """
+        """Take samples of these controllers from now on, and of no others."""
         with self._lock:
             if watched == self._watched:
                 return
