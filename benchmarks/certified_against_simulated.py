@@ -33,7 +33,8 @@ from hpid_ros.control.settings.choices import NormType
 from hpid_ros.control.settings.groups import NormSettings
 from hpid_ros.stability.bounds import integral_ratio
 from hpid_ros.stability.check import margins_at
-from hpid_ros.stability.verdict import Norm, certified_degree_interval
+from hpid_ros.stability.closed_loop import Norm
+from hpid_ros.stability.verdict import certified_degree_interval
 
 STARTS = 4
 HORIZONS = (250.0, 3000.0)  # in units of 1 / ki^(1/3); the second where the first decides nothing

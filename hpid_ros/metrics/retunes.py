@@ -43,7 +43,7 @@ def read_retunes(path: Path) -> tuple[Retune, ...]:
 
 
 def _untold(share: float) -> None:
-    """Tell nobody how much was read."""
+    """Take no note of the progress."""
 
 
 def _stamps_before(places: Sequence[int], bag: Storage, states: str) -> list[int | None]:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from PIL.Image import Image
+from PIL import Image
 
 from hpid_ros.base.arrays import Numbers
 from hpid_ros.base.errors import SettingError
@@ -68,7 +68,7 @@ class FilmSettings:
 class Film(NamedTuple):
     """An animation."""
 
-    frames: list[Image]  # the pictures
+    frames: list[Image.Image]  # the pictures
     period_ms: int  # [ms] how long each stands
     speed: float  # seconds shown in one of the clock
     instants: Numbers  # what each shows, seconds since the first state
@@ -101,7 +101,7 @@ def render(
     page = Page(size, runs, film_chart(runs, settings.joint, size.chart, window), speed)
     motions = [motion_of(stand, run, bags[run.label], instants) for run in runs]
     side = np.radians(settings.azimuth), np.radians(settings.elevation)
-    frames: list[Image] = []
+    frames: list[Image.Image] = []
     with closing(Studio(stand, motions, engine, size.panel, side)) as studio:
         for k, instant in enumerate(instants.tolist()):
             frames.append(

@@ -62,7 +62,7 @@ def known_robot(
         own = series[each.joint]
         resolution = position_resolution(own)
         noise = position_noise(own, resolution)
-        facts[each.joint] = JointFacts(_delay(each, _period(own)), noise, resolution)
+        facts[each.joint] = JointFacts(_delay(each, median_period(own)), noise, resolution)
     description = amended(robot.description, amendments, {}, {})
     return KnownRobot(
         replace(robot, source=description.xml, description=description),
@@ -87,7 +87,7 @@ def position_noise(series: JointSeries, resolution: float) -> float:
     return 0.0 if noise < _BELOW_A_COUNT * resolution else noise
 
 
-def _period(series: JointSeries) -> float:
+def median_period(series: JointSeries) -> float:
     return float(np.median(np.diff(series.state_stamps_ns))) * SECONDS_PER_NANOSECOND
 
 

@@ -19,7 +19,6 @@ from hpid_ros.bags.run.velocities import measures_velocity
 from hpid_ros.bags.selection import BagSelection
 from hpid_ros.base.errors import HpidError, RobotDescriptionError, SettingError, unknown_name
 from hpid_ros.base.interrupts import raise_if_interrupted
-from hpid_ros.base.units import SECONDS_PER_NANOSECOND
 from hpid_ros.control import LoopSettings
 from hpid_ros.frequency.family import loop_family
 from hpid_ros.frequency.margins import Margins, margins_of
@@ -34,7 +33,7 @@ from hpid_ros.road.base import (
     why_not_wheel,
 )
 from hpid_ros.road.findings import Findings, findings_of
-from hpid_ros.road.known import KnownRobot, known_robot
+from hpid_ros.road.known import KnownRobot, known_robot, median_period
 from hpid_ros.robot.given import GivenRobot
 from hpid_ros.stability.gain_check import inertia_of
 from hpid_ros.tuning.inertias import inertia_ranges, visited_poses
@@ -136,7 +135,7 @@ def answer(question: Question, telling: Telling) -> Answer:
     )
     known = known_robot(question.robot, findings.joints, recording.joints)
     inertias = _inertias(question, known, loops, recording.joints)
-    period = _period(recording)
+    period = median_period(recording.joints[0])
     checks = {each.joint: pid_check(each, inertias[each.joint], known, period) for each in loops}
     has_velocities = measures_velocity(question.bag, loops[0].joint)
     if has_velocities and any(each.velocity.is_measured for each in loops):
@@ -253,12 +252,6 @@ def pid_check(
     except HpidError as error:
         return PidCheck(inertia, None, str(error))
     return PidCheck(inertia, min(ends, key=lambda each: each.disk))
-
-
-def _period(recording: RunSeries) -> float:
-    """Return the median time between two states, in [s]."""
-    stamps = recording.joints[0].state_stamps_ns
-    return float(np.median(np.diff(stamps))) * SECONDS_PER_NANOSECOND
 
 
 def _ratio(value: float, other: float) -> float:
@@ -425,7 +418,7 @@ class _Trial:
             robot.initial_positions,
             facts={**self.known.facts, **facts},
             has_velocities=self._has_velocities,
-            period=_period(self._recording),
+            period=median_period(self._recording.joints[0]),
             engine=_ENGINE,
         )
 

@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 from hpid_ros.base.errors import HpidError, SettingError
 from hpid_ros.control.gains import Gains
 from hpid_ros.control.norms import CanonicalNorm, WeightedNorm
+from hpid_ros.stability.closed_loop import Norm
 
-Norm = WeightedNorm | CanonicalNorm
 Matrix = tuple[tuple[float, ...], ...]
 
 FORMAT = "hpid_ros certificate 1"

@@ -16,8 +16,8 @@ import numpy as np
 from hpid_ros.base.arrays import Numbers
 from hpid_ros.base.errors import GainError
 from hpid_ros.control.gains import Gains
-from hpid_ros.stability.certificate import Certificate, CertifiedSpan, Norm
-from hpid_ros.stability.closed_loop import closed_loop_field
+from hpid_ros.stability.certificate import Certificate, CertifiedSpan
+from hpid_ros.stability.closed_loop import Norm, closed_loop_field
 
 _ANGLES_EVEN = 240
 _ANGLES_NEAR_AXES = 48  # in each quadrant

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 
 from hpid_ros.base.errors import GainError, SettingError
 from hpid_ros.control.gains import Gains, require_hurwitz
-from hpid_ros.control.norms import CanonicalNorm, WeightedNorm
 from hpid_ros.stability.certificate import Certificate, CertifiedSpan, DegreeInterval
+from hpid_ros.stability.closed_loop import Norm
 
 if TYPE_CHECKING:
     from hpid_ros.stability.check import Margins
@@ -25,8 +25,6 @@ __all__ = [
     "require_certifiable",
     "verify_certificate",
 ]
-
-Norm = WeightedNorm | CanonicalNorm
 
 
 def certified_degree_interval(

@@ -9,7 +9,7 @@ from typing import Any
 
 from rclpy.client import Client
 from rclpy.node import Node
-from rclpy.task import Future
+from rclpy.task import Future as RosFuture
 
 _SETTLED_AFTER = 0.5
 """Age of a client in [s] before it asks.
@@ -31,7 +31,7 @@ class _Request:
     content: Any
     take: Take
     deadline: float
-    future: Future | None = None
+    future: RosFuture | None = None
     is_over: bool = False
 
 
