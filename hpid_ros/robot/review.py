@@ -43,13 +43,13 @@ def _joints(description: RobotDescription, robot: ElementTree.Element) -> Iterat
         names = tuple(joint.name for joint in joints if is_lacking(joint))
         if names:
             yield Remark(names, text)
-    for quantity, unit in (("effort", "N m"), ("velocity", "rad/s"), ("damping", "N m s/rad")):
-        values = {joint.name: getattr(joint, quantity) for joint in joints}
+    for limit, unit in (("effort", "N m"), ("velocity", "rad/s"), ("damping", "N m s/rad")):
+        values = {joint.name: getattr(joint, limit) for joint in joints}
         if len(joints) >= _ALIKE and len(set(values.values())) == 1:
             value = next(iter(values.values()))
             if 0.0 < value < float("inf"):
                 units = {of_slide(unit) if joint.is_slide else unit: None for joint in joints}
-                text = f"{quantity} {value:g} {' or '.join(units)} for every joint: a placeholder?"
+                text = f"{limit} {value:g} {' or '.join(units)} for every joint: a placeholder?"
                 yield Remark(tuple(values), text)
     mimics = [each for each in robot.findall("joint") if each.find("mimic") is not None]
     names = tuple(joint.get("name", "") for joint in mimics)
