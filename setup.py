@@ -84,7 +84,6 @@ EXECUTABLES = [
     "follow_joint_trajectory",
     "bag_recorder",
     "bag_metrics",
-    "live_tuner",
 ]
 
 
@@ -112,8 +111,8 @@ setup(
     ],
     package_data={
         PACKAGE: [
-            *("py.typed", "report/html/assets/*", "report/html/templates/*"),
-            *("export/templates/*", "live/page/assets/*"),
+            *("py.typed", "report/assets/*", "report/templates/*"),
+            *("tuning/templates/*", "live/page/assets/*"),
         ]
     },
     python_requires=">=3.10",
@@ -144,6 +143,7 @@ setup(
     entry_points={
         "console_scripts": [
             *(f"{name} = {PACKAGE}.nodes.{name}:main" for name in EXECUTABLES),
+            f"live_tuner = {PACKAGE}.live.live_tuner:main",
             f"hpid = {PACKAGE}.cli.main:main",
         ],
     },

@@ -20,7 +20,7 @@ from benchmarks.measuring import figures_of
 from benchmarks.processes import ROOT
 from benchmarks.table import print_table, wide_console
 from hpid_ros.base.errors import SettingError, unknown_name
-from hpid_ros.base.interrupts import heed_interrupts
+from hpid_ros.base.processes import heed_interrupts
 
 ROUNDS, ROUNDS_QUICK = 5, 2
 RESULTS = ROOT / "benchmarks" / "results"

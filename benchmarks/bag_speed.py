@@ -2,7 +2,7 @@
 
 Run it as ``python benchmarks/bag_speed.py --minutes 2``. Three contenders take turns, each in a
 process of its own: ``bytes`` reads the file and decompresses it, ``arrays`` is
-:func:`hpid_ros.bags.read_run`, ``messages`` is rosbags, deserialising every state and command.
+:func:`~hpid_ros.messages.run.read_run`, ``messages`` is rosbags, deserialising each message.
 The figures are the medians over the rounds; ``--cold`` drops the file from the page cache before
 each turn.
 """
@@ -23,9 +23,9 @@ from pathlib import Path
 
 from rosbags.highlevel import AnyReader
 
-from hpid_ros.bags import read_run
-from hpid_ros.bags.columns.mcap.records import Catalogue
-from hpid_ros.bags.columns.mcap.stream import Arena, RecordStream
+from hpid_ros.messages.mcap_chunks import Catalogue
+from hpid_ros.messages.mcap_file import Arena, RecordStream
+from hpid_ros.messages.run import read_run
 
 MIB = 1 << 20
 

@@ -18,8 +18,7 @@ import time
 from pathlib import Path
 from typing import NamedTuple
 
-from hpid_ros.experiment.graph.isolation import closed_environment, own_domain
-from hpid_ros.experiment.graph.processes import NodeGroup
+from hpid_ros.experiment.processes import NodeGroup, closed_environment, own_domain
 
 PERIOD = 0.001  # [s]
 RETUNE_EVERY = 500  # states
@@ -55,8 +54,9 @@ def measure(certify: bool, seconds: float, folder: Path) -> Measurement:
     from rclpy.executors import SingleThreadedExecutor
     from sensor_msgs.msg import JointState
 
-    from hpid_ros.nodes.ros.middleware import ALL_COMMANDS, OFFERED
-    from hpid_ros.wire import EffortReader, JointStateTemplate
+    from hpid_ros.messages.joint_readers import EffortReader
+    from hpid_ros.messages.joint_state import JointStateTemplate
+    from hpid_ros.nodes.core.middleware import ALL_COMMANDS, OFFERED
 
     with own_domain() as domain, NodeGroup(closed_environment(domain), folder) as group:
         context = rclpy.Context()

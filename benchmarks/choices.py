@@ -22,10 +22,9 @@ from unittest import mock
 
 from benchmarks.tracking import tracking
 from hpid_ros.base.errors import RunError
-from hpid_ros.experiment.graph import processes as node_process
-from hpid_ros.experiment.graph import run as graph_run
-from hpid_ros.experiment.graph.options import GraphOptions
-from hpid_ros.experiment.graph.run import GraphNodes
+from hpid_ros.experiment import graph_run
+from hpid_ros.experiment import processes as node_process
+from hpid_ros.experiment.graph_run import GraphNodes, GraphOptions
 from hpid_ros.experiment.progress import NoProgress
 
 _WITHOUT_EVENTS = Path(__file__).parent / "without_events_executor"

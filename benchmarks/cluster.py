@@ -23,11 +23,11 @@ from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
-from hpid_ros.base.resources import find_resource
+from hpid_ros.base.files import find_resource
+from hpid_ros.experiment.batch import Runner, RunTask, in_processes
+from hpid_ros.experiment.cluster import Cluster
+from hpid_ros.experiment.cluster_worker import pack
 from hpid_ros.experiment.description import load_experiment
-from hpid_ros.studies.batch import Runner, RunTask, in_processes
-from hpid_ros.studies.cluster import Cluster
-from hpid_ros.studies.cluster.parcel import pack
 
 
 @contextmanager

@@ -37,11 +37,11 @@ from typing import NoReturn
 
 import rclpy
 
-from hpid_ros.base.interrupts import heed_interrupts
 from hpid_ros.base.names import PROFILE_FILES
-from hpid_ros.experiment.graph.isolation import closed_environment, own_domain
+from hpid_ros.base.processes import heed_interrupts
+from hpid_ros.experiment.processes import closed_environment, own_domain
 from hpid_ros.nodes import joint_controller
-from hpid_ros.nodes.ros.process import end
+from hpid_ros.nodes.core.process import end
 
 ENDS = ("end", "launch", "refuse", "rival", "kill", "freeze")
 TRANSPORTS = {  # what is asked of Fast DDS beyond the domain

@@ -12,13 +12,11 @@ from pathlib import Path
 from typing import Any
 
 from hpid_ros.base.errors import RunError
-from hpid_ros.base.interrupts import raise_if_interrupted
 from hpid_ros.base.names import controller_name
+from hpid_ros.base.processes import raise_if_interrupted
 from hpid_ros.experiment.description import Experiment
-from hpid_ros.experiment.graph.isolation import require_no_sockets
-from hpid_ros.experiment.graph.options import GraphOptions
-from hpid_ros.experiment.graph.processes import NodeGroup, NodeProcess
-from hpid_ros.experiment.graph.run import GraphNodes
+from hpid_ros.experiment.graph_run import GraphNodes, GraphOptions
+from hpid_ros.experiment.processes import NodeGroup, NodeProcess, require_no_sockets
 
 KINDS = ("kill", "terminate", "freeze")
 """SIGKILL and a restart; SIGTERM and a restart; SIGSTOP and, some time after, SIGCONT."""

@@ -20,9 +20,9 @@ from hpid_ros.control import JointLoop
 from hpid_ros.experiment.description import Experiment
 from hpid_ros.robot.description import RobotDescription
 from hpid_ros.simulation.engine import Sample, run_in_process
-from hpid_ros.simulation.mujoco.physics import MujocoPhysics
+from hpid_ros.simulation.mujoco import MujocoPhysics
 from hpid_ros.simulation.settings import WorldSettings, installed_engines
-from hpid_ros.simulation.world.world import World
+from hpid_ros.simulation.world import World
 
 LABEL = "hPID"
 
@@ -209,9 +209,7 @@ def _bare_bullet(
     stack: ExitStack, description: RobotDescription, world: WorldSettings, torques: Efforts
 ) -> tuple[Callable[[], None], Callable[[], Sequence[float]]]:
     """Return what steps PyBullet through all efforts, and what tells where the joints are."""
-    from hpid_ros.simulation.bullet.connection import captured, pybullet
-    from hpid_ros.simulation.bullet.model import bullet_urdf
-    from hpid_ros.simulation.bullet.scene import build_scene
+    from hpid_ros.simulation.bullet_scene import build_scene, bullet_urdf, captured, pybullet
 
     with captured():
         client = pybullet.connect(pybullet.DIRECT)

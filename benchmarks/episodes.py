@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 from benchmarks.disturbed_graph import SETTLE, DisturbedGraph, Fault
 from benchmarks.surroundings import own_surroundings
 from benchmarks.tracking import tracking
-from hpid_ros.bags import read_run
 from hpid_ros.base.errors import RunError, SettingError
-from hpid_ros.documents.yaml_files import load_yaml
+from hpid_ros.base.yaml_files import load_yaml
+from hpid_ros.experiment.batch import RunTask, WorldKeeper, simulate
 from hpid_ros.experiment.description import Experiment, load_experiment
-from hpid_ros.experiment.graph.processes import NodeGroup
-from hpid_ros.recordings.series import JointSeries, RunSeries
-from hpid_ros.studies.batch import RunTask, WorldKeeper, simulate
+from hpid_ros.experiment.processes import NodeGroup
+from hpid_ros.messages.run import read_run
+from hpid_ros.messages.series import JointSeries, RunSeries
 
 LABEL = "hPID"
 ANSWER_TIMEOUT = 2.0  # [s] of wall time

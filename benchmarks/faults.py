@@ -17,7 +17,7 @@ from pathlib import Path
 
 from benchmarks.episodes import Episode, run_episode, sines, undisturbed
 from hpid_ros.base.errors import RunError
-from hpid_ros.base.interrupts import heed_interrupts
+from hpid_ros.base.processes import heed_interrupts
 
 EPISODE = 30.0  # [s] of simulated time
 _FAILED, _BAD_INPUT, _INTERRUPTED = 1, 2, 130

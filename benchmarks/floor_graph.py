@@ -8,8 +8,8 @@ from pathlib import Path
 
 from benchmarks.processes import Scripts
 from hpid_ros.base.errors import RunError
-from hpid_ros.experiment.graph.isolation import closed_environment, own_domain
-from hpid_ros.experiment.graph.options import PROCESSES
+from hpid_ros.experiment.graph_run import PROCESSES
+from hpid_ros.experiment.processes import closed_environment, own_domain
 
 _WITHIN = 120.0  # [s] for a whole run
 _ASKER = "asker"

@@ -14,10 +14,10 @@ import numpy as np
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
-from hpid_ros.bags import BagWriter
-from hpid_ros.bags.message_types import JOINT_STATE, JOINT_TRAJECTORY, encode_joint_trajectory
-from hpid_ros.trajectory import JointTrajectory, TrajectoryPoint
-from hpid_ros.wire import JointStateTemplate
+from hpid_ros.messages.joint_state import JointStateTemplate
+from hpid_ros.messages.selection import JOINT_STATE, JOINT_TRAJECTORY, encode_joint_trajectory
+from hpid_ros.messages.writer import BagWriter
+from hpid_ros.motion import JointTrajectory, TrajectoryPoint
 
 JOINTS = ("wheel_left", "wheel_right", *(f"arm_joint_{number}" for number in range(1, 7)))
 START_NS = 1_700_000_000_000_000_000

@@ -23,28 +23,26 @@ from typing import Any, NamedTuple
 import numpy as np
 import yaml
 
-from hpid_ros.base.resources import find_resource
-from hpid_ros.compensation.build import compensators
+from hpid_ros.base.files import find_resource
 from hpid_ros.control import JointLoop
-from hpid_ros.excitation.bounds import JointBounds, Wish
-from hpid_ros.excitation.plan import Design, plan
 from hpid_ros.experiment.description import Experiment, load_experiment
-from hpid_ros.identification.identify import identify
-from hpid_ros.identification.records import JointRecord
-from hpid_ros.identification.results import (
+from hpid_ros.motion import JointTrajectory, TrajectoryPoint
+from hpid_ros.motion.excitation import Design, JointBounds, Wish, plan
+from hpid_ros.robot.amendments import JointAmendment, amended
+from hpid_ros.robot.compensation import compensators
+from hpid_ros.robot.description import RobotDescription
+from hpid_ros.robot.dynamics import Dynamics, InverseDynamics
+from hpid_ros.simulation.engine import Recording, record_run
+from hpid_ros.simulation.world import World
+from hpid_ros.tuning.identification_results import (
     COULOMB,
     DELAY,
     INERTIA,
     VISCOUS,
     JointIdentification,
 )
-from hpid_ros.robot.amendments import JointAmendment, amended
-from hpid_ros.robot.description import RobotDescription
-from hpid_ros.robot.dynamics import Dynamics
-from hpid_ros.robot.inverse_dynamics import InverseDynamics
-from hpid_ros.simulation.engine import Recording, record_run
-from hpid_ros.simulation.world.world import World
-from hpid_ros.trajectory import JointTrajectory, TrajectoryPoint
+from hpid_ros.tuning.identify import identify
+from hpid_ros.tuning.measurements import JointRecord
 
 ROBOTS = ("paper", "iiwa", "panda")
 PERIOD = 1e-3  # [s]

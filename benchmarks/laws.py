@@ -18,15 +18,15 @@ from hpid_ros.control import (
     Pid,
     WeightedNorm,
 )
-from hpid_ros.control.settings.choices import NormType
-from hpid_ros.control.settings.groups import (
+from hpid_ros.control.parameters import NormType
+from hpid_ros.control.settings import (
     EffortLimits,
     EncoderSettings,
     IntegralLimits,
     NormSettings,
     VelocitySettings,
 )
-from hpid_ros.trajectory import minimum_jerk
+from hpid_ros.motion import minimum_jerk
 
 GAINS = Gains(p=39.6, i=132.0, d=3.96)
 DEGREE = -0.1

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from hpid_ros.experiment.graph.isolation import SHARED_MEMORY, YOUNG, clear_dead
+from hpid_ros.experiment.processes import SHARED_MEMORY, YOUNG, clear_dead
 
 _PAUSE = 1.0  # [s]
 

@@ -25,15 +25,14 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
+from hpid_ros.base.files import share_folder
 from hpid_ros.base.names import controller_name
-from hpid_ros.base.resources import share_folder
 from hpid_ros.experiment.description import load_experiment
-from hpid_ros.experiment.graph.isolation import closed_environment, own_domain
-from hpid_ros.experiment.graph.processes import NodeGroup
-from hpid_ros.experiment.parameter_files import write_run_files
-from hpid_ros.nodes.parts.tuner.live_graph import LiveGraph
-from hpid_ros.nodes.ros.executor import ClosingNode
-from hpid_ros.nodes.ros.process import end
+from hpid_ros.experiment.in_process import write_run_files
+from hpid_ros.experiment.processes import NodeGroup, closed_environment, own_domain
+from hpid_ros.live.ros.live_graph import LiveGraph
+from hpid_ros.nodes.core.executor import ClosingNode
+from hpid_ros.nodes.core.process import end
 
 _RATE = 30.0  # [Hz]
 _FOREVER = 1e5  # [s]

@@ -14,7 +14,7 @@ from benchmarks.naive_graph import run_naive
 from benchmarks.ours_graph import run_checked, run_ours, timing_of
 from benchmarks.tracking import tracking
 from hpid_ros.experiment.description import Experiment
-from hpid_ros.experiment.graph.options import GraphOptions
+from hpid_ros.experiment.graph_run import GraphOptions
 from hpid_ros.experiment.progress import NoProgress
 from hpid_ros.simulation.settings import installed_engines
 

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Collection, Mapping
 
 from benchmarks.figures import Figure, Group, Measure, Outcome
-from hpid_ros.base.interrupts import raise_if_interrupted
+from hpid_ros.base.processes import raise_if_interrupted
 
 Tell = Callable[[str], None]
 """Takes one line about what is going on."""

@@ -16,11 +16,17 @@ from pathlib import Path
 from typing import NamedTuple
 from xml.etree import ElementTree
 
-from hpid_ros.base.resources import share_folder
+from hpid_ros.base.files import share_folder
 from hpid_ros.control import LoopSettings
+from hpid_ros.experiment.batch import (
+    LAST_ERROR,
+    JudgedTask,
+    RunTask,
+    WorldKeeper,
+    simulated_indices,
+)
 from hpid_ros.experiment.description import Experiment, load_experiment
 from hpid_ros.robot.description import RobotDescription
-from hpid_ros.studies.batch import LAST_ERROR, JudgedTask, RunTask, WorldKeeper, simulated_indices
 
 MASS_ERROR = 0.2
 PAYLOADS = (0.0, 1.0, 2.0)  # [kg]

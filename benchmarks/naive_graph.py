@@ -9,7 +9,7 @@ from pathlib import Path
 from benchmarks.processes import Scripts
 from benchmarks.tracking import tracking
 from hpid_ros.base.errors import RunError
-from hpid_ros.experiment.graph.isolation import closed_environment, own_domain
+from hpid_ros.experiment.processes import closed_environment, own_domain
 
 _WITHIN = 300.0  # [s] for a whole run
 _LARGEST_ERROR = 0.1  # [rad] at the end of a run; without control a joint is 0.3 rad away

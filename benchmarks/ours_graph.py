@@ -8,12 +8,11 @@ import time
 from collections.abc import Mapping
 from pathlib import Path
 
-from hpid_ros.bags.bag_file import BagReader
 from hpid_ros.base.errors import RunError
 from hpid_ros.experiment.description import Experiment
-from hpid_ros.experiment.graph.options import GraphOptions
-from hpid_ros.experiment.graph.run import run_on_graph
+from hpid_ros.experiment.graph_run import GraphOptions, run_on_graph
 from hpid_ros.experiment.progress import Progress, RunReport, RunTiming
+from hpid_ros.messages.bag_file import BagReader
 
 
 class Clock:

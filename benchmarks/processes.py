@@ -15,8 +15,8 @@ from types import TracebackType
 from typing import Any
 
 from hpid_ros.base.errors import RunError
-from hpid_ros.base.interrupts import raise_if_interrupted, uninterrupted
-from hpid_ros.experiment.graph.processes import Beginning, end_all
+from hpid_ros.base.processes import raise_if_interrupted, uninterrupted
+from hpid_ros.experiment.processes import Beginning, end_all
 
 ROOT = Path(__file__).resolve().parents[1]
 

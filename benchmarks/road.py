@@ -25,27 +25,34 @@ import numpy as np
 import yaml
 
 from benchmarks import strange_plants
-from hpid_ros.analysis.quantities import ITAE, IVC
-from hpid_ros.bags.message_types import JOINT_STATE, JOINT_TRAJECTORY, encode_joint_trajectory
-from hpid_ros.bags.metadata import PARAMETERS
-from hpid_ros.bags.writer import BagWriter, TopicQos
 from hpid_ros.base.errors import HpidError
-from hpid_ros.base.resources import find_resource
+from hpid_ros.base.files import find_resource
 from hpid_ros.control import JointLoop, LoopSettings
 from hpid_ros.experiment.description import Experiment, load_experiment
-from hpid_ros.experiment.in_process import run_without_ros
-from hpid_ros.experiment.parameter_files import controllers_text
+from hpid_ros.experiment.in_process import controllers_text, run_without_ros
 from hpid_ros.experiment.progress import NoProgress
-from hpid_ros.road.prediction import Prediction, prediction_of
-from hpid_ros.road.proposal import Answer, Question, Telling, answer
-from hpid_ros.road.verification import HOLDS_WITHIN, Verification, verify
+from hpid_ros.messages.joint_state import JointStateTemplate
+from hpid_ros.messages.selection import (
+    JOINT_STATE,
+    JOINT_TRAJECTORY,
+    PARAMETERS,
+    encode_joint_trajectory,
+)
+from hpid_ros.messages.writer import BagWriter, TopicQos
+from hpid_ros.metrics.quantities import ITAE, IVC
+from hpid_ros.motion.generators import minimum_jerk, step
 from hpid_ros.robot.amendments import JointAmendment, amended
-from hpid_ros.robot.description import RobotDescription
+from hpid_ros.robot.description import GivenRobot, RobotDescription
 from hpid_ros.robot.dynamics import Dynamics
-from hpid_ros.robot.given import GivenRobot
-from hpid_ros.trajectory.generators import minimum_jerk, step
 from hpid_ros.tuning.upgrade import GOALS
-from hpid_ros.wire import JointStateTemplate
+from hpid_ros.tuning.upgrade_prediction import (
+    HOLDS_WITHIN,
+    Prediction,
+    Verification,
+    prediction_of,
+    verify,
+)
+from hpid_ros.tuning.upgrade_proposal import Answer, Question, Telling, answer
 
 ROBOTS = ("paper", "iiwa", "panda")
 STRANGE = "strange"

@@ -29,12 +29,12 @@ from benchmarks.ours_graph import run_ours
 from benchmarks.pendulums import LABEL, pendulum_experiment
 from benchmarks.processes import ROOT
 from benchmarks.scaling_plot import draw
-from hpid_ros.base.interrupts import heed_interrupts
+from hpid_ros.base.processes import heed_interrupts
 from hpid_ros.control import JointLoop
 from hpid_ros.experiment.description import Experiment
-from hpid_ros.experiment.graph.options import GraphOptions
+from hpid_ros.experiment.graph_run import GraphOptions
 from hpid_ros.simulation.engine import Sample, run_in_process
-from hpid_ros.simulation.world.world import World
+from hpid_ros.simulation.world import World
 
 JOINTS = (2, 8, 16, 32)
 ROUNDS = 3

@@ -16,14 +16,14 @@ from typing import Any, NamedTuple
 
 import yaml
 
-from hpid_ros.analysis.indices.base import BaseFigures
 from hpid_ros.base.errors import SettingError
-from hpid_ros.base.resources import find_resource, share_folder
-from hpid_ros.documents.yaml_files import load_yaml
+from hpid_ros.base.files import find_resource, share_folder
+from hpid_ros.base.yaml_files import load_yaml
 from hpid_ros.experiment.description import load_experiment
 from hpid_ros.experiment.in_process import run_without_ros
 from hpid_ros.experiment.progress import NoProgress
-from hpid_ros.experiment.result.result import compute
+from hpid_ros.experiment.result import compute
+from hpid_ros.metrics.task import BaseFigures
 
 _LABEL = "PID"
 _REST = 0.5  # [s] after the path

@@ -26,8 +26,8 @@ from benchmarks.memory import private_bytes
 from benchmarks.processes import Scripts
 from benchmarks.surroundings import own_surroundings
 from hpid_ros.base.errors import RunError
-from hpid_ros.base.interrupts import heed_interrupts, raise_if_interrupted
-from hpid_ros.experiment.graph.processes import NodeGroup
+from hpid_ros.base.processes import heed_interrupts, raise_if_interrupted
+from hpid_ros.experiment.processes import NodeGroup
 
 GROWTH_AT_MOST = 1.0  # [MiB] of any process after the warm-up
 RETUNES = 5.0  # sets of parameters in a second

@@ -30,11 +30,10 @@ from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from hpid_ros.base.errors import RunError, SettingError, unknown_name
-from hpid_ros.base.interrupts import heed_interrupts
-from hpid_ros.experiment.graph.isolation import closed_environment, own_domain
-from hpid_ros.experiment.graph.processes import NodeGroup, NodeProcess
-from hpid_ros.nodes.ros.middleware import LATCHED, OFFERED, RARE
-from hpid_ros.wire import JointStateTemplate, decode_joint_state
+from hpid_ros.base.processes import heed_interrupts
+from hpid_ros.experiment.processes import NodeGroup, NodeProcess, closed_environment, own_domain
+from hpid_ros.messages.joint_state import JointStateTemplate, decode_joint_state
+from hpid_ros.nodes.core.middleware import LATCHED, OFFERED, RARE
 
 JOINT, NODE = "elbow", "elbow_controller"
 OTHERS = ("a", "b", "c", "d", "e")

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from benchmarks.processes import ROOT
-from hpid_ros.experiment.graph.isolation import closed_environment, own_domain
+from hpid_ros.experiment.processes import closed_environment, own_domain
 
 _OPTIONS = ((), ("--user", "--map-current-user", "--keep-caps"))  # of root, and of all others
 

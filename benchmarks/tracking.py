@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import cache
 
-from hpid_ros.base.resources import find_resource
+from hpid_ros.base.files import find_resource
 from hpid_ros.experiment.description import Experiment, load_experiment
 
 

@@ -9,7 +9,7 @@ from launch.conditions import IfCondition, UnlessCondition
 from launch.substitutions import EqualsSubstitution, LaunchConfiguration, PathJoinSubstitution
 from launch_ros.substitutions import ExecutableInPackage, FindPackageShare
 
-from hpid_ros.nodes.ros.launching import failures
+from hpid_ros.nodes.core.launching import failures
 
 
 def generate_launch_description():

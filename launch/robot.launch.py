@@ -26,10 +26,9 @@ from launch_ros.substitutions import FindPackageShare
 
 from hpid_ros.base.names import controller_name
 from hpid_ros.experiment.description import load_experiment
-from hpid_ros.experiment.in_process import recorded_topics
-from hpid_ros.experiment.parameter_files import bridge_name, write_run_files
-from hpid_ros.nodes.ros.launching import failures
-from hpid_ros.nodes.ros.process import LAUNCH
+from hpid_ros.experiment.in_process import bridge_name, recorded_topics, write_run_files
+from hpid_ros.nodes.core.launching import failures
+from hpid_ros.nodes.core.process import LAUNCH
 from hpid_ros.robot.description import RobotDescription
 
 STATE_PUBLISHER = "robot_state_publisher"

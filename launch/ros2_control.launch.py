@@ -20,9 +20,9 @@ from launch_ros.actions import Node
 
 from hpid_ros.base.errors import SettingError
 from hpid_ros.base.names import controller_name, node_sections
-from hpid_ros.documents.yaml_files import load_yaml
-from hpid_ros.nodes.ros.launching import failures
-from hpid_ros.nodes.ros.process import LAUNCH
+from hpid_ros.base.yaml_files import load_yaml
+from hpid_ros.nodes.core.launching import failures
+from hpid_ros.nodes.core.process import LAUNCH
 
 
 def generate_launch_description():

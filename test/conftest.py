@@ -15,8 +15,7 @@ from harness.fork_server import ForkedPopen
 from harness.graph import Harness, loopback_environment
 from hypothesis import settings
 
-from hpid_ros.experiment.graph.isolation import own_domain
-from hpid_ros.experiment.graph.processes import NodeProcess
+from hpid_ros.experiment.processes import NodeProcess, own_domain
 
 # A busy machine is not a failure. Every run draws other examples, so that many runs see many.
 settings.register_profile("suite", deadline=None, max_examples=25)

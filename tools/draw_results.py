@@ -21,12 +21,8 @@ from typing import Any
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-from hpid_ros.analysis.quantities import find_quantities  # noqa: E402
-from hpid_ros.report.figures.studies import (  # noqa: E402
-    SearchPoints,
-    front_figure,
-    ratio_figure,
-)
+from hpid_ros.metrics.quantities import find_quantities  # noqa: E402
+from hpid_ros.report.study_figures import SearchPoints, front_figure, ratio_figure  # noqa: E402
 
 BLOCK = re.compile(r"<!-- begin (?P<name>[^>]*?) -->\n(?P<body>.*?)<!-- end (?P=name) -->\n", re.S)
 PAPER = find_quantities(["paper"])

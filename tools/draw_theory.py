@@ -19,8 +19,8 @@ sys.path[:0] = [str(ROOT), str(ROOT / "benchmarks")]
 from certified_against_simulated import SimulatedLoop  # noqa: E402
 
 from hpid_ros.control import Gains, WeightedNorm  # noqa: E402
-from hpid_ros.control.settings.groups import NormSettings  # noqa: E402
-from hpid_ros.report.figures.style import RUN_STYLES, figure_style  # noqa: E402
+from hpid_ros.control.settings import NormSettings  # noqa: E402
+from hpid_ros.report.style import RUN_STYLES, figure_style  # noqa: E402
 from hpid_ros.stability.closed_loop import closed_loop_field  # noqa: E402
 from hpid_ros.stability.verdict import certified_degree_interval  # noqa: E402
 

@@ -16,19 +16,21 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-from hpid_ros.documents.descriptions import TableRow, table  # noqa: E402
-from hpid_ros.planning.configuration import BrickTask  # noqa: E402
-from hpid_ros.robot.configuration import RobotSection  # noqa: E402
+from hpid_ros.base.schema import TableRow, table  # noqa: E402
+from hpid_ros.motion.references import (  # noqa: E402
+    BrickTask,
+    Oscillations,
+    PathSection,
+    Waypoints,
+)
+from hpid_ros.robot.amendments import RobotSection  # noqa: E402
 from hpid_ros.simulation.drives import DriveSettings  # noqa: E402
-from hpid_ros.simulation.sensors import Sensor  # noqa: E402
-from hpid_ros.simulation.world.disturbances import Disturbances  # noqa: E402
-from hpid_ros.simulation.world.workpieces import Workplace  # noqa: E402
+from hpid_ros.simulation.settings import Disturbances, Sensor, Workplace  # noqa: E402
 from hpid_ros.simulation.world_file import (  # noqa: E402
     ControlSection,
     MeasuredSection,
     PhysicsSection,
 )
-from hpid_ros.trajectory.configuration import Oscillations, PathSection, Waypoints  # noqa: E402
 
 PAGE = ROOT / "docs" / "experiments.md"
 BLOCK = re.compile(r"<!-- begin (?P<name>[^>]*?) -->\n(?P<body>.*?)<!-- end (?P=name) -->\n", re.S)

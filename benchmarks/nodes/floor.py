@@ -22,9 +22,8 @@ from collections.abc import Callable, Sequence
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 
-from hpid_ros.nodes.ros import executor
-from hpid_ros.wire import JointStateTemplate
-from hpid_ros.wire.joint_state import NAMES_OFFSET, STAMP_OFFSET
+from hpid_ros.messages.joint_state import NAMES_OFFSET, STAMP_OFFSET, JointStateTemplate
+from hpid_ros.nodes.core import executor
 
 WARM_UP = 100  # cycles that are not counted: every layer has been used, every page touched
 
@@ -156,7 +155,7 @@ def physics() -> Callable[[], None]:
     """Return one period of tracking.yaml after the other: step the robot and read it."""
     from benchmarks.engine import recorded_efforts
     from benchmarks.tracking import tracking
-    from hpid_ros.simulation.world.world import World
+    from hpid_ros.simulation.world import World
 
     experiment = tracking(physics_steps=1, engine="mujoco")
     efforts = recorded_efforts(experiment, experiment.periods)

@@ -24,8 +24,8 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 
 from benchmarks.tracking import tracking
-from hpid_ros.simulation.world.world import World
-from hpid_ros.trajectory import SplineReference
+from hpid_ros.motion import SplineReference
+from hpid_ros.simulation.world import World
 
 LABEL = "PID"
 

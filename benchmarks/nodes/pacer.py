@@ -17,11 +17,10 @@ import numpy as np
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 
-from hpid_ros.nodes.ros import executor
-from hpid_ros.nodes.ros.process import schedule
-from hpid_ros.nodes.ros.steady_timer import steady_timer
-from hpid_ros.wire import JointStateTemplate
-from hpid_ros.wire.joint_state import NAMES_OFFSET, STAMP_OFFSET
+from hpid_ros.messages.joint_state import NAMES_OFFSET, STAMP_OFFSET, JointStateTemplate
+from hpid_ros.nodes.core import executor
+from hpid_ros.nodes.core.middleware import steady_timer
+from hpid_ros.nodes.core.process import schedule
 
 _QOS = QoSProfile(
     history=HistoryPolicy.KEEP_LAST, depth=256, reliability=ReliabilityPolicy.BEST_EFFORT

@@ -5,12 +5,13 @@ The wrist starts 0.3 rad away from its setpoint; everything else is held where i
 
 import math
 
-from hpid_ros.base.resources import find_resource
+from hpid_ros.base.files import find_resource
 from hpid_ros.control import Gains, JointLoop, LoopSettings
 from hpid_ros.control.reference import Setpoint
-from hpid_ros.control.settings.groups import EncoderSettings, NormSettings
-from hpid_ros.simulation import World, WorldSettings
+from hpid_ros.control.settings import EncoderSettings, NormSettings
 from hpid_ros.simulation.engine import run_in_process
+from hpid_ros.simulation.settings import WorldSettings
+from hpid_ros.simulation.world import World
 
 JOINT, GAINS, INERTIA = "arm_joint_4", Gains(p=7.56, i=25.2, d=0.756), 0.0252
 COUNTS = 16384  # of the encoder, per revolution

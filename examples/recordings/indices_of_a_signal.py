@@ -2,12 +2,7 @@
 
 import numpy as np
 
-from hpid_ros.analysis.indices.integrals import (
-    integral_of_absolute,
-    itae,
-    l2_norm,
-    total_variation,
-)
+from hpid_ros.metrics.indices import integral_of_absolute, itae, l2_norm, total_variation
 
 time = np.arange(0.0, 9.0, 0.001)  # [s]
 error = 0.3 * np.exp(-2.0 * time) * np.cos(3.0 * time)  # [rad]

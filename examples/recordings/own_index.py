@@ -13,7 +13,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from write_bag import write_bag
 
-from hpid_ros.bags import read_run
+from hpid_ros.messages.run import read_run
 
 BOUND = 0.05  # [rad]
 

@@ -12,10 +12,11 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from hpid_ros.bags import BagReader, BagWriter
-from hpid_ros.bags.message_types import encode_joint_trajectory
-from hpid_ros.trajectory import step
-from hpid_ros.wire import JointStateTemplate
+from hpid_ros.messages.bag_file import BagReader
+from hpid_ros.messages.joint_state import JointStateTemplate
+from hpid_ros.messages.selection import encode_joint_trajectory
+from hpid_ros.messages.writer import BagWriter
+from hpid_ros.motion import step
 
 JOINT_STATE, JOINT_TRAJECTORY = "sensor_msgs/msg/JointState", "trajectory_msgs/msg/JointTrajectory"
 JOINTS, TARGETS = ["shoulder", "elbow"], np.array([0.5, -0.3])  # [rad]

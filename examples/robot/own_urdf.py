@@ -10,8 +10,9 @@ from hpid_ros.control import Gains, JointLoop, LoopSettings
 from hpid_ros.control.reference import Setpoint
 from hpid_ros.robot.description import RobotDescription
 from hpid_ros.robot.dynamics import Dynamics
-from hpid_ros.simulation import World, WorldSettings
 from hpid_ros.simulation.engine import record_run
+from hpid_ros.simulation.settings import WorldSettings
+from hpid_ros.simulation.world import World
 
 LINK = """
   <link name="{child}"><inertial><origin xyz="0 0 {reach}"/><mass value="{mass}"/>

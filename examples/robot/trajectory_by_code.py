@@ -4,11 +4,12 @@ Waypoints become a quintic of least jerk. The same object, encoded, is the messa
 examples/ros/send_trajectory.py.
 """
 
-from hpid_ros.base.resources import find_resource
+from hpid_ros.base.files import find_resource
 from hpid_ros.control import Gains, JointLoop, LoopSettings
-from hpid_ros.simulation import World, WorldSettings
+from hpid_ros.motion import minimum_jerk
 from hpid_ros.simulation.engine import record_run
-from hpid_ros.trajectory import minimum_jerk
+from hpid_ros.simulation.settings import WorldSettings
+from hpid_ros.simulation.world import World
 
 GAINS = {
     "arm_joint_4": Gains(p=7.56, i=25.2, d=0.756),

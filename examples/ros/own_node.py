@@ -13,7 +13,7 @@ from sensor_msgs.msg import JointState
 
 from hpid_ros.control import Gains, JointLoop, LoopSettings
 from hpid_ros.control.reference import Setpoint
-from hpid_ros.control.settings.groups import NormSettings
+from hpid_ros.control.settings import NormSettings
 
 JOINT, TARGET = "elbow", 0.5  # [rad]
 INERTIA, PERIOD, SAMPLES = 0.05, 0.004, 300  # [kg m^2], [s]

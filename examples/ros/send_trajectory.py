@@ -12,7 +12,7 @@ from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from hpid_ros.trajectory import minimum_jerk
+from hpid_ros.motion import minimum_jerk
 
 PATIENCE = 0.5  # [s]
 MOTION = minimum_jerk(

@@ -1,1 +1,1 @@
-"""Foundations that every room stands on: errors, names, text, files, signals."""
+"""Errors, units, untrusted text, files, and records of documents; imports no other room."""

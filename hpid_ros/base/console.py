@@ -12,7 +12,7 @@ from rich.console import Console, ConsoleOptions, RenderableType
 from rich.segment import Segment
 from rich.text import Text
 
-from hpid_ros.base.foreign_text import shown_lines
+from hpid_ros.base.text import shown_lines
 
 
 class TextConsole(Console):

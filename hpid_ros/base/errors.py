@@ -10,7 +10,7 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable
 
-from hpid_ros.base.foreign_text import bounded
+from hpid_ros.base.text import bounded
 
 _SHOWN_NAMES = 100
 """Names that exist, in a message."""

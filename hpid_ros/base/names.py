@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from hpid_ros.base.errors import HpidError
-from hpid_ros.base.foreign_text import shown
+from hpid_ros.base.text import shown
 
 
 def controller_name(joint: str) -> str:

@@ -1,7 +1,19 @@
 """Units: of time, whole nanoseconds in stamps and seconds elsewhere; of joints that slide."""
 
+from __future__ import annotations
+
 import re
 from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import NDArray
+
+Numbers = NDArray[np.float64]
+"""Of any shape, which the docstring says."""
+
+Vector = tuple[float, float, float]
+"""In space: x, y, z."""
+
 
 NANOSECONDS = 1_000_000_000
 """Nanoseconds in one second."""

@@ -1,1 +1,1 @@
-"""The command ``hpid``."""
+"""The command hpid: parse, call one function of a room, print."""

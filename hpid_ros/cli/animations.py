@@ -15,8 +15,9 @@ if TYPE_CHECKING:
 
     from rich.console import Console
 
-    from hpid_ros.experiment.result.folder import ResultFolder
-    from hpid_ros.rendering import Film, FilmSettings
+    from hpid_ros.experiment.result_folder import ResultFolder
+    from hpid_ros.report.film import Film, FilmSettings
+
 
 ANIMATION, PICTURE, REPORT = "animation.webp", "picture.png", "report.html"
 """Names of files in a result folder."""
@@ -26,8 +27,8 @@ def rendered(
     console: Console, result: Path, labels: Sequence[str], settings: FilmSettings
 ) -> Film:
     """Return the animation of a result's runs, and show how far it is meanwhile."""
-    from hpid_ros.rendering import render
-    from hpid_ros.rendering.source import recorded
+    from hpid_ros.report.film import render
+    from hpid_ros.report.film_motion import recorded
 
     found = recorded(result, labels)
     with _pictures(console) as told:
@@ -36,7 +37,7 @@ def rendered(
 
 def report_page(result: Path) -> str:
     """Return the report of a result, which has a place for an animation."""
-    from hpid_ros.report.html.animation import require_place
+    from hpid_ros.report.page import require_place
 
     report = result / REPORT
     try:
@@ -50,8 +51,8 @@ def report_page(result: Path) -> str:
 
 def save_in_report(folder: ResultFolder, film: Film) -> None:
     """Put an animation into the report of a result, in the place of one that is there."""
-    from hpid_ros.rendering.files import encoded, for_report
-    from hpid_ros.report.html.animation import with_animation
+    from hpid_ros.report.film import encoded, for_report
+    from hpid_ros.report.page import with_animation
 
     page = report_page(folder.path)
     still = encoded(film._replace(frames=film.frames[:1]), ".webp")

@@ -11,8 +11,7 @@ from typing import NamedTuple
 
 from hpid_ros import __version__
 from hpid_ros.base.errors import HpidError, RunError
-from hpid_ros.base.interrupts import heed_interrupts
-from hpid_ros.base.libraries import optional_libraries
+from hpid_ros.base.processes import heed_interrupts, optional_libraries
 from hpid_ros.cli.commands import BAD_INPUT, FAILED, INTERRUPTED, UNREAD
 
 
@@ -34,43 +33,33 @@ COMMANDS = {
     "study": _Command(
         "study", "run experiments over many seeds and hold the paper's claims to them"
     ),
-    "metrics": _Command(
-        "metrics.command", "compute the indices of recorded bags and compare them"
-    ),
+    "metrics": _Command("metrics", "compute the indices of recorded bags and compare them"),
     "excite": _Command(
-        "live.excite", "move joints of a running robot so that a recording tells what they are"
+        "excite", "move joints of a running robot so that a recording tells what they are"
     ),
-    "identify": _Command(
-        "recordings.identify", "find inertia, friction, load and delay of joints in a bag"
-    ),
+    "identify": _Command("identify", "find inertia, friction, load and delay of joints in a bag"),
     "replay": _Command(
-        "recordings.replay",
+        "replay",
         "compute every command of a recording anew, and compare to the last bit",
     ),
-    "repair": _Command(
-        "recordings.repair", "save what can be read of a bag that was cut off or damaged"
-    ),
-    "render": _Command(
-        "recordings.render", "draw the robot of a result as it moved, side by side, animated"
-    ),
-    "gains": _Command("tuning.gains", "compute gains by a published tuning rule"),
-    "check-gains": _Command(
-        "tuning.check_gains", "say for which degrees gains are certified stable"
-    ),
+    "repair": _Command("repair", "save what can be read of a bag that was cut off or damaged"),
+    "render": _Command("render", "draw the robot of a result as it moved, side by side, animated"),
+    "gains": _Command("gains", "compute gains by a published tuning rule"),
+    "check-gains": _Command("check_gains", "say for which degrees gains are certified stable"),
     "margins": _Command(
-        "tuning.margins", "say how far loops are from instability: gain, phase, delay, disk"
+        "margins", "say how far loops are from instability: gain, phase, delay, disk"
     ),
     "tune": _Command(
-        "tuning.tune", "search the best gains of a PID, or the best degree and norm, for one cost"
+        "tune", "search the best gains of a PID, or the best degree and norm, for one cost"
     ),
     "autotune": _Command(
-        "live.autotune", "find a running joint's gains by relay feedback, and its homogeneous PID"
+        "autotune", "find a running joint's gains by relay feedback, and its homogeneous PID"
     ),
     "live": _Command(
-        "live.page", "open a page on which running controllers are seen, retuned and stopped"
+        "page", "open a page on which running controllers are seen, retuned and stopped"
     ),
     "upgrade": _Command(
-        "tuning.upgrade",
+        "upgrade",
         "turn a PID into a homogeneous PID: from its parameter file, or from a bag of it",
     ),
     "export": _Command("export", "write joints' loops as C for a microcontroller"),
@@ -86,9 +75,7 @@ def main(args: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit code."""
     args = sys.argv[1:] if args is None else list(args)
     options = _parser(args).parse_args(args)
-    from hpid_ros.base.console import (
-        guarded_output,  # imports rich, for which --help need not wait
-    )
+    from hpid_ros.base.console import guarded_output
 
     heed_interrupts()
     # What renders asks for OpenGL itself. MuJoCo would ask another process for the version of a

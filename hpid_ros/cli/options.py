@@ -1,24 +1,30 @@
-"""Options that several commands have in common: experiments, batches, robots."""
+"""Options that several commands share, and the loops that a file holds."""
 
 from __future__ import annotations
 
 import argparse
+import math
 import sys
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from hpid_ros.base.errors import SettingError, unknown_name
-from hpid_ros.base.resources import find_resource
+from hpid_ros.base.errors import ExperimentError, HpidError, SettingError, unknown_name
+from hpid_ros.base.files import find_resource
+from hpid_ros.robot.description import GivenRobot
 
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from hpid_ros.control.controller_files import ParameterFile
+    from hpid_ros.control.settings import LoopSettings
+    from hpid_ros.experiment.batch import Outcome, Runner
     from hpid_ros.experiment.description import Experiment
-    from hpid_ros.experiment.result.folder import ResultFolder
-    from hpid_ros.studies.batch import Outcome, Runner
+    from hpid_ros.experiment.result_folder import ResultFolder
+    from hpid_ros.messages.selection import BagSelection, Reference
+    from hpid_ros.stability.degrees import Loop
 
 
 DEFAULT_EXPERIMENT = "config/experiments/paper.yaml"
@@ -139,14 +145,14 @@ def add_jobs(parser: argparse.ArgumentParser) -> None:
 @contextmanager
 def chosen_runner(options: argparse.Namespace, console: Console) -> Iterator[Runner]:
     """Give what runs a batch: processes of this machine, or the workers of a scheduler."""
-    from hpid_ros.studies.batch import in_processes
+    from hpid_ros.experiment.batch import in_processes
 
     if options.scheduler is None:
         if options.jobs is not None and options.jobs < 1:
             raise SettingError(f"--jobs must be at least 1, not {options.jobs}")
         yield in_processes(options.jobs)
         return
-    from hpid_ros.studies.cluster import Cluster
+    from hpid_ros.experiment.cluster import Cluster
 
     with Cluster(options.scheduler) as cluster:
         console.print(str(cluster), soft_wrap=True, highlight=False)
@@ -227,3 +233,301 @@ def run_progress(console: Console, runs: int) -> Iterator[Callable[[Outcome], No
             advanced(f"[yellow]{failures} failed" if failures else "")
 
         yield ended
+
+
+def add_topics(group: Any) -> None:
+    """Add ``--namespace``, ``--states``, ``--commands`` and ``--command-topic``."""
+    group.add_argument("--namespace", metavar="NAME", help="which of several robots")
+    group.add_argument(
+        "--states",
+        action="append",
+        metavar="TOPIC",
+        help="of the joint states; once for each topic of one robot",
+    )
+    group.add_argument(
+        "--commands",
+        metavar="TOPIC",
+        help="of the efforts; effort: *_controller/commands are efforts, the topic of the states: "
+        "measured ones, none: none (found by name and type, else the measured ones)",
+    )
+    group.add_argument(
+        "--command-topic",
+        action="append",
+        default=[],
+        metavar="JOINT=TOPIC[INDEX]",
+        help="of one joint's efforts; may be given several times",
+    )
+
+
+def add_time(group: Any) -> None:
+    """Add ``--clock``, ``--start`` and ``--end``."""
+    group.add_argument(
+        "--clock", default="header", metavar="CLOCK", help="header or receive (header)"
+    )
+    group.add_argument("--start", type=float, metavar="S", help="seconds after the first state")
+    group.add_argument("--end", type=float, metavar="S", help="seconds after the first state")
+
+
+def bag_selection(
+    options: argparse.Namespace,
+    joints: Sequence[str] | None,
+    reference: Reference = "auto",
+    separates_runs: bool = False,
+) -> BagSelection:
+    """Return what the options choose."""
+    from hpid_ros.messages.selection import BagSelection, parse_command_topics
+
+    return BagSelection(
+        joints=joints,
+        namespace=options.namespace,
+        states=options.states,
+        commands=options.commands,
+        command_topics=parse_command_topics(options.command_topic),
+        reference=reference,
+        clock=options.clock,
+        start=options.start,
+        end=options.end,
+        separates_runs=separates_runs,
+    )
+
+
+_POSES = 200
+
+
+def load_robot(name: str) -> GivenRobot:
+    """Return the robot of a URDF, of an experiment file or of what ``hpid identify`` wrote."""
+    from hpid_ros.robot.description import RobotDescription
+
+    file = find_resource(name)
+    if file.suffix not in (".yaml", ".yml"):
+        return GivenRobot(str(file), RobotDescription.load(file))
+    identified = identified_robot(file)
+    if identified is not None:
+        return identified
+    from hpid_ros.experiment.description import load_experiment
+
+    world = load_experiment(file).world
+    source = str(world.robot_description)
+    description = RobotDescription.load(source)
+    wheels = tuple(world.base.joints) if world.base is not None else ()
+    return GivenRobot(source, description, world.fixed_base, world.initial_positions, wheels)
+
+
+def identified_robot(file: Path) -> GivenRobot | None:
+    """Return the robot of a file that is no experiment but says of a robot what one would."""
+    from hpid_ros.base.records import Section, take_record
+    from hpid_ros.base.yaml_files import load_document
+    from hpid_ros.robot.amendments import RobotSection
+    from hpid_ros.robot.description import RobotDescription
+
+    document = load_document(file, SettingError)
+    values = document.values
+    if not isinstance(values, Mapping) or "robot" not in values or "compare" in values:
+        return None
+    with document.blaming(SettingError):
+        section = Section(values["robot"], "robot", SettingError)
+        robot = take_record(RobotSection, section)
+        section.finish()
+        known = robot.load(
+            lambda name: RobotDescription.load(find_resource(name, document.folders))
+        )
+    return GivenRobot(known.xml, known, robot.fixed_base, robot.initial_positions)
+
+
+def add_robot_options(parser: argparse.ArgumentParser) -> None:
+    """Add ``--inertia``, ``--urdf``, ``--payload`` and ``--poses``."""
+    parser.add_argument(
+        "--inertia",
+        action="append",
+        nargs="+",
+        default=[],
+        metavar="M",
+        help="of every joint: M, or LOW HIGH; of one: JOINT=M or JOINT=LOW:HIGH, also where "
+        "--urdf says that of the others; or a file that hpid identify wrote (.yaml)",
+    )
+    parser.add_argument(
+        "--urdf",
+        metavar="FILE",
+        help="compute inertias over the joints' ranges from this robot: a URDF, or an experiment "
+        "file (.yaml) with what it knows better",
+    )
+    parser.add_argument(
+        "--payload", type=float, default=0.0, metavar="KG", help="largest payload, with --urdf"
+    )
+    parser.add_argument(
+        "--poses",
+        type=int,
+        metavar="N",
+        help=f"sampled over the joints' ranges, with --urdf ({_POSES})",
+    )
+
+
+Range = tuple[float, float]
+
+
+def inertias_from(
+    options: argparse.Namespace,
+    joints: Sequence[str],
+    poses: Sequence[Mapping[str, float]] = (),
+) -> dict[str, Range]:
+    """Return the least and the largest inertia that the options say, by joint."""
+    of_all, of_one = _given(options.inertia)
+    for each in (text for texts in options.inertia for text in texts if _is_file(text)):
+        in_file = _of_file(Path(each))
+        of_one |= {joint: in_file[joint] for joint in joints if joint in in_file}
+    unknown = [joint for joint in of_one if joint not in joints]
+    if unknown:
+        raise SettingError(unknown_name("joint in --inertia", unknown[0], joints))
+    if of_all and options.urdf:
+        raise SettingError(
+            "--inertia takes JOINT=M or JOINT=LOW:HIGH beside --urdf, which says that of "
+            "the others"
+        )
+    if of_all:
+        found = dict.fromkeys(joints, of_all)
+    elif options.urdf:
+        asked = [joint for joint in joints if joint not in of_one]
+        found = _of_robot(options, asked, poses) if asked else {}
+    else:
+        found = {}
+    found |= of_one
+    for joint, (low, high) in found.items():
+        if not 0.0 < low <= high < math.inf:
+            raise SettingError(
+                f"the inertia of {joint!r} must be positive and finite, its least value not above "
+                f"its largest, not {low:g} to {high:g} kg m^2"
+            )
+    return found
+
+
+def _given(inertias: Sequence[Sequence[str]]) -> tuple[Range | None, dict[str, Range]]:
+    """Return what ``--inertia`` says of all joints, and of single ones."""
+    numbers: list[float] = []
+    of_one: dict[str, Range] = {}
+    for text in (each for texts in inertias for each in texts if not _is_file(each)):
+        joint, is_named, value = text.rpartition("=")
+        try:
+            found = [float(each) for each in (value.split(":") if is_named else [value])]
+        except ValueError:
+            found = []
+        if len(found) not in (1, 2) or (is_named and not joint):
+            raise SettingError(
+                f"--inertia takes M, LOW HIGH, JOINT=M or JOINT=LOW:HIGH, not {text!r}"
+            )
+        if is_named:
+            of_one[joint] = (found[0], found[-1])
+        else:
+            numbers += found
+    if len(numbers) > 2:
+        raise SettingError(
+            f"--inertia takes one number, or the least and the largest, not {len(numbers)}"
+        )
+    return ((numbers[0], numbers[-1]) if numbers else None), of_one
+
+
+def _is_file(text: str) -> bool:
+    return text.endswith((".yaml", ".yml"))
+
+
+def _of_file(file: Path) -> dict[str, Range]:
+    """Return the inertias that a file's ``controllers`` section has, by joint."""
+    from hpid_ros.base.yaml_files import load_document
+
+    values = load_document(file, SettingError).values
+    try:
+        joints = values["controllers"]["joints"]
+        found = {
+            name: float(each["inertia"]) for name, each in joints.items() if "inertia" in each
+        }
+    except (KeyError, TypeError, ValueError, AttributeError):
+        found = {}
+    if not found:
+        raise SettingError(f"--inertia {file}: it has no controllers.joints.JOINT.inertia")
+    return {name: (value, value) for name, value in found.items()}
+
+
+def _of_robot(
+    options: argparse.Namespace, joints: Sequence[str], poses: Sequence[Mapping[str, float]]
+) -> dict[str, Range]:
+    from hpid_ros.tuning.inertias import inertia_ranges
+
+    wanted = _POSES if options.poses is None else options.poses
+    try:
+        robot = load_robot(options.urdf)
+        if poses and options.poses is None:
+            known = [{**robot.initial_positions, **pose} for pose in poses]
+            return inertia_ranges(robot.description, joints, options.payload, known)
+        return inertia_ranges(robot.description, joints, options.payload, wanted)
+    except ExperimentError:  # names the file itself
+        raise
+    except HpidError as error:
+        raise SettingError(f"{options.urdf}: {error}") from None
+
+
+class LoopFile(NamedTuple):
+    """A file of loops; one of the two is there."""
+
+    experiment: Experiment | None  # what an experiment file says
+    parameters: ParameterFile | None  # what a parameter file says
+
+
+def loop_file(path: Path) -> LoopFile:
+    """Read a file of loops."""
+    from hpid_ros.base.yaml_files import load_document
+    from hpid_ros.control.controller_files import parameters_from
+    from hpid_ros.experiment.description import load_experiment
+
+    document = load_document(path, SettingError).values
+    if isinstance(document, Mapping) and "compare" in document:
+        return LoopFile(load_experiment(path), None)
+    return LoopFile(None, parameters_from(document, str(path)))
+
+
+def first_homogeneous(experiment: Experiment) -> tuple[LoopSettings, ...]:
+    """Return the loops of the first homogeneous controller, or else of the first."""
+    controllers = list(experiment.controllers.values())
+    homogeneous = [each for each in controllers if any(loop.law == "hpid" for loop in each)]
+    return (homogeneous or controllers)[0]
+
+
+def named_loops(file: LoopFile) -> ParameterFile:
+    """Return every loop of a file by the name to show it under, and the inertias that it holds."""
+    from hpid_ros.control.controller_files import ParameterFile
+
+    if file.parameters is not None:
+        return file.parameters
+    assert file.experiment is not None
+    loops = {
+        f"{label} {each.joint}": each
+        for label, settings in file.experiment.controllers.items()
+        for each in settings
+    }
+    return ParameterFile(loops, {})
+
+
+def shown_name(name: str) -> str:
+    """Return a loop's name as tables have it."""
+    return name.strip("/").removesuffix("_controller")
+
+
+def judged_loops(options: argparse.Namespace, file: ParameterFile) -> list[Loop]:
+    """Return loops with the inertias to judge them on."""
+    from hpid_ros.stability.gain_check import inertia_of
+
+    loops = file.loops.values()
+    known = {**file.inertias, **inertias_from(options, [each.joint for each in loops])}
+    return [(each, inertia_of(each, known.get(each.joint))) for each in loops]
+
+
+def sliding_joints(options: argparse.Namespace, experiment: Experiment | None) -> frozenset[str]:
+    """Return the joints that slide: by ``--urdf``, the experiment's robot, or ``--bag``."""
+    if options.urdf:
+        return load_robot(options.urdf).description.slides
+    if experiment is not None:
+        return experiment.slides
+    bag = getattr(options, "bag", None)
+    if bag is None:
+        return frozenset()
+    from hpid_ros.metrics.measure import sliding_joints as slides_of_bag
+
+    return slides_of_bag(bag, None).slides

@@ -12,7 +12,7 @@ from rich.progress import BarColumn, Progress, TaskID, TaskProgressColumn, TextC
 
 from hpid_ros.base.console import TextConsole
 from hpid_ros.experiment.progress import RunReport
-from hpid_ros.report.tables.wide_table import UNLIMITED_WIDTH, TableColumn, WideTable
+from hpid_ros.report.table import UNLIMITED_WIDTH, TableColumn, WideTable
 
 
 def output_console() -> TextConsole:

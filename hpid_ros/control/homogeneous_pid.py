@@ -1,4 +1,4 @@
-"""The homogeneous PID: the paper's law, and a semi-implicit step of it for slow sampling.
+"""Gains, the linear PID, and the homogeneous PID (the paper's law) with a semi-implicit step.
 
 Sign convention, once for the whole package: the paper writes ``e = y - y*`` with negative
 gains; here, as everywhere in ROS, ``error = reference - measurement`` with positive gains. Both
@@ -8,12 +8,132 @@ give the same effort.
 from __future__ import annotations
 
 import math
-from typing import Protocol
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
 
 from hpid_ros.base.errors import GainError
-from hpid_ros.control.gains import Gains
 from hpid_ros.control.norms import WeightedNorm, require_floor
-from hpid_ros.control.pid import Pid
+
+
+@dataclass(frozen=True)
+class Gains:
+    """Gains of a PID on error = reference - measurement; the linear ones and the homogeneous.
+
+    Attributes:
+        p: Proportional gain, in [N m / rad].
+        i: Integral gain, in [N m / (rad s)].
+        d: Derivative gain, in [N m s / rad].
+
+    Raises:
+        GainError: A gain is not finite or is negative.
+    """
+
+    p: float
+    i: float
+    d: float
+
+    def __post_init__(self) -> None:
+        for name in ("p", "i", "d"):
+            value = getattr(self, name)
+            if not math.isfinite(value) or value < 0.0:
+                raise GainError(
+                    f"gain {name} must be finite and not negative "
+                    f"(error = reference - measurement), not {value}"
+                )
+
+
+def is_hurwitz(gains: Gains, inertia: float = 1.0) -> bool:
+    """Tell whether the linear PID stabilises a joint of this inertia.
+
+    The loop on ``m e'' = -u + p`` is ``m s^3 + kd s^2 + kp s + ki``; by Routh and Hurwitz it is
+    stable if and only if the gains are positive and ``kp kd > m ki``. Without integral action
+    the loop is of second order and positive ``kp`` and ``kd`` suffice.
+    """
+    return gains.p > 0.0 and gains.d > 0.0 and gains.p * gains.d > inertia * gains.i
+
+
+def require_hurwitz(gains: Gains, inertia: float) -> None:
+    """Refuse gains whose linear loop is unstable."""
+    if not math.isfinite(inertia) or inertia <= 0.0:
+        raise GainError(f"the inertia must be positive and finite, not {inertia} kg m^2")
+    if not is_hurwitz(gains, inertia):
+        raise GainError(
+            f"the loop is unstable: p d = {gains.p * gains.d:g} must exceed "
+            f"i x inertia = {gains.i * inertia:g} (p {gains.p:g}, i {gains.i:g}, d {gains.d:g}, "
+            f"inertia {inertia:g} kg m^2), and p and d must be positive"
+        )
+
+
+class Terms(NamedTuple):
+    """What each term contributed to an effort."""
+
+    p: float  # [N m] proportional term
+    i: float  # [N m] integral term
+    d: float  # [N m] derivative term
+
+
+class Pid:
+    """Linear PID, ``u = kp e + kd de + I`` with ``dI/dt = ki e``, by forward Euler.
+
+    The gain ``ki`` stands inside the integral, so that changing it does not jump.
+
+    Args:
+        gains: The gains.
+    """
+
+    __slots__ = ("_derivative", "_integral", "_integral_used", "_proportional", "gains")
+
+    _integral: float
+    _integral_used: float
+    _proportional: float
+    _derivative: float
+
+    def __init__(self, gains: Gains) -> None:
+        self.gains = gains
+        self.reset()
+
+    @property
+    def integral(self) -> float:
+        """The integral term that the next sample uses, in [N m]."""
+        return self._integral
+
+    @property
+    def terms(self) -> Terms:
+        """The terms of the last sample."""
+        return Terms(self._proportional, self._integral_used, self._derivative)
+
+    def update(self, error: float, error_rate: float, dt: float) -> float:
+        """Take one sample.
+
+        Args:
+            error: Reference minus measured position, in [rad].
+            error_rate: Its time derivative, in [rad/s].
+            dt: Time over which the error is integrated, in [s].
+
+        Returns:
+            The effort in [N m], with the integral before this sample's increment.
+        """
+        gains, integral = self.gains, self._integral
+        proportional = gains.p * error
+        derivative = gains.d * error_rate
+        self._proportional = proportional
+        self._derivative = derivative
+        self._integral_used = integral
+        self._integral = integral + dt * (gains.i * error)
+        return proportional + derivative + integral
+
+    def reset(self) -> None:
+        """Forget the integral and the last terms."""
+        self._integral = self._integral_used = 0.0
+        self._proportional = self._derivative = 0.0
+
+    def restore_integral(self, integral: float) -> None:
+        """Replace the integral term, as anti-windup and a change of law do.
+
+        Args:
+            integral: In [N m].
+        """
+        self._integral = integral
 
 
 class HomogeneousNorm(Protocol):

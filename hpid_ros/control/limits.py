@@ -7,8 +7,8 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from hpid_ros.base.errors import SettingError
-from hpid_ros.control.gains import Gains
-from hpid_ros.control.settings.choices import AntiWindupStrategy
+from hpid_ros.control.homogeneous_pid import Gains
+from hpid_ros.control.parameters import AntiWindupStrategy
 
 
 class LimitFigures(NamedTuple):

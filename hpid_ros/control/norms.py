@@ -14,14 +14,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from hpid_ros.base.errors import NormError
-from hpid_ros.control.settings.choices import NormType
+from hpid_ros.control.parameters import NormType
 
 DEGREE_LIMIT = 0.5
 """Degrees lie strictly between minus and plus this."""
 
 GOOD_SAMPLING_MARGIN = 0.25
 """T kd lam / m up to which sampling is not felt; see
-:func:`~hpid_ros.stability.bounds.sampling_margin`."""
+:func:`~hpid_ros.stability.gain_check.sampling_margin`."""
 
 
 def require_degree(degree: float) -> None:

@@ -1,1 +1,1 @@
-"""An experiment file, run on the graph or in one process, and the result that it leaves."""
+"""Experiment files: run on a graph or in one process, swept, searched, studied."""

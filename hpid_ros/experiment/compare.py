@@ -7,24 +7,19 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from hpid_ros.analysis import Comparison
-from hpid_ros.analysis.engine_totals import BySeed, EngineTotal, engine_mapping
-from hpid_ros.analysis.quantities import PAPER, Quantity
 from hpid_ros.base.errors import ExperimentError, unknown_name
 from hpid_ros.experiment.description import Experiment
-from hpid_ros.experiment.graph.options import GraphOptions
-from hpid_ros.experiment.graph.run import run_on_graph
-from hpid_ros.experiment.graph.trial import run_trial
-from hpid_ros.experiment.in_process import run_without_ros
-from hpid_ros.experiment.parameter_files import write_run_files
+from hpid_ros.experiment.graph_run import GraphOptions, run_on_graph, run_trial
+from hpid_ros.experiment.in_process import run_without_ros, write_run_files
 from hpid_ros.experiment.progress import NamedProgress, Progress, RunReport
-from hpid_ros.experiment.result.folder import EXPERIMENT, ResultFolder
-from hpid_ros.experiment.result.places import ResultPlaces
-from hpid_ros.experiment.result.result import Result, compute, save, save_numbers, save_timing
-from hpid_ros.report.tables.engine_tables import engine_grids, engines_csv
-from hpid_ros.report.tables.grid import Grid, grids_text
-from hpid_ros.report.tables.numbers import slides_note
-from hpid_ros.stability.saved_certificates import certificates
+from hpid_ros.experiment.result import Result, compute, save, save_numbers, save_timing
+from hpid_ros.experiment.result_folder import EXPERIMENT, ResultFolder, ResultPlaces
+from hpid_ros.metrics.comparison import Comparison
+from hpid_ros.metrics.folding import BySeed, EngineTotal, engine_mapping
+from hpid_ros.metrics.quantities import PAPER, Quantity
+from hpid_ros.report.export import engine_grids, engines_csv
+from hpid_ros.report.table import Grid, grids_text, slides_note
+from hpid_ros.stability.gain_check import certificates
 
 
 @dataclass(frozen=True)

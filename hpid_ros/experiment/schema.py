@@ -6,10 +6,10 @@ import math
 from collections.abc import Iterable
 from typing import Any
 
-from hpid_ros.control.settings.table import PARAMETERS, ParameterSpec
-from hpid_ros.documents.descriptions import partial_schema
-from hpid_ros.documents.yaml_files import EXTENDS
-from hpid_ros.planning.configuration import task_schema
+from hpid_ros.base.schema import partial_schema
+from hpid_ros.base.yaml_files import EXTENDS
+from hpid_ros.control.parameters import PARAMETERS, ParameterSpec
+from hpid_ros.motion.references import task_schema
 from hpid_ros.simulation.world_file import world_schema
 
 _TYPES = {bool: "boolean", float: "number", str: "string"}

@@ -1,1 +1,1 @@
-"""The live page: running controllers seen, retuned, tried and stopped by a person in a browser."""
+"""A running robot: the page, its client of the graph, excitation and relay tests."""

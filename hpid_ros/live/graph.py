@@ -1,17 +1,19 @@
-"""What the live page asks of a running graph, and what it is told."""
+"""The graph as the page sees it: controllers, their parameters, and what can be asked of them."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future
-from dataclasses import dataclass, field
-from typing import NamedTuple, Protocol
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from typing import Any, NamedTuple, Protocol
 
-from hpid_ros.base.arrays import Numbers
-from hpid_ros.control import LoopSettings
-from hpid_ros.control.settings.robot_limits import RobotLimits
-from hpid_ros.control.settings.table import Value
-from hpid_ros.experiment.live.graph import RunningController, RunningGraph
+from hpid_ros.base.errors import RunError
+from hpid_ros.base.units import Numbers
+from hpid_ros.control.controller_files import RobotLimits
+from hpid_ros.control.parameters import PARAMETERS, Value
+from hpid_ros.control.settings import LoopSettings
+from hpid_ros.live.controllers import RunningController, RunningGraph, described_limits
 
 SILENT_AFTER = 3.0
 """Time without a word on ``/diagnostics`` in [s]; controllers report once a second."""
@@ -118,3 +120,64 @@ class Graph(Protocol):
 
     def states_topic(self, node: str) -> str:
         """Return the full name of the topic that a controller takes its states from."""
+
+
+__all__ = [
+    "MORE_PARAMETERS",
+    "RunningGraph",
+    "StateOf",
+    "as_running",
+    "seen_controller",
+    "with_changes",
+]
+
+MORE_PARAMETERS = ("robot_description", "introspection_rate", "require_certificate")
+"""What a joint controller has beside the parameters of its loop, as far as it is read."""
+
+StateOf = Callable[[str], tuple[float | None, float | None]]
+"""Returns position and mean effort of a node's joint, None where unknown."""
+
+
+def seen_controller(node: str, parameters: Mapping[str, Any]) -> SeenController:
+    """Return a controller that has been found."""
+    values = {name: parameters[name] for name in PARAMETERS}
+    settings = LoopSettings.from_parameters(values)
+    limits = _limits(str(parameters["robot_description"]), settings.joint)
+    return SeenController(
+        node,
+        values,
+        limits.within(settings),
+        limits,
+        float(parameters["introspection_rate"]),
+        bool(parameters["require_certificate"]),
+    )
+
+
+@lru_cache(maxsize=64)  # a controller is read again after every set
+def _limits(source: str, joint: str) -> RobotLimits:
+    return described_limits(source, joint)
+
+
+def with_changes(seen: SeenController, changes: Mapping[str, Any]) -> SeenController:
+    """Return a controller after some of its parameters have been set."""
+    values = {**seen.values, **{name: changes[name] for name in changes if name in PARAMETERS}}
+    settings = seen.limits.within(LoopSettings.from_parameters(values))
+    return replace(seen, values=values, settings=settings)
+
+
+def as_running(
+    seen: Sequence[SeenController],
+    parameters: Mapping[str, Mapping[str, Any]],
+    state_of: StateOf,
+    *,
+    has_commands: bool,
+) -> RunningGraph:
+    """Return controllers as whatever moves joints wants them."""
+    found: dict[str, RunningController] = {}
+    for each in seen:
+        if each.joint in found:
+            both = f"{found[each.joint].node} and {each.node}"
+            raise RunError(f"{each.joint} has two controllers, {both}: which is meant?")
+        found[each.joint] = each.running(*state_of(each.node))
+    document = {each.node: {"ros__parameters": dict(parameters[each.node])} for each in seen}
+    return RunningGraph(found, document, has_commands)

@@ -9,11 +9,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hpid_ros.base.arrays import Numbers
-from hpid_ros.control import LoopSettings
+from hpid_ros.base.units import Numbers
+from hpid_ros.control.assembly import make_law, make_norm
 from hpid_ros.control.homogeneous_pid import HomogeneousPid
 from hpid_ros.control.norms import CanonicalNorm, WeightedNorm
-from hpid_ros.control.settings.assembly import make_law, make_norm
+from hpid_ros.control.settings import LoopSettings
 from hpid_ros.live.graph import Samples
 
 LONGEST = 60.0

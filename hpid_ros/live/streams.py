@@ -1,4 +1,4 @@
-"""Streams of states, commands and references as arrays: many messages at once, joint by joint."""
+"""Messages of one joint as samples on its control clock."""
 
 from __future__ import annotations
 
@@ -7,12 +7,20 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hpid_ros.bags.columns.batches import SLACK, WORD, Integers, Words, gather_words
-from hpid_ros.bags.columns.layouts import ENCAPSULATION, LAYOUTS, Layout
-from hpid_ros.bags.columns.samples import LayoutFamily
-from hpid_ros.base.arrays import Numbers
 from hpid_ros.base.errors import MessageError
-from hpid_ros.base.units import NANOSECONDS
+from hpid_ros.base.units import NANOSECONDS, Numbers
+from hpid_ros.live.graph import Samples
+from hpid_ros.messages.columns import (
+    ENCAPSULATION,
+    LAYOUTS,
+    SLACK,
+    WORD,
+    Integers,
+    Layout,
+    LayoutFamily,
+    Words,
+    gather_words,
+)
 
 _MOST_FAMILIES = 64  # of layouts; a topic has one or two
 _MOST_LEARNED = 64  # layouts in one batch; a robot has fewer joints, and a flood is passed over
@@ -219,3 +227,65 @@ class JointClock:
 
 
 _BESIDE = 1_000_000  # [ns]; an answer may be stamped beside its state, and come before it
+
+
+class Heard(NamedTuple):
+    """What came of one joint, by where it came from."""
+
+    states: JointNumbers
+    commands: JointNumbers  # its commands, stamped with the states that they answer
+    bare_commands: Numbers  # [N m] its commands where they have no stamps, (n,)
+    references: JointNumbers  # what its controller told as its reference
+
+
+class JointSampler:
+    """Makes samples of what comes of one joint."""
+
+    def __init__(self, clock: ControlClock) -> None:
+        self.clock = JointClock(clock)
+        self._has_commands = False
+
+    def take(self, heard: Heard) -> Samples:
+        """Return what came since the last call; what nobody can place in time is left out."""
+        stamps = heard.states.stamps_ns
+        first, is_restarted = self.clock.take(stamps) if len(stamps) else (0, False)
+        states = heard.states.picked(slice(first, None))
+        times = self.clock.seconds(states.stamps_ns)
+        references = self._answers(heard.references, is_restarted)
+        return Samples(
+            np.column_stack((times, states.position, states.velocity)),
+            self._efforts(heard, states, times, is_restarted),
+            np.column_stack(
+                (
+                    self.clock.seconds(references.stamps_ns),
+                    references.position,
+                    references.velocity,
+                )
+            ),
+            is_restarted,
+        )
+
+    def _answers(self, told: JointNumbers, is_restarted: bool) -> JointNumbers:
+        """Return what answers states of the present time."""
+        return told.picked(self.clock.present(told.stamps_ns, is_restarted))
+
+    def _efforts(
+        self, heard: Heard, states: JointNumbers, times: Numbers, is_restarted: bool
+    ) -> Numbers:
+        """Return times and efforts: as commanded, or else as measured."""
+        bare = heard.bare_commands
+        self._has_commands |= bool(len(heard.commands.stamps_ns) or len(bare))
+        if len(bare):
+            return np.column_stack((self._times_of(len(bare), times), bare))
+        if self._has_commands:
+            commands = self._answers(heard.commands, is_restarted)
+            return np.column_stack((self.clock.seconds(commands.stamps_ns), commands.effort))
+        is_told = np.isfinite(states.effort)
+        return np.column_stack((times[is_told], states.effort[is_told]))
+
+    def _times_of(self, count: int, times: Numbers) -> Numbers:
+        """Return times of so many commands without stamps: the newest answers the newest state."""
+        if not len(times):
+            last_ns = self.clock.last_ns
+            return np.full(count, np.nan if last_ns is None else self.clock.now(last_ns))
+        return times[np.clip(np.arange(len(times) - count, len(times)), 0, None)]

@@ -4,15 +4,28 @@
 ``hpid metrics``, the node ``bag_metrics`` and the result of an experiment are made of them.
 """
 
+from hpid_ros.messages.series import JointSeries, Losses, RunSeries, SeriesError
 from hpid_ros.metrics.compare import Summary, compare, summary
+from hpid_ros.metrics.comparison import Comparison, answer
 from hpid_ros.metrics.measure import Measured, Measuring, measure, measure_all
+from hpid_ros.metrics.results import JointIndices, RunIndices, joint_indices, run_indices
 
 __all__ = [
+    "Comparison",
+    "JointIndices",
+    "JointSeries",
+    "Losses",
     "Measured",
     "Measuring",
+    "RunIndices",
+    "RunSeries",
+    "SeriesError",
     "Summary",
+    "answer",
     "compare",
+    "joint_indices",
     "measure",
     "measure_all",
+    "run_indices",
     "summary",
 ]

@@ -7,16 +7,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from hpid_ros.analysis.comparability import mismatches
-from hpid_ros.analysis.comparison import Comparison
-from hpid_ros.analysis.folding import fold_repeats
-from hpid_ros.analysis.indices.task import EndEffectorFigures, EndEffectorPath
-from hpid_ros.analysis.quantities import INDICES, NORMS, Data, find_quantities
-from hpid_ros.analysis.results import RunIndices
-from hpid_ros.analysis.units import in_units
 from hpid_ros.base.errors import SettingError, unknown_name
+from hpid_ros.messages.series import RunSeries
+from hpid_ros.metrics.comparison import Comparison, mismatches
+from hpid_ros.metrics.folding import fold_repeats
 from hpid_ros.metrics.measure import Measured, Measuring, measure_all
-from hpid_ros.recordings.series import RunSeries
+from hpid_ros.metrics.quantities import INDICES, NORMS, Data, find_quantities
+from hpid_ros.metrics.results import RunIndices
+from hpid_ros.metrics.saved import in_units
+from hpid_ros.metrics.task import EndEffectorFigures, EndEffectorPath
 
 Parameters = Mapping[str, Mapping[str, Mapping[str, object]]]
 

@@ -2,8 +2,8 @@
 
 The task frame is ``odom``: where the base stood at the first state. Reference and run both come
 from the recorded joint series: the arm's by forward kinematics, the wheels' by the arcs of
-:func:`~hpid_ros.robot.odometry.integrated`, both from the wheels' first measured positions on. So
-any bag with a URDF gives it. Without a base the task frame is the robot's root link.
+:func:`~hpid_ros.robot.differential_drive.integrated`, both from the wheels' first measured
+positions on. So any bag with a URDF gives it. Without a base the frame is the root link.
 """
 
 from __future__ import annotations
@@ -14,15 +14,14 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from hpid_ros.analysis.indices.task import EndEffectorFigures, EndEffectorPath, PoseDeviation
-from hpid_ros.bags.messages import PoseColumns
-from hpid_ros.base.arrays import Numbers
 from hpid_ros.base.errors import BagError, RobotDescriptionError
-from hpid_ros.recordings.series import JointSeries, RunSeries
+from hpid_ros.base.units import Numbers
+from hpid_ros.messages.messages import PoseColumns
+from hpid_ros.messages.series import JointSeries, RunSeries
+from hpid_ros.metrics.task import EndEffectorFigures, EndEffectorPath, PoseDeviation
 from hpid_ros.robot.description import RobotDescription
-from hpid_ros.robot.differential_drive import DifferentialDrive
+from hpid_ros.robot.differential_drive import DifferentialDrive, integrated
 from hpid_ros.robot.kinematics import Kinematics, LinkPoses, axis_rotations, rotation_angles
-from hpid_ros.robot.odometry import integrated
 
 _BLOCK = 50_000  # instants at a time: memory stays small for recordings of hours
 _UP = np.array([0.0, 0.0, 1.0])

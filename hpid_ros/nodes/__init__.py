@@ -1,1 +1,1 @@
-"""The ROS 2 shell: one node a file, each with its ``main``; nothing else imports rclpy."""
+"""The executables; a node is a shell around one pure object."""

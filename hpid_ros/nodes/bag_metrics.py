@@ -10,21 +10,20 @@ from pathlib import Path
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.parameter import Parameter
 
-from hpid_ros.analysis import Comparison, RunIndices
-from hpid_ros.analysis.quantities import ANGLE_UNITS, Quantity, find_quantities
-from hpid_ros.analysis.units import in_units
-from hpid_ros.bags import BagSelection, parse_command_topics
 from hpid_ros.base.errors import HpidError, SettingError
-from hpid_ros.base.resources import find_resource
-from hpid_ros.metrics import Measured, Measuring, measure, measure_all
-from hpid_ros.metrics.sources import Source
-from hpid_ros.nodes.ros import executor
-from hpid_ros.nodes.ros.middleware import LATCHED
-from hpid_ros.nodes.ros.parameters import read_choice, read_only
-from hpid_ros.nodes.ros.status import StatusPipe
-from hpid_ros.nodes.ros.steady_timer import steady_timer
-from hpid_ros.nodes.ros.usage import Usage
-from hpid_ros.report.tables.export import FORMATS
+from hpid_ros.base.files import find_resource
+from hpid_ros.messages.selection import BagSelection, parse_command_topics
+from hpid_ros.metrics.comparison import Comparison
+from hpid_ros.metrics.measure import Measured, Measuring, Source, measure, measure_all
+from hpid_ros.metrics.quantities import ANGLE_UNITS, Quantity, find_quantities
+from hpid_ros.metrics.results import RunIndices
+from hpid_ros.metrics.saved import in_units
+from hpid_ros.nodes.core import executor
+from hpid_ros.nodes.core.executor import Usage
+from hpid_ros.nodes.core.middleware import LATCHED, steady_timer
+from hpid_ros.nodes.core.process import read_choice, read_only
+from hpid_ros.nodes.core.status import StatusPipe
+from hpid_ros.report.export import FORMATS
 from hpid_ros.robot.description import RobotDescription
 
 _FINISHED = "metadata.yaml"

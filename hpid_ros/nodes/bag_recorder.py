@@ -25,17 +25,16 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 from rclpy.validate_topic_name import validate_topic_name
 
-from hpid_ros.bags.metadata import PARAMETERS, missed_entries, slides_entry
-from hpid_ros.bags.writer import BagTopic, BagWriter, TopicQos
 from hpid_ros.base.errors import BagError, HpidError, SettingError
-from hpid_ros.documents.yaml_files import load_yaml
-from hpid_ros.nodes.ros import executor
-from hpid_ros.nodes.ros.middleware import OFFERED
-from hpid_ros.nodes.ros.parameters import read_only
-from hpid_ros.nodes.ros.status import ERROR, OK, WARN, Diagnostics, StatusPipe
-from hpid_ros.nodes.ros.steady_timer import steady_timer
-from hpid_ros.nodes.ros.usage import Usage
-from hpid_ros.tuning.controller_files import settings_from_parameters
+from hpid_ros.base.yaml_files import load_yaml
+from hpid_ros.control.controller_files import settings_from_parameters
+from hpid_ros.messages.selection import PARAMETERS, missed_entries, slides_entry
+from hpid_ros.messages.writer import BagTopic, BagWriter, TopicQos
+from hpid_ros.nodes.core import executor
+from hpid_ros.nodes.core.executor import Usage
+from hpid_ros.nodes.core.middleware import OFFERED, steady_timer
+from hpid_ros.nodes.core.process import read_only
+from hpid_ros.nodes.core.status import ERROR, OK, WARN, Diagnostics, StatusPipe
 
 _LOOK_PERIOD = 0.02  # [s]
 _REPORT_PERIOD = 0.05  # [s]

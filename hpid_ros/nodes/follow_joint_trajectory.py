@@ -9,32 +9,33 @@ from rclpy.parameter import Parameter
 from rclpy.task import Future
 
 from hpid_ros.base.names import controller_name
-from hpid_ros.goals import (
+from hpid_ros.nodes.core import executor
+from hpid_ros.nodes.core.executor import Usage
+from hpid_ros.nodes.core.middleware import steady_timer
+from hpid_ros.nodes.core.status import StatusPipe
+from hpid_ros.nodes.parts.goal_follower import GoalFollower, Outcome
+from hpid_ros.nodes.parts.goal_graph import (
+    FollowerInputs,
+    GoalHealth,
+    GroupParameters,
+    ToldTrajectories,
+)
+from hpid_ros.nodes.parts.goal_server import GoalServer, action_type
+from hpid_ros.nodes.parts.goals import (
     FIXED_PARAMETERS,
     GOAL_PARAMETERS,
     GoalError,
-    GoalFollower,
     GoalRequest,
-    Outcome,
     Result,
     joint_parameters,
 )
-from hpid_ros.nodes.parts.action.health import GoalHealth
-from hpid_ros.nodes.parts.action.listening import FollowerInputs
-from hpid_ros.nodes.parts.action.parameters import GroupParameters
-from hpid_ros.nodes.parts.action.server import GoalServer, action_type
-from hpid_ros.nodes.parts.action.told import ToldTrajectories
-from hpid_ros.nodes.ros import executor
-from hpid_ros.nodes.ros.status import StatusPipe
-from hpid_ros.nodes.ros.steady_timer import steady_timer
-from hpid_ros.nodes.ros.usage import Usage
 
 _READINESS_PERIOD = 0.05  # [s]
 _UNHEARD = "no controller listens to joint_trajectory"
 
 
 class JointTrajectoryController(executor.ClosingNode):
-    """The shell around one :class:`~hpid_ros.goals.GoalFollower`.
+    """The shell around one :class:`~hpid_ros.nodes.parts.goal_follower.GoalFollower`.
 
     Controllers follow trajectories by themselves: this node tells them, watches, and tells them to
     stop. Without it they go on to the last point of what they were told, and hold there.

@@ -12,30 +12,33 @@ from rclpy.timer import Timer
 
 from hpid_ros.base.errors import ClaimError, MessageError, SettingError
 from hpid_ros.base.names import ALL_JOINTS
-from hpid_ros.merging import CommandMerger, Receiver
-from hpid_ros.nodes.parts.bridge.commanders import Commanders
-from hpid_ros.nodes.parts.controller.commands import CommandSink, sender_of
-from hpid_ros.nodes.parts.controller.joint_claim import JointClaim, claims_joint
-from hpid_ros.nodes.parts.controller.lifecycle import ManagedNode
-from hpid_ros.nodes.parts.merger.health import MergerHealth, Standing, shown_silent
-from hpid_ros.nodes.parts.merger.output import GroupOutput
-from hpid_ros.nodes.parts.merger.parameters import read_parameters
-from hpid_ros.nodes.parts.merger.receiver import ReceiverWatch
-from hpid_ros.nodes.parts.merger.stream import MergedCommands, MergedStream
-from hpid_ros.nodes.ros import executor
-from hpid_ros.nodes.ros.middleware import ALL_COMMANDS, subscribe_raw
-from hpid_ros.nodes.ros.process import schedule
-from hpid_ros.nodes.ros.status import StatusPipe
-from hpid_ros.nodes.ros.steady_timer import steady_timer
-from hpid_ros.nodes.ros.usage import Usage
-from hpid_ros.wire import EffortReader
+from hpid_ros.messages.joint_readers import EffortReader
+from hpid_ros.nodes.core import executor
+from hpid_ros.nodes.core.executor import Usage
+from hpid_ros.nodes.core.middleware import ALL_COMMANDS, steady_timer, subscribe_raw
+from hpid_ros.nodes.core.process import schedule
+from hpid_ros.nodes.core.status import StatusPipe
+from hpid_ros.nodes.parts.bridge_commanders import Commanders
+from hpid_ros.nodes.parts.claims import JointClaim, claims_joint
+from hpid_ros.nodes.parts.commands import CommandSink, sender_of
+from hpid_ros.nodes.parts.lifecycle import ManagedNode
+from hpid_ros.nodes.parts.merger import CommandMerger, Receiver
+from hpid_ros.nodes.parts.merger_settings import GroupOutput, read_parameters
+from hpid_ros.nodes.parts.merger_stream import (
+    MergedCommands,
+    MergedStream,
+    MergerHealth,
+    ReceiverWatch,
+    Standing,
+    shown_silent,
+)
 
 _ZEROS = 10  # with which it leaves: nobody acknowledges a best-effort message
 _BETWEEN_ZEROS = 0.01  # [s]
 
 
 class JointCommandMerger(ManagedNode):
-    """The managed shell around one :class:`~hpid_ros.merging.CommandMerger`.
+    """The managed shell around one :class:`~hpid_ros.nodes.parts.merger.CommandMerger`.
 
     An active merger waits for the receiver of its commands, and for as many publishers of
     ``joint_commands`` as it has joints that may not be missing; then it listens, so that

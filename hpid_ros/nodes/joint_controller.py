@@ -16,30 +16,28 @@ from rclpy.task import Future
 
 from hpid_ros.base.errors import ClaimError, MessageError, SettingError
 from hpid_ros.base.names import ALLOW_RELAY
-from hpid_ros.control import JointLoop
-from hpid_ros.control.interludes.relay import RelayRequest
-from hpid_ros.control.interludes.supervision import SupervisedLoop
+from hpid_ros.control.joint_loop import JointLoop
+from hpid_ros.control.overrides import RelayRequest
+from hpid_ros.control.parameters import PARAMETERS
 from hpid_ros.control.reference import Motion
-from hpid_ros.control.settings.table import PARAMETERS
-from hpid_ros.nodes.parts.controller.certification import Certification
-from hpid_ros.nodes.parts.controller.commands import SINKS, Commands, Sinks, sender_of
-from hpid_ros.nodes.parts.controller.health import ControllerHealth, LoopTiming
-from hpid_ros.nodes.parts.controller.introspection import Introspection
-from hpid_ros.nodes.parts.controller.joint_claim import JointClaim, claims_joint
-from hpid_ros.nodes.parts.controller.lifecycle import ManagedNode
-from hpid_ros.nodes.parts.controller.model import model_compensation
-from hpid_ros.nodes.parts.controller.references import ControllerReferences
-from hpid_ros.nodes.parts.controller.settings import ControllerSettings, concern_the_loop
-from hpid_ros.nodes.parts.controller.states import OwnStates, StateSource
-from hpid_ros.nodes.parts.controller.stop import ControllerStop
-from hpid_ros.nodes.parts.controller.watchdog import StateWatchdog
-from hpid_ros.nodes.ros import executor
-from hpid_ros.nodes.ros.parameters import read_choice, read_only
-from hpid_ros.nodes.ros.process import schedule
-from hpid_ros.nodes.ros.status import StatusPipe
-from hpid_ros.nodes.ros.steady_timer import steady_timer
-from hpid_ros.nodes.ros.usage import Usage
-from hpid_ros.wire import JointReader
+from hpid_ros.control.supervision import SupervisedLoop
+from hpid_ros.messages.joint_readers import JointReader
+from hpid_ros.nodes.core import executor
+from hpid_ros.nodes.core.executor import Usage
+from hpid_ros.nodes.core.middleware import steady_timer
+from hpid_ros.nodes.core.process import read_choice, read_only, schedule
+from hpid_ros.nodes.core.status import StatusPipe
+from hpid_ros.nodes.parts.claims import JointClaim, claims_joint
+from hpid_ros.nodes.parts.commands import SINKS, Commands, Sinks, sender_of
+from hpid_ros.nodes.parts.controller_health import Certification, ControllerHealth, LoopTiming
+from hpid_ros.nodes.parts.controller_settings import (
+    ControllerSettings,
+    concern_the_loop,
+    model_compensation,
+)
+from hpid_ros.nodes.parts.lifecycle import ControllerStop, ManagedNode, StateWatchdog
+from hpid_ros.nodes.parts.references import ControllerReferences, Introspection
+from hpid_ros.nodes.parts.states import OwnStates, StateSource
 
 _READINESS_PERIOD = 0.02  # [s]
 _INACTIVE = "the controller is not active"

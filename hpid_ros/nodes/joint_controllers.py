@@ -11,13 +11,13 @@ from rclpy.validate_node_name import validate_node_name
 
 from hpid_ros.base.errors import SettingError
 from hpid_ros.base.names import controller_name
+from hpid_ros.nodes.core import executor
+from hpid_ros.nodes.core.executor import Usage
+from hpid_ros.nodes.core.process import read_only
 from hpid_ros.nodes.joint_command_merger import JointCommandMerger
 from hpid_ros.nodes.joint_controller import JointController
-from hpid_ros.nodes.parts.controller.commands import JOINT_STATE, SINKS, SharedCommands, Sinks
-from hpid_ros.nodes.parts.controller.states import OwnStates, SharedStates, StateSource
-from hpid_ros.nodes.ros import executor
-from hpid_ros.nodes.ros.parameters import read_only
-from hpid_ros.nodes.ros.usage import Usage
+from hpid_ros.nodes.parts.commands import JOINT_STATE, SINKS, SharedCommands, Sinks
+from hpid_ros.nodes.parts.states import OwnStates, SharedStates, StateSource
 
 MERGED = "merged"
 """Name of the command interface of controllers whose commands are merged in their process."""

@@ -5,8 +5,8 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 
-from hpid_ros.nodes.parts.bridge.bridge import RobotBridge, usage
-from hpid_ros.nodes.ros import executor
+from hpid_ros.nodes.core import executor
+from hpid_ros.nodes.parts.bridge import RobotBridge, usage
 
 USAGE = usage("pybullet_bridge", "PyBullet")
 

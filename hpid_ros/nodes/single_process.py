@@ -7,10 +7,10 @@ from collections.abc import Sequence
 
 from hpid_ros.nodes import joint_controllers
 from hpid_ros.nodes.bag_recorder import BagRecorder
-from hpid_ros.nodes.parts.bridge.bridge import RobotBridge
-from hpid_ros.nodes.ros import executor
-from hpid_ros.nodes.ros.parameters import read_choice, read_only
-from hpid_ros.nodes.ros.usage import Usage
+from hpid_ros.nodes.core import executor
+from hpid_ros.nodes.core.executor import Usage
+from hpid_ros.nodes.core.process import read_choice, read_only
+from hpid_ros.nodes.parts.bridge import RobotBridge
 from hpid_ros.simulation.settings import ENGINES, default_engine
 
 

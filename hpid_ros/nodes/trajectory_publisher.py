@@ -14,18 +14,17 @@ from collections.abc import Sequence
 from trajectory_msgs.msg import JointTrajectory as JointTrajectoryMessage
 
 from hpid_ros.base.errors import MessageError, SettingError, TrajectoryError
-from hpid_ros.base.resources import find_resource
-from hpid_ros.documents.yaml_files import load_document
-from hpid_ros.nodes.ros import executor
-from hpid_ros.nodes.ros.middleware import LATCHED, NEWEST_STATES, subscribe_raw
-from hpid_ros.nodes.ros.parameters import read_only
-from hpid_ros.nodes.ros.status import StatusPipe
-from hpid_ros.nodes.ros.steady_timer import steady_timer
-from hpid_ros.nodes.ros.trajectories import to_message
-from hpid_ros.nodes.ros.usage import Usage
-from hpid_ros.planning import planned_reference
+from hpid_ros.base.files import find_resource
+from hpid_ros.base.yaml_files import load_document
+from hpid_ros.messages.joint_state import decode_joint_state
+from hpid_ros.motion.references import planned_reference
+from hpid_ros.nodes.core import executor
+from hpid_ros.nodes.core.executor import Usage
+from hpid_ros.nodes.core.middleware import LATCHED, NEWEST_STATES, steady_timer, subscribe_raw
+from hpid_ros.nodes.core.process import read_only
+from hpid_ros.nodes.core.status import StatusPipe
+from hpid_ros.nodes.core.trajectories import to_message
 from hpid_ros.robot.description import RobotDescription
-from hpid_ros.wire import decode_joint_state
 
 
 class TrajectoryPublisher(executor.ClosingNode):

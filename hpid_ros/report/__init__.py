@@ -1,1 +1,1 @@
-"""Comparisons for people: tables, figures and a web page."""
+"""Tables, figures, and the page of a result."""

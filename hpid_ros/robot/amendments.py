@@ -1,4 +1,4 @@
-"""Corrections of a URDF: what is known of a robot better than its file says it.
+"""A robot as a configuration file says it, with corrections of its URDF, and its review.
 
 URDFs that go from hand to hand seldom have rotor inertias, and often no friction, the same effort
 limit for every joint, or inertias that somebody made up. What is known better is laid over the
@@ -10,18 +10,26 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, fields
+from typing import NamedTuple
 from xml.etree import ElementTree
 
 import numpy as np
 
-from hpid_ros.base.arrays import Numbers
 from hpid_ros.base.errors import RobotDescriptionError, SettingError
-from hpid_ros.base.resources import package_uri
-from hpid_ros.documents.records import Record, quantity
-from hpid_ros.robot.description import DRAKE_NAMESPACE, JointDescription, RobotDescription
-from hpid_ros.robot.meshes import find_mesh
+from hpid_ros.base.files import package_uri
+from hpid_ros.base.records import Record, quantity
+from hpid_ros.base.units import Numbers, of_slide
+from hpid_ros.robot.description import (
+    DRAKE_NAMESPACE,
+    JointDescription,
+    RobotDescription,
+    find_mesh,
+    mesh_places,
+)
+from hpid_ros.robot.differential_drive import DifferentialDrive
 
 _MOVING_ONLY = ("axis", "limit", "dynamics", "mimic", "calibration", "safety_controller")
 
@@ -205,3 +213,213 @@ def _replace_inertial(link: ElementTree.Element, inertial: Inertial | None) -> N
 def _child(parent: ElementTree.Element, tag: str, **attributes: str) -> ElementTree.Element:
     found = parent.find(tag)
     return ElementTree.SubElement(parent, tag, attributes) if found is None else found
+
+
+_ALIKE = 4
+"""So many joints or links seldom share a number by chance."""
+
+
+class Remark(NamedTuple):
+    """One thing to know before such a robot is simulated."""
+
+    names: tuple[str, ...]  # joints or links that it is about
+    text: str  # what is the matter
+
+
+def review(description: RobotDescription) -> list[Remark]:
+    """Return what to know of a robot before it is simulated."""
+    robot = ElementTree.fromstring(description.xml)
+    parts = _joints, _links, _meshes
+    return [remark for part in parts for remark in part(description, robot)]
+
+
+def _joints(description: RobotDescription, robot: ElementTree.Element) -> Iterator[Remark]:
+    joints = list(description.joints.values())
+    lacks: list[tuple[Callable[[JointDescription], bool], str]] = [
+        (lambda j: not 0.0 < j.effort < float("inf"), "no effort limit"),
+        (lambda j: not 0.0 < j.velocity < float("inf"), "no velocity limit"),
+        (lambda j: j.damping == j.friction == 0.0, "no friction, neither viscous nor Coulomb"),
+        (lambda j: j.rotor_inertia == 0.0, "no rotor inertia: behind a gear it often is most"),
+    ]
+    for is_lacking, text in lacks:
+        names = tuple(joint.name for joint in joints if is_lacking(joint))
+        if names:
+            yield Remark(names, text)
+    for limit, unit in (("effort", "N m"), ("velocity", "rad/s"), ("damping", "N m s/rad")):
+        values = {joint.name: getattr(joint, limit) for joint in joints}
+        if len(joints) >= _ALIKE and len(set(values.values())) == 1:
+            value = next(iter(values.values()))
+            if 0.0 < value < float("inf"):
+                units = {of_slide(unit) if joint.is_slide else unit: None for joint in joints}
+                text = f"{limit} {value:g} {' or '.join(units)} for every joint: a placeholder?"
+                yield Remark(tuple(values), text)
+    mimics = [each for each in robot.findall("joint") if each.find("mimic") is not None]
+    names = tuple(joint.get("name", "") for joint in mimics)
+    if set(names) & set(description.joints):
+        yield Remark(names, "mimics another joint: here it moves on its own, hold it or drive it")
+
+
+def _links(description: RobotDescription, robot: ElementTree.Element) -> Iterator[Remark]:
+    moved = {joint.child for joint in description.joints.values()}
+    shared: dict[tuple[float, ...], list[str]] = defaultdict(list)
+    bare, weightless, impossible = [], [], []
+    for link in robot.findall("link"):
+        name = link.get("name", "")
+        inertial = link.find("inertial")
+        if inertial is None:
+            bare += [name] if name in moved else []
+            continue
+        moments = _moments(inertial)
+        has_mass = _value(inertial.find("mass"), "value") > 0.0
+        if name != description.root:
+            weightless += [name] if not has_mass and any(moments) else []
+            impossible += [name] if has_mass and not is_possible(moments) else []
+        shared[moments].append(name)
+    texts = (
+        (bare, "moved by a joint, but without mass: what hangs on it must have some"),
+        (weightless, "inertia without mass: it counts, though nothing is there"),
+        (impossible, "moments of inertia that no body has"),
+    )
+    yield from (Remark(tuple(names), text) for names, text in texts if names)
+    number = sum(map(len, shared.values()))
+    for alike, names in shared.items():
+        if len(names) >= max(_ALIKE, number / 2) and any(alike):
+            shown = " ".join(f"{moment:g}" for moment in alike)
+            yield Remark(tuple(names), f"the same moments, {shown} kg m^2: a placeholder?")
+
+
+def _moments(inertial: ElementTree.Element) -> tuple[float, float, float]:
+    tensor = inertial.find("inertia")
+    xx, yy, zz, xy, xz, yz = (
+        _value(tensor, name) for name in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
+    )
+    if xy == xz == yz == 0.0:  # as written, without the solver's rounding
+        return min(xx, yy, zz), sorted([xx, yy, zz])[1], max(xx, yy, zz)
+    return principal_moments((xx, yy, zz, xy, xz, yz))
+
+
+def _value(element: ElementTree.Element | None, name: str) -> float:
+    text = "0" if element is None else element.get(name, "0")
+    try:
+        return float(text)
+    except ValueError:
+        raise RobotDescriptionError(f"{name}={text!r} of a link is not a number") from None
+
+
+def _meshes(description: RobotDescription, robot: ElementTree.Element) -> Iterator[Remark]:
+    for link in robot.findall("link"):
+        for mesh in link.findall("collision/geometry/mesh"):
+            name = mesh.get("filename", "")
+            if find_mesh(name, description.folder) is None:
+                where = mesh_places(name, description.folder)
+                text = f"its collision mesh {name} is missing ({where})"
+                yield Remark((link.get("name", ""),), text)
+
+
+@dataclass(frozen=True)
+class Wheels(Record):
+    """The two driven wheels of a base."""
+
+    left_wheel: str = quantity("Joint of the left wheel")
+    right_wheel: str = quantity("Joint of the right wheel")
+    wheel_radius: float | None = quantity(
+        "Of both wheels; as the URDF has it if left out", "m", default=None, above=0.0
+    )
+    wheel_separation: float | None = quantity(
+        "Between their contacts; as the URDF has it if left out", "m", default=None, above=0.0
+    )
+
+    @classmethod
+    def of(cls, drive: DifferentialDrive) -> Wheels:
+        """Return what a file says to give this drive."""
+        return cls(drive.left, drive.right, drive.radius, drive.separation)
+
+    def drive(self, description: RobotDescription) -> DifferentialDrive:
+        """Return the drive of a robot."""
+        return DifferentialDrive.of(
+            description,
+            self.left_wheel,
+            self.right_wheel,
+            self.wheel_radius,
+            self.wheel_separation,
+        )
+
+
+@dataclass(frozen=True)
+class Moments(Record):
+    """Moments and products of inertia about the centre of mass, in axes parallel to the link's."""
+
+    ixx: float = quantity("Moment about x", "kg m^2")
+    iyy: float = quantity("Moment about y", "kg m^2")
+    izz: float = quantity("Moment about z", "kg m^2")
+    ixy: float = quantity("Product of x and y", "kg m^2", default=0.0)
+    ixz: float = quantity("Product of x and z", "kg m^2", default=0.0)
+    iyz: float = quantity("Product of y and z", "kg m^2", default=0.0)
+
+
+@dataclass(frozen=True)
+class LinkAmendment(Record):
+    """Mass and inertia of one link; they replace what the URDF says of them as a whole."""
+
+    mass: float = quantity("Its mass; 0 makes it a mere frame", "kg", least=0.0)
+    center_of_mass: tuple[float, float, float] = quantity(
+        "In the link's frame", "m", default=(0.0, 0.0, 0.0)
+    )
+    inertia: Moments | None = quantity("Needed where there is a mass", default=None)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.mass and self.inertia is None:
+            raise SettingError("inertia is missing")
+        if self.inertia is not None and not self.mass:
+            raise SettingError("inertia must be left out where mass is 0")
+
+    def inertial(self) -> Inertial | None:
+        """Return mass and inertia; None for a mere frame."""
+        if self.inertia is None:
+            return None
+        xx, yy, zz, xy, xz, yz = (getattr(self.inertia, each.name) for each in fields(Moments))
+        return Inertial(self.mass, self.center_of_mass, (xx, yy, zz, xy, xz, yz))
+
+
+@dataclass(frozen=True)
+class RobotSection(Record):
+    """The robot of an experiment, and how it stands at the start."""
+
+    description: str = quantity(
+        "Its URDF: a path, also in the share folder, or package:// and a path"
+    )
+    driven: tuple[str, ...] = quantity(
+        "Its driven joints; those of the reference, else all that move, if left out", default=()
+    )
+    payload: float = quantity("Mass in its hand", "kg", default=0.0, least=0.0)
+    fixed_base: bool = quantity("Whether its root is held, without a ground", default=False)
+    initial_positions: Mapping[str, float] = quantity(
+        "Positions at the start, by joint; others are at 0", "rad", factory=dict
+    )
+    base: Wheels | None = quantity("The wheels of its base", default=None)
+    joints: Mapping[str, JointAmendment] = quantity(
+        "What is known better than the URDF says it, by joint", factory=dict
+    )
+    links: Mapping[str, LinkAmendment] = quantity(
+        "What is known better than the URDF says it, by link", factory=dict
+    )
+    held: Mapping[str, float] = quantity(
+        "Joints that do not move, and where they stand", "rad", factory=dict
+    )
+
+    def load(self, load: Callable[[str], RobotDescription]) -> RobotDescription:
+        """Return the robot with what is known better of it."""
+        plain = load(self.description)
+        if not (self.joints or self.links or self.held):
+            return plain
+        bodies = {}
+        for name, link in self.links.items():
+            try:
+                bodies[name] = link.inertial()
+            except RobotDescriptionError as error:
+                raise RobotDescriptionError(f"robot.links.{name}: {error}") from None
+        try:
+            return amended(plain, self.joints, bodies, self.held)
+        except RobotDescriptionError as error:
+            raise RobotDescriptionError(f"robot: {error}") from None

@@ -1,4 +1,4 @@
-"""A URDF as a frozen record of its moving joints and its links.
+"""The record of a URDF: links, joints, limits, meshes.
 
 Source: the URDF joint element (http://wiki.ros.org/urdf/XML/joint). Rotor inertia and gear ratio
 are read from the transmissions in Drake's convention, ``drake:rotor_inertia`` and
@@ -8,14 +8,59 @@ are read from the transmissions in Drake's convention, ``drake:rotor_inertia`` a
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 from xml.etree import ElementTree
 
 from hpid_ros.base.errors import RobotDescriptionError, unknown_name
+from hpid_ros.base.files import is_file, package_folder
+
+_FILE, _PACKAGE = "file://", "package://"
+
+
+def find_mesh(filename: str, folder: Path | None) -> Path | None:
+    """Return the file that a mesh element names.
+
+    A ``package://name/path`` is looked for as ``path`` and as ``name/path`` in the URDF's folder
+    and in those above it, which finds it in a source tree as in an install space, and then in
+    the package of that name. Any other name is an absolute path or relative to the URDF.
+    """
+    for path in _places(filename, folder):
+        if is_file(path):
+            return path.absolute()
+    return None
+
+
+def mesh_places(filename: str, folder: Path | None) -> str:
+    """Say where a mesh was looked for, for a message."""
+    if filename.startswith(_PACKAGE):
+        name = filename.removeprefix(_PACKAGE).partition("/")[0]
+        known = package_folder(name)
+        package = f"in package {name}" if known else f"there is no package {name}"
+        return package if folder is None else f"{package}; not near {folder}"
+    if folder is None and not Path(filename.removeprefix(_FILE)).is_absolute():
+        return "relative to a URDF that came as text"
+    return f"looked in {folder}" if folder else "looked there"
+
+
+def _places(filename: str, folder: Path | None) -> Iterator[Path]:
+    if not filename.startswith(_PACKAGE):
+        plain = Path(filename.removeprefix(_FILE))
+        if folder is not None or plain.is_absolute():
+            yield plain if folder is None else folder / plain
+        return
+    plain_name = filename.removeprefix(_PACKAGE)
+    name, _, below = plain_name.partition("/")
+    if folder is not None:
+        for base in (folder, *folder.parents):
+            yield from (base / plain_name, base / below)
+    package = package_folder(name)
+    if package is not None:
+        yield package / below
+
 
 DRAKE_NAMESPACE = "http://drake.mit.edu"
 MOVING_TYPES = frozenset({"revolute", "continuous", "prismatic"})
@@ -323,3 +368,14 @@ def _require_tree(root: str, below: Mapping[str, list[str]], origin: str) -> Non
         raise RobotDescriptionError(
             f"{origin}: links hang in a circle, on no root: {', '.join(circle[:_SHOWN])}"
         )
+
+
+@dataclass(frozen=True)
+class GivenRobot:
+    """A robot that an option names."""
+
+    source: str  # path of its URDF, or the XML text where more is known than the URDF says
+    description: RobotDescription  # what that says
+    fixed_base: bool = False  # whether its root is held
+    initial_positions: Mapping[str, float] = field(default_factory=dict)
+    wheels: tuple[str, ...] = ()  # joints on which its base rolls, as far as they are named

@@ -1,4 +1,4 @@
-"""Forward and inverse kinematics: poses of a link, and joint positions for a pose.
+"""Forward kinematics: poses of links at many instants.
 
 Forward kinematics and Jacobian are Pinocchio's. The inverse is a least-squares problem with
 bounds: the pose error, a twist ``log6`` of SE(3), is made zero within the joints' limits by the
@@ -22,10 +22,10 @@ import numpy as np
 import numpy.typing as npt
 import pinocchio
 
-from hpid_ros.base.arrays import Numbers
 from hpid_ros.base.errors import HpidError, RobotDescriptionError, SettingError
+from hpid_ros.base.units import Numbers
 from hpid_ros.robot.description import RobotDescription
-from hpid_ros.robot.dynamics import bare_model
+from hpid_ros.robot.dynamics import bare_model, velocity_index
 
 
 class LinkPose(NamedTuple):
@@ -253,3 +253,24 @@ class Kinematics:
 
     def _row(self, name: str) -> int:
         return int(self._model.joints[self._model.getJointId(name)].idx_v)
+
+
+def link_poses(
+    description: RobotDescription, positions: Mapping[str, Numbers], count: int
+) -> dict[str, LinkPoses]:
+    """Return where each link is in the frame of the root link."""
+    model = bare_model(description)
+    data = model.createData()
+    frames = {name: model.getFrameId(name) for name in description.links}
+    motions = np.zeros((count, model.nv))
+    for joint in description.select(positions):
+        motions[:, velocity_index(model, joint.name)] = positions[joint.name]
+    neutral = pinocchio.neutral(model)
+    poses = {name: LinkPoses(np.empty((count, 3)), np.empty((count, 3, 3))) for name in frames}
+    for k, motion in enumerate(motions):
+        pinocchio.framesForwardKinematics(model, data, pinocchio.integrate(model, neutral, motion))
+        for name, frame in frames.items():
+            placement = data.oMf[frame]
+            poses[name].positions[k] = placement.translation
+            poses[name].rotations[k] = placement.rotation
+    return poses

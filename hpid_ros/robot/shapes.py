@@ -16,10 +16,9 @@ from xml.etree import ElementTree
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from hpid_ros.base.arrays import Numbers, Vector
 from hpid_ros.base.errors import RobotDescriptionError
-from hpid_ros.robot.description import RobotDescription
-from hpid_ros.robot.meshes import find_mesh, mesh_places
+from hpid_ros.base.units import Numbers, Vector
+from hpid_ros.robot.description import RobotDescription, find_mesh, mesh_places
 
 _logger = logging.getLogger(__name__)
 

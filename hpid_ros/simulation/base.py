@@ -12,10 +12,16 @@ from typing import NamedTuple
 
 from hpid_ros.base.errors import SettingError
 from hpid_ros.base.units import NANOSECONDS
-from hpid_ros.robot.differential_drive import BaseTwist, DifferentialDrive
-from hpid_ros.robot.odometry import Odometry, PlanarCovariance, PlanarPose, chord_share
-from hpid_ros.simulation.poses import Pose, Twist
-from hpid_ros.simulation.world.world import World
+from hpid_ros.robot.differential_drive import (
+    BaseTwist,
+    DifferentialDrive,
+    Odometry,
+    PlanarCovariance,
+    PlanarPose,
+    chord_share,
+)
+from hpid_ros.simulation.physics import Pose, Twist
+from hpid_ros.simulation.world import World
 
 
 class Slip(NamedTuple):

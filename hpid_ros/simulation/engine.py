@@ -8,10 +8,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hpid_ros.base.arrays import Numbers
-from hpid_ros.compensation.loops import CompensatedLoops, Compensator
-from hpid_ros.control import JointLoop
-from hpid_ros.simulation.world.world import World
+from hpid_ros.base.units import Numbers
+from hpid_ros.control.joint_loop import JointLoop
+from hpid_ros.robot.compensation import CompensatedLoops, Compensator
+from hpid_ros.simulation.world import World
 
 
 class Sample(NamedTuple):

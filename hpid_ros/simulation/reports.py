@@ -9,6 +9,7 @@ from collections.abc import Callable, Collection, Iterator, Sequence
 from functools import partial
 
 from hpid_ros.base.units import NANOSECONDS
+from hpid_ros.messages import reports as wire
 from hpid_ros.simulation.base import (
     ODOM_FRAME,
     BaseMonitor,
@@ -18,8 +19,7 @@ from hpid_ros.simulation.base import (
     true_odometry,
     wheel_odometry,
 )
-from hpid_ros.simulation.settings import WorldSettings
-from hpid_ros.simulation.world.gripper import (
+from hpid_ros.simulation.gripper import (
     BRICK_POSES,
     END_EFFECTOR,
     GRIP_EVENTS,
@@ -28,8 +28,8 @@ from hpid_ros.simulation.world.gripper import (
     grip_status,
     task_topics,
 )
-from hpid_ros.simulation.world.world import World
-from hpid_ros.wire import reports as wire
+from hpid_ros.simulation.settings import WorldSettings
+from hpid_ros.simulation.world import World
 
 CLOCK, ODOM, TRUTH, SLIP = "clock", "odom", "base_pose_ground_truth", "wheel_slip"
 KINDS = {

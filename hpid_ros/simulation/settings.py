@@ -1,21 +1,308 @@
-"""Settings of a simulated world."""
+"""Settings of a simulated world: sensors, disturbances, workplace.
+
+An incremental encoder knows how far a joint has turned since power came on, not where it stands.
+A joint is led past a magnet at constant speed; when the switch is seen to change, the counter
+is set to the position at which the switch is said to change.
+"""
 
 from __future__ import annotations
 
 import math
 import random
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.util import find_spec
 from pathlib import Path
 
 from hpid_ros.base.errors import SettingError, unknown_name
+from hpid_ros.base.records import Record, quantity
+from hpid_ros.base.units import NANOSECONDS, Vector
 from hpid_ros.robot.description import RobotDescription
 from hpid_ros.robot.differential_drive import DifferentialDrive
 from hpid_ros.simulation.drives import DriveSettings
-from hpid_ros.simulation.sensors import VELOCITIES, Encoder, Homing
-from hpid_ros.simulation.world.disturbances import Disturbances, require_mass
-from hpid_ros.simulation.world.workpieces import Workplace
+
+
+@dataclass(frozen=True)
+class Encoder:
+    """A position sensor with a finite number of counts per revolution.
+
+    A position is rounded to the middle of its count: the error is at most half a count,
+    pi / counts, either way. Where the counts begin is a matter of how the disc was mounted.
+    """
+
+    # counts per revolution of the joint's output shaft (all four edges of each line)
+    counts: int = 0
+    phase: float = 0.0  # [counts] where zero lies in its count, from the middle
+
+    def __post_init__(self) -> None:
+        if isinstance(self.counts, bool) or not isinstance(self.counts, int) or self.counts < 0:
+            raise SettingError(
+                f"encoder_counts {self.counts!r} must be a whole number >= 0 (0: ideal sensor)"
+            )
+
+    @property
+    def resolution(self) -> float:
+        """Size of one count, in [rad]; 0 for an ideal sensor."""
+        return math.tau / self.counts if self.counts else 0.0
+
+    def read(self, position: float) -> float:
+        """Return the measured position."""
+        counts, phase = self.counts, self.phase
+        if not counts:
+            return position
+        return (round(position * counts / math.tau + phase) - phase) * math.tau / counts
+
+
+LEAST_SPEED = 1e-6  # [rad/s]
+FARTHEST = 1e3  # [rad]
+
+
+@dataclass(frozen=True)
+class HallSwitch(Record):
+    """A switch that is on beyond a position, with a hysteresis."""
+
+    position: float = quantity(
+        "Middle of its two switching points", "rad", least=-FARTHEST, most=FARTHEST
+    )
+    hysteresis: float = quantity("Distance between them", "rad", default=0.0, least=0.0)
+
+    def read(self, position: float, was_on: bool) -> bool:
+        """Return whether the switch is on."""
+        half = self.hysteresis / 2.0
+        return position > self.position + (-half if was_on else half)
+
+
+@dataclass(frozen=True)
+class Homing(Record):
+    """A homing run, done before time 0.
+
+    The joint is led from its initial position towards the switch, and past it, by a drive that
+    keeps its speed; the board looks at the switch once a control period, at a moment of the
+    travel that chance decides. The error that remains is the way from the switch's place to
+    where it was seen, at most half the hysteresis and one period's way, and the encoder's
+    rounding.
+    """
+
+    speed: float = quantity("Of the run", "rad/s", least=LEAST_SPEED)
+    position: float = quantity(
+        "Where the Hall switch is", "rad", default=0.0, least=-FARTHEST, most=FARTHEST
+    )
+    hysteresis: float = quantity("Of the Hall switch", "rad", default=0.0, least=0.0)
+
+    @property
+    def switch(self) -> HallSwitch:
+        """The switch."""
+        return HallSwitch(self.position, self.hysteresis)
+
+    def largest_error(self, period: float, encoder: Encoder) -> float:
+        """Return the bound on :meth:`error`'s absolute value, in [rad]."""
+        return self.hysteresis / 2.0 + self.speed * period + encoder.resolution / 2.0
+
+    def error(self, start: float, period: float, encoder: Encoder, chance: random.Random) -> float:
+        """Run, and return what the readings are wrong by from then on."""
+        switch = self.switch
+        was_on = start > switch.position
+        step = math.copysign(self.speed * period, -1.0 if was_on else 1.0)
+        edge = switch.position + math.copysign(switch.hysteresis / 2.0, step)
+        # No look before the edge can see anything: the run begins with the last of them.
+        offset = chance.random()
+        before = max(0, math.floor((edge - start) / step - offset))
+        seen = start + (offset + before) * step
+        while switch.read(seen, was_on) == was_on:
+            seen += step
+        return switch.position - encoder.read(seen)
+
+
+VELOCITIES = ("none", "differences")
+
+
+@dataclass(frozen=True)
+class Sensor(Record):
+    """What measures one joint's position."""
+
+    encoder_counts: int = quantity(
+        "Counts per revolution of the joint; 0 measures exactly", default=0, least=0
+    )
+    noise: float = quantity(
+        "Standard deviation of a position before it is measured", "rad", default=0.0, least=0.0
+    )
+    homing: Homing | None = quantity(
+        "The homing run; off where the position at the start is known", default=None
+    )
+
+
+LONGEST = 1e5
+"""Of a schedule, in [s]: a day and more."""
+
+
+@dataclass(frozen=True)
+class PayloadChange(Record):
+    """The payload has another mass from a moment on."""
+
+    time: float = quantity("When", "s", least=0.0, most=LONGEST)
+    mass: float = quantity("Its mass from then on", "kg", least=0.0)
+
+    @property
+    def start_ns(self) -> int:
+        """When, in [ns]."""
+        return round(self.time * NANOSECONDS)
+
+
+@dataclass(frozen=True)
+class WrenchPulse(Record):
+    """A link is pushed for a while."""
+
+    link: str = quantity("Link that is pushed, at the origin of its frame")
+    start: float = quantity("When it begins", "s", key="from", least=0.0, most=LONGEST)
+    duration: float = quantity(
+        "How long; whole physics steps, at least one", "s", above=0.0, most=LONGEST
+    )
+    force: Vector = quantity("In the world frame", "N", default=(0.0, 0.0, 0.0))
+    torque: Vector = quantity("In the world frame", "N m", default=(0.0, 0.0, 0.0))
+
+    @property
+    def start_ns(self) -> int:
+        """When it begins, in [ns]."""
+        return round(self.start * NANOSECONDS)
+
+    @property
+    def duration_ns(self) -> int:
+        """How long it acts, in [ns]."""
+        return max(1, round(self.duration * NANOSECONDS))
+
+
+Event = PayloadChange | WrenchPulse
+
+
+@dataclass(frozen=True)
+class Disturbances(Record):
+    """A schedule. What falls between two control periods happens with the later one."""
+
+    payload: tuple[PayloadChange, ...] = quantity("Changes of the payload", default=())
+    wrenches: tuple[WrenchPulse, ...] = quantity("Pushes; they may overlap", default=())
+
+    def in_order(self) -> list[Event]:
+        """Return all of them by time; of the same time, as they stand, the payload first."""
+        return sorted((*self.payload, *self.wrenches), key=lambda event: event.start_ns)
+
+
+def require_mass(name: str, mass: float) -> float:
+    """Return the mass of a payload, in [kg]."""
+    if not (math.isfinite(mass) and mass >= 0.0):
+        raise SettingError(f"{name} {mass!r} must be a finite number >= 0 [kg]")
+    return float(mass)
+
+
+def vector(name: str, values: Sequence[float]) -> tuple[float, float, float]:
+    """Return three finite numbers."""
+    if len(values) != 3 or not all(math.isfinite(value) for value in values):
+        raise SettingError(f"{name} {list(values)} must be three finite numbers")
+    return float(values[0]), float(values[1]), float(values[2])
+
+
+LARGEST = 100.0
+"""Edge of a box and distance from the origin, in [m]."""
+
+
+@dataclass(frozen=True)
+class Support(Record):
+    """A box that stays where it is: a table, a shelf."""
+
+    name: str = quantity("Its name, for messages")
+    size: Vector = quantity("Edges along its own x, y, z", "m", above=0.0, most=LARGEST)
+    position: Vector = quantity("Its centre in the world", "m", least=-LARGEST, most=LARGEST)
+    yaw: float = quantity("Its turn about the world's z", "rad", default=0.0)
+    friction: float = quantity(
+        "Coefficient of its surface; of two that touch the product counts", default=1.0, least=0.0
+    )
+
+    @property
+    def orientation(self) -> tuple[float, float, float, float]:
+        """Its turn as a quaternion x, y, z, w."""
+        return 0.0, 0.0, math.sin(self.yaw / 2.0), math.cos(self.yaw / 2.0)
+
+
+@dataclass(frozen=True)
+class Brick(Support):
+    """A solid, homogeneous box that can be carried."""
+
+    mass: float = quantity("Of the brick", "kg", default=1.0, above=0.0)
+
+
+@dataclass(frozen=True)
+class GripperSettings(Record):
+    """A gripper of two parallel fingers, without a motor of its own in the simulation.
+
+    The grasp frame is its link's: its origin lies between the fingertips, its z points out of the
+    hand, the fingers close along its y. A brick is held if its centre and its faces are near
+    enough to it when the fingers close.
+    """
+
+    link: str = quantity("Link whose frame is the grasp frame", default="payload")
+    opening: float = quantity(
+        "Widest brick between the open fingers", "m", default=0.078, above=0.0
+    )
+    tolerance: float = quantity(
+        "Largest distance of a brick from the grasp frame when it is taken",
+        "m",
+        default=0.015,
+        above=0.0,
+    )
+    angle_tolerance: float = quantity(
+        "Largest angle between its faces and the fingers; with more than pi/4 other faces would "
+        "be meant",
+        "rad",
+        default=0.15,
+        above=0.0,
+        most=math.pi / 4.0,
+    )
+    grip_force: float = quantity("With which each finger presses", "N", default=50.0, above=0.0)
+    friction: float = quantity("Coefficient between finger and brick", default=0.6, above=0.0)
+
+    @property
+    def holding_force(self) -> float:
+        """Force at which a brick slips out: friction times grip force at both fingers, in [N]."""
+        return 2.0 * self.friction * self.grip_force
+
+
+@dataclass(frozen=True)
+class GripCommand(Record):
+    """The gripper closes or opens; between two control periods, with the later one."""
+
+    time: float = quantity("When", "s", least=0.0, most=LONGEST)
+    is_closed: bool = quantity("Whether it closes", key="closed")
+
+    @property
+    def time_ns(self) -> int:
+        """When, in [ns]."""
+        return round(self.time * NANOSECONDS)
+
+
+@dataclass(frozen=True)
+class Workplace(Record):
+    """Everything of a brick task that is not the robot."""
+
+    bricks: tuple[Brick, ...] = quantity("What can be carried", default=(), names=True)
+    supports: tuple[Support, ...] = quantity("What stays", default=(), names=True)
+    gripper: GripperSettings = quantity(
+        "The robot's gripper; without a brick there is none", factory=GripperSettings
+    )
+    schedule: tuple[GripCommand, ...] = quantity(
+        "When it closes and opens, where the reference is no brick task",
+        key="grips",
+        default=(),
+    )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        names = [each.name for each in (*self.bricks, *self.supports)]
+        for index, name in enumerate(names):
+            if name in names[:index]:
+                raise SettingError(f"bricks and supports must differ in name, {name!r} is twice")
+
+    def __bool__(self) -> bool:
+        return bool(self.bricks or self.supports)
+
 
 ENGINES = ("pybullet", "mujoco")
 """The engines by name, which is also that of the Python package that each is."""
@@ -42,7 +329,7 @@ def require_engine(engine: str) -> None:
 
 @dataclass(frozen=True)
 class WorldSettings:
-    """Settings of a :class:`~hpid_ros.simulation.world.world.World`."""
+    """Settings of a :class:`~hpid_ros.simulation.world.World`."""
 
     robot_description: str | Path  # path of a URDF, or its XML text
     joints: tuple[str, ...]  # driven joints, in the order of every reading and every command

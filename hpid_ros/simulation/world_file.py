@@ -9,20 +9,25 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from hpid_ros.base.errors import ExperimentError, HpidError, SettingError
-from hpid_ros.base.resources import find_resource
+from hpid_ros.base.files import find_resource
+from hpid_ros.base.records import Record, Section, quantity, take_layered, take_record, to_mapping
+from hpid_ros.base.schema import json_schema, layered_schema
 from hpid_ros.base.units import NANOSECONDS
-from hpid_ros.documents.descriptions import json_schema, layered_schema
-from hpid_ros.documents.records import Record, quantity, take_layered, take_record, to_mapping
-from hpid_ros.documents.sections import Section
-from hpid_ros.documents.yaml_files import Document
-from hpid_ros.planning import PlannedReference, planned_reference
-from hpid_ros.robot.configuration import RobotSection, Wheels
+from hpid_ros.base.yaml_files import Document
+from hpid_ros.motion.references import PlannedReference, planned_reference
+from hpid_ros.robot.amendments import RobotSection, Wheels
 from hpid_ros.robot.description import RobotDescription
 from hpid_ros.simulation.drives import DriveSettings
-from hpid_ros.simulation.sensors import VELOCITIES, Sensor
-from hpid_ros.simulation.settings import ENGINES, WorldSettings, default_engine
-from hpid_ros.simulation.world.disturbances import Disturbances
-from hpid_ros.simulation.world.workpieces import GripCommand, Workplace
+from hpid_ros.simulation.settings import (
+    ENGINES,
+    VELOCITIES,
+    Disturbances,
+    GripCommand,
+    Sensor,
+    Workplace,
+    WorldSettings,
+    default_engine,
+)
 
 _OF_EXPERIMENTS = ("name", "duration", "reference", "controllers", "compare", "judge")
 """Keys of an experiment that are not of its world."""

@@ -1,1 +1,1 @@
-"""Stability of one joint's loop: certificates, their search and their check, verdicts on gains."""
+"""Certificates of stability for intervals of the degree, and margins of the frozen loop."""

@@ -10,7 +10,7 @@ import sys
 from collections.abc import Hashable
 from typing import NamedTuple
 
-from hpid_ros.control import LoopSettings
+from hpid_ros.control.settings import LoopSettings
 
 _REMEMBERED = 1000  # loops, the oldest are forgotten
 

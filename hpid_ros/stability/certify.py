@@ -9,7 +9,7 @@ import json
 import sys
 
 from hpid_ros.base.errors import HpidError
-from hpid_ros.control import LoopSettings
+from hpid_ros.control.settings import LoopSettings
 from hpid_ros.stability.verdict import certified_degree_interval
 
 

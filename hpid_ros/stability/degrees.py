@@ -11,14 +11,19 @@ from collections.abc import Callable, Hashable, Iterator, Sequence
 from typing import NamedTuple
 
 from hpid_ros.base.errors import GainError, NormError, SettingError
-from hpid_ros.base.workers import side_by_side
-from hpid_ros.control import LoopSettings
-from hpid_ros.control.gains import Gains, is_hurwitz
+from hpid_ros.base.processes import side_by_side
+from hpid_ros.control.assembly import make_norm
+from hpid_ros.control.homogeneous_pid import Gains, is_hurwitz
 from hpid_ros.control.norms import NormFamily
-from hpid_ros.control.settings.assembly import make_norm
-from hpid_ros.control.settings.choices import NormType
-from hpid_ros.stability.certificate import Certificate, CertifiedSpan, DegreeInterval, Matrix
-from hpid_ros.stability.closed_loop import effective_gains
+from hpid_ros.control.parameters import NormType
+from hpid_ros.control.settings import LoopSettings
+from hpid_ros.stability.closed_loop import (
+    Certificate,
+    CertifiedSpan,
+    DegreeInterval,
+    Matrix,
+    effective_gains,
+)
 from hpid_ros.stability.verdict import (
     certified_degree_interval,
     certify_degree,

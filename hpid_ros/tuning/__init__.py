@@ -1,1 +1,1 @@
-"""The theory applied to the gains that somebody has: check them, upgrade them."""
+"""Gains, identification, upgrade of a recorded PID, replay, and export to C."""

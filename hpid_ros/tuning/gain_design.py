@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq, minimize_scalar
 
-from hpid_ros.base.arrays import Numbers
 from hpid_ros.base.errors import GainError, SettingError, unknown_name
-from hpid_ros.control import Gains, LoopSettings
-from hpid_ros.control.gains import require_hurwitz
-from hpid_ros.stability.certificate import DegreeInterval
+from hpid_ros.base.units import Numbers
+from hpid_ros.control.homogeneous_pid import Gains, require_hurwitz
+from hpid_ros.control.settings import LoopSettings
+from hpid_ros.stability.closed_loop import DegreeInterval
 from hpid_ros.stability.degrees import Loop, certified_degrees
 from hpid_ros.tuning.rules import RULES
 

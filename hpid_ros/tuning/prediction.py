@@ -11,20 +11,21 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hpid_ros.analysis import Comparison, run_indices
-from hpid_ros.base.arrays import Numbers
 from hpid_ros.base.errors import SettingError
-from hpid_ros.base.units import NANOSECONDS
-from hpid_ros.base.workers import side_by_side
-from hpid_ros.compensation.build import compensators
-from hpid_ros.control import JointLoop, LoopSettings
+from hpid_ros.base.processes import side_by_side
+from hpid_ros.base.units import NANOSECONDS, Numbers
+from hpid_ros.control.joint_loop import JointLoop
 from hpid_ros.control.reference import Motion
-from hpid_ros.recordings.series import JointSeries, RunSeries, complete_run
-from hpid_ros.simulation import World, WorldSettings
+from hpid_ros.control.settings import LoopSettings
+from hpid_ros.messages.series import JointSeries, RunSeries, complete_run
+from hpid_ros.metrics.comparison import Comparison
+from hpid_ros.metrics.results import run_indices
+from hpid_ros.motion.spline import Column, Knot
+from hpid_ros.robot.compensation import compensators
 from hpid_ros.simulation.drives import DriveSettings
 from hpid_ros.simulation.engine import record_run
-from hpid_ros.simulation.settings import default_engine
-from hpid_ros.trajectory import Column, Knot
+from hpid_ros.simulation.settings import WorldSettings, default_engine
+from hpid_ros.simulation.world import World
 
 _STEP_DURATION = 3.0  # [s]
 _JUMP = 10.0  # times as far as from one sample to the next before and after
@@ -153,7 +154,7 @@ def _motion(settings: LoopSettings, series: JointSeries | None, start: float) ->
 def recorded_motion(joint: str, times_ns: NDArray[np.int64], reference: Numbers) -> Column:
     """Return what goes through the samples of a reference, smooth but where it jumps.
 
-    A jump is one nanosecond wide, as those of :func:`~hpid_ros.trajectory.generators.step` are: a
+    A jump is one nanosecond wide, as those of :func:`~hpid_ros.motion.generators.step` are: a
     ramp from one sample to the next would have a velocity that nobody was asked to follow.
     """
     steps = np.abs(np.diff(reference))

@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 from hpid_ros.base.errors import SettingError
-from hpid_ros.control.gains import Gains
+from hpid_ros.control.homogeneous_pid import Gains
 
 
 class SeriesPid(NamedTuple):

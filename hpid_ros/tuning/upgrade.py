@@ -1,29 +1,40 @@
-"""From a tuned PID to the homogeneous PID with the same gains: every number with its reason."""
+"""A tuned PID's homogeneous PID: search, proposals, parameter file, gains of a relay test."""
 
 from __future__ import annotations
 
+import json
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 
-from hpid_ros.analysis.comparison import Comparison
-from hpid_ros.analysis.quantities import ITAE, IVC, Quantity
 from hpid_ros.base.errors import GainError, HpidError, NormError, SettingError
-from hpid_ros.base.units import SECONDS_PER_NANOSECOND
-from hpid_ros.control import HomogeneousPid, LoopSettings
+from hpid_ros.base.names import ANYWHERE, controller_name
+from hpid_ros.base.text import shown
+from hpid_ros.base.units import SECONDS_PER_NANOSECOND, of_slide, unit_over
+from hpid_ros.control.assembly import make_law
+from hpid_ros.control.controller_files import INERTIA_RANGES
+from hpid_ros.control.homogeneous_pid import Gains, HomogeneousPid
 from hpid_ros.control.norms import GOOD_SAMPLING_MARGIN
-from hpid_ros.control.settings.assembly import make_law
-from hpid_ros.control.settings.table import LARGEST_EFFORT, PARAMETERS
-from hpid_ros.recordings.series import JointSeries
-from hpid_ros.stability.bounds import (
+from hpid_ros.control.parameters import LARGEST_EFFORT, PARAMETERS, Value
+from hpid_ros.control.settings import LoopSettings
+from hpid_ros.messages.series import JointSeries
+from hpid_ros.metrics.comparison import Comparison
+from hpid_ros.metrics.quantities import ITAE, IVC, Quantity
+from hpid_ros.robot.description import RobotDescription
+from hpid_ros.stability.closed_loop import DegreeInterval
+from hpid_ros.stability.degrees import certified_degrees
+from hpid_ros.stability.gain_check import (
     LARGEST_SAMPLING_MARGIN,
     LARGEST_SAMPLING_MARGIN_LATE,
+    inertia_of,
     sampling_margin,
 )
-from hpid_ros.stability.certificate import DegreeInterval
-from hpid_ros.stability.degrees import certified_degrees
+from hpid_ros.tuning.gain_design import number_text
+from hpid_ros.tuning.rules import simc
 
 _LEAST_STATES = 10
 _SAME_STEP = 1e-9  # [rad]; closer positions are the same count, told apart by rounding
@@ -362,3 +373,185 @@ def _excess(settings: LoopSettings, interval: tuple[float, float], inertia: floa
     if margin > GOOD_SAMPLING_MARGIN and settings.mu < 0.0:
         return f"brings T kd lam / m to {margin:.2f}, above {GOOD_SAMPLING_MARGIN}"
     return ""
+
+
+Certifying = Callable[[int], AbstractContextManager[Callable[[Sequence[str]], None]]]
+"""Shows how many of a number of joints are certified."""
+
+
+class Proposals(NamedTuple):
+    """What came of controllers."""
+
+    found: dict[str, Upgrade]  # what is proposed, by joint
+    failures: dict[str, HpidError]  # why there is nothing for the other joints
+
+
+def propose(
+    loops: Sequence[LoopSettings],
+    inertias: Mapping[str, tuple[float, float]],
+    recorded: Sequence[JointSeries],
+    limits: Mapping[str, float],
+    goal: str,
+    certifying: Certifying,
+) -> Proposals:
+    """Propose a homogeneous PID for each controller."""
+    series = {each.joint: each for each in recorded}
+    candidates: list[Candidate] = []
+    proposals = Proposals({}, {})
+    for loop in loops:
+        own, statistics = series.get(loop.joint), None
+        try:
+            inertia = inertia_of(loop, inertias.get(loop.joint))
+            if own is not None:
+                statistics = loop_statistics(own, loop.velocity.filter_time_constant)
+        except HpidError as error:
+            proposals.failures[loop.joint] = error
+        else:
+            limit = limits.get(loop.joint, math.inf)
+            candidates.append(Candidate(loop, inertia, statistics, limit))
+    with certifying(len(candidates)) as tell:
+        found = upgrades(candidates, goal, tell)
+    for candidate, each in zip(candidates, found, strict=True):
+        if isinstance(each, HpidError):
+            proposals.failures[candidate.pid.joint] = each
+        else:
+            proposals.found[candidate.pid.joint] = each
+    if not proposals.found:
+        reasons = dict.fromkeys(str(each) for each in proposals.failures.values())
+        raise SettingError(f"no joint can be upgraded: {'; '.join(reasons)}")
+    return proposals
+
+
+def effort_limits(description: RobotDescription) -> dict[str, float]:
+    """Return the limits of a robot's motors, by joint, in [N m]; 0 where it says none."""
+    return {name: joint.effort for name, joint in description.joints.items()}
+
+
+_COMMENT_COLUMN = 48
+_LEAST_PLAIN = 1e-4  # what is smaller would lose digits without an exponent
+
+
+def upgrade_text(
+    loops: Sequence[Upgrade | LoopSettings],
+    header: Sequence[str],
+    notes: Mapping[str, Sequence[str]],
+    slides: Collection[str] = frozenset(),
+) -> str:
+    """Return the file."""
+    settings = [each.settings if isinstance(each, Upgrade) else each for each in loops]
+    joints = ", ".join(each.joint for each in settings)
+    lines = [*(f"# {shown(line)}".rstrip() for line in header), ""]
+    lines += [f"{ANYWHERE}joint_controllers:", "  ros__parameters:", f"    joints: [{joints}]"]
+    lines += _inertia_ranges([each for each in loops if isinstance(each, Upgrade)], slides)
+    for each, own in zip(loops, settings, strict=True):
+        said = [f"# {shown(note)}" for note in notes.get(own.joint, ())]
+        parameters = _parameters(own, each.reasons if isinstance(each, Upgrade) else {})
+        if own.joint in slides:
+            said, parameters = ([of_slide(line) for line in part] for part in (said, parameters))
+        lines += ["", *said, f"{ANYWHERE}{controller_name(own.joint)}:", "  ros__parameters:"]
+        lines += parameters
+    return "\n".join(lines) + "\n"
+
+
+def _inertia_ranges(upgrades: Sequence[Upgrade], slides: Collection[str]) -> list[str]:
+    """Return a section for the commands that judge gains; a controller has one inertia."""
+    if not upgrades:
+        return []
+    unit = unit_over("kg m^2", (each.settings.joint in slides for each in upgrades))
+    lines = [
+        "",
+        f"# Least and largest inertia [{unit}], read by hpid check-gains and upgrade; no node",
+    ]
+    lines += ["# has this name.", f"{ANYWHERE}{INERTIA_RANGES}:", "  ros__parameters:"]
+    for each in upgrades:
+        low, high = (_value(value) for value in each.inertia)
+        lines.append(f"    {_value(each.settings.joint)}: [{low}, {high}]")
+    return lines
+
+
+def _parameters(settings: LoopSettings, reasons: Mapping[str, str]) -> list[str]:
+    lines: list[str] = []
+    section = ""
+    for name, value in settings.to_parameters().items():
+        *path, last = name.split(".")
+        inner = ".".join(path)
+        if inner and inner != section:
+            lines.append(f"    {inner}:")
+        section = inner
+        entry = f"{'      ' if inner else '    '}{last}: {_value(value)}"
+        lines.append(f"{entry:<{_COMMENT_COLUMN}}  # {_reason(reasons, name, value)}")
+    return lines
+
+
+def _value(value: Value) -> str:
+    """Return a YAML scalar that ROS reads as the type it is."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, str):
+        return value if value.isidentifier() else json.dumps(value)
+    if 0.0 < abs(value) < _LEAST_PLAIN:
+        return number_text(value)
+    text = f"{value:.6g}"
+    return text if "." in text and "e" not in text else f"{value:.10f}".rstrip("0") + "0"
+
+
+def _reason(reasons: Mapping[str, str], name: str, value: Value) -> str:
+    if name in reasons:
+        return reasons[name]
+    spec = PARAMETERS[name]
+    origin = "default" if value == spec.default else "as before"
+    text = spec.description
+    is_word = text[1:2].islower()  # and no abbreviation
+    return f"{origin}: {text[0].lower() if is_word else text[0]}{text[1:]}"
+
+
+_DIGITS = 4
+_PATIENCE = 4.0  # delays: SIMC's own choice is one, for a joint without resonances
+
+
+class Autotuned(NamedTuple):
+    """Proposed gains, and the loop that has them."""
+
+    pid: LoopSettings  # the linear loop
+    upgrade: Upgrade  # the homogeneous one
+    delay: float  # [s] effective delay that they are for
+    closed_loop_time: float  # [s]
+
+
+def effective_delay(settings: LoopSettings, delay: float) -> float:
+    """Return the delay that a rule should count: of the joint, the velocity and the sampling.
+
+    Half a period of the hold, and the time constant of a first-order lag, count as delays.
+    Source: S. Skogestad, "Simple analytic rules for model reduction and PID controller tuning",
+    Journal of Process Control 13 (2003) 291-309, section 2, the half rule.
+    """
+    velocity = settings.velocity
+    filtered = velocity.filter_time_constant if velocity.source == "filtered" else 0.0
+    return delay + filtered + 0.5 * settings.timing.control_period
+
+
+def autotuned(
+    settings: LoopSettings,
+    inertia: tuple[float, float],
+    delay: float,
+    closed_loop_time: float | None,
+    goal: str,
+) -> Autotuned:
+    """Return SIMC gains for a joint, and the homogeneous PID with them."""
+    if settings.model.is_decoupling:
+        raise SettingError(
+            "compensation decoupling has gains of a unit inertia: hpid gains designs them"
+        )
+    middle = float(f"{0.5 * (inertia[0] + inertia[1]):.3g}")
+    effective = effective_delay(settings, delay)
+    time = _PATIENCE * effective if closed_loop_time is None else closed_loop_time
+    exact = simc(middle, time, effective)
+    gains = Gains(*(float(f"{each:.{_DIGITS}g}") for each in (exact.p, exact.i, exact.d)))
+    pid = replace(settings, law="pid", mu=0.0, gains=gains, inertia=middle)
+    found = upgrade(pid, inertia, goal)
+    why = (
+        f"SIMC, closed-loop time {time:.3g} s, delay {effective:.3g} s, inertia {middle:g} kg m^2"
+    )
+    reasons = {**found.reasons, **dict.fromkeys(("gains.p", "gains.i", "gains.d"), why)}
+    reasons["inertia"] = "identified from a relay test"
+    return Autotuned(pid, replace(found, reasons=reasons), effective, time)

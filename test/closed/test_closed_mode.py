@@ -8,8 +8,7 @@ import sys
 import pytest
 from harness.places import ROOT
 
-from hpid_ros.experiment.graph.isolation import CLOSED_MODE, require_no_sockets
-from hpid_ros.experiment.graph.processes import NodeGroup
+from hpid_ros.experiment.processes import CLOSED_MODE, NodeGroup, module_of, require_no_sockets
 
 INTRUDER = ROOT / "test" / "harness" / "intruder.py"
 NOBODY = 65534
@@ -123,7 +122,7 @@ def test_security_that_is_asked_for_and_missing_is_said(harness, tmp_path, node)
     """With these wheels the variable alone changes nothing: it must not lull anybody."""
     environment = {**os.environ, "ROS_SECURITY_ENABLE": "true"}
     name, *arguments = node.split()
-    command = [sys.executable, "-m", f"hpid_ros.nodes.{name}", "--ros-args", *arguments]
+    command = [sys.executable, "-m", module_of(name), "--ros-args", *arguments]
     with (tmp_path / "log").open("wb") as log:
         process = subprocess.Popen(command, env=environment, stdout=log, stderr=log)
         try:

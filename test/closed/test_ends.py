@@ -11,14 +11,14 @@ from itertools import count
 
 import pytest
 
-from hpid_ros.base.resources import share_folder
-from hpid_ros.experiment.graph.isolation import (
+from hpid_ros.base.files import share_folder
+from hpid_ros.experiment.processes import (
     SHARED_MEMORY,
+    NodeGroup,
     closed_environment,
     network_sockets,
     own_domain,
 )
-from hpid_ros.experiment.graph.processes import NodeGroup
 
 WITHIN = 60.0  # [s]
 CONTROLLER = ("joint_controller", "joint:=elbow", "wait_for_command_subscribers:=0")
@@ -30,7 +30,7 @@ RUNNING = [
     ("single_process", "joints:=[arm_joint_1]"),
     ("mujoco_bridge", "mode:=realtime"),
     ("trajectory_publisher", f"reference_file:={share_folder()}/config/experiments/paper.yaml"),
-    ("live_tuner", "port:=0"),
+    ("live.live_tuner", "port:=0"),
 ]
 REFUSED = [
     (*CONTROLLER, "mu:=0.9"),
@@ -41,7 +41,7 @@ REFUSED = [
     ("trajectory_publisher",),
     ("bag_recorder",),
     ("bag_metrics",),
-    ("live_tuner", "nonsense:=1"),
+    ("live.live_tuner", "nonsense:=1"),
 ]
 
 

@@ -16,12 +16,10 @@ from harness.two_hosts import HostsError, network_environment, plug, pull, two_h
 from sensor_msgs.msg import JointState
 
 from hpid_ros.base.names import claim_topic
-from hpid_ros.experiment.graph.isolation import closed_environment, own_domain
-from hpid_ros.experiment.graph.processes import NodeGroup
-from hpid_ros.nodes.parts.controller.claims import LEASE, Claim, ClaimState
-from hpid_ros.nodes.parts.controller.joint_claim import to_message
-from hpid_ros.nodes.ros.middleware import LATCHED, OFFERED
-from hpid_ros.wire import JointStateTemplate, decode_joint_state
+from hpid_ros.experiment.processes import NodeGroup, closed_environment, own_domain
+from hpid_ros.messages.joint_state import JointStateTemplate, decode_joint_state
+from hpid_ros.nodes.core.middleware import LATCHED, OFFERED
+from hpid_ros.nodes.parts.claims import LEASE, Claim, ClaimState, to_message
 
 pytestmark = pytest.mark.alone
 

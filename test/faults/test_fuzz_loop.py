@@ -13,11 +13,11 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
 from hpid_ros.base.errors import HpidError, MessageError
 from hpid_ros.control import Gains, JointLoop, LoopSettings
-from hpid_ros.control.interludes.relay import RelayRequest
-from hpid_ros.control.loop_state import LoopState
+from hpid_ros.control.limited_law import LoopState
+from hpid_ros.control.overrides import RelayRequest
 from hpid_ros.control.reference import Setpoint
-from hpid_ros.trajectory import Column, Knot
-from hpid_ros.wire import JointReader
+from hpid_ros.messages.joint_readers import JointReader
+from hpid_ros.motion import Column, Knot
 
 MS = 1_000_000
 ROUNDS, MESSAGES = 10, 5000

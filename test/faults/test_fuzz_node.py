@@ -20,8 +20,8 @@ from rclpy.qos import qos_profile_parameters
 
 from hpid_ros.base.errors import HpidError
 from hpid_ros.control import LOOP_PARAMETERS, LoopSettings
-from hpid_ros.control.settings.assembly import make_law
-from hpid_ros.wire import JointStateTemplate
+from hpid_ros.control.assembly import make_law
+from hpid_ros.messages.joint_state import JointStateTemplate
 
 MS = 1_000_000
 MESSAGES, SETS = 10_000, 10_000

@@ -15,9 +15,9 @@ from rclpy.serialization import serialize_message
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from hpid_ros.base.names import claim_topic
-from hpid_ros.nodes.parts.controller.claims import LEASE
-from hpid_ros.nodes.ros.middleware import LATCHED, OFFERED
-from hpid_ros.wire import JointStateTemplate
+from hpid_ros.messages.joint_state import JointStateTemplate
+from hpid_ros.nodes.core.middleware import LATCHED, OFFERED
+from hpid_ros.nodes.parts.claims import LEASE
 
 pytestmark = pytest.mark.alone
 
@@ -88,7 +88,7 @@ class Robot:
 
 STUCK = """
 import sys, time
-from hpid_ros.nodes.ros import executor
+from hpid_ros.nodes.core import executor
 from hpid_ros.nodes.joint_controller import JointController
 
 class Stuck(JointController):

@@ -10,7 +10,7 @@ from harness.health import NAME, TRANSITIONS, change, state
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 
-from hpid_ros.wire import JointStateTemplate
+from hpid_ros.messages.joint_state import JointStateTemplate
 
 pytestmark = pytest.mark.alone
 
@@ -127,7 +127,7 @@ def test_what_the_joint_did_while_the_controller_was_inactive_is_no_error(harnes
 
 TWO_NODES = """
 import sys
-from hpid_ros.nodes.ros import executor
+from hpid_ros.nodes.core import executor
 
 class Told(executor.ClosingNode):
     def __init__(self, name):
@@ -169,7 +169,7 @@ def test_all_joints_of_a_process_are_left_before_any_node_waits():
 @pytest.mark.parametrize("place", ["executor._make_executor", "executor.rclpy.try_shutdown"])
 def test_what_fails_around_the_nodes_is_one_line_and_exit_code_one(place):
     program = (
-        "import sys\nfrom hpid_ros.nodes.ros import executor\n"
+        "import sys\nfrom hpid_ros.nodes.core import executor\n"
         f"def fail(*_): raise RuntimeError('out of order')\n{place} = fail\n"
         "class Brief(executor.ClosingNode):\n    pass\n"
         "def make():\n    node = Brief('brief')\n"
@@ -186,7 +186,7 @@ def test_what_fails_around_the_nodes_is_one_line_and_exit_code_one(place):
 
 STANDS_STILL = """
 import atexit, ctypes, sys, threading
-from hpid_ros.nodes.ros import executor, process
+from hpid_ros.nodes.core import executor, process
 
 class Brief(executor.ClosingNode):
     def close(self):

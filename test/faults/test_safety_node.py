@@ -15,8 +15,8 @@ from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from std_msgs.msg import Float64
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from hpid_ros.nodes.ros.middleware import RARE
-from hpid_ros.wire import JointStateTemplate
+from hpid_ros.messages.joint_state import JointStateTemplate
+from hpid_ros.nodes.core.middleware import RARE
 
 MS = 1_000_000
 GAINS = {"gains__p": 10.0, "gains__i": 4.0, "gains__d": 2.0}
@@ -126,7 +126,7 @@ SETPOINT = Float64(data=1.0)
 TRAJECTORY = JointTrajectory(joint_names=["elbow"], points=[JointTrajectoryPoint(positions=[1.0])])
 BROKEN = """
 import sys; from hpid_ros.base import errors
-from hpid_ros.nodes.ros import executor
+from hpid_ros.nodes.core import executor
 from hpid_ros.nodes.joint_controller import JointController
 
 class Broken(JointController):

@@ -7,7 +7,7 @@ import pytest
 from harness.graph import ros_arguments
 from harness.health import is_stopped
 
-from hpid_ros.wire import JointStateTemplate
+from hpid_ros.messages.joint_state import JointStateTemplate
 
 MS = 1_000_000
 GAINS = {"law": "pid", "gains__p": 10.0, "gains__i": 4.0, "gains__d": 2.0}

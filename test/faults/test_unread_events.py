@@ -8,7 +8,7 @@ from termios import FIONREAD
 from harness.graph import ros_arguments
 from rcl_interfaces.srv import ListParameters
 
-from hpid_ros.wire import JointStateTemplate
+from hpid_ros.messages.joint_state import JointStateTemplate
 
 F_SETPIPE_SZ = 1031
 SMALLEST = 4096  # [byte], of a pipe

@@ -13,8 +13,8 @@ from harness.goals import goal_of, needs_control_msgs
 from rcl_interfaces.srv import GetParameters
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
-from hpid_ros.base.resources import find_resource
-from hpid_ros.nodes.ros.services import Answers
+from hpid_ros.base.files import find_resource
+from hpid_ros.nodes.core.services import Answers
 
 LOST = "failed to send response (timeout): client will not receive response"
 # A client's reader of answers that wants what no server offers: it is never matched.
@@ -106,7 +106,7 @@ def test_each_answer_of_an_action_is_sent_again_as_it_was(harness, is_refused):
     from control_msgs.action import FollowJointTrajectory
     from rclpy.action import ActionClient, CancelResponse, GoalResponse
 
-    from hpid_ros.nodes.parts.action.rclpy_server import DeferringServer
+    from hpid_ros.nodes.parts.goal_server import DeferringServer
 
     lost, sent_again, handles = [], [], []
 

@@ -8,14 +8,13 @@ from harness.turntable import INERTIA, start_turntable, wait_for_rest
 from rcl_interfaces.srv import GetParameters
 from std_msgs.msg import Float64MultiArray
 
-from hpid_ros.bags import read_run
 from hpid_ros.cli.main import main
-from hpid_ros.excitation.relays import RelayWish, planned_relay
-from hpid_ros.experiment.live.excitation import bounds_of
-from hpid_ros.experiment.live.graph import running_graph
-from hpid_ros.experiment.live.relay import carry_out_relay, relay_findings
-from hpid_ros.nodes.ros.middleware import RARE
-from hpid_ros.tuning.controller_files import settings_from_parameter_file
+from hpid_ros.control.controller_files import settings_from_parameter_file
+from hpid_ros.live.controllers import running_graph
+from hpid_ros.live.motion import bounds_of, carry_out_relay, relay_findings
+from hpid_ros.messages.run import read_run
+from hpid_ros.motion.relays import RelayWish, planned_relay
+from hpid_ros.nodes.core.middleware import RARE
 
 MS = 1_000_000
 REFUSED = "reference refused: relays are not allowed: allow_relay is false"

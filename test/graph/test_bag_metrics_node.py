@@ -7,12 +7,14 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from harness.graph import ros_arguments
 
-from hpid_ros.analysis.indices.run import run_indices
-from hpid_ros.bags import BagSelection, BagWriter, read_run
 from hpid_ros.base.errors import SettingError
+from hpid_ros.messages.joint_state import JointStateTemplate
+from hpid_ros.messages.run import read_run
+from hpid_ros.messages.selection import BagSelection
+from hpid_ros.messages.writer import BagWriter
+from hpid_ros.metrics.results import run_indices
 from hpid_ros.nodes.bag_metrics import FinishedBags
-from hpid_ros.nodes.ros.middleware import LATCHED
-from hpid_ros.wire import JointStateTemplate
+from hpid_ros.nodes.core.middleware import LATCHED
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 

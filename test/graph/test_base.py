@@ -19,22 +19,21 @@ from nav_msgs.msg import Odometry
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
-from hpid_ros.analysis.indices.base import PoseErrors, base_figures, relative
-from hpid_ros.bags import read_run
-from hpid_ros.bags.messages import read_planar, read_vectors
 from hpid_ros.base.errors import BagError, ExperimentError, SettingError
 from hpid_ros.experiment.description import load_experiment
-from hpid_ros.experiment.in_process import run_without_ros
-from hpid_ros.experiment.parameter_files import write_document
+from hpid_ros.experiment.in_process import run_without_ros, write_document
 from hpid_ros.experiment.progress import NoProgress
-from hpid_ros.experiment.result.result import compute
-from hpid_ros.nodes.ros.middleware import OFFERED
-from hpid_ros.robot.differential_drive import DifferentialDrive
-from hpid_ros.robot.odometry import PlanarPose, integrated
-from hpid_ros.simulation import World, WorldSettings
+from hpid_ros.experiment.result import compute
+from hpid_ros.messages.joint_state import JointStateTemplate
+from hpid_ros.messages.messages import read_planar, read_vectors
+from hpid_ros.messages.run import read_run
+from hpid_ros.metrics.task import PoseErrors, base_figures, relative
+from hpid_ros.nodes.core.middleware import OFFERED
+from hpid_ros.robot.differential_drive import DifferentialDrive, PlanarPose, integrated
 from hpid_ros.simulation.base import BaseMonitor, ReportTimes, SlipMeter, planar
+from hpid_ros.simulation.settings import WorldSettings
+from hpid_ros.simulation.world import World
 from hpid_ros.simulation.world_file import world_mapping
-from hpid_ros.wire import JointStateTemplate
 
 WHEELS = ("wheel_left_joint", "wheel_right_joint")
 JOINTS = (*WHEELS, *(f"arm_joint_{number}" for number in range(1, 7)))

@@ -2,8 +2,8 @@
 
 from harness.graph import ros_arguments
 
-from hpid_ros.base.resources import share_folder
-from hpid_ros.experiment.parameter_files import write_document
+from hpid_ros.base.files import share_folder
+from hpid_ros.experiment.in_process import write_document
 
 WORLD = {
     "robot": {

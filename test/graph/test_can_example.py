@@ -14,7 +14,7 @@ from harness.graph import ros_arguments
 from harness.places import ROOT
 from std_msgs.msg import Float64
 
-from hpid_ros.nodes.ros.middleware import RARE
+from hpid_ros.nodes.core.middleware import RARE
 
 EXAMPLE = ROOT / "examples" / "ros" / "odrive_can.py"
 JOINTS = {"shoulder": (1, 8.0), "elbow": (2, -10.0)}

@@ -11,7 +11,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from harness.graph import ros_arguments
 
 from hpid_ros.control import LoopSettings
-from hpid_ros.nodes.ros.middleware import RARE
+from hpid_ros.nodes.core.middleware import RARE
 from hpid_ros.stability.certifier import Certifier
 
 NEAR_THE_LIMIT = {

@@ -5,10 +5,10 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from harness.graph import ros_arguments
 from sensor_msgs.msg import JointState
 
-from hpid_ros.nodes.parts.bridge.commanders import HeldCommands
-from hpid_ros.nodes.ros.middleware import OFFERED, RARE
+from hpid_ros.messages.joint_state import JointStateTemplate, decode_joint_state
+from hpid_ros.nodes.core.middleware import OFFERED, RARE
+from hpid_ros.nodes.parts.bridge_commanders import HeldCommands
 from hpid_ros.simulation.lockstep import Barrier
-from hpid_ros.wire import JointStateTemplate, decode_joint_state
 
 MS = 1_000_000
 LIMITS = {"a": 2.0}

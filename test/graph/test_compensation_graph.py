@@ -5,16 +5,16 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from sensor_msgs.msg import JointState
 
-from hpid_ros.bags import read_run
-from hpid_ros.base.resources import share_folder
-from hpid_ros.compensation.build import compensators
+from hpid_ros.base.files import share_folder
 from hpid_ros.control import JointLoop, LoopSettings
 from hpid_ros.experiment.compare import compare
 from hpid_ros.experiment.description import load_experiment
 from hpid_ros.experiment.progress import NoProgress
-from hpid_ros.nodes.ros.middleware import RARE
+from hpid_ros.messages.joint_state import JointStateTemplate
+from hpid_ros.messages.run import read_run
+from hpid_ros.nodes.core.middleware import RARE
+from hpid_ros.robot.compensation import compensators
 from hpid_ros.robot.description import RobotDescription
-from hpid_ros.wire import JointStateTemplate
 
 ROBOT = str(share_folder() / "urdf" / "mobile_manipulator.urdf")
 JOINTS = tuple(RobotDescription.load(ROBOT).joints)

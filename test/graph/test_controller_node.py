@@ -17,10 +17,10 @@ from std_msgs.msg import Float64
 from trajectory_msgs.msg import JointTrajectory
 
 from hpid_ros.control import LOOP_PARAMETERS
-from hpid_ros.nodes.ros.middleware import LATCHED, RARE
-from hpid_ros.nodes.ros.trajectories import to_message
+from hpid_ros.motion import minimum_jerk
+from hpid_ros.nodes.core.middleware import LATCHED, RARE
+from hpid_ros.nodes.core.trajectories import to_message
 from hpid_ros.robot.description import RobotDescription
-from hpid_ros.trajectory import minimum_jerk
 
 MS = 1_000_000
 GAINS = {"gains__p": 10.0, "gains__i": 4.0, "gains__d": 2.0}

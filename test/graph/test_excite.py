@@ -16,12 +16,11 @@ from harness.turntable import (
 )
 
 from hpid_ros.base.errors import SettingError
-from hpid_ros.cli.commands.live.asking import agreed
+from hpid_ros.cli.commands.excite import agreed
 from hpid_ros.cli.main import main
-from hpid_ros.excitation.bounds import Wish
-from hpid_ros.excitation.plan import Design, plan
-from hpid_ros.experiment.live.excitation import bounds_of, carry_out, chosen
-from hpid_ros.experiment.live.graph import running_graph
+from hpid_ros.live.controllers import running_graph
+from hpid_ros.live.motion import bounds_of, carry_out, chosen
+from hpid_ros.motion.excitation import Design, Wish, plan
 
 SHORT = Design(duration=6.0, band=(0.3, 3.0), fade=0.5)
 

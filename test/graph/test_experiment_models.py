@@ -9,14 +9,13 @@ import rclpy
 import yaml
 
 from hpid_ros.base.errors import ExperimentError, HpidError
+from hpid_ros.experiment.batch import RunTask, WorldKeeper, simulate
 from hpid_ros.experiment.description import load_experiment
-from hpid_ros.experiment.parameter_files import write_document, write_run_files
-from hpid_ros.nodes.parts.bridge.parameters import read_world_file
+from hpid_ros.experiment.in_process import write_document, write_run_files
+from hpid_ros.nodes.parts.bridge import read_world_file
 from hpid_ros.simulation.drives import Motor, Pwm
-from hpid_ros.simulation.sensors import Homing
-from hpid_ros.simulation.world.disturbances import Disturbances, PayloadChange, WrenchPulse
+from hpid_ros.simulation.settings import Disturbances, Homing, PayloadChange, WrenchPulse
 from hpid_ros.simulation.world_file import world_mapping
-from hpid_ros.studies.batch import RunTask, WorldKeeper, simulate
 
 ROBOT = {"robot": {"description": "urdf/mobile_manipulator.urdf"}}
 MOTOR = {"torque_constant": 0.03, "resistance": 1.0, "supply_voltage": 24.0}

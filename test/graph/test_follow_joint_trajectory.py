@@ -23,7 +23,7 @@ from harness.graph import ros_arguments
 from harness.health import Told
 from trajectory_msgs.msg import JointTrajectory
 
-from hpid_ros.nodes.ros.middleware import LATCHED
+from hpid_ros.nodes.core.middleware import LATCHED
 
 pytestmark = needs_control_msgs
 

@@ -19,8 +19,9 @@ from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters
 from rclpy.parameter import parameter_dict_from_yaml_file, parameter_value_to_python
 from std_msgs.msg import Float64MultiArray
 
-from hpid_ros.base.resources import share_folder
-from hpid_ros.nodes.ros.process import LAUNCH
+from hpid_ros.base.files import share_folder
+from hpid_ros.experiment.processes import module_of
+from hpid_ros.nodes.core.process import LAUNCH
 
 MS = 1_000_000
 LISTENS_WITHIN = 150.0  # [s]; nine processes start at once, perhaps on a busy machine
@@ -44,15 +45,15 @@ def test_help_that_nobody_reads_is_no_fault():
     assert (done.returncode, done.stderr) == (0, b"")
 
 
-@pytest.mark.parametrize("name", [*EXECUTABLES, ACTION, "live_tuner"])
+@pytest.mark.parametrize("name", [*EXECUTABLES, ACTION, "live.live_tuner"])
 def test_help_is_a_few_lines_and_starts_nothing(name, capsys, monkeypatch):
-    module = importlib.import_module(f"hpid_ros.nodes.{name}")
+    module = importlib.import_module(module_of(name))
     monkeypatch.setattr("rclpy.init", None)
     niceness = os.nice(0)
     for option in ("--help", "-h"):
         assert module.main([name, option]) == 0
         lines = capsys.readouterr().out.splitlines()
-        assert lines[0].startswith(f"usage: {name} --ros-args")
+        assert lines[0].startswith(f"usage: {name.rpartition('.')[2]} --ros-args")
         assert len(lines) < 30
     assert os.nice(0) == niceness
 
@@ -262,7 +263,7 @@ class Robot:
     """One of two robots: a bridge, its controllers and its reference in a namespace."""
 
     def __init__(self, harness, name, experiment, folder):
-        from hpid_ros.experiment.parameter_files import write_run_files
+        from hpid_ros.experiment.in_process import write_run_files
 
         folder.mkdir()
         write_run_files(folder, experiment, experiment.controllers["PID"])

@@ -15,19 +15,19 @@ import pytest
 from harness.experiments import write_experiment
 from mcap_ros2.reader import read_ros2_messages
 
-from hpid_ros.bags import read_run
 from hpid_ros.base.errors import RunError
+from hpid_ros.experiment import graph_run
 from hpid_ros.experiment.compare import compare
 from hpid_ros.experiment.description import load_experiment
-from hpid_ros.experiment.graph import run as graph_run
-from hpid_ros.experiment.graph.isolation import (
+from hpid_ros.experiment.graph_run import run_on_graph
+from hpid_ros.experiment.processes import (
     closed_environment,
     network_sockets,
     own_domain,
     require_no_sockets,
 )
-from hpid_ros.experiment.graph.run import run_on_graph
 from hpid_ros.experiment.progress import NoProgress
+from hpid_ros.messages.run import read_run
 
 
 def run_compare(experiment, folder, **options):

@@ -7,10 +7,10 @@ from geometry_msgs.msg import PoseArray
 from harness.graph import ros_arguments
 from std_srvs.srv import SetBool, Trigger
 
-from hpid_ros.base.resources import share_folder
-from hpid_ros.experiment.parameter_files import write_document
-from hpid_ros.nodes.ros.middleware import RARE
-from hpid_ros.robot import RobotDescription
+from hpid_ros.base.files import share_folder
+from hpid_ros.experiment.in_process import write_document
+from hpid_ros.nodes.core.middleware import RARE
+from hpid_ros.robot.description import RobotDescription
 from hpid_ros.robot.kinematics import Kinematics
 
 ARM = Kinematics(

@@ -13,20 +13,18 @@ import pytest
 from harness.health import change
 from harness.turntable import GAINS, INERTIA, URDF, positions, start_turntable, wait_for_rest
 
-from hpid_ros.control.settings.table import PARAMETERS
-from hpid_ros.excitation.bounds import Wish
-from hpid_ros.excitation.plan import Design, plan
-from hpid_ros.experiment.live.button import HELD_WITHIN, Button
-from hpid_ros.experiment.live.excitation import bounds_of, chosen
-from hpid_ros.experiment.live.held import HeldMotion
-from hpid_ros.live.seen import as_running, seen_controller
-from hpid_ros.nodes.parts.live.dead_man import DeadMan
+from hpid_ros.control.parameters import PARAMETERS
+from hpid_ros.live.controllers import HELD_WITHIN, Button
+from hpid_ros.live.dead_man import DeadMan
+from hpid_ros.live.graph import as_running, seen_controller
+from hpid_ros.live.motion import HeldMotion, bounds_of, chosen
+from hpid_ros.motion.excitation import Design, Wish, plan
 
 NODE = "/turn_controller"
 
 PARENT = """
 import pickle, sys, time
-from hpid_ros.experiment.live.held import HeldMotion
+from hpid_ros.live.motion import HeldMotion
 motion = HeldMotion(*pickle.load(open(sys.argv[1], "rb")))
 while True:
     motion.press()

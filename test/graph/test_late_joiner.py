@@ -8,10 +8,10 @@ from hypothesis import strategies as st
 from trajectory_msgs.msg import JointTrajectory as JointTrajectoryMessage
 
 from hpid_ros.base.errors import TrajectoryError
-from hpid_ros.nodes.ros.middleware import LATCHED
-from hpid_ros.nodes.ros.trajectories import to_message
-from hpid_ros.trajectory import JointTrajectory, TrajectoryPoint, minimum_jerk
-from hpid_ros.wire import JointStateTemplate
+from hpid_ros.messages.joint_state import JointStateTemplate
+from hpid_ros.motion import JointTrajectory, TrajectoryPoint, minimum_jerk
+from hpid_ros.nodes.core.middleware import LATCHED
+from hpid_ros.nodes.core.trajectories import to_message
 
 MS = 1_000_000
 

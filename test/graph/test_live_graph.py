@@ -21,16 +21,16 @@ from rclpy.qos import qos_profile_parameter_events
 from rclpy.task import Future
 from sensor_msgs.msg import JointState
 
-from hpid_ros.control.settings.table import PARAMETERS
+from hpid_ros.control.parameters import PARAMETERS
 from hpid_ros.live.graph import Answer, Samples
-from hpid_ros.nodes.parts.tuner import live_graph, orders
-from hpid_ros.nodes.parts.tuner.live_graph import LiveGraph
-from hpid_ros.nodes.parts.tuner.orders import parameter
-from hpid_ros.nodes.parts.tuner.topics import controller_topics
-from hpid_ros.nodes.ros.executor import ClosingNode
-from hpid_ros.nodes.ros.middleware import OFFERED
-from hpid_ros.nodes.ros.status import OK, Diagnostics
-from hpid_ros.wire import JointStateTemplate
+from hpid_ros.live.ros import live_graph, orders
+from hpid_ros.live.ros.live_graph import LiveGraph
+from hpid_ros.live.ros.orders import parameter
+from hpid_ros.live.ros.watching import controller_topics
+from hpid_ros.messages.joint_state import JointStateTemplate
+from hpid_ros.nodes.core.executor import ClosingNode
+from hpid_ros.nodes.core.middleware import OFFERED
+from hpid_ros.nodes.core.status import OK, Diagnostics
 
 MS = 1_000_000
 ELBOW, WRIST = "/elbow_controller", "/arm/wrist_controller"

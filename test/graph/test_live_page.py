@@ -22,7 +22,7 @@ def tuner(harness, tmp_path):
     """Return the page's process, beside the turntable and its controller."""
     start_turntable(harness, tmp_path, inertia=INERTIA, require_certificate=True)
     return harness.processes.start(
-        "live_tuner", "live_tuner", ros_arguments(port=0, open_browser=False, rate=10.0)
+        "live_tuner", "live.live_tuner", ros_arguments(port=0, open_browser=False, rate=10.0)
     )
 
 

@@ -16,7 +16,7 @@ def served(harness, **parameters):
     """Start the page and return its process and its address."""
     process = harness.processes.start(
         "live_tuner",
-        "live_tuner",
+        "live.live_tuner",
         ros_arguments(port=0, open_browser=False, **parameters),
     )
     events = []
@@ -53,7 +53,7 @@ def test_the_page_is_served_to_whoever_has_the_token_and_ends_without_a_trace(ha
     ],
 )
 def test_what_cannot_be_served_is_one_line(harness, arguments, line):
-    ended = run_node("live_tuner", ros_arguments(open_browser=False, **arguments))
+    ended = run_node("live.live_tuner", ros_arguments(open_browser=False, **arguments))
     assert ended.returncode == 2
     assert ended.stderr.startswith(line)
     assert ended.stderr.count("\n") == 1
@@ -62,7 +62,7 @@ def test_what_cannot_be_served_is_one_line(harness, arguments, line):
 def test_a_missing_library_is_named():
     program = (
         "import sys; sys.modules['nicegui'] = sys.modules['uvicorn'] = None\n"
-        "from hpid_ros.nodes.live_tuner import main; main(['live_tuner'])"
+        "from hpid_ros.live.live_tuner import main; main(['live_tuner'])"
     )
     ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
     assert ended.returncode == 2

@@ -15,8 +15,8 @@ from harness.ros2_control import NAME, Ros2Control
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64, Float64MultiArray
 
-from hpid_ros.nodes.ros.middleware import NEWEST_COMMAND, OFFERED, RARE
-from hpid_ros.wire import JointStateTemplate
+from hpid_ros.messages.joint_state import JointStateTemplate
+from hpid_ros.nodes.core.middleware import NEWEST_COMMAND, OFFERED, RARE
 
 MS = 1_000_000
 MERGER = "joint_command_merger"

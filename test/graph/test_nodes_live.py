@@ -9,12 +9,12 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory
 
-from hpid_ros.nodes.parts.bridge.commanders import HeldCommands
-from hpid_ros.nodes.parts.controller.references import TrajectorySubscriptions
-from hpid_ros.nodes.ros.middleware import ALL_COMMANDS, LATCHED, OFFERED, RARE
-from hpid_ros.nodes.ros.trajectories import to_message
-from hpid_ros.trajectory import minimum_jerk
-from hpid_ros.wire import JointStateTemplate, decode_joint_state
+from hpid_ros.messages.joint_state import JointStateTemplate, decode_joint_state
+from hpid_ros.motion import minimum_jerk
+from hpid_ros.nodes.core.middleware import ALL_COMMANDS, LATCHED, OFFERED, RARE
+from hpid_ros.nodes.core.trajectories import to_message
+from hpid_ros.nodes.parts.bridge_commanders import HeldCommands
+from hpid_ros.nodes.parts.references import TrajectorySubscriptions
 
 MS = 1_000_000
 

@@ -9,8 +9,8 @@ from rclpy.parameter import Parameter
 from rclpy.qos import ReliabilityPolicy
 from sensor_msgs.msg import JointState
 
-from hpid_ros.nodes.ros.executor import ClosingNode
-from hpid_ros.nodes.ros.middleware import NEWEST_STATES, OFFERED, overridable
+from hpid_ros.nodes.core.executor import ClosingNode
+from hpid_ros.nodes.core.middleware import NEWEST_STATES, OFFERED, overridable
 
 MS = 1_000_000
 

@@ -7,7 +7,7 @@ from std_msgs.msg import Empty
 from std_srvs.srv import Trigger
 
 from hpid_ros.base.errors import SettingError
-from hpid_ros.nodes.ros import rclpy_internals
+from hpid_ros.nodes.core import rclpy_internals
 
 
 @pytest.fixture

@@ -12,26 +12,26 @@ import yaml
 from harness.graph import ros_arguments
 from trajectory_msgs.msg import JointTrajectory
 
-from hpid_ros.analysis.doubts import quality_lines
-from hpid_ros.bags import BagReader, BagWriter, read_run
-from hpid_ros.bags.metadata import (
+from hpid_ros.base.errors import BagError
+from hpid_ros.base.names import PROFILE_FILES
+from hpid_ros.cli.main import main
+from hpid_ros.messages.bag_file import BagReader
+from hpid_ros.messages.joint_state import JointStateTemplate
+from hpid_ros.messages.run import read_run
+from hpid_ros.messages.selection import (
     MISSED,
     STOOD_STILL,
+    BagSelection,
     custom_data,
     missed_entries,
     missed_messages,
     recorded_slides,
     time_stood_still,
 )
-from hpid_ros.bags.repair import repair_bag
-from hpid_ros.bags.selection import BagSelection
-from hpid_ros.base.errors import BagError
-from hpid_ros.base.names import PROFILE_FILES
-from hpid_ros.cli.main import main
-from hpid_ros.nodes.ros.middleware import LATCHED
-from hpid_ros.report.html.blocks import Paragraph
-from hpid_ros.report.html.facts import data_quality
-from hpid_ros.wire import JointStateTemplate
+from hpid_ros.messages.writer import BagWriter, repair_bag
+from hpid_ros.metrics.folding import quality_lines
+from hpid_ros.nodes.core.middleware import LATCHED
+from hpid_ros.report.blocks import Paragraph, data_quality
 
 MS = 1_000_000
 JOINT_STATE = "sensor_msgs/msg/JointState"
@@ -178,9 +178,9 @@ class Events:
 FLOOD = """
 import sys, rclpy
 from sensor_msgs.msg import JointState
-from hpid_ros.wire import JointStateTemplate
+from hpid_ros.messages.joint_state import JointStateTemplate
 from hpid_ros.base.names import PROFILE_FILES
-from hpid_ros.nodes.ros.middleware import OFFERED
+from hpid_ros.nodes.core.middleware import OFFERED
 rclpy.init()
 publisher = rclpy.create_node("flood").create_publisher(JointState, "joint_states", OFFERED)
 state = JointStateTemplate(["elbow"], position=True, effort=True)

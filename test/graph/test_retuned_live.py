@@ -6,9 +6,9 @@ import numpy as np
 from harness.loops import loop_settings, pure_loop
 from trajectory_msgs.msg import JointTrajectory
 
-from hpid_ros.nodes.ros.middleware import LATCHED
-from hpid_ros.nodes.ros.trajectories import to_message
-from hpid_ros.trajectory import minimum_jerk
+from hpid_ros.motion import minimum_jerk
+from hpid_ros.nodes.core.middleware import LATCHED
+from hpid_ros.nodes.core.trajectories import to_message
 
 MS = 1_000_000
 INERTIA, LOAD, VISCOUS = 0.5, -3.0, 0.8

@@ -8,8 +8,8 @@ from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 
-from hpid_ros.nodes.parts.controller.commands import SharedCommands
-from hpid_ros.wire import JointStateTemplate
+from hpid_ros.messages.joint_state import JointStateTemplate
+from hpid_ros.nodes.parts.commands import SharedCommands
 
 MS = 1_000_000
 JOINTS = ("elbow", "wrist")

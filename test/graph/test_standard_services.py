@@ -7,8 +7,8 @@ from harness.graph import ros_arguments
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import JointState
 
-from hpid_ros.base.resources import share_folder
-from hpid_ros.experiment.parameter_files import write_document
+from hpid_ros.base.files import share_folder
+from hpid_ros.experiment.in_process import write_document
 
 pytestmark = pytest.mark.skipif(
     find_spec("simulation_interfaces") is None,

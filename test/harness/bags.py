@@ -10,11 +10,13 @@ import numpy as np
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
-from hpid_ros.bags import BagReader, BagWriter, read_run
-from hpid_ros.recordings.series import JointSeries, Losses
-from hpid_ros.trajectory import JointTrajectory, TrajectoryPoint
-from hpid_ros.wire.joint_state import JointStateTemplate
-from hpid_ros.wire.reports import ODOMETRY, Stamp, encode_odometry
+from hpid_ros.messages.bag_file import BagReader
+from hpid_ros.messages.joint_state import JointStateTemplate
+from hpid_ros.messages.reports import ODOMETRY, Stamp, encode_odometry
+from hpid_ros.messages.run import read_run
+from hpid_ros.messages.series import JointSeries, Losses
+from hpid_ros.messages.writer import BagWriter
+from hpid_ros.motion import JointTrajectory, TrajectoryPoint
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 JOINT_TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"

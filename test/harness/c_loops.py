@@ -7,8 +7,7 @@ import subprocess
 
 import pytest
 
-from hpid_ros.export.c_source import c_files, c_name
-from hpid_ros.export.parameters import FIELDS
+from hpid_ros.tuning.c_export import FIELDS, c_files, c_name
 
 COMPILER = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
 STRICT = ("-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror", "-Wconversion", "-Wshadow")

@@ -2,8 +2,8 @@
 
 import pytest
 
+from hpid_ros.experiment.study_plan import is_robot_installed
 from hpid_ros.simulation.settings import ENGINES, default_engine, installed_engines
-from hpid_ros.studies.study_plan import is_robot_installed
 
 INSTALLED = installed_engines()
 HAS_BULLET = ENGINES[0] in INSTALLED

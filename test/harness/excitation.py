@@ -3,8 +3,8 @@
 import numpy as np
 
 from hpid_ros.control import JointLoop
-from hpid_ros.recordings.series import complete_run
-from hpid_ros.trajectory import Column, Knot
+from hpid_ros.messages.series import complete_run
+from hpid_ros.motion import Column, Knot
 
 
 def multisine(samples, amplitude, lines, period, seed=1):

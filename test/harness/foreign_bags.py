@@ -13,7 +13,8 @@ from harness.bags import (
     command,
     state,
 )
-from hpid_ros.bags import BagSelection, read_run
+from hpid_ros.messages.run import read_run
+from hpid_ros.messages.selection import BagSelection
 
 FLOAT64 = "std_msgs/msg/Float64"
 FLOATS = "std_msgs/msg/Float64MultiArray"

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from hpid_ros.base.resources import find_resource, share_folder
-from hpid_ros.robot import RobotDescription
+from hpid_ros.base.files import find_resource, share_folder
+from hpid_ros.robot.description import RobotDescription
 
 EXPERIMENTS = share_folder() / "config" / "experiments"
 IIWA = "package://pybullet_data/kuka_iiwa/model.urdf"

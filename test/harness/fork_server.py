@@ -19,12 +19,12 @@ import subprocess
 import sys
 import time
 
-from hpid_ros.experiment.graph.processes import Beginning
-from hpid_ros.nodes.ros import status
+from hpid_ros.experiment.processes import Beginning, module_of
+from hpid_ros.nodes.core import status
 
 _PR_SET_CHILD_SUBREAPER = 36
 _LIBC = ctypes.CDLL(None)
-_NODES = "hpid_ros.nodes."
+_NODES = ("hpid_ros.nodes.", "hpid_ros.live.")
 _ENDING = (signal.SIGHUP, signal.SIGINT, signal.SIGQUIT, signal.SIGTERM)
 _LARGEST = 1 << 18  # [byte], of a request
 
@@ -74,7 +74,7 @@ class ForkedPopen(subprocess.Popen):
 
 def run_node(executable, arguments, **options):
     """Run a node that ends by itself and return what it said, as ``subprocess.run`` does."""
-    command = [sys.executable, "-m", f"{_NODES}{executable}", "--ros-args", *arguments]
+    command = [sys.executable, "-m", module_of(executable), "--ros-args", *arguments]
     process = ForkedPopen(
         command,
         stdout=subprocess.PIPE,

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from hpid_ros.wire import JointStateTemplate
+from hpid_ros.messages.joint_state import JointStateTemplate
 
 MS = 1_000_000
 NUMBERS = (math.nan, math.inf, -math.inf, 1e300, -1e300, 5e-324, 1e18, 0.0, -0.0, 1.0)

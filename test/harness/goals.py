@@ -14,8 +14,8 @@ from harness.control_msgs import why_not
 from harness.graph import ros_arguments
 from harness.health import Told
 from hpid_ros.base.names import controller_name
-from hpid_ros.nodes.ros.middleware import OFFERED
-from hpid_ros.wire import JointStateTemplate, decode_joint_state
+from hpid_ros.messages.joint_state import JointStateTemplate, decode_joint_state
+from hpid_ros.nodes.core.middleware import OFFERED
 
 ACTION = "joint_trajectory_controller"
 JOINTS = ("shoulder", "elbow")

@@ -11,10 +11,9 @@ from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 
 from hpid_ros.base.names import PROFILE_FILES
-from hpid_ros.experiment.graph.isolation import closed_environment
-from hpid_ros.experiment.graph.processes import NodeGroup
-from hpid_ros.nodes.ros.middleware import OFFERED
-from hpid_ros.wire import JointStateTemplate, decode_joint_state
+from hpid_ros.experiment.processes import NodeGroup, closed_environment
+from hpid_ros.messages.joint_state import JointStateTemplate, decode_joint_state
+from hpid_ros.nodes.core.middleware import OFFERED
 
 _ANSWERED_WITHIN = 5.0  # [s]
 _VALUES = {

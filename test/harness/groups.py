@@ -6,9 +6,10 @@ import random
 import numpy as np
 
 from harness.loops import pure_loop
-from hpid_ros.goals import GoalFollower, GoalRequest, GroupSettings
-from hpid_ros.trajectory.joint_trajectory import PointArrays
-from hpid_ros.wire import JointPart
+from hpid_ros.messages.joint_readers import JointPart
+from hpid_ros.motion.joint_trajectory import PointArrays
+from hpid_ros.nodes.parts.goal_follower import GoalFollower
+from hpid_ros.nodes.parts.goals import GoalRequest, GroupSettings
 
 MS = 1_000_000
 SECOND = 1_000_000_000

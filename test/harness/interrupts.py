@@ -3,7 +3,7 @@
 import signal
 from contextlib import contextmanager
 
-from hpid_ros.base.interrupts import heed_interrupts
+from hpid_ros.base.processes import heed_interrupts
 
 
 @contextmanager

@@ -1,6 +1,6 @@
 """Numbers of runs, made up."""
 
-from hpid_ros.analysis.results import JointIndices, RunIndices
+from hpid_ros.metrics.results import JointIndices, RunIndices
 
 
 def run(label, rows, norms=(1.0, 1.0), names=None):

@@ -11,8 +11,8 @@ import numpy as np
 
 from hpid_ros.base.errors import HpidError, RunError
 from hpid_ros.control import JointLoop, LoopSettings
+from hpid_ros.control.controller_files import RobotLimits
 from hpid_ros.control.reference import Setpoint
-from hpid_ros.control.settings.robot_limits import RobotLimits
 from hpid_ros.live.graph import Answer, Change, Health, Samples, SeenController
 
 PERIOD_NS = 1_000_000

@@ -1,9 +1,9 @@
 """``trajectory_msgs/msg/JointTrajectory`` read message by message, beside the readers of bytes."""
 
 from hpid_ros.base.units import NANOSECONDS
-from hpid_ros.nodes.ros.trajectories import column_of
-from hpid_ros.trajectory import JointTrajectory, TrajectoryPoint
-from hpid_ros.wire import decode_trajectory
+from hpid_ros.messages.joint_trajectory import decode_trajectory
+from hpid_ros.motion import JointTrajectory, TrajectoryPoint
+from hpid_ros.nodes.core.trajectories import column_of
 
 
 def from_message(message):

@@ -6,8 +6,8 @@ import numpy as np
 from sensor_msgs.msg import JointState
 
 from harness.graph import ros_arguments
-from hpid_ros.nodes.ros.middleware import ALL_COMMANDS
-from hpid_ros.wire import decode_joint_state
+from hpid_ros.messages.joint_state import decode_joint_state
+from hpid_ros.nodes.core.middleware import ALL_COMMANDS
 
 INERTIA, VISCOUS, COULOMB = 0.05, 0.2, 0.1
 URDF = f"""<robot name="turntable">

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from harness.places import ROOT
-from hpid_ros.simulation import World, WorldSettings
+from hpid_ros.simulation.settings import WorldSettings
+from hpid_ros.simulation.world import World
 
 URDF = ROOT / "urdf" / "mobile_manipulator.urdf"
 WHEELS = ("wheel_left_joint", "wheel_right_joint")

@@ -3,9 +3,9 @@
 import pytest
 from harness.studies import ARM
 
+from hpid_ros.experiment import batch
+from hpid_ros.experiment.batch import simulated_indices
 from hpid_ros.experiment.description import load_experiment
-from hpid_ros.studies import batch
-from hpid_ros.studies.batch import simulated_indices
 
 
 @pytest.fixture

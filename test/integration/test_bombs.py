@@ -17,12 +17,13 @@ from harness.mcap_files import write_mcap
 from mcap.writer import CompressionType
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
-from hpid_ros.bags import BagWriter, read_run
-from hpid_ros.bags.columns.compression import LIMIT_VARIABLE, zstd_library
-from hpid_ros.bags.metadata import PARAMETERS
 from hpid_ros.base.errors import ExperimentError
+from hpid_ros.base.yaml_files import MOST_LEVELS, load_yaml
 from hpid_ros.cli.main import main
-from hpid_ros.documents.yaml_files import MOST_LEVELS, load_yaml
+from hpid_ros.messages.mcap_chunks import LIMIT_VARIABLE, zstd_library
+from hpid_ros.messages.run import read_run
+from hpid_ros.messages.selection import PARAMETERS
+from hpid_ros.messages.writer import BagWriter
 
 zstd = zstd_library()
 MIB = 1 << 20

@@ -10,27 +10,26 @@ import numpy as np
 import pytest
 import yaml
 
-from hpid_ros.bags.messages import PoseColumns, read_poses, read_statuses
-from hpid_ros.bags.writer import BagWriter
 from hpid_ros.base.errors import BagError, ExperimentError
-from hpid_ros.base.resources import share_folder
+from hpid_ros.base.files import share_folder
+from hpid_ros.base.records import Section
+from hpid_ros.base.yaml_files import load_yaml
 from hpid_ros.cli.main import main
-from hpid_ros.documents.sections import Section
-from hpid_ros.documents.yaml_files import load_yaml
 from hpid_ros.experiment.description import load_experiment
-from hpid_ros.experiment.graph.run import run_on_graph
-from hpid_ros.experiment.in_process import run_without_ros
-from hpid_ros.experiment.parameter_files import write_document
+from hpid_ros.experiment.graph_run import run_on_graph
+from hpid_ros.experiment.in_process import run_without_ros, write_document
 from hpid_ros.experiment.progress import NoProgress, RunReport
-from hpid_ros.experiment.result.folder import ResultFolder
-from hpid_ros.experiment.result.result import compute, save
+from hpid_ros.experiment.result import compute, save
+from hpid_ros.experiment.result_folder import ResultFolder
+from hpid_ros.messages.messages import PoseColumns, read_poses, read_statuses
+from hpid_ros.messages.reports import POSE, POSES, Stamp, Status, encode_pose, encode_status
+from hpid_ros.messages.series import JointSeries, RunSeries
+from hpid_ros.messages.writer import BagWriter
 from hpid_ros.metrics.end_effector import EndEffector, TaskFrame, moving_joints
-from hpid_ros.recordings.series import JointSeries, RunSeries
-from hpid_ros.robot import RobotDescription
+from hpid_ros.robot.description import RobotDescription
 from hpid_ros.robot.differential_drive import DifferentialDrive
 from hpid_ros.robot.kinematics import Kinematics
 from hpid_ros.simulation.world_file import read_world, world_mapping
-from hpid_ros.wire.reports import POSE, POSES, Stamp, Status, encode_pose, encode_status
 
 EXPERIMENTS = share_folder() / "config" / "experiments"
 ROBOT = RobotDescription.load(share_folder() / "urdf" / "mobile_manipulator.urdf")

@@ -9,13 +9,13 @@ import pytest
 import yaml
 from harness.engines import needs_bullet, shipped
 
-from hpid_ros.base.resources import share_folder
+from hpid_ros.base.files import share_folder
 from hpid_ros.cli.commands import BAD_INPUT, DONE, UNREAD
 from hpid_ros.cli.main import main
 from hpid_ros.experiment.description import load_experiment
 from hpid_ros.experiment.in_process import run_without_ros
 from hpid_ros.experiment.progress import NoProgress
-from hpid_ros.experiment.result.result import compute
+from hpid_ros.experiment.result import compute
 from hpid_ros.simulation.settings import ENGINES
 
 

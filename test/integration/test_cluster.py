@@ -13,14 +13,14 @@ import pytest
 from harness.engines import shipped
 
 from hpid_ros.base.errors import RunError
-from hpid_ros.base.resources import share_folder
+from hpid_ros.base.files import share_folder
 from hpid_ros.cli.commands import BAD_INPUT, DONE, FAILED
 from hpid_ros.cli.main import main
+from hpid_ros.experiment import cluster as client
+from hpid_ros.experiment.batch import RunTask, WorldKeeper, run_batch, simulate
+from hpid_ros.experiment.cluster import Cluster
+from hpid_ros.experiment.cluster_worker import Depot, differences, pack, traits, work
 from hpid_ros.experiment.description import load_experiment
-from hpid_ros.studies.batch import RunTask, WorldKeeper, run_batch, simulate
-from hpid_ros.studies.cluster import Cluster, client
-from hpid_ros.studies.cluster.parcel import Depot, pack
-from hpid_ros.studies.cluster.worker import differences, traits, work
 
 WRITTEN = ("runs.csv", "runs.jsonl", "study.json", "tables.txt")
 
@@ -151,7 +151,7 @@ def test_a_worker_with_other_sources_is_refused_by_name(
     (other / "hpid_ros").symlink_to(Path(sys.modules["hpid_ros"].__file__).parent)
     # What python runs first: there the sources are others.
     (other / "sitecustomize.py").write_text(
-        "import hpid_ros.studies.cluster.worker as worker\n"
+        "import hpid_ros.experiment.cluster_worker as worker\n"
         "found = dict(worker.traits(()), numpy='1.0')\n"
         "worker.traits = lambda engines: found\n"
     )

@@ -10,8 +10,8 @@ import pytest
 from harness.places import ROOT
 
 from hpid_ros.control import LOOP_PARAMETERS
-from hpid_ros.goals import FIXED_PARAMETERS, GOAL_PARAMETERS, joint_parameters
-from hpid_ros.nodes.parts.bridge.parameters import OVER_THE_FILE
+from hpid_ros.nodes.parts.bridge import OVER_THE_FILE
+from hpid_ros.nodes.parts.goals import FIXED_PARAMETERS, GOAL_PARAMETERS, joint_parameters
 
 INTERFACES = (ROOT / "docs" / "interfaces.md").read_text()
 

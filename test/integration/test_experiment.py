@@ -5,7 +5,7 @@ import yaml
 
 from hpid_ros.base.errors import ExperimentError
 from hpid_ros.experiment.description import load_experiment
-from hpid_ros.experiment.parameter_files import controllers_document
+from hpid_ros.experiment.in_process import controllers_document
 
 
 def test_the_motions_are_of_eight_joints_nine_seconds_and_two_controllers(experiment_file):

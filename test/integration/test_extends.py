@@ -7,8 +7,8 @@ import pytest
 import yaml
 
 from hpid_ros.base.errors import ExperimentError, SettingError, TrajectoryError
-from hpid_ros.base.resources import share_folder
-from hpid_ros.documents.yaml_files import MOST_EXTENDED, load_document
+from hpid_ros.base.files import share_folder
+from hpid_ros.base.yaml_files import MOST_EXTENDED, load_document
 from hpid_ros.experiment.compare import compare
 from hpid_ros.experiment.description import load_experiment, load_reference
 from hpid_ros.experiment.progress import NoProgress

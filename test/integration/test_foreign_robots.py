@@ -16,23 +16,18 @@ from harness.engines import HAS_BULLET, needs_bullet
 from harness.foreign_robots import EXPERIMENTS, IIWA, PANDA, box, pose, robot, short
 
 from hpid_ros.base.errors import RobotDescriptionError
-from hpid_ros.base.resources import (
-    ResourceError,
-    find_resource,
-    package_folder,
-    package_uri,
-)
+from hpid_ros.base.files import ResourceError, find_resource, package_folder, package_uri
 from hpid_ros.cli.main import main
+from hpid_ros.experiment.batch import RunTask, WorldKeeper, simulate
 from hpid_ros.experiment.description import load_experiment
-from hpid_ros.robot import RobotDescription
 from hpid_ros.robot.amendments import amended
+from hpid_ros.robot.description import RobotDescription
 from hpid_ros.robot.dynamics import Dynamics
-from hpid_ros.simulation import World, WorldSettings
-from hpid_ros.studies.batch import RunTask, WorldKeeper, simulate
+from hpid_ros.simulation.settings import WorldSettings
+from hpid_ros.simulation.world import World
 
 if HAS_BULLET:
-    from hpid_ros.simulation.bullet.connection import pybullet
-    from hpid_ros.simulation.bullet.model import bullet_urdf
+    from hpid_ros.simulation.bullet_scene import bullet_urdf, pybullet
 
 URDFS = [IIWA, PANDA]
 NAMES = ["iiwa", "panda"]
@@ -44,9 +39,7 @@ MILLISECOND = 1_000_000  # [ns]
 
 @needs_bullet
 def test_robots_of_python_packages_are_found_without_importing_them():
-    code = (
-        f"import sys; from hpid_ros.base.resources import find_resource; find_resource({IIWA!r});"
-    )
+    code = f"import sys; from hpid_ros.base.files import find_resource; find_resource({IIWA!r});"
     code += "sys.exit(bool({'pybullet', 'pybullet_data'} & set(sys.modules)))"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
     path = find_resource(IIWA)
@@ -323,9 +316,8 @@ def test_predictions_start_where_the_experiment_does():
 
 @needs_bullet
 def test_an_upgraded_file_keeps_the_model_of_the_robot():
-    from hpid_ros.tuning.controller_files import settings_from_parameters
-    from hpid_ros.tuning.upgrade import Upgrade
-    from hpid_ros.tuning.upgrade_file import upgrade_text
+    from hpid_ros.control.controller_files import settings_from_parameters
+    from hpid_ros.tuning.upgrade import Upgrade, upgrade_text
 
     first = load_experiment(EXPERIMENTS / "panda.yaml").controllers["PID"][0]
     model = dataclasses.replace(first.model, description="/robots/an arm.urdf")

@@ -13,20 +13,20 @@ from harness.runs import run
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hpid_ros.analysis import Comparison
-from hpid_ros.bags import BagWriter
 from hpid_ros.base.console import TextConsole, guarded_output
 from hpid_ros.base.errors import ExperimentError, HpidError, ResultExistsError
-from hpid_ros.base.foreign_text import csv_text, shown, shown_lines
 from hpid_ros.base.names import is_label
+from hpid_ros.base.text import csv_text, shown, shown_lines
 from hpid_ros.cli.commands import BAD_INPUT, DONE
 from hpid_ros.cli.main import main
 from hpid_ros.experiment.description import load_experiment
-from hpid_ros.experiment.graph.run import require_node_names
-from hpid_ros.report.html.page import render_report
-from hpid_ros.report.tables.export import table_csv, table_latex
-from hpid_ros.report.tables.table import ComparisonTable, table_text
-from hpid_ros.wire import JointStateTemplate
+from hpid_ros.experiment.graph_run import require_node_names
+from hpid_ros.messages.joint_state import JointStateTemplate
+from hpid_ros.messages.writer import BagWriter
+from hpid_ros.metrics import Comparison
+from hpid_ros.report.export import table_csv, table_latex
+from hpid_ros.report.page import render_report
+from hpid_ros.report.table import ComparisonTable, table_text
 
 TITLE = "\x1b]0;owned\x07"  # sets the title of a terminal
 LINK = "\x1b]8;;http://evil\x1b\\click\x1b]8;;\x1b\\"

@@ -8,12 +8,12 @@ import yaml
 from harness.bags import odometry, write_bag
 from harness.motions import Plant, motion, needed
 
-from hpid_ros.bags import BagWriter
-from hpid_ros.bags.metadata import missed_entries
-from hpid_ros.base.resources import share_folder
+from hpid_ros.base.files import share_folder
 from hpid_ros.cli.main import main
 from hpid_ros.experiment.description import load_experiment
-from hpid_ros.wire import JointStateTemplate
+from hpid_ros.messages.joint_state import JointStateTemplate
+from hpid_ros.messages.selection import missed_entries
+from hpid_ros.messages.writer import BagWriter
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 PERIOD_NS = 2_000_000

@@ -12,13 +12,15 @@ SLOW = {"matplotlib", "mujoco", "pinocchio", "pybullet", "scipy"}
 NODES = (
     *("joint_controller", "joint_controllers", "single_process", "pybullet_bridge"),
     *("mujoco_bridge", "trajectory_publisher", "bag_recorder", "follow_joint_trajectory"),
-    "live_tuner",
 )
 
 
 @pytest.mark.parametrize(
     "modules",
-    [["hpid_ros.cli.main"], [f"hpid_ros.nodes.{name}" for name in NODES]],
+    [
+        ["hpid_ros.cli.main"],
+        [*(f"hpid_ros.nodes.{name}" for name in NODES), "hpid_ros.live.live_tuner"],
+    ],
     ids=["hpid", "nodes"],
 )
 def test_none_of_it_is_imported_at_the_start(modules):

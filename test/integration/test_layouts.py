@@ -8,8 +8,8 @@ import xml.etree.ElementTree as ET
 import pytest
 from harness.places import ROOT
 
+from hpid_ros.base.files import share_folder
 from hpid_ros.base.names import controller_name
-from hpid_ros.base.resources import share_folder
 from hpid_ros.experiment.description import load_experiment
 
 CONFIG = share_folder() / "config"

@@ -13,12 +13,12 @@ from harness.bags import trajectory as trajectory_of
 from harness.bags import write_bag
 from harness.excitation import excited_run, multisine
 
-from hpid_ros.base.resources import share_folder
+from hpid_ros.base.files import share_folder
 from hpid_ros.cli.commands import BAD_INPUT, DONE, FAILED
 from hpid_ros.cli.main import main
 from hpid_ros.control import LoopSettings
-from hpid_ros.frequency import SampledJoint
-from hpid_ros.trajectory import JointTrajectory, TrajectoryPoint
+from hpid_ros.motion import JointTrajectory, TrajectoryPoint
+from hpid_ros.stability.frequency import SampledJoint
 
 PAPER = str(share_folder() / "config" / "experiments" / "paper.yaml")
 PARAMETERS = {

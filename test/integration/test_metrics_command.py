@@ -19,11 +19,11 @@ from harness.bags import (
     write_bag,
 )
 
-from hpid_ros.bags import BagWriter
 from hpid_ros.cli.commands import BAD_INPUT, DONE
 from hpid_ros.cli.main import main
-from hpid_ros.experiment.result.folder import MARKER
-from hpid_ros.wire.joint_state import JointStateTemplate
+from hpid_ros.experiment.result_folder import MARKER
+from hpid_ros.messages.joint_state import JointStateTemplate
+from hpid_ros.messages.writer import BagWriter
 
 
 @pytest.fixture(scope="module")
@@ -31,7 +31,7 @@ def result(tmp_path_factory):
     """Return the folder of a short comparison."""
     import yaml
 
-    from hpid_ros.base.resources import share_folder
+    from hpid_ros.base.files import share_folder
 
     folder = tmp_path_factory.mktemp("metrics")
     document = yaml.safe_load(

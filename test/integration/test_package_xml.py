@@ -14,7 +14,7 @@ from catkin_pkg.package import parse_package
 from harness.places import ROOT
 
 import hpid_ros
-from hpid_ros.base.libraries import OPTIONAL
+from hpid_ros.base.processes import OPTIONAL
 
 PACKAGE = ROOT / "package.xml"
 KEY_OF = {

@@ -66,7 +66,7 @@ def test_an_installed_executable_finds_its_share_folder(installed, tmp_path):
     """Run from elsewhere, with the install tree sourced, as ros2 run does."""
     script = (
         f". {installed}/share/hpid_ros/package.sh && {installed}/lib/hpid_ros/hpid --version && "
-        f"{sys.executable} -c 'from hpid_ros.base.resources import share_folder as s; print(s())'"
+        f"{sys.executable} -c 'from hpid_ros.base.files import share_folder as s; print(s())'"
     )
     environment = {k: v for k, v in os.environ.items() if k != "PYTHONPATH"}
     environment["COLCON_CURRENT_PREFIX"] = str(installed)
@@ -87,8 +87,8 @@ def test_a_wheel_holds_every_file_and_command(source, tmp_path):
         entry_points = archive.read(entries).decode()
     for path in ("config/experiments/paper.yaml", "urdf/mobile_manipulator.urdf", "package.xml"):
         assert any(name.endswith(f"data/share/hpid_ros/{path}") for name in names)
-    of_report = ("report/html/assets/chart.js", "report/html/templates/page.html")
-    for file in ("py.typed", *of_report, "export/templates/loop.c", "export/templates/loop.h"):
+    of_report = ("report/assets/chart.js", "report/templates/page.html")
+    for file in ("py.typed", *of_report, "tuning/templates/loop.c", "tuning/templates/loop.h"):
         assert f"hpid_ros/{file}" in names
     assert all(f"{name} = hpid_ros." in entry_points for name in EXECUTABLES)
 

@@ -8,11 +8,10 @@ from PIL import Image
 
 from hpid_ros.base.errors import LibraryError
 from hpid_ros.cli.main import main
-from hpid_ros.rendering import FilmSettings, render
-from hpid_ros.rendering.source import recorded
+from hpid_ros.report.film import FilmSettings, render
+from hpid_ros.report.film_motion import recorded
 from hpid_ros.simulation.settings import default_engine
-from hpid_ros.simulation.stage import View, open_stage
-from hpid_ros.simulation.stage.stage import StageSettings
+from hpid_ros.simulation.stage import StageSettings, View, open_stage
 
 SMALL = ("--size", "320x200", "--fps", "10")
 

@@ -14,11 +14,12 @@ import pytest
 from harness.graph import ros_arguments
 from mcap.reader import make_reader
 
-from hpid_ros.bags import BagReader, BagWriter, read_run
-from hpid_ros.bags.repair import repair_bag
 from hpid_ros.base.errors import BagError, ResultExistsError
 from hpid_ros.cli.main import main
-from hpid_ros.wire import JointStateTemplate
+from hpid_ros.messages.bag_file import BagReader
+from hpid_ros.messages.joint_state import JointStateTemplate
+from hpid_ros.messages.run import read_run
+from hpid_ros.messages.writer import BagWriter, repair_bag
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 MS = 1_000_000

@@ -10,16 +10,17 @@ from harness.bags import MS, TYPES, convert
 from harness.loops import loop_settings
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
-from hpid_ros.bags import BagReader, BagWriter
-from hpid_ros.bags.metadata import PARAMETERS, custom_data
-from hpid_ros.bags.parameter_events import PARAMETER_EVENTS
+from hpid_ros.base.files import share_folder
 from hpid_ros.base.names import ALLOW_RELAY
-from hpid_ros.base.resources import share_folder
 from hpid_ros.cli.main import main
 from hpid_ros.control import JointLoop, LoopSettings
-from hpid_ros.control.interludes.relay import RelayRequest
+from hpid_ros.control.overrides import RelayRequest
 from hpid_ros.control.reference import Setpoint
-from hpid_ros.wire import JointStateTemplate, decode_joint_state
+from hpid_ros.messages.bag_file import BagReader
+from hpid_ros.messages.joint_state import JointStateTemplate, decode_joint_state
+from hpid_ros.messages.messages import PARAMETER_EVENTS
+from hpid_ros.messages.selection import PARAMETERS, custom_data
+from hpid_ros.messages.writer import BagWriter
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 FLOATS, FLOAT = "std_msgs/msg/Float64MultiArray", "std_msgs/msg/Float64"

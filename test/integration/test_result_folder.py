@@ -10,10 +10,10 @@ from pathlib import Path
 import pytest
 
 from hpid_ros.base.errors import ExperimentError, ResultExistsError
-from hpid_ros.base.output_files import write_file
+from hpid_ros.base.files import write_file
 from hpid_ros.cli.commands import BAD_INPUT, DONE
 from hpid_ros.cli.main import main
-from hpid_ros.experiment.result.folder import MARKER, Marker, ResultFolder
+from hpid_ros.experiment.result_folder import MARKER, Marker, ResultFolder
 
 
 def wait_for(condition, within):

@@ -10,15 +10,13 @@ from harness.engines import needs_bullet
 from harness.foreign_robots import EXPERIMENTS, IIWA, PANDA, pose, robot, short, slider
 
 from hpid_ros.base.errors import ExperimentError
-from hpid_ros.base.resources import (
-    package_folder,
-    share_folder,
-)
+from hpid_ros.base.files import package_folder, share_folder
 from hpid_ros.experiment.description import load_experiment
-from hpid_ros.robot import RobotDescription
 from hpid_ros.robot.amendments import JointAmendment, amended
+from hpid_ros.robot.description import RobotDescription
 from hpid_ros.robot.dynamics import Dynamics
-from hpid_ros.simulation import World, WorldSettings
+from hpid_ros.simulation.settings import WorldSettings
+from hpid_ros.simulation.world import World
 
 
 @needs_bullet

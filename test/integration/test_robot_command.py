@@ -10,8 +10,9 @@ from harness.engines import needs_bullet
 from harness.foreign_robots import EXPERIMENTS, PANDA, box, slider
 
 from hpid_ros.cli.main import main
-from hpid_ros.robot import RobotDescription
-from hpid_ros.simulation import World, WorldSettings
+from hpid_ros.robot.description import RobotDescription
+from hpid_ros.simulation.settings import WorldSettings
+from hpid_ros.simulation.world import World
 
 
 def test_hpid_robot_names_the_joints_that_slide_and_their_units(tmp_path, capsys):

@@ -5,9 +5,9 @@ import json
 import numpy as np
 import pytest
 
-from hpid_ros.bags import read_run
 from hpid_ros.cli.main import main
-from hpid_ros.experiment.graph.trial import Trial
+from hpid_ros.experiment.graph_run import Trial
+from hpid_ros.messages.run import read_run
 
 FORMS = {"each": [], "composed": ["--composed"], "single": ["--single-process"]}
 PROCESSES = {"each": 11, "composed": 4, "single": 2}

@@ -11,18 +11,18 @@ import numpy as np
 import pytest
 from harness.bags import JOINT_STATE, MS, TYPES, command, ramp, state, trajectory
 
-from hpid_ros.analysis.comparison import Comparison, answer
-from hpid_ros.analysis.indices.run import run_indices
-from hpid_ros.bags import BagWriter
-from hpid_ros.bags.metadata import SLIDES, recorded_slides, slides_entry
 from hpid_ros.cli.commands import BAD_INPUT, DONE
-from hpid_ros.cli.loops import sliding_joints
 from hpid_ros.cli.main import main
+from hpid_ros.cli.options import sliding_joints
+from hpid_ros.messages.selection import SLIDES, recorded_slides, slides_entry
+from hpid_ros.messages.series import RunSeries
+from hpid_ros.messages.writer import BagWriter
 from hpid_ros.metrics import measure
-from hpid_ros.recordings.series import RunSeries
-from hpid_ros.report.figures.plots import FIGURES
-from hpid_ros.report.html.data import figures_data
-from hpid_ros.report.tables.export import FORMATS
+from hpid_ros.metrics.comparison import Comparison, answer
+from hpid_ros.metrics.results import run_indices
+from hpid_ros.report.data import figures_data
+from hpid_ros.report.export import FORMATS
+from hpid_ros.report.plots import FIGURES
 
 ROBOT = """<robot name="lift">
   <link name="base"/>

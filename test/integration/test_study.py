@@ -12,24 +12,30 @@ from harness.engines import shipped
 from harness.places import ROOT
 from harness.studies import ARM, saved, study
 
-from hpid_ros.analysis.quantities import INDICES
 from hpid_ros.base.errors import SettingError
-from hpid_ros.base.resources import share_folder
+from hpid_ros.base.files import share_folder
 from hpid_ros.cli.commands import BAD_INPUT, DONE, FAILED
 from hpid_ros.cli.main import main
+from hpid_ros.experiment import batch
+from hpid_ros.experiment.batch import (
+    LAST_ERROR,
+    JudgedTask,
+    WorldKeeper,
+    simulate,
+    simulated_indices,
+)
 from hpid_ros.experiment.description import load_experiment
 from hpid_ros.experiment.in_process import run_without_ros
 from hpid_ros.experiment.progress import NoProgress
-from hpid_ros.experiment.result.result import compute
-from hpid_ros.studies import batch
-from hpid_ros.studies.batch import LAST_ERROR, JudgedTask, WorldKeeper, simulate, simulated_indices
-from hpid_ros.studies.study_plan import (
+from hpid_ros.experiment.result import compute
+from hpid_ros.experiment.study_plan import (
     RunKey,
     RunRecord,
     default_files,
     plan_study,
     read_journal,
 )
+from hpid_ros.metrics.quantities import INDICES
 
 EXPERIMENTS = share_folder() / "config" / "experiments"
 

@@ -7,12 +7,10 @@ import pytest
 from harness.engines import needs_bullet
 from harness.studies import saved, study
 
-from hpid_ros.analysis.quantities import INDICES
-from hpid_ros.base.resources import share_folder
+from hpid_ros.base.files import share_folder
 from hpid_ros.cli.commands import BAD_INPUT, DONE
-from hpid_ros.studies.study_plan import (
-    is_robot_installed,
-)
+from hpid_ros.experiment.study_plan import is_robot_installed
+from hpid_ros.metrics.quantities import INDICES
 
 EXPERIMENTS = share_folder() / "config" / "experiments"
 

@@ -15,27 +15,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hpid_ros.analysis.quantities import INDICES
 from hpid_ros.base.errors import RunError
 from hpid_ros.cli.commands import BAD_INPUT, DONE, FAILED, INTERRUPTED
 from hpid_ros.cli.main import main
 from hpid_ros.control import JointLoop
+from hpid_ros.experiment import batch
+from hpid_ros.experiment.batch import RunTask, WorldKeeper, run_batch, simulate, simulated_indices
 from hpid_ros.experiment.description import load_experiment
 from hpid_ros.experiment.in_process import run_without_ros
 from hpid_ros.experiment.progress import NoProgress
-from hpid_ros.experiment.result.result import compute
-from hpid_ros.simulation import World
+from hpid_ros.experiment.result import compute
+from hpid_ros.experiment.sweep_run import QUANTITIES
+from hpid_ros.metrics.quantities import INDICES
+from hpid_ros.motion import JointTrajectory, TrajectoryPoint
 from hpid_ros.simulation.engine import run_in_process
-from hpid_ros.studies import batch
-from hpid_ros.studies.batch import (
-    RunTask,
-    WorldKeeper,
-    run_batch,
-    simulate,
-    simulated_indices,
-)
-from hpid_ros.studies.sweep_result import QUANTITIES
-from hpid_ros.trajectory import JointTrajectory, TrajectoryPoint
+from hpid_ros.simulation.world import World
 
 
 def seeded(experiment, label, count):

@@ -3,15 +3,12 @@
 import numpy as np
 import pytest
 
-from hpid_ros.analysis.quantities import IVC
-from hpid_ros.analysis.results import JointIndices, RunIndices
 from hpid_ros.base.errors import SettingError
-from hpid_ros.studies.batch import (
-    Outcome,
-    run_batch,
-)
-from hpid_ros.studies.sweep import Axis, plan_sweep
-from hpid_ros.studies.sweep_result import SweepResult
+from hpid_ros.experiment.batch import Outcome, run_batch
+from hpid_ros.experiment.sweep import Axis, plan_sweep
+from hpid_ros.experiment.sweep_run import SweepResult
+from hpid_ros.metrics.quantities import IVC
+from hpid_ros.metrics.results import JointIndices, RunIndices
 
 
 @pytest.mark.parametrize(

@@ -12,17 +12,13 @@ import yaml
 from hpid_ros.base.errors import GainError
 from hpid_ros.cli.commands import BAD_INPUT, DONE, FAILED, INTERRUPTED
 from hpid_ros.cli.main import main
-from hpid_ros.control.gains import is_hurwitz
+from hpid_ros.control.homogeneous_pid import is_hurwitz
+from hpid_ros.experiment import batch
+from hpid_ros.experiment.batch import in_processes, run_batch, simulated_indices
 from hpid_ros.experiment.description import load_experiment
+from hpid_ros.experiment.search import Evaluation, Search, SearchPlan, SearchResult, compare_entry
+from hpid_ros.experiment.search_space import Cost, SearchSpace
 from hpid_ros.stability import degrees as degree_check
-from hpid_ros.studies import batch
-from hpid_ros.studies.batch import in_processes, run_batch, simulated_indices
-from hpid_ros.studies.search import Evaluation, Search, SearchPlan
-from hpid_ros.studies.search_result import SearchResult, compare_entry
-from hpid_ros.studies.search_space import (
-    Cost,
-    SearchSpace,
-)
 
 ARM = ["arm_joint_1", "arm_joint_2"]
 

@@ -11,21 +11,27 @@ import pytest
 import yaml
 from harness.loops import loop_settings
 
-from hpid_ros.analysis import Comparison
-from hpid_ros.analysis.results import JointIndices, RunIndices
 from hpid_ros.base.errors import GainError, SettingError
 from hpid_ros.cli.commands import BAD_INPUT, DONE, FAILED
 from hpid_ros.cli.main import main
-from hpid_ros.cli.robot_options import inertias_from
+from hpid_ros.cli.options import inertias_from
 from hpid_ros.control import Gains
-from hpid_ros.control.settings.assembly import make_law
-from hpid_ros.recordings.series import JointSeries
-from hpid_ros.simulation.sensors import Encoder
+from hpid_ros.control.assembly import make_law
+from hpid_ros.control.controller_files import parameter_file, settings_from_parameter_file
+from hpid_ros.messages.series import JointSeries
+from hpid_ros.metrics import Comparison
+from hpid_ros.metrics.results import JointIndices, RunIndices
+from hpid_ros.simulation.settings import Encoder
 from hpid_ros.stability.verdict import certified_degree_interval, verify_certificate
-from hpid_ros.tuning.controller_files import parameter_file, settings_from_parameter_file
 from hpid_ros.tuning.inertias import visited_poses
-from hpid_ros.tuning.upgrade import Candidate, loop_statistics, upgrade, upgrades, worthwhile
-from hpid_ros.tuning.upgrade_file import upgrade_text
+from hpid_ros.tuning.upgrade import (
+    Candidate,
+    loop_statistics,
+    upgrade,
+    upgrade_text,
+    upgrades,
+    worthwhile,
+)
 
 MS = 1_000_000
 
@@ -369,10 +375,9 @@ def test_recordings_that_say_nothing_are_refused(series, words):
 @pytest.fixture(scope="module")
 def result(tmp_path_factory):
     """Return the folder of a run: parameter files of its controllers and its bag."""
-    from hpid_ros.base.resources import share_folder
+    from hpid_ros.base.files import share_folder
     from hpid_ros.experiment.description import load_experiment
-    from hpid_ros.experiment.in_process import run_without_ros
-    from hpid_ros.experiment.parameter_files import write_run_files
+    from hpid_ros.experiment.in_process import run_without_ros, write_run_files
     from hpid_ros.experiment.progress import NoProgress
 
     folder = tmp_path_factory.mktemp("upgrade")

@@ -8,16 +8,16 @@ import pytest
 import yaml
 from harness.bags import MS, command, odometry, ramp, state, trajectory, write_bag
 
-from hpid_ros.bags import read_run
-from hpid_ros.bags.metadata import PARAMETERS, missed_entries, read_metadata
-from hpid_ros.base.resources import share_folder
+from hpid_ros.base.files import share_folder
 from hpid_ros.cli.main import main
+from hpid_ros.control.controller_files import settings_from_parameter_file
 from hpid_ros.experiment.description import load_experiment
 from hpid_ros.experiment.in_process import run_without_ros
 from hpid_ros.experiment.progress import NoProgress
-from hpid_ros.recordings.series import SeriesError
-from hpid_ros.road.prediction import read_prediction
-from hpid_ros.tuning.controller_files import settings_from_parameter_file
+from hpid_ros.messages.run import read_run
+from hpid_ros.messages.selection import PARAMETERS, missed_entries, read_metadata
+from hpid_ros.messages.series import SeriesError
+from hpid_ros.tuning.upgrade_prediction import read_prediction
 
 DONE, FAILED, BAD_INPUT = 0, 1, 2
 LINK = """<link name="{name}"><inertial><origin xyz="{at} 0 0"/><mass value="{mass}"/>

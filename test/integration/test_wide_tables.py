@@ -12,13 +12,12 @@ import pytest
 from rich.console import Console
 from rich.text import Text
 
-from hpid_ros.analysis import Comparison
-from hpid_ros.cli.commands.tuning.check_gains import GainTable
+from hpid_ros.cli.commands.check_gains import GainTable
 from hpid_ros.cli.terminal import output_console
 from hpid_ros.control import Gains, LoopSettings
-from hpid_ros.control.settings.groups import Timing
-from hpid_ros.report.tables.table import ComparisonTable
-from hpid_ros.report.tables.wide_table import UNLIMITED_WIDTH, TableColumn, WideTable
+from hpid_ros.control.settings import Timing
+from hpid_ros.metrics import Comparison
+from hpid_ros.report.table import UNLIMITED_WIDTH, ComparisonTable, TableColumn, WideTable
 from hpid_ros.stability.gain_check import GainVerdict
 
 WIDTHS = (40, 60, 80)
@@ -75,7 +74,7 @@ def comparison_table():
 
 
 def study_grid():
-    from hpid_ros.report.tables.grid import Grid
+    from hpid_ros.report.table import Grid
 
     headings = ("index", "PID", "hPID", "ratio", "searched", "ratio")
     row = (

@@ -82,9 +82,8 @@ def run(options: argparse.Namespace) -> int:
 
 def _animate(console: Console, output: Path) -> None:
     from hpid_ros.cli.animations import ANIMATION, rendered, save_in_report
-    from hpid_ros.experiment.result.folder import ResultFolder
-    from hpid_ros.rendering import FilmSettings
-    from hpid_ros.rendering.files import encoded
+    from hpid_ros.experiment.result_folder import ResultFolder
+    from hpid_ros.report.film import FilmSettings, encoded
 
     film = rendered(console, output, (), FilmSettings())
     with ResultFolder.reopen(output) as folder:
@@ -125,7 +124,7 @@ def _run_in_both(options: argparse.Namespace) -> int:
 
 def _print(console: Console, compared: Compared) -> None:
     from hpid_ros.cli.terminal import print_notes, print_reports
-    from hpid_ros.report.tables.table import ComparisonTable
+    from hpid_ros.report.table import ComparisonTable
 
     result = compared.result
     console.print(ComparisonTable(result.comparison))

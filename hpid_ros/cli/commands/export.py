@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hpid_ros.base.errors import SettingError, unknown_name
-from hpid_ros.base.output_files import refuse_output, write_file
+from hpid_ros.base.files import refuse_output, write_file
 from hpid_ros.cli.commands import DONE
-from hpid_ros.cli.loops import first_homogeneous, loop_file
-from hpid_ros.cli.options import add_joints
+from hpid_ros.cli.options import add_joints, first_homogeneous, loop_file
 
 if TYPE_CHECKING:
-    from hpid_ros.control import LoopSettings
+    from hpid_ros.control.settings import LoopSettings
+
 
 _PRECISIONS = ("double", "single")
 
@@ -53,7 +53,7 @@ def add(commands: Any) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Export, then write: all files or, where one cannot be, none."""
-    from hpid_ros.export.c_source import c_files, require_distinct
+    from hpid_ros.tuning.c_export import c_files, require_distinct
 
     loops = _chosen(_loops(options.file, options.controller), options.joint)
     require_distinct([each.joint for each in loops])
@@ -96,7 +96,7 @@ def _chosen(loops: Sequence[LoopSettings], joints: Sequence[str]) -> list[LoopSe
 
 def _refuse_in_the_way(options: argparse.Namespace, loops: Sequence[LoopSettings]) -> None:
     """Refuse a folder that is none, and files that are there."""
-    from hpid_ros.export.c_source import file_names
+    from hpid_ros.tuning.c_export import file_names
 
     folder: Path = options.output
     if folder.exists() and not folder.is_dir():

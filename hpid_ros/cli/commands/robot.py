@@ -9,13 +9,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hpid_ros.base.errors import RobotDescriptionError, SettingError
-from hpid_ros.base.output_files import refuse_output, write_file
+from hpid_ros.base.files import refuse_output, write_file
 from hpid_ros.cli.commands import DONE
-from hpid_ros.cli.robot_options import load_robot
+from hpid_ros.cli.options import load_robot
 
 if TYPE_CHECKING:
-    from hpid_ros.report.tables.wide_table import WideTable
-    from hpid_ros.robot.given import GivenRobot
+    from hpid_ros.report.table import WideTable
+    from hpid_ros.robot.description import GivenRobot
+
 
 _COLUMNS = ("range", "effort", "velocity", "damping", "friction", "Jr N²", "inertia", "gravity")
 _CAPTION = (
@@ -45,7 +46,7 @@ def add(commands: Any) -> None:
 def run(options: argparse.Namespace) -> int:
     """Show the robot."""
     from hpid_ros.cli.terminal import output_console
-    from hpid_ros.robot.review import review
+    from hpid_ros.robot.amendments import review
 
     if options.save:
         inputs = [Path(options.file)]
@@ -136,7 +137,7 @@ def _finite(value: float) -> float | None:
 def _table(name: str, facts: dict[str, dict[str, Any]]) -> WideTable:
     from rich import box
 
-    from hpid_ros.report.tables.wide_table import TableColumn, WideTable
+    from hpid_ros.report.table import TableColumn, WideTable
 
     rows = [
         (

@@ -65,8 +65,8 @@ def run(options: argparse.Namespace) -> int:
         print_timing,
     )
     from hpid_ros.experiment.compare import run_controller
-    from hpid_ros.experiment.graph.options import GraphOptions
-    from hpid_ros.report.tables.table import ComparisonTable
+    from hpid_ros.experiment.graph_run import GraphOptions
+    from hpid_ros.report.table import ComparisonTable
 
     graph = GraphOptions(
         processes=_processes(options),

@@ -25,8 +25,8 @@ from hpid_ros.cli.options import (
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from hpid_ros.studies.study_plan import StudyPlan
-    from hpid_ros.studies.study_result import StudyResult
+    from hpid_ros.experiment.study_plan import StudyPlan
+    from hpid_ros.experiment.study_result import StudyResult
 
 
 def add(commands: Any) -> None:
@@ -78,7 +78,7 @@ def add(commands: Any) -> None:
 def run(options: argparse.Namespace) -> int:
     """Run the study and print its tables."""
     from hpid_ros.base.console import TextConsole
-    from hpid_ros.studies.study_run import kept_records, run_study, study_folder
+    from hpid_ros.experiment.study_run import kept_records, run_study, study_folder
 
     if options.resume and (options.force or options.output is None):
         raise SettingError("--resume needs the study's folder as --output, and not --force")
@@ -103,7 +103,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _plan(options: argparse.Namespace) -> StudyPlan:
-    from hpid_ros.studies.study_plan import ALL, Shard, plan_study
+    from hpid_ros.experiment.study_plan import ALL, Shard, plan_study
 
     if options.merge and (options.shard or options.resume):
         raise SettingError("--merge makes no run: neither --shard nor --resume goes with it")
@@ -119,7 +119,7 @@ def _plan(options: argparse.Namespace) -> StudyPlan:
 
 
 def _merge(options: argparse.Namespace, plan: StudyPlan, told: Console) -> int:
-    from hpid_ros.studies.study_run import JOURNAL, merged, save, study_folder
+    from hpid_ros.experiment.study_run import JOURNAL, merged, save, study_folder
 
     result = merged(plan, options.merge)
     inputs = [*plan.inputs, *(part / JOURNAL for part in options.merge)]
@@ -133,7 +133,7 @@ def _merge(options: argparse.Namespace, plan: StudyPlan, told: Console) -> int:
 
 def _shipped_files() -> list[Path]:
     """Return this package's experiments whose robots are installed, and say which are not."""
-    from hpid_ros.studies.study_plan import default_files, is_robot_installed
+    from hpid_ros.experiment.study_plan import default_files, is_robot_installed
 
     files = default_files()
     missing = [file for file in files if not is_robot_installed(file)]
@@ -147,8 +147,7 @@ def _print(result: StudyResult, form: str) -> None:
     import json
 
     from hpid_ros.cli.terminal import output_console
-    from hpid_ros.studies.study_run import runs_csv
-    from hpid_ros.studies.study_tables import grids, study_markdown, study_text
+    from hpid_ros.experiment.study_run import grids, runs_csv, study_markdown, study_text
 
     if form == "text" and sys.stdout.isatty():
         console = output_console()

@@ -22,7 +22,7 @@ from hpid_ros.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from hpid_ros.studies.sweep_result import SweepResult
+    from hpid_ros.experiment.sweep_run import SweepResult
 
 
 def add(commands: Any) -> None:
@@ -65,9 +65,9 @@ def add(commands: Any) -> None:
 def run(options: argparse.Namespace) -> int:
     """Run the sweep and print its table."""
     from hpid_ros.base.console import TextConsole
-    from hpid_ros.experiment.result.folder import ResultFolder
-    from hpid_ros.studies.sweep import Axis, plan_sweep
-    from hpid_ros.studies.sweep_run import run_sweep
+    from hpid_ros.experiment.result_folder import ResultFolder
+    from hpid_ros.experiment.sweep import Axis, plan_sweep
+    from hpid_ros.experiment.sweep_run import run_sweep
 
     axes = [Axis.parse(text) for text in options.vary]
     experiment = experiment_to_run(options)
@@ -92,7 +92,7 @@ def run(options: argparse.Namespace) -> int:
 
 def _print(result: SweepResult, form: str) -> None:
     from hpid_ros.cli.terminal import output_console
-    from hpid_ros.studies.sweep_run import SweepTable, sweep_text
+    from hpid_ros.experiment.sweep_run import SweepTable, sweep_text
 
     if form == "table" and sys.stdout.isatty():
         output_console().print(SweepTable(result))

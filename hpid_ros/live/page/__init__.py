@@ -1,1 +1,1 @@
-"""The page itself, by NiceGUI: the only importer of it."""
+"""The page in the browser."""

@@ -20,10 +20,10 @@ from nicegui import Client, ui
 from nicegui import app as pages
 
 from hpid_ros.base.errors import SettingError
-from hpid_ros.experiment.live.button import HELD_WITHIN
-from hpid_ros.experiment.live.held import HeldMotion
-from hpid_ros.live.adviser import AdviceClient
+from hpid_ros.live.advice import AdviceClient
+from hpid_ros.live.controllers import HELD_WITHIN
 from hpid_ros.live.graph import Graph
+from hpid_ros.live.motion import HeldMotion
 from hpid_ros.live.page.access import LOOPBACK, Access, Guard, require_token
 from hpid_ros.live.page.view import PageView
 from hpid_ros.live.session import LiveSession, Mark

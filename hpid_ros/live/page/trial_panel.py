@@ -8,14 +8,13 @@ from typing import Any
 import numpy as np
 from nicegui import background_tasks, ui
 
-from hpid_ros.analysis.comparison import ratio
-from hpid_ros.analysis.quantities import PAPER
 from hpid_ros.base.errors import HpidError
-from hpid_ros.excitation.plan import ExcitationPlan
 from hpid_ros.live.history import extremes
 from hpid_ros.live.session import LiveSession
-from hpid_ros.live.trial_results import TrialResult, Variant
-from hpid_ros.live.trials import KINDS, MotionWish, Stage, Trials
+from hpid_ros.live.trials import KINDS, MotionWish, Stage, TrialResult, Trials, Variant
+from hpid_ros.metrics.comparison import ratio
+from hpid_ros.metrics.quantities import PAPER
+from hpid_ros.motion.excitation import ExcitationPlan
 
 _IN_FORCE, _CHOSEN = "what is in force", "what is chosen"
 _BUCKETS = 300  # of a curve that is drawn

@@ -1,1 +1,1 @@
-"""What the executables are made of, one folder for each kind of node."""
+"""Parts of the nodes, of one executable or shared by several."""

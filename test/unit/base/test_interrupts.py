@@ -6,7 +6,7 @@ import signal
 import pytest
 from harness.interrupts import heeded_interrupts
 
-from hpid_ros.base.interrupts import raise_if_interrupted, uninterrupted
+from hpid_ros.base.processes import raise_if_interrupted, uninterrupted
 
 
 @pytest.fixture(autouse=True)

@@ -3,7 +3,7 @@
 import pytest
 
 from hpid_ros.base.errors import ResultExistsError, SettingError
-from hpid_ros.base.output_files import refuse_outputs
+from hpid_ros.base.files import refuse_outputs
 
 
 def test_two_options_may_not_name_one_file_however_they_spell_it(tmp_path):

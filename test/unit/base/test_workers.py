@@ -7,7 +7,7 @@ import pytest
 from harness.chores import LOCK, behind_a_lock, deadly, faulty
 
 from hpid_ros.base.errors import RunError
-from hpid_ros.base.workers import processors, side_by_side
+from hpid_ros.base.processes import processors, side_by_side
 
 
 @pytest.mark.parametrize("jobs", [1, 2, 3, None])

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hpid_ros.base.errors import SettingError
-from hpid_ros.control.estimation.velocity import FilteredVelocity, HomogeneousDifferentiator
+from hpid_ros.control.velocity import FilteredVelocity, HomogeneousDifferentiator
 
 BOUND = 10.0  # [rad/s^2]
 

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from hpid_ros.base.errors import SettingError
 from hpid_ros.control import LoopSettings
-from hpid_ros.control.settings.assembly import make_law
+from hpid_ros.control.assembly import make_law
 from hpid_ros.stability.degrees import kind_of
 
 NORMS = st.sampled_from(["weighted", "canonical"])

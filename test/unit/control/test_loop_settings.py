@@ -9,13 +9,13 @@ from hypothesis import strategies as st
 
 from hpid_ros.base.errors import HpidError, NormError
 from hpid_ros.control import LOOP_PARAMETERS, LoopSettings, WeightedNorm
-from hpid_ros.control.norms import norm_floor
-from hpid_ros.control.settings.assembly import (
+from hpid_ros.control.assembly import (
     make_anti_windup,
     make_law,
     make_motion_limits,
     make_velocity_source,
 )
+from hpid_ros.control.norms import norm_floor
 
 ANYWHERE = (
     0.0,

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from hpid_ros.control import ModelTerm
 from hpid_ros.control.reference import Setpoint
-from hpid_ros.trajectory import Column, Knot
+from hpid_ros.motion import Column, Knot
 
 MS = 1_000_000
 INERTIA = 0.5

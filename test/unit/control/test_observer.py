@@ -9,12 +9,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from hpid_ros.base.errors import SettingError
-from hpid_ros.control.estimation.observer import (
-    LARGEST_DEGREE,
-    LEAST_DEGREE,
-    Observer,
-    ObserverFigures,
-)
+from hpid_ros.control.velocity import LARGEST_DEGREE, LEAST_DEGREE, Observer, ObserverFigures
 
 PERIOD = 1e-3
 degrees = st.one_of(st.just(0.0), st.floats(LEAST_DEGREE, LARGEST_DEGREE))

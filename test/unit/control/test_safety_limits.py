@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 
 from hpid_ros.base.errors import SettingError
 from hpid_ros.control import Gains, JointLoop
+from hpid_ros.control.assembly import make_motion_limits, soft_stop_gains
 from hpid_ros.control.reference import Setpoint
-from hpid_ros.control.settings.assembly import make_motion_limits, soft_stop_gains
-from hpid_ros.trajectory import Column, Knot
+from hpid_ros.motion import Column, Knot
 
 MS = 1_000_000
 T = 1e-3

@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 
 from hpid_ros.base.errors import HpidError, SettingError
 from hpid_ros.control import LOOP_PARAMETERS, Gains, JointLoop, LoopSettings
-from hpid_ros.control.loop_state import LoopState
+from hpid_ros.control.assembly import make_law, make_motion_limits
+from hpid_ros.control.limited_law import LoopState
 from hpid_ros.control.reference import Glide, Setpoint
-from hpid_ros.control.settings.assembly import make_law, make_motion_limits
-from hpid_ros.trajectory import Column, Knot
+from hpid_ros.motion import Column, Knot
 
 MS = 1_000_000
 SECOND = 1000 * MS

@@ -9,19 +9,19 @@ from harness.loops import loop_settings
 
 from hpid_ros.base.errors import SettingError
 from hpid_ros.control import LOOP_PARAMETERS, Gains, LoopSettings
-from hpid_ros.control.settings.groups import (
+from hpid_ros.control.parameters import MODEL_PARAMETERS, PARAMETERS
+from hpid_ros.control.settings import (
     EffortLimits,
     FeedforwardSettings,
     IntegralLimits,
+    ModelSettings,
     MotionSettings,
     NormSettings,
     ObserverSettings,
     SoftStop,
     Timing,
+    to_values,
 )
-from hpid_ros.control.settings.model import ModelSettings
-from hpid_ros.control.settings.records import to_values
-from hpid_ros.control.settings.table import MODEL_PARAMETERS, PARAMETERS
 
 # Another value of each parameter, all of them possible together.
 OTHERS = {

@@ -7,8 +7,8 @@ from harness.loops import pure_loop
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hpid_ros.control.interludes.supervision import SupervisedLoop, Watchdog
 from hpid_ros.control.reference import Setpoint
+from hpid_ros.control.supervision import SupervisedLoop, Watchdog
 
 MS = 1_000_000
 TIMEOUT = 0.05

@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 
 from hpid_ros.base.errors import SettingError
 from hpid_ros.control import Gains, JointLoop
-from hpid_ros.control.estimation.velocity import Unwrapper
 from hpid_ros.control.reference import Setpoint, whole_turns
-from hpid_ros.trajectory import Column, Knot
+from hpid_ros.control.velocity import Unwrapper
+from hpid_ros.motion import Column, Knot
 
 MS = 1_000_000
 SECOND = 1000 * MS

@@ -5,11 +5,10 @@ import subprocess
 import pytest
 
 from hpid_ros.base.errors import RunError
-from hpid_ros.experiment.live import watching
-from hpid_ros.experiment.live.graph import RunningGraph
-from hpid_ros.experiment.live.watching import Ending, Mover, carried_out
+from hpid_ros.live import controllers as watching
+from hpid_ros.live.controllers import Ending, Mover, RunningGraph, carried_out
 
-MOVER = Mover("mover", "parts.live.exciter", "joints go on", ())
+MOVER = Mover("mover", "live.exciter", "joints go on", ())
 
 
 class Process:

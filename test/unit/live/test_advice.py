@@ -8,8 +8,7 @@ import threading
 import pytest
 from harness.simulated_graph import loop_settings
 
-from hpid_ros.live.advice import UNKNOWN_INERTIA, Advice, Adviser, response_to
-from hpid_ros.live.adviser import AdviceClient
+from hpid_ros.live.advice import UNKNOWN_INERTIA, Advice, AdviceClient, Adviser, response_to
 from hpid_ros.stability.gain_check import judge
 
 PATIENCE = 60.0  # [s]

@@ -3,7 +3,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hpid_ros.live.desk import Desk, Limit
+from hpid_ros.live.session import Desk, Limit
 
 
 def test_the_first_page_has_it_and_the_second_looks_on_until_a_person_takes_it():

@@ -8,9 +8,9 @@ from harness.simulated_graph import loop_settings
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from hpid_ros.analysis.indices.integrals import itae, total_variation
 from hpid_ros.live.graph import Samples
 from hpid_ros.live.history import LONGEST, JointHistory, RisingCount, Track, extremes
+from hpid_ros.metrics.indices import itae, total_variation
 
 NONE = np.empty((0, 3))
 

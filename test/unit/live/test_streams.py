@@ -7,15 +7,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hpid_ros.live.sampling import Heard, JointSampler
 from hpid_ros.live.streams import (
     ControlClock,
+    Heard,
     JointNumbers,
+    JointSampler,
     MessageColumns,
     bare_numbers,
     joint_numbers,
 )
-from hpid_ros.wire import JointStateTemplate, MultiArrayTemplate, decode_joint_state
+from hpid_ros.messages.joint_state import JointStateTemplate, decode_joint_state
+from hpid_ros.messages.reports import MultiArrayTemplate
 
 MS = 1_000_000
 JOINT_STATE = "sensor_msgs/msg/JointState"

@@ -6,12 +6,11 @@ import pytest
 from harness.simulated_graph import SimulatedGraph, arm
 
 from hpid_ros.base.errors import HpidError
-from hpid_ros.experiment.live.watching import RELEASED, Ending
 from hpid_ros.live import trials as module
-from hpid_ros.live.seen import as_running
+from hpid_ros.live.controllers import RELEASED, Ending
+from hpid_ros.live.graph import as_running
 from hpid_ros.live.session import LiveSession
-from hpid_ros.live.trial_results import Tried, Variant
-from hpid_ros.live.trials import MotionWish, Stage, Trials
+from hpid_ros.live.trials import MotionWish, Stage, Trials, Tried, Variant
 
 NODE, OTHER, *_ = arm()
 PAGE = "page"

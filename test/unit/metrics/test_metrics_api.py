@@ -7,10 +7,10 @@ import pytest
 from harness.bags import small_log, write_bag
 from harness.places import ROOT
 
-from hpid_ros.analysis.quantities import ITAE, IVC
-from hpid_ros.bags.selection import BagSelection
 from hpid_ros.base.errors import HpidError, SettingError
+from hpid_ros.messages.selection import BagSelection
 from hpid_ros.metrics import Measuring, compare, measure, measure_all, summary
+from hpid_ros.metrics.quantities import ITAE, IVC
 
 README = ROOT / "README.md"
 

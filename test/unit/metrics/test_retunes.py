@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from hpid_ros.bags import BagWriter
-from hpid_ros.bags.message_types import jazzy_types
-from hpid_ros.bags.parameter_events import PARAMETER_EVENTS
 from hpid_ros.cli.commands import DONE
 from hpid_ros.cli.main import main
-from hpid_ros.metrics.retunes import read_retunes
-from hpid_ros.wire import JointStateTemplate
+from hpid_ros.messages.joint_state import JointStateTemplate
+from hpid_ros.messages.messages import PARAMETER_EVENTS
+from hpid_ros.messages.selection import jazzy_types
+from hpid_ros.messages.writer import BagWriter
+from hpid_ros.metrics.measure import read_retunes
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 MS = 1_000_000

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hpid_ros.nodes.parts.controller.claims import LEASE, Claim, ClaimState, HeardClaims, HostLock
+from hpid_ros.nodes.parts.claims import LEASE, Claim, ClaimState, HeardClaims, HostLock
 from hpid_ros.simulation.lockstep import FollowedSender
 
 OWNERS = [("here", "a", 1, "/c"), ("there", "b", 1, "/c"), ("there", "b", 2, "/c")]

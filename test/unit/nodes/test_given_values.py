@@ -7,8 +7,8 @@ from rclpy.parameter import Parameter
 
 from hpid_ros.base.errors import SettingError
 from hpid_ros.base.names import is_for, node_sections
-from hpid_ros.nodes.ros.given_parameters import as_declared, require_known
-from hpid_ros.tuning.controller_files import settings_from_parameters
+from hpid_ros.control.controller_files import settings_from_parameters
+from hpid_ros.nodes.core.services import as_declared, require_known
 
 T = Parameter.Type
 

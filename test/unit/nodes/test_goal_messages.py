@@ -10,8 +10,8 @@ from harness.groups import SECOND, SimulatedGroup, goal
 from std_msgs.msg import Header
 from trajectory_msgs.msg import JointTrajectory, MultiDOFJointTrajectory
 
-from hpid_ros.goals import GoalError
-from hpid_ros.nodes.parts.action.server import fill_feedback, request_of
+from hpid_ros.nodes.parts.goal_server import fill_feedback, request_of
+from hpid_ros.nodes.parts.goals import GoalError
 
 THERE = {"shoulder": [0.5, 1.0], "elbow": [0.1, 0.2]}
 

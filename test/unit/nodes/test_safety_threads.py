@@ -8,10 +8,10 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from hpid_ros.base.errors import MessageError
 from hpid_ros.control.reference import Setpoint
-from hpid_ros.nodes.parts.controller import references as controller_references
-from hpid_ros.nodes.parts.controller.commands import Commands
-from hpid_ros.nodes.parts.controller.references import ControllerReferences, ReferenceDecoder
-from hpid_ros.wire import decode_trajectory
+from hpid_ros.messages.joint_trajectory import decode_trajectory
+from hpid_ros.nodes.parts import references as controller_references
+from hpid_ros.nodes.parts.commands import Commands
+from hpid_ros.nodes.parts.references import ControllerReferences, ReferenceDecoder
 
 MS = 1_000_000
 
@@ -87,7 +87,7 @@ def test_of_a_flood_the_newest_is_decoded_and_what_all_have_got_is_decoded_once(
         assert may_go_on.wait(10.0)
         return raw
 
-    monkeypatch.setattr("hpid_ros.nodes.parts.controller.references.decode_trajectory", decode)
+    monkeypatch.setattr("hpid_ros.nodes.parts.references.decode_trajectory", decode)
     decoder, taken, is_done = ReferenceDecoder(), [], threading.Event()
     decoder.decode("a", b"0", taken.append)
     assert is_busy.wait(10.0)

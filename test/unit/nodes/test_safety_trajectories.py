@@ -15,8 +15,13 @@ from rosbags.typesys import Stores, get_typestore
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from hpid_ros.base.errors import HpidError, MessageError, TrajectoryError
-from hpid_ros.wire import TrajectoryArrays, decode_float64, decode_trajectory
-from hpid_ros.wire.joint_trajectory import MOST_MIXED_POINTS, MOST_POINTS
+from hpid_ros.messages.joint_trajectory import (
+    MOST_MIXED_POINTS,
+    MOST_POINTS,
+    TrajectoryArrays,
+    decode_float64,
+    decode_trajectory,
+)
 
 
 def trajectory(joints, points, gives=(True, True, True, False), frame="", stamp=0, seed=0):

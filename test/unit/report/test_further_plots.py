@@ -7,18 +7,18 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from hpid_ros.analysis.comparison import Comparison
-from hpid_ros.analysis.folding import fold_repeats
-from hpid_ros.analysis.indices.effort import chatter
-from hpid_ros.analysis.indices.run import run_indices
-from hpid_ros.analysis.quantities import ITAE, IVC
 from hpid_ros.control import Gains, LoopSettings
-from hpid_ros.control.settings.assembly import make_law, make_norm, make_velocity_source
-from hpid_ros.control.settings.groups import NormSettings, VelocitySettings
-from hpid_ros.metrics.gain_signals import gain_signals
-from hpid_ros.recordings.series import JointSeries, Retune, RunSeries, SeriesError
-from hpid_ros.report.figures.panels import log_ticks
-from hpid_ros.report.figures.plots import (
+from hpid_ros.control.assembly import make_law, make_norm, make_velocity_source
+from hpid_ros.control.settings import NormSettings, VelocitySettings
+from hpid_ros.messages.series import JointSeries, Retune, RunSeries, SeriesError
+from hpid_ros.metrics.comparison import Comparison
+from hpid_ros.metrics.folding import fold_repeats
+from hpid_ros.metrics.indices import chatter
+from hpid_ros.metrics.measure import gain_signals
+from hpid_ros.metrics.quantities import ITAE, IVC
+from hpid_ros.metrics.results import run_indices
+from hpid_ros.report.panels import log_ticks
+from hpid_ros.report.plots import (
     FIGURES,
     efforts_figure,
     error_norm_figure,
@@ -29,9 +29,8 @@ from hpid_ros.report.figures.plots import (
     save_figures,
     spectrum_figure,
 )
-from hpid_ros.report.figures.portraits import phase_curve
-from hpid_ros.report.figures.style import RUN_STYLES
-from hpid_ros.report.figures.trade_off import trade_off_figure
+from hpid_ros.report.portraits import phase_curve, trade_off_figure
+from hpid_ros.report.style import RUN_STYLES
 
 pytestmark = pytest.mark.slow
 

@@ -12,11 +12,11 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from PIL import Image
 
-from hpid_ros.analysis.indices.integrals import l2_norm
-from hpid_ros.analysis.signals import Signal, envelope, norm_over_joints
-from hpid_ros.recordings.series import JointSeries, RunSeries, SeriesError
-from hpid_ros.report.figures.panels import TickLabels, laid_out, legend_outside
-from hpid_ros.report.figures.plots import (
+from hpid_ros.messages.series import JointSeries, RunSeries, SeriesError
+from hpid_ros.metrics.indices import l2_norm
+from hpid_ros.metrics.quantities import Signal, envelope, norm_over_joints
+from hpid_ros.report.panels import TickLabels, laid_out, legend_outside
+from hpid_ros.report.plots import (
     FIGURES,
     effort_norm_figure,
     efforts_figure,
@@ -26,7 +26,7 @@ from hpid_ros.report.figures.plots import (
     render,
     save_figures,
 )
-from hpid_ros.report.figures.style import PAPER, RUN_STYLES
+from hpid_ros.report.style import PAPER, RUN_STYLES
 
 pytestmark = pytest.mark.slow
 
@@ -272,8 +272,8 @@ def test_drawing_leaves_matplotlib_as_it_was_and_pyplot_alone():
     program = (
         "import sys, matplotlib\n"
         "before = matplotlib.rcParams.copy()\n"
-        "from hpid_ros.report.figures.plots import FIGURES, render\n"
-        "from hpid_ros.recordings.series import JointSeries, RunSeries\n"
+        "from hpid_ros.report.plots import FIGURES, render\n"
+        "from hpid_ros.messages.series import JointSeries, RunSeries\n"
         "run = RunSeries('x', (JointSeries('a', [0, 9], [0, 1], [1, 1], [0, 9], [1, 2]),))\n"
         "assert all(render(draw([run]), 'svg') for draw in FIGURES.values())\n"
         "assert matplotlib.rcParams.copy() == before\n"

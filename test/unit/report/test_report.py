@@ -11,14 +11,14 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from hpid_ros.analysis.comparison import Comparison, answer
-from hpid_ros.analysis.indices.run import run_indices
-from hpid_ros.analysis.signals import GainSignals, Signal
-from hpid_ros.base.foreign_text import shown
-from hpid_ros.recordings.series import JointSeries, Losses, Retune, RunSeries, SeriesError
-from hpid_ros.report.html import page as html_page
-from hpid_ros.report.html.page import render_report
-from hpid_ros.report.tables.numbers import format_values
+from hpid_ros.base.text import shown
+from hpid_ros.messages.series import JointSeries, Losses, Retune, RunSeries, SeriesError
+from hpid_ros.metrics.comparison import Comparison, answer
+from hpid_ros.metrics.quantities import GainSignals, Signal
+from hpid_ros.metrics.results import run_indices
+from hpid_ros.report import page as html_page
+from hpid_ros.report.page import render_report
+from hpid_ros.report.table import format_values
 
 VOID = {"meta", "br", "hr", "img", "link", "input"}
 HOSTILE = "<script>alert('x')</script>&\""

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from harness.browser import launched
 
-from hpid_ros.analysis.comparison import Comparison
-from hpid_ros.analysis.indices.run import run_indices
-from hpid_ros.recordings.series import JointSeries, Retune, RunSeries
-from hpid_ros.report.html.page import render_report
+from hpid_ros.messages.series import JointSeries, Retune, RunSeries
+from hpid_ros.metrics.comparison import Comparison
+from hpid_ros.metrics.results import run_indices
+from hpid_ros.report.page import render_report
 
 pytestmark = pytest.mark.slow
 

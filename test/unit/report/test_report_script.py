@@ -16,8 +16,8 @@ from harness.places import ROOT
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from hpid_ros.report.html.data import line_data
-from hpid_ros.report.html.page import script, style_sheet
+from hpid_ros.report.data import line_data
+from hpid_ros.report.page import script, style_sheet
 
 NODE = Path(playwright.__file__).parent / "driver" / "node"
 BIOME = shutil.which("biome", path=Path(sys.executable).parent) or shutil.which("biome")

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hpid_ros.base.errors import HpidError, RobotDescriptionError, SettingError
-from hpid_ros.robot import RobotDescription
+from hpid_ros.robot.description import RobotDescription
 from hpid_ros.robot.differential_drive import DifferentialDrive
 
 WHEELS = ("wheel_left_joint", "wheel_right_joint")

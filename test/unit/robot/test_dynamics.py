@@ -8,7 +8,7 @@ import pytest
 from harness.places import URDF
 
 from hpid_ros.base.errors import RobotDescriptionError, SettingError
-from hpid_ros.robot import RobotDescription
+from hpid_ros.robot.description import RobotDescription
 from hpid_ros.robot.dynamics import Dynamics
 
 MASS, LENGTH, ROTOR_INERTIA, GEAR_RATIO = 0.7, 0.4, 3e-6, 80.0

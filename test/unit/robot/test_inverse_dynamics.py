@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hpid_ros.robot.description import RobotDescription
-from hpid_ros.robot.inverse_dynamics import InverseDynamics
+from hpid_ros.robot.dynamics import InverseDynamics
 
 RATIO = 50.0
 JOINTS = ("a", "b", "c")

@@ -8,9 +8,10 @@ from harness.places import URDF
 from scipy.spatial.transform import Rotation
 
 from hpid_ros.base.errors import RobotDescriptionError, SettingError
-from hpid_ros.robot import RobotDescription
+from hpid_ros.robot.description import RobotDescription
 from hpid_ros.robot.kinematics import Kinematics, LinkPose, ReachError, rotation_angles
-from hpid_ros.simulation import World, WorldSettings
+from hpid_ros.simulation.settings import WorldSettings
+from hpid_ros.simulation.world import World
 
 ROBOT = RobotDescription.load(URDF)
 ARM = tuple(f"arm_joint_{number}" for number in range(1, 7))

@@ -13,9 +13,10 @@ import pytest
 from harness.engines import needs_bullet
 from harness.places import URDF
 
-from hpid_ros.robot import RobotDescription
+from hpid_ros.robot.description import RobotDescription
 from hpid_ros.robot.dynamics import Dynamics
-from hpid_ros.simulation import World, WorldSettings
+from hpid_ros.simulation.settings import WorldSettings
+from hpid_ros.simulation.world import World
 
 pytestmark = pytest.mark.slow
 

@@ -7,8 +7,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hpid_ros.robot.differential_drive import DifferentialDrive
-from hpid_ros.robot.odometry import WHEEL_ERROR, Odometry, chord_share, integrated
+from hpid_ros.robot.differential_drive import (
+    WHEEL_ERROR,
+    DifferentialDrive,
+    Odometry,
+    chord_share,
+    integrated,
+)
 
 DRIVE = DifferentialDrive("l", "r", 0.075, 0.5)
 TURNS = st.floats(-20.0, 20.0)

@@ -8,7 +8,7 @@ import pytest
 
 from hpid_ros.base.errors import RobotDescriptionError
 from hpid_ros.cli.main import main
-from hpid_ros.robot import RobotDescription
+from hpid_ros.robot.description import RobotDescription
 
 XML = """<robot name="pair" xmlns:drake="http://drake.mit.edu">
   <link name="base"/><link name="upper"/><link name="lower"/><link name="tip"/>

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 from harness.engines import INSTALLED
 
-from hpid_ros.simulation.world import world
+from hpid_ros.simulation import world
 
 WORLDS = (
     *("test_world", "test_world_bits", "test_world_refusals"),

@@ -9,8 +9,8 @@ import pytest
 from harness.places import URDF
 
 from hpid_ros.base.errors import RobotDescriptionError, SettingError
-from hpid_ros.simulation import World, WorldSettings
-from hpid_ros.simulation.world.disturbances import Disturbances, PayloadChange, WrenchPulse
+from hpid_ros.simulation.settings import Disturbances, PayloadChange, WorldSettings, WrenchPulse
+from hpid_ros.simulation.world import World
 
 ARM = tuple(f"arm_joint_{number}" for number in range(1, 7))
 MILLISECOND = 1_000_000  # [ns]

@@ -11,10 +11,11 @@ import pytest
 from harness.places import URDF
 
 from hpid_ros.base.errors import SettingError
-from hpid_ros.robot import RobotDescription
+from hpid_ros.robot.description import RobotDescription
 from hpid_ros.robot.dynamics import Dynamics
-from hpid_ros.simulation import World, WorldSettings
 from hpid_ros.simulation.drives import Drive, DriveSettings, Motor, Pwm
+from hpid_ros.simulation.settings import WorldSettings
+from hpid_ros.simulation.world import World
 
 pytestmark = pytest.mark.slow
 

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hpid_ros.base.errors import SettingError
-from hpid_ros.simulation.sensors import Encoder
+from hpid_ros.simulation.settings import Encoder
 
 POSITIONS = st.floats(-1e3, 1e3)
 COUNTS = st.integers(1, 1_000_000)

@@ -11,18 +11,19 @@ import pytest
 from harness.places import URDF
 
 from hpid_ros.base.errors import RobotDescriptionError, SettingError
-from hpid_ros.robot import RobotDescription
+from hpid_ros.robot.description import RobotDescription
 from hpid_ros.robot.dynamics import Dynamics
 from hpid_ros.robot.kinematics import Kinematics, LinkPose
-from hpid_ros.simulation import World, WorldSettings
-from hpid_ros.simulation.mujoco.physics import MujocoPhysics
-from hpid_ros.simulation.world.workpieces import (
+from hpid_ros.simulation.mujoco import MujocoPhysics
+from hpid_ros.simulation.settings import (
     Brick,
     GripCommand,
     GripperSettings,
     Support,
     Workplace,
+    WorldSettings,
 )
+from hpid_ros.simulation.world import World
 
 ROBOT = RobotDescription.load(URDF)
 ARM = Kinematics(ROBOT, "payload")

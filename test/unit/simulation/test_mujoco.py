@@ -15,8 +15,9 @@ from hpid_ros.base.errors import RobotDescriptionError, RunError
 from hpid_ros.robot.description import RobotDescription
 from hpid_ros.robot.dynamics import Dynamics
 from hpid_ros.robot.kinematics import Kinematics
-from hpid_ros.simulation import World, WorldSettings
-from hpid_ros.simulation.mujoco.model import build_model
+from hpid_ros.simulation.mujoco_model import build_model
+from hpid_ros.simulation.settings import WorldSettings
+from hpid_ros.simulation.world import World
 
 ROBOT = RobotDescription.load(URDF)
 JOINTS = tuple(ROBOT.joints)
@@ -42,7 +43,7 @@ def built(description):
 
 @pytest.mark.parametrize("source", ROBOTS)
 def test_mass_matrix_gravity_and_frames_are_pinocchios(source):
-    from hpid_ros.base.resources import find_resource
+    from hpid_ros.base.files import find_resource
 
     description = RobotDescription.load(find_resource(source))
     found, data = built(description)

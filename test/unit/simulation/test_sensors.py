@@ -13,10 +13,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hpid_ros.base.errors import SettingError
-from hpid_ros.simulation import World, WorldSettings
 from hpid_ros.simulation.engine import Sample, run_in_process
-from hpid_ros.simulation.sensors import Encoder, HallSwitch, Homing
-from hpid_ros.simulation.world.drivetrain import Sensors
+from hpid_ros.simulation.settings import Encoder, HallSwitch, Homing, WorldSettings
+from hpid_ros.simulation.world import Sensors, World
 
 WHEELS = ("wheel_left_joint", "wheel_right_joint")
 PERIOD = 1e-3  # [s]

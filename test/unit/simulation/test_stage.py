@@ -7,10 +7,9 @@ import pytest
 
 from hpid_ros.base.errors import LibraryError, RobotDescriptionError, SettingError
 from hpid_ros.robot.shapes import Body
+from hpid_ros.simulation.mujoco_stage import triangles_of
 from hpid_ros.simulation.settings import installed_engines
-from hpid_ros.simulation.stage import View, open_stage
-from hpid_ros.simulation.stage.stage import StageSettings
-from hpid_ros.simulation.stage.wavefront import triangles_of
+from hpid_ros.simulation.stage import StageSettings, View, open_stage
 
 RED = (0.9, 0.1, 0.1)
 VIEW = View((0.0, 0.0, 0.0), 2.0, math.radians(30.0), math.radians(20.0))
@@ -144,7 +143,7 @@ def test_a_stage_of_no_engine_is_one_line():
 
 
 def test_without_opengl_mujoco_says_what_to_install(monkeypatch):
-    from hpid_ros.simulation.stage import mujoco_stage
+    from hpid_ros.simulation import mujoco_stage
 
     monkeypatch.setattr("ctypes.util.find_library", lambda name: None)
     monkeypatch.setitem(__import__("sys").modules, "mujoco.osmesa", None)

@@ -15,13 +15,15 @@ import pytest
 from harness.engines import HAS_BULLET, needs_bullet
 from harness.worlds import FLYER, HOME, JOINTS, MILLISECOND, START, URDF, WHEELS, settings
 
-from hpid_ros.base.resources import find_resource
-from hpid_ros.robot import RobotDescription
+from hpid_ros.base.files import find_resource
+from hpid_ros.robot.description import RobotDescription
 from hpid_ros.robot.dynamics import Dynamics
-from hpid_ros.simulation import Twist, World, WorldSettings
+from hpid_ros.simulation.physics import Twist
+from hpid_ros.simulation.settings import WorldSettings
+from hpid_ros.simulation.world import World
 
 if HAS_BULLET:
-    from hpid_ros.simulation.bullet.model import bullet_urdf, geared, rotor_name
+    from hpid_ros.simulation.bullet_scene import bullet_urdf, geared, rotor_name
 
 PERIOD = 1e-3  # [s]
 
@@ -332,7 +334,7 @@ def test_a_robot_is_set_down_on_the_ground_wherever_its_root_is():
 def test_other_robots_load_and_swing(model: str, caplog: pytest.LogCaptureFixture):
     path = find_resource(f"pybullet_data/{model}")
     joints = tuple(RobotDescription.load(path).joints)
-    caplog.set_level(logging.DEBUG, "hpid_ros.simulation.bullet.connection")
+    caplog.set_level(logging.DEBUG, "hpid_ros.simulation.bullet_scene")
     with World(WorldSettings(path, joints, fixed_base=True)) as world:
         for _ in range(50):
             world.step([2.0] * len(joints))

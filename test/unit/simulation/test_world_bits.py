@@ -13,7 +13,7 @@ import pytest
 from harness.places import ROOT
 from harness.worlds import MILLISECOND, START, bits_of_a_motion, settings
 
-from hpid_ros.simulation import World
+from hpid_ros.simulation.world import World
 
 
 def test_two_worlds_fed_the_same_give_the_same_to_the_last_bit():

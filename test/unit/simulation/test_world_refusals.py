@@ -8,7 +8,8 @@ import pytest
 from harness.worlds import FLYER, MILLISECOND, START, settings
 
 from hpid_ros.base.errors import RobotDescriptionError, SettingError
-from hpid_ros.simulation import World, WorldSettings
+from hpid_ros.simulation.settings import WorldSettings
+from hpid_ros.simulation.world import World
 
 
 def test_a_robot_that_cannot_be_loaded_is_one_clear_line(

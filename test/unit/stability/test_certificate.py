@@ -13,29 +13,33 @@ from scipy.optimize import linprog
 
 from hpid_ros.base.errors import GainError, NormError, SettingError
 from hpid_ros.control import CanonicalNorm, Gains, HomogeneousPid, WeightedNorm
-from hpid_ros.stability.bounds import settling_time_bound
-from hpid_ros.stability.certificate import Certificate, CertifiedSpan
-from hpid_ros.stability.check import margins_at, span_margins
 from hpid_ros.stability.closed_loop import (
+    Certificate,
+    CertifiedSpan,
     closed_loop_field,
     dilated,
     norm_values,
     state_norm,
     unit_curve,
 )
+from hpid_ros.stability.gain_check import settling_time_bound
 from hpid_ros.stability.quadratic_forms import (
+    SphereGrid,
     first_shapes,
     least_maximum,
     lyapunov_solution,
+    monotonicity,
     scaled_loop,
+    time_unit,
     worst_rate,
     worst_rates,
 )
-from hpid_ros.stability.search import shared_spans
-from hpid_ros.stability.sphere_grid import SphereGrid, monotonicity, time_unit
 from hpid_ros.stability.verdict import (
     certified_degree_interval,
     certify_degree,
+    margins_at,
+    shared_spans,
+    span_margins,
     verify_certificate,
 )
 

@@ -4,7 +4,7 @@ import pytest
 
 from hpid_ros.base.errors import GainError
 from hpid_ros.control import Gains, LoopSettings
-from hpid_ros.control.settings.groups import NormSettings
+from hpid_ros.control.settings import NormSettings
 from hpid_ros.stability import degrees as module
 from hpid_ros.stability.degrees import certified_degrees, kind_of
 from hpid_ros.stability.verdict import certified_degree_interval, verify_certificate

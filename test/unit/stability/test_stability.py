@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from hpid_ros.base.errors import GainError, NormError, SettingError
 from hpid_ros.control import CanonicalNorm, Gains, WeightedNorm
-from hpid_ros.control.gains import is_hurwitz, require_hurwitz
-from hpid_ros.stability.bounds import (
+from hpid_ros.control.homogeneous_pid import is_hurwitz, require_hurwitz
+from hpid_ros.stability.gain_check import (
     decay_time,
     gain_multiplier_range,
     integral_ratio,

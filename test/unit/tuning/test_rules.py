@@ -11,12 +11,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hpid_ros.base.errors import GainError, SettingError
-from hpid_ros.base.resources import share_folder
+from hpid_ros.base.files import share_folder
 from hpid_ros.cli.commands import BAD_INPUT, DONE, FAILED
 from hpid_ros.cli.main import main
 from hpid_ros.control import Gains
-from hpid_ros.experiment.description import load_experiment
-from hpid_ros.experiment.inertias import initial_inertias
+from hpid_ros.experiment.description import initial_inertias, load_experiment
 from hpid_ros.robot.description import RobotDescription
 from hpid_ros.robot.differential_drive import DifferentialDrive
 from hpid_ros.robot.dynamics import wheel_inertias

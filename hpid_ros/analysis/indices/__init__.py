@@ -1,1 +1,0 @@
-"""Performance indices: arrays in, named numbers out."""

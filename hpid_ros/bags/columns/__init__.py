@@ -1,1 +1,0 @@
-"""Columns of numbers out of the storages of rosbag2."""

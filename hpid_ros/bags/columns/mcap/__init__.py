@@ -1,1 +1,0 @@
-"""MCAP files, finished or cut off."""

@@ -1,1 +1,0 @@
-"""SQLite files of rosbag2, whole or damaged."""

@@ -1,1 +1,0 @@
-"""A run out of a bag: which topics, which references, joint by joint."""

@@ -1,0 +1,449 @@
+"""Records: what a section of a file may say, declared once as a frozen dataclass.
+
+A field declares its meaning, unit, range and default. From that come the checks of a record that
+is made in Python, the reading of a section, the way back into a file, and in :mod:`.descriptions`
+the JSON Schema with which editors complete and check files, and the tables of the documentation.
+
+A library would be the better choice, were there one: of those that do all this, pydantic has
+another interface on PyPI than in the Ubuntu of Jazzy, and msgspec and cattrs have no rosdep key.
+"""
+
+from __future__ import annotations
+
+import math
+import types
+from collections.abc import Mapping, Sequence
+from dataclasses import MISSING, Field, dataclass, field, fields
+from functools import cache
+from typing import Any, NamedTuple, TypeVar, Union, cast, get_args, get_origin, get_type_hints
+
+from hpid_ros.base.errors import HpidError, SettingError, unknown_name
+
+_MISSING: Any = object()
+
+
+class Bounds(NamedTuple):
+    """The range of a number; each bound is off where it is infinite."""
+
+    above: float = -math.inf  # it must be greater than this
+    least: float = -math.inf  # it must not be less than this
+    most: float = math.inf  # it must not be greater than this
+    below: float = math.inf  # it must be less than this
+
+    def hold(self, value: float) -> bool:
+        """Tell whether a number is within them, and finite."""
+        try:
+            is_finite = math.isfinite(value)
+        except OverflowError:  # of a whole number beyond every double
+            return False
+        is_low = self.above < value and self.least <= value
+        return is_finite and is_low and value <= self.most and value < self.below
+
+    def __str__(self) -> str:
+        words = [
+            f"{word} {bound:g}"
+            for word, bound in zip(("above", "at least", "at most", "below"), self, strict=True)
+            if math.isfinite(bound)
+        ]
+        return " and ".join(words) or "finite"
+
+    def schema(self) -> dict[str, float]:
+        """Return them as JSON Schema."""
+        words = ("exclusiveMinimum", "minimum", "maximum", "exclusiveMaximum")
+        pairs = zip(words, self, strict=True)
+        return {word: bound for word, bound in pairs if math.isfinite(bound)}
+
+
+ANY = Bounds()
+"""Every finite number."""
+
+
+class Section:
+    """A mapping whose entries are taken one by one; what is left over is unknown."""
+
+    def __init__(self, values: object, where: str, error: type[HpidError]) -> None:
+        self.error = error
+        self.where = where
+        if not isinstance(values, Mapping) or not all(isinstance(key, str) for key in values):
+            raise error(f"{where or 'the document'} must be a mapping, not {shown(values)}")
+        self._values = dict(values)
+        self._taken: set[str] = set()
+
+    def __contains__(self, key: str) -> bool:
+        return key in self._values
+
+    def place(self, key: str) -> str:
+        """Return the dotted place of an entry."""
+        return f"{self.where}.{key}" if self.where else key
+
+    def take(self, key: str, default: Any = _MISSING) -> Any:
+        """Return an entry as it stands."""
+        self._taken.add(key)
+        if key in self._values:
+            return self._values[key]
+        if default is _MISSING:
+            raise self.error(f"{self.place(key)} is missing")
+        return default
+
+    def number(
+        self,
+        key: str,
+        default: Any = _MISSING,
+        *,
+        above: float = -math.inf,
+        least: float = -math.inf,
+        most: float = math.inf,
+        bounds: Bounds | None = None,
+    ) -> float:
+        """Return a finite number."""
+        value = self.take(key, default)
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise self.error(f"{self.place(key)} must be a number, not {shown(value)}")
+        bounds = bounds or Bounds(above, least, most)
+        if not bounds.hold(value):
+            raise self.error(f"{self.place(key)} must be {bounds}, not {value}")
+        return float(value)
+
+    def whole(
+        self,
+        key: str,
+        default: Any = _MISSING,
+        *,
+        least: float = -math.inf,
+        most: float = 2**62,
+        bounds: Bounds | None = None,
+    ) -> int:
+        """Return a whole number in a range."""
+        value = self.take(key, default)
+        bounds = bounds or Bounds(least=least, most=most)
+        whole = isinstance(value, int) and not isinstance(value, bool)
+        if not (whole and bounds.hold(value)):
+            raise self.error(
+                f"{self.place(key)} must be a whole number{_inserted(bounds)}, not {shown(value)}"
+            )
+        return int(value)
+
+    def text(self, key: str, default: Any = _MISSING) -> str:
+        """Return a text that is not empty."""
+        value = self.take(key, default)
+        if not isinstance(value, str) or not value:
+            raise self.error(f"{self.place(key)} must be a text, not {shown(value)}")
+        return value
+
+    def flag(self, key: str, default: Any = _MISSING) -> bool:
+        """Return true or false."""
+        value = self.take(key, default)
+        if not isinstance(value, bool):
+            raise self.error(f"{self.place(key)} must be true or false, not {shown(value)}")
+        return value
+
+    def section(self, key: str, default: Any = _MISSING) -> Section:
+        """Return a mapping inside this one."""
+        return Section(self.take(key, default), self.place(key), self.error)
+
+    @property
+    def values(self) -> dict[str, Any]:
+        """All entries as they stand; none is taken."""
+        return dict(self._values)
+
+    def items(self) -> dict[str, Any]:
+        """Return all entries as they stand; all are taken."""
+        self._taken.update(self._values)
+        return dict(self._values)
+
+    def finish(self) -> None:
+        """Refuse what nobody took."""
+        for key in self._values:
+            if key not in self._taken:
+                raise self.error(
+                    unknown_name("key", self.place(key), map(self.place, self._taken))
+                )
+
+
+def _inserted(bounds: Bounds) -> str:
+    """Return bounds as part of a sentence; nothing where there are none."""
+    text = str(bounds if bounds.most < 2**62 else bounds._replace(most=math.inf))
+    return "" if text == "finite" else f", {text}"
+
+
+def shown(value: object) -> str:
+    """Return a value for a message, cut where it is long."""
+    text = repr(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."
+
+
+_KEY = "quantity"
+OFF = False
+"""What YAML makes of ``off``: a part that is left out although something else names it."""
+
+
+@dataclass(frozen=True)
+class FieldSpec:
+    """What a field is."""
+
+    meaning: str  # in words, without a full stop
+    unit: str = ""  # for instance "N m"; empty for what has none
+    bounds: Bounds = ANY  # of a number, or of each number of a list
+    choices: tuple[str, ...] = ()  # of a text; any if empty
+    key: str = ""  # its name in a file, where that is no name in Python
+    # whether a file has a mapping by name, whose keys are the name of each record
+    names: bool = False
+
+
+def quantity(
+    meaning: str,
+    unit: str = "",
+    *,
+    default: Any = MISSING,
+    factory: Any = MISSING,
+    above: float = -math.inf,
+    least: float = -math.inf,
+    most: float = math.inf,
+    below: float = math.inf,
+    choices: Sequence[str] = (),
+    key: str = "",
+    names: bool = False,
+) -> Any:
+    """Declare a field of a :class:`Record`; see :class:`FieldSpec` and :class:`.Bounds`."""
+    bounds = Bounds(above, least, most, below)
+    metadata = {_KEY: FieldSpec(meaning, unit, bounds, tuple(choices), key, names)}
+    return field(default=default, default_factory=factory, metadata=metadata)
+
+
+class Record:
+    """A frozen dataclass all of whose fields are declared by :func:`quantity`.
+
+    A field is a bool, a number, a text, another record, a tuple of such (``tuple[float, float,
+    float]``, ``tuple[Brick, ...]``), a mapping by name, a union of a number and a mapping, or one
+    of these or None. Values become what their field is declared to be.
+    """
+
+    def __post_init__(self) -> None:
+        for each in record_fields(type(self)):
+            value = getattr(self, each.name)
+            if value is not None or not each.is_optional:
+                value = _converted(value, each, each.name, SettingError)
+                object.__setattr__(self, each.name, value)
+
+
+AnyRecord = TypeVar("AnyRecord", bound=Record)
+
+
+class RecordField(NamedTuple):
+    """A field of a record."""
+
+    name: str  # in Python
+    key: str  # in a file
+    kind: Any  # its type, None aside
+    is_optional: bool  # whether it may be None
+    is_needed: bool  # whether it has no default
+    quantity: FieldSpec
+    declared: Field[Any]  # the dataclass's own entry
+
+    @property
+    def default(self) -> Any:
+        """Its default; None where it has none."""
+        if self.declared.default_factory is not MISSING:
+            return self.declared.default_factory()
+        return None if self.declared.default is MISSING else self.declared.default
+
+
+def record_fields(kind: type[Record]) -> tuple[RecordField, ...]:
+    """Return the fields of a kind of record."""
+    found: tuple[RecordField, ...] = _fields_of(cast(Any, kind))
+    return found
+
+
+@cache
+def _fields_of(kind: Any) -> tuple[RecordField, ...]:
+    hints = get_type_hints(kind)
+    found = []
+    for each in fields(kind):
+        what: FieldSpec = each.metadata[_KEY]
+        inner, is_optional = _without_none(hints[each.name])
+        is_needed = each.default is MISSING and each.default_factory is MISSING
+        key = what.key or each.name
+        found.append(RecordField(each.name, key, inner, is_optional, is_needed, what, each))
+    return tuple(found)
+
+
+def is_record(kind: Any) -> bool:
+    """Tell whether a field's type is a record."""
+    return isinstance(kind, type) and issubclass(kind, Record)
+
+
+def container_of(kind: Any) -> Any:
+    """Return ``tuple`` for lists, ``Mapping`` for mappings by name; None for a single value."""
+    origin = get_origin(kind)
+    return Mapping if isinstance(origin, type) and issubclass(origin, Mapping) else origin
+
+
+def from_mapping(
+    kind: type[AnyRecord], values: object, where: str, error: type[HpidError]
+) -> AnyRecord:
+    """Return the record that a section of a file says."""
+    section = Section(values, where, error)
+    record = take_record(kind, section)
+    section.finish()
+    return record
+
+
+def take_record(
+    kind: type[AnyRecord], section: Section, known: Mapping[str, object] | None = None
+) -> AnyRecord:
+    """Return the record that a section says; what else the section says stays for the caller."""
+    values = dict(known or {})
+    asked = [each for each in record_fields(kind) if each.name not in values]
+    for each in asked:
+        section.take(each.key, None)
+    for each in asked:
+        if each.key not in section and not each.is_needed:
+            continue
+        value = section.take(each.key)
+        if value is OFF and each.is_optional and is_record(each.kind):
+            values[each.name] = None
+        else:
+            values[each.name] = _converted(value, each, section.place(each.key), section.error)
+    try:
+        return kind(**values)
+    except section.error:
+        raise
+    except HpidError as error:
+        raise section.error(f"{section.where}: {error}" if section.where else str(error)) from None
+
+
+def take_layered(
+    kind: type[AnyRecord], section: Section, names: Sequence[str], what: str = "joint"
+) -> tuple[AnyRecord, ...]:
+    """Return a record for each name: what a section says of all, but for what it says of one.
+
+    Entries of the section hold for all; those of its ``joints`` for one, key by key also within
+    a record; ``off`` leaves a record out. What else the section says stays for the caller.
+    """
+    own = section.section(f"{what}s", {})
+    for name in own.items():
+        if name not in names:
+            raise section.error(f"{own.where}: {unknown_name(what, name, names)}")
+    for each in record_fields(kind):
+        section.take(each.key, None)
+    records = []
+    for name in names:
+        layer = own.section(name, {})
+        values = {}
+        for each in record_fields(kind):
+            value, common = layer.take(each.key, None), section.take(each.key, None)
+            source = layer if each.key in layer else section
+            if each.key not in source:
+                continue
+            if source is section:
+                value = common
+            elif isinstance(value, Mapping) and isinstance(common, Mapping):
+                value = {**common, **value}
+            if not (value is OFF and is_record(each.kind)):
+                place = source.place(each.key)
+                values[each.name] = _converted(value, each, place, section.error)
+        layer.finish()
+        where = layer.where if name in own else section.where
+        records.append(take_record(kind, Section({}, where, section.error), values))
+    return tuple(records)
+
+
+def to_mapping(record: Record) -> dict[str, Any]:
+    """Return what a file says to give this record; what has its default is left out."""
+    return {
+        each.key: _plain(getattr(record, each.name), each)
+        for each in record_fields(type(record))
+        if each.is_needed or getattr(record, each.name) != each.default
+    }
+
+
+def _without_none(hint: Any) -> tuple[Any, bool]:
+    """Return a type without None, and whether None was one of its choices."""
+    if get_origin(hint) not in (Union, types.UnionType):
+        return hint, False
+    rest = tuple(each for each in get_args(hint) if each is not types.NoneType)
+    return (rest[0] if len(rest) == 1 else Union[rest]), len(rest) < len(get_args(hint))  # noqa: UP007
+
+
+def _converted(value: Any, each: RecordField, place: str, error: type[HpidError]) -> Any:
+    return _as(each.kind, value, each.quantity, place, error)
+
+
+def _as(kind: Any, value: Any, what: FieldSpec, place: str, error: type[HpidError]) -> Any:
+    """Return a value as what its field is declared to be."""
+    if kind is object or (is_record(kind) and isinstance(value, kind)):
+        return value
+    origin = get_origin(kind)
+    if origin in (Union, types.UnionType):
+        return _as(_chosen(get_args(kind), value), value, what, place, error)
+    if origin is tuple:
+        return _list(get_args(kind), value, what, place, error)
+    if container_of(kind) is Mapping:
+        section = Section(value, place, error)
+        inner = get_args(kind)[1]
+        return {
+            name: _as(inner, each, what, section.place(name), error)
+            for name, each in section.items().items()
+        }
+    if is_record(kind):
+        return from_mapping(kind, value, place, error)
+    checked = Section({place: value}, "", error)
+    if kind is bool:
+        return checked.flag(place)
+    if kind is int:
+        return checked.whole(place, bounds=what.bounds)
+    if kind is float:
+        return checked.number(place, bounds=what.bounds)
+    text = checked.text(place)
+    if what.choices and text not in what.choices:
+        raise error(f"{place}: {unknown_name(place.rpartition('.')[2], text, what.choices)}")
+    return text
+
+
+def _chosen(kinds: tuple[Any, ...], value: Any) -> Any:
+    """Return which of a union's types is meant: the mapping, the list, or what is neither."""
+    is_mapping, is_list = isinstance(value, Mapping), isinstance(value, list | tuple)
+    meant = Mapping if is_mapping else tuple if is_list else None
+    containers = {container_of(each): each for each in kinds}
+    return containers.get(meant, containers[None])
+
+
+def _list(
+    kinds: tuple[Any, ...], value: Any, what: FieldSpec, place: str, error: type[HpidError]
+) -> tuple[Any, ...]:
+    if what.names and isinstance(value, Mapping):
+        section = Section(value, place, error)
+        found = []
+        for name in section.items():
+            inner = section.section(name)
+            found.append(take_record(kinds[0], inner, {"name": name}))
+            inner.finish()
+        return tuple(found)
+    is_list = isinstance(value, list | tuple)
+    if kinds[-1] is not Ellipsis:
+        if not is_list or len(value) != len(kinds):
+            unit = f" [{what.unit}]" if what.unit else ""
+            raise error(f"{place} must be {_COUNTS[len(kinds)]} numbers{unit}, not {shown(value)}")
+    elif not is_list:
+        raise error(f"{place} must be a list, not {shown(value)}")
+    return tuple(
+        _as(kinds[0], each, what, f"{place}[{index}]", error) for index, each in enumerate(value)
+    )
+
+
+_COUNTS = {2: "two", 3: "three", 4: "four", 6: "six"}
+
+
+def _plain(value: Any, each: RecordField) -> Any:
+    if isinstance(value, Record):
+        return to_mapping(value)
+    if isinstance(value, Mapping):
+        return {name: _plain(inner, each) for name, inner in value.items()}
+    if isinstance(value, tuple):
+        if not each.quantity.names:
+            return [_plain(inner, each) for inner in value]
+        named = {inner.name: to_mapping(inner) for inner in value}
+        for entry in named.values():
+            del entry["name"]
+        return named
+    return value

@@ -1,0 +1,67 @@
+"""Untrusted text, shown in one line, in figures and in CSV.
+
+A bag, a URDF or a message can hold any character in a name: escape sequences that write a
+terminal's title or clipboard, line breaks that look like a message of ours, markup, the beginning
+of a spreadsheet's formula. Each way out of the package goes through one function of this module.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Iterable, Sequence
+
+_LONGEST_LINE = 8000  # characters
+
+_FORMULA = tuple("=+-@\uff1d\uff0b\uff0d\uff20")
+"""What makes a spreadsheet take a cell for a formula; tabs and returns are shown as text."""
+
+
+def shown(text: str) -> str:
+    r"""Return a text in one line, what cannot be printed as its escape, for instance ``\x1b``.
+
+    That is everything that ``repr`` would escape: control characters, line breaks, and those that
+    are invisible or turn the direction of writing.
+    """
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+
+
+def bounded(text: str) -> str:
+    """Return a text as :func:`shown`, without its middle where it is longer than people read."""
+    left_out = len(text) - _LONGEST_LINE
+    if left_out > 0:
+        half = _LONGEST_LINE // 2
+        text = f"{text[:half]} ... {left_out} characters ... {text[-half:]}"
+    return shown(text)
+
+
+def shown_lines(text: str) -> str:
+    """Return a text of several lines, each as :func:`shown`; tabs stay."""
+    if text.replace("\n", "").isprintable():
+        return text
+    return "".join(c if c in "\n\t" else shown(c) for c in text)
+
+
+def figure_text(text: str) -> str:
+    """Return a text for a figure, where matplotlib takes what is between dollars for a formula."""
+    return shown(text).replace("$", r"\$")
+
+
+def csv_text(rows: Iterable[Sequence[object]]) -> str:
+    """Return rows as CSV.
+
+    Texts that begin as formulas (``= + - @``) get an apostrophe in front, which spreadsheets take
+    as "this is text". Numbers stay numbers, whatever their sign.
+    """
+    text = io.StringIO()
+    write = csv.writer(text, lineterminator="\n").writerow
+    for row in rows:
+        write([_cell(cell) if isinstance(cell, str) else cell for cell in row])
+    return text.getvalue()
+
+
+def _cell(text: str) -> str:
+    text = shown(text)
+    return f"'{text}" if len(text) > 1 and text.startswith(_FORMULA) else text

@@ -1,0 +1,273 @@
+"""``hpid autotune``: a relay test of a running joint, SIMC gains, and the homogeneous PID."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hpid_ros.base.errors import ResultExistsError, SettingError
+from hpid_ros.base.files import refuse_output, write_file
+from hpid_ros.base.units import of_slide
+from hpid_ros.cli.commands import DONE, FAILED, INTERRUPTED
+from hpid_ros.cli.commands.excite import agreed
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from hpid_ros.live.controllers import Ending, RunningController, RunningGraph, Tell
+    from hpid_ros.live.motion import RelayFindings
+    from hpid_ros.motion.excitation import JointBounds
+    from hpid_ros.motion.relays import PlannedRelay
+    from hpid_ros.tuning.upgrade import Autotuned
+
+
+_GOALS = ("smooth", "fast")
+
+
+def add(commands: Any) -> None:
+    """Add the command to the parser."""
+    parser = commands.add_parser(
+        "autotune",
+        description="Have a relay drive one joint of a running robot for some cycles, inside its "
+        "own controller and under all of its limits, record it, and propose SIMC gains and the "
+        "homogeneous PID with them. It asks before the joint moves and before it writes a file, "
+        "and never sets parameters. Ctrl-C, a reference, parameters, a missing state end the "
+        "relay; so does the controller, after 30 s at the latest. Have a hand at the emergency "
+        "stop.",
+    )
+    parser.add_argument(
+        "--live", action="store_true", help="on the robot that runs (there is no other way yet)"
+    )
+    parser.add_argument("--joint", metavar="NAME", help="which (the only one that runs)")
+    relay = parser.add_argument_group("the relay")
+    relay.add_argument(
+        "--effort", type=float, default=0.0, metavar="A", help="its amplitude in N m (--share)"
+    )
+    relay.add_argument(
+        "--share", type=float, default=0.2, help="of what the load leaves of the limits (0.2)"
+    )
+    relay.add_argument(
+        "--amplitude", type=float, default=0.05, metavar="A", help="of the motion in rad (0.05)"
+    )
+    relay.add_argument("--cycles", type=int, default=8, metavar="N", help="(8)")
+    relay.add_argument(
+        "--inertia", type=float, metavar="M", help="about, to choose the relay (by the gains)"
+    )
+    parser.add_argument(
+        "--closed-loop-time", type=float, metavar="S", help="of SIMC (four effective delays)"
+    )
+    parser.add_argument("--goal", choices=_GOALS, default="fast", help="of the upgrade (fast)")
+    parser.add_argument("--namespace", metavar="NS", help="only controllers below this namespace")
+    parser.add_argument(
+        "--states", default="joint_states", metavar="TOPIC", help="of the states (joint_states)"
+    )
+    parser.add_argument("--bag", type=Path, metavar="BAG", help="new folder (autotune-TIME)")
+    parser.add_argument("-o", "--output", type=Path, metavar="FILE", help="controller file")
+    parser.add_argument("--force", action="store_true", help="replace the file of -o")
+    parser.add_argument("--dry-run", action="store_true", help="show the relay, and do nothing")
+    parser.add_argument("--yes", action="store_true", help="move and write without asking")
+    parser.set_defaults(command=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Plan, ask, test, propose, ask, write."""
+    from hpid_ros.cli.terminal import output_console
+    from hpid_ros.live.controllers import running_graph
+
+    bag = _checked(options)
+    graph = running_graph(options.states, options.namespace)
+    controller = _controller(graph, options.joint)
+    bounds, planned = _planned(options, controller)
+    console = output_console()
+    _show(console, bounds, planned)
+    if options.dry_run:
+        return DONE
+    question = f"Have a relay drive {bounds.joint} for about {_duration(planned):.0f} s now"
+    if not agreed(question, is_given=options.yes):
+        console.print("nothing was moved")
+        return FAILED
+    ending = _test(console, planned, controller, graph, bag, options.states)
+    console.print(f"recorded: {bag}", soft_wrap=True)
+    if ending.reason:
+        line = f"the relay has ended: {ending.reason}; the controller holds the joint"
+        console.print(line, style="red", soft_wrap=True)
+        return INTERRUPTED if ending.is_interrupted else FAILED
+    return _propose(console, options, controller, planned, bag)
+
+
+def _checked(options: argparse.Namespace) -> Path:
+    """Return where to record, after what cannot be is refused."""
+    if not options.live:
+        raise SettingError("autotune moves a robot that runs: say --live")
+    if options.output is not None:
+        refuse_output(options.output, force=options.force, inputs=(), option="-o")
+    bag: Path = options.bag or Path(f"autotune-{datetime.now():%Y%m%d-%H%M%S}")
+    if bag.exists() and not options.dry_run:
+        raise ResultExistsError(f"{bag} exists; name a new folder with --bag")
+    return bag
+
+
+def _controller(graph: RunningGraph, joint: str | None) -> RunningController:
+    from hpid_ros.live.motion import chosen
+
+    if joint is None and len(graph.controllers) > 1:
+        known = ", ".join(graph.controllers)
+        raise SettingError(f"several joints run: name one with --joint ({known})")
+    (controller,) = chosen(graph, [joint] if joint else [])
+    if not graph.has_commands:
+        raise SettingError("autotune needs efforts on joint_commands (command_interface)")
+    return controller
+
+
+def _planned(
+    options: argparse.Namespace, controller: RunningController
+) -> tuple[JointBounds, PlannedRelay]:
+    from hpid_ros.live.motion import bounds_of
+    from hpid_ros.motion.relays import RelayWish, planned_relay
+
+    settings = controller.settings
+    gains = settings.gains
+    if not (gains.p > 0.0 and gains.d > 0.0):
+        raise SettingError(f"{controller.node} has no gains.p or no gains.d to hold its joint by")
+    if options.inertia is not None and not options.inertia > 0.0:
+        raise SettingError(f"--inertia must be positive, not {options.inertia:g}")
+    bounds = bounds_of(controller, options.inertia)
+    wish = RelayWish(options.effort, options.share, options.amplitude, options.cycles)
+    period = settings.timing.control_period
+    return bounds, planned_relay(bounds, gains.d / gains.p, period, wish)
+
+
+def _duration(planned: PlannedRelay) -> float:
+    from hpid_ros.control.overrides import RAMP
+
+    return (planned.request.cycles + 2.0) * planned.period + 2.0 * RAMP
+
+
+def _show(console: Console, bounds: JointBounds, planned: PlannedRelay) -> None:
+    request = planned.request
+    least, largest = bounds.efforts
+    guessed = " (by the gains)" if bounds.is_inertia_guessed else ""
+    lines = [
+        f"{bounds.joint}: at {bounds.position:.4g} rad, held by {bounds.load:.4g} N m",
+        f"relay: +-{request.amplitude:.4g} N m around that, within {least:.4g} and {largest:.4g}",
+        f"expected: +-{planned.amplitude:.3g} rad, {planned.velocity:.3g} rad/s, a cycle in "
+        f"{planned.period:.3g} s, for an inertia of {bounds.inertia:.3g} kg m^2{guessed}",
+        f"ends: after {request.cycles:g} cycles; beyond {request.deviation:.3g} rad; after "
+        f"{request.duration:.3g} s",
+    ]
+    for line in lines:
+        console.print(of_slide(line) if bounds.is_slide else line, soft_wrap=True)
+
+
+def _test(
+    console: Console,
+    planned: PlannedRelay,
+    controller: RunningController,
+    graph: RunningGraph,
+    bag: Path,
+    states: str,
+) -> Ending:
+    from hpid_ros.live.motion import carry_out_relay
+
+    with _progress(console) as tell:
+        return carry_out_relay(planned, controller, graph, bag, states, tell)
+
+
+@contextmanager
+def _progress(console: Console) -> Iterator[Tell]:
+    with console.status("getting ready") as status:
+
+        def told(event: str, seconds: float) -> None:
+            status.update(f"the relay drives the joint: {seconds:.1f} s, Ctrl-C ends it")
+
+        yield told
+
+
+def _propose(
+    console: Console,
+    options: argparse.Namespace,
+    controller: RunningController,
+    planned: PlannedRelay,
+    bag: Path,
+) -> int:
+    from hpid_ros.live.motion import relay_findings
+    from hpid_ros.tuning.upgrade import autotuned
+
+    found = relay_findings(bag, controller, planned)
+    tuned = autotuned(
+        controller.settings, found.inertia, found.delay, options.closed_loop_time, options.goal
+    )
+    is_slide = controller.limits.is_slide
+    for line in [*_findings(found), "", *_proposal(controller, tuned)]:
+        console.print(of_slide(line) if is_slide else line, soft_wrap=True)
+    if options.output is None:
+        console.print("-o FILE writes it")
+        return DONE
+    if not agreed(f"Write {options.output}", is_given=options.yes):
+        console.print("nothing was written")
+        return DONE
+    _write(options.output, controller, tuned, found, bag)
+    console.print(f"written: {options.output}", soft_wrap=True)
+    console.print(
+        f"nothing was set; this does: ros2 param load {controller.node} {options.output}",
+        soft_wrap=True,
+    )
+    return DONE
+
+
+def _findings(found: RelayFindings) -> list[str]:
+    from hpid_ros.tuning.identification_results import COULOMB, VISCOUS
+
+    cycle, low_high = found.cycle, found.inertia
+    middle, half = 0.5 * sum(low_high), 0.5 * (low_high[1] - low_high[0])
+    lines = [
+        f"limit cycle: {cycle.period:.4g} s ({cycle.spread:.1%} spread over {cycle.cycles}), "
+        f"+-{cycle.amplitude:.3g} rad, ultimate gain {cycle.ultimate_gain:.4g} N m/rad",
+        f"inertia: {middle:.4g} +-{half:.2g} kg m^2; {cycle.inertia:.4g} by the first harmonics, "
+        f"{cycle.described_inertia:.4g} by the describing function",
+    ]
+    for name in (VISCOUS, COULOMB):
+        estimate = found.identified.told(name)
+        if estimate is not None:
+            unit = "N m s/rad" if name == VISCOUS else "N m"
+            lines.append(f"{name}: {estimate.value:.4g} +-{estimate.half_width:.2g} {unit}")
+    if found.is_by_cycle:
+        lines.append("the equation of motion does not tell the inertia: the first harmonics do")
+    return lines
+
+
+def _proposal(controller: RunningController, tuned: Autotuned) -> list[str]:
+    before, after = controller.settings.gains, tuned.pid.gains
+    proposal = tuned.upgrade
+    lines = [
+        f"SIMC, closed-loop time {tuned.closed_loop_time:.3g} s, delay {tuned.delay:.3g} s:",
+        f"  p {after.p:g}  i {after.i:g}  d {after.d:g}   (now p {before.p:g}  i {before.i:g}  "
+        f"d {before.d:g})",
+    ]
+    if proposal.settings.law == "pid" or proposal.settings.mu == 0.0:
+        lines.append(f"  linear: {proposal.reasons.get('mu', 'nothing to gain')}")
+    else:
+        lines.append(f"  hPID: mu {proposal.settings.mu:+.2f}, {proposal.reasons['mu']}")
+    return lines + [f"  {remark}" for remark in proposal.remarks]
+
+
+def _write(
+    path: Path, controller: RunningController, tuned: Autotuned, found: RelayFindings, bag: Path
+) -> None:
+    from hpid_ros.tuning.upgrade import upgrade_text
+
+    joint = controller.settings.joint
+    header = [
+        f"Gains of {joint} by a relay test, recorded in {bag.name}.",
+        f"ros2 param load {controller.node} THIS_FILE sets them while the controller runs.",
+    ]
+    slides = {joint} if controller.limits.is_slide else frozenset()
+    notes = {joint: _findings(found)}
+    try:
+        write_file(path, upgrade_text([tuned.upgrade], header, notes, slides))
+    except OSError as error:
+        raise SettingError(f"cannot write {path}: {error.strerror}") from None

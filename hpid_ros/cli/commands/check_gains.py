@@ -1,0 +1,247 @@
+"""``hpid check-gains``: certificates and margins of every joint's loop."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Collection, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rich.console import Console, ConsoleOptions, RenderResult
+from rich.text import Text
+
+from hpid_ros.base.errors import SettingError
+from hpid_ros.base.units import of_slide, unit_over
+from hpid_ros.cli.commands import DONE, FAILED
+from hpid_ros.cli.options import (
+    add_robot_options,
+    judged_loops,
+    load_robot,
+    loop_file,
+    named_loops,
+    shown_name,
+    sliding_joints,
+)
+from hpid_ros.control.norms import GOOD_SAMPLING_MARGIN
+from hpid_ros.report.table import TableColumn, WideTable
+from hpid_ros.stability.gain_check import (
+    LARGEST_SAMPLING_MARGIN,
+    LARGEST_SAMPLING_MARGIN_LATE,
+    GainVerdict,
+)
+
+if TYPE_CHECKING:
+    from hpid_ros.control.controller_files import ParameterFile
+    from hpid_ros.control.settings import LoopSettings
+    from hpid_ros.robot.coupling import Settling
+
+
+_HEADINGS = ("mu", "certified mu", "rho", "T kd", "lam", "settles", "inertia")
+
+
+class GainTable:
+    """One row for each loop, and the reasons below."""
+
+    def __init__(
+        self, verdicts: Mapping[str, GainVerdict], slides: Collection[str] = frozenset()
+    ) -> None:
+        self._verdicts, self._slides = verdicts, slides
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        rows = [_cells(verdict) for verdict in self._verdicts.values()]
+        yield WideTable(
+            [
+                TableColumn("loop", list(self._verdicts), is_text=True),
+                TableColumn(
+                    "ok", [_verdict(verdict) for verdict in self._verdicts.values()], True
+                ),
+            ],
+            [
+                TableColumn(heading, cells)
+                for heading, cells in zip(_HEADINGS, zip(*rows, strict=True), strict=True)
+            ],
+        )
+        yield ""
+        for name, verdict in self._verdicts.items():
+            if verdict.reason:
+                reason = of_slide(verdict.reason) if name in self._slides else verdict.reason
+                yield Text(f"{name}: {reason}", style="red")
+            if verdict.sampling_margin > LARGEST_SAMPLING_MARGIN_LATE:
+                yield Text(
+                    f"{name}: T kd lam / m = {verdict.sampling_margin:.2f}: the sampled loop "
+                    f"breaks at {LARGEST_SAMPLING_MARGIN_LATE:g} where an effort comes one period "
+                    f"late, as over a topic, and at {LARGEST_SAMPLING_MARGIN:g} at best",
+                    style="red",
+                )
+            elif not verdict.is_sampled_fast_enough:
+                yield Text(
+                    f"{name}: T kd lam / m = {verdict.sampling_margin:.2f} exceeds "
+                    f"{GOOD_SAMPLING_MARGIN}: sampling will be felt",
+                    style="yellow",
+                )
+        yield Text(
+            "ok: certified at this mu, on a fine grid, for the unsampled loop without floor or "
+            "cap; a loop may well be stable without. rho = m ki / (kp kd); T kd: T kd lam / m, "
+            "without a unit; lam = n^mu up to norm 2; settles [s]: an error of error_scale to a "
+            f"hundredth, at the latest; inertia m [{self._unit_of_inertia()}].",
+            style="dim",
+        )
+
+    def _unit_of_inertia(self) -> str:
+        unit = unit_over("kg m^2", (name in self._slides for name in self._verdicts))
+        slides = [name for name in self._verdicts if name in self._slides]
+        return unit if "," not in unit else f"kg m^2; kg: {', '.join(slides)}"
+
+
+def _cells(verdict: GainVerdict) -> list[str]:
+    low, high = verdict.inertia
+    interval = "none"
+    if verdict.interval is not None:
+        interval = f"{verdict.interval[0]:+.3f} {verdict.interval[1]:+.3f}"
+    least, largest = verdict.multipliers
+    return [
+        f"{verdict.degree:+.3f}" if verdict.law == "hpid" else "PID",
+        interval,
+        f"{verdict.integral_ratio:.3f}",
+        f"{verdict.sampling_margin:.3f}",
+        "1" if least == largest == 1.0 else f"{least:.2f} {largest:.2f}",
+        "-" if verdict.settling_bound is None else f"{verdict.settling_bound:.3g}",
+        f"{low:.3g}" if low == high else f"{low:.3g} {high:.3g}",
+    ]
+
+
+def _verdict(verdict: GainVerdict) -> Text:
+    if verdict.is_certified:
+        return Text("yes", style="green")
+    return Text("NO", style="red")
+
+
+_GIVEN = {
+    "p": "gains.p",
+    "i": "gains.i",
+    "d": "gains.d",
+    "mu": "mu",
+    "norm": "norm.type",
+    "error_scale": "norm.error_scale",
+    "rate_weight": "norm.rate_weight",
+    "period": "control_period",
+}
+
+
+def add(commands: Any) -> None:
+    """Add the command to the parser."""
+    parser = commands.add_parser(
+        "check-gains",
+        description="Check gains given as options, in a controller parameter file or experiment, "
+        "or of the controllers that are running. Exit code 0 only if every joint is certified.",
+    )
+    parser.add_argument(
+        "file",
+        nargs="?",
+        type=Path,
+        metavar="FILE",
+        help="parameter file, experiment, or certificates.json of a result, to verify",
+    )
+    parser.add_argument("--live", action="store_true", help="of all running joint controllers")
+    for name, parameter in _GIVEN.items():
+        kind = str if name == "norm" else float
+        parser.add_argument(f"--{name.replace('_', '-')}", type=kind, help=f"as {parameter}")
+    add_robot_options(parser)
+    parser.add_argument("--json", action="store_true", help="everything, with the certificates")
+    parser.set_defaults(command=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Check the gains and print the verdicts."""
+    from hpid_ros.base.console import TextConsole
+    from hpid_ros.cli.options import joint_progress
+    from hpid_ros.cli.terminal import output_console
+    from hpid_ros.stability.gain_check import check_gains, saved_certificates
+
+    if options.file:
+        saved = saved_certificates(options.file)
+        if saved:
+            return _verify(saved, options.json)
+    file = _loops(options)
+    loops = file.loops
+    judged = judged_loops(options, file)
+    with joint_progress(TextConsole(stderr=True), "certified", len(judged)) as tell:
+        verdicts = check_gains(judged, tell)
+    by_name = dict(zip(map(shown_name, loops), verdicts, strict=True))
+    if options.json:
+        print(json.dumps({name: each.as_mapping() for name, each in by_name.items()}, indent=2))
+    else:
+        found = loop_file(options.file) if options.file else None
+        slides = sliding_joints(options, found and found.experiment)
+        sliding = [
+            name
+            for name, settings in zip(by_name, loops.values(), strict=True)
+            if settings.joint in slides
+        ]
+        output_console().print(GainTable(by_name, sliding))
+    settling = _settling(options, loops)
+    if not options.json:
+        for finding in settling:
+            print(finding.text)
+    is_settling = all(each.is_settling for each in settling)
+    return DONE if is_settling and all(each.is_certified for each in verdicts) else FAILED
+
+
+def _settling(options: argparse.Namespace, loops: Mapping[str, LoopSettings]) -> list[Settling]:
+    """Find whether decoupled joints that use each other's last efforts settle."""
+    decoupled = [each for each in loops.values() if each.model.is_decoupling]
+    if not decoupled:
+        return []
+    from hpid_ros.robot.coupling import settling_of
+
+    is_experiment = options.file and any(" " in name for name in loops)  # LABEL JOINT
+    source = options.urdf or (str(options.file) if is_experiment else "")
+    if not source and not all(each.model.description for each in decoupled):
+        if not options.json:
+            print("whether decoupled joints settle is not known without the robot: give --urdf")
+        return []
+    return settling_of(decoupled, load_robot(source).source if source else "")
+
+
+def _verify(saved: Mapping[str, Mapping[str, Any]], as_json: bool) -> int:
+    """Check saved certificates anew, each on its own."""
+    from hpid_ros.stability.gain_check import verify
+
+    findings = {name: verify(each) for name, each in saved.items()}
+    if as_json:
+        print(json.dumps({name: each._asdict() for name, each in findings.items()}, indent=2))
+    else:
+        for name, each in findings.items():
+            print(f"{name}: {each.text}")
+    return DONE if all(each.holds for each in findings.values()) else FAILED
+
+
+def _loops(options: argparse.Namespace) -> ParameterFile:
+    """Return the loops to check by the name to show them under, and inertias by joint."""
+    from hpid_ros.control.controller_files import ParameterFile
+
+    given = {
+        parameter: getattr(options, name)
+        for name, parameter in _GIVEN.items()
+        if getattr(options, name) is not None
+    }
+    sources = [bool(options.file), options.live, bool(given)]
+    if sum(sources) != 1:
+        raise SettingError(
+            "check-gains needs one source: a FILE, --live, or gains given as --p --i --d"
+        )
+    if options.live:
+        from hpid_ros.live.controllers import running_loops
+
+        return ParameterFile(running_loops(), {})
+    if options.file:
+        return named_loops(loop_file(options.file))
+    from hpid_ros.control.settings import LoopSettings
+
+    missing = [f"--{name}" for name in "pid" if getattr(options, name) is None]
+    if missing:
+        raise SettingError(f"gains given as options lack {', '.join(missing)}")
+    law = "hpid" if options.mu is not None else "pid"
+    loop = LoopSettings.from_parameters({"joint": "joint", "law": law, **given})
+    return ParameterFile({"joint": loop}, {})

@@ -1,0 +1,290 @@
+"""``hpid excite``: a safe motion of running joints that tells what they are, recorded."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hpid_ros.base.errors import ResultExistsError, SettingError
+from hpid_ros.base.files import refuse_output, write_file
+from hpid_ros.cli.commands import DONE, FAILED, INTERRUPTED
+from hpid_ros.cli.options import add_joints, add_robot_options, inertias_from
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from hpid_ros.live.controllers import Ending, RunningController, RunningGraph, Tell
+    from hpid_ros.motion.excitation import ExcitationPlan
+
+
+def agreed(question: str, *, is_given: bool, option: str = "--yes") -> bool:
+    """Ask a person, and return whether the answer is yes."""
+    if is_given:
+        return True
+    if not sys.stdin.isatty():
+        raise SettingError(f"there is no terminal to ask at: {option} answers yes")
+    print(f"{question}? [y/N] ", end="", flush=True)
+    return sys.stdin.readline().strip().lower() in ("y", "yes")
+
+
+_FORMATS = (".png", ".pdf", ".svg")
+_KINDS = ("multisine", "steps")
+
+
+def add(commands: Any) -> None:
+    """Add the command to the parser."""
+    parser = commands.add_parser(
+        "excite",
+        description="Move joints of a running robot, by sums of sines or steps within shares of "
+        "their limits, through the controllers that run, and record it. It asks before anything "
+        "moves. At any limit, when a controller, the states or the recorder are silent, when "
+        "somebody else sends a trajectory, and at Ctrl-C the joints come to rest, and their "
+        "controllers hold them. Watch the robot, with a hand at its emergency stop: it knows "
+        "neither its surroundings nor itself.",
+    )
+    add_joints(parser, "only this joint (all that run); may be given several times")
+    parser.add_argument("--kind", choices=_KINDS, default=_KINDS[0], help="(multisine)")
+    parser.add_argument(
+        "--together", action="store_true", help="all joints at once, not one after the other"
+    )
+    parser.add_argument(
+        "--duration", type=float, default=20.0, metavar="S", help="of each joint (20)"
+    )
+    parser.add_argument(
+        "--frequencies",
+        type=float,
+        nargs=2,
+        default=(0.1, 2.5),
+        metavar=("LOW", "HIGH"),
+        help="of the sines in Hz (0.1 2.5)",
+    )
+    parser.add_argument(
+        "--share",
+        type=float,
+        default=0.5,
+        help="of what is left of each limit of position and effort, and of the velocity limit "
+        "(0.5)",
+    )
+    parser.add_argument(
+        "--amplitude", type=float, default=0.5, metavar="A", help="at most, in rad or m (0.5)"
+    )
+    parser.add_argument("--velocity", type=float, metavar="V", help="at most, in rad/s or m/s")
+    parser.add_argument(
+        "--acceleration", type=float, metavar="A", help="at most, in rad/s^2 or m/s^2"
+    )
+    parser.add_argument(
+        "--tolerance",
+        type=float,
+        default=0.0,
+        metavar="E",
+        help="stop a joint that is further from its reference, in rad or m (half its amplitude)",
+    )
+    parser.add_argument("--seed", type=int, default=0, help="of the sines' phases (0)")
+    add_robot_options(parser)
+    parser.add_argument("--namespace", metavar="NS", help="only controllers below this namespace")
+    parser.add_argument(
+        "--states", default="joint_states", metavar="TOPIC", help="of the states (joint_states)"
+    )
+    parser.add_argument(
+        "-o", "--output", type=Path, metavar="BAG", help="new folder (excitation-TIME)"
+    )
+    parser.add_argument(
+        "--plot", type=Path, metavar="FILE", help="draw the plan: .png, .pdf or .svg"
+    )
+    parser.add_argument("--force", action="store_true", help="replace the file of --plot")
+    parser.add_argument(
+        "--dry-run", action="store_true", help="show what would be done, and do nothing"
+    )
+    parser.add_argument("--yes", action="store_true", help="move without asking")
+    parser.set_defaults(command=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Plan, show, ask, excite."""
+    from hpid_ros.cli.terminal import output_console
+    from hpid_ros.live.controllers import running_graph
+    from hpid_ros.live.motion import chosen
+
+    bag = _bag(options)
+    graph = running_graph(options.states, options.namespace)
+    controllers = chosen(graph, options.joint)
+    planned = _plan(options, controllers)
+    console = output_console()
+    _show(console, planned, are_together=options.together)
+    if options.plot is not None:
+        _draw(options.plot, planned)
+        console.print(f"written: {options.plot}", soft_wrap=True)
+    if options.dry_run:
+        return DONE
+    count = len(planned.joints)
+    noun = planned.names[0] if count == 1 else f"{count} joints"
+    if not agreed(f"Move {noun} for {planned.duration:.0f} s now", is_given=options.yes):
+        console.print("nothing was moved")
+        return FAILED
+    ending = _excite(console, planned, controllers, graph, bag, options.states)
+    code = _told(console, bag, ending)
+    if code == DONE:
+        _advise(console, bag, planned, options)
+    return code
+
+
+def _bag(options: argparse.Namespace) -> Path:
+    """Return where to record, after what cannot be is refused."""
+    if options.plot is not None:
+        if options.plot.suffix.lower() not in _FORMATS:
+            names = ", ".join(_FORMATS)
+            raise SettingError(f"--plot must end in {names}, not {options.plot.name!r}")
+        refuse_output(options.plot, force=options.force, inputs=(), option="--plot")
+    bag: Path = options.output or Path(f"excitation-{datetime.now():%Y%m%d-%H%M%S}")
+    if bag.exists() and not options.dry_run:
+        raise ResultExistsError(f"{bag} exists; name a new folder with -o")
+    return bag
+
+
+def _plan(options: argparse.Namespace, controllers: Sequence[RunningController]) -> ExcitationPlan:
+    from hpid_ros.live.motion import bounds_of
+    from hpid_ros.motion.excitation import Design, Wish, plan
+
+    names = [each.settings.joint for each in controllers]
+    pose = {
+        each.settings.joint: each.position for each in controllers if each.position is not None
+    }
+    inertias = inertias_from(options, names, [pose])
+    bounds = [
+        bounds_of(each, inertias[name][1] if name in inertias else None)
+        for name, each in zip(names, controllers, strict=True)
+    ]
+    given = {"velocity": options.velocity, "acceleration": options.acceleration}
+    wish = Wish(
+        options.share,
+        options.amplitude,
+        **{name: value for name, value in given.items() if value is not None},
+    )
+    design = Design(
+        kind=options.kind,
+        duration=options.duration,
+        band=tuple(options.frequencies),
+        are_together=options.together,
+        tolerance=options.tolerance,
+        seed=options.seed,
+    )
+    return plan(bounds, wish, design)
+
+
+def _show(console: Console, planned: ExcitationPlan, *, are_together: bool) -> None:
+    from hpid_ros.report.table import TableColumn, WideTable
+
+    joints = planned.joints
+    columns = {
+        "from": [f"{each.bounds.position:.3f}" for each in joints],
+        "+-": [f"{each.peaks.position:.3g}" for each in joints],
+        "room": [f"{_room(each.bounds):.3g}" for each in joints],
+        "speed": [f"{each.peaks.velocity:.3g}" for each in joints],
+        "limit": [f"{each.bounds.velocity:.3g}" for each in joints],
+        "accel.": [f"{each.peaks.acceleration:.3g}" for each in joints],
+        "effort": [f"{each.effort:.3g}" for each in joints],
+        "load": [f"{each.bounds.load:.2g}" for each in joints],
+        "limits": ["{:.3g} {:.3g}".format(*each.bounds.efforts) for each in joints],
+        "off": [f"{each.tolerance:.3g}" for each in joints],
+        "when": [f"{each.begin:.0f} {each.end:.0f}" for each in joints],
+    }
+    console.print(
+        WideTable(
+            [TableColumn("joint", planned.names, is_text=True)],
+            [TableColumn(heading, cells) for heading, cells in columns.items()],
+        )
+    )
+    console.print()
+    console.print(
+        "From where it is, by at most +- within the room to its stops, each in rad; speed and its "
+        "limit in rad/s; accel. in rad/s^2; effort for it beside the load, and the limits, in N m "
+        "(of joints that slide in m and N). Stopped when further than off from its reference, at "
+        f"a limit, or above twice its speed. {'Together' if are_together else 'One by one'}, "
+        "when in s.",
+        style="dim",
+    )
+    for each in joints:
+        for note in each.notes:
+            console.print(f"{each.bounds.joint}: {note}", style="yellow", soft_wrap=True)
+
+
+def _room(bounds: Any) -> float:
+    return float(min(bounds.upper - bounds.position, bounds.position - bounds.lower))
+
+
+def _draw(path: Path, planned: ExcitationPlan) -> None:
+    from hpid_ros.tuning.identification_report import excitation_figure, saved
+
+    try:
+        write_file(path, saved(excitation_figure(planned), path.suffix.lower()[1:]))
+    except OSError as error:
+        raise SettingError(f"cannot write {path}: {error.strerror}") from None
+
+
+def _excite(
+    console: Console,
+    planned: ExcitationPlan,
+    controllers: Sequence[RunningController],
+    graph: RunningGraph,
+    bag: Path,
+    states: str,
+) -> Ending:
+    from hpid_ros.live.motion import carry_out
+
+    with _progress(console, planned) as tell:
+        return carry_out(planned, controllers, graph, bag, states, tell)
+
+
+@contextmanager
+def _progress(console: Console, planned: ExcitationPlan) -> Iterator[Tell]:
+    from rich.progress import BarColumn, Progress, TextColumn
+
+    columns = (
+        TextColumn("{task.fields[doing]}"),
+        BarColumn(bar_width=24),
+        TextColumn("{task.fields[seconds]} s, Ctrl-C stops"),
+    )
+    with Progress(*columns, console=console, disable=not console.is_terminal) as shown:
+        task = shown.add_task("", total=planned.duration, doing="getting ready", seconds="0.0")
+
+        def told(event: str, seconds: float) -> None:
+            moving = [
+                each.bounds.joint for each in planned.joints if each.begin <= seconds <= each.end
+            ]
+            doing = moving[0] if len(moving) == 1 else f"{len(moving)} joints"
+            shown.update(task, completed=seconds, doing=doing, seconds=f"{seconds:.1f}")
+
+        yield told
+
+
+def _told(console: Console, bag: Path, ending: Ending) -> int:
+    if ending.reason:
+        console.print(f"stopped: {ending.reason}", style="red", soft_wrap=True)
+        if ending.is_at_rest:
+            console.print("the joints are at rest; controllers that run hold them")
+        else:
+            console.print("nobody has seen the joints come to rest", style="red")
+    console.print(f"recorded: {bag}", soft_wrap=True)
+    if ending.is_interrupted:
+        return INTERRUPTED
+    return FAILED if ending.reason else DONE
+
+
+def _advise(
+    console: Console,
+    bag: Path,
+    planned: ExcitationPlan,
+    options: argparse.Namespace,
+) -> None:
+    """Say what to do with the bag."""
+    one_by_one = len(planned.joints) > 1 and not options.together
+    urdf = options.urdf or ("MY.urdf" if len(planned.joints) > 1 else "")
+    flag = f" --urdf {urdf}" if urdf else ""
+    console.print(f"next: hpid identify {bag}{flag}", soft_wrap=True)
+    if one_by_one and not options.urdf:
+        console.print(f"or, without a URDF: hpid identify {bag}", soft_wrap=True)

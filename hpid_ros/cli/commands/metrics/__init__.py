@@ -1,1 +1,0 @@
-"""``hpid metrics``: the indices of recordings, alone or compared."""

@@ -1,0 +1,166 @@
+"""``hpid render``: the robot as it moved under each controller, side by side, as an animation."""
+
+from __future__ import annotations
+
+import argparse
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hpid_ros.base.errors import ExperimentError, SettingError
+from hpid_ros.base.files import refuse_output, write_file
+from hpid_ros.cli.commands import DONE
+
+if TYPE_CHECKING:
+    from hpid_ros.report.film import FilmSettings
+
+
+_EXAMPLES = """\
+examples:
+  hpid render results/mine                      animation.webp in that folder
+  hpid render results/mine --report             and in its report.html
+  hpid render results/mine -o arm.gif --size 480x300 --fps 10
+  hpid render results/mine --from 3 --to 4 --speed 0.2 --joint arm_joint_4
+  hpid render results/mine --at 3.3 -o arm.png  one picture
+
+The suffix of FILE is the format: .webp (small), .gif, .png (lossless, moving
+with several pictures); of one picture also .jpg.
+"""
+_SIZE = re.compile(r"(\d{1,5})x(\d{1,5})")
+
+
+def add(commands: Any) -> None:
+    """Add the command to the parser."""
+    parser = commands.add_parser(
+        "render",
+        description="Draw the robot of a result as it was recorded, under each controller side\n"
+        "by side, above the error over time; green is where the references are.",
+        epilog=_EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument(
+        "result", type=Path, metavar="RESULT", help="folder of hpid compare or run"
+    )
+    parser.add_argument(
+        "-o", "--output", type=Path, metavar="FILE", help="(animation.webp in RESULT)"
+    )
+    parser.add_argument("--size", default="720x450", metavar="WxH", help="in pixels (720x450)")
+    parser.add_argument(
+        "--fps", type=float, default=12.5, metavar="N", help="pictures in a second (12.5)"
+    )
+    parser.add_argument(
+        "--from",
+        dest="start",
+        type=float,
+        default=0.0,
+        metavar="S",
+        help="first instant, in s (0)",
+    )
+    parser.add_argument("--to", type=float, metavar="S", help="last instant, in s (the end)")
+    parser.add_argument("--at", type=float, metavar="S", help="one picture, of this instant in s")
+    parser.add_argument(
+        "--speed",
+        type=float,
+        metavar="X",
+        help="seconds shown in one (1, or more for runs of more than 10 s)",
+    )
+    parser.add_argument(
+        "--joint", metavar="NAME", help="draw its position, not the error's norm over all joints"
+    )
+    parser.add_argument(
+        "--controller",
+        action="append",
+        default=[],
+        metavar="LABEL",
+        help="show this run; may be repeated (all, at most 4)",
+    )
+    parser.add_argument(
+        "--view",
+        type=float,
+        nargs=2,
+        default=(-50.0, 16.0),
+        metavar=("AZIMUTH", "ELEVATION"),
+        help="where the camera stands, in degrees (-50 16)",
+    )
+    parser.add_argument(
+        "--engine",
+        metavar="ENGINE",
+        help="who draws, pybullet or mujoco, which needs OpenGL but no screen (pybullet where it "
+        "is installed)",
+    )
+    parser.add_argument(
+        "--report", action="store_true", help="put the animation into RESULT's report.html, too"
+    )
+    parser.add_argument("--force", action="store_true", help="replace an existing file")
+    parser.set_defaults(command=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Draw the result and say where it is."""
+    from hpid_ros.cli.animations import ANIMATION, PICTURE, rendered, report_page, save_in_report
+    from hpid_ros.cli.terminal import output_console, print_result_places
+    from hpid_ros.experiment.result_folder import ResultFolder
+    from hpid_ros.report.film import encoded, require_suffix
+
+    settings = _settings(options)
+    is_still = options.at is not None
+    if is_still and options.report:
+        raise SettingError("--report takes an animation: leave out --at")
+    result: Path = options.result
+    own = result / (PICTURE if is_still else ANIMATION)
+    target: Path = options.output or own
+    require_suffix(target, is_still=is_still)
+    refuse_output(target, force=options.force, inputs=(), option="-o")
+    if options.report:
+        report_page(result)  # before it is drawn, which takes a while
+    console = output_console()
+    film = rendered(console, result, options.controller, settings)
+    content = encoded(film, target.suffix)
+    if options.output is None or options.report:
+        with ResultFolder.reopen(result) as folder:
+            if options.output is None:
+                folder.write(own.name, content)
+            if options.report:
+                save_in_report(folder, film)
+    if options.output is not None:
+        _write(target, content)
+    count = len(film.frames)
+    what = "1 picture" if count == 1 else f"{count} pictures"
+    console.print(f"{what}, {len(content) / 1e6:.2f} MB", highlight=False)
+    places = {"written": target}
+    print_result_places(
+        console, places | ({"report": result / "report.html"} if options.report else {})
+    )
+    return DONE
+
+
+def _settings(options: argparse.Namespace) -> FilmSettings:
+    """Return what the options say."""
+    from hpid_ros.report.film import FilmSettings
+
+    size = _SIZE.fullmatch(options.size)
+    if size is None:
+        raise SettingError(f"--size {options.size!r} must be WIDTHxHEIGHT, for instance 720x450")
+    if options.at is not None and (options.to is not None or options.start):
+        raise SettingError("--at is one instant: leave out --from and --to")
+    azimuth, elevation = options.view
+    return FilmSettings(
+        width=int(size[1]),
+        height=int(size[2]),
+        fps=options.fps,
+        start=options.start if options.at is None else options.at,
+        end=options.to if options.at is None else options.at,
+        speed=options.speed,
+        joint=options.joint,
+        engine=options.engine,
+        azimuth=azimuth,
+        elevation=elevation,
+    )
+
+
+def _write(path: Path, content: bytes) -> None:
+    try:
+        write_file(path, content)
+    except OSError as error:
+        reason = (error.strerror or str(error)).lower()
+        raise ExperimentError(f"cannot write {path}: {reason}") from None

@@ -1,0 +1,156 @@
+"""``hpid replay``: whether every recorded command is what the law answers."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hpid_ros.cli.commands import DONE, FAILED
+from hpid_ros.cli.options import add_joints
+
+if TYPE_CHECKING:
+    from hpid_ros.tuning.replay import Difference, JointVerdict
+
+
+_EXAMPLES = """\
+examples:
+  hpid replay results/mine/bags/hPID    a bag of hpid compare or hpid run
+  hpid replay my_bag --params controllers.yaml
+                                        a bag of ros2 bag record; the file is
+                                        what the controllers were started with
+
+A bag must hold the states, the commands with the stamps of the states that they
+answer (joint_commands), and what the controllers were told: joint_trajectory,
+~/setpoint, and /parameter_events if anything was retuned.
+
+Exit codes: 0 every command is the law's, 1 one is not, 2 the input cannot be
+used.
+"""
+_SHOWN = 5
+
+
+def add(commands: Any) -> None:
+    """Add the command to the parser."""
+    parser = commands.add_parser(
+        "replay",
+        description="Feed the recorded states, references and parameter changes to the same\n"
+        "control loops, and say whether every command is theirs, or where and how it\n"
+        "is not.",
+        epilog=_EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("bag", type=Path, metavar="BAG", help="a bag folder, or one file of it")
+    parser.add_argument(
+        "--params",
+        type=Path,
+        metavar="FILE",
+        help="parameter file of the controllers as they were started; those in the bag if not "
+        "given",
+    )
+    add_joints(parser, "a joint to compute anew; may be repeated (all)")
+    parser.add_argument("--namespace", help="only topics below this namespace")
+    parser.add_argument(
+        "--states",
+        action="append",
+        metavar="TOPIC",
+        help="topic of the states; once for each topic of one robot",
+    )
+    parser.add_argument("--commands", metavar="TOPIC", help="topic of the commands")
+    parser.set_defaults(command=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Replay a bag, and say what came of it."""
+    from hpid_ros.base.console import TextConsole
+    from hpid_ros.base.processes import raise_if_interrupted
+    from hpid_ros.cli.options import joint_progress
+    from hpid_ros.cli.terminal import output_console
+    from hpid_ros.messages.selection import BagSelection
+    from hpid_ros.tuning.replay import replay_joint
+    from hpid_ros.tuning.replay_reading import read_records
+
+    selection = BagSelection(
+        namespace=options.namespace, states=options.states, commands=options.commands
+    )
+    records, unreadable = read_records(
+        options.bag,
+        options.params,
+        options.joint or None,
+        selection,
+        lambda share: raise_if_interrupted(),
+    )
+    verdicts = []
+    with joint_progress(TextConsole(stderr=True), "computed anew", len(records)) as tell:
+        for record in records:
+            verdicts.append(replay_joint(record))
+            tell([record.settings.joint])
+            raise_if_interrupted()
+    console = output_console()
+    for line in unreadable:
+        console.print(f"not read: {line}", soft_wrap=True, markup=False, highlight=False)
+    for verdict in verdicts:
+        for line in _told(verdict):
+            console.print(line, soft_wrap=True, markup=False, highlight=False)
+    console.print(_summary(verdicts), soft_wrap=True, markup=False, highlight=False)
+    return DONE if all(each.is_the_law for each in verdicts) else FAILED
+
+
+def _told(verdict: JointVerdict) -> Iterator[str]:
+    """Yield what a person wants to know of one joint."""
+    whole = verdict.equal + verdict.different
+    if not whole:
+        yield f"{verdict.joint}: no command answers a state of the recording"
+    elif verdict.is_untold:
+        yield (
+            f"{verdict.joint}: {_count(whole)} commands, of which nothing can be told: its "
+            "controller ran before the recording began, and what it remembered is not in the bag"
+        )
+        return
+    elif verdict.different:
+        yield f"{verdict.joint}: {_count(verdict.different)} of {_count(whole)} commands differ"
+    else:
+        yield f"{verdict.joint}: {_count(whole)} commands, every one the law's"
+    for each in verdict.differences[:_SHOWN]:
+        yield f"  {_difference(each, 'N' if verdict.is_slide else 'N m')}"
+    if len(verdict.differences) > _SHOWN:
+        yield f"  and later {len(verdict.differences) - _SHOWN} times more"
+    beside = {
+        "states without an answer": verdict.unanswered,
+        "commands that answer a state which was not recorded": verdict.without_state,
+        "commands before the first state or after the last": verdict.outside,
+        "commands by another sender": verdict.foreign,
+    }
+    yield from (f"  {_count(count)} {what}" for what, count in beside.items() if count)
+    if verdict.foreign:
+        yield f"  senders: {', '.join(verdict.senders)}"
+    if verdict.fallbacks:
+        yield f"  {_count(verdict.fallbacks)} fallback or last efforts that answer no state"
+    for note in verdict.notes:
+        yield f"  assumed: {note}"
+
+
+def _difference(each: Difference, unit: str) -> str:
+    span = f"at {each.time:.3f} s"
+    if each.commands > 1:
+        length = (each.last_ns - each.stamp_ns) * 1e-9
+        span = f"from {each.time:.3f} s for {length:.3f} s, {_count(each.commands)} commands"
+    text = f"{span}: {each.recorded!r} {unit} was sent, the law answers {each.computed!r} {unit}"
+    return f"{text} ({each.reason})" if each.reason else text
+
+
+def _summary(verdicts: Sequence[JointVerdict]) -> str:
+    whole = sum(each.equal + each.different for each in verdicts)
+    equal = sum(each.equal for each in verdicts)
+    if all(each.is_the_law for each in verdicts):
+        return f"every one of {_count(whole)} commands is the law's, to the last bit"
+    untold = sum(each.different for each in verdicts if each.is_untold)
+    if untold == whole:
+        return "nothing can be told: begin to record before the controllers do"
+    beside = f", {_count(untold)} cannot be told" if untold else ""
+    return f"{_count(equal)} of {_count(whole)} commands are the law's{beside}"
+
+
+def _count(number: int) -> str:
+    return f"{number:,}".replace(",", " ")

@@ -1,1 +1,0 @@
-"""The subcommands that choose and judge gains."""

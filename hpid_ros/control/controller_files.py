@@ -1,0 +1,203 @@
+"""Controller settings as they stand in ROS parameter files, experiments and dumps."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, NamedTuple, Protocol
+
+from hpid_ros.base.errors import HpidError, SettingError, unknown_name
+from hpid_ros.base.names import ANYWHERE, NODE_PARAMETERS, node_sections
+from hpid_ros.base.yaml_files import load_yaml
+from hpid_ros.control.parameters import LOOP_PARAMETERS, PARAMETERS
+from hpid_ros.control.settings import LoopSettings
+
+
+class DescribedJoint(Protocol):
+    """A joint as a robot's description has it: limits, and whether it turns without end."""
+
+    @property
+    def type(self) -> str:
+        """As in URDF."""
+
+    @property
+    def effort(self) -> float:
+        """Largest absolute effort in [N m]."""
+
+    @property
+    def lower(self) -> float:
+        """Lowest position in [rad]."""
+
+    @property
+    def upper(self) -> float:
+        """Highest position in [rad]."""
+
+    @property
+    def velocity(self) -> float:
+        """Largest absolute velocity in [rad/s]; not positive where there is none."""
+
+    @property
+    def damping(self) -> float:
+        """Viscous friction in [N m s/rad]."""
+
+    @property
+    def friction(self) -> float:
+        """Coulomb friction in [N m]."""
+
+
+@dataclass(frozen=True)
+class RobotLimits:
+    """What the robot's description allows a joint; it holds beside the parameters."""
+
+    effort: float = math.inf  # [N m] largest absolute effort
+    lower: float = -math.inf  # [rad] lowest position
+    upper: float = math.inf  # [rad] highest position
+    velocity: float = math.inf  # [rad/s] largest absolute velocity
+    damping: float = 0.0  # [N m s/rad] its viscous friction
+    friction: float = 0.0  # [N m] its Coulomb friction
+    is_continuous: bool = False  # whether the joint turns without end
+    is_slide: bool = False  # whether it slides: "rad" reads "m" then, and "N m" reads "N"
+
+    @classmethod
+    def of(cls, joint: DescribedJoint) -> RobotLimits:
+        """Return those of a joint. A velocity of 0 is none, as many URDFs write it."""
+        velocity = joint.velocity if joint.velocity > 0.0 else math.inf
+        return cls(
+            joint.effort,
+            joint.lower,
+            joint.upper,
+            velocity,
+            joint.damping,
+            joint.friction,
+            is_continuous=joint.type == "continuous",
+            is_slide=joint.type == "prismatic",
+        )
+
+    def within(self, settings: LoopSettings) -> LoopSettings:
+        """Return the settings within these limits."""
+        effort, motion, encoder = settings.effort, settings.motion, settings.encoder
+        ahead = settings.feedforward
+        wraps = self.is_continuous and encoder.wrap < 0.0
+        return replace(
+            settings,
+            effort=replace(
+                effort,
+                u_clamp_max=max(min(effort.u_clamp_max, self.effort), -self.effort),
+                u_clamp_min=min(max(effort.u_clamp_min, -self.effort), self.effort),
+            ),
+            motion=replace(
+                motion,
+                position_max=min(motion.position_max, self.upper),
+                position_min=max(motion.position_min, self.lower),
+                velocity_max=min(motion.velocity_max, self.velocity),
+            ),
+            encoder=replace(encoder, wrap=math.tau if wraps else encoder.wrap),
+            feedforward=replace(
+                ahead,
+                viscous_friction=_or_described(ahead.viscous_friction, self.damping),
+                coulomb_friction=_or_described(ahead.coulomb_friction, self.friction),
+            ),
+        )
+
+
+def _or_described(friction: float, described: float) -> float:
+    return described if friction < 0.0 else friction
+
+
+INERTIA_RANGES = "inertia_ranges"
+"""Section of a parameter file with the least and the largest inertia of joints."""
+
+
+class ParameterFile(NamedTuple):
+    """What a ROS parameter file says of joint controllers."""
+
+    loops: dict[str, LoopSettings]  # settings by node name, in the order of the file
+    # [kg m^2] least and largest inertia by joint, of those that it knows
+    inertias: dict[str, tuple[float, float]]
+
+
+def parameter_file(path: Path) -> ParameterFile:
+    """Read a parameter file."""
+    return parameters_from(load_yaml(path, SettingError), str(path))
+
+
+def parameters_from(document: object, where: str) -> ParameterFile:
+    """Return what the content of a parameter file says."""
+    return ParameterFile(
+        settings_from_parameters(document, where), _inertia_ranges(document, where)
+    )
+
+
+def settings_from_parameter_file(path: Path) -> dict[str, LoopSettings]:
+    """Return the settings of every joint controller in a ROS parameter file."""
+    return parameter_file(path).loops
+
+
+def settings_from_parameters(document: object, where: str) -> dict[str, LoopSettings]:
+    """Return the settings of every joint controller in the content of a parameter file."""
+    if not isinstance(document, Mapping):
+        raise SettingError(f"{where} is no ROS parameter file: it must map node names")
+    for name, node in document.items():
+        if not node_sections({name: node}):
+            raise SettingError(f"{where}: {name} has no mapping ros__parameters")
+    nodes = {_short(name): _flat(own) for name, own in node_sections(document).items()}
+    everywhere = nodes.pop("/**", {})
+    found = {}
+    for name, own in nodes.items():
+        values = {**everywhere, **own}
+        if "joint" in values:
+            found[name] = _settings(values, f"{where}: {name}")
+    if not found:
+        raise SettingError(
+            f"{where} has no joint controller: no node in it has the parameter joint "
+            f"(nodes: {', '.join(nodes) or 'none'})"
+        )
+    return found
+
+
+def _short(name: str) -> str:
+    """Return a node's name as people know it: its namespace only where it has a certain one."""
+    base = name.removeprefix(ANYWHERE).removeprefix("/")
+    return name if "/" in base or "*" in base else base
+
+
+def _inertia_ranges(document: object, where: str) -> dict[str, tuple[float, float]]:
+    ranges: dict[str, tuple[float, float]] = {}
+    for name, own in node_sections(document).items():
+        if name.rsplit("/", 1)[-1] != INERTIA_RANGES:
+            continue
+        for joint, value in _flat(own).items():
+            is_pair = isinstance(value, list) and len(value) == 2
+            if not is_pair or not all(isinstance(x, float | int) for x in value):
+                raise SettingError(
+                    f"{where}: {INERTIA_RANGES} of {joint!r} must be its least and largest "
+                    f"inertia, not {value!r}"
+                )
+            ranges[joint] = (float(value[0]), float(value[1]))
+    return ranges
+
+
+def _flat(parameters: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    flat: dict[str, Any] = {}
+    for key, value in parameters.items():
+        name = f"{prefix}{key}"
+        if isinstance(value, Mapping):
+            flat.update(_flat(value, f"{name}."))
+        else:
+            flat[name] = value
+    return flat
+
+
+def _settings(values: Mapping[str, Any], where: str) -> LoopSettings:
+    loop = {}
+    for name, value in values.items():
+        if name in PARAMETERS:
+            loop[name] = value
+        elif name.split(".")[0] not in NODE_PARAMETERS:
+            raise SettingError(f"{where}: {unknown_name('parameter', name, LOOP_PARAMETERS)}")
+    try:
+        return LoopSettings.from_parameters(loop)
+    except HpidError as error:
+        raise SettingError(f"{where}: {error}") from None

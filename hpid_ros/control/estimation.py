@@ -1,0 +1,195 @@
+"""Position and velocity that a loop uses, from its velocity source or an observer."""
+
+from __future__ import annotations
+
+from copy import deepcopy
+
+from hpid_ros.control.assembly import make_velocity_source, observer_figures
+from hpid_ros.control.limited_law import LimitedLaw, ModelTerm
+from hpid_ros.control.settings import LoopSettings
+from hpid_ros.control.velocity import FilteredVelocity, MeasuredVelocity, Observer, VelocitySource
+
+_NO_MODEL = ModelTerm(1.0, 0.0)
+
+MOVED_AT_ZERO = 0.05
+"""A joint that has come so far without a velocity has a driver that measures none, in [rad]."""
+
+
+class Estimation:
+    """What a loop takes for the joint's position and velocity.
+
+    That is the measured position and the velocity of a source, or both by an observer, which hears
+    the efforts that are sent and may have the disturbance that it estimates fed forward.
+    """
+
+    __slots__ = (
+        "_fed",
+        "_law",
+        "_observer",
+        "_off",
+        "_off_for",
+        "_settings",
+        "_source",
+        "position",
+        "velocity",
+    )
+
+    def __init__(self, settings: LoopSettings, law: LimitedLaw) -> None:
+        self._law = law
+        self._settings = settings
+        self._use_source()
+        self.reset()
+
+    def _use_source(self) -> None:
+        figures = observer_figures(self._settings)
+        self._observer: Observer | None = None
+        self._source: VelocitySource
+        if figures is not None:
+            self._source = self._observer = Observer(figures)
+        else:
+            self._source = make_velocity_source(self._settings.velocity)
+
+    def reset(self) -> None:
+        """Forget the past."""
+        self._source.reset()
+        self.position = self.velocity = 0.0
+        self._off = self._off_for = 0.0  # of an observer that was left: a distance and a duration
+        self._fed = 0.0  # effort of the last sample against the observer's disturbance, in [N m]
+
+    def restart(self) -> None:
+        """Forget the past of the velocity, not the one of the efforts."""
+        self._source.reset()
+        self._off = 0.0
+
+    def retune(self, settings: LoopSettings, position: float | None) -> None:
+        """Go by other settings; what is estimated is carried over.
+
+        The law still has its former settings; :meth:`feed_anew` is to follow once it has these.
+        """
+        before, self._settings = self._settings, settings
+        figures = observer_figures(settings)
+        if figures is not None and self._observer is not None:
+            if figures != self._observer.figures:
+                self.send()
+                self._observer.retune(figures)
+        elif (
+            figures is not None
+            or self._observer is not None
+            or settings.velocity.in_use != before.velocity.in_use
+        ):
+            had_observer = self._observer is not None
+            self._use_source()
+            if position is not None:
+                self._go_on_from(position, had_observer=had_observer)
+
+    def _go_on_from(self, position: float, *, had_observer: bool) -> None:
+        """Let another source go on where the one before was; what was estimated off fades."""
+        if self._observer is not None:
+            self._off = 0.0
+            self.send()
+            self._source.take_over(self.position, self.velocity)
+            return
+        if had_observer:
+            self._off = self.position - position
+            self._off_for = self._settings.timing.takeover_time
+        self._source.take_over(position, self.velocity)
+
+    def feed_anew(self) -> None:
+        """Let the integral give what is fed forward no more, or take what is from now on."""
+        fed, observer = self._fed, self._observer
+        is_fed = observer is not None and self._settings.observer.feed_disturbance
+        self._fed = -self._law.gain * observer.effort if observer is not None and is_fed else 0.0
+        if fed != self._fed:
+            self._law.take_from_model(fed - self._fed)
+
+    def send(self) -> None:
+        """Tell the observer, if there is one, what acts on the joint from the last sample on."""
+        if self._observer is not None:
+            law = self._law
+            self._observer.send(law.driving_effort + self._fed / law.gain)
+
+    def coast(self, since: float) -> None:
+        """Let the observer, if there is one, go on under the effort sent, without a sample."""
+        if self._observer is not None:
+            self.send()
+            self._observer.coast(since)
+
+    def update(
+        self, position: float, velocity: float | None, dt: float, model: ModelTerm | None
+    ) -> ModelTerm | None:
+        """Take a sample."""
+        observer = self._observer
+        if observer is None:
+            self.position = position + self._fade(dt) if self._off else position
+            self.velocity = self._source.update(position, velocity, dt)
+            return model
+        self.send()
+        observer.update(position, None, dt)
+        self.position, self.velocity = observer.position, observer.velocity
+        if not self._settings.observer.feed_disturbance:
+            return model
+        alone = model or _NO_MODEL
+        self._fed = -alone.gain * observer.effort
+        return alone._replace(effort=alone.effort + self._fed)
+
+    def _fade(self, dt: float) -> float:
+        """Return what is left of the distance by which an observer was off, in [rad]."""
+        self._off *= max(self._off_for - dt, 0.0) / self._off_for if self._off_for else 0.0
+        self._off_for = max(self._off_for - dt, 0.0)
+        return self._off
+
+    def copy_of_source(self) -> VelocitySource:
+        """Return a copy of the velocity source with its past."""
+        return deepcopy(self._source)
+
+    def put_back(self, source: VelocitySource) -> None:
+        """Go on with a velocity source as it was."""
+        self._source = source
+        self._observer = source if isinstance(source, Observer) else None
+
+    def source_of_stop(self, position: float) -> VelocitySource:
+        """Return what tells the velocity to who takes the law's place."""
+        if self._observer is None:
+            return self._source
+        # It knows the efforts of the loop, not those of the stop.
+        source = FilteredVelocity(self._settings.velocity.filter_time_constant)
+        source.take_over(position, self.velocity)
+        return source
+
+    @property
+    def disturbed(self) -> tuple[float, float, float] | None:
+        """Position [rad], velocity [rad/s] and disturbing effort [N m] by the observer, if any."""
+        observer = self._observer
+        if observer is None:
+            return None
+        return observer.position, observer.velocity, self._law.gain * observer.effort
+
+    @property
+    def origin(self) -> str:
+        """Where the velocity of the last sample came from, in words."""
+        if isinstance(self._source, MeasuredVelocity) and not self._source.is_reported:
+            return "filtered, the states have none"
+        if self._lacks_inertia:
+            return "filtered, the inertia is unknown"
+        return self._settings.velocity.source
+
+    @property
+    def doubt(self) -> str:
+        """What speaks against the velocities of the states, in words; empty if nothing does."""
+        source = self._source
+        if isinstance(source, MeasuredVelocity) and source.moved_at_zero > MOVED_AT_ZERO:
+            return (
+                f"the velocities of the states are all 0, and the joint has moved by "
+                f"{source.moved_at_zero:.2g} rad: nothing damps it; velocity_source filtered "
+                "does without them"
+            )
+        if self._lacks_inertia:
+            return (
+                "velocity_source observer needs the parameter inertia, which is unknown: "
+                "differences of the position are filtered in its place"
+            )
+        return ""
+
+    @property
+    def _lacks_inertia(self) -> bool:
+        return self._settings.velocity.source == "observer" and self._observer is None

@@ -1,1 +1,0 @@
-"""What may interrupt a loop, and what acts on its joint for a while in its place or beside it."""

@@ -1,1 +1,0 @@
-"""Configuration files: YAML, sections with checked keys, documents that extend others."""

@@ -1,1 +1,0 @@
-"""An experiment on the graph: processes, parameter files, isolation."""

@@ -1,0 +1,426 @@
+"""A run on the ROS graph, and a short trial that measures the rate a machine holds."""
+
+from __future__ import annotations
+
+import re
+import selectors
+import tempfile
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from hpid_ros.base.errors import ExperimentError, RunError, SettingError
+from hpid_ros.base.names import controller_name
+from hpid_ros.base.processes import raise_if_interrupted
+from hpid_ros.control.settings import LoopSettings
+from hpid_ros.experiment.description import Experiment
+from hpid_ros.experiment.in_process import (
+    bridge_name,
+    controllers_document,
+    recorded_topics,
+    write_document,
+    write_run_files,
+)
+from hpid_ros.experiment.processes import (
+    NodeGroup,
+    NodeProcess,
+    closed_environment,
+    own_domain,
+    require_no_sockets,
+)
+from hpid_ros.experiment.progress import NoProgress, Progress, RunReport, run_timing
+from hpid_ros.simulation.base import REPORT_RATE
+from hpid_ros.simulation.gripper import task_topics
+
+PROCESSES = ("each", "composed", "single")
+
+
+@dataclass(frozen=True)
+class GraphOptions:
+    """Choices that change how fast a run goes and, in lock-step, nothing of its numbers."""
+
+    processes: str = "each"  # each: every controller in a process of its own
+    is_recorded: bool = True  # whether a recorder writes a bag
+    # the wall clock paces the states, and no state waits for its answers
+    is_realtime: bool = False
+    realtime_priority: int = 0  # SCHED_FIFO priority of controllers and bridge; 0 asks for none
+
+    def __post_init__(self) -> None:
+        if self.processes not in PROCESSES:
+            raise SettingError(
+                f"processes must be one of {', '.join(PROCESSES)}, not {self.processes!r}"
+            )
+        if not 0 <= self.realtime_priority <= 99:
+            raise SettingError(
+                f"realtime_priority must lie in [0, 99], not {self.realtime_priority}"
+            )
+
+
+_START_WITHIN = 60.0  # [s] from the first process to the first state
+_START_EACH = 3.0  # [s] more for each process: they find each other two by two
+_RECORD_WITHIN = 10.0  # [s] from the last answer, or from one message more in the bag, to the next
+_LEAVE_WITHIN = 10.0  # [s] for all nodes to leave and to say how long they took
+_CLOSE_WITHIN = 30.0  # [s] for the recorder to finish the bag
+
+_NODE_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]{0,200}")
+RECORDER, REFERENCE = "bag_recorder", "trajectory_publisher"
+COMPOSED, SINGLE = "joint_controllers", "single_process"
+
+
+class GraphNodes:
+    """Starts the nodes of one run."""
+
+    def __init__(
+        self,
+        experiment: Experiment,
+        label: str,
+        bag: Path | None,
+        folder: Path,
+        options: GraphOptions,
+    ) -> None:
+        self._experiment, self._label, self._options = experiment, label, options
+        self._bag, self._folder = bag, folder
+        self.topics = recorded_topics(experiment.world)
+        is_single = options.processes == "single"
+        self._executable = bridge_name(experiment.world)
+        self.bridge = SINGLE if is_single else self._executable
+        self.recorder = SINGLE if is_single else RECORDER
+        self.vital = frozenset({self.bridge, self.recorder, REFERENCE})
+
+    def start(self, group: NodeGroup) -> list[NodeProcess]:
+        """Write the parameter files and start every process."""
+        settings = self._experiment.controllers[self._label]
+        write_run_files(self._folder, self._experiment, settings)
+        reference = _parameters(reference_file=self._experiment.path)
+        nodes = [group.start(REFERENCE, REFERENCE, reference)]
+        topics = self.topics
+        of_recorder = (
+            _parameters(bag=self._bag, topics=topics, controllers_file=self._kept(settings))
+            if self._options.is_recorded
+            else []
+        )
+        slides = sorted(self._experiment.slides)
+        if of_recorder and slides:
+            of_recorder += _parameters(slides=slides)
+        of_all = _parameters(realtime_priority=self._options.realtime_priority)
+        controllers, bridge = self.controller_arguments(), self.bridge_arguments() + of_all
+        if self._are_messages_shared:
+            controllers += _parameters(share_messages=True)
+        if self._options.processes == "single":
+            of_recorder += _parameters(
+                record=self._options.is_recorded, engine=self._experiment.world.engine
+            )
+            everything = [*controllers, *bridge, *of_recorder]
+            return [*nodes, group.start(SINGLE, SINGLE, everything, is_renamed=False)]
+        if self._options.is_recorded:
+            nodes.append(group.start(RECORDER, RECORDER, of_recorder))
+        if self._options.processes == "composed":
+            nodes.append(group.start(COMPOSED, COMPOSED, controllers, is_renamed=False))
+        else:
+            names = [controller_name(each.joint) for each in settings]
+            nodes += [group.start(name, "joint_controller", controllers) for name in names]
+        return [*nodes, group.start(self._executable, self._executable, bridge)]
+
+    def _kept(self, settings: Sequence[LoopSettings]) -> Path:
+        """Write the parameters that the bag keeps: with all that is given on the command line."""
+        file = self._folder / "recorded_controllers.yaml"
+        kept = [
+            replace(each, timing=replace(each.timing, state_clock="simulated"))
+            for each in settings
+        ]
+        write_document(
+            file, controllers_document(kept, str(self._experiment.world.robot_description))
+        )
+        return file
+
+    @property
+    def _are_messages_shared(self) -> bool:
+        """Whether all controllers are in one process, and answer each state in one message."""
+        return self._options.processes != "each"
+
+    def controller_arguments(self) -> list[str]:
+        """Return the ROS arguments of a controller of the run, also for one that starts late."""
+        return [
+            *("--params-file", str(self._folder / "controllers.yaml")),
+            *_parameters(
+                wait_for_command_subscribers=1 + self._options.is_recorded,
+                wait_for_reference=True,
+                introspection_rate=0.0,
+                certify=False,
+                # In lock-step silence is a slow machine or a pause, and the control clock waits.
+                state_watchdog=self._options.is_realtime,
+                state_clock="simulated",
+                realtime_priority=self._options.realtime_priority,
+            ),
+        ]
+
+    def bridge_arguments(self) -> list[str]:
+        """Return the ROS arguments of the bridge."""
+        joints = len(self._experiment.world.joints)
+        controllers = 1 if self._are_messages_shared else joints
+        return [
+            *("--params-file", str(self._folder / "bridge.yaml")),
+            *_parameters(
+                mode="realtime" if self._options.is_realtime else "lockstep",
+                exit_when_done=False,
+                # The controllers, the recorder, and the publisher of the reference.
+                wait_for_subscribers=controllers + self._options.is_recorded + 1,
+                wait_for_publishers=controllers,
+                report_rate=REPORT_RATE if task_topics(self._experiment.world) else 0.0,
+            ),
+        ]
+
+
+def require_node_names(joints: Iterable[str]) -> None:
+    """Refuse joints after which no node, and no file of its log, can be called."""
+    for joint in joints:
+        if not _NODE_NAME.fullmatch(controller_name(joint)):
+            raise ExperimentError(
+                f"joint {joint!r} cannot have a node, whose name is letters, digits and "
+                "underscores, the first no digit; --in-process needs none"
+            )
+
+
+def _parameters(**values: object) -> list[str]:
+    """Return ROS arguments that set parameters."""
+    arguments = []
+    for name, value in values.items():
+        text = str(value).lower() if isinstance(value, bool) else str(value)
+        arguments += ["-p", f"{name}:={text}"]
+    return arguments
+
+
+def run_on_graph(
+    experiment: Experiment,
+    label: str,
+    bag: Path | None,
+    folder: Path,
+    progress: Progress,
+    options: GraphOptions | None = None,
+) -> RunReport:
+    """Run one controller on the real ROS 2 graph and record it.
+
+    The graph is closed to everything outside this run. Whatever ends the run, also an
+    interrupt, ends every process, and the recorder finishes its bag.
+    """
+    options = options or GraphOptions()
+    require_node_names(each.joint for each in experiment.controllers[label])
+    nodes = GraphNodes(experiment, label, bag, folder, options)
+    with (
+        own_domain() as domain,
+        NodeGroup(closed_environment(domain), folder, is_batch=not options.is_realtime) as group,
+    ):
+        run = _GraphRun(nodes, label, group, progress)
+        run.start()
+        start_within = _START_WITHIN + _START_EACH * len(group.nodes)
+        run.wait_for("started", nodes.bridge, start_within, "every node to find the others")
+        run.wait_for("finished", nodes.bridge, None, "the last state")
+        if options.is_recorded:
+            run.wait_until_recorded(_RECORD_WITHIN)
+            # First, so that the zero efforts with which the controllers leave are not in the bag.
+            group.stop([nodes.recorder], patience=_CLOSE_WITHIN)
+        processes = len(group.nodes)
+        group.stop(patience=_LEAVE_WITHIN)
+        run.take_last_events()
+        finished = run.events[nodes.bridge, "finished"]
+        timing = run_timing(finished, run.timing)
+        return RunReport(
+            label,
+            wall_time=finished["wall_time"],
+            states=finished["states"],
+            processes=processes,
+            warnings=run.warnings,
+            timing=timing,
+        )
+
+
+class _GraphRun:
+    """Watches the nodes of one run through their event pipes."""
+
+    def __init__(
+        self, nodes: GraphNodes, label: str, group: NodeGroup, progress: Progress
+    ) -> None:
+        self._nodes, self._label = nodes, label
+        self._group, self._progress = group, progress
+        self._selector = selectors.DefaultSelector()
+        self.events: dict[tuple[str, str], Mapping[str, Any]] = {}
+        self.timing: dict[str, Mapping[str, Any]] = {}
+        self.warnings: list[str] = []
+        self._excused: set[str] = set()
+        self._closed: set[str] = set()
+
+    def start(self) -> None:
+        """Start every node."""
+        self._progress.phase(self._label, "starting the nodes")
+        for node in self._nodes.start(self._group):
+            self._selector.register(node.events, selectors.EVENT_READ, node)
+
+    def take_last_events(self) -> None:
+        """Read what the nodes said when they ended."""
+        for node in self._group.nodes.values():
+            self._take_events(node)
+
+    def wait_for(self, event: str, node: str, within: float | None, what: str) -> None:
+        """Wait for an event of a node."""
+        self._wait(lambda: (node, event) in self.events, within, lambda: what)
+
+    def wait_until_recorded(self, within: float) -> None:
+        """Wait until the bag holds every state and every command that was answered."""
+        self._progress.phase(self._label, "closing the bag")
+        finished = self.events[self._nodes.bridge, "finished"]
+        expected = {"/joint_states": finished["states"], "/joint_commands": finished["commands"]}
+        reports = finished.get("reports", {})
+        expected |= {each: reports[each] for each in reports if each[1:] in self._nodes.topics}
+
+        def missing() -> dict[str, int]:
+            counts = self.events.get((self._nodes.recorder, "recorded"), {}).get("counts", {})
+            return {
+                topic: count - counts.get(topic, 0)
+                for topic, count in expected.items()
+                if counts.get(topic, 0) < count
+            }
+
+        self._wait(
+            lambda: not missing(),
+            within,
+            lambda: f"the recorder: it lacks {missing()}",
+            lambda: sum(missing().values()),
+        )
+
+    def _wait(
+        self,
+        is_true: Callable[[], bool],
+        within: float | None,
+        what: Callable[[], str],
+        left: Callable[[], int] = int,
+    ) -> None:
+        """Wait for something, and longer whenever less of it is left."""
+        deadline = None if within is None else time.monotonic() + within
+        before = left()
+        while not is_true():
+            ready = self._selector.select(timeout=0.05)
+            for key, _ in ready:
+                self._take_events(key.data)
+            self._look_after_nodes()
+            raise_if_interrupted()
+            if within is not None and left() < before:
+                before, deadline = left(), time.monotonic() + within
+            if deadline is not None and time.monotonic() > deadline and not is_true():
+                raise RunError(f"{self._label}: waited {within:g} s in vain for {what()}")
+
+    def _take_events(self, node: NodeProcess) -> None:
+        events = node.read_events()
+        if not events and node.process.poll() is not None:
+            self._forget(node)
+        for event in events:
+            self._on_event(node.name, event)
+
+    def _forget(self, node: NodeProcess) -> None:
+        if node.events in self._selector.get_map():
+            self._selector.unregister(node.events)
+
+    def _on_event(self, node: str, event: Mapping[str, Any]) -> None:
+        name = str(event["event"])
+        self._require_closed(node)
+        self.events[node, name] = event
+        if name == "timing":
+            self.timing[event["joint"]] = event
+        if name == "progress":
+            self._progress.advanced(self._label, event["stamp_ns"] * 1e-9)
+        elif name == "started":
+            for each in self._group.nodes:
+                self._require_closed(each)
+            self._progress.phase(self._label, "running")
+        elif name == "silent":
+            seconds = event["stamp_ns"] * 1e-9
+            joints = ", ".join(event["joints"])
+            self.warnings.append(f"no answer from {joints} from {seconds:.3f} s on: no effort")
+        elif name == "failed":
+            raise RunError(f"{self._label}: {event['reason']}")
+
+    def _require_closed(self, name: str) -> None:
+        """Look once at every node that is up whether it is closed to the network."""
+        node = self._group.nodes[name]
+        if name not in self._closed and node.process.poll() is None:
+            require_no_sockets([node.pid])
+            self._closed.add(name)
+
+    def _look_after_nodes(self) -> None:
+        """Raise when a node ended that the run cannot do without."""
+        for name, node in self._group.nodes.items():
+            code = node.process.poll()
+            if code is None or name in self._excused:
+                continue
+            for event in node.read_events():
+                self._on_event(name, event)
+            has_started = (self._nodes.bridge, "started") in self.events
+            if name not in self._nodes.vital and has_started and self._others_run(name):
+                self._excused.add(name)
+                self.warnings.append(f"{name} ended with code {code}; the other joints go on")
+                continue
+            raise RunError(
+                f"{self._label}: {name} ended with code {code}: {node.last_words()} "
+                f"(log: {node.log})"
+            )
+
+    def _others_run(self, name: str) -> bool:
+        return any(
+            node.process.poll() is None
+            for other, node in self._group.nodes.items()
+            if other != name and other not in self._nodes.vital
+        )
+
+
+LONGEST = 1.0  # [s] of simulated time
+_MILLISECONDS = 1e-3  # in a microsecond
+
+
+@dataclass(frozen=True)
+class Trial:
+    """What a graph did as fast as it could, beside what is asked of it."""
+
+    cycles: int  # states of the trial
+    median: float  # [ms] time of one cycle, from a state to the next
+    p99: float  # [ms] what 99 of 100 cycles do not exceed
+    period: float  # [ms] the control period that is asked for, in wall time
+
+    @property
+    def holds(self) -> bool:
+        """Whether 99 of 100 cycles are shorter than the period."""
+        return self.p99 <= self.period
+
+    @property
+    def line(self) -> str:
+        """The trial in one line."""
+        found = (
+            f"trial of {self.cycles} states: a cycle takes {self.median:.2f} ms, 99 of 100 at "
+            f"most {self.p99:.2f} ms"
+        )
+        wanted = f"{self.period:.4g} ms ({1e3 / self.period:.4g} Hz)"
+        if self.holds:
+            return f"{found}: {wanted} can be held"
+        how_often = "most" if self.median > self.period else "some"
+        return (
+            f"{found}: more than {wanted}, so that {how_often} states will be late or lost; a "
+            f"lower control.rate, --composed, --engine mujoco or --no-record ask for less"
+        )
+
+
+def run_trial(experiment: Experiment, label: str, options: GraphOptions) -> Trial:
+    """Run the beginning of an experiment in lock-step, in the same processes."""
+    short = replace(experiment, duration=min(LONGEST, experiment.duration))
+    with tempfile.TemporaryDirectory(prefix="hpid_trial_") as name:
+        folder = Path(name)
+        report = run_on_graph(
+            short, label, folder / "bag", folder, NoProgress(), replace(options, is_realtime=False)
+        )
+    assert report.timing is not None
+    cycle = report.timing.cycle
+    return Trial(
+        report.states,
+        cycle.median * _MILLISECONDS,
+        cycle.p99 * _MILLISECONDS,
+        experiment.world.control_period_ns * 1e-6,
+    )

@@ -1,0 +1,380 @@
+"""Processes of nodes in an isolated domain: started, watched and ended together.
+
+A process that is killed leaves its segment and its ports behind, half a megabyte and more, and a
+port may keep a lock that nobody will ever release: later processes of the same domain then do not
+find each other. Whoever lives holds a file lock beside each of its segments and ports; what is
+locked by nobody is dead. The tool ``fastdds shm clean``, which the ROS wheels lack, goes by the
+same rule.
+
+With these two settings Fast DDS talks through shared memory alone and opens no network socket,
+so that nothing outside this machine and user can hear or command a simulated robot, and the
+simulation can never drive a real one on the same network. Each of the settings without the
+other is wide open; therefore the processes are looked at once they run.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import fcntl
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any, ClassVar
+
+from hpid_ros.base.errors import RunError
+from hpid_ros.base.files import find_resource
+from hpid_ros.base.names import PROFILE_FILES
+from hpid_ros.base.processes import uninterrupted
+
+SHARED_MEMORY = Path("/dev/shm")
+YOUNG = 30.0  # [s]; a process that is just starting may not hold its locks yet
+
+_LOCKS = ("_el", "_sl")  # of one listener, or of several
+_FILE = re.compile(r"(?:sem\.)?(fastrtps_(?:port\d+|[0-9a-f]{16}))(?:_el|_sl|_mutex)?")
+
+
+def clear_dead(folder: Path = SHARED_MEMORY, least_age: float = YOUNG) -> int:
+    """Remove the segments and ports that no living process holds, and what is left of them."""
+    if not folder.is_dir():
+        return 0
+    names = {entry.name for entry in folder.iterdir()}
+    things = {match[1] for name in names if (match := _FILE.fullmatch(name))}
+    return sum(_remove_if_dead(folder, name, least_age) for name in sorted(things))
+
+
+def _remove_if_dead(folder: Path, name: str, least_age: float) -> bool:
+    """Remove what nobody holds, while nobody can begin to.
+
+    Who listens locks one of the two files, which need not exist yet: where nobody holds the one
+    that does, the other is made and held, too, until all is gone. Who starts at that moment finds
+    the port taken, and takes the next one.
+    """
+    locks = [folder / (name + lock) for lock in _LOCKS]
+    others = [folder / name, folder / f"sem.{name}_mutex"]
+    try:
+        there = [path for path in (*others, *locks) if path.exists()]
+        if not there or any(_is_young_or_foreign(path, least_age) for path in there):
+            return False
+        with ExitStack() as held:
+            taken: list[Path] = []
+            for path in sorted(locks, key=there.__contains__, reverse=True):
+                if not _is_taken(path, held):  # and what this has made must not stay
+                    gone = [each for each in taken if each not in there]
+                    break
+                taken.append(path)
+            else:
+                gone = [*others, *locks]
+            for path in gone:
+                path.unlink(missing_ok=True)
+    except (PermissionError, FileNotFoundError):  # another user's, or somebody else was faster
+        return False
+    return len(taken) == len(locks)
+
+
+def _is_young_or_foreign(path: Path, least_age: float) -> bool:
+    status = path.stat()
+    age = time.time() - max(status.st_mtime, status.st_ctime)
+    return age < least_age or status.st_uid != os.getuid()
+
+
+def _is_taken(path: Path, held: ExitStack) -> bool:
+    """Take a lock until the end of a block, and tell whether it could be had."""
+    descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+    held.callback(os.close, descriptor)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    return True
+
+
+CLOSED_MODE: Mapping[str, str] = {
+    "RMW_IMPLEMENTATION": "rmw_fastrtps_cpp",
+    "ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET",
+    "FASTDDS_BUILTIN_TRANSPORTS": "SHM",
+}
+"""Environment of the closed mode."""
+
+_OPENING = (
+    "ROS_STATIC_PEERS",
+    "ROS_LOCALHOST_ONLY",
+    "ROS_DISCOVERY_SERVER",
+    "ROS_NAMESPACE",
+    # Enclaves are for the open network; the nodes of an experiment have none.
+    "ROS_SECURITY_ENABLE",
+    "ROS_SECURITY_STRATEGY",
+    "ROS_SECURITY_KEYSTORE",
+    "ROS_SECURITY_ENCLAVE_OVERRIDE",
+)
+_DOMAINS = range(1, 102)
+_FIRST_PORT, _PORTS_OF_A_DOMAIN = 7400, 250  # of the DDSI-RTPS specification
+_SOCKET_TABLES = ("tcp", "tcp6", "udp", "udp6", "raw", "raw6")
+
+
+def closed_environment(domain: int) -> dict[str, str]:
+    """Return the environment for a closed process."""
+    environment = {name: value for name, value in os.environ.items() if name not in _OPENING}
+    environment.update(CLOSED_MODE)
+    environment["ROS_DOMAIN_ID"] = str(domain)
+    profile = str(find_resource("config/fastdds.xml"))
+    environment |= dict.fromkeys(PROFILE_FILES, profile)
+    environment["PYTHONUNBUFFERED"] = "1"
+    return environment
+
+
+@contextmanager
+def own_domain() -> Iterator[int]:
+    """Reserve a ROS domain that nobody else on this machine uses, free of dead ports.
+
+    It is the one whose last use is the longest ago: what a process that was killed there left
+    behind has then been cleared.
+    """
+    folder = Path(tempfile.gettempdir()) / f"hpid_ros_domains_{os.getuid()}"
+    folder.mkdir(mode=0o700, exist_ok=True)
+    clear_dead()
+    free = set(_DOMAINS) - _domains_in_use()
+    for domain in sorted(free, key=lambda each: _last_use(folder / str(each))):
+        lock = os.open(folder / str(domain), os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            os.close(lock)
+            continue
+        os.utime(lock)
+        try:
+            yield domain
+        finally:
+            os.close(lock)
+        return
+    raise RunError(f"all ROS domains from {_DOMAINS[0]} to {_DOMAINS[-1]} are taken")
+
+
+def _domains_in_use() -> set[int]:
+    """Return the domains in which somebody listens by UDP, or has listened in shared memory."""
+    ports = {
+        int(line.split()[1].rpartition(":")[2], 16)
+        for table in (Path("/proc/net/udp"), Path("/proc/net/udp6"))
+        if table.exists()
+        for line in table.read_text().splitlines()[1:]
+    }
+    locks = SHARED_MEMORY.glob("fastrtps_port*_[es]l")
+    ports |= {int(re.sub(r"\D", "", lock.name)) for lock in locks}
+    return {(port - _FIRST_PORT) // _PORTS_OF_A_DOMAIN for port in ports}
+
+
+def _last_use(lock: Path) -> float:
+    return lock.stat().st_mtime if lock.exists() else 0.0
+
+
+def require_no_sockets(pids: Iterable[int]) -> None:
+    """Make sure that no process has a network socket."""
+    for pid in pids:
+        try:
+            addresses = network_sockets(pid)
+        except (FileNotFoundError, ProcessLookupError):  # it has just ended
+            continue
+        if addresses:
+            raise RunError(
+                f"the closed mode is not closed: process {pid} has network sockets "
+                f"({', '.join(sorted(addresses))}); the run is ended"
+            )
+
+
+def network_sockets(pid: int) -> set[str]:
+    """Return the kinds of network socket that a process holds, for instance ``udp``."""
+    inodes = _socket_inodes(Path(f"/proc/{pid}/fd"))
+    kinds = set()
+    for kind in _SOCKET_TABLES:
+        table = Path(f"/proc/{pid}/net/{kind}")
+        if not table.exists():
+            continue
+        for line in table.read_text().splitlines()[1:]:
+            if line.split()[9] in inodes:
+                kinds.add(kind)
+    return kinds
+
+
+def _socket_inodes(folder: Path) -> set[str]:
+    inodes = set()
+    for entry in folder.iterdir():
+        try:
+            target = str(entry.readlink())
+        except FileNotFoundError:  # closed since the folder was listed
+            continue
+        if target.startswith("socket:["):
+            inodes.add(target[len("socket:[") : -1])
+    return inodes
+
+
+_PR_SET_PDEATHSIG = 1
+_LIBC = ctypes.CDLL(None)
+
+
+@dataclass(frozen=True)
+class Beginning:
+    """What a child runs before its program, for ``preexec_fn``."""
+
+    # what the kernel sends the child when its parent is gone, however that came about
+    parting: signal.Signals
+    # schedule it as a batch job: it yields the processor to nobody by waking somebody
+    is_batch: bool = False
+
+    def __call__(self) -> None:
+        """Run it, in the child."""
+        _LIBC.prctl(_PR_SET_PDEATHSIG, self.parting)
+        if self.is_batch:
+            os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
+
+
+def end_all(processes: Iterable[subprocess.Popen[bytes]], patience: float) -> None:
+    """Ask all to end with SIGTERM, then kill those that have not gone."""
+    running = [process for process in processes if process.poll() is None]
+    for process in running:
+        process.terminate()
+    deadline = time.monotonic() + patience
+    for process in running:
+        try:
+            process.wait(max(0.0, deadline - time.monotonic()))
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+
+
+def module_of(executable: str) -> str:
+    """Return the module of an executable: below ``nodes``, or where a dotted name says."""
+    return f"hpid_ros.{executable}" if "." in executable else f"hpid_ros.nodes.{executable}"
+
+
+class NodeProcess:
+    """One node in a process of its own, in a session of its own, with a pipe for its events."""
+
+    popen: ClassVar[type[subprocess.Popen[bytes]]] = subprocess.Popen
+
+    def __init__(
+        self,
+        name: str,
+        executable: str,
+        arguments: Sequence[str],
+        environment: Mapping[str, str],
+        log: Path,
+        is_renamed: bool = True,
+        is_batch: bool = False,
+        prefix: Sequence[str] = (),
+        has_input: bool = False,
+    ) -> None:
+        self.name = name
+        self.log = log
+        self._buffer = b""
+        reader, writer = os.pipe()
+        os.set_blocking(reader, False)
+        self.events = reader
+        command = [
+            *prefix,
+            *(sys.executable, "-m", module_of(executable), "--ros-args"),
+            *(("-r", f"__node:={name}") if is_renamed else ()),
+            *("-p", f"status_fd:={writer}"),
+            *arguments,
+        ]
+        with log.open("wb") as output:
+            self.process = self.popen(
+                command,
+                stdin=subprocess.PIPE if has_input else subprocess.DEVNULL,
+                stdout=output,
+                stderr=subprocess.STDOUT,
+                env=dict(environment),
+                pass_fds=[writer],
+                start_new_session=True,
+                preexec_fn=Beginning(signal.SIGTERM, is_batch),
+            )
+        os.close(writer)
+
+    @property
+    def pid(self) -> int:
+        """Process id."""
+        return self.process.pid
+
+    def read_events(self) -> list[dict[str, Any]]:
+        """Return the events that have come since the last call."""
+        try:
+            while chunk := os.read(self.events, 65536):
+                self._buffer += chunk
+        except BlockingIOError:
+            pass
+        *lines, self._buffer = self._buffer.split(b"\n")
+        return [json.loads(line) for line in lines]
+
+    def last_words(self) -> str:
+        """Return the last line that the node printed, for an error message."""
+        lines = self.log.read_text(errors="replace").strip().splitlines()
+        return lines[-1] if lines else "it printed nothing"
+
+
+class NodeGroup:
+    """Starts nodes and ends all of them, whatever happens."""
+
+    def __init__(
+        self,
+        environment: Mapping[str, str],
+        logs: Path,
+        *,
+        is_batch: bool = False,
+        prefix: Sequence[str] = (),
+    ) -> None:
+        self._is_batch, self._prefix = is_batch, prefix
+        self._environment = environment
+        self._logs = logs
+        self.nodes: dict[str, NodeProcess] = {}
+
+    def start(
+        self,
+        name: str,
+        executable: str,
+        arguments: Sequence[str],
+        *,
+        is_renamed: bool = True,
+        has_input: bool = False,
+    ) -> NodeProcess:
+        """Start a node."""
+        log = self._logs / f"{name}.log"
+        with uninterrupted():
+            node = NodeProcess(
+                name,
+                executable,
+                arguments,
+                self._environment,
+                log,
+                is_renamed=is_renamed,
+                is_batch=self._is_batch,
+                prefix=self._prefix,
+                has_input=has_input,
+            )
+            self.nodes[name] = node
+        return node
+
+    def stop(self, names: Sequence[str] | None = None, patience: float = 1.5) -> None:
+        """End nodes: ask all of them, then kill those that have not gone."""
+        chosen = self.nodes if names is None else names
+        end_all((self.nodes[name].process for name in chosen), patience)
+
+    def __enter__(self) -> NodeGroup:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.stop()
+        for node in self.nodes.values():
+            os.close(node.events)

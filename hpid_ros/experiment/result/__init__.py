@@ -1,1 +1,0 @@
-"""The result of an experiment: its folder, its numbers, its figures."""

@@ -1,0 +1,406 @@
+"""A search of parameters for one cost: its run, table, front, and a snippet for the experiment."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+import yaml
+
+from hpid_ros.base.errors import HpidError, RunError, SettingError
+from hpid_ros.base.text import csv_text
+from hpid_ros.base.units import Numbers, unit_over
+from hpid_ros.control.settings import LoopSettings
+from hpid_ros.experiment.batch import (
+    LAST_ERROR,
+    PAPER_QUANTITIES,
+    JudgedTask,
+    Outcome,
+    Runner,
+    run_batch,
+)
+from hpid_ros.experiment.description import Experiment
+from hpid_ros.experiment.result_folder import ResultFolder, versions
+from hpid_ros.experiment.search_space import SearchCost, SearchSpace, mean_ratios, source_label
+from hpid_ros.metrics.results import RunIndices
+from hpid_ros.report.table import format_ratio
+from hpid_ros.stability.degrees import DegreeChecker
+
+LEAST_EVALUATIONS = 10
+_TRAINING = 1000
+"""Training seeds begin so far above the experiment's own: those of a study stay unseen."""
+
+Loops = tuple[LoopSettings, ...]
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """One point of a search."""
+
+    number: int  # counted from 0
+    stage: str  # all joints, or the one that was refined
+    values: Mapping[str, float]  # the free parameters by name
+    loops: Loops  # the controller; empty if it was refused
+    cost: float = math.inf  # infinite if it was refused or a run failed
+    ratios: Mapping[str, float] = field(default_factory=dict)
+    last_error: float = math.nan  # [rad] largest error of the last second over joints and seeds
+    note: str = ""  # why it has no cost, in one line
+
+
+@dataclass(frozen=True)
+class SearchPlan:
+    """Everything that decides what a search finds."""
+
+    experiment: Experiment  # gives the robot, the reference and the baseline, its first controller
+    space: SearchSpace  # what may be changed
+    cost: SearchCost  # what is made small
+    joints: tuple[str, ...]  # the joints that are judged
+    evaluations: int = 150  # points of the search over all joints, and of each refinement of one
+    seeds: int = 3  # how many training seeds each point is run with
+    search_seed: int = 1  # of the search itself
+    per_joint: bool = False  # whether every judged joint is refined on its own after the search
+    must_be_certified: bool = True  # whether degrees that are not certified are refused
+    settle: float = math.inf  # [rad] largest error of the last second that is accepted
+
+    def __post_init__(self) -> None:
+        if self.evaluations < LEAST_EVALUATIONS:
+            raise SettingError(
+                f"evaluations must be at least {LEAST_EVALUATIONS}, not {self.evaluations}"
+            )
+        if self.seeds < 1:
+            raise SettingError(f"seeds must be at least 1, not {self.seeds}")
+        if not self.settle > 0.0:
+            raise SettingError(f"settle must be positive, not {self.settle} {self.position_unit}")
+        for each in self.space.start:
+            reason = DegreeChecker().instability(each)
+            if reason:
+                raise SettingError(f"{each.joint}: {reason}")
+
+    @property
+    def position_unit(self) -> str:
+        """Of the judged joints' positions: rad, m, or one of both."""
+        are_slides = self.experiment.are_slides(self.joints)
+        return unit_over("rad", are_slides).replace(", ", " or ")
+
+    @property
+    def training_seeds(self) -> tuple[int, ...]:
+        """The seeds that points are run with."""
+        return tuple(self.experiment.seed + _TRAINING + k for k in range(self.seeds))
+
+    @property
+    def total(self) -> int:
+        """Points of the whole search."""
+        return self.evaluations * (1 + len(self.joints) * self.per_joint)
+
+    def tasks(self, name: str, loops: Loops) -> list[JudgedTask]:
+        """Return the runs of one controller, one for each training seed."""
+        experiment = self.experiment
+        return [
+            JudgedTask(
+                f"{name} seed={seed}",
+                replace(experiment.world, seed=seed),
+                loops,
+                experiment.trajectory,
+                experiment.periods,
+                self.joints,
+            )
+            for seed in self.training_seeds
+        ]
+
+
+_LEAST_POPULATION, _POPULATION_PER_PARAMETER = 5, 4
+
+
+class Search:
+    """A search under way, with everything that it has found so far."""
+
+    def __init__(
+        self,
+        plan: SearchPlan,
+        run: Runner = run_batch,
+        advanced: Callable[[Evaluation], None] = lambda evaluation: None,
+    ) -> None:
+        self.plan = plan
+        self.evaluations: list[Evaluation] = []
+        self.baseline: list[RunIndices] = []
+        self._run, self._advanced = run, advanced
+        self._checker = DegreeChecker()
+
+    @property
+    def best(self) -> Evaluation | None:
+        """The cheapest point so far, the first of equals; None if none has a finite cost."""
+        finite = [each for each in self.evaluations if math.isfinite(each.cost)]
+        return min(finite, key=lambda each: each.cost, default=None)
+
+    def run(self) -> None:
+        """Search; an interrupt leaves what was found."""
+        plan = self.plan
+        label, loops = next(iter(plan.experiment.controllers.items()))
+        with closing(self._run(plan.tasks(label, loops))) as batch:
+            self.baseline, failures = _numbers(list(batch))
+        if failures:
+            raise RunError(f"the baseline cannot be run: {failures[0]}")
+        self._minimise(plan.space, "all")
+        for joint in plan.joints if plan.per_joint else ():
+            if self.best is not None:
+                self._minimise(plan.space.narrowed(joint, self.best.loops), joint)
+
+    def _minimise(self, space: SearchSpace, stage: str) -> None:
+        """Search one space by differential evolution, in as many points as planned.
+
+        Source: R. Storn and K. Price, "Differential Evolution", J. Global Optimization 11
+        (1997), as in SciPy.
+        """
+        from scipy.optimize import differential_evolution
+        from scipy.stats import qmc
+
+        count = len(space.parameters)
+        population = min(_POPULATION_PER_PARAMETER * count, self.plan.evaluations // 3)
+        population = max(_LEAST_POPULATION, population)
+        generations, rest = divmod(self.plan.evaluations, population)
+        first = qmc.LatinHypercube(count, seed=self.plan.search_seed).random(population)
+        first[0] = [each.share(each.start) for each in space.parameters]
+
+        def costs(shares: Numbers) -> Numbers:
+            return np.array([each.cost for each in self._evaluated(space, stage, shares.T)])
+
+        if rest:  # so that all points that were asked for are used
+            more = qmc.LatinHypercube(count, seed=self.plan.search_seed + 1).random(rest)
+            self._evaluated(space, stage, more)
+        differential_evolution(
+            costs,
+            [(0.0, 1.0)] * count,
+            init=first,
+            maxiter=generations - 1,
+            tol=0.0,
+            polish=False,
+            updating="deferred",
+            vectorized=True,
+            seed=self.plan.search_seed,
+        )
+
+    def _evaluated(self, space: SearchSpace, stage: str, shares: Numbers) -> list[Evaluation]:
+        """Return the evaluations of points, given as shares of the way along each direction."""
+        points = [self._point(space, stage, k, row) for k, row in enumerate(shares)]
+        judged = {k: point for k, point in enumerate(points) if not point.loops}
+        tasks = [(k, task) for k, point in enumerate(points) for task in self._tasks(point)]
+        own: dict[int, list[Outcome]] = {}
+        try:
+            for refused in judged.values():
+                self._advanced(refused)
+            with closing(self._run([task for _, task in tasks])) as batch:
+                for outcome in batch:
+                    place = tasks[outcome.place][0]
+                    outcomes = own.setdefault(place, [])
+                    outcomes.append(outcome)
+                    if len(outcomes) == self.plan.seeds:
+                        judged[place] = self._judged(points[place], outcomes)
+                        self._advanced(judged[place])
+        finally:
+            self.evaluations += [judged[place] for place in sorted(judged)]
+        return [judged[place] for place in range(len(points))]
+
+    def _point(self, space: SearchSpace, stage: str, place: int, shares: Numbers) -> Evaluation:
+        """Return a point that has not been run, or why it will not be."""
+        pairs = zip(space.parameters, shares.tolist(), strict=True)
+        values = {each.name: each.value(share) for each, share in pairs}
+        number = len(self.evaluations) + place
+        try:
+            loops = space.controller(list(values.values()))
+        except HpidError as error:
+            return Evaluation(number, stage, values, (), note=f"refused: {error}")
+        check = self._checker
+        refusal = check.refusal if self.plan.must_be_certified else check.instability
+        for each in loops:
+            reason = refusal(each)
+            if reason:
+                return Evaluation(number, stage, values, (), note=f"refused: {reason}")
+        return Evaluation(number, stage, values, loops)
+
+    def _tasks(self, point: Evaluation) -> list[JudgedTask]:
+        return self.plan.tasks(f"point {point.number}", point.loops) if point.loops else []
+
+    def _judged(self, point: Evaluation, outcomes: Sequence[Outcome]) -> Evaluation:
+        """Return a point with its cost."""
+        runs, failures = _numbers(outcomes)
+        if failures:
+            return replace(point, note=f"failed: {failures[0]}")
+        ratios = mean_ratios(runs, self.baseline)
+        last = max(each.value(LAST_ERROR) for each in runs)
+        judged = replace(point, ratios=ratios, last_error=last)
+        if not last <= self.plan.settle:
+            unit = self.plan.position_unit
+            return replace(judged, note=f"not settled: {last:.3g} {unit} in the last second")
+        return replace(judged, cost=self.plan.cost.of(ratios))
+
+
+def _numbers(outcomes: Sequence[Outcome]) -> tuple[list[RunIndices], list[str]]:
+    """Return the numbers of the runs that have some, seed by seed, and why others have none."""
+    outcomes = sorted(outcomes, key=lambda outcome: outcome.place)
+    runs = [each.indices for each in outcomes if each.indices is not None]
+    return runs, [each.failure for each in outcomes if each.failure]
+
+
+_JOINTS = "joints"
+
+
+def compare_entry(
+    experiment: Experiment, space: SearchSpace, loops: Sequence[LoopSettings]
+) -> dict[str, Any]:
+    """Return the entry that gives these loops in this experiment file, or one that extends it.
+
+    What the search did not touch stands as in the entry that it began with: the baseline's, or
+    for the homogeneous law that of the first homogeneous controller.
+    """
+    source = source_label(experiment, space.law)
+    written = yaml.safe_load(experiment.text)["compare"][source] or {}
+    common = _flat({key: value for key, value in written.items() if key != _JOINTS})
+    each = {joint: _flat(entry) for joint, entry in written.get(_JOINTS, {}).items()}
+    common["law"] = space.law
+    for name in space.directions.changed:
+        values = {loop.joint: loop.to_parameters()[name] for loop in loops}
+        for parameters in (common, *each.values()):
+            parameters.pop(name, None)
+        if len(set(values.values())) == 1:
+            common[name] = next(iter(values.values()))
+        else:
+            for joint, value in values.items():
+                each.setdefault(joint, {})[name] = value
+    entry = _nested(common)
+    own = {joint: _nested(each[joint]) for joint in experiment.world.joints if each.get(joint)}
+    return {**entry, _JOINTS: own} if own else entry
+
+
+def _flat(entry: Mapping[str, Any]) -> dict[str, Any]:
+    flat: dict[str, Any] = {}
+    for key, value in entry.items():
+        below = value.items() if isinstance(value, Mapping) else [(None, value)]
+        flat |= {key if rest is None else f"{key}.{rest}": each for rest, each in below}
+    return flat
+
+
+def _nested(flat: Mapping[str, Any]) -> dict[str, Any]:
+    nested: dict[str, Any] = {}
+    for name, value in flat.items():
+        section, _, key = name.rpartition(".")
+        (nested.setdefault(section, {}) if section else nested)[key] = value
+    return nested
+
+
+class SearchResult:
+    """What a search has found so far, as texts."""
+
+    def __init__(self, search: Search, label: str) -> None:
+        self._search, self._plan, self.label = search, search.plan, label
+
+    def snippet(self) -> str:
+        """Return the best controller as a ``compare`` section; empty if there is none."""
+        best = self._search.best
+        if best is None:
+            return ""
+        entry = compare_entry(self._plan.experiment, self._plan.space, best.loops)
+        text: str = yaml.safe_dump(
+            {"compare": {self.label: entry}}, sort_keys=False, default_flow_style=None, width=96
+        )
+        return text
+
+    def points_csv(self) -> str:
+        """Return every point, one a row: its place, parameters, cost, ratios, last error."""
+        names = [each.name for each in self._plan.space.parameters]
+        keys = [quantity.key for quantity in PAPER_QUANTITIES]
+        ratios = [f"{key}_ratio" for key in keys]
+        rows: list[list[object]] = [
+            ["point", "stage", *names, "cost", *ratios, LAST_ERROR.key, "note"]
+        ]
+        for each in self._search.evaluations:
+            cells = [each.ratios.get(key, "") for key in keys]
+            cost = each.cost if math.isfinite(each.cost) else ""
+            last = each.last_error if math.isfinite(each.last_error) else ""
+            values = [each.values.get(name, "") for name in names]  # one joint has no distribution
+            rows.append([each.number, each.stage, *values, cost, *cells, last, each.note])
+        return csv_text(rows)
+
+    def as_mapping(self) -> dict[str, object]:
+        """Return everything that the plan determines, ready for JSON."""
+        plan, experiment = self._plan, self._plan.experiment
+        best = self._search.best
+        return {
+            "experiment": experiment.name,
+            "sha256": experiment.digest,
+            "engine": experiment.world.engine,
+            "versions": versions(),
+            "baseline": next(iter(experiment.controllers)),
+            "label": self.label,
+            "law": plan.space.law,
+            "joints": list(plan.joints),
+            "training_seeds": list(plan.training_seeds),
+            "search_seed": plan.search_seed,
+            "per_joint": plan.per_joint,
+            "must_be_certified": plan.must_be_certified,
+            "settle": plan.settle if math.isfinite(plan.settle) else None,
+            **plan.cost.as_mapping(),
+            "bounds": {each.name: [each.low, each.high] for each in plan.space.parameters},
+            "evaluations": {"planned": plan.total, "made": len(self._search.evaluations)},
+            "best": None if best is None else _mapping(best),
+            "parameters": {
+                each.joint: dict(each.to_parameters()) for each in (best.loops if best else ())
+            },
+        }
+
+    def table(self) -> str:
+        """Return in a few lines what was found."""
+        plan, best = self._plan, self._search.best
+        made = len(self._search.evaluations)
+        refused = sum(each.note.startswith("refused") for each in self._search.evaluations)
+        lines = [
+            f"{plan.experiment.name}: {made} of {plan.total} points, {refused} refused, "
+            f"{plan.seeds} training seed{'s' * (plan.seeds > 1)} from {plan.training_seeds[0]}, "
+            f"totals over {', '.join(plan.joints)}"
+        ]
+        if best is None:
+            return lines[0] + "\nno point has a cost\n"
+        baseline = next(iter(plan.experiment.controllers))
+        values = ", ".join(f"{name} {value:g}" for name, value in best.values.items())
+        of = "" if best.stage == "all" else f" of {best.stage}"
+        lines += [
+            f"{self.label}: cost {best.cost:.4f} ({baseline}: 1), {values}{of}",
+            "  ".join(f"{q.symbol} {format_ratio(best.ratios[q.key])}" for q in PAPER_QUANTITIES)
+            + f"  largest error of the last second {best.last_error:.4g} {plan.position_unit}",
+        ]
+        return "\n".join(lines) + "\n"
+
+    def save(self, folder: ResultFolder) -> None:
+        """Write everything."""
+        folder.write("points.csv", self.points_csv())
+        folder.write("tune.json", json.dumps(self.as_mapping(), indent=2) + "\n")
+        folder.write("table.txt", self.table())
+        folder.write("best.yaml", self.snippet())
+        if any(each.ratios for each in self._search.evaluations):
+            self._draw(folder)
+
+    def _draw(self, folder: ResultFolder) -> None:
+        from hpid_ros.report.study_figures import SearchPoints, front_figure
+
+        run = [each for each in self._search.evaluations if each.ratios]
+        best = self._search.best
+        points = SearchPoints(
+            self.label, [each.ratios for each in run], None if best is None else run.index(best)
+        )
+        baseline = next(iter(self._plan.experiment.controllers))
+        front_figure([points], baseline).savefig(folder.file("trade_off.png"))
+
+
+def _mapping(best: Evaluation) -> Mapping[str, Any]:
+    return {
+        "point": best.number,
+        "stage": best.stage,
+        "values": dict(best.values),
+        "cost": best.cost,
+        "ratios": dict(best.ratios),
+        LAST_ERROR.key: best.last_error,
+    }

@@ -1,0 +1,296 @@
+"""The plan of a study, and the journal that lets it go on."""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import json
+import zlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import NamedTuple
+
+from hpid_ros.base.errors import ExperimentError, SettingError, unknown_name
+from hpid_ros.base.files import ResourceError, find_resource, share_folder
+from hpid_ros.base.records import Section
+from hpid_ros.base.yaml_files import load_document
+from hpid_ros.experiment.batch import LAST_ERROR, PAPER_QUANTITIES, JudgedTask
+from hpid_ros.experiment.description import Experiment, load_experiment
+from hpid_ros.experiment.result_folder import told, versions
+from hpid_ros.metrics.quantities import CHATTER, ERROR_MAX, OVERSHOOT, Quantity
+from hpid_ros.metrics.results import RunIndices
+from hpid_ros.simulation.settings import require_engine
+
+SLOW = ("bricks",)
+"""Experiments that are in a study only when they are named."""
+
+
+class RunKey(NamedTuple):
+    """Names one run of a study."""
+
+    experiment: str  # name of the experiment
+    engine: str  # who computes the physics
+    controller: str  # label of the controller
+    seed: int  # the run's seed
+
+
+@dataclass(frozen=True)
+class StudyEntry:
+    """One experiment of a study, in one engine."""
+
+    experiment: Experiment
+    joints: tuple[str, ...]  # the joints that are judged, in the world's order
+    is_in_both: bool = False  # whether another entry is the same experiment in the other engine
+
+    @property
+    def name(self) -> str:
+        """Name in the study: the experiment's, and its engine's where it is in both."""
+        name = self.experiment.name
+        return f"{name} ({self.engine})" if self.is_in_both else name
+
+    @property
+    def engine(self) -> str:
+        """Who computes the physics."""
+        return self.experiment.world.engine
+
+    @property
+    def are_slides(self) -> tuple[bool, ...]:
+        """Of each judged joint whether it slides."""
+        return self.experiment.are_slides(self.joints)
+
+    def key(self, label: str, seed: int) -> RunKey:
+        """Return the name of one of its runs."""
+        return RunKey(self.experiment.name, self.engine, label, seed)
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of all that decides the numbers: experiment, robot, joints and versions."""
+        all_else = json.dumps([self.joints, versions()])
+        return hashlib.sha256(f"{self.experiment.digest} {all_else}".encode()).hexdigest()
+
+    @property
+    def baseline(self) -> str:
+        """Label of the first controller."""
+        return next(iter(self.experiment.controllers))
+
+    @property
+    def others(self) -> tuple[str, ...]:
+        """Labels of the other controllers."""
+        return tuple(self.experiment.controllers)[1:]
+
+
+class Shard(NamedTuple):
+    """A part of a study's runs: one of so many, as even as can be."""
+
+    place: int = 1  # which part, from 1
+    parts: int = 1  # how many there are
+
+    @classmethod
+    def parse(cls, text: str) -> Shard:
+        """Return the part that ``K/N`` names."""
+        place, _, parts = text.partition("/")
+        if place.isdecimal() and parts.isdecimal() and 1 <= int(place) <= int(parts):
+            return cls(int(place), int(parts))
+        raise SettingError(f"a shard is K/N with K from 1 to N, for instance 1/8, not {text!r}")
+
+    def holds(self, place: int) -> bool:
+        """Tell whether a run is in it, by its place among all runs."""
+        return place % self.parts == self.place - 1
+
+
+ALL = Shard()
+"""All runs."""
+
+
+@dataclass(frozen=True)
+class StudyPlan:
+    """Everything that decides a study's numbers."""
+
+    entries: tuple[StudyEntry, ...]  # the experiments, of unlike names
+    count: int  # seeds of each controller: the experiment's own and those that follow it
+    shard: Shard = ALL  # the part of all runs that is made here
+
+    @property
+    def pairs(self) -> list[tuple[StudyEntry, StudyEntry]]:
+        """The experiments that are in both engines."""
+        twice = [entry for entry in self.entries if entry.is_in_both]
+        return list(zip(twice[::2], twice[1::2], strict=True))
+
+    @property
+    def inputs(self) -> list[Path]:
+        """Files that were read."""
+        return [file for entry in self.entries for file in entry.experiment.inputs]
+
+    def seeds(self, entry: StudyEntry) -> tuple[int, ...]:
+        """Return the seeds of an experiment's runs."""
+        return tuple(entry.experiment.seed + k for k in range(self.count))
+
+    def tasks(self) -> dict[RunKey, JudgedTask]:
+        """Return all runs of the shard; those on one robot are side by side."""
+        runs = (
+            (entry, label, seed)
+            for entry in self.entries
+            for label in entry.experiment.controllers
+            for seed in self.seeds(entry)
+        )
+        return {
+            entry.key(label, seed): JudgedTask(
+                f"{entry.name} {label} seed={seed}",
+                replace(entry.experiment.world, seed=seed),
+                entry.experiment.controllers[label],
+                entry.experiment.trajectory,
+                entry.experiment.periods,
+                entry.joints,
+            )
+            for place, (entry, label, seed) in enumerate(runs)
+            if self.shard.holds(place)
+        }
+
+
+def default_files() -> list[Path]:
+    """Return the experiments of this package but the slow ones, the paper's first."""
+    folder = share_folder() / "config" / "experiments"
+    files = [path for path in sorted(folder.glob("*.yaml")) if path.stem not in SLOW]
+    return sorted(files, key=lambda path: path.stem != "paper")
+
+
+def is_robot_installed(file: Path) -> bool:
+    """Tell whether an experiment's robot is here: two of this package's are PyBullet's."""
+    document = load_document(file, ExperimentError)
+    robot = Section(document.values, "", ExperimentError).section("robot", {})
+    try:
+        find_resource(robot.text("description"), document.folders)
+    except ResourceError:
+        return False
+    return True
+
+
+def plan_study(
+    files: Sequence[str | Path],
+    *,
+    joints: Sequence[str] = (),
+    seeds: int = 20,
+    engines: Sequence[str | None] = (None,),
+    shard: Shard = ALL,
+) -> StudyPlan:
+    """Read experiments and check them as a whole before anything runs."""
+    if seeds < 1:
+        raise SettingError(f"seeds must be at least 1, not {seeds}")
+    entries: dict[str, StudyEntry] = {}
+    for file, engine in itertools.product(files, engines):
+        entry = _entry(load_experiment(file, engine), joints, is_in_both=len(engines) > 1)
+        require_engine(entry.engine)
+        if entry.name in entries:
+            name, other = entry.experiment.name, entries[entry.name].experiment.path
+            raise SettingError(f"two experiments are called {name!r}: {other} and {file}")
+        entries[entry.name] = entry
+    if not entries:
+        raise SettingError("a study needs at least one experiment")
+    return StudyPlan(tuple(entries.values()), seeds, shard)
+
+
+def _entry(experiment: Experiment, joints: Sequence[str], *, is_in_both: bool) -> StudyEntry:
+    if len(experiment.controllers) < 2:
+        raise SettingError(f"{experiment.path}: there is nothing to compare with the baseline")
+    if not joints:
+        return StudyEntry(experiment, experiment.judged, is_in_both)
+    named = tuple(joint for joint in experiment.world.joints if joint in joints)
+    if not named:
+        names = unknown_name("joint", joints[0], experiment.world.joints)
+        raise SettingError(f"{experiment.path}: {names}")
+    return StudyEntry(experiment, named, is_in_both)
+
+
+QUANTITIES: tuple[Quantity, ...] = (
+    *PAPER_QUANTITIES,
+    OVERSHOOT,
+    ERROR_MAX,
+    CHATTER,
+    LAST_ERROR,
+)
+"""What a study keeps of a run."""
+
+TOTAL = ""
+"""Stands for all judged joints where a joint's name would be."""
+
+
+@dataclass(frozen=True)
+class RunRecord:
+    """What is kept of one run."""
+
+    key: RunKey  # which run
+    digest: str  # SHA-256 of all that decides its numbers but the seed
+    # of each joint, and of all under TOTAL, by the quantity's key
+    numbers: Mapping[str, Mapping[str, float]]
+    failure: str = ""  # why it failed, in one line; empty if it did not
+
+    @classmethod
+    def of(
+        cls,
+        key: RunKey,
+        digest: str,
+        indices: RunIndices | None,
+        failure: str,
+    ) -> RunRecord:
+        """Return the record of a run that has ended."""
+        numbers = {} if indices is None else _numbers(indices)
+        return cls(key, digest, numbers, failure)
+
+    def line(self) -> str:
+        """Return the record as one line of JSON, with a checksum of all else in it."""
+        saved = {
+            **self.key._asdict(),
+            "sha256": self.digest,
+            "numbers": self.numbers,
+            "failure": self.failure,
+        }
+        return json.dumps({**saved, "crc32": zlib.crc32(json.dumps(saved).encode())})
+
+    @classmethod
+    def parse(cls, line: str) -> RunRecord:
+        """Return the record that :meth:`line` wrote."""
+        try:
+            saved = json.loads(line)
+            experiment, engine, controller = (str(saved[each]) for each in RunKey._fields[:3])
+            numbers = {
+                joint: {key: float(value) for key, value in each.items()}
+                for joint, each in saved["numbers"].items()
+            }
+            key = RunKey(experiment, engine, controller, int(saved["seed"]))
+            record = cls(key, str(saved["sha256"]), numbers, str(saved["failure"]))
+        except (AttributeError, KeyError, TypeError, OverflowError, RecursionError) as error:
+            raise ValueError(f"no record of a run: {error}") from None
+        if record.line() != line:  # which no other kind of value, missing or further key passes
+            raise ValueError("not what was written")
+        return record
+
+
+def read_journal(path: Path) -> list[RunRecord]:
+    """Return the records of a journal; a last line that was cut off is left out."""
+    if not path.is_file():
+        return []
+    with told(f"cannot read {path}"):
+        lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
+    records = []
+    for number, line in enumerate(lines, 1):
+        try:
+            records.append(RunRecord.parse(line))
+        except ValueError:
+            if number == len(lines):
+                break
+            raise SettingError(
+                f"{path}: line {number} is damaged, or of an earlier version; without this line "
+                "its run is made again"
+            ) from None
+    return records
+
+
+def _numbers(indices: RunIndices) -> dict[str, dict[str, float]]:
+    """Return the numbers to keep; nan, what is not defined, is left out."""
+    found = {}
+    for joint in (*indices.joints, None):
+        values = {q.key: indices.value(q, joint) for q in QUANTITIES}
+        known = {key: value for key, value in values.items() if value == value}
+        found[TOTAL if joint is None else joint] = known
+    return found

@@ -1,0 +1,302 @@
+"""Carries one plan of an excitation out, watches over it, and brings the joints to rest.
+
+It commands no joint: it tells the controllers a trajectory, and, when a limit is reached, when
+anything comes in between or when it is asked to end, another one on which they stop and hold. With
+``held_within`` it begins when somebody presses a button, and stops when the button is released.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+import time
+from collections.abc import Sequence
+from typing import Any
+
+from rclpy.task import Future
+from sensor_msgs.msg import JointState
+
+from hpid_ros.base.errors import HpidError, MessageError, SettingError
+from hpid_ros.live.dead_man import DeadMan, Watch, goal_of, group_settings, read_order
+from hpid_ros.messages.joint_readers import EffortReader
+from hpid_ros.messages.joint_state import decode_joint_state
+from hpid_ros.motion.excitation import ExcitationPlan
+from hpid_ros.nodes.core import executor
+from hpid_ros.nodes.core.middleware import ALL_COMMANDS, NEWEST_STATES, steady_timer, subscribe_raw
+from hpid_ros.nodes.core.status import StatusPipe
+from hpid_ros.nodes.parts.goal_follower import GoalFollower, Outcome
+from hpid_ros.nodes.parts.goal_graph import FollowerInputs, ToldTrajectories
+from hpid_ros.nodes.parts.goals import ResultCode
+
+_LOOK_PERIOD = 0.05  # [s]
+_READY_WITHIN = 15.0  # [s]
+_PRESSED_WITHIN = 60.0  # [s] from when it is ready
+_MOVED = 0.05  # [rad] from where a joint was when its excitation was planned
+_AT_REST = 0.02  # [rad/s]
+_RESTS_WITHIN = 3.0  # [s] from the request to stop
+_STATES_WITHIN = 30.0  # [s] for states to come again, so that joints can be told to hold
+
+
+class Exciter(executor.ClosingNode):
+    """The shell around one goal and one watch."""
+
+    def __init__(self) -> None:
+        super().__init__("hpid_exciter")
+        order = read_order(self)
+        self._plan = plan = ExcitationPlan.from_mapping(order["plan"])
+        self._recorder = str(order.get("recorder", ""))
+        within = order.get("held_within")
+        self._button = None if within is None else DeadMan(float(within))
+        self._ready_at: float | None = None
+        self._controllers = {each.bounds.controller for each in plan.joints}
+        self._follower = GoalFollower(
+            group_settings(
+                plan,
+                float(order["takeover_time"]),
+                float(order["reference_timeout"]),
+                is_simulated=bool(order["is_simulated"]),
+            )
+        )
+        self._watch = Watch(plan)
+        self._told = ToldTrajectories(
+            self, plan.names, lambda: self._follower.is_active, self._give_way
+        )
+        self._listen([each.bounds.controller for each in plan.joints])
+        self._status = StatusPipe(self)
+        self._reason = ""
+        self._has_begun = self._is_untold = False
+        self._resting: Future | None = None
+        self._born = self._ended = time.monotonic()
+        steady_timer(self, _LOOK_PERIOD, self._look)
+
+    def _listen(self, controllers: Sequence[str]) -> None:
+        names = self._plan.names
+        self._standing: dict[str, float] = {}
+        self._commanded: dict[str, float] = {}
+        self._measured: dict[str, float] = {}
+        references = {
+            joint: f"{controller}/reference"
+            for joint, controller in zip(names, controllers, strict=True)
+        }
+        for topic in references.values():
+            self.create_subscription(
+                JointState, topic, self._on_reference, NEWEST_STATES, raw=True
+            )
+        self._efforts = EffortReader()
+        subscribe_raw(self, "joint_commands", self._on_command, ALL_COMMANDS)
+        self._states = subscribe_raw(self, "joint_states", self._on_state, NEWEST_STATES)
+        self._inputs = FollowerInputs(
+            self,
+            self._follower,
+            ["joint_states"],
+            references,
+            self._act,
+            lambda line: self.get_logger().warning(line, throttle_duration_sec=1.0),
+            lambda stood: self.get_logger().warning(f"stood still for {stood:.3g} s"),
+        )
+
+    def _on_reference(self, raw: bytes) -> None:
+        fields = _decoded(raw)
+        if fields is not None and len(fields.names) == len(fields.position) == 1:
+            self._standing[fields.names[0]] = fields.position[0]
+
+    def _on_state(self, raw: bytes) -> None:
+        """Take the efforts that were measured; the follower's own subscription takes the rest."""
+        if not self._commanded:  # commands are what the limits are of
+            fields = _decoded(raw)
+            if fields is not None and len(fields.names) == len(fields.effort):
+                self._measured.update(zip(fields.names, fields.effort, strict=True))
+
+    def _on_command(self, raw: bytes) -> None:
+        try:
+            _, names, efforts = self._efforts.read(raw)
+        except MessageError:
+            return
+        self._commanded.update(zip(names, efforts, strict=True))
+
+    def _give_way(self, joints: Sequence[str]) -> None:
+        self._act(self._follower.give_way(joints))
+
+    def _act(self, outcome: Outcome | None) -> None:
+        """Tell controllers what follows from something; look at the limits if nothing does."""
+        if outcome is None and self._follower.is_active:
+            self._look_at_limits()
+            return
+        if outcome is None:
+            return
+        if outcome.told is not None:
+            self._told.tell(outcome.told)
+            self._is_untold = False
+        if outcome.result is not None and not self._resting:
+            is_done = outcome.result.code == ResultCode.SUCCESSFUL
+            self._is_untold = not is_done and outcome.told is None
+            self._rest("" if is_done else outcome.result.text)
+
+    def _look_at_limits(self) -> None:
+        feedback = self._follower.feedback()
+        if feedback is None:
+            return
+        efforts = [self._effort(joint) for joint in self._plan.names]
+        line = self._watch.see(feedback.stamp_ns, feedback.actual, efforts)
+        if line:
+            since = feedback.since_start_ns * 1e-9
+            self._act(self._follower.leave(f"{line}; at {since:.3g} s"))
+
+    def _effort(self, joint: str) -> float | None:
+        effort = self._commanded.get(joint, self._measured.get(joint, math.nan))
+        return effort if math.isfinite(effort) else None
+
+    def _rest(self, reason: str) -> None:
+        """Wait until the joints are at rest, and end then."""
+        self._reason, self._ended = reason, time.monotonic()
+        self._resting = Future()
+
+    def _look(self) -> None:
+        if self._resting is not None:
+            if self._is_at_rest() or self._is_late():
+                self._finish()
+        elif self._has_begun:
+            self._look_at_the_button()
+            self._tell_progress()
+        else:
+            self._begin_when_ready()
+
+    def _look_at_the_button(self) -> None:
+        if self._button is not None and not self._button.is_held():
+            self._act(self._follower.leave("the button was released"))
+
+    def _is_at_rest(self) -> bool:
+        """Tell whether all joints rest; those that nobody could tell to stop may not."""
+        if self._is_untold or time.monotonic() - self._ended < 2.0 * _LOOK_PERIOD:
+            return False
+        joints = range(len(self._plan.joints))
+        return all(self._follower.speed(joint) < _AT_REST for joint in joints)
+
+    def _is_late(self) -> bool:
+        patience = _STATES_WITHIN if self._is_untold else _RESTS_WITHIN
+        return time.monotonic() - self._ended > patience
+
+    def _finish(self) -> None:
+        resting = self._resting
+        assert resting is not None
+        if resting.done():
+            return
+        event = "stopped" if self._reason else "done"
+        self._status.send(event, reason=self._reason, is_at_rest=self._is_at_rest())
+        resting.set_result(None)
+        self.request_stop(executor.FAILED if self._reason else 0)
+
+    def _tell_progress(self) -> None:
+        feedback = self._follower.feedback()
+        if feedback is not None:
+            self._status.send("at", seconds=feedback.since_start_ns * 1e-9)
+
+    def _begin_when_ready(self) -> None:
+        if self._button is not None and not self._button.is_held() and self._button.is_gone:
+            self._leave_unmoved("the button was released before anything moved")
+            return
+        lacking = self._lacking()
+        if lacking:
+            if time.monotonic() - (self._ready_at or self._born) > _READY_WITHIN:
+                self._fail(lacking)
+            return
+        if self._button is not None and not self._is_pressed(self._button):
+            return
+        try:
+            standing = [self._standing[joint] for joint in self._plan.names]
+            self._require_unmoved(standing)
+            begun = self._follower.begin(goal_of(self._plan, standing))
+        except HpidError as error:
+            self._fail(str(error))
+            return
+        self._has_begun = True
+        self._told.tell(begun.told)
+        self._status.send("begun")
+
+    def _is_pressed(self, button: DeadMan) -> bool:
+        """Say once that all is ready, and tell whether the button has been pressed since."""
+        if self._ready_at is None:
+            self._ready_at = time.monotonic()
+            button.forget()
+            self._status.send("ready")
+        if button.is_held():
+            return True
+        if time.monotonic() - self._ready_at > _PRESSED_WITHIN:
+            self._leave_unmoved(f"nobody pressed the button within {_PRESSED_WITHIN:g} s")
+        return False
+
+    def _leave_unmoved(self, reason: str) -> None:
+        """End, with every joint as it was."""
+        self._reason = reason
+        self.request_stop(executor.FAILED)
+
+    def _lacking(self) -> str:
+        """Return what is missing before the joints may move, in words; nothing if all is there."""
+        against = self._follower.reason_against()
+        if against:
+            return against
+        for planned in self._plan.joints:
+            if planned.bounds.joint not in self._standing:
+                return (
+                    f"{planned.bounds.controller} tells no ~/reference: it must be active, with "
+                    f"an introspection_rate other than 0"
+                )
+        deaf = self._controllers - self._told.listeners()
+        if deaf:
+            return f"{', '.join(sorted(deaf))} do not hear joint_trajectory as it is named here"
+        if self._recorder and self._recorder not in self._who_hears_states():
+            return "the recorder does not hear the states"
+        return ""
+
+    def _who_hears_states(self) -> set[str]:
+        infos = self.get_subscriptions_info_by_topic(self._states.topic_name)
+        return {info.node_name for info in infos}
+
+    def _require_unmoved(self, standing: Sequence[float]) -> None:
+        """Refuse joints that are not where they were when this was planned."""
+        for planned, reference in zip(self._plan.joints, standing, strict=True):
+            bounds = planned.bounds
+            off = reference - bounds.position
+            if bounds.is_endless:
+                off = math.remainder(off, math.tau)
+            if abs(off) > max(_MOVED, planned.tolerance):
+                raise SettingError(
+                    f"{bounds.joint} was at {bounds.position:.4g} {bounds.unit} when this was "
+                    f"planned, and is told to stand at {reference:.4g} {bounds.unit} now"
+                )
+
+    def _fail(self, reason: str) -> None:
+        self._status.send("failed", reason=reason)
+        self.request_stop(executor.FAILED)
+
+    def wind_down(self) -> Future | None:
+        """Stop the joints, and wait until they rest."""
+        self._act(self._follower.leave("it was interrupted"))
+        return self._resting
+
+    def leave_at_once(self) -> None:
+        """Stop the joints, if that has not been done."""
+        self._act(self._follower.leave("it was interrupted"))
+
+    def close(self) -> None:
+        """Wait until the last trajectory has been heard, and say how it ended if nobody has."""
+        self._told.wait_until_heard()
+        if self._resting is None or not self._resting.done():
+            is_at_rest = not self._has_begun or self._is_at_rest()
+            self._status.send("stopped", reason=self._reason, is_at_rest=is_at_rest)
+
+
+def _decoded(raw: bytes) -> Any:
+    try:
+        return decode_joint_state(raw)
+    except MessageError:
+        return None
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the exciter."""
+    return executor.run(lambda: [Exciter()], args)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

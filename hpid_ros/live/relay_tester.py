@@ -1,0 +1,162 @@
+"""Asks a joint's controller for a relay, and tells how it goes; the relay ends by itself."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Sequence
+
+from diagnostic_msgs.msg import DiagnosticArray
+from rcl_interfaces.srv import SetParameters
+from rclpy.parameter import Parameter
+from rclpy.task import Future
+from std_msgs.msg import Float64MultiArray
+
+from hpid_ros.base.names import ALLOW_RELAY
+from hpid_ros.control.overrides import DONE
+from hpid_ros.live.dead_man import read_order
+from hpid_ros.nodes.core import executor
+from hpid_ros.nodes.core.middleware import NEWEST_STATES, RARE, steady_timer, subscribe_raw
+from hpid_ros.nodes.core.status import StatusPipe
+
+_LOOK_PERIOD = 0.05  # [s]
+_READY_WITHIN = 15.0  # [s]
+_ANSWERS_WITHIN = 3.0  # [s]; a controller tells how it is once a second
+_TAKEN_BACK_WITHIN = 1.0  # [s]
+_IN_FORCE = "; in force"
+
+
+class RelayTester(executor.ClosingNode):
+    """Allows relays, asks for one, listens to how it goes, and forbids them again."""
+
+    def __init__(self) -> None:
+        super().__init__("hpid_relay_tester")
+        order = read_order(self)
+        self._controller = str(order["controller"])
+        self._recorder = str(order["recorder"])
+        self._request = [float(each) for each in order["request"]]
+        self._publisher = self.create_publisher(
+            Float64MultiArray, f"{self._controller}/relay", RARE
+        )
+        self._setter = self.create_client(SetParameters, f"{self._controller}/set_parameters")
+        self._states = subscribe_raw(self, "joint_states", lambda raw: None, NEWEST_STATES)
+        self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, RARE)
+        self._status = StatusPipe(self)
+        self._told: dict[str, str] = {}
+        self._refused = ""
+        self._born = self._heard = time.monotonic()
+        self._begun: float | None = None
+        self._was_in_force = self._is_over = False
+        self._allowed: Future | None = None
+        self._code, self._leave_at = 0, 0.0
+        self._left = Future()
+        steady_timer(self, _LOOK_PERIOD, self._look)
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        for status in message.status:
+            if status.name == self._controller:
+                self._told = {each.key: each.value for each in status.values}
+                self._heard = time.monotonic()
+                if self._begun is not None:
+                    self._take(self._told.get("relay", "none"))
+
+    def _take(self, relay: str) -> None:
+        """Take what the controller says of its relay."""
+        if _IN_FORCE in relay:
+            self._was_in_force = True
+        elif self._was_in_force:
+            ending = relay.rpartition(";")[0]
+            self._end("" if ending == DONE else ending)
+        elif self._told.get("refused references") != self._refused:
+            self._end(self._told.get("last fault", "the relay was refused"))
+
+    def _look(self) -> None:
+        now = time.monotonic()
+        if self._is_over:
+            if now > self._leave_at:
+                self._leave()
+        elif self._begun is None:
+            lacking = self._lacking()
+            if lacking and now - self._born > _READY_WITHIN:
+                self._status.send("failed", reason=lacking)
+                self._finish(executor.FAILED)
+            elif not lacking and self._allowed is None:
+                self._allowed = self._allow(is_allowed=True)
+                self._allowed.add_done_callback(self._begin)
+        elif now - self._heard > _ANSWERS_WITHIN:
+            self._end(f"{self._controller} has told nothing for {_ANSWERS_WITHIN:g} s")
+        else:
+            self._status.send("at", seconds=now - self._begun)
+
+    def _lacking(self) -> str:
+        """Return what is missing before the relay may begin, in words."""
+        lifecycle = self._told.get("lifecycle")
+        if lifecycle != "active":
+            return f"{self._controller} is not active ({lifecycle or 'it tells nothing'})"
+        if not self._publisher.get_subscription_count():
+            return f"{self._controller} does not hear ~/relay"
+        if not self._setter.service_is_ready():
+            return f"{self._controller} does not take parameters"
+        infos = self.get_subscriptions_info_by_topic(self._states.topic_name)
+        if self._recorder not in {info.node_name for info in infos}:
+            return "the recorder does not hear the states"
+        if self._allowed is not None:
+            return f"{self._controller} has not answered {ALLOW_RELAY}"
+        return ""
+
+    def _allow(self, *, is_allowed: bool) -> Future:
+        """Set the parameter that lets ``~/relay`` in."""
+        parameter = Parameter(ALLOW_RELAY, value=is_allowed).to_parameter_msg()
+        return self._setter.call_async(SetParameters.Request(parameters=[parameter]))
+
+    def _begin(self, allowed: Future) -> None:
+        if self._is_over:
+            return
+        (result,) = allowed.result().results
+        if not result.successful:
+            self._status.send("failed", reason=f"{self._controller}: {result.reason}")
+            self._finish(executor.FAILED)
+            return
+        now = time.monotonic()
+        self._refused = self._told.get("refused references", "")
+        self._begun = self._heard = now
+        self._status.send("begun")
+        self._publisher.publish(Float64MultiArray(data=self._request))
+
+    def _end(self, reason: str) -> None:
+        if self._is_over:
+            return
+        event = "stopped" if reason else "done"
+        self._status.send(event, reason=reason, is_at_rest=True)
+        self._finish(executor.FAILED if reason else 0)
+
+    def _finish(self, code: int) -> None:
+        """Take the permission back, if it was asked for, and leave."""
+        self._is_over, self._code = True, code
+        self._leave_at = time.monotonic() + _TAKEN_BACK_WITHIN
+        if self._allowed is None:
+            self._leave()
+        else:
+            self._allow(is_allowed=False).add_done_callback(lambda _: self._leave())
+
+    def _leave(self) -> None:
+        if not self._left.done():
+            self._left.set_result(None)
+            self.request_stop(self._code)
+
+    def wind_down(self) -> Future | None:
+        """Have the relay give back, wait until it has, and forbid relays again."""
+        if self._begun is not None and not self._is_over:
+            self._publisher.publish(Float64MultiArray())
+        elif not self._is_over:
+            self._finish(executor.FAILED)
+        return self._left
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the tester."""
+    return executor.run(lambda: [RelayTester()], args)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

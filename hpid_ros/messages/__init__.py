@@ -1,0 +1,1 @@
+"""ROS messages as bytes and arrays: CDR codecs, bags read by columns, bags written."""

@@ -1,0 +1,216 @@
+"""Messages of a bag that are read one by one: descriptions, parameter events.
+
+For topics of a few messages; what comes a thousand times a second is read as columns.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hpid_ros.base.errors import BagError, MessageError
+from hpid_ros.base.units import NANOSECONDS, Numbers
+from hpid_ros.messages.reports import (
+    ODOMETRY,
+    POSES,
+    STATUSES,
+    VECTOR,
+    ParameterEvent,
+    Status,
+    decode_parameter_event,
+    decode_text,
+)
+from hpid_ros.messages.selection import jazzy_types
+from hpid_ros.messages.storage import Storage
+from hpid_ros.messages.topics import find_topic
+
+
+def stamp_ns_of(message: Any) -> int:
+    """Return the stamp of a message with a header, in [ns]."""
+    stamp = message.header.stamp
+    return int(stamp.sec) * NANOSECONDS + int(stamp.nanosec)
+
+
+def messages_on(bag: Path, topic: str, kind: str) -> list[Any]:
+    """Return the messages on a topic in the order of the log; none where it is not there."""
+    deserialize = jazzy_types().deserialize_cdr
+    with Storage(bag) as storage:
+        where = f"bag {storage.path}"
+        known = {name: info.type for name, info in storage.topics().items()}
+        if not any(name.rpartition("/")[2] == topic.rpartition("/")[2] for name in known):
+            return []
+        name = find_topic(where, topic, known, (kind,))
+        found = []
+        for batch in storage.batches(frozenset({name}), lambda share: None):
+            for index in range(len(batch.starts)):
+                try:
+                    found.append(deserialize(batch.raw(index), kind))
+                # rosbags lets whatever its generated code trips over escape.
+                except Exception as error:
+                    line = f"{where}: a message on {name} is no {kind}: {error!r}"
+                    raise BagError(line) from error
+    return found
+
+
+class PlanarColumns(NamedTuple):
+    """Poses of a base in the plane, as one topic tells them."""
+
+    stamps_ns: NDArray[np.int64]  # [ns] ascending, (N,)
+    poses: Numbers  # [m] x, y [m] and heading [rad], which does not wrap, (N, 3)
+
+
+def odometry_topics(bag: Path) -> list[str]:
+    """Return the names of a bag's topics of odometry."""
+    with Storage(bag) as storage:
+        return [name for name, info in storage.topics().items() if info.type == ODOMETRY]
+
+
+def read_planar(bag: Path, topic: str) -> PlanarColumns:
+    """Return the poses of an odometry topic in the plane."""
+    stamps, rows = [], []
+    for message in _present(bag, topic, ODOMETRY):
+        pose = message.pose.pose
+        q = pose.orientation
+        heading = np.arctan2(2.0 * (q.w * q.z + q.x * q.y), 1.0 - 2.0 * (q.y**2 + q.z**2))
+        stamps.append(stamp_ns_of(message))
+        rows.append((pose.position.x, pose.position.y, float(heading)))
+    order, stamps_ns = _ordered(stamps)
+    poses = np.array(rows)[order]
+    poses[:, 2] = np.unwrap(poses[:, 2])
+    return PlanarColumns(stamps_ns, poses)
+
+
+def read_vectors(bag: Path, topic: str) -> tuple[NDArray[np.int64], Numbers]:
+    """Return stamps in [ns], (N,), and x, y, z, (N, 3), of a topic of stamped vectors."""
+    stamps, rows = [], []
+    for message in _present(bag, topic, VECTOR):
+        stamps.append(stamp_ns_of(message))
+        rows.append((message.vector.x, message.vector.y, message.vector.z))
+    order, stamps_ns = _ordered(stamps)
+    return stamps_ns, np.array(rows)[order]
+
+
+def _present(bag: Path, topic: str, kind: str) -> list[Any]:
+    found = messages_on(bag, topic, kind)
+    if not found:
+        raise BagError(f"bag {bag}: no message on {topic}")
+    return found
+
+
+def _ordered(stamps: list[int]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return places in the order of the stamps, the last of each stamp, and the stamps."""
+    stamps_ns = np.array(stamps, dtype=np.int64)
+    order = np.argsort(stamps_ns, kind="stable")
+    is_last = np.append(np.diff(stamps_ns[order]) > 0, True)
+    order = order[is_last]
+    return order, stamps_ns[order]
+
+
+class PoseColumns(NamedTuple):
+    """K poses at N times, as one topic tells them."""
+
+    stamps_ns: NDArray[np.int64]  # [ns] ascending, (N,)
+    positions: Numbers  # [m] (N, K, 3)
+    orientations: Numbers  # quaternions x, y, z, w, (N, K, 4)
+
+
+def read_poses(bag: Path, topic: str, kind: str = POSES) -> PoseColumns | None:
+    """Return the poses of a topic; None where there is no such topic or nothing on it."""
+    rows: dict[int, Numbers] = {}
+    for message in messages_on(bag, topic, kind):
+        poses = message.poses if kind == POSES else [message.pose]
+        rows[stamp_ns_of(message)] = np.array([_numbers(pose) for pose in poses]).reshape(-1, 7)
+    if not rows:
+        return None
+    stamps = sorted(rows)
+    if len({len(row) for row in rows.values()}) > 1:
+        raise BagError(f"bag {bag}: the number of poses on {topic} changes")
+    whole = np.array([rows[stamp] for stamp in stamps])
+    return PoseColumns(np.array(stamps, dtype=np.int64), whole[..., :3], whole[..., 3:])
+
+
+def read_statuses(bag: Path, topic: str) -> list[Status]:
+    """Return what a topic of diagnostics says, in the order of the log; nothing without it."""
+    return [
+        Status(
+            stamp_ns_of(message),
+            int(status.level),
+            status.name,
+            status.message,
+            {pair.key: pair.value for pair in status.values},
+        )
+        for message in messages_on(bag, topic, STATUSES)
+        for status in message.status
+    ]
+
+
+TEXT = "std_msgs/msg/String"
+_DESCRIPTION = "robot_description"
+
+
+def read_robot_descriptions(bag: Path, namespace: str | None = None) -> list[tuple[str, str]]:
+    """Return the last text on each topic ``robot_description``, with the topic; often none."""
+    only = (
+        None if namespace is None else f"/{namespace.strip('/')}/{_DESCRIPTION}".replace("//", "/")
+    )
+    found: dict[str, str] = {}
+    with Storage(bag) as storage:
+        topics = frozenset(
+            name
+            for name, info in storage.topics().items()
+            if info.type == TEXT
+            and name.rpartition("/")[2] == _DESCRIPTION
+            and only in (None, name)
+        )
+        for batch in storage.batches(topics, lambda share: None) if topics else ():
+            for index in range(len(batch.starts)):
+                with suppress(MessageError):
+                    found[batch.topic] = decode_text(batch.raw(index))
+    return sorted(found.items())
+
+
+def _numbers(pose: Any) -> tuple[float, ...]:
+    p, q = pose.position, pose.orientation
+    return p.x, p.y, p.z, q.x, q.y, q.z, q.w
+
+
+PARAMETER_EVENTS = "rcl_interfaces/msg/ParameterEvent"
+
+
+class ParameterChange(NamedTuple):
+    """What one node told of its parameters at once."""
+
+    place: int  # place of the message in the log
+    log_time_ns: int  # [ns] when it was recorded
+    node: str  # full name of the node
+    declared: Mapping[str, Any]  # values of parameters that it declared, by name
+    changed: Mapping[str, Any]  # values that were set later
+
+
+def parameter_changes(bag: Storage) -> list[ParameterChange]:
+    """Return what all nodes of a bag told of their parameters, in the order of the log."""
+    topics = bag.topics()
+    names = frozenset(name for name, each in topics.items() if each.type == PARAMETER_EVENTS)
+    return sorted(_changes(bag, names), key=lambda each: each.place) if names else []
+
+
+def _changes(bag: Storage, names: frozenset[str]) -> Iterator[ParameterChange]:
+    for batch in bag.batches(names, lambda share: None):
+        for index in range(len(batch.starts)):
+            told = read_event(batch.raw(index))
+            if told is not None:
+                place, log_time_ns = int(batch.places[index]), int(batch.log_times_ns[index])
+                yield ParameterChange(place, log_time_ns, *told)
+
+
+def read_event(raw: bytes) -> ParameterEvent | None:
+    """Return what one serialised message tells; None for bytes that are none."""
+    try:
+        return decode_parameter_event(raw)
+    except MessageError:
+        return None

@@ -1,0 +1,393 @@
+"""A run as arrays, and how complete it is.
+
+Stamps are the integer nanoseconds of the states' headers, never the arrival times: a run that
+was slow on the wall clock is the same run.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hpid_ros.base.errors import HpidError
+from hpid_ros.base.units import NANOSECONDS, Numbers
+
+HOLD = "hold"
+"""As a reference: the joint's first position, because it was asked for."""
+MEASURED = "measured"
+"""First word of the source of efforts that nobody commanded."""
+NONE = "none"
+"""There is no reference, or there are no efforts."""
+HELD = "the first position, held as asked for"
+NO_REFERENCE = "no reference was recorded"
+NO_EFFORT = "no effort was recorded"
+
+
+@dataclass(frozen=True)
+class StampQuality:
+    """One stream of samples of one joint, its states or its commands.
+
+    The period is the median time between two stamps. An interval longer than 1.5 periods is a
+    gap. Repeats and samples that are out of order are counted in the order of the recording.
+    """
+
+    count: int = 0  # samples that are used
+    period: float = 0.0  # [s] median time between two of them; zero for fewer than two
+    begin: float = 0.0  # [s] first stamp, in seconds since the first state of any joint
+    end: float = 0.0  # last stamp, likewise
+    gaps: int = 0  # intervals longer than 1.5 periods
+    lost: int = 0  # samples that would fill the gaps, no more than the whole time has room for
+    gap_time: float = 0.0  # [s] sum of the gaps
+    longest_gap: float = 0.0  # [s] the longest; zero if there is none
+    # [s] when it begins, in seconds since the first state of any joint
+    longest_gap_at: float = 0.0
+    repeated: int = 0  # samples whose stamp was there already; of several the last stands
+    out_of_order: int = 0  # samples with an earlier stamp than the sample recorded before
+    # samples that were left out, their number being NaN, infinite or beyond 1e50
+    not_finite: int = 0
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether nothing is missing, repeated, out of order or unusable."""
+        return not (self.lost or self.repeated or self.out_of_order or self.not_finite)
+
+
+@dataclass(frozen=True)
+class DataQuality:
+    """What one joint's series was made of."""
+
+    states: StampQuality = field(default_factory=StampQuality)
+    commands: StampQuality = field(default_factory=StampQuality)
+    state_clock: str = "header"  # "header" or "receive": whose time the states have
+    command_clock: str = "header"  # likewise of the commands
+    answers_states: bool = True
+    # kind and topic of the reference, for instance "trajectory /joint_trajectory"
+    reference: str = NONE
+    references: int = 0  # number of reference messages that concern the joint
+    # [s] when the joint came under its reference, in seconds since the first state of any joint
+    reference_from: float | None = None
+    effort: str = NONE  # topic of the efforts, "measured" and the topic of the states, or "none"
+    no_effort: str = ""  # why there is none; empty if there is
+
+    @property
+    def has_common_time(self) -> bool:
+        """Whether states and commands, if there are both, share some time."""
+        states, commands = self.states, self.commands
+        if not (states.count and commands.count):
+            return True
+        return states.begin <= commands.end and commands.begin <= states.end
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether neither states nor commands miss anything."""
+        return self.states.is_complete and self.commands.is_complete
+
+
+@dataclass(frozen=True)
+class RecordingQuality:
+    """What a whole recording was made of."""
+
+    source: str = ""  # path of the bag
+    joints: Mapping[str, DataQuality] = field(default_factory=dict)
+    unreadable: tuple[str, ...] = ()  # one line for each part of the files that could not be read
+    notes: tuple[str, ...] = ()  # one line for each thing that was assumed or left out on purpose
+    missed: Mapping[str, int] = field(default_factory=dict)
+    stood_still: float = 0.0  # [s] how long the recorder itself stood still
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether all was recorded, every file was read whole and no joint misses anything."""
+        is_whole = not (self.unreadable or self.missed or self.stood_still)
+        return is_whole and all(each.is_complete for each in self.joints.values())
+
+    @property
+    def missing_lines(self) -> tuple[str, ...]:
+        """One line for each thing that is known to be missing."""
+        missed = [
+            f"the recorder missed {count} messages on {topic}"
+            for topic, count in self.missed.items()
+        ]
+        if self.stood_still:
+            missed.append(
+                f"the recorder stood still for {self.stood_still:.1f} s: more messages of that "
+                "time may be missing than were counted"
+            )
+        return (*self.unreadable, *missed)
+
+    @property
+    def lines(self) -> tuple[str, ...]:
+        """One line for each thing that concerns more than one joint."""
+        return (*self.missing_lines, *self.notes)
+
+
+class SeriesError(HpidError, ValueError):
+    """Arrays that are no time series: of unequal length, not finite, or not in order."""
+
+
+@dataclass(frozen=True, eq=False)
+class JointSeries:
+    """One joint of one run. The arrays are read-only; those that were not before are copied.
+
+    Attributes:
+        joint: Name of the joint.
+        state_stamps_ns: Stamps of the states, (N,), strictly increasing, N >= 1, in [ns].
+        position: Measured position at each state, (N,), in [rad].
+        reference: Reference sampled at the same stamps, (N,), in [rad]; empty where nothing says
+            what the joint was to follow.
+        command_stamps_ns: Stamps of the states that the commands answer, (M,), strictly
+            increasing, in [ns]. M = 0 is a joint whose controller never answered.
+        effort: Effort of each command, or as it was measured, (M,), in [N m].
+        is_slide: Whether the joint is known to slide: "rad" reads "m" then, and "N m" reads "N".
+
+    Raises:
+        SeriesError: If a length differs, a value is not finite, or stamps do not increase.
+    """
+
+    joint: str
+    state_stamps_ns: NDArray[np.int64]
+    position: Numbers
+    reference: Numbers
+    command_stamps_ns: NDArray[np.int64]
+    effort: Numbers
+    is_slide: bool = False
+
+    def __post_init__(self) -> None:
+        if not self.joint:
+            raise SeriesError("a joint series needs the name of its joint, got an empty one")
+        states = self._store("state_stamps_ns", self._stamps("state_stamps_ns"))
+        commands = self._store("command_stamps_ns", self._stamps("command_stamps_ns"))
+        if not states.size:
+            raise SeriesError(f"joint {self.joint!r}: no state; at least one is needed")
+        for name, stamps in (("position", states), ("reference", states), ("effort", commands)):
+            self._store(name, self._samples(name, stamps.size))
+
+    @property
+    def has_reference(self) -> bool:
+        """Whether it is known what the joint was to follow."""
+        return self.reference.size > 0
+
+    @property
+    def has_effort(self) -> bool:
+        """Whether any effort is known."""
+        return self.effort.size > 0
+
+    @property
+    def time(self) -> Numbers:
+        """Time of each state since the first state, (N,), in [s]."""
+        return seconds_since(self.state_stamps_ns, int(self.state_stamps_ns[0]))
+
+    @property
+    def command_time(self) -> Numbers:
+        """Time of the state that each command answers since the first state, (M,), in [s]."""
+        return seconds_since(self.command_stamps_ns, int(self.state_stamps_ns[0]))
+
+    @property
+    def error(self) -> Numbers:
+        """Reference minus measured position, (N,), in [rad].
+
+        Raises:
+            SeriesError: Nothing says what the joint was to follow.
+        """
+        if not self.has_reference:
+            raise SeriesError(f"joint {self.joint!r}: no reference was recorded, hence no error")
+        return self.reference - self.position
+
+    def _store(self, name: str, values: NDArray[Any]) -> NDArray[Any]:
+        values.setflags(write=False)
+        object.__setattr__(self, name, values)
+        return values
+
+    def _stamps(self, name: str) -> NDArray[np.int64]:
+        raw = np.asarray(getattr(self, name))
+        where = f"joint {self.joint!r}: {name}"
+        if raw.ndim != 1 or (raw.size and raw.dtype.kind not in "iu"):
+            raise SeriesError(
+                f"{where} must be a line of integers, got {raw.dtype} of shape {raw.shape}"
+            )
+        stamps = _own(raw, np.int64)
+        late = np.flatnonzero(np.diff(stamps) <= 0)
+        if late.size:
+            k = int(late[0])
+            raise SeriesError(
+                f"{where} must increase strictly, but [{k}] = {stamps[k]} "
+                f"is followed by {stamps[k + 1]}"
+            )
+        return stamps
+
+    def _samples(self, name: str, length: int) -> Numbers:
+        samples = _own(getattr(self, name), np.float64)
+        where = f"joint {self.joint!r}: {name}"
+        if name == "reference" and samples.shape == (0,):
+            return samples
+        if samples.shape != (length,):
+            raise SeriesError(
+                f"{where} has shape {samples.shape}, but its stamps have ({length},)"
+            )
+        require_finite(where, samples)
+        return samples
+
+
+@dataclass(frozen=True)
+class Losses:
+    """What went missing between one joint's controller and the robot."""
+
+    unanswered_states: int = 0  # states that no command answers
+    repeated_commands: int = 0  # commands beyond the first that carry an already answered stamp
+
+    def __post_init__(self) -> None:
+        if self.unanswered_states < 0 or self.repeated_commands < 0:
+            raise SeriesError(f"losses are counts and cannot be negative, got {self}")
+
+    def __bool__(self) -> bool:
+        return self.unanswered_states > 0 or self.repeated_commands > 0
+
+
+@dataclass(frozen=True)
+class Retune:
+    """A change of a controller's parameters while it ran."""
+
+    stamp_ns: int  # [ns] stamp of the last state before it
+    node: str  # name of the controller's node
+    change: str  # what was set, for instance "mu = -0.2"
+
+
+@dataclass(frozen=True, eq=False)
+class RunSeries:
+    """All joints of one run under one controller.
+
+    Attributes:
+        label: Name of the run in tables and legends, for instance ``"hPID"``.
+        joints: The series of each joint, in the order in which they are shown.
+        losses: Losses by joint name; a joint that is not named lost nothing.
+        retunes: Changes of parameters while it ran, as far as they were recorded.
+        quality: How complete the recording is, and on which clock and reference it stands.
+
+    Raises:
+        SeriesError: If there is no label or no joint, a joint is there twice, or losses name
+            a joint that the run does not have.
+    """
+
+    label: str
+    joints: tuple[JointSeries, ...]
+    losses: Mapping[str, Losses] = field(default_factory=dict)
+    retunes: tuple[Retune, ...] = ()
+    quality: RecordingQuality = field(default_factory=RecordingQuality)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "joints", tuple(self.joints))
+        names = [series.joint for series in self.joints]
+        if not self.label or not names:
+            raise SeriesError(
+                f"a run needs a label and at least one joint, got {self.label!r}, {names}"
+            )
+        if len(set(names)) < len(names):
+            raise SeriesError(f"run {self.label!r}: a joint occurs twice in {', '.join(names)}")
+        foreign = sorted(set(self.losses) - set(names))
+        if foreign:
+            raise SeriesError(
+                f"run {self.label!r}: losses of unknown joints {', '.join(foreign)}; "
+                f"known: {', '.join(names)}"
+            )
+        losses = {name: self.losses.get(name, Losses()) for name in names}
+        object.__setattr__(self, "losses", losses)
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names of the joints, in order."""
+        return tuple(series.joint for series in self.joints)
+
+    @property
+    def slides(self) -> frozenset[str]:
+        """Names of the joints that are known to slide."""
+        return frozenset(series.joint for series in self.joints if series.is_slide)
+
+    def with_slides(self, slides: Collection[str]) -> RunSeries:
+        """Return the run with these joints known to slide, and no others.
+
+        Args:
+            slides: Names of joints; what the run does not have is passed over.
+        """
+        if self.slides == frozenset(slides).intersection(self.joint_names):
+            return self
+        marked = (replace(each, is_slide=each.joint in slides) for each in self.joints)
+        return replace(self, joints=tuple(marked))
+
+    def narrowed(self, joints: Collection[str]) -> RunSeries:
+        """Return the run of some of its joints, in its own order.
+
+        Args:
+            joints: Their names; at least one is in the run.
+
+        Raises:
+            SeriesError: None is.
+        """
+        kept = tuple(each for each in self.joints if each.joint in joints)
+        losses = {each.joint: self.losses[each.joint] for each in kept}
+        seen = {name: each for name, each in self.quality.joints.items() if name in joints}
+        return replace(
+            self, joints=kept, losses=losses, quality=replace(self.quality, joints=seen)
+        )
+
+    @property
+    def start_ns(self) -> int:
+        """Stamp of the first state of any joint, in [ns]."""
+        return min(int(series.state_stamps_ns[0]) for series in self.joints)
+
+    @property
+    def duration(self) -> float:
+        """Time from the first to the last state of any joint, in [s]."""
+        last_ns = max(int(series.state_stamps_ns[-1]) for series in self.joints)
+        return (last_ns - self.start_ns) / NANOSECONDS
+
+
+def _own(values: ArrayLike, kind: type[np.generic]) -> NDArray[Any]:
+    """Return an array that nobody changes: a copy, or one that is read-only and no view."""
+    if (
+        isinstance(values, np.ndarray)
+        and values.dtype == kind
+        and values.flags.owndata
+        and not values.flags.writeable
+    ):
+        return values
+    return np.array(values, dtype=kind)
+
+
+def seconds_since(stamps_ns: NDArray[np.int64], origin_ns: int) -> Numbers:
+    """Return stamps as seconds since an origin; exact differences, rounded once."""
+    return np.asarray((stamps_ns - origin_ns) / NANOSECONDS, dtype=np.float64)
+
+
+def require_finite(what: str, values: ArrayLike) -> None:
+    """Raise SeriesError, naming the first offender, unless every value is finite."""
+    array = np.asarray(values, dtype=np.float64)
+    bad = np.flatnonzero(~np.isfinite(array))
+    if bad.size:
+        k = int(bad[0])
+        raise SeriesError(
+            f"{what} must be finite, but [{k}] = {array[k]} ({bad.size} of {array.size})"
+        )
+
+
+def complete_run(
+    label: str,
+    joints: Sequence[str],
+    stamps_ns: NDArray[np.int64],
+    columns: Iterable[Numbers],
+    slides: Collection[str] = (),
+) -> RunSeries:
+    """Return the series of a run without losses."""
+    positions, references, efforts = columns
+    return RunSeries(
+        label,
+        tuple(
+            JointSeries(
+                *(joint, stamps_ns, positions[:, k], references[:, k], stamps_ns, efforts[:, k]),
+                is_slide=joint in slides,
+            )
+            for k, joint in enumerate(joints)
+        ),
+    )

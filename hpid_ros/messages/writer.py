@@ -1,0 +1,326 @@
+"""Bags written, and bags repaired: whatever can be read of one that was cut off or damaged."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, NamedTuple
+
+from hpid_ros.base.errors import BagError, ResultExistsError, unknown_name
+from hpid_ros.messages.columns import TopicBatch
+from hpid_ros.messages.selection import JOINT_TRAJECTORY, jazzy_types
+from hpid_ros.messages.storage import Progress, Storage
+
+if TYPE_CHECKING:
+    from rosbags.interfaces import Connection, Qos
+    from typing_extensions import Self
+
+
+_MAX_TIME_NS = 2**63
+
+
+class TopicQos(NamedTuple):
+    """Offered quality of service of a recorded topic, so that a replay offers the same."""
+
+    reliable: bool = True  # reliable if True, best effort if False
+    transient_local: bool = False  # the last message reaches late subscribers; volatile if False
+    depth: int = 10  # messages kept (keep last)
+
+
+class BagTopic(NamedTuple):
+    """A topic of an open bag; :meth:`BagWriter.write` takes it."""
+
+    name: str  # the topic's name
+    type: str  # its type, for instance "sensor_msgs/msg/JointState"
+    connection: Connection  # the same in the words of rosbags
+
+
+class BagWriter:
+    """A new bag folder with one MCAP file (rosbag2 version 9, Jazzy's message definitions).
+
+    Messages are taken as they came off the wire. What has been written is in the file after half
+    a second of log time or 1 MiB, whichever comes first, or after :meth:`flush`. Leaving the
+    ``with`` block finishes the bag in any case, also when the block raised. Not safe to share
+    between threads.
+
+    Args:
+        path: The folder to create, parents included.
+        metadata: Free text by name, kept in the bag's ``custom_data``.
+
+    Raises:
+        ResultExistsError: If the path exists; nothing is touched.
+        BagError: If the folder cannot be written.
+    """
+
+    def __init__(self, path: Path | str, *, metadata: Mapping[str, str] | None = None) -> None:
+        self.path = Path(path)
+        self._topics: list[BagTopic] = []
+        self._failure: str | None = None
+        self._is_gone = False
+        self._is_closed = False
+        from rosbags.rosbag2 import WriterError
+
+        from hpid_ros.messages.rosbags_internals import FlushingWriter
+
+        self._refusal = WriterError
+        try:
+            self._writer = FlushingWriter(self.path)
+            for name, text in (metadata or {}).items():
+                self.describe(name, text)
+            self._writer.open()
+        except WriterError as error:
+            if self.path.exists():
+                raise ResultExistsError(
+                    f"bag {self.path} exists already, nothing is overwritten"
+                ) from error
+            raise BagError(f"cannot create bag {self.path}: {error}") from error
+        except OSError as error:
+            raise BagError(f"cannot create bag {self.path}: {error.strerror or error}") from error
+
+    def describe(self, name: str, text: str) -> None:
+        """Add an entry to the bag's metadata, which is written when the bag is closed.
+
+        Args:
+            name: Its name; an entry of that name is replaced.
+            text: What it says.
+        """
+        self._writer.set_custom_data(name, text)
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Messages taken so far, by topic; after a failure or closing, those in the file."""
+        counts = self._writer.counts
+        return {topic.name: counts[topic.connection.id] for topic in self._topics}
+
+    def add_topic(
+        self, name: str, type: str, qos: TopicQos | None = None, definition: str = ""
+    ) -> BagTopic:
+        """Add a topic.
+
+        Args:
+            name: Its name, with the leading slash as ROS 2 resolves it.
+            type: A type of ROS 2 Jazzy, for instance ``"sensor_msgs/msg/JointState"``.
+            qos: What its publisher offers; reliable and volatile if not given.
+            definition: The type's definition as another bag holds it, for types that Jazzy
+                lacks.
+
+        Raises:
+            BagError: If the type is unknown, the topic is there already or the bag is closed.
+        """
+        self._check_open()
+        types = jazzy_types()
+        if type not in types.types and not definition:
+            raise BagError(f"bag {self.path}: {unknown_name('message type', type, types.types)}")
+        if any(topic.name == name for topic in self._topics):
+            raise BagError(f"bag {self.path}: topic {name!r} was added before")
+        connection = self._writer.add_connection(
+            name,
+            type,
+            typestore=types,
+            # The hash of a foreign type is not known here; readers do not need it.
+            **({} if type in types.types else {"msgdef": definition, "rihs01": "unknown"}),
+            offered_qos_profiles=[_rosbags_qos(TopicQos() if qos is None else qos)],
+        )
+        self._topics.append(topic := BagTopic(name, type, connection))
+        return topic
+
+    def write(self, topic: BagTopic, log_time_ns: int, raw: bytes) -> None:
+        """Write one message.
+
+        Args:
+            topic: What :meth:`add_topic` returned.
+            log_time_ns: When it was received, in [ns], not negative.
+            raw: The serialised message with its CDR header.
+
+        Raises:
+            BagError: If the bag is closed, the disk is full, the time is negative or the topic is
+                another bag's. After a full disk every further call raises, and closing keeps all
+                that had reached the file.
+        """
+        if self._failure is not None or not 0 <= log_time_ns < _MAX_TIME_NS:
+            self._check_open()
+            raise BagError(
+                f"bag {self.path}: log time {log_time_ns} ns of {topic.name} is not in [0, 2^63)"
+            )
+        try:
+            self._writer.write(topic.connection, log_time_ns, raw)
+        except OSError as error:
+            raise self._fail(error) from error
+        except self._refusal as error:
+            self._check_open()
+            raise BagError(f"bag {self.path}: {topic.name} is no topic of it") from error
+
+    def flush(self) -> None:
+        """Hand everything that was written to the operating system, for instance when idle.
+
+        Raises:
+            BagError: If the bag is closed, the disk is full, or the file is no longer where it
+                was made: what goes on being written to a deleted file is lost with the process.
+        """
+        self._check_open()
+        mcap = self._writer.mcap
+        if mcap is None:
+            return
+        try:
+            mcap.flush()
+            self._is_gone = not mcap.is_in_place()
+        except OSError as error:
+            raise self._fail(error) from error
+        if self._is_gone:
+            self._failure = "is gone: it was deleted, moved or replaced while it was written"
+            self._check_open()
+
+    def close(self) -> None:
+        """Write all that is left, the index and ``metadata.yaml``; does nothing the second time.
+
+        Raises:
+            BagError: If that fails. Without its index the bag cannot be opened.
+        """
+        if self._is_closed:
+            return
+        self._is_closed = True
+        try:
+            if self._failure is None:
+                self.flush()
+        finally:
+            self._finish()
+            self._failure = self._failure or "is closed"
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if error is None:
+            self.close()
+        else:
+            # The error that ended the block says more than a bag that could not be finished.
+            with suppress(BagError):
+                self.close()
+
+    def _finish(self) -> None:
+        if self._is_gone:
+            # Whatever is at the path now is somebody else's. A bag that was moved is as after
+            # kill -9: without index, and repairable.
+            self._writer.abort()
+            return
+        try:
+            self._writer.close()
+        except OSError as error:
+            with suppress(OSError):
+                if (mcap := self._writer.mcap) is not None:
+                    mcap.abort()
+            raise BagError(f"cannot finish bag {self.path}: {error.strerror or error}") from error
+
+    def _fail(self, error: OSError) -> BagError:
+        self._failure = f"cannot be written: {error.strerror or error}"
+        self._writer.count_what_is_stored()
+        return BagError(f"bag {self.path} {self._failure}")
+
+    def _check_open(self) -> None:
+        if self._failure is not None:
+            raise BagError(f"bag {self.path} {self._failure}")
+
+
+def _rosbags_qos(qos: TopicQos) -> Qos:
+    """Return the profile in the words of rosbags."""
+    from rosbags.interfaces import (
+        Qos,
+        QosDurability,
+        QosHistory,
+        QosLiveliness,
+        QosReliability,
+        QosTime,
+    )
+
+    # RMW_DURATION_INFINITE, as rosbag2 writes an unset deadline, lifespan or lease.
+    forever = QosTime(9_223_372_036, 854_775_807)
+    return Qos(
+        history=QosHistory.KEEP_LAST,
+        depth=qos.depth,
+        reliability=QosReliability.RELIABLE if qos.reliable else QosReliability.BEST_EFFORT,
+        durability=QosDurability.TRANSIENT_LOCAL
+        if qos.transient_local
+        else QosDurability.VOLATILE,
+        deadline=forever,
+        lifespan=forever,
+        liveliness=QosLiveliness.AUTOMATIC,
+        liveliness_lease_duration=forever,
+        avoid_ros_namespace_conventions=False,
+    )
+
+
+_LATCHED = TopicQos(transient_local=True, depth=1)
+
+
+@dataclass(frozen=True)
+class Repair:
+    """What came of a repair."""
+
+    target: Path  # the folder that was written
+    saved: dict[str, int]  # messages in it, by topic
+    span_ns: tuple[int, int] | None  # [ns] first and last log time in it; None without messages
+    unreadable: tuple[str, ...]  # a line for each thing of the old bag that could not be read
+
+
+class _Message(NamedTuple):
+    place: int
+    topic: str
+    log_time_ns: int
+    raw: bytes
+
+
+def repair_bag(source: Path, target: Path, progress: Progress | None = None) -> Repair:
+    """Write what can be read of a bag into a new one, with index and ``metadata.yaml``.
+
+    The old bag is only read. Messages keep their bytes, their log times and their order.
+    """
+    saved: dict[str, int] = {}
+    span_ns: tuple[int, int] | None = None
+    with Storage(source) as storage:
+        topics = storage.topics()
+        if not topics:
+            reasons = "; ".join(storage.unreadable) or "it has no topic"
+            raise BagError(f"nothing of bag {source} can be read ({reasons})")
+        with BagWriter(target, metadata=storage.custom_data) as writer:
+            handles: dict[str, BagTopic] = {}
+            for name, info in sorted(topics.items()):
+                qos = _LATCHED if info.type == JOINT_TRAJECTORY else None
+                handles[name] = writer.add_topic(name, info.type, qos, info.definition)
+            batches = storage.batches(frozenset(topics), progress or (lambda share: None))
+            for message in _in_order(batches):
+                writer.write(handles[message.topic], message.log_time_ns, message.raw)
+                time_ns = message.log_time_ns
+                first, last = span_ns or (time_ns, time_ns)
+                span_ns = min(first, time_ns), max(last, time_ns)
+        saved = writer.counts
+        return Repair(target, saved, span_ns, tuple(storage.unreadable))
+
+
+def _in_order(batches: Iterable[TopicBatch]) -> Iterator[_Message]:
+    """Yield messages as the files held them.
+
+    One part of a file comes as a batch for each of its topics, in the order of their names; a
+    topic that is not after the one before it begins the next part.
+    """
+    part: list[_Message] = []
+    before = ""
+    for batch in batches:
+        if batch.topic <= before:
+            yield from sorted(part)
+            part = []
+        before = batch.topic
+        part.extend(
+            _Message(place, batch.topic, log_time_ns, batch.raw(index))
+            for index, (place, log_time_ns) in enumerate(
+                zip(batch.places.tolist(), batch.log_times_ns.tolist(), strict=True)
+            )
+        )
+    yield from sorted(part)

@@ -1,0 +1,474 @@
+"""Runs side by side: the first is the baseline, the others are ratios of it.
+
+Every index and norm here is a cost: a ratio below one is an improvement. Runs of unlike length,
+rate or reference have no ratios: their numbers stand beside each other and say nothing.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from enum import Enum
+from functools import cached_property
+from typing import NamedTuple
+
+from hpid_ros.base.errors import unknown_name
+from hpid_ros.messages.series import SeriesError
+from hpid_ros.metrics.quantities import INDICES, NORMS, PAPER, QUANTITIES, Data, Quantity
+from hpid_ros.metrics.results import (
+    DURATION_WITHIN,
+    EVERYTHING,
+    NOTHING,
+    Difference,
+    RunIndices,
+    differences,
+)
+
+
+def mismatches(runs: Sequence[RunIndices]) -> list[str]:
+    """Return one line for each way in which a run's conditions differ from the first run's."""
+    lines = []
+    first = runs[0]
+    for run in runs[1:]:
+        names = f"runs {first.label!r} and {run.label!r}"
+        if run.label == first.label:
+            names = f"repeats of {run.label!r}"
+        if run.angle_unit != first.angle_unit:
+            lines.append(f"{names}: units differ: {first.angle_unit} and {run.angle_unit}")
+        lines += [f"{names}: {each.text}" for each in run_differences(first, run)]
+    return list(dict.fromkeys(lines))
+
+
+def run_differences(one: RunIndices, other: RunIndices) -> Iterator[Difference]:
+    """Yield what two runs do not share of conditions and of what their numbers stand on."""
+    for data in Data:
+        if (data in one.assumed) != (data in other.assumed) and not _lacks(data, one, other):
+            texts = (f"{run.label}'s is {_source(run, data)}" for run in (one, other))
+            keys = (key for key, each in QUANTITIES.items() if each.needs is data)
+            yield Difference(f"{data.value}: {', '.join(texts)}", frozenset(keys))
+    if one.conditions is None or other.conditions is None:
+        unknown = one.label if one.conditions is None else other.label
+        yield Difference(f"the conditions of {unknown!r} were not saved", NOTHING)
+        return
+    yield from differences(one.conditions, other.conditions)
+
+
+def _lacks(data: Data, *runs: RunIndices) -> bool:
+    """Tell whether all joints of a run lack something: there is nothing to compare then."""
+    return any(all(data in run.lacking.get(joint, {}) for joint in run.joints) for run in runs)
+
+
+def _source(run: RunIndices, data: Data) -> str:
+    recorded = {Data.REFERENCE: "recorded", Data.EFFORT: "commanded"}
+    return run.assumed.get(data, recorded[data])
+
+
+SHORTEST = 0.1
+"""Shorter common times, in [s], say nothing of whole motions: runs are left as they are."""
+
+
+class Cut(NamedTuple):
+    """The part of a recording that is common to all."""
+
+    start: float  # [s] its begin since the first state of any joint
+    end: float  # its end, likewise
+    text: str  # the same in words; empty where it is the whole recording
+
+
+def common_cuts(runs: Sequence[RunIndices]) -> tuple[Cut, ...]:
+    """Return the part of each recording to compare; nothing if the whole ones can be.
+
+    Recordings are laid beside each other where their references begin, as recorders are started
+    by hand; where one has none, at their first states.
+    """
+    conditions = [run.conditions for run in runs]
+    known = [each for each in conditions if each is not None]
+    if len(known) < len(runs) or len(runs) < 2:
+        return ()
+    durations = [each.duration for each in known]
+    begins = [each.reference_from for each in known]
+    has_references = all(begin is not None for begin in begins)
+    starts = [begin or 0.0 for begin in begins] if has_references else [0.0] * len(runs)
+    room = min(duration - start for duration, start in zip(durations, starts, strict=True))
+    within = DURATION_WITHIN * max(durations)
+    if max(durations) - min(durations) <= within and max(starts) - min(starts) <= within:
+        return ()
+    if room < SHORTEST:
+        return ()
+    where = "its reference begins" if has_references else "its states do"
+    return tuple(
+        Cut(
+            start,
+            start + room,
+            ""
+            if duration - room <= DURATION_WITHIN * room
+            else f"cut to {room:.4g} s of {duration:.4g} s, from {start:.4g} s on, where {where}",
+        )
+        for start, duration in zip(starts, durations, strict=True)
+    )
+
+
+# Half of the last digit that tables show: what reads as 1.000 is called equal.
+EQUAL_WITHIN = 5e-4
+THRESHOLD = f"within {100.0 * EQUAL_WITHIN:g}%"
+"""How near to one a ratio is that counts as unchanged."""
+
+
+class Verdict(Enum):
+    """What a ratio says of a cost."""
+
+    BETTER = "better"
+    WORSE = "worse"
+    EQUAL = "unchanged"
+    UNKNOWN = "not comparable"
+
+
+class Judgement(Enum):
+    """What the paper's five numbers together say of a run beside the baseline."""
+
+    BETTER = "better"
+    WORSE = "worse"
+    MIXED = "mixed"
+    EQUAL = "unchanged"
+    INCOMPARABLE = "not comparable"
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Any number of runs of the same joints; the first is the baseline."""
+
+    runs: tuple[RunIndices, ...]  # the numbers of each run, at least one
+    indices: tuple[Quantity, ...] = INDICES  # what tables show of each joint and of all
+    norms: tuple[Quantity, ...] = NORMS  # what they show of all joints alone
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "runs", tuple(self.runs))
+        if not self.runs:
+            raise SeriesError("a comparison needs at least one run, got none")
+        labels = [run.label for run in self.runs]
+        if len(set(labels)) < len(labels):
+            raise SeriesError(f"a comparison needs unlike labels, got {', '.join(labels)}")
+        for run in self.others:
+            unlike = sorted(set(run.joints) ^ set(self.baseline.joints))
+            if unlike:
+                shared = [name for name in self.baseline.joints if name in run.joints]
+                advice = f"; choose among those that both have: {', '.join(shared)}"
+                raise SeriesError(
+                    f"runs {self.baseline.label!r} and {run.label!r} are not comparable, they do "
+                    f"not have the same joints: only one of them has {', '.join(unlike)}"
+                    f"{advice if shared else ''}"
+                )
+            if run.angle_unit != self.angle_unit:
+                raise SeriesError(
+                    f"runs {self.baseline.label!r} and {run.label!r} differ in the unit of "
+                    f"angles: {self.angle_unit} and {run.angle_unit}"
+                )
+            if run.slides != self.slides:
+                unlike = sorted(run.slides ^ self.slides)
+                raise SeriesError(
+                    f"runs {self.baseline.label!r} and {run.label!r} differ in the units of "
+                    f"{', '.join(unlike)}: only one of them knows that it slides"
+                )
+        for quantity in (*self.indices, *self.norms):
+            for run in self.runs:
+                run.value(quantity)  # raises if it was not computed
+
+    @property
+    def baseline(self) -> RunIndices:
+        """The run that the others are measured against."""
+        return self.runs[0]
+
+    @property
+    def others(self) -> tuple[RunIndices, ...]:
+        """All runs but the baseline."""
+        return self.runs[1:]
+
+    @property
+    def angle_unit(self) -> str:
+        """The unit of angles in all numbers."""
+        return self.baseline.angle_unit
+
+    @property
+    def slides(self) -> frozenset[str]:
+        """The joints that are known to slide, in all runs."""
+        return self.baseline.slides
+
+    def unit(self, quantity: Quantity, joint: str | None = None) -> str:
+        """Return the unit of a quantity in this comparison, see :meth:`RunIndices.unit`."""
+        return self.baseline.unit(quantity, joint)
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names of the joints, in the baseline's order."""
+        return tuple(self.baseline.joints)
+
+    def run(self, label: str) -> RunIndices:
+        """Return the run of that label."""
+        for run in self.runs:
+            if run.label == label:
+                return run
+        raise SeriesError(unknown_name("run", label, [run.label for run in self.runs]))
+
+    def ratio(self, label: str, quantity: Quantity, joint: str | None = None) -> float:
+        """Return one number of a run divided by the baseline's, see :func:`ratio`.
+
+        It is nan where one of the two is not defined, or the runs differ in what it depends on.
+        """
+        run = self.run(label)
+        value, of_baseline = run.value(quantity, joint), self.baseline.value(quantity, joint)
+        if any(quantity.key in each.spoils for each in self.differences(label)):
+            return math.nan
+        return ratio(value, of_baseline)
+
+    def differences(self, label: str) -> tuple[Difference, ...]:
+        """Return what a run and the baseline do not share, and which numbers that spoils."""
+        self.run(label)
+        return self._differences[label]
+
+    @cached_property
+    def _differences(self) -> dict[str, tuple[Difference, ...]]:
+        found = {run.label: tuple(run_differences(self.baseline, run)) for run in self.others}
+        return {self.baseline.label: (), **found}
+
+    def spoilt(self, label: str) -> dict[str, list[Quantity]]:
+        """Return what of the shown numbers is not compared, by why the runs do not allow it."""
+        shown = (*self.indices, *self.norms)
+        spoilt = {
+            each.text: [quantity for quantity in shown if quantity.key in each.spoils]
+            for each in self.differences(label)
+        }
+        return {text: quantities for text, quantities in spoilt.items() if quantities}
+
+    def verdicts(self, label: str) -> dict[Quantity, Verdict]:
+        """Return what became of the paper's five numbers over all joints."""
+        return {quantity: verdict(self.ratio(label, quantity)) for quantity in PAPER}
+
+    def worse_joints(self, label: str) -> dict[Quantity, tuple[int, int]]:
+        """Return in how many joints each of the paper's numbers got worse, and of how many.
+
+        Without those that no joint has a ratio of.
+        """
+        counts = {}
+        for quantity in PAPER:
+            kinds = [verdict(self.ratio(label, quantity, joint)) for joint in self.joint_names]
+            known = len(kinds) - kinds.count(Verdict.UNKNOWN)
+            if known:
+                counts[quantity] = (kinds.count(Verdict.WORSE), known)
+        return counts
+
+    def judgement(self, label: str) -> Judgement:
+        """Return what the paper's five numbers together say of a run beside the baseline."""
+        kinds = set(self.verdicts(label).values())
+        if kinds >= {Verdict.BETTER, Verdict.WORSE}:
+            return Judgement.MIXED
+        if Verdict.BETTER in kinds:
+            return Judgement.BETTER
+        if Verdict.WORSE in kinds:
+            return Judgement.WORSE
+        return Judgement.EQUAL if Verdict.EQUAL in kinds else Judgement.INCOMPARABLE
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What the runs' numbers must be read with, one sentence each."""
+        labels: dict[str, list[str]] = {}
+        for run in self.runs:
+            for note in run.notes:
+                labels.setdefault(note, []).append(run.label)
+        return tuple(f"{enumerate_words(names)}: {note}." for note, names in labels.items())
+
+    def as_mapping(self) -> dict[str, object]:
+        """Return runs and ratios as plain dicts for JSON.
+
+        An infinite ratio becomes None, one that is not defined is absent; ``not_compared`` has
+        the reasons and what they spoil, for runs that differ in more than their controllers.
+        """
+        mapping: dict[str, object] = {
+            "baseline": self.baseline.label,
+            "runs": {run.label: run.as_mapping() for run in self.runs},
+            "ratios": {run.label: self._ratios(run.label) for run in self.others},
+        }
+        spoilt = {
+            run.label: {
+                each.text: "all" if each.spoils == EVERYTHING else sorted(each.spoils)
+                for each in self.differences(run.label)
+                if each.spoils
+            }
+            for run in self.others
+        }
+        if any(spoilt.values()):
+            mapping["not_compared"] = {label: texts for label, texts in spoilt.items() if texts}
+        return mapping
+
+    def _ratios(self, label: str) -> dict[str, object]:
+        def finite(quantity: Quantity, joint: str | None = None) -> float | None:
+            value = self.ratio(label, quantity, joint)
+            return value if math.isfinite(value) else None
+
+        shared = self._shared(self.run(label))
+        joints = {
+            name: {q.key: finite(q, name) for q in shared if self._is_defined(label, q, name)}
+            for name in self.joint_names
+        }
+        of_all = [q for q in shared if q not in NORMS and self._is_defined(label, q)]
+        totals = {quantity.key: finite(quantity) for quantity in of_all}
+        norms = {q.key: finite(q) for q in NORMS if self._is_defined(label, q)}
+        return {"joints": joints, "totals": totals, **norms}
+
+    def _shared(self, run: RunIndices) -> list[Quantity]:
+        return [q for q in self.baseline.quantities if q in run.quantities]
+
+    def _is_defined(self, label: str, quantity: Quantity, joint: str | None = None) -> bool:
+        return not math.isnan(self.ratio(label, quantity, joint))
+
+
+def ratio(value: float, baseline: float) -> float:
+    """Return value / baseline for two costs.
+
+    Two zeros and two infinities have the ratio one (nothing changed); anything against zero is
+    infinite; what is not defined (nan) has no ratio (nan).
+    """
+    if math.isnan(value) or math.isnan(baseline):
+        return math.nan
+    if value == baseline:
+        return 1.0
+    return value / baseline if baseline else math.inf
+
+
+def verdict(ratio: float) -> Verdict:
+    """Return what a ratio says; what a table would show as 1.000 is equal."""
+    if math.isnan(ratio):
+        return Verdict.UNKNOWN
+    if abs(ratio - 1.0) < EQUAL_WITHIN:
+        return Verdict.EQUAL
+    return Verdict.BETTER if ratio < 1.0 else Verdict.WORSE
+
+
+def answer(comparison: Comparison) -> str:
+    """Return the comparison in a few sentences for each run: better in what, and worse in what.
+
+    A single run has its own numbers instead.
+    """
+    if not comparison.others:
+        sentences = [_figures(comparison.baseline)]
+    else:
+        sentences = [_sentences(comparison, run.label) for run in comparison.others]
+        if any(_is_compared(comparison, run.label) for run in comparison.others):
+            sentences.append(f"Unchanged means {THRESHOLD}.")
+    return " ".join((*sentences, *comparison.notes))
+
+
+def verdict_lines(comparison: Comparison) -> Iterator[str]:
+    """Yield each run's verdict, and in how many joints each number is worse."""
+    for run in comparison.others:
+        yield _verdict_line(comparison, run.label)
+        counts = _worse_joints(comparison, run.label, "/")
+        if counts:
+            yield f"  Joints it is worse in: {', '.join(counts)}."
+
+
+def _verdict_line(comparison: Comparison, label: str) -> str:
+    head = f"{label} against {comparison.baseline.label}:"
+    judgement = comparison.judgement(label)
+    if not _is_compared(comparison, label):
+        return f"{head} {judgement.value}: {_why(comparison, label)}."
+    verdicts = comparison.verdicts(label)
+    parts = []
+    if judgement is Judgement.MIXED:
+        head += f" {judgement.value}:"
+    for kind in (Verdict.BETTER, Verdict.WORSE, Verdict.EQUAL, Verdict.UNKNOWN):
+        symbols = [quantity.symbol for quantity, each in verdicts.items() if each is kind]
+        if symbols:
+            parts.append(f"{kind.value} in {', '.join(symbols)}")
+    return f"{head} {'; '.join(parts)}."
+
+
+def _worse_joints(comparison: Comparison, label: str, of: str) -> list[str]:
+    """Return the counts of a run as texts, none where one joint is all."""
+    if len(comparison.joint_names) == 1:
+        return []
+    counts = comparison.worse_joints(label)
+    return [f"{each.symbol} {worse}{of}{known}" for each, (worse, known) in counts.items()]
+
+
+def _is_compared(comparison: Comparison, label: str) -> bool:
+    return comparison.judgement(label) is not Judgement.INCOMPARABLE
+
+
+def _sentences(comparison: Comparison, label: str) -> str:
+    verdicts = comparison.verdicts(label)
+    head = f"{label} against {comparison.baseline.label}, over {_joints(comparison.baseline)}"
+    sentences = [f"{head}: {comparison.judgement(label).value}."]
+    if not _is_compared(comparison, label):
+        return f"{sentences[0].removesuffix('.')}: {_why(comparison, label)}."
+    for kind in (Verdict.BETTER, Verdict.WORSE, Verdict.EQUAL):
+        changes = [
+            f"the {quantity.meaning} ({quantity.symbol})"
+            f"{_change(comparison.ratio(label, quantity), kind)}"
+            for quantity, each in verdicts.items()
+            if each is kind
+        ]
+        if changes:
+            sentences.append(f"{kind.value.capitalize()}: {enumerate_words(changes)}.")
+    counts = _worse_joints(comparison, label, " of ")
+    if counts:
+        sentences.append(f"Joints it is worse in: {', '.join(counts)}.")
+    unknown = [each for each, kind in verdicts.items() if kind is Verdict.UNKNOWN]
+    if unknown:
+        symbols = enumerate_words([each.symbol for each in unknown])
+        sentences[0] = f"{sentences[0].removesuffix('.')} as far as can be compared."
+        sentences.append(f"Not comparable: {symbols} ({_why(comparison, label)}).")
+    return " ".join(sentences)
+
+
+def _why(comparison: Comparison, label: str) -> str:
+    """Return why some of the paper's numbers have no ratio."""
+    spoils = [each.text for each in comparison.differences(label) if each.spoils]
+    runs = (comparison.baseline, comparison.run(label))
+    for quantity in PAPER:
+        lacking = {
+            run.label: list(dict.fromkeys(run.why_undefined(quantity).values())) for run in runs
+        }
+        of_first, of_other = lacking.values()
+        if of_first == of_other:
+            spoils += of_first
+        else:
+            spoils += [f"{name}: {reason}" for name, each in lacking.items() for reason in each]
+    return "; ".join(dict.fromkeys(spoils))
+
+
+def _figures(run: RunIndices) -> str:
+    """Return a single run's own numbers."""
+    duration = "" if run.conditions is None else f" and {run.conditions.duration:.4g} s"
+    figures = []
+    for quantity in PAPER:
+        value = run.value(quantity)
+        name = f"{quantity.meaning} ({quantity.symbol})"
+        if math.isnan(value):
+            reasons = dict.fromkeys(run.why_undefined(quantity).values())
+            figures.append(f"no {name}, as {' and '.join(reasons)}")
+        else:
+            unit = run.unit(quantity)
+            figures.append(f"{name} {value:.4g} {f'[{unit}]' if ',' in unit else unit}")
+    return (
+        f"{run.label} alone (there is nothing to compare it with), over {_joints(run)}{duration}: "
+        f"{', '.join(figures)}."
+    )
+
+
+def _joints(run: RunIndices) -> str:
+    count = len(run.joints)
+    return "the one joint" if count == 1 else f"all {count} joints"
+
+
+def _change(value: float, kind: Verdict) -> str:
+    if kind is Verdict.EQUAL:
+        return ""
+    if math.isinf(value):
+        return " from zero"
+    return f" by {abs(value - 1.0):.1%}" if value < 2.0 else f" to {value:.3g} times"
+
+
+def enumerate_words(items: list[str]) -> str:
+    """Return items as a list in words."""
+    return items[0] if len(items) == 1 else f"{', '.join(items[:-1])} and {items[-1]}"

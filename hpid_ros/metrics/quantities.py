@@ -1,0 +1,280 @@
+"""The quantities that are reported, and signals drawn of them.
+
+Every one of them is a cost: lower is better. Definitions: docs/indices.md.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from enum import Enum
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hpid_ros.base.errors import unknown_name
+from hpid_ros.base.units import Numbers, unit_over
+from hpid_ros.messages.series import JointSeries, RunSeries, SeriesError, seconds_since
+
+DEGREES_PER_RADIAN = 180.0 / math.pi
+ANGLE_UNITS = ("rad", "deg")
+"""Units in which angles can be given."""
+
+
+class Data(Enum):
+    """What a number is computed from beside the positions."""
+
+    REFERENCE = "reference"
+    EFFORT = "effort"
+
+
+class Fold(Enum):
+    """How the numbers of the joints become the one for all of them."""
+
+    SUM = "sum"
+    EUCLIDEAN = "root of the sum of squares"
+    ROOT_MEAN_SQUARE = "root of the mean of squares"
+    MEAN = "mean"
+    WORST = "largest"
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """What a number of this package is called."""
+
+    key: str  # name of its attribute and of its entry in files
+    symbol: str  # short name in tables
+    unit: str  # its unit of a joint that turns, without brackets, angles in rad
+    meaning: str  # plain words
+    fold: Fold = Fold.SUM  # how the joints' numbers become the one for all
+    angle_power: int = 0  # power of the angle's unit in the unit
+    needs: Data = Data.REFERENCE  # what it is computed from
+    # why it is not defined although that is there
+    else_undefined: str = "not defined for this run"
+
+    def unit_in(self, angle_unit: str, are_slides: Iterable[bool] = ()) -> str:
+        """Return the unit with angles in rad or deg, as ``deg s^2`` or ``deg s^2, m s^2``."""
+        if angle_unit not in ANGLE_UNITS:
+            raise SeriesError(unknown_name("unit of angles", angle_unit, ANGLE_UNITS))
+        return re.sub(r"\brad\b", angle_unit, unit_over(self.unit, are_slides))
+
+
+NO_STEP = "the reference does not step"
+NO_SPECTRUM = "too few commands, or too rare ones"
+
+IVC = Quantity("ivc", "IVC", "N m", "variation of the effort", needs=Data.EFFORT)
+IAVC = Quantity("iavc", "IAVC", "N m s", "effort spent", needs=Data.EFFORT)
+ITAE = Quantity("itae", "ITAE", "rad s^2", "time-weighted error", angle_power=1)
+EFFORT_L2 = Quantity(
+    "effort_l2",
+    "||u||",
+    "N m s^0.5",
+    "L2 norm of the effort",
+    Fold.EUCLIDEAN,
+    needs=Data.EFFORT,
+)
+ERROR_L2 = Quantity("error_l2", "||e||", "rad s^0.5", "L2 norm of the error", Fold.EUCLIDEAN, 1)
+INDICES = (IVC, IAVC, ITAE)
+"""The paper's indices of each joint."""
+NORMS = (EFFORT_L2, ERROR_L2)
+"""The paper's norms, over all joints."""
+PAPER = (*INDICES, *NORMS)
+"""What the paper's comparison shows of a run."""
+
+IAE = Quantity("iae", "IAE", "rad s", "absolute error", angle_power=1)
+ISE = Quantity("ise", "ISE", "rad^2 s", "squared error", angle_power=2)
+RMSE = Quantity("rmse", "RMSE", "rad", "root mean square error", Fold.ROOT_MEAN_SQUARE, 1)
+ERROR_MAX = Quantity("error_max", "max|e|", "rad", "largest error", Fold.WORST, 1)
+RISE_TIME = Quantity(
+    "rise_time", "rise", "s", "10 % to 90 % of a step", Fold.WORST, else_undefined=NO_STEP
+)
+SETTLING_TIME = Quantity(
+    "settling_time",
+    "settling",
+    "s",
+    "until within 2 % of a step",
+    Fold.WORST,
+    else_undefined=NO_STEP,
+)
+OVERSHOOT = Quantity(
+    "overshoot",
+    "overshoot",
+    "%",
+    "beyond a step, of its height",
+    Fold.WORST,
+    else_undefined=NO_STEP,
+)
+STEADY_STATE_ERROR = Quantity(
+    "steady_state_error",
+    "e_ss",
+    "rad",
+    "mean error at the end of a step",
+    Fold.WORST,
+    1,
+    else_undefined=NO_STEP,
+)
+SATURATION = Quantity(
+    "saturation",
+    "saturated",
+    "%",
+    "time with the effort at a limit",
+    Fold.MEAN,
+    needs=Data.EFFORT,
+)
+CHATTER = Quantity(
+    "chatter",
+    "chatter",
+    "N m",
+    "effort above the cut-off frequency, rms",
+    Fold.EUCLIDEAN,
+    needs=Data.EFFORT,
+    else_undefined=NO_SPECTRUM,
+)
+ENERGY = Quantity("energy", "energy", "J", "mechanical work exchanged", needs=Data.EFFORT)
+
+STEP_QUANTITIES = (RISE_TIME, SETTLING_TIME, OVERSHOOT, STEADY_STATE_ERROR)
+"""Defined for joints whose reference steps."""
+QUANTITIES: Mapping[str, Quantity] = {
+    quantity.key: quantity
+    for quantity in (
+        *(IVC, IAVC, ITAE, IAE, ISE, RMSE, ERROR_MAX, EFFORT_L2, ERROR_L2),
+        *STEP_QUANTITIES,
+        *(SATURATION, CHATTER, ENERGY),
+    )
+}
+"""All quantities by key, in the order in which they are shown."""
+
+
+def find_quantities(names: Iterable[str]) -> tuple[Quantity, ...]:
+    """Return quantities by name; ``paper`` and ``step`` stand for several, ``all`` for all."""
+    several = {
+        "all": tuple(QUANTITIES.values()),
+        "paper": PAPER,
+        "step": STEP_QUANTITIES,
+    }
+    by_name = {key: (quantity,) for key, quantity in QUANTITIES.items()}
+    by_symbol = {quantity.symbol.lower(): (quantity,) for quantity in QUANTITIES.values()}
+    found: list[Quantity] = []
+    for name in names:
+        key = name.strip().lower()
+        choice = {**by_symbol, **by_name, **several}.get(key)
+        if choice is None:
+            raise SeriesError(unknown_name("index", name, (*several, *QUANTITIES)))
+        found += [quantity for quantity in choice if quantity not in found]
+    return tuple(found)
+
+
+def folded(fold: Fold, values: Iterable[float]) -> float | None:
+    """Return the number for all joints; None if no joint has one."""
+    numbers = list(values)
+    if not numbers:
+        return None
+    if fold is Fold.WORST:
+        return max(numbers)
+    if fold is Fold.SUM:
+        return math.fsum(numbers)
+    if fold is Fold.MEAN:
+        return math.fsum(numbers) / len(numbers)
+    squares = math.fsum(number * number for number in numbers)
+    return math.sqrt(squares if fold is Fold.EUCLIDEAN else squares / len(numbers))
+
+
+class Signal(NamedTuple):
+    """One signal: integer stamps in [ns], (N,), and its values at them, (N,)."""
+
+    stamps_ns: NDArray[np.int64]
+    values: Numbers
+
+
+NO_SIGNAL = Signal(np.empty(0, dtype=np.int64), np.empty(0))
+
+
+def position_of(series: JointSeries) -> Signal:
+    """Return a joint's measured position, in [rad]."""
+    return Signal(series.state_stamps_ns, series.position)
+
+
+def reference_of(series: JointSeries) -> Signal:
+    """Return a joint's reference, in [rad]; nothing if it has none."""
+    return Signal(series.state_stamps_ns, series.reference) if series.has_reference else NO_SIGNAL
+
+
+def error_of(series: JointSeries) -> Signal:
+    """Return a joint's error, in [rad]; nothing without a reference."""
+    return Signal(series.state_stamps_ns, series.error) if series.has_reference else NO_SIGNAL
+
+
+def effort_of(series: JointSeries) -> Signal:
+    """Return a joint's effort, in [N m]."""
+    return Signal(series.command_stamps_ns, series.effort)
+
+
+def has_any(runs: Sequence[RunSeries], data: Data) -> bool:
+    """Tell whether any joint of some runs has a reference, or an effort."""
+    joints = [series for run in runs for series in run.joints]
+    if data is Data.REFERENCE:
+        return any(series.has_reference for series in joints)
+    return any(series.has_effort for series in joints)
+
+
+class GainSignals(NamedTuple):
+    """What a joint's homogeneous law did to its gains."""
+
+    norm: Signal  # homogeneous norm of error and error rate at each state, before floor and cap
+    # factor of the loop's bandwidth: the norm, within floor and cap, to the power of the degree
+    multiplier: Signal
+
+
+Gains = Mapping[str, Mapping[str, GainSignals]]
+"""What the laws did, by label and joint."""
+
+
+def norm_over_joints(signals: Sequence[Signal]) -> Signal:
+    """Return the Euclidean norm over joints of their signals, at all stamps that any has.
+
+    Between its samples a joint's value lies on a straight line, as the indices see it; before
+    its first and after its last sample it counts as zero.
+
+    Source: the paper's equation of the norm over joints in the experimental section.
+    """
+    stamps = signals[0].stamps_ns
+    if not all(np.array_equal(stamps, signal.stamps_ns) for signal in signals[1:]):
+        stamps = np.unique(np.concatenate([signal.stamps_ns for signal in signals]))
+    squares = np.zeros(stamps.size)
+    for stamps_ns, values in signals:
+        if stamps_ns.size == stamps.size:  # as many as there are: the same ones
+            squares += np.square(values)
+        elif stamps_ns.size:
+            origin = int(stamps[0])
+            at, known = seconds_since(stamps, origin), seconds_since(stamps_ns, origin)
+            squares += np.square(np.interp(at, known, values, left=0.0, right=0.0))
+    return Signal(stamps, np.sqrt(squares))
+
+
+def norm_of_run(run: RunSeries, signal_of: Callable[[JointSeries], Signal]) -> Signal:
+    """Return the norm over a run's joints; nothing where one of them has no signal."""
+    signals = [signal_of(series) for series in run.joints]
+    return norm_over_joints(signals) if all(each.values.size for each in signals) else NO_SIGNAL
+
+
+def envelope(signal: Signal, buckets: int) -> Signal:
+    """Return the samples of a signal that a drawing of some width needs; no peak is lost.
+
+    The signal is cut into buckets of equally many samples; of each, the first, the lowest, the
+    highest and the last stay. Drawn with at least one bucket a pixel, the line covers the same
+    pixels as the whole signal.
+    """
+    stamps_ns, values = signal
+    if values.size <= 4 * buckets:
+        return signal
+    edges = np.linspace(0, values.size, buckets + 1).astype(np.intp)
+    kept = [edges[:-1], edges[1:] - 1]
+    for first, stop in itertools.pairwise(edges):
+        bucket = values[first:stop]
+        kept.append(first + np.array([bucket.argmin(), bucket.argmax()]))
+    indices = np.unique(np.concatenate(kept))
+    return Signal(stamps_ns[indices], values[indices])

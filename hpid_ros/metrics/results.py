@@ -1,0 +1,476 @@
+r"""Indices of a run and the conditions they hold for: arrays in, named numbers out.
+
+IVC, IAVC, ITAE of each joint and the L2 norms over all joints, as in the paper's section
+"Experimental assessment of HPID on the mobile manipulator"; and further ones: docs/indices.md.
+
+Quadrature: see :mod:`~hpid_ros.metrics.indices`.
+
+Quadrature: see :mod:`~hpid_ros.metrics.indices`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from hpid_ros.base.errors import unknown_name
+from hpid_ros.messages.series import (
+    HELD,
+    HOLD,
+    MEASURED,
+    NO_EFFORT,
+    NO_REFERENCE,
+    JointSeries,
+    RunSeries,
+    SeriesError,
+)
+from hpid_ros.metrics.indices import (
+    chatter,
+    energy,
+    find_steps,
+    integral_of_absolute,
+    itae,
+    l2_norm,
+    root_mean_square,
+    saturation_share,
+    square_integral,
+    step_response,
+    total_variation,
+)
+from hpid_ros.metrics.quantities import (
+    CHATTER,
+    EFFORT_L2,
+    ERROR_L2,
+    IAVC,
+    INDICES,
+    ITAE,
+    IVC,
+    NORMS,
+    QUANTITIES,
+    STEP_QUANTITIES,
+    Data,
+    Fold,
+    Quantity,
+    folded,
+)
+
+KNOTS = 33
+"""Points at which each reference is kept."""
+KNOT_DIGITS = 9
+DURATION_WITHIN = 0.01
+"""Durations, and rates of states, that differ by less than this share are the same."""
+RATE_WITHIN = 0.05
+"""Rates that differ by more than this share are of other loops, and not of lost states alone."""
+REFERENCE_WITHIN = 0.02
+"""References that differ by less than this share of their range are the same ..."""
+REFERENCE_AT_LEAST = 1e-3
+"""... or by less than this, in [rad]."""
+UNLIKE_KNOTS = 2
+"""So many points must differ: one may lie in a jump."""
+
+
+EVERYTHING = frozenset(QUANTITIES)
+NOTHING: frozenset[str] = frozenset()
+
+
+class Difference(NamedTuple):
+    """One thing that two runs do not share."""
+
+    text: str  # in words
+    # keys of the quantities that say nothing beside each other for that reason
+    spoils: frozenset[str]
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """What two runs must share before their numbers can be compared."""
+
+    duration: float  # [s] from the first to the last state
+    period: float  # [s] mean time between two states
+    cutoff: float  # [Hz] frequency above which effort counts as chatter
+    # [rad] for each joint that has one, its reference at KNOTS even times
+    references: Mapping[str, tuple[float, ...]]
+    clock: str = "header"  # whose time the states have: "header" or "receive"
+    reference_from: float | None = field(default=None, compare=False)
+
+    def as_mapping(self) -> dict[str, object]:
+        """Return the conditions as plain values, ready for JSON."""
+        return {
+            "duration": self.duration,
+            "period": self.period,
+            "cutoff": self.cutoff,
+            "clock": self.clock,
+            "references": {name: list(knots) for name, knots in self.references.items()},
+        }
+
+
+def conditions_of(run: RunSeries, cutoff: float) -> Conditions:
+    """Return the conditions of a recorded run."""
+    states = max(series.state_stamps_ns.size for series in run.joints)
+    began = [each.reference_from for each in run.quality.joints.values()]
+    return Conditions(
+        duration=run.duration,
+        period=run.duration / max(1, states - 1),
+        cutoff=cutoff,
+        references={each.joint: _knots(each) for each in run.joints if each.has_reference},
+        clock=next((each.state_clock for each in run.quality.joints.values()), "header"),
+        reference_from=min((each for each in began if each is not None), default=None),
+    )
+
+
+def differences(one: Conditions, other: Conditions) -> Iterator[Difference]:
+    """Yield what differs between two runs' conditions."""
+    if _differ(one.duration, other.duration):
+        text = f"durations differ: {one.duration:g} s and {other.duration:g} s"
+        yield Difference(text, EVERYTHING)
+    if _differ(one.period, other.period):
+        rates = (f"{1 / each:.4g} Hz" if each else "none" for each in (one.period, other.period))
+        is_other_rate = _differ(one.period, other.period, RATE_WITHIN)
+        text = f"state rates differ: {' and '.join(rates)}"
+        yield Difference(text, EVERYTHING if is_other_rate else NOTHING)
+    if one.clock != other.clock:
+        yield Difference(f"clocks differ: {one.clock} and {other.clock}", NOTHING)
+    if one.cutoff != other.cutoff:
+        text = f"chatter cut-offs differ: {one.cutoff:g} Hz and {other.cutoff:g} Hz"
+        yield Difference(text, frozenset({CHATTER.key}))
+    names = [
+        name
+        for name, knots in one.references.items()
+        if name in other.references
+        and _unlike(knots, one.duration, other.references[name], other.duration)
+    ]
+    if names:
+        yield Difference(f"references differ: {', '.join(names)}", EVERYTHING)
+
+
+def _knots(series: JointSeries) -> tuple[float, ...]:
+    at = np.linspace(0.0, float(series.time[-1]), KNOTS)
+    values = np.interp(at, series.time, series.reference)
+    return tuple(float(f"{value:.{KNOT_DIGITS}g}") for value in values)
+
+
+def _differ(one: float, other: float, within: float = DURATION_WITHIN) -> bool:
+    return abs(one - other) > within * max(one, other)
+
+
+def _unlike(
+    one: tuple[float, ...], one_duration: float, other: tuple[float, ...], other_duration: float
+) -> bool:
+    """Say whether two references differ over the time that both have."""
+    at = np.linspace(0.0, one_duration, len(one))
+    of_other = np.interp(at, np.linspace(0.0, other_duration, len(other)), other)
+    shared = at <= other_duration
+    values = np.array([*one, *other])
+    within = max(REFERENCE_AT_LEAST, REFERENCE_WITHIN * float(values.max() - values.min()))
+    if _differ(one_duration, other_duration):
+        within *= 5.0  # compared between the points of one of them
+    unlike = np.abs(np.array(one) - of_other)[shared] > within
+    return int(np.count_nonzero(unlike)) >= UNLIKE_KNOTS
+
+
+@dataclass(frozen=True)
+class JointIndices:
+    """The indices of one joint, or those of all joints."""
+
+    ivc: float  # [N m] total variation of the effort; nan without efforts
+    iavc: float  # [N m s] integral of the absolute effort; likewise
+    itae: float  # [rad s^2] integral of the absolute error times the time since the first state
+    further: Mapping[str, float] = field(default_factory=dict)
+
+    def value(self, quantity: Quantity) -> float:
+        """Return one number; nan if it is not defined."""
+        if quantity in INDICES:
+            return float(getattr(self, quantity.key))
+        return self.further.get(quantity.key, math.nan)
+
+    def as_mapping(self) -> dict[str, float | None]:
+        """Return the numbers by key for JSON: infinite ones None, undefined ones left out."""
+        values = {quantity.key: self.value(quantity) for quantity in INDICES} | dict(self.further)
+        return _for_json(values)
+
+
+@dataclass(frozen=True)
+class Spread:
+    """How far repeated runs lie apart whose medians a :class:`RunIndices` holds."""
+
+    repeats: int  # number of runs
+    # first and third quartile by key, of each joint and, under None, of all
+    quartiles: Mapping[str | None, Mapping[str, tuple[float, float]]]
+
+
+@dataclass(frozen=True)
+class RunIndices:
+    """All numbers of one run, or the medians of several under one label."""
+
+    label: str  # name of the run
+    joints: Mapping[str, JointIndices]  # indices by joint name, in the run's order
+    totals: JointIndices  # those of all joints; each quantity's fold says how they come about
+    effort_l2: float  # [N m s^0.5] L2 norm of the effort over all joints
+    error_l2: float  # [rad s^0.5] L2 norm of the error over all joints
+    quantities: tuple[Quantity, ...] = (*INDICES, *NORMS)  # which quantities were computed
+    conditions: Conditions | None = None  # under which conditions; None if that is not known
+    spread: Spread | None = None  # how far repeated runs lie apart; None for a single one
+    angle_unit: str = "rad"  # the unit of angles in these numbers, "rad" or "deg"
+    lacking: Mapping[str, Mapping[Data, str]] = field(default_factory=dict)
+    assumed: Mapping[Data, str] = field(default_factory=dict)
+    cut: str = ""  # to which part of the recording the numbers were cut; empty if to none
+    # the joints that are known to slide: in their numbers "rad" reads "m", and "N m" reads "N"
+    slides: frozenset[str] = frozenset()
+
+    def unit(self, quantity: Quantity, joint: str | None = None) -> str:
+        """Return the unit of one number; of all joints' where these turn and slide, both units."""
+        names = self.joints if joint is None else (joint,)
+        return quantity.unit_in(self.angle_unit, (name in self.slides for name in names))
+
+    def value(self, quantity: Quantity, joint: str | None = None) -> float:
+        """Return one number of this run; nan where it is not defined."""
+        if quantity not in self.quantities:
+            known = [each.key for each in self.quantities]
+            raise SeriesError(f"run {self.label!r}: {unknown_name('index', quantity.key, known)}")
+        if joint is None:
+            in_norms = quantity in NORMS
+            return float(getattr(self, quantity.key)) if in_norms else self.totals.value(quantity)
+        if joint not in self.joints:
+            raise SeriesError(unknown_name("joint", joint, self.joints))
+        return self.joints[joint].value(quantity)
+
+    def why_undefined(self, quantity: Quantity, joint: str | None = None) -> dict[str, str]:
+        """Return why a number is not defined, by joint; empty where it is."""
+        if not math.isnan(self.value(quantity, joint)):
+            return {}
+        names = self.joints if joint is None else (joint,)
+        missing = {name: self.lacking.get(name, {}).get(quantity.needs) for name in names}
+        known = {name: reason for name, reason in missing.items() if reason is not None}
+        return known or dict.fromkeys(names, quantity.else_undefined)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What the numbers must be read with, one line each, without the run's label."""
+        assumed = (f"{data.value}: {text}" for data, text in self.assumed.items())
+        return (*assumed, *([self.cut] if self.cut else ()))
+
+    def as_mapping(self) -> dict[str, object]:
+        """Return the numbers with their units as plain dicts, ready for JSON."""
+        mapping: dict[str, object] = {
+            "label": self.label,
+            "units": self._units(),
+            **self._of_slides(),
+            "joints": {name: indices.as_mapping() for name, indices in self.joints.items()},
+            "totals": self.totals.as_mapping(),
+            **_for_json({quantity.key: self.value(quantity) for quantity in NORMS}),
+        }
+        if self.lacking:
+            mapping["lacking"] = {
+                joint: {data.value: reason for data, reason in reasons.items()}
+                for joint, reasons in self.lacking.items()
+            }
+        if self.assumed:
+            mapping["assumed"] = {data.value: text for data, text in self.assumed.items()}
+        if self.cut:
+            mapping["cut"] = self.cut
+        if self.conditions is not None:
+            mapping["conditions"] = self.conditions.as_mapping()
+        if self.spread is not None:
+            mapping["repeats"] = self.spread.repeats
+            mapping["quartiles"] = {
+                "totals" if joint is None else f"joints.{joint}": {
+                    key: [end if math.isfinite(end) else None for end in pair]
+                    for key, pair in quartiles.items()
+                }
+                for joint, quartiles in self.spread.quartiles.items()
+            }
+        return mapping
+
+    def _units(self, joint: str | None = None) -> dict[str, str]:
+        return {each.key: self.unit(each, joint) for each in self.quantities}
+
+    def _of_slides(self) -> dict[str, object]:
+        if not self.slides:
+            return {}
+        slides = [name for name in self.joints if name in self.slides]
+        return {
+            "slides": slides,
+            "joint_units": {name: self._units(name) for name in self.joints},
+        }
+
+
+def _for_json(values: Mapping[str, float]) -> dict[str, float | None]:
+    """Return numbers without the undefined ones; an infinite one becomes None."""
+    return {
+        key: value if math.isfinite(value) else None
+        for key, value in values.items()
+        if not math.isnan(value)
+    }
+
+
+__all__ = [
+    "EFFORT_L2",
+    "ERROR_L2",
+    "IAVC",
+    "INDICES",
+    "ITAE",
+    "IVC",
+    "NORMS",
+    "IndexSettings",
+    "JointIndices",
+    "Quantity",
+    "RunIndices",
+    "integral_of_absolute",
+    "itae",
+    "joint_indices",
+    "l2_norm",
+    "run_indices",
+    "total_variation",
+]
+
+DEFAULT_CUTOFF = 20.0
+"""Above what motions of an arm hold and below what its drives follow, in [Hz]."""
+
+
+@dataclass(frozen=True)
+class IndexSettings:
+    """What some of the indices need beside the arrays."""
+
+    cutoff: float = DEFAULT_CUTOFF  # [Hz] frequency above which effort counts as chatter
+    effort_limits: Mapping[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        limits = {f"effort limit of {name}": value for name, value in self.effort_limits.items()}
+        for name, value in {"cut-off": self.cutoff, **limits}.items():
+            if not (math.isfinite(value) and value > 0.0):
+                raise SeriesError(f"the {name} must be positive and finite, not {value}")
+
+
+def joint_indices(series: JointSeries, settings: IndexSettings | None = None) -> JointIndices:
+    """Return the indices of one joint; time counts from its first state.
+
+    What needs a reference or efforts that the joint does not have is not defined (nan).
+    """
+    t, u = series.command_time, series.effort
+    return JointIndices(
+        ivc=total_variation(u) if series.has_effort else math.nan,
+        iavc=integral_of_absolute(t, u) if series.has_effort else math.nan,
+        itae=itae(series.time, series.error) if series.has_reference else math.nan,
+        further=_further(series, settings or IndexSettings()),
+    )
+
+
+def run_indices(run: RunSeries, settings: IndexSettings | None = None) -> RunIndices:
+    """Return all numbers of one run.
+
+    The squares of the L2 norms are sums of the joints' own integrals, which equals the paper's
+    integral of the sum and needs no stamps in common.
+    """
+    settings = settings or IndexSettings()
+    for name in settings.effort_limits:
+        if name not in run.joint_names:
+            raise SeriesError(unknown_name("joint", name, run.joint_names))
+    joints = {series.joint: joint_indices(series, settings) for series in run.joints}
+    lacking = _lacking(run)
+    missing = {data for reasons in lacking.values() for data in reasons}
+    return RunIndices(
+        label=run.label,
+        joints=joints,
+        totals=_totals(joints.values(), missing),
+        effort_l2=math.nan if Data.EFFORT in missing else _effort_norm(run),
+        error_l2=math.nan if Data.REFERENCE in missing else _error_norm(run),
+        quantities=tuple(QUANTITIES.values()),
+        conditions=conditions_of(run, settings.cutoff),
+        lacking=lacking,
+        assumed=_assumed(run),
+        slides=run.slides,
+    )
+
+
+def _effort_norm(run: RunSeries) -> float:
+    return math.sqrt(math.fsum(square_integral(s.command_time, s.effort) for s in run.joints))
+
+
+def _error_norm(run: RunSeries) -> float:
+    return math.sqrt(math.fsum(square_integral(s.time, s.error) for s in run.joints))
+
+
+def _lacking(run: RunSeries) -> dict[str, dict[Data, str]]:
+    """Return which joints lack a reference or efforts, and why."""
+    lacking: dict[str, dict[Data, str]] = {}
+    for series in run.joints:
+        quality = run.quality.joints.get(series.joint)
+        if not series.has_reference:
+            lacking.setdefault(series.joint, {})[Data.REFERENCE] = NO_REFERENCE
+        if not series.has_effort:
+            reason = NO_EFFORT if quality is None else quality.no_effort or NO_EFFORT
+            lacking.setdefault(series.joint, {})[Data.EFFORT] = reason
+    return lacking
+
+
+def _assumed(run: RunSeries) -> dict[Data, str]:
+    """Return what stands in for a recorded reference or commanded efforts."""
+    qualities = run.quality.joints.values()
+    assumed = {}
+    if any(each.reference == HOLD for each in qualities):
+        assumed[Data.REFERENCE] = HELD
+    measured = dict.fromkeys(q.effort for q in qualities if q.effort.startswith(MEASURED))
+    if measured:
+        assumed[Data.EFFORT] = " and ".join(measured)
+    return assumed
+
+
+def _totals(joints: Iterable[JointIndices], missing: Collection[Data]) -> JointIndices:
+    """Return what is so over all joints; nothing that needs what one of them lacks."""
+    numbers = list(joints)
+    sums = {each.key: math.fsum(joint.value(each) for joint in numbers) for each in INDICES}
+    further = {}
+    for key, quantity in QUANTITIES.items():
+        if quantity in INDICES or quantity in NORMS or quantity.needs in missing:
+            continue
+        values = [joint.further[key] for joint in numbers if key in joint.further]
+        if quantity.fold is Fold.SUM and len(values) < len(numbers):
+            continue  # a sum without one of its joints would be too small
+        total = folded(quantity.fold, values)
+        if total is not None:
+            further[key] = total
+    return JointIndices(**sums, further=further)
+
+
+def _further(series: JointSeries, settings: IndexSettings) -> dict[str, float]:
+    # The order of the keys is that of files.
+    numbers: dict[str, float | None] = {}
+    if series.has_reference:
+        numbers |= _error_numbers(series)
+    if series.has_effort:
+        numbers["effort_l2"] = l2_norm(series.command_time, series.effort)
+    if series.has_reference:
+        numbers |= _worst_step(series)
+    if series.has_effort:
+        numbers |= {
+            "saturation": saturation_share(series, settings.effort_limits.get(series.joint)),
+            "chatter": chatter(series, settings.cutoff),
+            "energy": energy(series),
+        }
+    return {key: value for key, value in numbers.items() if value is not None}
+
+
+def _error_numbers(series: JointSeries) -> dict[str, float]:
+    # A function of its own: of an hour's series the error is not kept beside what comes next.
+    t, error = series.time, series.error
+    ise = square_integral(t, error)
+    return {
+        "iae": integral_of_absolute(t, error),
+        "ise": ise,
+        "rmse": root_mean_square(t, error),
+        "error_max": max(float(error.max()), -float(error.min())),
+        "error_l2": math.sqrt(ise),
+    }
+
+
+def _worst_step(series: JointSeries) -> dict[str, float | None]:
+    """Return each number of the steps' responses at its worst; nothing without a step."""
+    responses = [step_response(series, step) for step in find_steps(series)]
+    return {
+        quantity.key: max((getattr(each, quantity.key) for each in responses), default=None)
+        for quantity in STEP_QUANTITIES
+    }

@@ -1,0 +1,23 @@
+"""Reference trajectories: sampling by joint_trajectory_controller's rules, and generators."""
+
+from hpid_ros.motion.base_path import BasePath, base_path
+from hpid_ros.motion.generators import combined, minimum_jerk, sine, step
+from hpid_ros.motion.joint_trajectory import JointTrajectory, TrajectoryPoint
+from hpid_ros.motion.references import reference_from
+from hpid_ros.motion.spline import Column, Knot, ReferenceSample, SplineReference
+
+__all__ = [
+    "BasePath",
+    "Column",
+    "JointTrajectory",
+    "Knot",
+    "ReferenceSample",
+    "SplineReference",
+    "TrajectoryPoint",
+    "base_path",
+    "combined",
+    "minimum_jerk",
+    "reference_from",
+    "sine",
+    "step",
+]

@@ -1,0 +1,349 @@
+"""References as an experiment file says them, the brick task included."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
+from typing import Any, NamedTuple
+
+from hpid_ros.base.errors import HpidError, TrajectoryError, unknown_name
+from hpid_ros.base.records import Record, Section, quantity, take_record
+from hpid_ros.base.schema import json_schema
+from hpid_ros.motion.base_path import FORWARD, base_path
+from hpid_ros.motion.generators import combined, minimum_jerk, sine, step
+from hpid_ros.motion.joint_trajectory import JointTrajectory
+from hpid_ros.motion.plan import BrickGoal, BrickPlan, Placement, PlanOptions, TaskRobot
+from hpid_ros.robot.amendments import RobotSection
+from hpid_ros.robot.description import RobotDescription
+
+
+@dataclass(frozen=True)
+class Waypoints(Record):
+    """Positions of each joint at common times."""
+
+    times: tuple[float, ...] = quantity("When the joints are there", "s")
+    positions: Mapping[str, tuple[float, ...]] = quantity(
+        "For each joint one position for each time", "rad"
+    )
+
+
+@dataclass(frozen=True)
+class Oscillation(Record):
+    """A sine of one joint."""
+
+    amplitude: float = quantity("Of the sine", "rad")
+    period: float = quantity("Of the sine", "s", above=0.0)
+    offset: float = quantity("About which it swings", "rad", default=0.0)
+    phase: float = quantity("At time 0", "rad", default=0.0)
+
+
+@dataclass(frozen=True)
+class Oscillations(Record):
+    """A sine for each joint."""
+
+    duration: float = quantity("Of the reference", "s", above=0.0)
+    joints: Mapping[str, Oscillation] = quantity("The sine of each joint")
+
+
+@dataclass(frozen=True)
+class PathWheels(Record):
+    """The wheels of a base, with all their lengths."""
+
+    left_wheel: str = quantity("Joint of the left wheel")
+    right_wheel: str = quantity("Joint of the right wheel")
+    wheel_radius: float = quantity("Of both wheels", "m", above=0.0)
+    wheel_separation: float = quantity("Between their contacts", "m", above=0.0)
+
+
+@dataclass(frozen=True)
+class PathSection(Record):
+    """A path of a differential drive, as trajectories of its wheels."""
+
+    base: PathWheels = quantity("The wheels of the base")
+    times: tuple[float, ...] = quantity("When the base is at each pose", "s")
+    poses: tuple[tuple[float, ...], ...] = quantity("x [m], y [m] and heading [rad] of each")
+    directions: str | tuple[str, ...] = quantity(
+        "forward or backward, for all legs or one for each", default=FORWARD
+    )
+    passes: bool = quantity("Whether the base drives through the poses between", default=False)
+    velocity_limit: float | None = quantity("Of a wheel", "rad/s", default=None, above=0.0)
+    curvature_limit: float | None = quantity("Of the path", "1/m", default=None, above=0.0)
+
+    def trajectory(self) -> JointTrajectory:
+        """Return what the wheels follow."""
+        legs = self.directions
+        limits = {
+            name: value
+            for name in ("velocity_limit", "curvature_limit")
+            if (value := getattr(self, name)) is not None
+        }
+        return base_path(
+            self.times,
+            self.poses,
+            *asdict(self.base).values(),
+            directions=[legs] * (len(self.poses) - 1) if isinstance(legs, str) else legs,
+            passes=self.passes,
+            **limits,
+        )
+
+
+_KINDS: dict[str, type[Record]] = {
+    "minimum_jerk": Waypoints,
+    "step": Waypoints,
+    "sine": Oscillations,
+    "base_path": PathSection,
+}
+_COMBINED = "combined"
+KINDS = (*_KINDS, _COMBINED)
+
+
+def reference_from(values: object, where: str = "reference") -> JointTrajectory:
+    """Return the trajectory that a ``reference`` section describes.
+
+    ``kind: minimum_jerk`` and ``kind: step`` are :class:`Waypoints`, ``kind: sine`` is
+    :class:`Oscillations`, ``kind: base_path`` is :class:`PathSection`; ``kind: combined`` has
+    ``parts``, a list of such sections for different joints.
+    """
+    section = Section(values, where, TrajectoryError)
+    kind = section.text("kind")
+    if kind not in KINDS:
+        raise TrajectoryError(f"{section.place('kind')}: {unknown_name('kind', kind, KINDS)}")
+    if kind == _COMBINED:
+        return _combined(section)
+    record = take_record(_KINDS[kind], section)
+    section.finish()
+    try:
+        return _trajectory(kind, record)
+    except HpidError as error:
+        raise TrajectoryError(f"{where}: {error}") from None
+
+
+def reference_schema(*others: dict[str, Any]) -> dict[str, Any]:
+    """Return the JSON Schema of a ``reference`` section."""
+    kinds = [of_kind(name, json_schema(record)) for name, record in _KINDS.items()]
+    parts = {"type": "array", "minItems": 1, "items": {"oneOf": kinds}}
+    whole = {
+        "type": "object",
+        "description": "References of different joints.",
+        "properties": {"parts": parts},
+        "required": ["parts"],
+        "additionalProperties": False,
+    }
+    return {"oneOf": [*kinds, of_kind(_COMBINED, whole), *others]}
+
+
+def of_kind(name: str, schema: dict[str, Any]) -> dict[str, Any]:
+    """Return the schema of a section with its ``kind``."""
+    properties = {"kind": {"const": name}, **schema["properties"]}
+    return {
+        **schema,
+        "properties": properties,
+        "required": ["kind", *schema.get("required", ())],
+    }
+
+
+def _trajectory(kind: str, record: Record) -> JointTrajectory:
+    if isinstance(record, PathSection):
+        return record.trajectory()
+    if isinstance(record, Oscillations):
+        signals = {joint: asdict(each) for joint, each in record.joints.items()}
+        return sine(record.duration, signals)
+    assert isinstance(record, Waypoints)
+    return (step if kind == "step" else minimum_jerk)(record.times, record.positions)
+
+
+def _combined(section: Section) -> JointTrajectory:
+    parts = section.take("parts")
+    section.finish()
+    if not isinstance(parts, list) or not parts:
+        raise TrajectoryError(f"{section.place('parts')} must be a list of references")
+    place = section.place("parts")
+    if any(isinstance(part, Mapping) and part.get("kind") == _COMBINED for part in parts):
+        raise TrajectoryError(f"{place} must not hold a combined reference again")
+    each = [reference_from(part, f"{place}[{index}]") for index, part in enumerate(parts)]
+    try:
+        return combined(each)
+    except TrajectoryError as error:
+        raise TrajectoryError(f"{section.where}: {error}") from None
+
+
+BRICKS = "bricks"
+HAND = "payload"
+"""Link that holds a brick where ``scene.gripper`` names none."""
+
+
+Triple = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Target(Record):
+    """Where a brick is put."""
+
+    position: Triple = quantity("Its centre x, y, z in the frame odom", "m")
+    yaw: float = quantity("Its turn about z", "rad", default=0.0)
+    approach: float | None = quantity(
+        "Heading of the base before it; straight from where it is if left out", "rad", default=None
+    )
+
+
+@dataclass(frozen=True)
+class Belief(Record):
+    """Where a brick is believed to be; what is left out is as in the scene."""
+
+    position: Triple | None = quantity("Its centre x, y, z in the frame odom", "m", default=None)
+    yaw: float | None = quantity("Its turn about z", "rad", default=None)
+    approach: float | None = quantity("Heading of the base before it", "rad", default=None)
+
+    def over(self, known: Placement) -> Placement:
+        """Return the placement that is meant, with what the scene says of it."""
+        return Placement(
+            known.position if self.position is None else self.position,
+            known.yaw if self.yaw is None else self.yaw,
+            self.approach,
+        )
+
+
+@dataclass(frozen=True)
+class KnownBox(Record):
+    """What a plan asks of a brick of the scene."""
+
+    size: Triple = quantity("Edges along its own x, y, z", "m", above=0.0)
+    position: Triple = quantity("Its centre in the frame odom", "m")
+    yaw: float = quantity("Its turn about z", "rad", default=0.0)
+
+
+@dataclass(frozen=True)
+class CarriedBrick(Record):
+    """One brick of a task."""
+
+    brick: str = quantity("Its name in the scene")
+    place: Target = quantity("Where it is put")
+    pick: Belief | None = quantity(
+        "Where it is taken, if it is believed elsewhere than the scene has it", default=None
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class BrickTask(PlanOptions):
+    """Bricks are carried one after the other."""
+
+    bricks: tuple[CarriedBrick, ...] = quantity(
+        "The bricks, in the order in which they are carried"
+    )
+    arm: tuple[str, ...] = quantity(
+        "Joints of the arm; all between the root and the hand if left out", default=()
+    )
+    folded: Mapping[str, float] = quantity(
+        "The arm's positions while the base drives; the initial ones if left out",
+        "rad",
+        factory=dict,
+    )
+
+
+class PlannedReference(NamedTuple):
+    """A reference, and the plan behind it."""
+
+    trajectory: JointTrajectory  # what the joints follow
+    plan: BrickPlan | None = None  # the brick task; None for any other kind
+
+
+class KnownScene(NamedTuple):
+    """What a plan knows of the scene."""
+
+    # size and place of each brick, by name
+    bricks: Mapping[str, tuple[tuple[float, float, float], Placement]]
+    hand: str = HAND  # link that holds a brick
+    opening: float = math.inf  # [m] widest brick that it can take
+
+
+def planned_reference(
+    document: object, where: str, load_robot: Callable[[str], RobotDescription]
+) -> PlannedReference:
+    """Return the reference of a whole document: an experiment, or a file with a reference."""
+    section = document.get("reference") if isinstance(document, Mapping) else None
+    if not (isinstance(section, Mapping) and section.get("kind") == BRICKS):
+        return PlannedReference(reference_from(section, where))
+    root = Section(document, "", TrajectoryError)
+    scene = _known_scene(root.section("scene", {}))
+    robot = _task_robot(root.section("robot"), load_robot, scene.opening)
+    return planned_reference_from(section, where, robot, scene)
+
+
+def planned_reference_from(
+    values: object, where: str, robot: TaskRobot, scene: KnownScene
+) -> PlannedReference:
+    """Return the reference that a section describes.
+
+    ``kind: bricks`` is a :class:`BrickTask`; every other kind is that of
+    :func:`hpid_ros.motion.reference_from`.
+    """
+    section = Section(values, where, TrajectoryError)
+    if section.text("kind") != BRICKS:
+        return PlannedReference(reference_from(values, where))
+    # Pinocchio takes a moment to import, and other references do without.
+    from hpid_ros.motion.bricks import plan_bricks
+    from hpid_ros.robot.kinematics import Kinematics
+
+    task = take_record(BrickTask, section)
+    section.finish()
+    if not task.bricks:
+        raise TrajectoryError(f"{section.place('bricks')} must name at least one brick")
+    others = robot.initial_positions
+    arm = Kinematics(robot.description, scene.hand, task.arm or None, others)
+    for joint in task.folded:
+        if joint not in arm.joints:
+            place = section.place("folded")
+            raise TrajectoryError(f"{place}: {unknown_name('joint', joint, arm.joints)}")
+    folded = task.folded or others
+    goals = [
+        _goal(goal, f"{section.place('bricks')}[{index}]", scene)
+        for index, goal in enumerate(task.bricks)
+    ]
+    try:
+        rest = [folded.get(joint, 0.0) for joint in arm.joints]
+        plan = plan_bricks(robot, arm, goals, rest, task)
+    except HpidError as error:
+        raise TrajectoryError(f"{section.where}: {error}") from None
+    return PlannedReference(plan.trajectory, plan)
+
+
+def task_schema() -> dict[str, Any]:
+    """Return the JSON Schema of a ``reference`` of any kind."""
+    return reference_schema(of_kind(BRICKS, json_schema(BrickTask)))
+
+
+def _goal(goal: CarriedBrick, where: str, scene: KnownScene) -> BrickGoal:
+    if goal.brick not in scene.bricks:
+        raise TrajectoryError(f"{where}.brick: {unknown_name('brick', goal.brick, scene.bricks)}")
+    size, known = scene.bricks[goal.brick]
+    pick = known if goal.pick is None else goal.pick.over(known)
+    place = goal.place
+    return BrickGoal(goal.brick, size, pick, Placement(place.position, place.yaw, place.approach))
+
+
+def _task_robot(
+    section: Section, load_robot: Callable[[str], RobotDescription], opening: float
+) -> TaskRobot:
+    """Return the robot that a section describes, with a hand of some opening, in [m]."""
+    robot = take_record(RobotSection, section)
+    section.finish()
+    description = robot.load(load_robot)
+    drive = None if robot.base is None else robot.base.drive(description)
+    return TaskRobot(description, drive, robot.initial_positions, opening)
+
+
+def _known_scene(section: Section) -> KnownScene:
+    """Return what a plan needs of the scene; the rest is read, and checked, by others."""
+    gripper, bricks = section.section("gripper", {}), section.section("bricks", {})
+    known = {}
+    for name in bricks.items():
+        brick = bricks.section(name)
+        known[name] = _known_brick(brick)
+    opening = gripper.number("opening", above=0.0) if "opening" in gripper else math.inf
+    return KnownScene(known, gripper.text("link", HAND), opening)
+
+
+def _known_brick(section: Section) -> tuple[Triple, Placement]:
+    box = take_record(KnownBox, section)
+    return box.size, Placement(box.position, box.yaw)

@@ -1,0 +1,1 @@
+"""What every node needs: executor, supervisor, services, parameters, status."""

@@ -1,0 +1,139 @@
+"""Quality of service, Fast DDS's profile, and steady timers.
+
+Publishers are reliable, so that any subscriber may ask for either; controllers and bridge
+subscribe with best effort, which costs a third less per sample and loses nothing on one
+machine. A recorder asks for reliability; the depth of the publishers is what it may fall
+behind. What goes to a driver has no such depth: late commands are worse than none. Every profile
+can be overridden by the standard ``qos_overrides`` parameters.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Callable
+from weakref import WeakKeyDictionary
+
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from rclpy.qos import (
+    DurabilityPolicy,
+    HistoryPolicy,
+    QoSPolicyKind,
+    QoSProfile,
+    ReliabilityPolicy,
+)
+from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.subscription import Subscription
+from rclpy.timer import Timer
+from sensor_msgs.msg import JointState
+
+from hpid_ros.base.files import ResourceError, find_resource
+from hpid_ros.base.names import PROFILE_FILES
+
+_CLOCKS: WeakKeyDictionary[Node, Clock] = WeakKeyDictionary()
+
+
+def steady_timer(node: Node, period: float, callback: Callable[[], object]) -> Timer:
+    """Return a running timer on the steady clock.
+
+    A node's own timers follow its ROS clock: they wait when somebody sets the time back, and
+    with ``use_sim_time`` while the simulation stands still.
+    """
+    # The executor has a thread for each clock, and warns from eight timers of one clock on, which
+    # the controllers of a few joints have together: so there is one for each node.
+    clock = _CLOCKS.setdefault(node, Clock(clock_type=ClockType.STEADY_TIME))
+    return node.create_timer(period, callback, clock=clock)
+
+
+_BEHIND_AT_MOST = 4000  # messages that a reliable subscriber may fall behind
+_STATES_AT_ONCE = 5  # that a controller may fall behind before it forgets the oldest
+_COMMANDS_AT_ONCE = 256  # joints that may answer one state before the bridge has looked
+
+
+def _profile(reliability: ReliabilityPolicy, depth: int) -> QoSProfile:
+    return QoSProfile(
+        history=HistoryPolicy.KEEP_LAST,
+        depth=depth,
+        reliability=reliability,
+        durability=DurabilityPolicy.VOLATILE,
+    )
+
+
+OFFERED = _profile(ReliabilityPolicy.RELIABLE, _BEHIND_AT_MOST)
+"""States and commands, as they are published."""
+
+NEWEST_COMMAND = _profile(ReliabilityPolicy.RELIABLE, 1)
+"""Commands for a driver, as they are published: what is sent again after a loss is the newest.
+
+It matches the subscribers of ros2_control (best effort), of Isaac Sim and of ros_gz_bridge (both
+reliable and volatile).
+"""
+
+NEWEST_STATES = _profile(ReliabilityPolicy.BEST_EFFORT, _STATES_AT_ONCE)
+"""States, as a controller takes them: a hiccup is caught up, anything older is the past."""
+
+ALL_COMMANDS = _profile(ReliabilityPolicy.BEST_EFFORT, _COMMANDS_AT_ONCE)
+"""Commands, as the bridge takes them."""
+
+LATCHED = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST,
+    depth=1,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.TRANSIENT_LOCAL,
+)
+"""The reference: whoever comes later gets it too."""
+
+RARE = _profile(ReliabilityPolicy.RELIABLE, 10)
+"""Messages that come rarely: setpoints, diagnostics, poses."""
+
+
+def overridable() -> QoSOverridingOptions:
+    """Return the option that lets ``qos_overrides`` parameters replace a profile.
+
+    History, depth and reliability, as by default; of a publisher also the lifespan in [ns]. Fast
+    DDS sends a message that is older than that to nobody any more, and does not take back what a
+    subscriber has got; other middlewares do, by the clock of the subscriber's host. It is not
+    limited by default: a last zero is worth being sent again.
+    """
+    kinds = QoSPolicyKind
+    return QoSOverridingOptions((kinds.HISTORY, kinds.DEPTH, kinds.RELIABILITY, kinds.LIFESPAN))
+
+
+def subscribe_raw(
+    node: Node, topic: str, callback: Callable[[bytes], None], profile: QoSProfile
+) -> Subscription:
+    """Subscribe to joint states or commands as bytes, with a profile that can be overridden."""
+    return node.create_subscription(
+        JointState, topic, callback, profile, raw=True, qos_overriding_options=overridable()
+    )
+
+
+def load_profile() -> None:
+    """Let Fast DDS load ``config/fastdds_nodes.xml``, and leave shared memory out.
+
+    Nothing is changed where the user named a file of profiles or transports. In shared memory a
+    process that is killed stalls the discovery of all others, or ends it (docs/faults.md); sockets
+    go with their process. To be called before the middleware is loaded; other ones ignore both.
+    Without the file acknowledgements take longer: no reason to end.
+    """
+    if any(os.environ.get(name) for name in PROFILE_FILES):
+        return
+    os.environ.setdefault("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
+    with contextlib.suppress(ResourceError):
+        profile = str(find_resource("config/fastdds_nodes.xml"))
+        os.environ.update(dict.fromkeys(PROFILE_FILES, profile))
+
+
+def has_shared_memory_alone() -> bool:
+    """Tell whether the nodes of this process reach no other host and no other user.
+
+    As in the closed mode of docs/security.md: Fast DDS talks through shared memory alone, and does
+    not meet those that talk through a network, even in the same domain of the same host.
+    """
+    return (
+        os.environ.get("RMW_IMPLEMENTATION", "rmw_fastrtps_cpp").startswith("rmw_fastrtps")
+        and os.environ.get("FASTDDS_BUILTIN_TRANSPORTS") == "SHM"
+        and os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET") == "SUBNET"
+        and os.environ.get("ROS_LOCALHOST_ONLY", "0") != "1"
+    )

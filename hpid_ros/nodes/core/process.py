@@ -1,0 +1,221 @@
+"""A node's process and its own parameters: scheduling, launch, end, DDS security.
+
+``ros2 launch`` ends its processes on SIGINT; SIGTERM and SIGKILL end it alone, and what it started
+would go on driving the robot. This package's launch files name themselves to what they start, and
+the kernel tells it when they are gone.
+
+With ``ROS_SECURITY_ENABLE=true`` a middleware that was built without DDS security starts all the
+same, unprotected and without a word. The wheels of ROS on PyPI are built so.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import faulthandler
+import math
+import mmap
+import os
+import signal
+import sys
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any, NoReturn
+
+from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from hpid_ros.base.errors import SettingError
+from hpid_ros.control.parameters import ParameterSpec
+
+
+def descriptor(spec: ParameterSpec, *, read_only: bool = False) -> ParameterDescriptor:
+    """Return what ROS tools show of a parameter."""
+    description = ParameterDescriptor(
+        description=spec.description,
+        read_only=read_only,
+        additional_constraints=_constraints(spec),
+    )
+    if spec.slider:
+        low, high = spec.slider
+        description.floating_point_range = [
+            FloatingPointRange(from_value=low, to_value=high, step=0.0)
+        ]
+    return description
+
+
+def _constraints(spec: ParameterSpec) -> str:
+    if spec.choices:
+        return f"one of: {', '.join(spec.choices)}"
+    if isinstance(spec.default, float) and math.isfinite(spec.minimum + spec.maximum):
+        return f"from {spec.minimum:g} to {spec.maximum:g}"
+    return ""
+
+
+def declare(node: Node, specs: Iterable[ParameterSpec], read_only: Iterable[str] = ()) -> None:
+    """Declare parameters from their table."""
+    fixed = set(read_only)
+    for spec in specs:
+        node.declare_parameter(
+            spec.name, spec.default, descriptor(spec, read_only=spec.name in fixed)
+        )
+
+
+def read_only(node: Node, name: str, default: object, description: str) -> Any:
+    """Declare one parameter that is fixed when the node starts, and return its value."""
+    parameter = node.declare_parameter(
+        name, default, ParameterDescriptor(description=description, read_only=True)
+    )
+    return parameter.value
+
+
+def read_choice(
+    node: Node, name: str, default: str, description: str, choices: Iterable[str]
+) -> str:
+    """Declare one text of a few, fixed when the node starts, and return it."""
+    allowed = ", ".join(choices)
+    descriptor = ParameterDescriptor(
+        description=description, read_only=True, additional_constraints=f"one of: {allowed}"
+    )
+    value = str(node.declare_parameter(name, default, descriptor).value)
+    if value not in allowed.split(", "):
+        raise SettingError(f"{name} must be one of {allowed}, not {value!r}")
+    return value
+
+
+def read_number(
+    node: Node, name: str, default: float, description: str, limits: tuple[float, float]
+) -> float:
+    """Declare one number that is fixed when the node starts, and return its value."""
+    value = float(read_only(node, name, default, description))
+    low, high = limits
+    if not low <= value <= high:
+        raise SettingError(f"{name} must lie in [{low:g}, {high:g}], not {value}")
+    return value
+
+
+ORDINARY = "ordinary"
+
+
+def schedule(node: Node) -> str:
+    """Declare the parameters ``realtime_priority`` and ``cpu_affinity``, and do what they say.
+
+    Both hold for every thread that the process has, so this is called when the middleware's are
+    there: at the end of a node's construction. Children that a node starts do not inherit the
+    priority. A priority that the system refuses is one line in the log, no end of the process.
+    """
+    priority = int(
+        read_only(node, "realtime_priority", 0, "SCHED_FIFO priority, 1 to 99; 0 for none")
+    )
+    if not 0 <= priority <= 99:
+        raise SettingError(f"realtime_priority must lie in [0, 99], not {priority}")
+    cpus = read_only(
+        node, "cpu_affinity", Parameter.Type.INTEGER_ARRAY, "CPUs to run on; all if left out"
+    )
+    if cpus:
+        _pin([int(cpu) for cpu in cpus])
+    return _prioritise(node, priority) if priority else ORDINARY
+
+
+def _threads() -> list[int]:
+    return [int(entry.name) for entry in Path("/proc/self/task").iterdir()]
+
+
+def _pin(cpus: list[int]) -> None:
+    allowed = sorted(os.sched_getaffinity(0))
+    if not set(cpus) <= set(allowed):
+        raise SettingError(f"cpu_affinity must be among the CPUs {allowed}, not {cpus}")
+    for thread in _threads():
+        os.sched_setaffinity(thread, cpus)
+
+
+def _prioritise(node: Node, priority: int) -> str:
+    policy = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
+    try:
+        for thread in _threads():
+            os.sched_setscheduler(thread, policy, os.sched_param(priority))
+    except PermissionError:
+        node.get_logger().warning(
+            f"realtime_priority {priority} is refused by the system and ordinary scheduling "
+            f"stays: it needs CAP_SYS_NICE, or an rtprio limit of this user (ulimit -r) of at "
+            f"least {priority}"
+        )
+        return f"{ORDINARY}, SCHED_FIFO {priority} was refused"
+    return f"SCHED_FIFO {priority}"
+
+
+LAUNCH = "HPID_ROS_LAUNCH"
+"""Environment variable: the process id of the launch."""
+
+_PR_SET_PDEATHSIG = 1
+
+
+def end_with_the_launch() -> None:
+    """Get SIGTERM when the launch has ended, however that came about; on Linux."""
+    launch = os.environ.get(LAUNCH)
+    if launch is None or not sys.platform.startswith("linux"):
+        return
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
+    if not Path("/proc", launch).exists():  # it was gone before
+        os.kill(os.getpid(), signal.SIGTERM)
+
+
+_TORN_DOWN_WITHIN = 15.0  # [s]
+
+
+def end_in_time() -> None:
+    """Have this process end with code 1, and tell where it stands, if it takes long from here on.
+
+    To be called when every node has been closed: what is left is the middleware's.
+    """
+    _flush()
+    faulthandler.dump_traceback_later(_TORN_DOWN_WITHIN, exit=True)
+
+
+def end(code: int) -> NoReturn:
+    """End this process at once, without what the interpreter and the libraries do at their ends.
+
+    There Python's objects, the statics of Fast DDS and threads that are still running go in no
+    order: about once in a thousand ends on a busy machine a process crashed or stood still for
+    ever, with all of its work done.
+    """
+    _flush()
+    os._exit(code)
+
+
+def _flush() -> None:
+    for stream in (sys.stdout, sys.stderr):
+        with contextlib.suppress(OSError, ValueError):  # nobody reads it any more
+            stream.flush()
+    ctypes.CDLL(None).fflush(None)
+
+
+_MIDDLEWARES = ("libfastrtps.so", "libfastdds.so")
+_MARK = b"dds.sec.auth.plugin"  # the property that names the authentication plugin
+
+
+def warn_if_unprotected(node: Node) -> None:
+    """Log one warning when security was asked for and the loaded Fast DDS has none."""
+    if os.environ.get("ROS_SECURITY_ENABLE", "").lower() != "true":
+        return
+    library = _loaded_middleware()
+    if library is not None and not _has_security(library):
+        node.get_logger().warning(
+            "ROS_SECURITY_ENABLE is set, but this Fast DDS was built without security: nothing is "
+            "authenticated or encrypted, and anybody on the network can command this node"
+        )
+
+
+def _loaded_middleware(maps: Path = Path("/proc/self/maps")) -> Path | None:
+    """Return the Fast DDS library of this process; None when another middleware is loaded."""
+    for line in maps.read_text().splitlines():
+        path = Path(line.rpartition(" ")[2])
+        if path.name.startswith(_MIDDLEWARES):
+            return path
+    return None
+
+
+def _has_security(library: Path) -> bool:
+    with library.open("rb") as stream, mmap.mmap(stream.fileno(), 0, prot=mmap.PROT_READ) as data:
+        return data.find(_MARK) >= 0

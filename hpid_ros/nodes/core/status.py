@@ -1,0 +1,140 @@
+"""Lines for a parent process, and lines on ``/diagnostics``.
+
+A parent that runs nodes as children needs to know when they are ready and when they are done,
+before and after there is a graph to ask. Each event is one JSON object on one line.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import select
+import stat
+import threading
+import time
+from collections import deque
+from collections.abc import Mapping
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.node import Node
+
+from hpid_ros.base.text import bounded
+from hpid_ros.nodes.core.middleware import RARE
+from hpid_ros.nodes.core.process import read_only
+
+
+def _pipes() -> frozenset[int]:
+    found = set()
+    for descriptor in range(_HIGHEST):
+        try:
+            if stat.S_ISFIFO(os.fstat(descriptor).st_mode):
+                found.add(descriptor)
+        except OSError:  # not open
+            continue
+    return frozenset(found)
+
+
+_HIGHEST = 1024  # the usual limit
+_HANDED_DOWN = _pipes()  # before this process has opened any of its own
+_WAITING = 1000  # lines, for a parent that does not read
+
+
+class _Outlet:
+    """The way to a parent, which all nodes of a process share and which makes none of them wait.
+
+    What a full pipe does not take waits for the next line, the last thousand lines of it.
+    """
+
+    def __init__(self, fd: int) -> None:
+        self._fd = fd
+        self._room = select.poll()
+        self._room.register(fd, select.POLLOUT)
+        self._begun = b""
+        self._lines: deque[bytes] = deque(maxlen=_WAITING)
+        self._lock = threading.Lock()
+
+    def put(self, line: bytes) -> None:
+        with self._lock:
+            self._lines.append(line)
+            self._write(0.0)
+
+    def flush(self, within: float) -> None:
+        with self._lock:
+            self._write(within)
+
+    def _write(self, within: float) -> None:
+        deadline = time.monotonic() + within
+        while self._fd >= 0 and (self._begun or self._lines):
+            self._begun = self._begun or self._lines.popleft()
+            if not self._room.poll(max(0.0, deadline - time.monotonic()) * 1e3):
+                return
+            try:  # a pipe with room has it for so many bytes
+                written = os.write(self._fd, self._begun[: select.PIPE_BUF])
+            except OSError:  # the parent is gone; the node's own stop is not this pipe's business
+                self._fd = -1
+                return
+            self._begun = self._begun[written:]
+
+
+_OUTLETS: dict[int, _Outlet] = {}
+
+
+def flush_events(within: float) -> None:
+    """Give a parent that is slow to read this long to take what waits for it."""
+    for outlet in _OUTLETS.values():
+        outlet.flush(within)
+
+
+class StatusPipe:
+    """Writes events for a parent process, if there is one, and never waits for a reader."""
+
+    def __init__(self, node: Node) -> None:
+        fd = read_only(
+            node, "status_fd", -1, "File descriptor for one JSON line per event; -1 for none"
+        )
+        # The parameters of a node that had a parent may have been dumped and given to this one.
+        self._outlet = None
+        if fd in _HANDED_DOWN:
+            self._outlet = _OUTLETS[fd] = _OUTLETS.get(fd) or _Outlet(fd)
+
+    def send(self, event: str, **values: object) -> None:
+        """Write one event."""
+        if self._outlet is not None:
+            self._outlet.put((json.dumps({"event": event, **values}) + "\n").encode())
+
+
+OK = DiagnosticStatus.OK
+WARN = DiagnosticStatus.WARN
+ERROR = DiagnosticStatus.ERROR
+
+
+class Diagnostics:
+    """Publishes a node's status, and notes what has gone wrong."""
+
+    def __init__(self, node: Node, hardware_id: str) -> None:
+        self._node = node
+        self._hardware_id = hardware_id
+        self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", RARE)
+        self.last_fault = "none"
+
+    def fault(self, line: str) -> None:
+        """Note one line for something that could not be used, or has gone wrong; it is logged."""
+        self.last_fault = line = bounded(line)
+        self._node.get_logger().warning(line, throttle_duration_sec=1.0)
+
+    def publish(self, level: bytes, message: str, values: Mapping[str, object]) -> None:
+        """Publish one status."""
+        status = DiagnosticStatus(
+            level=level,
+            name=self._node.get_fully_qualified_name(),
+            message=bounded(message),
+            hardware_id=self._hardware_id,
+            values=[KeyValue(key=key, value=_text(value)) for key, value in values.items()],
+        )
+        array = DiagnosticArray(status=[status])
+        array.header.stamp = self._node.get_clock().now().to_msg()
+        self._publisher.publish(array)
+
+
+def _text(value: object) -> str:
+    return f"{value:.6g}" if isinstance(value, float) else bounded(str(value))

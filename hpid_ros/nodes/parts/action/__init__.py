@@ -1,1 +1,0 @@
-"""Parts of the action server: parameters, messages, goals of clients, health."""

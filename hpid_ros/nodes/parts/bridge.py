@@ -1,0 +1,459 @@
+"""The bridge that stands in for the robot, whatever engine is behind it, and its parameters."""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from sensor_msgs.msg import JointState
+
+from hpid_ros.base.errors import ExperimentError, MessageError, SettingError
+from hpid_ros.base.files import find_resource
+from hpid_ros.base.units import NANOSECONDS
+from hpid_ros.base.yaml_files import load_document
+from hpid_ros.messages.joint_readers import EffortReader
+from hpid_ros.messages.joint_state import JointStateTemplate
+from hpid_ros.nodes.core import executor
+from hpid_ros.nodes.core.executor import Usage
+from hpid_ros.nodes.core.middleware import (
+    ALL_COMMANDS,
+    OFFERED,
+    overridable,
+    steady_timer,
+    subscribe_raw,
+)
+from hpid_ros.nodes.core.process import read_choice, read_number, read_only, schedule
+from hpid_ros.nodes.core.status import ERROR, OK, WARN, Diagnostics, StatusPipe
+from hpid_ros.nodes.parts.bridge_commanders import Commanders, HeldCommands
+from hpid_ros.nodes.parts.bridge_services import BridgeReports, BridgeServices, BridgeTiming
+from hpid_ros.nodes.parts.standard_services import offer_standard_services
+from hpid_ros.simulation.lockstep import AnswerCounts, Barrier
+from hpid_ros.simulation.world import World
+from hpid_ros.simulation.world_file import WorldFile, world_of
+
+MODES = ("lockstep", "realtime")
+
+_RESTART_TAKES = 0.2  # [s], at least: nobody waits for the place of one that was killed
+_POSITIVE = (1e-6, 1e6)
+_DEFAULT_ROBOT = "urdf/mobile_manipulator.urdf"
+OVER_THE_FILE = {
+    "joints": (
+        *("robot", "driven", Parameter.Type.STRING_ARRAY),
+        "Driven joints; all moving ones if left out",
+    ),
+    "fixed_base": (
+        *("robot", "fixed_base", Parameter.Type.BOOL),
+        "Hold the robot's root, without a ground",
+    ),
+    "payload_mass": (
+        *("robot", "payload", Parameter.Type.DOUBLE),
+        "Mass in the gripper [kg]",
+    ),
+    "control_rate": (
+        *("control", "rate", Parameter.Type.DOUBLE),
+        "States per simulated second [Hz]",
+    ),
+    "answer_timeout": (
+        *("control", "answer_timeout", Parameter.Type.DOUBLE),
+        "Wall time that lockstep waits for one answer [s]",
+    ),
+    "physics_steps": (
+        *("simulation", "physics_steps", Parameter.Type.INTEGER),
+        "Physics steps in one control period",
+    ),
+    "seed": (
+        *("", "seed", Parameter.Type.INTEGER),
+        "Of where each encoder's counts begin, of noise, of homing",
+    ),
+}
+"""Parameters that are laid over the file: its section (none: the root), key, type, meaning."""
+
+
+def read_world_file(node: Node, engine: str) -> WorldFile:
+    """Declare the parameters of a world and return what they say."""
+    file = str(
+        read_only(
+            node,
+            "world_file",
+            "",
+            "YAML file of the world, for instance an experiment; what is given besides counts",
+        )
+    )
+    document = load_document(find_resource(file), ExperimentError) if file else None
+    robot = str(
+        read_only(
+            node,
+            "robot_description",
+            "" if file else _DEFAULT_ROBOT,
+            "URDF of the robot: its XML text, a path, or a path in this package's share folder; "
+            "that of world_file if empty",
+        )
+    )
+    if not (file or robot.strip()):
+        raise SettingError("robot_description must be a URDF or name one, it is empty")
+    values = _laid_over(node, {} if document is None else document.values, robot, engine)
+    positions = read_only(
+        node,
+        "initial_positions",
+        Parameter.Type.DOUBLE_ARRAY,
+        "Position of each driven joint at the start [rad]; zero, or the file's, if left out",
+    )
+    counts = read_only(
+        node,
+        "encoder_counts",
+        Parameter.Type.INTEGER_ARRAY,
+        "Encoder counts per revolution of each driven joint; 0 measures exactly",
+    )
+    found = world_of(values, document)
+    world, joints = found.world, found.world.joints
+    if positions:
+        along = _along(joints, "initial_positions", positions)
+        world = replace(world, initial_positions=dict(zip(joints, along, strict=True)))
+    if counts:
+        world = replace(world, encoder_counts=_along(joints, "encoder_counts", counts))
+    return found._replace(world=replace(world, gui=_gui(node)))
+
+
+def _laid_over(node: Node, values: Any, robot: str, engine: str) -> Any:
+    """Return a document with the parameters that were given laid over it."""
+    if not isinstance(values, dict):
+        return values
+    values = dict(values)
+    given: dict[str, dict[str, Any]] = {"simulation": {"engine": engine}}
+    given |= {"robot": {"description": robot}} if robot else {}
+    for name, (section, key, kind, meaning) in OVER_THE_FILE.items():
+        value = read_only(node, name, kind, f"{meaning}; the file's, or its default, if left out")
+        if value is not None:
+            value = list(value) if kind == Parameter.Type.STRING_ARRAY else value
+            given.setdefault(section, {})[key] = value
+    values |= given.pop("", {})
+    for section, entries in given.items():
+        own = values.get(section, {})
+        if isinstance(own, dict):
+            values[section] = own | entries
+    return values
+
+
+def _along(joints: Sequence[str], name: str, values: Sequence[Any]) -> tuple[Any, ...]:
+    """Return the values of an array with one entry for each joint."""
+    if len(values) != len(joints):
+        raise SettingError(
+            f"{name} must have one entry for each of {len(joints)} driven joints, "
+            f"not {len(values)}"
+        )
+    return tuple(values)
+
+
+def _gui(node: Node) -> bool:
+    wanted = bool(read_only(node, "gui", False, "Show the engine's window"))
+    # Without a display Bullet would end the process without a word.
+    if wanted and sys.platform.startswith("linux") and not os.environ.get("DISPLAY"):
+        raise SettingError("gui needs a display, and the variable DISPLAY names none")
+    return wanted
+
+
+@dataclass(frozen=True)
+class Pace:
+    """When a state is published."""
+
+    is_lockstep: bool  # every state waits for its answers; otherwise the wall clock paces them
+    end_ns: int | None  # [ns] stamp of the last state; None runs for ever
+    exits: bool  # whether the process ends after the last state
+    real_time_factor: float  # simulated time per wall time in realtime
+    answer_timeout: float  # [s] wall time that lockstep waits for one answer
+    command_timeout_ns: int  # [ns] simulated time for which a command stands in realtime
+    subscribers: int  # subscribers that the states must have before the first one
+    publishers: int  # publishers that the commands must have before the first state
+
+    @property
+    def command_patience(self) -> float:
+        """Silence of a joint's publisher after which another one may command it, in [s]."""
+        if self.is_lockstep:
+            return min(self.answer_timeout, _RESTART_TAKES)
+        return self.command_timeout_ns / NANOSECONDS / self.real_time_factor
+
+
+def read_pace(node: Node, joints: int, answer_timeout: float) -> Pace:
+    """Declare the parameters of time and return what they say."""
+    mode = read_choice(node, "mode", "lockstep", f"Pace of the states: {', '.join(MODES)}", MODES)
+    everyone = joints if mode == "lockstep" else 0
+
+    def positive(name: str, default: float, description: str) -> float:
+        return read_number(node, name, default, description, _POSITIVE)
+
+    duration = read_number(
+        node, "duration", 0.0, "Stamp of the last state [s]; 0 runs for ever", (0.0, 1e9)
+    )
+    timeout = positive(
+        "command_timeout", 0.1, "Simulated time for which a command stands in realtime [s]"
+    )
+    return Pace(
+        is_lockstep=mode == "lockstep",
+        end_ns=round(duration * NANOSECONDS) if duration > 0.0 else None,
+        exits=read_only(node, "exit_when_done", True, "End the process after the last state"),
+        real_time_factor=positive(
+            "real_time_factor", 1.0, "Simulated time per wall time in realtime"
+        ),
+        answer_timeout=answer_timeout,
+        command_timeout_ns=round(timeout * NANOSECONDS),
+        subscribers=read_only(
+            node, "wait_for_subscribers", everyone, "Subscribers that states must have first"
+        ),
+        publishers=read_only(
+            node, "wait_for_publishers", everyone, "Publishers that commands must have first"
+        ),
+    )
+
+
+_READINESS_PERIOD = 0.01  # [s]
+_LOOKS = 8  # at who is missing, in one answer_timeout
+_LAST_LOOK = 1.0 - 2.0 / _LOOKS  # of answer_timeout: the next look may be late, the limit holds
+_PROGRESS_PERIOD_NS = 100_000_000
+
+
+class RobotBridge(executor.ClosingNode):
+    """A simulated robot behind the topics of a real one.
+
+    In ``lockstep`` every state waits for the command of every driven joint that carries its
+    stamp, then the physics advance by one control period. In ``realtime`` the wall clock paces
+    the states, and each joint gets its newest command.
+    """
+
+    def __init__(self, engine: str) -> None:
+        super().__init__(f"{engine}_bridge")
+        self.require_given("world_file", "robot_description")
+        found = read_world_file(self, engine)
+        settings = found.world
+        self._pace = pace = read_pace(self, len(settings.joints), found.control.answer_timeout)
+        self._status = StatusPipe(self)
+        self._world = World(settings)
+        driven = self._world.description.select(settings.joints)
+        limits = {joint.name: joint.effort for joint in driven}
+        self._barrier: Barrier | HeldCommands = (
+            Barrier(settings.joints, limits)
+            if pace.is_lockstep
+            else HeldCommands(settings.joints, pace.command_timeout_ns, limits)
+        )
+        self._commanders = Commanders(
+            self, settings.joints, self._barrier.counts, pace.command_patience
+        )
+        self._reader = EffortReader()
+        self._template = JointStateTemplate(
+            settings.joints,
+            position=True,
+            velocity=self._world.read_velocities() is not None,
+            effort=True,
+        )
+        self._states = self.create_publisher(
+            JointState, "joint_states", OFFERED, qos_overriding_options=overridable()
+        )
+        subscribe_raw(self, "joint_commands", self._on_command, ALL_COMMANDS)
+        prefix = str(
+            read_only(self, "frame_prefix", "", "Before each frame's name, e.g. of two robots")
+        )
+        self._reports = BridgeReports(self, self._world, prefix, pace.end_ns)
+        self._simulation = BridgeServices(self, self._world, prefix, self._reset, self._resume)
+        offer_standard_services(self, self._simulation, self._world)
+        self._told = ""
+        self._diagnostics = Diagnostics(self, self._world.description.name)
+        self._misread = self._obeyed = 0
+        self._is_done = False
+        self._is_started = False
+        self._timing = BridgeTiming(settings.joints)
+        self._stamp_ns = -1
+        self._progressed_ns = time.perf_counter_ns()
+        self._asked_again = False
+        self._readiness = steady_timer(self, _READINESS_PERIOD, self._start_when_ready)
+        steady_timer(self, 1.0, self._report)
+        self._scheduling = schedule(self)
+
+    def _start_when_ready(self) -> None:
+        listeners = self._states.get_subscription_count()
+        commanders = self.count_publishers("joint_commands")
+        if listeners < self._pace.subscribers or commanders < self._pace.publishers:
+            now_ns = time.perf_counter_ns()
+            if now_ns - self._progressed_ns > NANOSECONDS:
+                self._progressed_ns = now_ns
+                self._status.send("waiting", listeners=listeners, commanders=commanders)
+                self.get_logger().info(
+                    f"waiting: {listeners} of {self._pace.subscribers} subscribers of the states, "
+                    f"{commanders} of {self._pace.publishers} publishers of commands",
+                    throttle_duration_sec=5.0,
+                )
+            return
+        self._readiness.cancel()
+        self._is_started = True
+        self._status.send("started")
+        if self._pace.is_lockstep:
+            steady_timer(self, self._pace.answer_timeout / _LOOKS, self._watch)
+            self._publish_state()
+        else:
+            period = self._world.settings.control_period_ns / NANOSECONDS
+            self._publish_state()
+            steady_timer(self, period / self._pace.real_time_factor, self._resume)
+
+    def _on_command(self, raw: bytes) -> None:
+        try:
+            stamp_ns, names, efforts = self._reader.read(raw)
+        except MessageError as error:
+            self._misread += 1
+            self.get_logger().warning(str(error), throttle_duration_sec=1.0)
+            return
+        names, efforts = self._commanders.heed(names, efforts, self._reader.sender)
+        if not names:
+            return
+        self._obeyed += self._is_started
+        if stamp_ns == self._stamp_ns:
+            self._timing.answered(names)
+        if self._barrier.answer(stamp_ns, names, efforts):
+            self._resume()
+
+    def _resume(self) -> None:
+        """Advance if nothing is missing and nobody has paused the simulation."""
+        if not self._is_started or self._is_done or self._barrier.missing:
+            return
+        if self._simulation.may_advance():
+            self._advance()
+
+    def _advance(self) -> None:
+        efforts = self._barrier.finish()
+        if self._pace.end_ns is not None and self._world.time_ns >= self._pace.end_ns:
+            self._finish()
+            return
+        self._world.step(efforts)
+        self._publish_state()
+
+    def _publish_state(self) -> None:
+        self._stamp_ns = stamp_ns = self._world.time_ns
+        self._barrier.begin(stamp_ns)
+        positions = self._world.read()
+        self._last_state = self._template.encode(
+            stamp_ns,
+            position=positions,
+            velocity=self._world.read_velocities() or (),
+            effort=self._world.applied_efforts(),
+        )
+        self._timing.published()
+        self._commanders.move()
+        self._states.publish(self._last_state)
+        self._reports.sample(stamp_ns, positions)
+        self._asked_again = False
+        if self._timing.published_ns - self._progressed_ns > _PROGRESS_PERIOD_NS:
+            self._progressed_ns = self._timing.published_ns
+            self._status.send("progress", stamp_ns=stamp_ns, silent=self._barrier.silent)
+
+    def _watch(self) -> None:
+        """Ask again when an answer is late, and go on without it when it is too late."""
+        waited = (time.perf_counter_ns() - self._timing.published_ns) / NANOSECONDS
+        timeout = self._pace.answer_timeout
+        if self._barrier.is_abandoned:  # somebody may come back, and needs a state to answer
+            self._states.publish(self._last_state)
+        if not self._barrier.missing or self._is_done:
+            return
+        if waited > _LAST_LOOK * timeout:
+            given_up = self._barrier.time_out()
+            self.get_logger().warning(f"no answer within {timeout} s: {', '.join(given_up)}")
+            self._status.send("silent", joints=given_up, stamp_ns=self._world.time_ns)
+            if not self._barrier.is_abandoned:
+                self._resume()
+        elif waited > timeout / 2.0 and not self._asked_again:
+            self._asked_again = True
+            self._states.publish(self._last_state)
+
+    def _reset(self) -> None:
+        self._world.reset()
+        self._is_done = False
+        if self._is_started:
+            self._publish_state()
+
+    def _finish(self) -> None:
+        self._is_done = True
+        self._tell_end("finished")
+        if self._pace.exits:
+            self.request_stop()
+
+    def _tell_end(self, event: str) -> None:
+        """Tell a parent what the whole run was like."""
+        self._status.send(
+            event,
+            states=self._world.time_ns // self._world.settings.control_period_ns + 1,
+            counts={joint: vars(counts) for joint, counts in self._barrier.counts.items()},
+            commands=self._obeyed,
+            foreign=self._barrier.foreign,
+            reports=self._reports.counts,
+            wall_time=self._timing.elapsed,
+            timing=self._timing.whole(),
+        )
+
+    def _report(self) -> None:
+        silent = self._barrier.silent
+        message = f"no answer from {', '.join(silent)}" if silent else "running"
+        if self._simulation.is_paused:
+            message = "paused"
+        if not self._is_started:
+            message = "waiting for controllers"
+        if message != self._told:
+            self._told = message
+            if silent and self._is_started:  # rclpy wants a line of its own for each severity
+                self.get_logger().warning(message)
+            else:
+                self.get_logger().info(message)
+        conflict = self._commanders.conflict()
+        values: dict[str, Any] = {
+            "simulated time [s]": self._world.time_ns / NANOSECONDS,
+            "misread commands": self._misread,
+            "commands for other joints": self._barrier.foreign,
+            **_totals(self._barrier.counts.values()),
+            **self._commanders.values(),
+        }
+        values |= self._timing.recent(self._world.time_ns) if self._is_started else {}
+        values |= self._reports.figures()
+        values["scheduling"] = self._scheduling
+        level = ERROR if conflict else OK if self._is_started and not silent else WARN
+        self._diagnostics.publish(level, conflict or message, values)
+
+    def close(self) -> None:
+        """Leave the engine, and tell how it was if nobody has been told."""
+        if self._is_started and not self._is_done:
+            self._tell_end("stopped")
+        self._world.close()
+
+
+def _totals(counts: Iterable[AnswerCounts]) -> dict[str, int]:
+    """Return what the controllers of all joints did, for ``/diagnostics``."""
+    each = list(counts)
+    return {
+        "unanswered": sum(count.unanswered for count in each),
+        "answers to earlier states": sum(count.stale for count in each),
+        "commands not finite": sum(count.invalid for count in each),
+        "commands beyond the joint's limit": sum(count.excessive for count in each),
+    }
+
+
+def usage(name: str, engine: str) -> Usage:
+    """Return how a bridge is used."""
+    return Usage(
+        name,
+        f"Simulates a robot in {engine} behind the topics of a real one.",
+        "-p world_file:=FILE",
+        [
+            *("world_file", "robot_description", "joints", "mode", "real_time_factor"),
+            *("control_rate", "physics_steps", "initial_positions", "encoder_counts", "seed"),
+            *("fixed_base", "payload_mass", "gui", "duration", "exit_when_done", "answer_timeout"),
+            *("command_timeout", "wait_for_subscribers", "wait_for_publishers", "report_rate"),
+            *("ee_link", "frame_prefix", "wrench_duration"),
+            *("realtime_priority", "cpu_affinity", "status_fd"),
+        ],
+        ["joint_commands", "~/wrench"],
+        [
+            *("joint_states", "clock", "odom", "base_pose_ground_truth", "wheel_slip", "ee_pose"),
+            *("brick_poses", "grip_events", "/diagnostics"),
+        ],
+        ["~/pause", "~/step", "~/reset", "~/grip"],
+    )

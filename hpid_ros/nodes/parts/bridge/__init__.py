@@ -1,1 +1,0 @@
-"""Parts of the bridge to the simulated robot."""

@@ -1,0 +1,264 @@
+"""The bridge's services, and its reports: clock, base, end effector, task, its own time."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseArray, PoseStamped, Vector3Stamped, WrenchStamped
+from nav_msgs.msg import Odometry
+from rclpy.node import Node
+from rosgraph_msgs.msg import Clock
+from std_msgs.msg import String
+from std_srvs.srv import SetBool, Trigger
+
+from hpid_ros.base.durations import Durations
+from hpid_ros.base.errors import HpidError
+from hpid_ros.base.units import NANOSECONDS
+from hpid_ros.messages import reports as wire
+from hpid_ros.nodes.core.middleware import LATCHED, OFFERED, RARE
+from hpid_ros.nodes.core.process import read_number, read_only
+from hpid_ros.simulation.base import REPORT_RATE
+from hpid_ros.simulation.gripper import GRASPED, LOST, MISSED, GripEvent
+from hpid_ros.simulation.reports import CLOCK, KINDS, Reports, grip_words
+from hpid_ros.simulation.world import World
+
+
+class BridgeServices:
+    """``~/pause``, ``~/step``, ``~/reset`` and the topic ``~/wrench``."""
+
+    def __init__(
+        self,
+        node: Node,
+        world: World,
+        prefix: str,
+        reset: Callable[[], None],
+        resume: Callable[[], None],
+    ) -> None:
+        self._node = node
+        self._world = world
+        self._prefix = prefix
+        self._reset = reset
+        self._resume = resume
+        self._is_paused = False
+        self._steps = 0
+        duration = read_number(
+            node,
+            "wrench_duration",
+            0.1,
+            "How long one message on ~/wrench pushes [s]",
+            (1e-6, 3600.0),
+        )
+        self._wrench_ns = round(duration * NANOSECONDS)
+        node.create_service(SetBool, "~/pause", self._on_pause)
+        node.create_service(Trigger, "~/step", self._on_step)
+        node.create_service(Trigger, "~/reset", self._on_reset)
+        node.create_subscription(WrenchStamped, "~/wrench", self._on_wrench, RARE)
+
+    @property
+    def is_paused(self) -> bool:
+        """Whether time stands still but for single steps."""
+        return self._is_paused
+
+    def pause(self, is_paused: bool) -> None:
+        """Let time stand still from now on, or go on."""
+        self._is_paused, self._steps = is_paused, 0
+        if not is_paused:
+            self._resume()
+
+    def step(self) -> bool:
+        """Let a paused simulation go on by one control period, and tell whether it is paused."""
+        if self._is_paused:
+            self._steps += 1
+            self._resume()
+        return self._is_paused
+
+    def reset(self) -> None:
+        """Go back to time zero."""
+        self._reset()
+
+    def may_advance(self) -> bool:
+        """Tell whether one more control period may be simulated, and use up a single step."""
+        if not self._is_paused:
+            return True
+        if self._steps == 0:
+            return False
+        self._steps -= 1
+        return True
+
+    def _on_pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        response.success = True
+        response.message = self._told("paused" if request.data else "running")
+        self.pause(request.data)
+        return response
+
+    def _on_step(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        response.success = self.step()
+        response.message = (
+            self._told("one control period")
+            if response.success
+            else "not paused: call ~/pause with data: true first"
+        )
+        return response
+
+    def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self.reset()
+        response.success, response.message = True, self._told("reset")
+        return response
+
+    def _on_wrench(self, message: WrenchStamped) -> None:
+        force, torque = message.wrench.force, message.wrench.torque
+        try:
+            self._world.apply_wrench(
+                message.header.frame_id.removeprefix(self._prefix),
+                (force.x, force.y, force.z),
+                (torque.x, torque.y, torque.z),
+                self._wrench_ns,
+            )
+        except HpidError as error:
+            self._node.get_logger().warning(f"wrench refused: {error}")
+
+    def _told(self, what: str) -> str:
+        return f"{what} at {self._world.time_ns / NANOSECONDS:.3f} s"
+
+
+_MESSAGES: dict[str, Any] = {
+    wire.CLOCK: Clock,
+    wire.ODOMETRY: Odometry,
+    wire.VECTOR: Vector3Stamped,
+    wire.POSE: PoseStamped,
+    wire.POSES: PoseArray,
+    wire.STATUSES: DiagnosticArray,
+}
+
+
+class BridgeReports:
+    """Publishes what is told of base and task, at a rate of simulated time.
+
+    The URDF is latched on ``robot_description``, where RViz and Foxglove look for it.
+    Among bricks the service ``~/grip`` closes or opens the gripper.
+    """
+
+    def __init__(self, node: Node, world: World, prefix: str, end_ns: int | None = None) -> None:
+        self._node, self._world = node, world
+        rate = read_number(
+            node,
+            "report_rate",
+            REPORT_RATE,
+            "Rate of clock, odom, base_pose_ground_truth, wheel_slip and ee_pose [Hz]; 0 is off",
+            (0.0, 1e6),
+        )
+        link = read_only(node, "ee_link", "", "Link whose pose is ee_pose; the last one if empty")
+        link = world.description.link(str(link) or world.description.last_link)
+        self._reports = Reports(world, link, rate, end_ns, prefix, self._on_grip_event)
+        self._publishers = {
+            topic: node.create_publisher(
+                _MESSAGES[KINDS[topic]], topic, RARE if topic == CLOCK else OFFERED
+            )
+            for topic in self._reports.topics
+        }
+        node.create_publisher(String, "robot_description", LATCHED).publish(
+            String(data=world.description.xml)
+        )
+        self.figures = self._reports.figures
+        if world.gripper is not None:
+            node.create_service(SetBool, "~/grip", self._on_grip)
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Messages that a recorder must have got so far, by full name of their topic."""
+        return {
+            self._publishers[topic].topic_name: count
+            for topic, count in self._reports.counts.items()
+            if topic != CLOCK
+        }
+
+    def sample(self, stamp_ns: int, positions: Sequence[float]) -> None:
+        """Publish what is due; once for each state."""
+        for topic, raw in self._reports.sample(stamp_ns, positions):
+            self._publishers[topic].publish(raw)
+
+    def _on_grip_event(self, event: GripEvent) -> None:
+        # rclpy wants each severity on a line of its own.
+        if event.outcome in (MISSED, LOST):
+            self._node.get_logger().warning(grip_words(event))
+        else:
+            self._node.get_logger().info(grip_words(event))
+
+    def _on_grip(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        assert self._world.gripper is not None
+        event = self._world.gripper.move(request.data, self._world.time_ns)
+        for topic, raw in self._reports.events():
+            self._publishers[topic].publish(raw)
+        if event is None:
+            response.success = True
+            response.message = "nothing changed: it was so already, or holds nothing"
+            return response
+        response.success = event.outcome in (GRASPED, "released")
+        response.message = grip_words(event)
+        return response
+
+
+class BridgeTiming:
+    """Wall-clock figures of the bridge.
+
+    A cycle is the time between two published states; a joint's latency the time from a state's
+    publication to the arrival of the joint's answer to it.
+    """
+
+    def __init__(self, joints: Sequence[str]) -> None:
+        self._cycles = Durations()
+        self._latencies = {joint: Durations() for joint in joints}
+        self._notes = {joint: each.note for joint, each in self._latencies.items()}
+        self.published_ns = self._first_ns = 0
+        self._reported = time.perf_counter_ns(), 0
+
+    def published(self) -> None:
+        """Note that a state is about to be published."""
+        now = time.perf_counter_ns()
+        if self.published_ns:
+            self._cycles.note(now - self.published_ns)
+        else:
+            self._first_ns = now
+        self.published_ns = now
+
+    def answered(self, joints: Sequence[str]) -> None:
+        """Note that the answers of joints to the last published state have come."""
+        delay_ns = time.perf_counter_ns() - self.published_ns
+        for joint in joints:
+            note = self._notes.get(joint)
+            if note is not None:
+                note(delay_ns)
+
+    @property
+    def elapsed(self) -> float:
+        """Time since the first state was published, in [s]."""
+        return (time.perf_counter_ns() - self._first_ns) / NANOSECONDS
+
+    def recent(self, simulated_ns: int) -> dict[str, float]:
+        """Return the figures since the last call, with their units, for ``/diagnostics``."""
+        now, (then, before) = time.perf_counter_ns(), self._reported
+        self._reported = now, simulated_ns
+        cycle = self._cycles.recent()
+        figures = {
+            "real-time factor": max(simulated_ns - before, 0) / max(now - then, 1),
+            "cycle, median [us]": cycle.median,
+            "cycle, 99th percentile [us]": cycle.p99,
+            "cycle, largest [us]": cycle.maximum,
+        }
+        for joint, durations in self._latencies.items():
+            latency = durations.recent()
+            figures[f"{joint}: answer latency, median [us]"] = latency.median
+            figures[f"{joint}: answer latency, 99th percentile [us]"] = latency.p99
+        return figures
+
+    def whole(self) -> dict[str, Any]:
+        """Return the figures of the whole run, in [us], for a parent process."""
+        return {
+            "cycle": self._cycles.whole()._asdict(),
+            "latency": {
+                joint: durations.whole()._asdict() for joint, durations in self._latencies.items()
+            },
+        }

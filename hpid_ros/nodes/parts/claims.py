@@ -1,0 +1,421 @@
+"""One controller a joint: who is active claims it, and who would be second is refused.
+
+On one host the kernel decides, at once. Between hosts the graph does: a claim is told on a topic
+of the joint's own beside its commands, again and again, and others listen to it before they move
+the joint. Neither does anything when a state comes.
+
+The name is that of an abstract unix socket. To take it is atomic, the kernel frees it when the
+process ends, however that ends, and it costs nothing in between. A second socket of the holder
+bears who it is in its name: that can be read in the table of the kernel even while the holder is
+frozen, and nobody can send anything to either.
+
+A claim is told again and again by who makes it, and ends when it has not been heard for a lease.
+First it is a wish, for as long as others need to answer, and then it is held. Who wishes yields
+to who holds; among equals the order is that of the records, so that both sides decide alike.
+"""
+
+from __future__ import annotations
+
+import errno
+import hashlib
+import math
+import os
+import socket
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from enum import Enum
+from pathlib import Path
+
+from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+from rclpy.node import Node
+from rclpy.timer import Timer
+
+from hpid_ros.base.errors import ClaimError
+from hpid_ros.base.names import claim_topic
+from hpid_ros.nodes.core.executor import ClosingNode
+from hpid_ros.nodes.core.middleware import LATCHED, has_shared_memory_alone, steady_timer
+from hpid_ros.nodes.core.process import read_choice
+
+_PREFIX = "hpid_ros/"
+_LONGEST_NAME = 107  # bytes of an abstract name, by the kernel
+_TABLE = Path("/proc/net/unix")
+_TRIES, _PAUSE = 10, 0.002  # [s]; between the two sockets of a holder lies less than that
+
+
+class HostLock:
+    """The right to something on this host, or rather in this network namespace."""
+
+    def __init__(self, key: str, owner: str) -> None:
+        self._name = _PREFIX + hashlib.sha256(key.encode()).hexdigest()[:16]
+        self._owner = owner
+        self._sockets: list[socket.socket] = []
+
+    @staticmethod
+    def realm() -> str:
+        """Return a name of where locks hold: kernel and network namespace; empty if nowhere."""
+        try:
+            _bound(f"{_PREFIX}{os.getpid()}/{time.monotonic_ns()}").close()
+            boot = Path("/proc/sys/kernel/random/boot_id").read_text().strip()
+            return f"{boot} {Path('/proc/self/ns/net').readlink()}"
+        except OSError:  # not Linux, or a sandbox
+            return ""
+
+    def take(self) -> str:
+        """Take the right."""
+        if self._sockets:
+            return ""
+        try:
+            self._sockets.append(_bound(self._name))
+        except OSError as error:
+            if error.errno != errno.EADDRINUSE:
+                raise
+            return self._holder()
+        plate = f"{self._name}/{os.getpid()}"
+        room = _LONGEST_NAME - len(plate) - 2
+        self._sockets.append(_bound(f"{plate}/{self._owner[-room:]}"))
+        return ""
+
+    def release(self) -> None:
+        """Give the right back; the name plate goes first."""
+        while self._sockets:
+            self._sockets.pop().close()
+
+    def _holder(self) -> str:
+        start = f"@{self._name}/"
+        for _ in range(_TRIES):
+            try:
+                table = _TABLE.read_text(encoding="utf-8", errors="replace")
+            except OSError:
+                break
+            for line in table.splitlines():
+                name = line.rpartition(" ")[2]
+                if name.startswith(start):
+                    pid, _, node = name[len(start) :].partition("/")
+                    return f"{node} (process {pid} of this host)"
+            time.sleep(_PAUSE)
+        return "a process of this host that cannot be named"
+
+
+def _bound(name: str) -> socket.socket:
+    holder = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    try:
+        holder.bind("\0" + name)
+    except BaseException:
+        holder.close()
+        raise
+    return holder
+
+
+LEASE = 1.5
+"""A claim that has not been heard for so long has ended, in [s]."""
+
+
+class ClaimState(Enum):
+    """How far a claim has come."""
+
+    WISHED = "wished"
+    HELD = "held"
+    RELEASED = "released"
+
+
+@dataclass(frozen=True)
+class Claim:
+    """One controller's claim of one joint."""
+
+    joint: str
+    commands: str  # full name of the topic of its commands
+    node: str  # full name of the node that claims
+    host: str  # name of its host
+    pid: int  # its process
+    since_ns: int  # [ns] when its process began, or came back to life, by its host's clock
+    realm: str
+    state: ClaimState = ClaimState.WISHED  # how far it has come
+
+    @property
+    def owner(self) -> tuple[str, str, int, str]:
+        """Who claims."""
+        return self.realm, self.host, self.pid, self.node
+
+    def yields_to(self, other: Claim) -> bool:
+        """Tell whether of two claims of one joint it is this one that must go.
+
+        Of two different owners exactly one yields to the other.
+        """
+        if self.state is not other.state:
+            return self.state is ClaimState.WISHED
+        return (other.since_ns, *other.owner) < (self.since_ns, *self.owner)
+
+    def become(self, state: ClaimState) -> Claim:
+        """Return it in another state."""
+        return replace(self, state=state)
+
+
+class HeardClaims:
+    """The claims of others, as far as they have been heard of late."""
+
+    def __init__(self) -> None:
+        self._heard: dict[tuple[str, str, int, str], tuple[float, Claim]] = {}
+
+    def receive(self, claim: Claim, now: float) -> None:
+        """Take a claim that was told."""
+        if claim.state is ClaimState.RELEASED:
+            self._heard.pop(claim.owner, None)
+        else:
+            self._heard[claim.owner] = now, claim
+
+    def standing(self, now: float) -> Claim | None:
+        """Return the claim that stands, the strongest of several; None if there is none."""
+        self._heard = {
+            owner: (heard, claim)
+            for owner, (heard, claim) in self._heard.items()
+            if now - heard <= LEASE
+        }
+        claims = [claim for _, claim in self._heard.values()]
+        for claim in claims:
+            if not any(claim.yields_to(other) for other in claims if other is not claim):
+                return claim
+        return None
+
+
+SCOPES = ("joint", "none")
+
+_BEAT = 0.25  # [s]; six of them are a lease
+_OVERDUE = 0.75  # [s] since the claim was last told, after which the supervisor's thread tells it
+_LOCK_WITHIN = 0.2  # [s]; whoever holds it longer is stuck in the middleware, as we would be
+_SETTLES_WITHIN = 0.5  # [s]; a holder on a network that is found at all has answered by then
+_CLOCK = getattr(time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC)  # goes on while a host sleeps
+_STARTED_NS = time.time_ns()  # one for all joints of a process: all of them win, or none
+
+
+def claims_joint(node: Node) -> bool:
+    """Declare the parameter ``claim`` and tell whether it asks for a joint of the node's own."""
+    scope = read_choice(
+        node,
+        "claim",
+        "joint",
+        "What an active controller claims for itself alone: joint, or none: then several may "
+        "command one joint, and nobody says so but the bridge",
+        SCOPES,
+    )
+    return scope == "joint"
+
+
+class JointClaim:
+    """The claim of a controller's joint, from activation until the joint has been left."""
+
+    def __init__(
+        self,
+        node: ClosingNode,
+        is_claiming: bool,
+        joint: str,
+        commands: str,
+        lose: Callable[[ClaimError, bool], None],
+        what: str = "",
+    ) -> None:
+        self._what = what or f"joint {joint}"
+        self._node, self._is_claiming, self._lose = node, is_claiming, lose
+        self._mine: Claim | None = None
+        self._timer: Timer | None = None
+        self.refusal = ""
+        if not self._is_claiming:
+            return
+        # Graphs of the same domain that do not reach each other have nothing to share.
+        self._is_closed = has_shared_memory_alone()
+        graph = f"shared memory of user {os.getuid()}" if self._is_closed else "network"
+        domain = node.context.get_domain_id()
+        name = node.get_fully_qualified_name()
+        host, pid = socket.gethostname(), os.getpid()
+        realm = HostLock.realm()
+        self._lock = HostLock(f"{graph} {domain} {commands} {joint}", name) if realm else None
+        if not realm:
+            realm = f"{host} {pid} {name}"
+            node.get_logger().warning(
+                "this system has no abstract unix sockets: two controllers of one joint on this "
+                "host find out only once they hear each other"
+            )
+        self._claim = Claim(joint, commands, name, host, pid, _STARTED_NS, f"{realm} {graph}")
+        self._others = HeardClaims()
+        self._listening_since: float | None = None
+        self._told = 0.0
+        self._telling = threading.Lock()
+        topic = claim_topic(commands, joint)
+        self._publisher = node.create_publisher(DiagnosticStatus, topic, LATCHED)
+        node.create_subscription(DiagnosticStatus, topic, self._on_claim, LATCHED)
+
+    @property
+    def text(self) -> str:
+        """How it stands, for ``/diagnostics``."""
+        if not self._is_claiming:
+            return "none"
+        return "none yet" if self._mine is None else self._mine.state.value
+
+    @property
+    def is_settled(self) -> bool:
+        """Whether the joint may be commanded."""
+        return not self._is_claiming or (
+            self._mine is not None and self._mine.state is ClaimState.HELD
+        )
+
+    def take(self) -> None:
+        """Claim the joint."""
+        if not self._is_claiming or self._mine is not None:
+            return
+        holder = self._lock.take() if self._lock else ""
+        other = self._others.standing(_now())
+        if not holder and other is not None:
+            self._free()
+            holder = _named(other)
+        if holder:
+            raise self._refused(holder)
+        self.refusal = ""
+        self._listening_since = None
+        # In the closed mode nobody else is there to be listened to.
+        state = ClaimState.HELD if self._is_closed else ClaimState.WISHED
+        self._mine = self._claim
+        self._timer = steady_timer(self._node, _BEAT, self._beat)
+        self._become(state)
+
+    def settle(self) -> bool:
+        """Hold the joint once others have had the time to say that it is theirs."""
+        if self._mine is not None and self._mine.state is ClaimState.WISHED:
+            now = _now()
+            if self._listening_since is None:  # the first call while messages are taken
+                self._listening_since = now
+            if now - self._listening_since >= _SETTLES_WITHIN:
+                self._become(ClaimState.HELD)
+        return self.is_settled
+
+    def release(self) -> None:
+        """Give the joint back, if it was claimed."""
+        if self._mine is None:
+            return
+        self._become(ClaimState.RELEASED)
+        if self._timer is not None:
+            self._node.destroy_timer(self._timer)
+            self._timer = None
+        self._free()
+
+    def _free(self) -> None:
+        if self._lock is not None:
+            self._lock.release()
+
+    def _beat(self) -> None:
+        if self._mine is None:
+            return
+        self._begin_anew_if_lapsed()
+        self.settle()
+        with self._telling:
+            self._tell()
+
+    def _begin_anew_if_lapsed(self) -> None:
+        """Wish again after having stood still: for the others the claim has ended."""
+        if self._mine is None or _now() - self._told <= LEASE:
+            return
+        self._listening_since = None
+        if self._mine.state is ClaimState.HELD:
+            self._claim = replace(self._claim, since_ns=time.time_ns())
+        self._become(ClaimState.WISHED)
+
+    def _on_claim(self, message: DiagnosticStatus) -> None:
+        try:
+            claim = _from_message(message)
+        except (KeyError, ValueError):
+            self._node.get_logger().warning(
+                f"no claim of a joint: {message.name!r}", throttle_duration_sec=5.0
+            )
+            return
+        mine = self._claim
+        if claim.realm == mine.realm or (claim.joint, claim.commands) != (
+            mine.joint,
+            mine.commands,
+        ):
+            return
+        self._others.receive(claim, _now())
+        if claim.state is ClaimState.RELEASED or self._mine is None:
+            return
+        self._begin_anew_if_lapsed()
+        if self._mine.yields_to(claim):
+            was_held = self._mine.state is ClaimState.HELD
+            self._lose(self._refused(_named(claim)), was_held)
+
+    def keep(self) -> float:
+        """Tell a held claim where the executor does not, and return when to look again, in [s].
+
+        On any thread: whoever gives efforts while the executor is busy or stuck holds its joint.
+        """
+        if not self._is_claiming or not self._telling.acquire(timeout=_LOCK_WITHIN):
+            return _OVERDUE if self._is_claiming else math.inf
+        try:
+            mine, silence = self._mine, _now() - self._told
+            if mine is None or mine.state is not ClaimState.HELD or silence > LEASE:
+                return math.inf  # not held, or held no more: the executor begins anew
+            if silence < _OVERDUE:
+                return _OVERDUE - silence
+            self._tell()
+            return _OVERDUE
+        finally:
+            self._telling.release()
+
+    def _become(self, state: ClaimState) -> None:
+        """Go over to another state, and tell it."""
+        with self._telling:
+            self._mine = self._claim.become(state)
+            self._tell()
+            if state is ClaimState.RELEASED:
+                self._mine = None
+        if state is ClaimState.HELD and self._node.supervisor is not None:
+            self._node.supervisor.look_anew()
+
+    def _tell(self) -> None:
+        """Tell how it stands; only to be called by who has the lock."""
+        assert self._mine is not None
+        self._publisher.publish(to_message(self._mine))
+        self._told = _now()
+
+    def _refused(self, holder: str) -> ClaimError:
+        self.refusal = f"{self._what} is commanded by {holder}"
+        return ClaimError(
+            f"{self._claim.node}: {self.refusal}; one controller at a time may be active, unless "
+            f"each has the parameter claim: none"
+        )
+
+
+def _now() -> float:
+    return time.clock_gettime(_CLOCK)
+
+
+def _named(claim: Claim) -> str:
+    return f"{claim.node} (process {claim.pid} on host {claim.host})"
+
+
+def to_message(claim: Claim) -> DiagnosticStatus:
+    """Return the message that tells a claim."""
+    values = {
+        "commands": claim.commands,
+        "host": claim.host,
+        "pid": str(claim.pid),
+        "since [ns]": str(claim.since_ns),
+        "realm": claim.realm,
+    }
+    return DiagnosticStatus(
+        name=claim.node,
+        hardware_id=claim.joint,
+        message=claim.state.value,
+        values=[KeyValue(key=key, value=value) for key, value in values.items()],
+    )
+
+
+def _from_message(message: DiagnosticStatus) -> Claim:
+    values = {pair.key: pair.value for pair in message.values}
+    return Claim(
+        joint=message.hardware_id,
+        commands=values["commands"],
+        node=message.name,
+        host=values["host"],
+        pid=int(values["pid"]),
+        since_ns=int(values["since [ns]"]),
+        realm=values["realm"],
+        state=ClaimState(message.message),
+    )

@@ -1,0 +1,297 @@
+"""A controller's health, timing and certificate: every irregularity counted and named."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from rclpy.node import Node
+
+from hpid_ros.base.durations import Durations
+from hpid_ros.base.errors import GainError
+from hpid_ros.base.names import ALLOW_RELAY
+from hpid_ros.base.units import of_slide
+from hpid_ros.control.joint_loop import JointLoop
+from hpid_ros.control.limited_law import LoopState
+from hpid_ros.control.overrides import RelayRequest
+from hpid_ros.control.settings import LoopSettings
+from hpid_ros.nodes.core.middleware import steady_timer
+from hpid_ros.nodes.core.process import read_only
+from hpid_ros.nodes.core.status import ERROR, OK, WARN, Diagnostics
+from hpid_ros.nodes.parts.controller_settings import ModelCompensation
+from hpid_ros.stability.certifier import Certifier
+
+_POLL_PERIOD = 0.1  # [s]
+
+
+class Certification:
+    """Warns of a degree that is not certified, or refuses it."""
+
+    def __init__(self, node: Node, settings: LoopSettings) -> None:
+        self._is_on = read_only(
+            node, "certify", True, "Find out beside the loop whether its degree is certified"
+        )
+        self._is_required = read_only(
+            node, "require_certificate", False, "Refuse degrees that are not certified stable"
+        )
+        self._certifier = Certifier()
+        self._settings = settings
+        if self._is_required:
+            found = self._certifier.wait(settings)
+            if not found.is_certified:
+                raise GainError(_refusal(settings, found.text))
+        elif self._is_on:
+            self._certifier.want(settings)
+        if self._is_required or self._is_on:
+            steady_timer(node, _POLL_PERIOD, self._certifier.poll)
+
+    def require(self, settings: LoopSettings) -> None:
+        """Refuse settings that are about to be set, if a certificate is required.
+
+        What is not known yet is refused as well, and begun: the same set succeeds later.
+        """
+        if not self._is_required:
+            return
+        found = self._certifier.finding(settings)
+        if found.is_certified is None:
+            self._certifier.want(settings)
+        if not found.is_certified:
+            raise GainError(_refusal(settings, found.text))
+
+    def accept(self, settings: LoopSettings) -> None:
+        """Take note of settings that are in force now."""
+        self._settings = settings
+        if self._is_on:
+            self._certifier.want(settings)
+
+    @property
+    def degrees(self) -> str:
+        """The certified degrees, in words."""
+        if not self._is_on and not self._is_required:
+            return "not asked for"
+        return self._certifier.finding(self._settings).text
+
+    @property
+    def warning(self) -> str:
+        """What to warn of; empty when there is nothing."""
+        if not self._is_on and not self._is_required:
+            return ""
+        if self._certifier.finding(self._settings).is_certified is False:
+            return f"mu = {self._settings.mu:g} is not certified stable"
+        return ""
+
+    def close(self) -> None:
+        """End what is being computed."""
+        self._certifier.close()
+
+
+def _refusal(settings: LoopSettings, degrees: str) -> str:
+    if degrees == "being computed":
+        return "no certificate yet for these gains: it is being computed, set them again shortly"
+    return f"mu = {settings.mu:g} is not certified stable; certified degrees: {degrees}"
+
+
+class LoopTiming:
+    """Wall-clock figures of one controller.
+
+    The period is the time between two states' callbacks; jitter is how far its 99th percentile
+    lies above its median. The compute time runs from the bytes of a state in hand to the command
+    handed to the middleware.
+    """
+
+    def __init__(self) -> None:
+        self._periods, self._computes = Durations(), Durations()
+        self._note_period, self._note_compute = self._periods.note, self._computes.note
+        self.last_ns: int | None = None
+        """When the last sample began on a steady clock, in [ns]."""
+
+    def note(self, began_ns: int, ended_ns: int) -> None:
+        """Note one sample."""
+        if self.last_ns is not None:
+            self._note_period(began_ns - self.last_ns)
+        self.last_ns = began_ns
+        self._note_compute(ended_ns - began_ns)
+
+    def interrupt(self) -> None:
+        """Take the next sample as the first one: the time until then is no period."""
+        self.last_ns = None
+
+    def recent(self) -> dict[str, float]:
+        """Return the figures since the last call, with their units, for ``/diagnostics``."""
+        period, compute = self._periods.recent(), self._computes.recent()
+        return {
+            "period, median [us]": period.median,
+            "period, 99th percentile [us]": period.p99,
+            "period, largest [us]": period.maximum,
+            "jitter [us]": period.p99 - period.median,
+            "compute time, median [us]": compute.median,
+            "compute time, 99th percentile [us]": compute.p99,
+            "compute time, largest [us]": compute.maximum,
+        }
+
+    def whole(self) -> dict[str, Any]:
+        """Return the figures of the whole run, in [us], for a parent process."""
+        return {
+            "period": self._periods.whole()._asdict(),
+            "compute": self._computes.whole()._asdict(),
+        }
+
+
+_NO_LIMIT = 1e6  # as the parameters say it
+_MANY_MISSED = 0.5  # of the states of a report
+
+_ON_FALLBACK = (LoopState.SILENT, LoopState.FAULT)
+
+
+class ControllerHealth:
+    """Counts what a controller refused, and publishes its status."""
+
+    period = 1.0
+
+    def __init__(
+        self,
+        node: Node,
+        loop: JointLoop,
+        certification: Certification,
+        timing: LoopTiming,
+        model: ModelCompensation | None = None,
+        *,
+        is_slide: bool = False,
+    ) -> None:
+        self._node, self._loop, self._model = node, loop, model
+        self._is_slide = is_slide
+        self._certification, self._timing = certification, timing
+        self._diagnostics = Diagnostics(node, loop.settings.joint)
+        self.fault = self._diagnostics.fault
+        self.foreign = self.misread = 0
+        self._references = self._requests = 0
+        self._missed = self._held = 0
+        self.scheduling = ""
+
+    def unit(self, text: str) -> str:
+        """Return a text with the units of the joint in place of a turning one's."""
+        return of_slide(text) if self._is_slide else text
+
+    def begun(self) -> None:
+        """Say once, after the first state, what is in force."""
+        loop, settings = self._loop, self._loop.settings
+        effort, motion = settings.effort, settings.motion
+        degree = f" with mu = {settings.mu:g}" if settings.law == "hpid" else ""
+        limits = {
+            "N m": (effort.u_clamp_min, effort.u_clamp_max),
+            "rad": (motion.position_min, motion.position_max),
+            "rad/s": (-motion.velocity_max, motion.velocity_max),
+        }
+        within = [
+            f"[{low:g}, {high:g}] {self.unit(unit)}"
+            for unit, (low, high) in limits.items()
+            if max(-low, high) < _NO_LIMIT
+        ]
+        self._node.get_logger().info(
+            f"active: joint {settings.joint}, {settings.law}{degree}, "
+            f"{'within ' + ', '.join(within) if within else 'no limits'}; "
+            f"{loop.state.value}: {loop.reference[0]:.6g} {self.unit('rad')}"
+        )
+
+    def misread_state(self, line: str) -> None:
+        """Note bytes that were no state of this joint."""
+        self.misread += 1
+        self.fault(f"state refused: {line}")
+
+    def refused_reference(self, line: str) -> None:
+        """Note a trajectory or setpoint that was not taken."""
+        self._references += 1
+        self.fault(f"reference refused: {line}")
+
+    def refused_request(self, line: str) -> None:
+        """Note a service request, or a transition, that failed."""
+        self._requests += 1
+        self.fault(line)
+
+    def relay_begins(self, request: RelayRequest) -> None:
+        """Say that a relay drives the joint from now on."""
+        self._node.get_logger().info(
+            f"a relay of {request.amplitude:g} {self.unit('N m')} drives the joint for "
+            f"{request.cycles:g} cycles, {request.duration:g} s at most"
+        )
+
+    def _relay(self) -> str:
+        relay = self._loop.relay
+        if relay is None:
+            return "none"
+        course = self.unit(relay.ending) or "under way"
+        return f"{course}; {relay.cycles} cycles" + ("" if relay.is_over else "; in force")
+
+    def report(self, lifecycle: str, waiting: str, claim: str, refusal: str) -> None:
+        """Publish the status now."""
+        loop, counts = self._loop, self._loop.counts
+        is_active = lifecycle == "active"
+        message, level = loop.state.value, OK
+        warning = (
+            self._certification.warning
+            or loop.velocity_doubt
+            or self._slowness()
+            or self._model_fault()
+        )
+        if not is_active:
+            message, level = (f"{lifecycle}: {refusal}", WARN) if refusal else (lifecycle, OK)
+        elif loop.state in _ON_FALLBACK:
+            message, level = f"{message}; {warning}" if warning else message, ERROR
+        elif loop.state is LoopState.WAITING or waiting or warning:
+            message, level = waiting or warning or message, WARN
+        self._diagnostics.publish(
+            level,
+            message,
+            {
+                "lifecycle": lifecycle,
+                "claim": claim,
+                "law": loop.settings.law,
+                "degree mu": loop.settings.mu,
+                "velocity": loop.velocity_origin,
+                "certified degrees": self._certification.degrees,
+                "samples": counts.samples,
+                "gaps": counts.gaps,
+                "missed samples": counts.missed,
+                "silences": counts.silences,
+                "takeovers": counts.takeovers,
+                "position jumps": counts.jumps,
+                "repeats": counts.repeats,
+                "clock resets": counts.resets,
+                "saturated samples": counts.saturated,
+                "braked samples": loop.braked,
+                "rejected samples": counts.rejected + self.misread,
+                "states of other joints": self.foreign,
+                "refused references": self._references,
+                "refused requests": self._requests,
+                self.unit("effort [N m]"): loop.effort,
+                self.unit("integral term [N m]"): loop.integral,
+                self.unit("feedforward [N m]"): loop.feedforward_effort,
+                self.unit("error [rad]"): loop.error,
+                **self._timing.recent(),
+                **(self._model.readings() if self._model else {"compensation": "none"}),
+                "relay": self._relay(),
+                "relays allowed": self._node.get_parameter(ALLOW_RELAY).value,
+                "scheduling": self.scheduling,
+                "last fault": self._diagnostics.last_fault,
+                "last irregular state": self.unit(loop.last_fault) or "none",
+            },
+        )
+
+    def _model_fault(self) -> str:
+        """Return a warning when the model could not use a state of the last report."""
+        if self._model is None:
+            return ""
+        held, self._held = self._held, self._model.held
+        if self._held > held:
+            return f"model terms are held: {self._model.fault}"
+        if self._model.lacks_efforts and self._loop.effort:
+            return "the efforts of the states are all 0: the model has nothing to go by"
+        return ""
+
+    def _slowness(self) -> str:
+        """Return a warning when most states of the last report seem lost."""
+        missed = self._loop.counts.missed - self._missed
+        self._missed += missed
+        period = self._loop.settings.timing.control_period
+        if missed < _MANY_MISSED * self.period / period:
+            return ""
+        return f"states come more slowly than control_period = {period:g} s says"

@@ -1,0 +1,167 @@
+"""A controller's settings from its parameters, and the model term of a state."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from hpid_ros.base.errors import HpidError, MessageError
+from hpid_ros.base.files import find_resource
+from hpid_ros.base.units import of_slide
+from hpid_ros.control.controller_files import RobotLimits
+from hpid_ros.control.joint_loop import JointLoop
+from hpid_ros.control.limited_law import ModelTerm
+from hpid_ros.control.parameters import LOOP_PARAMETERS, MODEL_PARAMETERS, PARAMETERS, Value
+from hpid_ros.control.settings import LoopSettings
+from hpid_ros.messages.joint_readers import JointSample, RobotReader
+from hpid_ros.nodes.core.process import declare, read_only
+from hpid_ros.robot.description import RobotDescription
+
+if TYPE_CHECKING:
+    from hpid_ros.robot.compensation import LoopModel
+
+
+def robot_source(node: Node) -> str:
+    """Declare ``robot_description`` and return it: XML text or a path, empty for none."""
+    return str(
+        read_only(
+            node,
+            "robot_description",
+            "",
+            "URDF of the robot, XML text or path: limits effort, position and velocity",
+        )
+    )
+
+
+def robot_limits(node: Node, source: str) -> RobotLimits:
+    """Return what a robot's description allows a joint."""
+    joint = node.get_parameter("joint").value
+    if not source or not joint:  # a missing joint is refused with the other settings
+        return RobotLimits()
+    if not source.lstrip().startswith("<"):
+        source = str(find_resource(source))
+    (found,) = RobotDescription.load(source).select([joint])
+    return RobotLimits.of(found)
+
+
+class ControllerSettings:
+    """Makes of a controller's parameters the settings of its loop, within the robot's limits."""
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        declare(node, [PARAMETERS["joint"]], read_only=["joint"])
+        self.robot = robot_source(node)
+        self._limits = robot_limits(node, self.robot)
+        self.is_slide = self._limits.is_slide
+        specs = [spec for name, spec in PARAMETERS.items() if name != "joint"]
+        if self.is_slide:
+            specs = [replace(spec, description=of_slide(spec.description)) for spec in specs]
+        declare(node, specs, read_only=MODEL_PARAMETERS)
+        self._last: tuple[Mapping[str, Value], LoopSettings] | None = None
+
+    def with_changes(self, changes: Sequence[Parameter] = ()) -> LoopSettings:
+        """Return the settings that would be in force after a change."""
+        values = {name: self._node.get_parameter(name).value for name in PARAMETERS}
+        values |= {each.name: each.value for each in changes if each.name in LOOP_PARAMETERS}
+        if self._last is None or self._last[0] != values:  # checked first, put in force afterwards
+            settings = self._limits.within(LoopSettings.from_parameters(values))
+            if settings.model.is_on:
+                # Pinocchio takes a moment to import; what needs it is fixed at the start.
+                from hpid_ros.robot.compensation import with_inertia
+
+                settings = with_inertia(settings, self.robot)
+            self._last = values, settings
+        return self._last[1]
+
+    def verdict(
+        self, changes: Sequence[Parameter], require: Callable[[LoopSettings], None]
+    ) -> SetParametersResult:
+        """Say whether a change can be put in force."""
+        if concern_the_loop(changes):
+            try:
+                require(self.with_changes(changes))
+            except HpidError as error:
+                return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+
+def concern_the_loop(changes: Sequence[Parameter]) -> bool:
+    """Tell whether a change is about the loop at all."""
+    return any(change.name in LOOP_PARAMETERS for change in changes)
+
+
+def model_compensation(node: Node, settings: LoopSettings, robot: str) -> ModelCompensation | None:
+    """Build the model that a controller's settings ask for, and say in its log what it is."""
+    if not settings.model.is_on:
+        return None
+    # Pinocchio takes a moment to import, and a controller without a model does without.
+    from hpid_ros.robot.compensation import loop_model
+
+    model = loop_model(settings, robot)
+    if model is None:
+        return None
+    node.get_logger().info(model.text)
+    return ModelCompensation(model, settings.model.compensation)
+
+
+class ModelCompensation:
+    """Lets a loop answer states with the model's term."""
+
+    def __init__(self, model: LoopModel, kind: str) -> None:
+        self._compensator = model.compensator
+        self._reader = RobotReader(model.compensator.states.joints)
+        self._kind = kind
+
+    def answer(self, loop: JointLoop, sample: JointSample, raw: bytes) -> float:
+        """Return the effort that answers a state, in [N m].
+
+        A state that the model cannot use is answered with the term of the last one that it
+        could, for at most ``state_timeout``; after that the loop gives ``fallback_effort``.
+        """
+        return self._compensator.answer(loop, *sample, self._term(sample.stamp_ns, raw))
+
+    def _term(self, stamp_ns: int, raw: bytes) -> ModelTerm | None:
+        """Return the model's term of a state; None when it has none that may be used."""
+        try:
+            robot = self._reader.read(raw)
+        except MessageError as error:
+            return self._compensator.hold(stamp_ns, str(error))
+        return self._compensator.term(stamp_ns, *robot)
+
+    @property
+    def fault(self) -> str:
+        """What was last wrong with a state, in words; empty if nothing was."""
+        return self._compensator.states.last_fault
+
+    @property
+    def lacks_efforts(self) -> bool:
+        """Whether the efforts that the model needs have all been exactly 0 for a while."""
+        return self._compensator.states.lacks_efforts
+
+    @property
+    def held(self) -> int:
+        """States that were answered with the term of an earlier one."""
+        return self._compensator.states.held
+
+    def reset(self) -> None:
+        """Forget the past: the next state is the first one."""
+        self._compensator.reset()
+
+    def retune(self, settings: LoopSettings) -> None:
+        """Find velocities, and hold terms, by other settings of the loop from now on."""
+        self._compensator.states.retune(settings)
+
+    def readings(self) -> Mapping[str, object]:
+        """Return what ``/diagnostics`` tells of the model."""
+        states = self._compensator.states
+        return {
+            "compensation": self._kind,
+            "model terms held": states.held,
+            "states without a model term": states.lost,
+            "last fault of the model": states.last_fault or "none",
+        }

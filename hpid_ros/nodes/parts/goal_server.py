@@ -1,0 +1,337 @@
+"""The action server: goals and their answers as messages.
+
+``control_msgs`` has no package on PyPI and is imported here, when a server is made. rclpy's server
+runs a goal in a callback that returns its result; this one returns at the end, and until then
+nothing waits in it: a callback that awaits something ends the EventsExecutor of Jazzy.
+
+It answers in ``_execute_goal_request``, ``_execute_cancel_request`` and ``_send_result_response``,
+by ``_handle``, and has no public way to send an answer again. As in :mod:`.rclpy_internals`, no
+other module touches them; it is apart because rclpy's actions take long to import.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import AbstractContextManager
+from functools import partial
+from typing import Any
+
+import numpy as np
+from builtin_interfaces.msg import Duration, Time
+from rclpy.action import ActionServer, CancelResponse, GoalResponse
+from rclpy.action.server import ServerGoalHandle
+from rclpy.node import Node
+from rclpy.task import Future
+from trajectory_msgs.msg import JointTrajectoryPoint
+
+from hpid_ros.base.errors import SettingError
+from hpid_ros.base.units import NANOSECONDS, SECONDS_PER_NANOSECOND, Numbers
+from hpid_ros.messages.joint_trajectory import MOST_POINTS
+from hpid_ros.motion.joint_trajectory import Point, PointArrays
+from hpid_ros.nodes.core.executor import ClosingNode
+from hpid_ros.nodes.core.middleware import steady_timer
+from hpid_ros.nodes.core.services import Answers
+from hpid_ros.nodes.parts.goal_follower import CANCELLED, Feedback
+from hpid_ros.nodes.parts.goals import AskedTolerance, GoalError, GoalRequest, Result, ResultCode
+
+Sent = Callable[[Callable[[], None]], AbstractContextManager[None]]
+
+
+class DeferringServer(ActionServer):
+    """An action server whose goals are executed when somebody has their result.
+
+    And one that answers a client that is not matched yet, too: in a block of :attr:`sent`.
+    """
+
+    _handle: Any
+    _goal_handles: dict[bytes, ServerGoalHandle]
+    _node: Node
+
+    def __init__(self, sent: Sent, *arguments: Any, **options: Any) -> None:
+        self._sent = sent
+        super().__init__(*arguments, **options)
+
+    def notify_execute(
+        self, goal_handle: ServerGoalHandle, execute_callback: Callable[..., Any] | None
+    ) -> None:
+        """Run a callback with a goal; without one there is nothing to run."""
+        if execute_callback is not None:
+            super().notify_execute(goal_handle, execute_callback)
+
+    async def _execute_goal_request(self, taken: tuple[Any, Any]) -> None:
+        header, request = taken
+        answer = self.action_type.Impl.SendGoalService.Response()
+        with self._sent(lambda: self._handle.send_goal_response(header, answer)):
+            await super()._execute_goal_request(taken)
+        answer.accepted = bytes(request.goal_id.uuid) in self._goal_handles
+        answer.stamp = self._node.get_clock().now().to_msg()
+
+    async def _execute_cancel_request(self, taken: tuple[Any, Any]) -> None:
+        handle, self._handle = self._handle, _Cancels(self._handle, self._sent)
+        try:
+            await super()._execute_cancel_request(taken)
+        finally:
+            self._handle = handle
+
+    def _send_result_response(self, header: Any, future: Future) -> None:
+        send = partial(super()._send_result_response, header, future)
+        with self._sent(send):
+            send()
+
+
+class _Cancels:
+    """The handle of an action server that sends the answer to a cancel again."""
+
+    def __init__(self, handle: Any, sent: Sent) -> None:
+        self._handle, self._sent = handle, sent
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._handle, name)
+
+    def send_cancel_response(self, *arguments: Any) -> None:
+        send = partial(self._handle.send_cancel_response, *arguments)
+        with self._sent(send):
+            send()
+
+
+_ACTION = "~/follow_joint_trajectory"
+_RESULTS_KEPT = 10  # [s], rcl_action's own default; rclpy's is a quarter of an hour
+_HEARD_WITHIN = 0.25  # [s] for the last results: nobody acknowledges the answer of a service
+_POINTS_AT_ONCE = 200_000  # of all goals that are kept; a point costs about a kilobyte
+_GOALS_AT_ONCE = 1000
+
+_REPLACED = Result(ResultCode.INVALID_GOAL, "replaced by a new goal before it began")
+_ENDED = Result(ResultCode.INVALID_GOAL, "the node ends")
+_ARRAYS = ("positions", "velocities", "accelerations", "effort")
+
+
+def request_of(goal: Any) -> GoalRequest:
+    """Read a goal; this takes a while where it has many points."""
+    if goal.multi_dof_trajectory.points or goal.multi_dof_trajectory.joint_names:
+        raise GoalError("multi_dof_trajectory cannot be followed, only trajectory")
+    trajectory = goal.trajectory
+    names, points = tuple(trajectory.joint_names), trajectory.points
+    if len(points) > MOST_POINTS:
+        raise GoalError(f"a goal may have {MOST_POINTS - 1} points, not {len(points)}")
+    times_ns = np.array([_nanoseconds(each.time_from_start) for each in points], np.int64)
+    columns = [[getattr(each, field) for each in points] for field in _ARRAYS]
+    lengths = np.array([[len(each) for each in rows] for rows in columns], np.int64).T
+    arrays = PointArrays(*(_values(rows, len(names)) for rows in columns))
+    request = GoalRequest(
+        names,
+        _nanoseconds(trajectory.header.stamp),
+        times_ns,
+        arrays,
+        _tolerances(goal.path_tolerance),
+        _tolerances(goal.goal_tolerance),
+        _nanoseconds(goal.goal_time_tolerance) * SECONDS_PER_NANOSECOND,
+    )
+
+    def point(index: int) -> Point:
+        p, v, a, e = (tuple(rows[index]) for rows in columns)
+        return int(times_ns[index]), p, v, a, e
+
+    request.require_trajectory(lengths, point)
+    return request
+
+
+def _nanoseconds(time: Any) -> int:
+    return int(time.sec) * NANOSECONDS + int(time.nanosec)
+
+
+def _values(rows: Sequence[Sequence[float]], joints: int) -> Numbers:
+    """Return the numbers of each point; NaN where it has not one for each joint."""
+    if rows and all(len(row) == joints for row in rows):
+        return np.array(rows, np.float64).reshape(len(rows), joints)
+    values = np.full((len(rows), joints), np.nan)
+    for index, row in enumerate(rows):
+        if len(row) == joints:
+            values[index] = row
+    return values
+
+
+def _tolerances(messages: Iterable[Any]) -> tuple[AskedTolerance, ...]:
+    return tuple(
+        AskedTolerance(each.name, each.position, each.velocity, each.acceleration)
+        for each in messages
+    )
+
+
+def fill_feedback(message: Any, names: Sequence[str], feedback: Feedback) -> Any:
+    """Write feedback into a message and return it."""
+    seconds, nanoseconds = divmod(feedback.stamp_ns, NANOSECONDS)
+    message.header.stamp = Time(sec=seconds, nanosec=nanoseconds)
+    message.joint_names = list(names)
+    message.desired = _point(feedback.desired, feedback.since_start_ns)
+    message.actual = _point(feedback.actual, feedback.since_start_ns)
+    message.error = _point(feedback.error, feedback.since_start_ns)
+    return message
+
+
+def _point(joints: Sequence[Sequence[float]], since_start_ns: int) -> JointTrajectoryPoint:
+    """Return a point with as many derivatives as the joints have."""
+    seconds, nanoseconds = divmod(since_start_ns, NANOSECONDS)
+    arrays = dict(zip(_ARRAYS, map(list, zip(*joints, strict=True)), strict=False))
+    return JointTrajectoryPoint(
+        time_from_start=Duration(sec=seconds, nanosec=nanoseconds), **arrays
+    )
+
+
+def action_type() -> Any:
+    """Return ``control_msgs/action/FollowJointTrajectory``."""
+    try:
+        from control_msgs.action import FollowJointTrajectory
+    except ImportError:
+        raise SettingError(
+            "control_msgs is not installed, which has the action FollowJointTrajectory: install "
+            "ros-jazzy-control-msgs, or build it from source (it has no package on PyPI)"
+        ) from None
+    return FollowJointTrajectory
+
+
+class GoalServer:
+    """Takes goals from clients, one at a time, the newest first, and tells how they end.
+
+    Goals are read on a thread. All else is called on the executor's, and calls back there.
+    """
+
+    def __init__(
+        self,
+        node: ClosingNode,
+        begin: Callable[[GoalRequest], Result | None],
+        cancel: Callable[[], None],
+        note: Callable[[Result], None],
+    ) -> None:
+        self._type = action_type()
+        self._node, self._begin, self._cancel, self._note = node, begin, cancel, note
+        self._reader = ThreadPoolExecutor(1, "goals")
+        self._waiting: ServerGoalHandle | None = None
+        self._active: ServerGoalHandle | None = None
+        self._ending = 0
+        self._is_leaving = False
+        self._left: Future | None = None
+        self._kept: deque[tuple[float, int]] = deque()
+        self.rejected = 0
+        self.name = node.resolve_topic_name(_ACTION)
+        """Full name of the action."""
+        self._server = DeferringServer(
+            Answers(node).sent,
+            node,
+            self._type,
+            _ACTION,
+            lambda _: self._type.Result(),
+            goal_callback=self._answer,
+            handle_accepted_callback=self._accept,
+            cancel_callback=self._answer_cancel,
+            result_timeout=_RESULTS_KEPT,
+        )
+
+    def tell(self, feedback: Feedback, names: tuple[str, ...]) -> None:
+        """Send feedback to the client of the goal that is followed."""
+        if self._active is not None:
+            message = fill_feedback(self._type.Feedback(), names, feedback)
+            self._active.publish_feedback(message)
+
+    def end(self, result: Result) -> None:
+        """End the goal that is followed."""
+        handle, self._active = self._active, None
+        if handle is not None:
+            self._finish(handle, result)
+
+    def leave(self) -> Future | None:
+        """Take no more goals."""
+        self._is_leaving = True
+        self._replace_waiting(_ENDED)
+        self._left = Future() if self._ending else None
+        return self._left
+
+    def close(self) -> None:
+        """Read no more goals."""
+        self._reader.shutdown(wait=False, cancel_futures=True)
+
+    def _answer(self, goal: Any) -> GoalResponse:
+        """Reject goals of a flood; all others get a result that says what is wrong with them."""
+        now = time.monotonic()
+        while self._kept and self._kept[0][0] < now - _RESULTS_KEPT:
+            self._kept.popleft()
+        points = len(goal.trajectory.points)
+        most = sum(each for _, each in self._kept) + points > _POINTS_AT_ONCE
+        if self._is_leaving or most or len(self._kept) >= _GOALS_AT_ONCE:
+            self.rejected += 1
+            return GoalResponse.REJECT
+        self._kept.append((now, points))
+        return GoalResponse.ACCEPT
+
+    def _accept(self, handle: ServerGoalHandle) -> None:
+        self._replace_waiting(_REPLACED)
+        self._waiting = handle
+        handle.execute()
+        self._reader.submit(self._read, handle)
+
+    def _read(self, handle: Any) -> None:
+        """Read a goal on the reader's thread, if it is still the newest."""
+        if self._waiting is None or handle is not self._waiting:
+            return
+        found: GoalRequest | Exception
+        try:
+            found = request_of(handle.request)
+        except Exception as error:
+            found = error
+        self._node.hand_over(self._take, handle, found)
+
+    def _take(self, handle: ServerGoalHandle, found: GoalRequest | Exception) -> None:
+        if handle is not self._waiting:
+            return
+        self._waiting = None
+        try:
+            if isinstance(found, Exception):
+                raise found
+            replaced = self._begin(found)
+        except GoalError as error:
+            self._finish(handle, error.result)
+            return
+        if replaced is not None:
+            self.end(replaced)
+        self._active = handle
+
+    def _answer_cancel(self, handle: ServerGoalHandle) -> CancelResponse:
+        # What follows from it is done in a task, so when the goal is canceling. One that is about
+        # to end is not rejected: of those cancelled together rclpy would pass over the next one.
+        if handle is self._waiting:
+            self._replace_waiting(CANCELLED)
+        elif handle is self._active:
+            self._cancel()
+        return CancelResponse.ACCEPT
+
+    def _replace_waiting(self, result: Result) -> None:
+        handle, self._waiting = self._waiting, None
+        if handle is not None:
+            self._finish(handle, result)
+
+    def _finish(self, handle: ServerGoalHandle, result: Result) -> None:
+        self._ending += 1
+        self._note(result)
+        self._server.notify_execute(handle, partial(self._conclude, result))
+
+    def _conclude(self, result: Result, handle: ServerGoalHandle) -> Any:
+        """Put a goal into its last state and return its result, as rclpy wants it."""
+        try:
+            if result is CANCELLED and handle.is_cancel_requested:
+                handle.canceled()
+            elif result is not CANCELLED and result.code is ResultCode.SUCCESSFUL:
+                handle.succeed()
+            else:
+                handle.abort()
+        finally:
+            self._ending -= 1
+            if self._left is not None and not self._ending:
+                steady_timer(self._node, _HEARD_WITHIN, self._tell_left)
+        return self._type.Result(error_code=int(result.code), error_string=result.text)
+
+    def _tell_left(self) -> None:
+        """Tell whoever waits for it that clients have had time for their results."""
+        if self._left is not None and not self._ending and not self._left.done():
+            self._left.set_result(None)

@@ -1,0 +1,490 @@
+"""A goal, checked: settings, tolerances, and the trajectory of all joints of the group.
+
+Source: ``control_msgs/action/FollowJointTrajectory``, the constants of its result.
+
+A tolerance of zero is not enforced. Source: ``ros2_controllers``,
+``joint_trajectory_controller/include/joint_trajectory_controller/tolerances.hpp``, and
+``control_msgs/msg/JointTolerance`` for what 0 and -1 mean in a goal.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from enum import IntEnum
+from itertools import chain
+from typing import NamedTuple, get_args
+
+import numpy as np
+
+from hpid_ros.base.errors import SettingError, TrajectoryError, unknown_name
+from hpid_ros.base.units import NANOSECONDS
+from hpid_ros.control.parameters import ParameterSpec, StateClock, Value
+from hpid_ros.control.reference import LARGEST_POSITION
+from hpid_ros.messages.joint_trajectory import MOST_MIXED_POINTS, MOST_POINTS
+from hpid_ros.motion.joint_trajectory import (
+    Integers,
+    Point,
+    PointArrays,
+    checked_column,
+    require_arrays,
+)
+from hpid_ros.motion.spline import Column
+
+
+class ResultCode(IntEnum):
+    """``error_code`` of a result."""
+
+    SUCCESSFUL = 0
+    INVALID_GOAL = -1
+    INVALID_JOINTS = -2
+    OLD_HEADER_TIMESTAMP = -3
+    PATH_TOLERANCE_VIOLATED = -4
+    GOAL_TOLERANCE_VIOLATED = -5
+
+
+class Result(NamedTuple):
+    """How a goal ended."""
+
+    code: ResultCode  # what a program looks at
+    text: str  # what a person reads, one line
+
+
+class GoalError(TrajectoryError):
+    """A goal that is not obeyed."""
+
+    def __init__(self, text: str, code: ResultCode = ResultCode.INVALID_GOAL) -> None:
+        super().__init__(text)
+        self.code = code
+
+    @property
+    def result(self) -> Result:
+        """The result that its client gets."""
+        return Result(self.code, str(self))
+
+
+_EPSILON = 1.2e-7  # of float32: what is called -1 may have been rounded on the way
+
+
+class Tolerance(NamedTuple):
+    """How far a joint may be from its reference; 0 is not enforced."""
+
+    position: float = 0.0  # [rad] or [m]
+    velocity: float = 0.0  # [rad/s] or [m/s]
+
+    def violation(self, position: float, velocity: float, unit: str) -> str:
+        """Return what is violated by an error, in words; nothing if it is within the tolerance."""
+        if 0.0 < self.position < abs(position):
+            return (
+                f"{abs(position):.4g} {unit} from its reference, "
+                f"its tolerance is {self.position:g} {unit}"
+            )
+        if 0.0 < self.velocity < abs(velocity):
+            return (
+                f"{abs(velocity):.4g} {unit}/s off the velocity of its reference, "
+                f"its tolerance is {self.velocity:g} {unit}/s"
+            )
+        return ""
+
+
+class AskedTolerance(NamedTuple):
+    """What a goal asks of one joint: 0 is the default, -1 none."""
+
+    joint: str  # name of the joint
+    position: float = 0.0  # [rad] or [m]
+    velocity: float = 0.0  # [rad/s] or [m/s]
+    acceleration: float = 0.0  # [rad/s^2] or [m/s^2]
+
+
+@dataclass(frozen=True)
+class Tolerances:
+    """All tolerances of a goal."""
+
+    path: Mapping[str, Tolerance]  # while the trajectory lasts, by joint
+    goal: Mapping[str, Tolerance]  # after its last point, by joint
+    goal_time: float = 0.0  # [s] how much later than that they must be met; 0 waits for ever
+
+    def asked(
+        self, path: Iterable[AskedTolerance], goal: Iterable[AskedTolerance], goal_time: float
+    ) -> Tolerances:
+        """Return these with what a goal asks for instead."""
+        return replace(
+            self,
+            path=_laid_over(self.path, path, "path_tolerance"),
+            goal=_laid_over(self.goal, goal, "goal_tolerance"),
+            goal_time=_resolved(self.goal_time, goal_time, "goal_time_tolerance", "s"),
+        )
+
+
+def _laid_over(
+    defaults: Mapping[str, Tolerance], asked: Iterable[AskedTolerance], name: str
+) -> Mapping[str, Tolerance]:
+    merged = dict(defaults)
+    for each in asked:
+        if each.joint not in defaults:
+            line = f"{name}: {unknown_name('joint', each.joint, defaults)}"
+            raise GoalError(line, ResultCode.INVALID_JOINTS)
+        where = f"{name} of {each.joint}"
+        default = merged[each.joint]
+        _resolved(0.0, each.acceleration, f"{where}: acceleration", "rad/s^2 or m/s^2")
+        merged[each.joint] = Tolerance(
+            _resolved(default.position, each.position, f"{where}: position", "rad or m"),
+            _resolved(default.velocity, each.velocity, f"{where}: velocity", "rad/s or m/s"),
+        )
+    return merged
+
+
+def _resolved(default: float, asked: float, where: str, unit: str) -> float:
+    if asked == 0.0:
+        return default
+    if abs(asked + 1.0) <= _EPSILON:
+        return 0.0
+    if not (math.isfinite(asked) and asked > 0.0):
+        raise GoalError(
+            f"{where} must be positive, 0 for the default or -1 for none, not {asked:g} {unit}"
+        )
+    return asked
+
+
+_MOST = math.inf  # no range, so no slider whose steps are too coarse
+
+
+def _positive(name: str, default: float, least: float, most: float, text: str) -> ParameterSpec:
+    return ParameterSpec(name, default, text, least, most)
+
+
+GOAL_PARAMETERS = (
+    ParameterSpec("allow_partial_joints_goal", False, "Take goals that name some joints only"),
+    ParameterSpec(
+        "allow_nonzero_velocity_at_trajectory_end",
+        False,
+        "Take goals whose last point has a velocity; the reference rests there all the same",
+    ),
+    _positive(
+        "constraints.goal_time",
+        0.0,
+        0.0,
+        _MOST,
+        "How much later than its last point a goal's tolerances must be met [s]; 0 waits for ever",
+    ),
+    _positive(
+        "constraints.stopped_velocity_tolerance",
+        0.01,
+        0.0,
+        _MOST,
+        "Velocity at which a joint counts as stopped at the end of a goal [rad/s]; 0 is any",
+    ),
+    _positive(
+        "constraints.stop_duration",
+        0.5,
+        0.01,
+        100.0,
+        "How long a joint without max_deceleration_on_cancel takes to stop [s]",
+    ),
+)
+"""What may change while the node runs; it holds for the next goal."""
+
+FIXED_PARAMETERS = (
+    _positive(
+        "action_monitor_rate", 20.0, 0.1, 1000.0, "Rate of the feedback [Hz], of the wall clock"
+    ),
+    _positive(
+        "state_timeout",
+        0.5,
+        0.01,
+        10.0,
+        "A goal is aborted, and none is taken, when a joint has had no state for so long [s]",
+    ),
+    ParameterSpec(
+        "state_clock",
+        "wall",
+        "What stamps the states: wall, or simulated, which can be paused without an abort",
+        choices=get_args(StateClock),
+    ),
+    _positive(
+        "takeover_time", 0.5, 0.0, 100.0, "That of the controllers [s], which they glide for"
+    ),
+    _positive(
+        "reference_timeout",
+        0.5,
+        0.0,
+        100.0,
+        "A goal is aborted when a controller that has told its ~/reference tells none for so "
+        "long [s], by the stamps; 0 does not look",
+    ),
+)
+"""What is fixed when the node starts."""
+
+
+def joint_parameters(joint: str) -> tuple[ParameterSpec, ...]:
+    """Return the parameters of one joint of a group; they may change as GOAL_PARAMETERS may."""
+    return (
+        _positive(
+            f"constraints.{joint}.trajectory",
+            0.0,
+            0.0,
+            _MOST,
+            "How far the joint may be from its reference during a goal [rad]; 0 is any",
+        ),
+        _positive(
+            f"constraints.{joint}.goal",
+            0.0,
+            0.0,
+            _MOST,
+            "How far it may be from its reference at the end of a goal [rad]; 0 is any",
+        ),
+        _positive(
+            f"constraints.{joint}.max_deceleration_on_cancel",
+            0.0,
+            0.0,
+            _MOST,
+            "Deceleration with which it stops when a goal is cancelled or aborted [rad/s^2]; 0 "
+            "stops it within constraints.stop_duration",
+        ),
+    )
+
+
+class JointFacts(NamedTuple):
+    """What is known of a joint; "rad" reads "m" where it is prismatic."""
+
+    lower: float = -math.inf  # [rad] lowest position; -inf for none
+    upper: float = math.inf  # [rad] highest position; inf for none
+    is_endless: bool = False  # whether it turns without end, so that whole turns are no error
+    # whether goals lead it the shorter way round to their first point
+    takes_shorter_way: bool = False
+    unit: str = "rad"  # of its position, rad or m
+
+
+def require_joints(
+    joints: Sequence[str], wrapping: Sequence[str] = (), counting: Sequence[str] = ()
+) -> None:
+    """Refuse names that make no group."""
+    if not joints or len(set(joints)) != len(joints) or "" in joints:
+        raise SettingError(f"the parameter joints must name each joint once, not {list(joints)}")
+    for parameter, named in (("angle_wraparound", wrapping), ("multi_turn", counting)):
+        for joint in named:
+            if joint not in joints:
+                line = unknown_name("joint", joint, joints)
+                raise SettingError(f"the parameter {parameter}: {line}")
+    for joint in wrapping:
+        if joint in counting:
+            raise SettingError(f"{joint} is in angle_wraparound and in multi_turn: take one")
+
+
+@dataclass(frozen=True)
+class GroupSettings:
+    """Settings of a group of joints; "rad" reads "m" where a joint is prismatic."""
+
+    joints: tuple[str, ...]  # their names, each once
+    facts: tuple[JointFacts, ...]  # what is known of each, in the same order
+    tolerances: Tolerances  # of goals that ask for no others
+    decelerations: tuple[float, ...]  # [rad/s^2] with which each stops; 0 for none of its own
+    stop_duration: float  # [s] how long a joint without one takes to stop
+    allows_partial_goals: bool  # whether goals may name some joints only
+    allows_final_velocity: bool  # whether the last point may have a velocity
+    state_timeout: float  # [s] how old a joint's state may be
+    is_simulated: bool  # whether states may stay away because the simulation was paused
+    takeover_time: float  # [s] how long controllers glide
+    reference_timeout: float  # [s] how old a controller's reference may be; 0 for any
+
+    @classmethod
+    def from_parameters(
+        cls, joints: Sequence[str], facts: Mapping[str, JointFacts], values: Mapping[str, Value]
+    ) -> GroupSettings:
+        """Return the settings that parameters say."""
+        require_joints(joints)
+        specs = (*GOAL_PARAMETERS, *FIXED_PARAMETERS, *chain(*map(joint_parameters, joints)))
+        checked = {spec.name: spec.checked(values.get(spec.name, spec.default)) for spec in specs}
+
+        def of(name: str) -> float:
+            return float(checked[name])
+
+        stopped = of("constraints.stopped_velocity_tolerance")
+        tolerances = Tolerances(
+            {each: Tolerance(of(f"constraints.{each}.trajectory")) for each in joints},
+            {each: Tolerance(of(f"constraints.{each}.goal"), stopped) for each in joints},
+            of("constraints.goal_time"),
+        )
+        stopping = "max_deceleration_on_cancel"
+        return cls(
+            tuple(joints),
+            tuple(facts.get(joint, JointFacts()) for joint in joints),
+            tolerances,
+            tuple(of(f"constraints.{joint}.{stopping}") for joint in joints),
+            of("constraints.stop_duration"),
+            bool(checked["allow_partial_joints_goal"]),
+            bool(checked["allow_nonzero_velocity_at_trajectory_end"]),
+            of("state_timeout"),
+            checked["state_clock"] == "simulated",
+            of("takeover_time"),
+            of("reference_timeout"),
+        )
+
+
+_EFFORTS = PointArrays._fields.index("efforts")
+_AT_REST = 1.2e-7  # [rad/s, m/s], float32's epsilon, as JTC takes it
+_ROUNDED = 1e-6  # [rad, m]; limits are written with few digits, and planned with more
+_WAITS_AT_MOST = 3600  # [s] for the start of a goal
+
+
+@dataclass(frozen=True, eq=False)
+class GoalRequest:
+    """A goal that is a trajectory, whoever may follow it."""
+
+    names: tuple[str, ...]  # its joints, each once
+    stamp_ns: int  # [ns] when it starts; 0 means now
+    times_ns: Integers  # [ns] time from start of each point, shape (points,)
+    arrays: PointArrays  # the numbers of the points, each of shape (points, joints)
+    path_tolerance: tuple[AskedTolerance, ...] = ()  # what it asks for while it lasts
+    goal_tolerance: tuple[AskedTolerance, ...] = ()  # what it asks for at its end
+    goal_time_tolerance: float = 0.0  # [s] 0 is the default, -1 waits for ever
+
+    def require_trajectory(self, lengths: Integers, point: Callable[[int], Point]) -> None:
+        """Refuse what is no trajectory."""
+        if not self.names or len(set(self.names)) != len(self.names):
+            raise GoalError(
+                f"a goal must name each of its joints once, not {list(self.names)}",
+                ResultCode.INVALID_JOINTS,
+            )
+        is_mixed = bool(np.any(lengths != lengths[:1]))
+        most = (MOST_MIXED_POINTS if is_mixed else MOST_POINTS) - 1  # one may be put before them
+        if len(self.times_ns) > most:
+            differing = " whose points differ in their arrays" if is_mixed else ""
+            raise GoalError(f"a goal{differing} may have {most} points, not {len(self.times_ns)}")
+        try:
+            require_arrays(self.names, self.stamp_ns, self.times_ns, self.arrays, lengths, point)
+        except TrajectoryError as error:
+            raise GoalError(str(error)) from None
+
+    def require_group(self, settings: GroupSettings) -> Tolerances:
+        """Refuse what is not for these joints, and return the tolerances that hold."""
+        for joint in self.names:
+            if joint not in settings.joints:
+                line = unknown_name("joint", joint, settings.joints)
+                raise GoalError(line, ResultCode.INVALID_JOINTS)
+        lacking = [joint for joint in settings.joints if joint not in self.names]
+        if lacking and not settings.allows_partial_goals:
+            raise GoalError(
+                f"the goal lacks {', '.join(lacking)}; it must name all joints unless "
+                f"allow_partial_joints_goal is true",
+                ResultCode.INVALID_JOINTS,
+            )
+        last = self.arrays.velocities[-1]
+        if not settings.allows_final_velocity:
+            for joint, velocity in zip(self.names, last.tolist(), strict=True):
+                if abs(velocity) > _AT_REST:  # NaN, where there is none, is not
+                    unit = settings.facts[settings.joints.index(joint)].unit
+                    raise GoalError(
+                        f"the last point must be at rest, not {joint} at {velocity:g} {unit}/s, "
+                        f"unless allow_nonzero_velocity_at_trajectory_end is true"
+                    )
+        return settings.tolerances.asked(
+            self.path_tolerance, self.goal_tolerance, self.goal_time_tolerance
+        )
+
+    def require_positions(self, settings: GroupSettings, positions: Sequence[float]) -> None:
+        """Refuse what leads a joint beyond the positions that the robot's description allows.
+
+        A joint that is beyond them may be led back: points may be as far out as it is.
+        """
+        for at, name in enumerate(self.names):
+            joint = settings.joints.index(name)
+            facts, here = settings.facts[joint], positions[joint]
+            path = self.arrays.positions[:, at]
+            low = min(facts.lower - _ROUNDED, here)
+            high = max(facts.upper + _ROUNDED, here)
+            beyond = np.flatnonzero((path < low) | (path > high))
+            if len(beyond):
+                point = int(beyond[0])
+                value, unit = float(path[point]), facts.unit
+                raise GoalError(
+                    f"point {point} leads {name} to {value:g} {unit}, its limits are "
+                    f"{facts.lower:g} and {facts.upper:g} {unit}"
+                )
+
+    def start(self, now_ns: int) -> int:
+        """Return the instant at which the goal starts, in [ns]."""
+        if self.stamp_ns == 0:
+            # One nanosecond ago: for every controller it is under way, whichever state it is at.
+            return max(now_ns - 1, 1)
+        end_ns = self.stamp_ns + int(self.times_ns[-1])
+        if end_ns < now_ns:
+            raise GoalError(
+                f"the goal ended at {_seconds(end_ns)} s, in the past: the stamps of joint_states "
+                f"say {_seconds(now_ns)} s",
+                ResultCode.OLD_HEADER_TIMESTAMP,
+            )
+        if self.stamp_ns > now_ns + _WAITS_AT_MOST * NANOSECONDS:
+            raise GoalError(
+                f"the goal must start within {_WAITS_AT_MOST} s, not at "
+                f"{_seconds(self.stamp_ns)} s: the stamps of joint_states say "
+                f"{_seconds(now_ns)} s"
+            )
+        return self.stamp_ns
+
+
+def _seconds(instant_ns: int) -> str:
+    return f"{instant_ns / NANOSECONDS:.3f}"
+
+
+@dataclass(frozen=True, eq=False)
+class GroupTrajectory:
+    """What all joints of a group are told at once, within the numbers that controllers take."""
+
+    names: tuple[str, ...]  # the joints
+    stamp_ns: int  # [ns] when it starts; never 0
+    times_ns: Integers  # [ns] time from start of each point, shape (points,)
+    arrays: PointArrays  # the numbers of the points, each of shape (points, joints)
+
+    def __post_init__(self) -> None:
+        """Bound the numbers: controllers would refuse a stop from beyond, and go on."""
+        for values in self.arrays:
+            np.clip(values, -LARGEST_POSITION, LARGEST_POSITION, out=values)
+
+    @property
+    def end_ns(self) -> int:
+        """The instant of the last point in [ns]."""
+        return self.stamp_ns + int(self.times_ns[-1])
+
+    def column(self, joint: int) -> Column:
+        """Return one joint's part."""
+        name = self.names[joint]
+        return checked_column(name, joint, self.stamp_ns, self.times_ns, self.arrays)
+
+
+def for_all_joints(
+    request: GoalRequest,
+    joints: Sequence[str],
+    start_ns: int,
+    now_ns: int,
+    standing: Sequence[Sequence[float]],
+    rest: Sequence[float],
+) -> GroupTrajectory:
+    """Return what all joints are told for a goal, which may name some of them only.
+
+    The others are told to rest. The first point is never in the future: where the goal's own is,
+    one is put before it, at which the joints are where their references stand now. So the goal
+    is under way for every controller, whenever it takes it up, and none of them jumps: it glides.
+    """
+    named = [joints.index(name) for name in request.names]
+    times_ns = request.times_ns
+    arrays = []
+    for order, given in enumerate(request.arrays):
+        values = np.zeros((len(times_ns), len(joints)))
+        values[:] = rest if order == 0 else 0.0
+        values[:, named] = given
+        values[np.isnan(given[:, 0])] = np.nan
+        arrays.append(values)
+    before_ns = max(now_ns - 1, 0) - start_ns
+    if times_ns[0] > before_ns:
+        times_ns = np.concatenate([[before_ns], times_ns])
+        for order, values in enumerate(arrays):
+            if order == _EFFORTS:  # until its own first point as there, as a spline has it
+                first = values[0]
+            else:
+                first = np.array(rest if order == 0 else [0.0] * len(joints))
+                first[named] = [standing[joint][order] for joint in named]
+                first[np.isnan(values[0])] = np.nan
+            arrays[order] = np.vstack([first, values])
+    return GroupTrajectory(tuple(joints), start_ns, times_ns, PointArrays(*arrays))

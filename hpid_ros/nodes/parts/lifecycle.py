@@ -1,0 +1,247 @@
+"""A managed controller: transitions, the damping stop, the watchdog of its states."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+from rclpy.duration import Duration
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.node import Node
+from rclpy.task import Future
+from rclpy.timer import Timer
+
+from hpid_ros.base.errors import ClaimError
+from hpid_ros.control.supervision import SupervisedLoop
+from hpid_ros.nodes.core import executor
+from hpid_ros.nodes.core.executor import ClosingNode
+from hpid_ros.nodes.core.middleware import steady_timer
+from hpid_ros.nodes.core.process import read_choice, read_number, read_only
+from hpid_ros.nodes.core.rclpy_internals import destroy_lifecycle, lifecycle_state
+from hpid_ros.nodes.parts.commands import Commands
+
+
+class ManagedNode(LifecycleNode, executor.ClosingNode):
+    """What a transition does is a method without arguments that may raise.
+
+    A transition that raises leaves the node unconfigured, after :meth:`leave`; it never ends the
+    process. One whose joint is another's fails, and the node stays as it was. Requests that the
+    present state does not have are refused.
+    """
+
+    def __init__(self, name: str, **options: Any) -> None:
+        super().__init__(name, **options)
+        self.is_active = False
+        self._failure: Exception | None = None
+        self._autostart = bool(
+            read_only(self, "autostart", True, "Configure and activate when the node starts")
+        )
+        self.is_starting = self._autostart
+        self.guard(self.refuse)
+
+    def start(self) -> None:
+        """Configure and activate, unless ``autostart`` is false."""
+        if not self._autostart:
+            return
+        for trigger in (self.trigger_configure, self.trigger_activate):
+            trigger()
+            if self._failure is not None:
+                raise self._failure
+
+    def prepare(self) -> None:
+        """Configure: make what is needed to become active."""
+
+    def begin(self) -> None:
+        """Activate."""
+
+    def leave(self) -> None:
+        """Deactivate; also what is done first when an active node is shut down."""
+
+    def dispose(self) -> None:
+        """Undo :meth:`prepare`."""
+
+    def refuse(self, line: str) -> None:
+        """Take note of something that was refused, in one line."""
+
+    @property
+    def lifecycle(self) -> str:
+        """The state's name: ``unconfigured``, ``inactive``, ``active`` or ``finalized``."""
+        return lifecycle_state(self)
+
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Configure."""
+        return self._do(self.prepare)
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Activate."""
+        self.is_active = True
+        return self._do(self.begin)
+
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Deactivate."""
+        return self._do(self._leave)
+
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Clean up."""
+        return self._do(self.dispose)
+
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Leave if the node is active; the process goes on, its node finalized."""
+        return self._do(self._leave, self.dispose)
+
+    def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Become unconfigured after a transition that raised."""
+        return self._do(self._leave, self.dispose)
+
+    def destroy_node(self) -> None:
+        """Destroy the node and its state machine, which would keep it on the graph."""
+        super().destroy_node()
+        destroy_lifecycle(self)
+
+    def _leave(self) -> None:
+        if self.is_active:
+            self.is_active = False
+            self.leave()
+
+    def _do(self, *steps: Callable[[], None]) -> TransitionCallbackReturn:
+        try:
+            for step in steps:
+                step()
+        except ClaimError as error:
+            self._failure = error
+            self.is_active = False
+            if not self.is_starting:
+                self.refuse(f"transition failed: {error}")
+            return TransitionCallbackReturn.FAILURE
+        except Exception as error:  # rclpy would drop it without a word
+            self._failure = error
+            self.refuse(f"transition failed: {type(error).__name__}: {error}")
+            return TransitionCallbackReturn.ERROR
+        self._failure = None
+        return TransitionCallbackReturn.SUCCESS
+
+
+STOPS = ("zero", "damping")
+
+_LAST_COMMAND_WITHIN = Duration(seconds=0.5)
+_LONGEST = 4.0  # [s]; launch kills what has not ended 5 s after it was asked to
+
+
+class ControllerStop:
+    """Gives a last command of zero effort, after a damping ramp if one is wished."""
+
+    def __init__(
+        self, node: Node, joint: SupervisedLoop, commands: Commands, finish: Callable[[], None]
+    ) -> None:
+        text = f"How the joint is left: {', '.join(STOPS)} for stop_duration"
+        kind = read_choice(node, "stop", "zero", text, STOPS)
+        duration = read_number(
+            node, "stop_duration", 0.5, "Of the damping stop [s]", (0.0, _LONGEST)
+        )
+        self._duration = duration if kind == "damping" else 0.0
+        self._node, self._joint, self._commands, self._finish = node, joint, commands, finish
+        self._timer: Timer | None = None
+        self._ended: Future | None = None
+        self._stamp_ns: int | None = None
+        self._is_unheard = False
+
+    @property
+    def is_damping(self) -> bool:
+        """Whether the ramp is on."""
+        return self._timer is not None
+
+    def begin(self) -> None:
+        """Leave the joint, at once or with a ramp."""
+        self._stamp_ns = self._joint.loop.stamp_ns
+        if not self._joint.damp(self._duration):
+            self.now()
+            return
+        self._ended = Future()
+        self._timer = steady_timer(self._node, self._duration, self.now)
+
+    def ended(self) -> Future | None:
+        """Return what is done when the ramp is; None if there is none."""
+        return self._ended if self.is_damping else None
+
+    def end(self) -> None:
+        """Cut the ramp short, if there is one: the effort is zero from here on."""
+        if self.is_damping:
+            self.now()
+
+    def now(self) -> None:
+        """Give zero effort; the joint has been left."""
+        if self._timer is not None:
+            self._timer.cancel()
+            self._node.destroy_timer(self._timer)
+            self._timer = None
+        stamp_ns = self._joint.loop.stamp_ns if self._stamp_ns is None else self._stamp_ns
+        self._stamp_ns = None
+        if stamp_ns is not None:
+            self._commands.leave(stamp_ns)
+            self._is_unheard = True
+        self._finish()
+        if self._ended is not None and not self._ended.done():
+            self._ended.set_result(None)
+
+    def wait_until_heard(self) -> None:
+        """Wait until every reliable subscriber has acknowledged the last zero, for a while."""
+        if not self._is_unheard:
+            return
+        self._is_unheard = False
+        if not self._commands.publisher.wait_for_all_acked(_LAST_COMMAND_WITHIN):
+            self._node.get_logger().warning(
+                "the last command, of zero effort, was not acknowledged by every subscriber "
+                f"within {_LAST_COMMAND_WITHIN.nanoseconds * 1e-9:g} s"
+            )
+
+
+class StateWatchdog:
+    """Lets a loop look at the silence, beside the states: without them it is never called.
+
+    Two threads look: that of the supervisor gives the effort, which no callback may delay; that of
+    the executor tells the loop.
+    """
+
+    def __init__(self, node: ClosingNode, joint: SupervisedLoop) -> None:
+        self._is_on = bool(
+            read_only(
+                node,
+                "state_watchdog",
+                True,
+                "Give fallback_effort when no new state has come for state_timeout of wall time",
+            )
+        )
+        self._node, self._joint, self._watchdog = node, joint, joint.watchdog
+        self._timer: Timer | None = None
+
+    def watch(self, timeout: float) -> None:
+        """Look from now on, or with another timeout."""
+        if not self._is_on or timeout == self._watchdog.timeout:
+            return
+        self._destroy_timer()
+        self._watchdog.timeout = timeout
+        self._timer = steady_timer(self._node, self._watchdog.period, self._look)
+        if self._node.supervisor is not None:
+            self._node.supervisor.look_anew()
+
+    def stop(self) -> None:
+        """Look no more, and forget what came."""
+        self._watchdog.forget()
+        self._destroy_timer()
+
+    def is_silent(self) -> bool:
+        """Tell whether states are missing, and an effort is given; for the supervisor's thread."""
+        return self._watchdog.is_silent(time.perf_counter_ns())
+
+    def within(self) -> float:
+        """Return the time in [s] until there may be a silence; for the supervisor's thread."""
+        return self._watchdog.within(time.perf_counter_ns())
+
+    def _look(self) -> None:
+        self._joint.look(time.perf_counter_ns())
+
+    def _destroy_timer(self) -> None:
+        if self._timer is not None:
+            self._node.destroy_timer(self._timer)
+            self._timer = None

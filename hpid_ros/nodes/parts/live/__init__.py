@@ -1,1 +1,0 @@
-"""Processes that the command ``hpid`` starts beside a running graph."""

@@ -1,1 +1,0 @@
-"""Parts of the merger's node: parameters, output, receiver, health."""

@@ -1,0 +1,266 @@
+"""The references that a controller takes, and introspection: ~/reference, ~/terms, ~/estimate."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from functools import cache, partial
+from typing import Any
+
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64, Float64MultiArray
+from trajectory_msgs.msg import JointTrajectory
+
+from hpid_ros.base.errors import HpidError, MessageError
+from hpid_ros.base.units import NANOSECONDS
+from hpid_ros.control.joint_loop import JointLoop
+from hpid_ros.control.overrides import RelayRequest
+from hpid_ros.control.reference import Motion, Setpoint
+from hpid_ros.messages.joint_state import JointStateTemplate
+from hpid_ros.messages.joint_trajectory import (
+    MixedTrajectory,
+    TrajectoryArrays,
+    decode_float64,
+    decode_trajectory,
+)
+from hpid_ros.messages.reports import decode_numbers
+from hpid_ros.nodes.core.executor import ClosingNode
+from hpid_ros.nodes.core.middleware import LATCHED, OFFERED, RARE, overridable
+from hpid_ros.nodes.core.process import read_number
+from hpid_ros.nodes.core.trajectories import column_of
+
+
+class TrajectorySubscriptions:
+    """Takes ``joint_trajectory`` from latched and from volatile publishers alike.
+
+    A subscription that asks for the latched message gets nothing at all from a volatile
+    publisher (``ros2 topic pub``, rqt, MoveIt), and a volatile one gets nothing that was
+    published before. So there are both, and what a latched publisher sends to both is taken
+    once.
+    """
+
+    def __init__(self, node: Node, take: Callable[[bytes], None]) -> None:
+        self._take = take
+        self._taken: tuple[bool, bytes] | None = None
+        self.subscriptions: list[Any] = []
+        """Both, for whoever ends them."""
+        # Only the contract's profile may be overridden: both would have the same parameters.
+        latched = node.create_subscription(
+            JointTrajectory,
+            "joint_trajectory",
+            partial(self._on_message, True),
+            LATCHED,
+            raw=True,
+            # Without rclpy's warning of publishers that are not latched: the other takes them.
+            event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
+            qos_overriding_options=overridable(),
+        )
+        volatile = node.create_subscription(
+            JointTrajectory,
+            "joint_trajectory",
+            partial(self._on_message, False),
+            RARE,  # not a depth of 1: one message of zero bytes would end what a reader gets
+            raw=True,
+        )
+        self.subscriptions += [latched, volatile]
+
+    def _on_message(self, is_latched: bool, raw: bytes) -> None:
+        if self._taken == (not is_latched, raw):
+            self._taken = None  # its second copy; the next one is meant
+            return
+        self._taken = is_latched, raw
+        self._take(raw)
+
+
+Decoded = TrajectoryArrays | MixedTrajectory | Exception
+"""What became of a message; for instance a ``MessageError``."""
+
+
+class ReferenceDecoder:
+    """Decodes the newest message of each source on a thread of its own.
+
+    A message that has not been begun with when the next one of its source comes is dropped, so
+    that a flood costs one slot. What several sources have got alike is decoded once.
+    """
+
+    def __init__(self) -> None:
+        self._changed = threading.Condition()
+        self._waiting: dict[object, tuple[bytes, Callable[[Decoded], None]]] = {}
+        self._thread: threading.Thread | None = None
+
+    def decode(self, source: object, raw: bytes, take: Callable[[Decoded], None]) -> None:
+        """Decode a message soon."""
+        with self._changed:
+            self._waiting[source] = raw, take
+            if self._thread is None:
+                self._thread = threading.Thread(target=self._run, name="references", daemon=True)
+                self._thread.start()
+            self._changed.notify()
+
+    def _run(self) -> None:
+        last: bytes | None = None
+        decoded: Decoded
+        while True:
+            with self._changed:
+                while not self._waiting:
+                    self._changed.wait()
+                raw, take = self._waiting.pop(next(iter(self._waiting)))
+            if raw != last:
+                last, decoded = raw, _attempt(raw)
+            take(decoded)
+
+
+def _attempt(raw: bytes) -> Decoded:
+    try:
+        return decode_trajectory(raw)
+    except Exception as error:  # of any kind: whoever takes it raises it where it is heard
+        return error
+
+
+@cache
+def reference_decoder() -> ReferenceDecoder:
+    """Return the one of this process."""
+    return ReferenceDecoder()
+
+
+class ControllerReferences:
+    """Listens to ``joint_trajectory``, ``~/setpoint`` and ``~/relay``.
+
+    A trajectory is decoded on another thread and handed back to the executor's, which alone
+    calls what is given here. Of all references the one that came last is followed, however long
+    they took to decode.
+    """
+
+    def __init__(
+        self,
+        node: ClosingNode,
+        joint: str,
+        follow: Callable[[Motion], None],
+        relay: Callable[[RelayRequest | None], None],
+        refuse: Callable[[str], None],
+        reason_against: Callable[[], str],
+    ) -> None:
+        self._node, self._joint, self._follow, self._refuse = node, joint, follow, refuse
+        self._relay = relay
+        self._reason_against = reason_against
+        self._arrived = self._followed = self._discarded = 0  # references, in their order
+        trajectories = TrajectorySubscriptions(node, self._on_trajectory)
+        setpoint = node.create_subscription(
+            Float64, "~/setpoint", self._on_setpoint, RARE, raw=True
+        )
+        relays = node.create_subscription(
+            Float64MultiArray, "~/relay", self._on_relay, RARE, raw=True
+        )
+        self._subscriptions: list[Any] = [*trajectories.subscriptions, setpoint, relays]
+
+    def discard(self) -> None:
+        """Forget what is still being decoded."""
+        self._discarded = self._arrived
+
+    def close(self) -> None:
+        """Listen no more."""
+        self.discard()
+        for each in self._subscriptions:
+            self._node.destroy_subscription(each)
+        self._subscriptions = []
+
+    def _on_trajectory(self, raw: bytes) -> None:
+        self._arrived += 1
+        take = partial(self._decoded, self._arrived, self._reason_against())
+        reference_decoder().decode(self, raw, take)
+
+    def _decoded(self, number: int, reason_against: str, decoded: Decoded) -> None:
+        """Take the joint's own column on the decoder's thread, and hand it to the executor's."""
+        found: Motion | Exception | None
+        try:
+            found = decoded if isinstance(decoded, Exception) else column_of(decoded, self._joint)
+        except Exception as error:
+            found = error
+        self._node.hand_over(self._take, number, reason_against, found)
+
+    def _take(self, number: int, reason_against: str, found: Motion | Exception | None) -> None:
+        if number <= self._discarded or found is None:
+            return
+        if isinstance(found, HpidError):
+            self._refuse(str(found))
+        elif isinstance(found, Exception):
+            raise found
+        elif reason_against:
+            self._refuse(reason_against)
+        elif number > self._followed:
+            self._followed = number
+            self._follow(found)
+
+    def _on_setpoint(self, raw: bytes) -> None:
+        self._arrived += 1
+        found: Motion | HpidError
+        try:
+            found = Setpoint(decode_float64(raw))
+        except HpidError as error:
+            found = error
+        self._take(self._arrived, self._reason_against(), found)
+
+    def _on_relay(self, raw: bytes) -> None:
+        """Take what is asked of a relay; a message without numbers ends one."""
+        against = self._reason_against()
+        try:
+            numbers = decode_numbers(raw)
+            if numbers and against:
+                raise MessageError(against)
+            self._relay(RelayRequest.asked(numbers))
+        except HpidError as error:
+            self._refuse(str(error))
+
+
+class Introspection:
+    """Publishes the reference, the law's terms and the observer's estimate at a limited rate."""
+
+    def __init__(self, node: Node, joint: str, has_model: bool = False) -> None:
+        rate = read_number(
+            node,
+            "introspection_rate",
+            20.0,
+            "Rate of ~/reference, ~/terms and ~/estimate [Hz]; 0 is off, negative is every sample",
+            (-1e6, 1e6),
+        )
+        self._period_ns = round(NANOSECONDS / rate) if rate > 0.0 else 0
+        self._is_on = rate != 0.0
+        self._has_model = has_model
+        self._last_ns: int | None = None
+        if not self._is_on:
+            return
+        profile = OFFERED if rate < 0.0 else RARE  # each sample: as many may wait as states may
+        self._reference = node.create_publisher(JointState, "~/reference", profile)
+        self._terms = node.create_publisher(JointState, "~/terms", profile)
+        self._estimate = node.create_publisher(JointState, "~/estimate", profile)
+        self._estimate_template = JointStateTemplate(
+            [joint], position=True, velocity=True, effort=True
+        )
+        self._reference_template = JointStateTemplate([joint], position=True, velocity=True)
+        names = ["p", "i", "d", *(["model"] if has_model else []), "feedforward"]
+        self._terms_template = JointStateTemplate(names, effort=True)
+
+    def sample(self, stamp_ns: int, loop: JointLoop) -> None:
+        """Publish this sample if it is due on the control clock."""
+        if not self._is_on:
+            return
+        if self._last_ns is not None and 0 <= stamp_ns - self._last_ns < self._period_ns:
+            return
+        self._last_ns = stamp_ns
+        position, velocity = loop.reference
+        self._reference.publish(
+            self._reference_template.encode(stamp_ns, position=(position,), velocity=(velocity,))
+        )
+        model = (loop.model_effort,) if self._has_model else ()
+        terms = (*loop.terms, *model, loop.feedforward_effort)
+        self._terms.publish(self._terms_template.encode(stamp_ns, effort=terms))
+        estimate = loop.estimate
+        if estimate is not None:
+            place, rate, disturbance = estimate
+            self._estimate.publish(
+                self._estimate_template.encode(
+                    stamp_ns, position=(place,), velocity=(rate,), effort=(disturbance,)
+                )
+            )

@@ -1,1 +1,0 @@
-"""The graph of running controllers, as a page in a browser asks for it."""

@@ -1,1 +1,0 @@
-"""Parts of every node: executor, parameters, qualities of service."""

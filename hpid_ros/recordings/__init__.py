@@ -1,1 +1,0 @@
-"""Runs as arrays, below bags and analysis: series and quality."""

@@ -1,0 +1,539 @@
+"""Tables for a terminal, CSV and text: the paper's Table I for our runs, wide tables, numbers.
+
+Blocks of one index each stand side by side as in the paper, as many as the width allows. A
+ratio carries a mark besides its colour, so that better and worse read without it.
+
+A column of numbers never shrinks, and a number is never broken over two lines. A table that is
+wider than the terminal is broken into blocks below each other, each with the names of its rows, or
+with their numbers where the names leave no room; texts fold. Where nothing limits the width, as in
+a pipe, a table has one block.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from typing import NamedTuple
+
+from rich.box import SIMPLE, Box
+from rich.console import Console, ConsoleOptions, JustifyMethod, RenderResult
+from rich.measure import Measurement
+from rich.table import Table
+from rich.text import Text
+
+from hpid_ros.base.console import plain_console
+from hpid_ros.base.text import shown
+from hpid_ros.metrics.comparison import (
+    THRESHOLD,
+    Comparison,
+    Verdict,
+    enumerate_words,
+    verdict,
+    verdict_lines,
+)
+from hpid_ros.metrics.quantities import PAPER, Fold, Quantity
+from hpid_ros.metrics.results import RunIndices
+
+SIGNIFICANT_DIGITS = 5
+# Beyond these a column is scientific: plain digits would be many, or zeros.
+SMALLEST_PLAIN, LARGEST_PLAIN = 1e-3, 1e6
+UNDEFINED = "–"
+
+
+def format_values(values: Iterable[float], digits: int = SIGNIFICANT_DIGITS) -> list[str]:
+    """Return numbers of one column with the same decimals, so that their points line up.
+
+    The largest decides: it shows about `digits` digits. A number that would read as zero
+    without being zero, and a column of very large or small numbers, are scientific.
+    """
+    column = list(values)
+    largest = max((abs(value) for value in column if math.isfinite(value)), default=0.0)
+    if largest and not SMALLEST_PLAIN <= largest < LARGEST_PLAIN:
+        return [_scientific(value) for value in column]
+    whole = max(1, math.floor(math.log10(largest)) + 1) if largest else 1
+    decimals = max(0, digits - whole)
+    texts = [f"{value:.{decimals}f}" for value in column]
+    return [
+        text if math.isfinite(value) and (not value or float(text)) else _scientific(value)
+        for value, text in zip(column, texts, strict=True)
+    ]
+
+
+def format_ratio(ratio: float) -> str:
+    """Return a ratio in at most five characters or so: 0.612, 12.35, 1.2e5, inf."""
+    if math.isnan(ratio):
+        return UNDEFINED
+    if math.isinf(ratio) or ratio < 10.0:
+        return f"{ratio:.3f}"
+    return f"{ratio:.4g}" if ratio < 1e4 else _scientific(ratio)
+
+
+def format_quartiles(quartiles: tuple[float, float] | None) -> str:
+    """Return the quartiles of repeated runs as one text."""
+    if quartiles is None:
+        return UNDEFINED
+    low, high = format_values(quartiles, SIGNIFICANT_DIGITS - 1)
+    return f"{low}..{high}"
+
+
+def _scientific(value: float) -> str:
+    if math.isnan(value):
+        return UNDEFINED
+    if math.isinf(value):
+        return "inf" if value > 0.0 else "-inf"
+    if value == 0.0:
+        return "0"
+    mantissa, exponent = f"{value:.1e}".split("e")
+    return f"{mantissa}e{int(exponent)}"
+
+
+def footnotes(comparison: Comparison) -> list[str]:
+    """Return what units mean and why numbers and ratios are not defined, one sentence each."""
+    return [*_of_units(comparison), *_of_numbers(comparison), *_of_ratios(comparison)]
+
+
+def slides_note(joints: Sequence[str], slides: Collection[str], angle_unit: str = "rad") -> str:
+    """Return a sentence on joints of unlike units that stand beside each other; else nothing."""
+    sliding = [joint for joint in joints if joint in slides]
+    if len(sliding) in (0, len(joints)):
+        return ""
+    verb = "slides" if len(sliding) == 1 else "slide"
+    return (
+        f"{enumerate_words(sliding)} {verb}, in m and N; the others are in {angle_unit} and N m. "
+        "Totals add unlike units."
+    )
+
+
+def _of_units(comparison: Comparison) -> Iterator[str]:
+    note = slides_note(comparison.joint_names, comparison.slides, comparison.angle_unit)
+    units = (comparison.unit(each) for each in (*comparison.indices, *comparison.norms))
+    if note and any("," in unit for unit in units):
+        yield note
+
+
+def _of_numbers(comparison: Comparison) -> Iterator[str]:
+    """Yield a sentence for each reason, with the symbols, runs and joints that it concerns."""
+    symbols: dict[tuple[str, tuple[str, ...], str], list[str]] = {}
+    for run in comparison.runs:
+        for quantity in (*comparison.indices, *comparison.norms):
+            for reason, joints in _joints_by_reason(comparison, run, quantity).items():
+                where = () if len(joints) == len(run.joints) else tuple(joints)
+                symbols.setdefault((reason, where, run.label), []).append(quantity.symbol)
+    labels: dict[tuple[str, tuple[str, ...], str], list[str]] = {}
+    for (reason, joints_of, label), of_run in symbols.items():
+        labels.setdefault((", ".join(of_run), joints_of, reason), []).append(label)
+    for (what, joints_of, reason), of_runs in labels.items():
+        runs = f" of {enumerate_words(of_runs)}" if len(of_runs) < len(comparison.runs) else ""
+        where_text = f", joint {', '.join(joints_of)}" if joints_of else ""
+        yield f"No {what}{runs}{where_text}: {reason}."
+
+
+def _joints_by_reason(
+    comparison: Comparison, run: RunIndices, quantity: Quantity
+) -> dict[str, list[str]]:
+    """Return which joints' lack leaves a number undefined, by reason."""
+    scopes = comparison.joint_names if quantity in comparison.indices else (None,)
+    reasons: dict[str, list[str]] = {}
+    for scope in scopes:
+        for joint, reason in run.why_undefined(quantity, scope).items():
+            reasons.setdefault(reason, []).append(joint)
+    return reasons
+
+
+def _of_ratios(comparison: Comparison) -> Iterator[str]:
+    """Yield a sentence for each way in which a run cannot be compared with the baseline."""
+    count = len((*comparison.indices, *comparison.norms))
+    for run in comparison.others:
+        for reason, spoilt in comparison.spoilt(run.label).items():
+            symbols = ", ".join(quantity.symbol for quantity in spoilt)
+            what = "ratios" if len(spoilt) == count else f"ratios of {symbols}"
+            yield f"No {what} of {run.label} to {comparison.baseline.label}: {reason}."
+
+
+UNLIMITED_WIDTH = 10_000
+_LEAST_NAME = 8  # columns that a name of a row keeps, where there are as many
+_LEAST_TEXT = 20
+
+
+class TableColumn(NamedTuple):
+    """One column of a table."""
+
+    heading: str
+    cells: Sequence[str | Text]  # one for each row
+    is_text: bool = False  # whether it is text, which may fold; else its cells are numbers
+
+    @property
+    def width(self) -> int:
+        """How wide it is, unfolded."""
+        return max(Text(self.heading).cell_len, *map(_width, self.cells), 1)
+
+    @property
+    def least_width(self) -> int:
+        """How wide it is at least."""
+        return min(self.width, _LEAST_TEXT) if self.is_text else self.width
+
+
+class WideTable:
+    """A table as a rich renderable that suits itself to the width it gets."""
+
+    def __init__(
+        self,
+        names: Sequence[TableColumn],
+        columns: Sequence[TableColumn],
+        *,
+        title: str = "",
+        box: Box | None = None,
+        header_style: str = "bold",
+        padding: int = 1,
+    ) -> None:
+        self._names, self._columns = tuple(names), tuple(columns)
+        self._title, self._box, self._header_style = title, box, header_style
+        self._padding = padding
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        if self._title:
+            yield Text(self._title, style="bold")
+        width, gap = options.max_width, self._padding + (self._box is not None)
+        names, columns = self._names, self._columns
+        least = sum(min(each.width, _LEAST_NAME) if each.is_text else each.width for each in names)
+        widest = max((each.least_width for each in columns), default=0)
+        if least + gap * len(names) + widest > width:  # the rows have numbers instead
+            rows = len(names[0].cells)
+            names = (TableColumn("#", [str(k + 1) for k in range(rows)]),)
+            columns = (*self._names, *self._columns)
+        for place, block in enumerate(pieces(names, columns, width, gap)):
+            if place:
+                yield ""
+            yield self._block([*names, *block], _limits(names, block, width, gap))
+
+    def _block(self, columns: Sequence[TableColumn], limits: Sequence[int]) -> Table:
+        table = Table(
+            box=self._box,
+            show_edge=False,
+            padding=(0, self._padding, 0, 0),
+            pad_edge=False,
+            header_style=self._header_style,
+        )
+        for column, limit in zip(columns, limits, strict=True):
+            table.add_column(
+                Text(column.heading),
+                justify="left" if column.is_text else "right",
+                width=limit,
+                no_wrap=not column.is_text,
+                overflow="fold",
+            )
+        for row in zip(*(column.cells for column in columns), strict=True):
+            table.add_row(*(cell if isinstance(cell, Text) else Text(cell) for cell in row))
+        return table
+
+
+def pieces(
+    names: Sequence[TableColumn], columns: Sequence[TableColumn], width: int, gap: int
+) -> list[list[TableColumn]]:
+    """Return the columns, broken where those of a block and the names fill the width."""
+    taken = sum(each.width + gap for each in names)
+    found: list[list[TableColumn]] = [[]]
+    used = taken
+    for column in columns:
+        if found[-1] and used + column.least_width > width:
+            found.append([])
+            used = taken
+        found[-1].append(column)
+        used += column.least_width + gap
+    return found
+
+
+def _limits(
+    names: Sequence[TableColumn], block: Sequence[TableColumn], width: int, gap: int
+) -> list[int]:
+    """Return the columns' widths: texts give way first, then the names that are texts."""
+    columns = [*names, *block]
+    widths = [each.width for each in columns]
+    excess = sum(widths) + gap * (len(widths) - 1) - width
+    order = [*range(len(names), len(columns)), *reversed(range(len(names)))]
+    for k in (k for k in order if columns[k].is_text):
+        least = _LEAST_NAME if k < len(names) else _LEAST_TEXT
+        given = min(max(excess, 0), max(widths[k] - least, 0))
+        widths[k] -= given
+        excess -= given
+    return widths
+
+
+def _width(cell: str | Text) -> int:
+    text = cell if isinstance(cell, Text) else Text(cell)
+    return max((line.cell_len for line in text.split("\n")), default=0)
+
+
+_TEXTS = ("joint", "controller", "verdict", "certified")  # columns that may fold
+
+
+class Grid(NamedTuple):
+    """One table."""
+
+    key: str  # its name in files
+    title: str  # what it shows
+    headings: tuple[str, ...]  # of the columns; the first column is text
+    rows: tuple[tuple[str, ...], ...]  # the cells
+    note: str = ""  # what must be known to read it
+
+    def markdown(self) -> str:
+        """Return the table as Markdown, without its title."""
+        lines = [_row(self.headings), _row(["---", *["---:"] * (len(self.headings) - 1)])]
+        lines += [_row(cells) for cells in self.rows]
+        return "\n".join(lines) + "\n" + (f"\n{self.note}\n" if self.note else "")
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        columns = [
+            TableColumn(heading, cells, is_text=not place or heading in _TEXTS)
+            for place, (heading, cells) in enumerate(
+                zip(self.headings, zip(*self.rows, strict=True), strict=True)
+            )
+        ]
+        names = 1 + (self.headings[1:2] in (("joint",), ("controller",)))
+        yield WideTable(columns[:names], columns[names:], title=self.title, box=SIMPLE)
+        if self.note:
+            yield Text(self.note, style="dim")
+        yield ""
+
+
+def grids_text(grids: Iterable[Grid]) -> str:
+    """Return tables as plain text, one line a row however long it is."""
+    console = plain_console(UNLIMITED_WIDTH)
+    with console.capture() as capture:
+        for grid in grids:
+            console.print(grid)
+    lines = (line.rstrip() for line in capture.get().splitlines())
+    return "\n".join(lines).strip("\n") + "\n"
+
+
+def grids_markdown(grids: Iterable[Grid]) -> str:
+    """Return tables as Markdown, each between comments that name it."""
+    parts = []
+    for grid in grids:
+        body = f"### {grid.title}\n\n{grid.markdown()}"
+        parts.append(f"<!-- begin {grid.key} -->\n{body}<!-- end {grid.key} -->\n")
+    return "\n".join(parts)
+
+
+def _row(cells: Sequence[str]) -> str:
+    return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
+
+
+MARKS = {Verdict.BETTER: "▼", Verdict.WORSE: "▲", Verdict.EQUAL: "=", Verdict.UNKNOWN: " "}
+ASCII_MARKS = {**MARKS, Verdict.BETTER: "v", Verdict.WORSE: "^"}
+STYLES = {
+    Verdict.BETTER: "green",
+    Verdict.WORSE: "red",
+    Verdict.EQUAL: "dim",
+    Verdict.UNKNOWN: "dim",
+}
+# Spaces between blocks and digits of the largest number, from roomy to tight.
+LAYOUTS = ((3, 5), (2, 5), (1, 5), (1, 4))
+
+
+class ComparisonTable:
+    """The table as a rich renderable that suits itself to the width it gets."""
+
+    def __init__(self, comparison: Comparison) -> None:
+        self.comparison = comparison
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        ascii_only = options.ascii_only
+        blocks = _Blocks(self.comparison, ASCII_MARKS if ascii_only else MARKS)
+        if self.comparison.indices:
+            yield from self._indices(blocks, console, options)
+            yield ""
+        if self.comparison.norms:
+            yield blocks.of_norms()
+            yield ""
+        lines = [*blocks.legend(), *blocks.verdicts()]
+        for text in lines:
+            yield Text(text.plain.replace("–", "-"), text.style) if ascii_only else text
+
+    def _indices(self, blocks: _Blocks, console: Console, options: ConsoleOptions) -> RenderResult:
+        unlimited = options.update_width(UNLIMITED_WIDTH)
+
+        def fits(table: Table) -> bool:
+            return Measurement.get(console, unlimited, table).maximum <= options.max_width
+
+        for gap, digits in LAYOUTS:
+            wide = blocks.side_by_side(self.comparison.indices, gap, digits)
+            if fits(wide):
+                yield wide
+                return
+        waiting = list(self.comparison.indices)
+        gap, digits = LAYOUTS[0]
+        while waiting:
+            count = len(waiting)
+            while count > 1 and not fits(blocks.side_by_side(waiting[:count], gap, digits)):
+                count -= 1
+            if count == 1:
+                yield blocks.of_index(waiting[0], options.max_width)
+            else:
+                yield blocks.side_by_side(waiting[:count], gap, digits)
+            del waiting[:count]
+            if waiting:
+                yield ""
+
+
+def table_text(comparison: Comparison, width: int = 100) -> str:
+    """Return the table as plain text without colours or trailing spaces."""
+    console = plain_console(width)
+    with console.capture() as capture:
+        console.print(ComparisonTable(comparison))
+    lines = (line.rstrip() for line in capture.get().splitlines())
+    return "\n".join(lines).strip("\n") + "\n"
+
+
+class _Blocks:
+    """The pieces of one comparison's table: names, one block an index, norms, legend."""
+
+    def __init__(self, comparison: Comparison, marks: dict[Verdict, str]) -> None:
+        self._comparison = comparison
+        self._marks = marks
+
+    def side_by_side(self, quantities: Sequence[Quantity], gap: int, digits: int) -> Table:
+        """Return the paper's table: the joints' names, then the blocks of some indices."""
+        grid = Table.grid(padding=(0, gap, 0, 0), pad_edge=False)
+        grid.add_row(
+            _block(" ", [self.names(quantities)]),
+            *(_block(self._title(q), self._columns(q, digits)) for q in quantities),
+        )
+        return grid
+
+    def of_index(self, quantity: Quantity, width: int) -> Table | WideTable:
+        """Return one index alone: the joints' names, then its runs and ratios."""
+        columns = [self.names([quantity]), *self._columns(quantity, SIGNIFICANT_DIGITS)]
+        names, *numbers = (
+            TableColumn(each.heading, each.cells, each.justify == "left") for each in columns
+        )
+        if len(pieces([names], numbers, width, 1)) > 1:
+            return WideTable([names], numbers, title=self._title(quantity), box=SIMPLE)
+        return _block(self._title(quantity), columns)
+
+    def of_norms(self) -> WideTable:
+        """Return what is shown over all joints alone, one row each."""
+        are_l2 = all("L2" in quantity.meaning for quantity in self._comparison.norms)
+        norms = self._comparison.norms
+        names = TableColumn(
+            "L2, all joints" if are_l2 else "all joints",
+            [self._title(quantity) for quantity in norms],
+            is_text=True,
+        )
+        headings: list[str] = []
+        for k, run in enumerate(self._comparison.runs):
+            headings += [heading_of(run), *_quartiles_heading(run), *(["ratio"] if k else [])]
+        rows = [self._norm_row(quantity) for quantity in norms]
+        cells = zip(*rows, strict=True)
+        columns = [TableColumn(each, cell) for each, cell in zip(headings, cells, strict=True)]
+        return WideTable([names], columns, box=SIMPLE, header_style="table.header")
+
+    def legend(self) -> list[Text]:
+        """Return what symbols and marks mean, and why numbers are not there."""
+        comparison = self._comparison
+        shown = comparison.indices or comparison.norms
+        lines = [", ".join(f"{q.symbol} {q.meaning}" for q in shown) + "."]
+        if any(run.spread for run in comparison.runs):
+            lines.append("(n): median of n runs, with the first and third quartile.")
+        if comparison.others:
+            marks, baseline = self._marks, heading_of(comparison.baseline)
+            lines.append(
+                f"Ratio: run / {baseline}; {marks[Verdict.BETTER]} lower, which "
+                f"is better, {marks[Verdict.WORSE]} higher, {marks[Verdict.EQUAL]} equal "
+                f"{THRESHOLD}."
+            )
+        dim = [Text(line, style="dim") for line in lines]
+        return [*dim, *(Text(line) for line in (*comparison.notes, *footnotes(comparison)))]
+
+    def verdicts(self) -> list[Text]:
+        """Return a line for each run beside the baseline, where the paper's numbers are shown."""
+        comparison = self._comparison
+        if not {*comparison.indices, *comparison.norms} >= set(PAPER):
+            return []
+        return [Text(line, style="bold") for line in verdict_lines(comparison)]
+
+    def names(self, quantities: Sequence[Quantity]) -> _RunColumn:
+        """Return the names of the rows."""
+        names = [Text(shown(name)) for name in self._comparison.joint_names]
+        return _RunColumn("joint", [*names, Text(total_name(quantities))], "left")
+
+    def _title(self, quantity: Quantity) -> str:
+        return f"{quantity.symbol} [{self._comparison.unit(quantity)}]"
+
+    def _columns(self, quantity: Quantity, digits: int) -> list[_RunColumn]:
+        joints = (*self._comparison.joint_names, None)
+        runs = self._comparison.runs
+        values = [run.value(quantity, joint) for run in runs for joint in joints]
+        texts = [Text(text) for text in format_values(values, digits)]
+        columns: list[_RunColumn] = []
+        for k, run in enumerate(runs):
+            cells = texts[k * len(joints) : (k + 1) * len(joints)]
+            columns.append(_RunColumn(heading_of(run), cells))
+            for heading in _quartiles_heading(run):
+                spreads = [Text(quartiles_of(run, quantity, joint)) for joint in joints]
+                columns.append(_RunColumn(heading, spreads))
+            if k:
+                ratios = (self._comparison.ratio(run.label, quantity, joint) for joint in joints)
+                columns.append(_RunColumn("ratio", [self._ratio(ratio) for ratio in ratios]))
+        return columns
+
+    def _norm_row(self, quantity: Quantity) -> list[Text]:
+        runs = self._comparison.runs
+        texts = format_values(run.value(quantity) for run in runs)
+        row: list[Text] = []
+        for k, (run, text) in enumerate(zip(runs, texts, strict=True)):
+            row.append(Text(text))
+            row += [Text(quartiles_of(run, quantity, None)) for _ in _quartiles_heading(run)]
+            if k:
+                row.append(self._ratio(self._comparison.ratio(run.label, quantity)))
+        return row
+
+    def _ratio(self, ratio: float) -> Text:
+        kind = verdict(ratio)
+        return Text(f"{format_ratio(ratio)}{self._marks[kind]}", style=STYLES[kind])
+
+
+class _RunColumn(NamedTuple):
+    heading: str
+    cells: list[Text]  # one for each joint, then the total
+    justify: JustifyMethod = "right"
+
+
+def heading_of(run: RunIndices) -> str:
+    """Return a run's label, with the number of its repeats where there are several."""
+    label = shown(run.label)
+    return label if run.spread is None else f"{label} ({run.spread.repeats})"
+
+
+def quartiles_of(run: RunIndices, quantity: Quantity, joint: str | None) -> str:
+    """Return the quartiles of a number of a run of repeats, as a text."""
+    quartiles = {} if run.spread is None else run.spread.quartiles[joint]
+    return format_quartiles(quartiles.get(quantity.key))
+
+
+def total_name(quantities: Sequence[Quantity]) -> str:
+    """Return what the last line of a table is called."""
+    return "total" if all(quantity.fold is Fold.SUM for quantity in quantities) else "all"
+
+
+def _quartiles_heading(run: RunIndices) -> list[str]:
+    return [] if run.spread is None else ["quartiles"]
+
+
+def _block(title: str, columns: Sequence[_RunColumn]) -> Table:
+    """Return columns under a common title, their last cells below a line of their own."""
+    block = Table(
+        title=Text(title, style="bold"),
+        box=SIMPLE,
+        show_edge=False,
+        show_footer=True,
+        padding=0,
+        min_width=len(title),
+    )
+    for heading, cells, justify in columns:
+        total = cells[-1].copy()
+        total.stylize("bold")
+        block.add_column(Text(heading), footer=total, justify=justify, overflow="fold")
+    for row in zip(*(column.cells[:-1] for column in columns), strict=True):
+        block.add_row(*row)
+    return block

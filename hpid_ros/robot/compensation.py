@@ -1,0 +1,543 @@
+r"""Model terms of a loop: built, checked, and computed from the states of all joints.
+
+The paper's control action in its corrected form, with :math:`B = M^{-1}`, :math:`A = -B h`:
+
+.. math:: u_j = B_{jj}^{-1} \left[ \ddot q^*_j + v_j - A_j - \sum_{k \ne j} B_{jk} u_k \right]
+
+makes :math:`\ddot q_j = \ddot q^*_j + v_j` whatever the other joints do: the controller's output
+:math:`v_j` acts on a unit double integrator. The other joints' efforts :math:`u_k` are measured.
+
+Source: the paper, section "Implementation of hPID on the mobile manipulator"; there the factor
+in front of the controller's term is missing.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Sequence
+from dataclasses import replace
+from functools import lru_cache
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from scipy.linalg import lapack
+
+from hpid_ros.base.errors import RobotDescriptionError, SettingError, unknown_name
+from hpid_ros.base.files import find_resource
+from hpid_ros.base.units import SECONDS_PER_NANOSECOND, Numbers
+from hpid_ros.control.assembly import make_velocity_source
+from hpid_ros.control.joint_loop import JointLoop
+from hpid_ros.control.limited_law import ModelTerm
+from hpid_ros.control.reference import LARGEST_POSITION
+from hpid_ros.control.settings import LoopSettings, ModelSettings
+from hpid_ros.control.velocity import Unwrapper
+from hpid_ros.robot.coupling import Coupling, JointSpace, Settling, coupling
+from hpid_ros.robot.description import RobotDescription
+from hpid_ros.robot.differential_drive import DifferentialDrive
+
+_NO_TIME = -1  # before every stamp of a usable state
+
+
+class RobotState(NamedTuple):
+    """One state of a robot, along the joints of its model."""
+
+    positions: Sequence[float]  # [rad] measured
+    velocities: Sequence[float]  # [rad/s] measured, or estimated from the positions
+    efforts: Sequence[float]  # [N m] measured, behind the filter; zeros where they are not needed
+
+
+_WITHOUT_EFFORTS = 1.0  # [s]
+
+
+class RobotStates:
+    """Makes of measured states what a model can use, or holds the last one for a while.
+
+    Velocities come from the source that the loop's own velocity comes from, one for each joint.
+    Efforts go through a first-order low-pass by backward Euler. A state that cannot be used
+    (a joint is missing, a number is not finite, there are no efforts) is answered with the last
+    one that could, for at most ``state_timeout`` by the stamps.
+    """
+
+    def __init__(
+        self,
+        settings: LoopSettings,
+        joints: Sequence[str],
+        needs_efforts: bool,
+        filter_time_constant: float = 0.0,
+        endless: Collection[str] = (),
+    ) -> None:
+        self.held = self.lost = 0
+        self.last_fault = ""
+        self.joints = tuple(joints)
+        self._settings = settings
+        self._timeout = settings.timing.state_timeout
+        self._velocities = [make_velocity_source(settings.velocity) for _ in self.joints]
+        self._unwrappers = [
+            (place, Unwrapper(math.tau)) for place, name in enumerate(joints) if name in endless
+        ]
+        self._needs_efforts = needs_efforts
+        self._time_constant = filter_time_constant
+        self._no_efforts = (0.0,) * len(self.joints)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the past: the next state is the first one."""
+        for velocity in self._velocities:
+            velocity.reset()
+        for _, unwrapper in self._unwrappers:
+            unwrapper.reset()
+        self._stamp_ns = _NO_TIME
+        self._state: RobotState | None = None
+        self._without_efforts = 0.0
+
+    def retune(self, settings: LoopSettings) -> None:
+        """Go by other settings of the loop from the next state on."""
+        if settings.velocity.in_use != self._settings.velocity.in_use:
+            self._velocities = [make_velocity_source(settings.velocity) for _ in self.joints]
+            if self._state is not None:
+                seen = zip(
+                    self._velocities, self._state.positions, self._state.velocities, strict=True
+                )
+                for source, position, velocity in seen:
+                    source.take_over(position, velocity)
+        self._settings, self._timeout = settings, settings.timing.state_timeout
+
+    def observe(
+        self,
+        stamp_ns: int,
+        positions: Sequence[float],
+        velocities: Sequence[float] | None,
+        efforts: Sequence[float] | None,
+    ) -> RobotState | None:
+        """Take one measured state."""
+        state = self._state
+        if stamp_ns == self._stamp_ns and state is not None:
+            return state
+        fault = self._fault(positions, velocities, efforts)
+        if fault:
+            return self.hold(stamp_ns, fault)
+        dt = (stamp_ns - self._stamp_ns) * SECONDS_PER_NANOSECOND
+        if state is not None and not 0.0 < dt <= self._timeout:
+            self.reset()
+        before, self._stamp_ns = self._state, stamp_ns
+        if before is None:
+            dt = 0.0
+        if self._unwrappers:
+            positions = list(positions)
+            for place, unwrapper in self._unwrappers:
+                positions[place] = unwrapper.update(positions[place])
+        rates: Sequence[float | None] = velocities or (None,) * len(positions)
+        found = [
+            source.update(position, rate, dt)
+            for source, position, rate in zip(self._velocities, positions, rates, strict=True)
+        ]
+        seen = self._no_efforts if efforts is None or not self._needs_efforts else efforts
+        self._without_efforts = 0.0 if any(seen) else self._without_efforts + dt
+        if before is not None and self._time_constant:
+            share = dt / (self._time_constant + dt)
+            seen = [a + share * (b - a) for a, b in zip(before.efforts, seen, strict=True)]
+        self._state = RobotState(positions, found, seen)
+        return self._state
+
+    @property
+    def lacks_efforts(self) -> bool:
+        """Whether those that the model needs have all been exactly 0 for a while.
+
+        Drivers fill in zeros for what they do not measure.
+        """
+        return self._needs_efforts and self._without_efforts > _WITHOUT_EFFORTS
+
+    def hold(self, stamp_ns: int, reason: str) -> RobotState | None:
+        """Return the last usable state in place of one that is not, if it is recent."""
+        self.last_fault = reason
+        elapsed = (stamp_ns - self._stamp_ns) * SECONDS_PER_NANOSECOND
+        if self._state is not None and 0.0 <= elapsed <= self._timeout:
+            self.held += 1
+            return self._state
+        self.lost += 1
+        return None
+
+    def _fault(
+        self,
+        positions: Sequence[float],
+        velocities: Sequence[float] | None,
+        efforts: Sequence[float] | None,
+    ) -> str:
+        """Return what makes a state unusable, in words; empty if nothing."""
+        if not _are_possible(positions):
+            return f"positions of the model: {self._worst(positions)}"
+        if velocities is not None and not _are_possible(velocities):
+            return f"velocities of the model: {self._worst(velocities)}"
+        if self._needs_efforts:
+            if efforts is None:
+                return "the states have no efforts, which decoupling needs"
+            if not _are_possible(efforts):
+                return f"efforts of the model: {self._worst(efforts)}"
+        return ""
+
+    def _worst(self, values: Sequence[float]) -> str:
+        """Return the first joint whose number is out of bounds, with the number."""
+        for joint, value in zip(self.joints, values, strict=True):
+            if not -LARGEST_POSITION <= value <= LARGEST_POSITION:
+                return f"{joint} {value}"
+        return "beyond all bounds"
+
+
+def _are_possible(values: Sequence[float]) -> bool:
+    """Tell whether all numbers are finite and within bounds."""
+    # A sum is finite only if nothing in it is nan, with which min and max would be blind.
+    return (
+        math.isfinite(sum(values))
+        and max(values) <= LARGEST_POSITION
+        and min(values) >= -LARGEST_POSITION
+    )
+
+
+class JointModel(Protocol):
+    """A model of the robot, as one of its joints sees it."""
+
+    @property
+    def needs_efforts(self) -> bool:
+        """Whether it decouples the joint, by the others' efforts."""
+
+    def term(self, state: RobotState) -> tuple[float, float]:
+        """Return gain and effort [N m] at a state; see :class:`ModelTerm`."""
+
+
+class Compensator:
+    """Gives one joint's loop the model's term of each state."""
+
+    def __init__(self, model: JointModel, states: RobotStates) -> None:
+        self.states = states
+        self._model = model
+        self._follows = model.needs_efforts
+
+    def term(
+        self,
+        stamp_ns: int,
+        positions: Sequence[float],
+        velocities: Sequence[float] | None,
+        efforts: Sequence[float] | None,
+    ) -> ModelTerm | None:
+        """Return the term of one measured state."""
+        return self._of(self.states.observe(stamp_ns, positions, velocities, efforts))
+
+    def hold(self, stamp_ns: int, reason: str) -> ModelTerm | None:
+        """Return the term of the last usable state for one that is not, if it is recent."""
+        return self._of(self.states.hold(stamp_ns, reason))
+
+    def answer(
+        self,
+        loop: JointLoop,
+        stamp_ns: int,
+        position: float,
+        velocity: float | None,
+        term: ModelTerm | None,
+    ) -> float:
+        """Return the effort that answers a state, in [N m]: ``fallback_effort`` without a term.
+
+        The one rule for a controller's node and for the engine without ROS.
+        """
+        if term is None:
+            return loop.reject(stamp_ns, f"no model term: {self.states.last_fault}")
+        return loop.step(stamp_ns, position, velocity, term)
+
+    def reset(self) -> None:
+        """Forget the past: the next state is the first one."""
+        self.states.reset()
+
+    def _of(self, state: RobotState | None) -> ModelTerm | None:
+        if state is None:
+            return None
+        try:
+            gain, effort = self._model.term(state)
+        except ArithmeticError as error:
+            self.states.last_fault = str(error)
+            return None
+        if not (0.0 < gain < math.inf and math.isfinite(effort)):
+            self.states.last_fault = f"the model gave an effort of {effort} and a gain of {gain}"
+            return None
+        return ModelTerm(gain, effort, self._follows)
+
+
+class CompensatedLoops:
+    """Answers one state after the other as the controllers' nodes would."""
+
+    def __init__(
+        self,
+        joints: Sequence[str],
+        loops: Sequence[JointLoop],
+        compensators: Sequence[Compensator | None],
+    ) -> None:
+        self._loops = tuple(zip(loops, compensators, strict=True))
+        self._places = {
+            each.states.joints: [_place(name, joints) for name in each.states.joints]
+            for each in compensators
+            if each is not None
+        }
+
+    def step(
+        self,
+        stamp_ns: int,
+        positions: Sequence[float],
+        velocities: Sequence[float] | None,
+        efforts: Sequence[float],
+    ) -> list[float]:
+        """Take one state and return the efforts that answer it, in [N m].
+
+        Args:
+            stamp_ns: Its stamp in [ns].
+            positions: Measured positions in [rad].
+            velocities: Measured velocities in [rad/s]; None where the robot measures none.
+            efforts: Efforts that the motors gave in the period before, in [N m].
+        """
+        seen = {
+            names: (
+                [positions[place] for place in places],
+                None if velocities is None else [velocities[place] for place in places],
+                [efforts[place] for place in places],
+            )
+            for names, places in self._places.items()
+        }
+        answers = []
+        for row, (loop, model) in enumerate(self._loops):
+            velocity = None if velocities is None else velocities[row]
+            if model is None:
+                answers.append(loop.step(stamp_ns, positions[row], velocity))
+                continue
+            term = model.term(stamp_ns, *seen[model.states.joints])
+            answers.append(model.answer(loop, stamp_ns, positions[row], velocity, term))
+        return answers
+
+
+def _place(joint: str, joints: Sequence[str]) -> int:
+    if joint not in joints:
+        raise SettingError(
+            f"the states lack a joint of the model: {unknown_name('joint', joint, joints)}; "
+            f"model.locked_joints holds joints that are not driven"
+        )
+    return joints.index(joint)
+
+
+class State(Protocol):
+    """Positions [rad], velocities [rad/s] and efforts [N m] of a robot's joints."""
+
+    @property
+    def positions(self) -> Sequence[float]:
+        """In [rad]."""
+
+    @property
+    def velocities(self) -> Sequence[float]:
+        """In [rad/s]."""
+
+    @property
+    def efforts(self) -> Sequence[float]:
+        """In [N m]."""
+
+
+class _Solved(NamedTuple):
+    """The equations of motion at one state, ready for every joint."""
+
+    factor: Numbers  # cholesky factor of the mass matrix
+    bias: Numbers  # [N m]
+    efforts: Numbers  # [N m]
+
+
+class GravityShare:
+    """Effort that holds one joint against gravity."""
+
+    needs_efforts = False
+
+    def __init__(self, space: JointSpace, joint: str) -> None:
+        self.space = space
+        self._row = space.joints.index(joint)
+
+    def term(self, state: State) -> tuple[float, float]:
+        """Return gain 1 and the effort in [N m] at one state."""
+        return 1.0, float(self.space.gravity(state.positions)[self._row])
+
+
+class RobotDynamics:
+    """Solves the equations of motion once for each state, however many joints ask."""
+
+    def __init__(self, space: JointSpace) -> None:
+        self.space = space
+        self._state: State | None = None
+        self._solved: _Solved | None = None
+
+    def at(self, state: State) -> _Solved:
+        """Return the solved equations at a state."""
+        if state is self._state and self._solved is not None:
+            return self._solved
+        mass, bias = self.space.equations(state.positions, state.velocities)
+        factor, failed = lapack.dpotrf(mass, clean=False)
+        if failed:
+            raise ArithmeticError("the model's mass matrix is not positive definite")
+        self._solved = _Solved(factor, bias, np.array(state.efforts))
+        self._state = state
+        return self._solved
+
+
+class DecouplingShare:
+    """What decouples one joint from the others."""
+
+    needs_efforts = True
+
+    def __init__(self, dynamics: RobotDynamics, joint: str) -> None:
+        self.dynamics = dynamics
+        self.space = dynamics.space
+        self._row = self.space.joints.index(joint)
+        self._unit = np.zeros(len(self.space.joints))
+        self._unit[self._row] = 1.0
+
+    def term(self, state: State) -> tuple[float, float]:
+        """Return what one unit of acceleration costs, and what the dynamics do, at one state."""
+        factor, bias, efforts = self.dynamics.at(state)
+        row = self._row
+        column, _ = lapack.dpotrs(factor, self._unit)  # of B, which is symmetric
+        gain = 1.0 / float(column[row])
+        load = bias - efforts
+        load[row] = bias[row]
+        return gain, gain * float(column @ load)
+
+
+class LoopModel(NamedTuple):
+    """One joint's model, ready to run."""
+
+    compensator: Compensator  # gives the term of each state
+    text: str  # what it is, in one line for people
+
+
+def loop_model(settings: LoopSettings, robot: str) -> LoopModel | None:
+    """Build the model of one joint's loop."""
+    if not settings.model.is_on:
+        return None
+    dynamics, states = _of_the_robot(settings, robot)
+    return LoopModel(_of_the_joint(settings, dynamics, states), _text(settings, robot, dynamics))
+
+
+def compensators(loops: Sequence[LoopSettings], robot: str) -> list[Compensator | None]:
+    """Build the models of the loops of one process; what they have in common they share."""
+    shared: dict[tuple[object, ...], tuple[RobotDynamics, RobotStates]] = {}
+    found: list[Compensator | None] = []
+    for settings in loops:
+        if not settings.model.is_on:
+            found.append(None)
+            continue
+        timing = settings.timing
+        key = (settings.model, timing.control_period, timing.state_timeout, settings.velocity)
+        if key not in shared:
+            shared[key] = _of_the_robot(settings, robot)
+        found.append(_of_the_joint(settings, *shared[key]))
+    return found
+
+
+def coupling_of(settings: LoopSettings, robot: str) -> Coupling:
+    """Return the coupling of the joints of a loop's model, over the robot's poses."""
+    return _coupled(settings.model, _source(settings.model, robot))[1]
+
+
+def with_inertia(settings: LoopSettings, robot: str) -> LoopSettings:
+    """Return settings with the joint's inertia, where decoupling leaves it to the model.
+
+    It decides nothing about the law, which acts on a unit double integrator, but the soft stops
+    brake with it.
+    """
+    if not settings.model.is_decoupling or settings.inertia > 0.0:
+        return settings
+    joints, found = _coupled(settings.model, _source(settings.model, robot))
+    _require(settings.joint, joints)
+    return replace(settings, inertia=found.inertia[joints.index(settings.joint)])
+
+
+def robot_xml(source: str) -> str:
+    """Return the text of a URDF."""
+    if source.lstrip().startswith("<"):
+        return source
+    return RobotDescription.load(find_resource(source)).xml
+
+
+def _of_the_robot(settings: LoopSettings, robot: str) -> tuple[RobotDynamics, RobotStates]:
+    """Return the dynamics, and what completes the states for them."""
+    model = settings.model
+    space = _space(model, _source(model, robot))
+    time_constant = 0.0
+    if model.is_decoupling:
+        found = Settling.of(settings, coupling_of(settings, robot))
+        if not found.is_settling:
+            raise SettingError(found.text)
+        time_constant = found.time_constant
+    described = space.description.joints
+    endless = [name for name in space.joints if described[name].type == "continuous"]
+    states = RobotStates(settings, space.joints, model.is_decoupling, time_constant, endless)
+    return RobotDynamics(space), states
+
+
+def _of_the_joint(
+    settings: LoopSettings, dynamics: RobotDynamics, states: RobotStates
+) -> Compensator:
+    """Return one joint's share of the robot's dynamics."""
+    _require(settings.joint, states.joints)
+    if settings.model.is_decoupling:
+        return Compensator(DecouplingShare(dynamics, settings.joint), states)
+    return Compensator(GravityShare(dynamics.space, settings.joint), states)
+
+
+def _text(settings: LoopSettings, robot: str, dynamics: RobotDynamics) -> str:
+    """Say in one line what a model is."""
+    model = settings.model
+    base = (
+        f"rolling on {model.left_wheel} and {model.right_wheel}"
+        if model.left_wheel
+        else "its root held fixed (no model.left_wheel is named)"
+    )
+    count = len(dynamics.space.joints)
+    text = f"compensation {model.compensation}: model of {count} joints, {base}"
+    if not model.is_decoupling:
+        return text
+    return f"{text}; {Settling.of(settings, coupling_of(settings, robot)).text}"
+
+
+def _source(model: ModelSettings, robot: str) -> str:
+    """Return the XML text of the model's robot."""
+    source = model.description or robot
+    if not source:
+        raise SettingError(
+            f"compensation {model.compensation} needs the robot: robot_description is empty"
+        )
+    return robot_xml(source)
+
+
+def _space(model: ModelSettings, xml: str) -> JointSpace:
+    description = RobotDescription.load(xml)
+    drive = None
+    if model.left_wheel:
+        drive = DifferentialDrive.of(
+            description,
+            model.left_wheel,
+            model.right_wheel,
+            model.wheel_radius or None,
+            model.wheel_separation or None,
+        )
+    return JointSpace(
+        description,
+        drive,
+        payload_mass=model.payload,
+        payload_link=model.payload_link,
+        mass_scale=model.mass_scale,
+        locked=model.locked,
+    )
+
+
+@lru_cache(maxsize=64)
+def _coupled(model: ModelSettings, xml: str) -> tuple[tuple[str, ...], Coupling]:
+    """Return the joints of a model and their coupling."""
+    space = _space(model, xml)
+    return space.joints, coupling(space)
+
+
+def _require(joint: str, joints: Sequence[str]) -> None:
+    if joint not in joints:
+        raise RobotDescriptionError(
+            f"the model of joint {joint!r} lacks it; it has {', '.join(joints)}"
+        )

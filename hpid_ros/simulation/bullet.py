@@ -1,0 +1,226 @@
+"""A robot in PyBullet, as a world asks for it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from hpid_ros.base.units import Vector
+from hpid_ros.robot.description import RobotDescription
+from hpid_ros.simulation.bullet_scene import (
+    Scene,
+    box_pose,
+    build_scene,
+    bullet_urdf,
+    connected,
+    disconnect,
+    pybullet,
+)
+from hpid_ros.simulation.physics import Pose, Twist
+from hpid_ros.simulation.settings import WorldSettings
+
+_ROOT = -1  # Bullet's index of a robot's root link
+_UNYIELDING = 1e5  # [N], far beyond any grip: the constraint itself never gives way
+
+
+class BulletPhysics:
+    """:class:`~hpid_ros.simulation.physics.Physics` in a PyBullet of its own."""
+
+    def __init__(self, settings: WorldSettings, description: RobotDescription) -> None:
+        self._settings, self._description = settings, description
+        self._urdf = bullet_urdf(
+            description,
+            is_touched=not settings.fixed_base or bool(settings.workplace),
+            is_shown=settings.gui,
+        )
+        self._client = connected(settings.gui)
+        self._damping: Sequence[float] | None = None
+        self._brakes: Sequence[float] | None = None
+        try:
+            self._build()
+        except BaseException:
+            self.close()
+            raise
+
+    def _build(self) -> None:
+        self._held: int | None = None  # the constraint
+        self._scene: Scene = build_scene(
+            self._client, self._urdf, self._description, self._settings
+        )
+
+    def joint_states(self) -> Sequence[tuple[float, float]]:
+        """Return position and velocity of each driven joint."""
+        states: Sequence[tuple[float, float]] = pybullet.getJointStates(
+            self._scene.body, self._scene.driven, physicsClientId=self._client
+        )
+        return states
+
+    def advance(self, torques: Sequence[float], steps: int = 1) -> None:
+        """Take physics steps."""
+        for _ in range(steps):
+            # Bullet forgets applied torques after every step.
+            pybullet.setJointMotorControlArray(
+                self._scene.body,
+                self._scene.driven,
+                pybullet.TORQUE_CONTROL,
+                forces=torques,
+                physicsClientId=self._client,
+            )
+            pybullet.stepSimulation(physicsClientId=self._client)
+
+    def set_damping(self, damping: Sequence[float]) -> None:
+        """Set the viscous friction of each driven joint: Bullet's joint damping."""
+        self._damping = damping
+        for index, value in zip(self._scene.driven, damping, strict=True):
+            pybullet.changeDynamics(
+                self._scene.body, index, jointDamping=value, physicsClientId=self._client
+            )
+
+    def brake(self, forces: Sequence[float]) -> None:
+        """Set the Coulomb friction of each driven joint.
+
+        It is an implicit constraint with a largest torque, which sticks truly and cannot chatter
+        about zero speed.
+        """
+        self._brakes = forces
+        pybullet.setJointMotorControlArray(
+            self._scene.body,
+            self._scene.driven,
+            pybullet.VELOCITY_CONTROL,
+            targetVelocities=[0.0] * len(forces),
+            forces=forces,
+            physicsClientId=self._client,
+        )
+
+    def push(self, link: str, force: Vector, torque: Vector) -> None:
+        """Push a link in the next step."""
+        client, body, index = self._client, self._scene.body, self._scene.links[link]
+        origin = _link_pose(client, body, index).position
+        centre = _centre_of_mass(client, body, index)
+        x, y, z = (a - b for a, b in zip(origin, centre, strict=True))
+        fx, fy, fz = force
+        tx, ty, tz = torque
+        pybullet.applyExternalForce(
+            body, index, force, centre, pybullet.WORLD_FRAME, physicsClientId=client
+        )
+        pybullet.applyExternalTorque(
+            body,
+            index,
+            (tx + y * fz - z * fy, ty + z * fx - x * fz, tz + x * fy - y * fx),
+            pybullet.WORLD_FRAME,
+            physicsClientId=client,
+        )
+
+    def load(self, mass: float) -> None:
+        """Put a solid cube at the payload link's centre of mass."""
+        self._scene.load_payload(self._client, mass)
+
+    def link_pose(self, link: str) -> Pose:
+        """Return the pose of a link's frame."""
+        return _link_pose(self._client, self._scene.body, self._scene.links[link])
+
+    def root_pose(self) -> Pose:
+        """Return the pose of the root link's frame."""
+        return _link_pose(self._client, self._scene.body, _ROOT)
+
+    def root_twist(self) -> Twist:
+        """Return the velocity of the root link's frame, in that frame."""
+        return _root_twist(self._client, self._scene.body)
+
+    def brick_pose(self, index: int) -> Pose:
+        """Return the pose of a brick's centre."""
+        return box_pose(self._client, self._scene.bricks[index])
+
+    def hold(self, index: int) -> None:
+        """Fix a brick to the hand as it lies there."""
+        robot, body, client = self._scene.body, self._scene.bricks[index], self._client
+        link = self._scene.links[self._settings.workplace.gripper.link]
+        # Bullet wants the frame as the link's centre of mass sees it.
+        state = pybullet.getLinkState(robot, link, physicsClientId=client)
+        inverse = pybullet.invertTransform(state[0], state[1], physicsClientId=client)
+        brick = box_pose(client, body)
+        position, orientation = pybullet.multiplyTransforms(
+            *inverse, brick.position, brick.orientation, physicsClientId=client
+        )
+        self._held = pybullet.createConstraint(
+            robot,
+            link,
+            body,
+            -1,
+            pybullet.JOINT_FIXED,
+            (0.0, 0.0, 0.0),
+            position,
+            (0.0, 0.0, 0.0),
+            orientation,
+            physicsClientId=client,
+        )
+        pybullet.changeConstraint(self._held, maxForce=_UNYIELDING, physicsClientId=client)
+
+    def release(self) -> None:
+        """Let go of the brick that is held."""
+        if self._held is not None:
+            pybullet.removeConstraint(self._held, physicsClientId=self._client)
+        self._held = None
+
+    def grip_force(self) -> Vector:
+        """Return the force between hand and held brick in the last step."""
+        state = pybullet.getConstraintState(self._held, physicsClientId=self._client)
+        return state[0], state[1], state[2]
+
+    def keep(self) -> None:
+        """Take the present state as the one at time 0."""
+        self._at_start: int = pybullet.saveState(physicsClientId=self._client)
+
+    def restart(self) -> None:
+        """Go back to time 0."""
+        if self._scene.bricks:
+            # Of bricks that were moved Bullet keeps contacts that are not in the saved state.
+            pybullet.removeState(self._at_start, physicsClientId=self._client)
+            pybullet.resetSimulation(physicsClientId=self._client)
+            self._build()
+            if self._damping is not None and self._brakes is not None:
+                self.set_damping(self._damping)
+                self.brake(self._brakes)
+            self.keep()
+            return
+        if self._scene.payload is not None:
+            self.load(self._settings.payload_mass)
+        pybullet.restoreState(self._at_start, physicsClientId=self._client)
+
+    def close(self) -> None:
+        """Disconnect from PyBullet."""
+        client, self._client = self._client, -1
+        disconnect(client)
+
+
+def _link_pose(client: int, body: int, index: int) -> Pose:
+    """Return the pose of a link's URDF frame."""
+    if index != _ROOT:
+        state = pybullet.getLinkState(body, index, physicsClientId=client)
+        return Pose(state[4], state[5])
+    # Of the root Bullet gives the principal frame at the centre of mass.
+    centre = pybullet.getBasePositionAndOrientation(body, physicsClientId=client)
+    inertial = pybullet.getDynamicsInfo(body, _ROOT, physicsClientId=client)[3:5]
+    frame = pybullet.invertTransform(*inertial, physicsClientId=client)
+    return Pose(*pybullet.multiplyTransforms(*centre, *frame, physicsClientId=client))
+
+
+def _centre_of_mass(client: int, body: int, index: int) -> tuple[float, float, float]:
+    """Return a link's centre of mass in the world, in [m]."""
+    if index == _ROOT:
+        return pybullet.getBasePositionAndOrientation(body, physicsClientId=client)[0]
+    return pybullet.getLinkState(body, index, physicsClientId=client)[0]
+
+
+def _root_twist(client: int, body: int) -> Twist:
+    """Return the velocity of the root link's frame."""
+    origin, orientation = _link_pose(client, body, _ROOT)
+    centre = _centre_of_mass(client, body, _ROOT)
+    (vx, vy, vz), angular = pybullet.getBaseVelocity(body, physicsClientId=client)
+    wx, wy, wz = angular
+    x, y, z = (a - b for a, b in zip(origin, centre, strict=True))
+    linear = (vx + wy * z - wz * y, vy + wz * x - wx * z, vz + wx * y - wy * x)
+    _, inverse = pybullet.invertTransform((0.0, 0.0, 0.0), orientation, physicsClientId=client)
+    return Twist(
+        pybullet.rotateVector(inverse, linear, physicsClientId=client),
+        pybullet.rotateVector(inverse, angular, physicsClientId=client),
+    )

@@ -1,1 +1,0 @@
-"""A robot in PyBullet."""

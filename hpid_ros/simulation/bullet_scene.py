@@ -1,0 +1,505 @@
+"""The scene of one world in PyBullet: connection, ground, robot, boxes, starting pose.
+
+Bullet prints from C, past Python's ``sys.stdout``. A line of it in the middle of a program's
+machine-readable output would corrupt that output, so whatever talks to Bullet where it prints
+does so inside :func:`captured`.
+
+Behind a gear of ratio N a rotor of inertia Jr weighs Jr N^2 at the joint; in a small arm's wrist
+that is far more than the links. Bullet has no such term ("armature"), so every rotor is
+simulated: a link of inertia Jr on the joint's parent, turning about the joint's axis, held to
+N times the joint's speed by a gear constraint. This also yields what an armature leaves out, the
+gyroscopic torque of the rotors and the reaction of their acceleration on the parent, both of
+relative size 1/N. The links are added when a world loads its URDF; the URDF itself stays as the
+user wrote it.
+"""
+
+from __future__ import annotations
+
+import copy
+import ctypes
+import logging
+import math
+import os
+import sys
+import tempfile
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from xml.etree import ElementTree
+
+from hpid_ros.base.errors import RobotDescriptionError, SettingError
+from hpid_ros.robot.description import JointDescription, RobotDescription, find_mesh, mesh_places
+from hpid_ros.simulation.physics import PAYLOAD_EDGE, SETTLING_TIME, STAYING, Pose
+from hpid_ros.simulation.settings import Brick, Support, Workplace, WorldSettings
+
+__all__ = ["captured", "connected", "disconnect", "pybullet"]
+
+_logger = logging.getLogger(__name__)
+_STANDARD_STREAMS = (1, 2)
+
+
+@contextmanager
+def captured() -> Iterator[list[str]]:
+    """Divert what C code prints to stdout and stderr into a list of lines, and to the log.
+
+    The process's file descriptors are diverted, so the block is meant to be short: loading a
+    model, not stepping it.
+    """
+    lines: list[str] = []
+    with tempfile.TemporaryFile() as sink:
+        _flush()
+        saved = [os.dup(stream) for stream in _STANDARD_STREAMS]
+        try:
+            for stream in _STANDARD_STREAMS:
+                os.dup2(sink.fileno(), stream)
+            yield lines
+        finally:
+            _flush()
+            for stream, copy in zip(_STANDARD_STREAMS, saved, strict=True):
+                os.dup2(copy, stream)
+                os.close(copy)
+            sink.seek(0)
+            text = sink.read().decode("utf-8", "replace")
+            lines.extend(line for line in text.splitlines() if line.strip())
+    for line in lines:
+        _logger.debug("bullet: %s", line)
+
+
+def _flush() -> None:
+    """Empty the buffers of Python's and of C's streams."""
+    for stream in (sys.stdout, sys.stderr):
+        if stream is not None:
+            stream.flush()
+    ctypes.CDLL(None).fflush(None)
+
+
+with captured():
+    import pybullet  # prints its build time
+
+
+def connected(gui: bool) -> int:
+    """Return the client of a new, empty simulation."""
+    with captured():
+        client: int = pybullet.connect(pybullet.GUI if gui else pybullet.DIRECT)
+    return client
+
+
+def disconnect(client: int) -> None:
+    """Free the simulation of a client; one below 0 is none."""
+    if client >= 0:
+        with captured():
+            pybullet.disconnect(physicsClientId=client)
+
+
+def put_boxes(client: int, boxes: Iterable[Support]) -> tuple[int, ...]:
+    """Put boxes into a simulation."""
+    bodies = []
+    for box in boxes:
+        shape = pybullet.createCollisionShape(
+            pybullet.GEOM_BOX,
+            halfExtents=[edge / 2.0 for edge in box.size],
+            physicsClientId=client,
+        )
+        body = pybullet.createMultiBody(
+            box.mass if isinstance(box, Brick) else 0.0,
+            shape,
+            basePosition=box.position,
+            baseOrientation=box.orientation,
+            physicsClientId=client,
+        )
+        pybullet.changeDynamics(
+            body,
+            -1,
+            lateralFriction=box.friction,
+            linearDamping=0.0,
+            angularDamping=0.0,
+            physicsClientId=client,
+        )
+        bodies.append(body)
+    return tuple(bodies)
+
+
+def let_hand_pass(client: int, robot: int, link: int, bricks: Iterable[int]) -> None:
+    """Let a hand pass through bricks: it has no joint to put its fingers around them."""
+    for index in _hand_links(client, robot, link):
+        for brick in bricks:
+            pybullet.setCollisionFilterPair(
+                robot, brick, index, -1, enableCollision=0, physicsClientId=client
+            )
+
+
+def still(client: int, bodies: Iterable[int]) -> None:
+    """Take away the speed of bodies."""
+    nothing = (0.0, 0.0, 0.0)
+    for body in bodies:
+        pybullet.resetBaseVelocity(body, nothing, nothing, physicsClientId=client)
+
+
+def box_pose(client: int, body: int) -> Pose:
+    """Return where a box's centre is."""
+    return Pose(*pybullet.getBasePositionAndOrientation(body, physicsClientId=client))
+
+
+def _hand_links(client: int, robot: int, link: int) -> list[int]:
+    """Return the links that are rigidly connected with a link, itself included."""
+    infos = [
+        pybullet.getJointInfo(robot, index, physicsClientId=client)
+        for index in range(pybullet.getNumJoints(robot, physicsClientId=client))
+    ]
+    is_fixed = [info[2] == pybullet.JOINT_FIXED for info in infos]
+    root = link
+    while root >= 0 and is_fixed[root]:
+        root = infos[root][16]
+    hand = {root}
+    for index, info in enumerate(infos):  # a parent comes before its children
+        if is_fixed[index] and info[16] in hand:
+            hand.add(index)
+    return sorted(hand)
+
+
+ROTOR_SUFFIX = "__rotor"
+# The rotor's mass belongs to the housing and is part of the parent's; this one only has to be
+# positive for Bullet.
+ROTOR_MASS = 1e-6  # [kg]
+# Never reached: a limit would let the gear slip.
+GEAR_FORCE = 1e6  # [N m]
+
+
+def add_rotors(robot: ElementTree.Element, joints: Iterable[JointDescription]) -> None:
+    """Add a rotor link and its joint to a URDF for every joint that has rotor inertia.
+
+    The inertia is the same about every axis: then a turning rotor's inertia stays constant as
+    seen from its parent, as that of a real, axially symmetric rotor does. The rotor has no
+    collision shape.
+    """
+    elements = {element.get("name"): element for element in robot.findall("joint")}
+    for joint in geared(joints):
+        name, element = rotor_name(joint), elements[joint.name]
+        inertial = ElementTree.SubElement(
+            ElementTree.SubElement(robot, "link", name=name), "inertial"
+        )
+        ElementTree.SubElement(inertial, "mass", value=repr(ROTOR_MASS))
+        moments = dict.fromkeys(("ixx", "iyy", "izz"), repr(joint.rotor_inertia))
+        ElementTree.SubElement(inertial, "inertia", moments, ixy="0", ixz="0", iyz="0")
+        rotor = ElementTree.SubElement(robot, "joint", name=name, type="continuous")
+        ElementTree.SubElement(rotor, "parent", link=joint.parent)
+        ElementTree.SubElement(rotor, "child", link=name)
+        for tag in ("origin", "axis"):
+            found = element.find(tag)
+            if found is not None:
+                rotor.append(copy.deepcopy(found))
+
+
+def couple_rotors(
+    client: int, body: int, indices: Mapping[str, int], joints: Iterable[JointDescription]
+) -> None:
+    """Gear each rotor to its joint.
+
+    The constraint acts on velocities alone (erp 0): no position of a rotor is ever read, so its
+    drift against the joint's, some 1e-6 rad in half a second, means nothing.
+    """
+    for joint in geared(joints):
+        gear = pybullet.createConstraint(
+            body,
+            indices[joint.name],
+            body,
+            indices[rotor_name(joint)],
+            jointType=pybullet.JOINT_GEAR,
+            jointAxis=joint.axis,
+            parentFramePosition=(0.0, 0.0, 0.0),
+            childFramePosition=(0.0, 0.0, 0.0),
+            physicsClientId=client,
+        )
+        # Bullet's row reads: joint velocity + gearRatio * rotor velocity = 0.
+        pybullet.changeConstraint(
+            gear,
+            gearRatio=-1.0 / joint.gear_ratio,
+            maxForce=GEAR_FORCE,
+            erp=0.0,
+            physicsClientId=client,
+        )
+
+
+def geared(joints: Iterable[JointDescription]) -> tuple[JointDescription, ...]:
+    """Return the joints that have a rotor."""
+    return tuple(joint for joint in joints if joint.rotor_inertia > 0.0)
+
+
+def rotor_name(joint: JointDescription) -> str:
+    """Return the name of a joint's rotor, of its link as of its joint."""
+    return joint.name + ROTOR_SUFFIX
+
+
+NEGLIGIBLE_MASS = 1e-6  # [kg]
+NEGLIGIBLE_INERTIA = 1e-9  # [kg m^2]
+
+
+def bullet_urdf(
+    description: RobotDescription, *, is_touched: bool = True, is_shown: bool = False
+) -> str:
+    """Return the URDF text that Bullet gets.
+
+    Rotors are added; links without an inertial element become weightless frames (Bullet would
+    make 1 kg and 1 kg m^2 of each); mesh paths become absolute, since the text is loaded from
+    a temporary file; and what nobody will see is left out, which loads many times faster.
+    """
+    robot = ElementTree.fromstring(description.xml)
+    missing: list[str] = []
+    for link in robot.findall("link"):
+        if link.find("inertial") is None:
+            _add_negligible_inertia(link)
+        missing += _place_meshes(link, "collision", description.folder)
+        if is_shown:
+            _place_meshes(link, "visual", description.folder)
+        else:
+            for shape in link.findall("visual"):
+                link.remove(shape)
+    if missing:
+        what = f"{len(missing)} collision mesh(es) missing: {missing[0]}"
+        if is_touched:
+            raise RobotDescriptionError(f"{what}; only on a fixed base the robot can do without")
+        _logger.warning("%s; nothing touches the robot, it goes without", what)
+    add_rotors(robot, description.joints.values())
+    return ElementTree.tostring(robot, encoding="unicode")
+
+
+def _place_meshes(link: ElementTree.Element, tag: str, folder: Path | None) -> list[str]:
+    """Make the paths of a link's meshes absolute; leave out shapes whose mesh is missing."""
+    missing = []
+    for shape in link.findall(tag):
+        mesh = shape.find("geometry/mesh")
+        if mesh is None:
+            continue
+        name = mesh.get("filename", "")
+        found = find_mesh(name, folder)
+        if found is None:
+            link.remove(shape)
+            missing.append(f"{name} of link {link.get('name')!r} ({mesh_places(name, folder)})")
+        else:
+            mesh.set("filename", str(found))
+    return missing
+
+
+def _add_negligible_inertia(link: ElementTree.Element) -> None:
+    inertial = ElementTree.SubElement(link, "inertial")
+    ElementTree.SubElement(inertial, "mass", value=repr(NEGLIGIBLE_MASS))
+    moments = dict.fromkeys(("ixx", "iyy", "izz"), repr(NEGLIGIBLE_INERTIA))
+    ElementTree.SubElement(inertial, "inertia", moments, ixy="0", ixz="0", iyz="0")
+
+
+def place_joints(
+    client: int, body: int, joints: Mapping[str, int], start: Mapping[str, float]
+) -> None:
+    """Put every joint at its starting position, at rest, and its rotor at rest."""
+    for name, position in start.items():
+        pybullet.resetJointState(body, joints[name], position, 0.0, physicsClientId=client)
+        rotor = joints.get(name + ROTOR_SUFFIX)
+        if rotor is not None:
+            pybullet.resetJointState(body, rotor, 0.0, 0.0, physicsClientId=client)
+
+
+def release_joints(
+    client: int, body: int, joints: Mapping[str, int], description: RobotDescription
+) -> None:
+    """Free every joint of Bullet's default motor and leave it with its own friction.
+
+    Coulomb friction is a motor whose target speed is 0 and whose force is the friction's: an
+    implicit constraint of the solver, so a joint sticks truly and cannot chatter about zero.
+    """
+    moving = description.joints.values()
+    friction = {joint.name: joint.friction for joint in moving}
+    friction.update({rotor_name(joint): 0.0 for joint in geared(moving)})
+    indices = [joints[name] for name in friction]
+    brake_joints(client, body, indices, list(friction.values()))
+    for joint in moving:
+        pybullet.changeDynamics(
+            body, joints[joint.name], jointDamping=joint.damping, physicsClientId=client
+        )
+
+
+def brake_joints(client: int, body: int, indices: Sequence[int], forces: Sequence[float]) -> None:
+    """Hold joints where they are, each with at most its force, in [N m]."""
+    pybullet.setJointMotorControlArray(
+        body,
+        indices,
+        pybullet.VELOCITY_CONTROL,
+        targetVelocities=[0.0] * len(indices),
+        forces=forces,
+        physicsClientId=client,
+    )
+
+
+GROUND_FRICTION = 1.0  # Bullet multiplies the two surfaces' coefficients: the robot's decides
+LOCK_FORCE = 1e6  # [N m]
+NEARBY = 1e3  # [m], how far the robot may be from the ground before it is put down
+
+
+def put_on_ground(client: int, body: int) -> None:
+    """Make the ground, and set the robot down so that its lowest point touches it."""
+    plane = pybullet.createCollisionShape(pybullet.GEOM_PLANE, physicsClientId=client)
+    ground = pybullet.createMultiBody(0.0, plane, physicsClientId=client)
+    pybullet.changeDynamics(ground, -1, lateralFriction=GROUND_FRICTION, physicsClientId=client)
+    near = pybullet.getClosestPoints(body, ground, NEARBY, physicsClientId=client)
+    if not near:
+        return  # a robot without collision shapes falls, wherever it starts
+    gap = min(point[8] for point in near)
+    position, orientation = pybullet.getBasePositionAndOrientation(body, physicsClientId=client)
+    lowered = (position[0], position[1], position[2] - gap)
+    pybullet.resetBasePositionAndOrientation(body, lowered, orientation, physicsClientId=client)
+
+
+def settle(client: int, body: int, joints: Collection[int], physics_period: float) -> None:
+    """Let the robot sink into its tyres with every joint locked, then take away all speed."""
+    brake_joints(client, body, list(joints), [LOCK_FORCE] * len(joints))
+    for _ in range(max(1, round(SETTLING_TIME / physics_period))):
+        pybullet.stepSimulation(physicsClientId=client)
+    rest = (0.0, 0.0, 0.0)
+    pybullet.resetBaseVelocity(body, rest, rest, physicsClientId=client)
+
+
+def settle_bricks(client: int, bricks: tuple[int, ...], workplace: Workplace) -> None:
+    """Take away what speed the bricks have left, and refuse those that fell or were pushed."""
+    still(client, bricks)
+    for body, brick in zip(bricks, workplace.bricks, strict=True):
+        moved = math.dist(box_pose(client, body).position, brick.position)
+        if moved > STAYING:
+            raise SettingError(
+                f"brick {brick.name!r} does not stay at {list(brick.position)} m: it moves by "
+                f"{moved:.3g} m in {SETTLING_TIME:g} s; put it on a support, and into nothing"
+            )
+
+
+# Sequential impulses stop at this squared change of velocity or after this many sweeps. Measured
+# on the package's robot, a joint and its rotor then agree to 6e-6 rad/s; Bullet's own 1e-7 and 50
+# leave 3e-4. A stiffly held joint creeps by 1e-5 rad/s at most, and 1e-12 costs a tenth more.
+SOLVER_RESIDUAL = 1e-10
+SOLVER_ITERATIONS = 100
+NO_SPEED_LIMIT = 1e6  # [rad/s], Bullet's own is 100: rotors turn faster
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A loaded robot, in Bullet's numbers."""
+
+    body: int  # the robot
+    driven: tuple[int, ...]  # bullet's indices of the driven joints, in the settings' order
+    links: Mapping[str, int]  # bullet's index of every link; -1 is the root
+    payload: int | None  # index of the payload link; None where the robot has none
+    # [kg] mass and moments in [kg m^2] of the bare payload link
+    payload_own: tuple[float, tuple[float, float, float]]
+    bricks: tuple[int, ...] = ()  # the bricks, in the settings' order
+
+    def load_payload(self, client: int, mass: float) -> None:
+        """Put a solid cube at the payload link's centre of mass."""
+        own_mass, own_moments = self.payload_own
+        moment = mass * PAYLOAD_EDGE**2 / 6.0
+        pybullet.changeDynamics(
+            self.body,
+            self.payload,
+            mass=own_mass + mass,
+            localInertiaDiagonal=[own + moment for own in own_moments],
+            physicsClientId=client,
+        )
+
+
+def build_scene(
+    client: int, urdf: str, description: RobotDescription, settings: WorldSettings
+) -> Scene:
+    """Build everything anew in an empty simulation."""
+    pybullet.setGravity(0.0, 0.0, -settings.gravity, physicsClientId=client)
+    pybullet.setTimeStep(settings.physics_period, physicsClientId=client)
+    pybullet.setPhysicsEngineParameter(
+        numSolverIterations=SOLVER_ITERATIONS,
+        solverResidualThreshold=SOLVER_RESIDUAL,
+        deterministicOverlappingPairs=1,
+        enableFileCaching=0,
+        physicsClientId=client,
+    )
+    body = _load(client, urdf, settings.fixed_base)
+    joints, links = _indices(client, body)
+    scene = _scene(client, body, joints, links, settings)
+    _prepare_links(client, scene)
+    if settings.payload_mass:
+        scene.load_payload(client, settings.payload_mass)
+    couple_rotors(client, body, joints, description.joints.values())
+    start = settings.start(description)
+    place_joints(client, body, joints, start)
+    if not settings.fixed_base:
+        put_on_ground(client, body)
+    workplace = settings.workplace
+    scene = replace(scene, bricks=put_boxes(client, workplace.bricks))
+    put_boxes(client, workplace.supports)
+    if scene.bricks:
+        let_hand_pass(client, body, links[workplace.gripper.link], scene.bricks)
+    if not settings.fixed_base or workplace:
+        settle(client, body, joints.values(), settings.physics_period)
+        settle_bricks(client, scene.bricks, workplace)
+        place_joints(client, body, joints, start)
+    release_joints(client, body, joints, description)
+    return scene
+
+
+def _load(client: int, urdf: str, fixed_base: bool) -> int:
+    """Load URDF text through a file that is gone again afterwards."""
+    handle, path = tempfile.mkstemp(prefix="hpid_ros_", suffix=".urdf")
+    try:
+        with os.fdopen(handle, "w", encoding="utf-8") as file:
+            file.write(urdf)
+        with captured() as lines:
+            try:
+                return pybullet.loadURDF(
+                    path,
+                    useFixedBase=fixed_base,
+                    # Without this flag Bullet computes inertias of its own from the shapes.
+                    flags=pybullet.URDF_USE_INERTIA_FROM_FILE,
+                    physicsClientId=client,
+                )
+            except pybullet.error as error:
+                failure = error
+        said = "; ".join(lines[-2:]) or str(failure)
+        raise RobotDescriptionError(f"PyBullet cannot load the robot description: {said}")
+    finally:
+        Path(path).unlink(missing_ok=True)
+
+
+def _indices(client: int, body: int) -> tuple[dict[str, int], dict[str, int]]:
+    """Return Bullet's indices of joints and of links, by name."""
+    root = pybullet.getBodyInfo(body, physicsClientId=client)[0].decode()
+    joints: dict[str, int] = {}
+    links = {root: -1}
+    for index in range(pybullet.getNumJoints(body, physicsClientId=client)):
+        info = pybullet.getJointInfo(body, index, physicsClientId=client)
+        joints[info[1].decode()] = index
+        links[info[12].decode()] = index
+    return joints, links
+
+
+def _scene(
+    client: int,
+    body: int,
+    joints: Mapping[str, int],
+    links: Mapping[str, int],
+    settings: WorldSettings,
+) -> Scene:
+    """Note what the world needs to know of a robot just loaded."""
+    payload = links.get(settings.payload_link)
+    own = (0.0, (0.0, 0.0, 0.0))
+    if payload is not None:
+        info = pybullet.getDynamicsInfo(body, payload, physicsClientId=client)
+        own = (info[0], info[2])
+    driven = tuple(joints[name] for name in settings.joints)
+    return Scene(body, driven, links, payload, own)
+
+
+def _prepare_links(client: int, scene: Scene) -> None:
+    """Take away the damping and the speed limit that Bullet gives every link."""
+    for index in scene.links.values():
+        pybullet.changeDynamics(
+            scene.body,
+            index,
+            linearDamping=0.0,
+            angularDamping=0.0,
+            maxJointVelocity=NO_SPEED_LIMIT,
+            physicsClientId=client,
+        )

@@ -1,1 +1,0 @@
-"""The physics of the simulated robot."""

@@ -1,1 +1,0 @@
-"""Many runs: sweeps, searches and studies, on every core and without ROS."""

@@ -1,0 +1,367 @@
+"""Tables and figures of an excitation and of what was identified."""
+
+from __future__ import annotations
+
+import io
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import MaxNLocator
+from rich.text import Text
+
+from hpid_ros.base.text import figure_text, shown
+from hpid_ros.base.units import Numbers
+from hpid_ros.motion.excitation import ExcitationPlan, PlannedJoint
+from hpid_ros.report.panels import TICK_STEPS, add_legend, laid_out, plain_ticks
+from hpid_ros.report.style import DOTS_PER_INCH, INK, REFERENCE, RUN_STYLES, WIDTH_IN, figure_style
+from hpid_ros.report.table import TableColumn, WideTable
+from hpid_ros.tuning.experiment_text import MovedInertia, unit
+from hpid_ros.tuning.identification_results import (
+    COULOMB,
+    DELAY,
+    EFFORT_SCALE,
+    GRAVITY_COS,
+    GRAVITY_SIN,
+    INERTIA,
+    OFFSET,
+    PARAMETERS,
+    STRIBECK,
+    VISCOUS,
+    Estimate,
+    Fit,
+    JointIdentification,
+)
+
+_PLAN_ROW_HEIGHT_IN = 1.5
+_REFERENCE, _LIMIT = RUN_STYLES[0].color, RUN_STYLES[1].color
+_NEAR = 3.0  # a limit further away than so many times the motion is not drawn
+
+
+@figure_style()
+def excitation_figure(plan: ExcitationPlan) -> Figure:
+    """Return a row for each joint: its position and its velocity, with limits that are near."""
+    count = len(plan.joints)
+    figure = Figure(figsize=(WIDTH_IN, _PLAN_ROW_HEIGHT_IN * count + 1.0), dpi=DOTS_PER_INCH)
+    grid = figure.subplots(count, 2, squeeze=False, sharex=True)
+    for number, ((left, right), planned) in enumerate(zip(grid, plan.joints, strict=True)):
+        bounds, at = planned.bounds, plan.positions[:, number]
+        left.set_title(figure_text(bounds.joint))
+        _draw_planned(left, plan.times, at + bounds.position, (bounds.lower, bounds.upper))
+        _draw_planned(right, plan.times, plan.velocities[:, number], _velocities(planned))
+        left.set_ylabel(f"position [{bounds.unit}]")
+        right.set_ylabel(f"velocity [{bounds.unit}/s]")
+    for panel in grid[-1]:
+        panel.set_xlabel("time [s]")
+    add_legend(figure, _plan_handles())
+    return laid_out(figure)
+
+
+def _velocities(planned: PlannedJoint) -> tuple[float, float]:
+    return -planned.velocity_stop, planned.velocity_stop
+
+
+def _draw_planned(
+    panel: Axes, times: Numbers, values: Numbers, limits: tuple[float, float]
+) -> None:
+    panel.plot(times, values, color=_REFERENCE, linewidth=0.9)
+    span = float(np.ptp(values)) or 1.0
+    middle = 0.5 * float(np.max(values) + np.min(values))
+    for limit in limits:
+        if math.isfinite(limit) and abs(limit - middle) < _NEAR * span:
+            panel.axhline(limit, color=_LIMIT, linewidth=1.0, dashes=(7.0, 1.8))
+    panel.spines["bottom"].set_color(INK)
+    plain_ticks(panel.yaxis, MaxNLocator(4, steps=TICK_STEPS))
+
+
+def _plan_handles() -> list[Line2D]:
+    return [
+        Line2D([], [], color=_REFERENCE, linewidth=1.3, label="reference"),
+        Line2D([], [], color=_LIMIT, linewidth=1.3, dashes=(7.0, 1.8), label="stopped beyond"),
+    ]
+
+
+_ROW_HEIGHT_IN = 2.0
+_BARE_HEIGHT_IN = 0.5
+_SHARES = (2.3, 1.0)
+_MEASURED, _PREDICTED, _RESIDUAL = REFERENCE, RUN_STYLES[0].color, RUN_STYLES[1].color
+_LINE_LENGTH = 52  # characters of a reason
+
+
+@figure_style()
+def identification_figure(
+    found: Sequence[JointIdentification], slides: Sequence[str] = ()
+) -> Figure:
+    """Return a row for each joint: its efforts, and beside them what its motion cannot tell."""
+    heights = [_ROW_HEIGHT_IN if each.fit is not None else _BARE_HEIGHT_IN for each in found]
+    figure = Figure(figsize=(WIDTH_IN, sum(heights) + 0.6), dpi=DOTS_PER_INCH)
+    grid = figure.subplots(
+        len(found), 2, squeeze=False, width_ratios=_SHARES, height_ratios=heights
+    )
+    for (left, right), each in zip(grid, found, strict=True):
+        left.set_title(figure_text(each.joint))
+        unit = "N" if each.joint in slides else "N m"
+        if each.fit is None:
+            left.set_axis_off()
+        else:
+            _draw(left, each.fit, unit)
+        _tell(right, each)
+    drawn = [axes for axes, each in zip(grid[:, 0], found, strict=True) if each.fit is not None]
+    if drawn:
+        drawn[-1].set_xlabel("time [s]")
+    add_legend(figure, _handles())
+    return laid_out(figure)
+
+
+def _draw(panel: Axes, fit: Fit, unit: str) -> None:
+    time = _packed(fit.time)
+    panel.plot(time, fit.measured, color=_MEASURED, linewidth=3.0)
+    predicted = np.where(fit.is_used, fit.predicted, np.nan)
+    panel.plot(time, fit.predicted, color=_PREDICTED, linewidth=0.5, alpha=0.5)
+    panel.plot(time, predicted, color=_PREDICTED, linewidth=1.3)
+    residual = np.where(fit.is_used, fit.measured - fit.predicted, np.nan)
+    panel.plot(time, residual, color=_RESIDUAL, linewidth=0.9)
+    panel.axhline(0.0, color=INK, linewidth=0.5)
+    panel.set_ylabel(f"effort [{unit}]")
+    plain_ticks(panel.yaxis, MaxNLocator(4, steps=TICK_STEPS))
+    plain_ticks(panel.xaxis, MaxNLocator(8, steps=TICK_STEPS))
+
+
+def _packed(time: Numbers) -> Numbers:
+    """Return times in which what lies between two spans is no longer than a tenth of all."""
+    known = time[np.isfinite(time)]
+    if not len(known):
+        return np.asarray(time)
+    steps = np.diff(known)
+    usual = float(np.median(steps))
+    length = float(np.sum(steps[steps < 4.0 * usual]))
+    cut = np.concatenate([[0.0], np.cumsum(np.maximum(steps - max(0.1 * length, usual), 0.0))])
+    packed = np.array(time)
+    packed[np.isfinite(time)] = known - cut
+    return packed
+
+
+def _tell(panel: Axes, each: JointIdentification) -> None:
+    panel.set_axis_off()
+    lines = [line for remark in each.remarks for line in _wrapped(remark)]
+    lines += [
+        line
+        for what, reason in each.untold.items()
+        for line in _wrapped(reason if what == each.joint else f"{what}: {reason}")
+    ]
+    text = "\n".join(lines) if lines else "everything that was asked is told"
+    panel.text(
+        0.0, 1.0, figure_text_lines(text), va="top", fontsize=7.5, transform=panel.transAxes
+    )
+
+
+def figure_text_lines(text: str) -> str:
+    """Return several lines, each as :func:`.figure_text`."""
+    return "\n".join(figure_text(line) for line in text.split("\n"))
+
+
+def _wrapped(text: str) -> list[str]:
+    import textwrap
+
+    return textwrap.wrap(text, _LINE_LENGTH, subsequent_indent="  ")
+
+
+def _handles() -> list[Line2D]:
+    return [
+        Line2D([], [], color=_MEASURED, linewidth=3.0, label="measured"),
+        Line2D([], [], color=_PREDICTED, linewidth=1.3, label="predicted"),
+        Line2D([], [], color=_PREDICTED, linewidth=0.5, alpha=0.5, label="left out"),
+        Line2D([], [], color=_RESIDUAL, linewidth=0.9, label="residual"),
+    ]
+
+
+def saved(figure: Figure, form: str) -> bytes:
+    """Return a figure as the content of a file."""
+    content = io.BytesIO()
+    metadata = {"pdf": {"CreationDate": None}, "svg": {"Date": None}}.get(form)
+    figure.savefig(content, format=form, metadata=metadata)
+    return content.getvalue()
+
+
+_MILLISECONDS = 1e3
+_NONE = "–"
+_OF_SLIDES = "kg, N s/m and N, where joints that turn have kg m², N m s/rad and N m"
+
+
+def report(
+    found: Sequence[JointIdentification],
+    sources: Mapping[str, str],
+    slides: Sequence[str],
+    moved: Mapping[str, MovedInertia],
+    missing: Sequence[str] = (),
+) -> Iterator[WideTable | Text | str]:
+    """Yield what to print."""
+    has_robot = bool(moved) or any(EFFORT_SCALE in each.estimates for each in found)
+    yield _table(found, moved, has_robot)
+    yield Text(_caption(has_robot), style="dim")
+    if slides:
+        yield f"{', '.join(map(shown, slides))}: {_OF_SLIDES}"
+    used = {each.joint: sources.get(each.joint, "") for each in found}
+    for source in dict.fromkeys(used.values()):
+        names = [name for name, of in used.items() if of == source]
+        whose = "" if len(names) == len(used) else f" of {', '.join(map(shown, names))}"
+        yield f"efforts{whose}: {shown(source)}"
+    for line in missing:
+        yield Text(f"! {shown(line)}", style="yellow")
+    for each in found:
+        yield ""
+        yield from _of_joint(each, each.joint in slides)
+
+
+def _caption(has_robot: bool) -> str:
+    inertia = (
+        "rotor: reflected inertia that the links do not have; moves: 1 / (M⁻¹)ⱼⱼ over the motion, "
+        "links and rotor"
+        if has_robot
+        else "inertia: with the other joints at rest"
+    )
+    return (
+        f"SI units, delay in ms; ±: half of the 95 % interval; in brackets: not told. {inertia}. "
+        "fit: share of the effort's variance."
+    )
+
+
+def _table(
+    found: Sequence[JointIdentification], moved: Mapping[str, MovedInertia], has_robot: bool
+) -> WideTable:
+    inertia = "rotor" if has_robot else "inertia"
+    columns = [TableColumn(inertia, [_cell(each, INERTIA) for each in found])]
+    if has_robot:
+        columns.append(TableColumn("moves", [_range(moved.get(each.joint)) for each in found]))
+    columns += [
+        TableColumn("viscous", [_cell(each, VISCOUS) for each in found]),
+        TableColumn("Coulomb", [_cell(each, COULOMB) for each in found]),
+        TableColumn("load", [_cell(each, OFFSET) for each in found]),
+        TableColumn("delay", [_cell(each, DELAY, _MILLISECONDS) for each in found]),
+        TableColumn("fit", [_percent(each) for each in found]),
+    ]
+    names = TableColumn("joint", [shown(each.joint) for each in found], is_text=True)
+    return WideTable([names], columns)
+
+
+def _percent(each: JointIdentification) -> str:
+    return f"{math.floor(each.explained * 1000.0) / 10.0:.1f} %" if each.rows else _NONE
+
+
+def _range(moved: MovedInertia | None) -> str:
+    return _NONE if moved is None else f"{moved.least:.3g} … {moved.largest:.3g}"
+
+
+def _cell(each: JointIdentification, name: str, factor: float = 1.0) -> str:
+    estimate = each.estimates.get(name)
+    if estimate is None:
+        return _NONE
+    return _plain(estimate, factor)
+
+
+def with_interval(value: float, half_width: float) -> str:
+    """Return a number and half of its interval, with as many decimals as that has to say."""
+    if not math.isfinite(half_width) or half_width <= 0.0:
+        return f"{value:.3g} ±{half_width:.2g}"
+    decimals = 1 - math.floor(math.log10(half_width))
+    if not -3 <= decimals <= 6:
+        return f"{value:.3g} ±{half_width:.1e}"
+    decimals = max(decimals, 0)
+    return f"{value:.{decimals}f} ±{half_width:.{decimals}f}"
+
+
+def _of_joint(each: JointIdentification, is_slide: bool) -> Iterator[str]:
+    name = shown(each.joint)
+    if each.rows:
+        yield (
+            f"{name}: {each.time:.1f} s used, {_angle(each.travel, is_slide)} travelled, up to "
+            f"{each.speed:.2g} {_length(is_slide)}/s and {each.acceleration:.2g} "
+            f"{_length(is_slide)}/s²; low pass {each.cutoff:g} Hz; {each.why}"
+        )
+    else:
+        yield f"{name}:"
+    yield from (f"  {shown(line)}" for line in each.remarks)
+    yield from (f"  {line}" for line in _further(each, is_slide))
+    for reason in dict.fromkeys(each.untold.values()):
+        names = [name for name, why in each.untold.items() if why == reason]
+        if names == [each.joint]:
+            yield f"  nothing found: {reason}"
+        else:
+            yield f"  {', '.join(map(_words, names))} not told: {reason}"
+
+
+def _further(each: JointIdentification, is_slide: bool) -> Iterator[str]:
+    estimates, length = each.estimates, _length(is_slide)
+    sine, cosine = estimates.get(GRAVITY_SIN), estimates.get(GRAVITY_COS)
+    if sine is not None and cosine is not None:
+        yield (
+            f"gravity: ({_plain(sine)}) sin q + ({_plain(cosine)}) cos q "
+            f"[{unit(GRAVITY_SIN, is_slide)}]"
+        )
+    if STRIBECK in estimates:
+        yield (
+            f"Stribeck: {_plain(estimates[STRIBECK])} {unit(STRIBECK, is_slide)} more when "
+            f"creeping, gone by 1/e at {each.stribeck_speed:.2g} {length}/s"
+        )
+    if EFFORT_SCALE in estimates:
+        yield f"effort: {_plain(estimates[EFFORT_SCALE])} {unit(COULOMB, is_slide)} a unit"
+    if each.rows:
+        yield (
+            f"residual {each.residual:.3g} {unit(COULOMB, is_slide)} rms; condition number of the "
+            f"scaled columns {each.condition:.3g}"
+        )
+
+
+def _plain(estimate: Estimate, factor: float = 1.0) -> str:
+    text = with_interval(factor * estimate.value, factor * estimate.half_width)
+    return text if estimate.is_told else f"({text})"
+
+
+def _words(name: str) -> str:
+    return {GRAVITY_SIN: "gravity", OFFSET: "load", EFFORT_SCALE: "effort scale"}.get(name, name)
+
+
+def _length(is_slide: bool) -> str:
+    return "m" if is_slide else "rad"
+
+
+def _angle(value: float, is_slide: bool) -> str:
+    return f"{value:.2g} {_length(is_slide)}"
+
+
+def as_mapping(
+    found: Sequence[JointIdentification],
+    sources: Mapping[str, str],
+    slides: Sequence[str],
+    moved: Mapping[str, MovedInertia],
+) -> dict[str, Any]:
+    """Return everything as JSON has it, by joint."""
+    facts = (
+        *("method", "why", "cutoff", "rows", "time", "stribeck_speed", "residual", "explained"),
+        *("condition", "travel", "speed", "acceleration"),
+    )
+    document = {}
+    for each in found:
+        is_slide = each.joint in slides
+        document[each.joint] = {
+            "estimates": {
+                name: {
+                    **asdict(estimate),
+                    "low": estimate.low,
+                    "high": estimate.high,
+                    "unit": PARAMETERS[name][int(is_slide)],
+                }
+                for name, estimate in each.estimates.items()
+            },
+            "moved_inertia": moved[each.joint]._asdict() if each.joint in moved else None,
+            "not_told": dict(each.untold),
+            "remarks": list(each.remarks),
+            "effort": sources.get(each.joint, ""),
+            **{name: getattr(each, name) for name in facts},
+        }
+    return document

@@ -1,0 +1,339 @@
+"""From a joint's equation to numbers: which terms the data carry, and what they cannot tell."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from hpid_ros.base.units import Numbers
+from hpid_ros.tuning.identification_results import (
+    COULOMB,
+    DELAY,
+    EFFORT_SCALE,
+    GRAVITY_COS,
+    GRAVITY_SIN,
+    INERTIA,
+    OFFSET,
+    PARAMETERS,
+    SPIN,
+    STRIBECK,
+    VISCOUS,
+    Estimate,
+    Fit,
+    JointIdentification,
+)
+from hpid_ros.tuning.measurements import JointRecord
+from hpid_ros.tuning.regression import Equation, Model, Regression
+
+_CHANCE = 0.01  # of seeing a term that is not there
+_ONE_WAY = 0.05  # of the rows: fewer are no motion in the other direction
+_STRIBECK_SPEEDS = (0.05, 0.1, 0.2, 0.35)  # of the largest speed
+_CREEPING = 0.1  # of the rows
+_LEAST_EXPLAINED = 0.5
+_FELT = 0.01  # of the effort's standard deviation
+_SHARED = 100.0
+_MOST_SPIN = 2.0  # of what the gears' ratios say; more is something else
+_USEFUL_SCALE = 0.2
+_OTHER_UNIT = 0.05
+_REVERSED = (
+    "the effort's scale is negative, what was recorded pushes against the motion that it causes: "
+    "motor, encoder or recording has the other sign; under a controller the joint would run away"
+)
+_NO_UNIT = (
+    "it is not 1: the masses are others, a load is carried, or the efforts are in another unit "
+    "(effort unit any)"
+)
+_ON_DOUBTED_SCALE = (
+    "it stands on the efforts' scale, which is doubted; effort unit any takes the scale as found"
+)
+_INSTRUMENTS = {True: "answer to the reference", False: "samples between"}
+_ALIKE = {
+    INERTIA: "inertia",
+    VISCOUS: "viscous friction",
+    COULOMB: "Coulomb friction",
+    STRIBECK: "Stribeck friction",
+    GRAVITY_SIN: "gravity",
+    GRAVITY_COS: "gravity",
+    OFFSET: "a constant load",
+    EFFORT_SCALE: "the effort's scale",
+    DELAY: "the delay",
+    SPIN: "the rotors' spin",
+}
+_HELP = {
+    INERTIA: "reverse faster: a sine of 1 to 3 Hz, or a multisine",
+    VISCOUS: "move at several speeds up to the joint's limit, also for long",
+    COULOMB: "move both ways, well above creeping, with a few reversals a second",
+    STRIBECK: "creep, both ways",
+    GRAVITY_SIN: "move through a larger angle, more than a radian",
+    GRAVITY_COS: "move through a larger angle, more than a radian",
+    OFFSET: "move both ways",
+    EFFORT_SCALE: "move links with mass, through poses with different gravity",
+    DELAY: "reverse faster: a sine of 1 to 3 Hz, or a multisine",
+}
+_UNFELT = f"the links are hardly felt: {_HELP[EFFORT_SCALE]}"
+
+
+class _Choice(NamedTuple):
+    model: Model
+    fit: Regression
+    delay: float
+
+
+def nothing(record: JointRecord, reason: str) -> JointIdentification:
+    """Return that nothing could be found."""
+    travel = float(np.ptp(record.position)) if len(record.position) else 0.0
+    return JointIdentification(record.joint, untold={record.joint: reason}, travel=travel)
+
+
+def findings(
+    record: JointRecord, equation: Equation, times: Numbers, has_scale: bool
+) -> JointIdentification:
+    """Return what an equation says of its joint."""
+    choice = _chosen(equation, has_scale)
+    used = equation.weight > 0.0
+    position, velocity, acceleration = equation.terms.halves.mean(axis=0)
+    effort = equation.effort(choice.delay)
+    level = max(float(np.var(effort[used])), 1e-300)
+    explained = 1.0 - choice.fit.rms**2 / level
+    facts = JointIdentification(
+        record.joint,
+        method="instrumental variables",
+        why=_why(equation, choice),
+        remarks=_remarks(equation, choice),
+        cutoff=equation.cutoff,
+        rows=equation.used_rows,
+        time=equation.used_rows * _spacing(times),
+        stribeck_speed=choice.model.stribeck_speed,
+        residual=choice.fit.rms,
+        explained=max(explained, 0.0),
+        condition=choice.fit.condition,
+        travel=float(np.ptp(position[used])),
+        speed=float(np.abs(velocity[used]).max()),
+        acceleration=float(np.abs(acceleration[used]).max()),
+        fit=_drawn(equation, choice, times, effort),
+    )
+    if explained < _LEAST_EXPLAINED:
+        reason = (
+            f"its motion explains only {max(explained, 0.0):.0%} of its efforts: other joints "
+            "move it, it touches something, or these are not its efforts"
+        )
+        return _with(facts, {}, {record.joint: reason})
+    estimates = _estimates(equation, choice)
+    if _is_reversed(estimates.get(EFFORT_SCALE)):
+        facts = replace(facts, remarks=(*facts.remarks, _REVERSED))
+    untold = {name: each.reason for name, each in estimates.items() if each.reason}
+    if not choice.model.has_coulomb:
+        untold[COULOMB] = (
+            "it moved in one direction only, in which friction is a constant load: "
+            f"{_HELP[COULOMB]}"
+        )
+    if equation.terms.rigid is None and not choice.model.has_gravity:
+        untold[GRAVITY_SIN] = (
+            f"over {facts.travel:.2g} rad it is no other than a constant load, or there is none: "
+            f"{_HELP[GRAVITY_SIN]}"
+        )
+    return _with(facts, estimates, untold)
+
+
+def _is_reversed(scale: Estimate | None) -> bool:
+    return scale is not None and scale.is_told and scale.high < 0.0
+
+
+def _with(
+    facts: JointIdentification, estimates: Mapping[str, Estimate], untold: Mapping[str, str]
+) -> JointIdentification:
+    return replace(facts, estimates=estimates, untold=untold)
+
+
+def _spacing(times: Numbers) -> float:
+    return float(np.median(np.diff(times)))
+
+
+def _why(equation: Equation, choice: _Choice) -> str:
+    halves = equation.terms.halves[:, 2]
+    noise = float(np.var(halves[0] - halves[1])) / 4.0
+    share = noise / max(float(np.var(halves.mean(axis=0))), 1e-300)
+    said = f"noise {share:.1g} of the acceleration's variance"
+    return (
+        f"{said}, instruments: {_INSTRUMENTS[equation.uses_reference(choice.model, choice.delay)]}"
+    )
+
+
+def _chosen(equation: Equation, has_scale: bool) -> _Choice:
+    """Choose the terms, one after the other, by whether the data carry them."""
+    used = equation.weight > 0.0
+    backward = float(np.mean(equation.terms.sign[used] < 0.0))
+    is_free = equation.terms.rigid is None
+    model = Model(
+        has_coulomb=_ONE_WAY <= backward <= 1.0 - _ONE_WAY,
+        has_gravity=is_free,
+        has_scale=has_scale and not is_free,
+    )
+    delay = equation.coarse_delay(model)
+    equation.choose_instruments(model, delay)
+    choice = _Choice(model, *equation.solve(model, delay))
+    if is_free and not _is_gravity(equation, choice):
+        model = model._replace(has_gravity=False)
+        choice = _Choice(model, *equation.solve(model, choice.delay))
+    if equation.terms.spin is not None:
+        choice = _with_spin(equation, choice)
+    return _with_stribeck(equation, choice) if model.has_coulomb else choice
+
+
+def _is_gravity(equation: Equation, choice: _Choice) -> bool:
+    """Tell whether a part of the effort changes with the position, and not by chance."""
+    names, used = equation.names(choice.model), equation.weight > 0.0
+    position = equation.terms.halves.mean(axis=0)[0][used]
+    a, b = (float(choice.fit.values[names.index(each)]) for each in (GRAVITY_SIN, GRAVITY_COS))
+    part = np.std(a * np.sin(position) + b * np.cos(position))
+    is_felt = bool(part > _FELT * np.std(equation.effort(choice.delay)[used]))
+    return is_felt and _is_carried(equation, choice, [GRAVITY_SIN, GRAVITY_COS])
+
+
+def _is_carried(equation: Equation, choice: _Choice, names: list[str]) -> bool:
+    columns = equation.names(choice.model)
+    places = [columns.index(name) for name in names]
+    return choice.fit.probability_of_none(places) < _CHANCE
+
+
+def _with_spin(equation: Equation, plain: _Choice) -> _Choice:
+    """Add what rotors need beside their inertia if the data carry it, either way they may turn."""
+    model = plain.model._replace(has_spin=True)
+    choice = _Choice(model, *equation.solve(model, plain.delay))
+    share = abs(float(choice.fit.values[equation.names(model).index(SPIN)]))
+    is_there = share < _MOST_SPIN and _is_carried(equation, choice, [SPIN])
+    return choice if is_there else plain
+
+
+def _remarks(equation: Equation, choice: _Choice) -> tuple[str, ...]:
+    if not choice.model.has_spin:
+        return ()
+    place = equation.names(choice.model).index(SPIN)
+    width = float(choice.fit.critical * choice.fit.deviations[place])
+    return (
+        "rotors spin on links that move: what they pull at this joint is "
+        f"{float(choice.fit.values[place]):.2f} ±{width:.2f} of what their gears' ratios say",
+    )
+
+
+def _with_stribeck(equation: Equation, plain: _Choice) -> _Choice:
+    """Add Stribeck friction if the data carry it: less friction at speed than at creep."""
+    velocity = equation.terms.halves.mean(axis=0)[1]
+    speeds = np.abs(velocity[equation.weight > 0.0])
+    fastest, slowest = float(speeds.max()), float(np.quantile(speeds, _CREEPING))
+    best = plain
+    for share in _STRIBECK_SPEEDS:
+        if share * fastest < slowest:  # nobody has seen it
+            continue
+        model = plain.model._replace(stribeck_speed=share * fastest)
+        choice = _Choice(model, *equation.solve(model, plain.delay))
+        place = equation.names(model).index(STRIBECK)
+        is_more = choice.fit.values[place] > 0.0
+        if is_more and choice.fit.rms < best.fit.rms and _is_carried(equation, choice, [STRIBECK]):
+            best = choice
+    return best
+
+
+def _estimates(equation: Equation, choice: _Choice) -> dict[str, Estimate]:
+    names, fit = equation.names(choice.model), choice.fit
+    widths = fit.critical * fit.deviations
+    found = {}
+    for place, name in enumerate(names):
+        value, width = float(fit.values[place]), float(widths[place])
+        if name == SPIN:
+            continue
+        if name == DELAY:
+            value = choice.delay
+        found[name] = Estimate(value, width, _doubt(equation, choice, place, value, width))
+    if choice.model.has_scale:
+        found = _scaled(found)
+    elif equation.terms.rigid is not None:
+        found[EFFORT_SCALE] = _scale_beside(equation, choice)
+        if found[EFFORT_SCALE].reason == _NO_UNIT:
+            found |= {
+                name: replace(each, reason=each.reason or _ON_DOUBTED_SCALE)
+                for name, each in found.items()
+                if name != DELAY
+            }
+    return {name: found[name] for name in PARAMETERS if name in found}
+
+
+def _scale_beside(equation: Equation, choice: _Choice) -> Estimate:
+    """Return the effort's scale, which a fit finds that leaves it free."""
+    model = choice.model._replace(has_scale=True)
+    free = _Choice(model, *equation.solve(model, choice.delay))
+    place = equation.names(model).index(EFFORT_SCALE)
+    width = float(free.fit.critical * free.fit.deviations[place])
+    value = float(free.fit.values[place])
+    inverse = Estimate(value, width, _doubt(equation, free, place, value, width))
+    scale = _scaled({EFFORT_SCALE: inverse})[EFFORT_SCALE]
+    if scale.is_told and (scale.low > 1.0 + _OTHER_UNIT or scale.high < 1.0 - _OTHER_UNIT):
+        level = float(np.std(equation.effort(choice.delay)[equation.weight > 0.0]))
+        is_felt = choice.fit.rms**2 - free.fit.rms**2 > (_FELT * level) ** 2
+        return replace(scale, reason=_NO_UNIT if is_felt else _UNFELT)
+    return scale
+
+
+def _scaled(found: Mapping[str, Estimate]) -> dict[str, Estimate]:
+    """Return estimates in the unit of the rigid bodies, from those in the efforts' own."""
+    inverse = found[EFFORT_SCALE]
+    scale = 1.0 / inverse.value if inverse.value else np.inf
+    share = inverse.half_width * abs(scale)
+    result = {}
+    for name, each in found.items():
+        if name == EFFORT_SCALE:
+            result[name] = Estimate(scale, share * abs(scale), each.reason)
+        elif name == DELAY:
+            result[name] = each
+        else:
+            width = float(np.hypot(each.half_width, each.value * share)) * abs(scale)
+            result[name] = Estimate(each.value * scale, width, each.reason)
+    return result
+
+
+def _doubt(equation: Equation, choice: _Choice, place: int, value: float, width: float) -> str:
+    """Return why a number should not be relied on; empty if it may."""
+    name = equation.names(choice.model)[place]
+    if not np.isfinite(width):
+        return f"nothing can be said of its interval: {_HELP[name]}"
+    if name == DELAY:
+        if not equation.is_inside(value):
+            return f"the best is at the end of what was looked through, {value * 1e3:.3g} ms"
+        if width < equation.resolution:
+            return ""
+        return f"known to {width * 1e3:.2g} ms only{_like(equation, choice, place)}: {_HELP[name]}"
+    if name in (OFFSET, GRAVITY_SIN, GRAVITY_COS):
+        return ""
+    if name == EFFORT_SCALE:
+        share = width / max(abs(value), 1e-300)
+        return "" if share < _USEFUL_SCALE else f"known to {share:.0%} only: {_HELP[name]}"
+    if value - width > 0.0:
+        return ""
+    about = "its interval is below zero" if value + width < 0.0 else "its interval contains zero"
+    return f"{about}{_like(equation, choice, place)}: {_HELP[name]}"
+
+
+def _like(equation: Equation, choice: _Choice, place: int) -> str:
+    """Name the column that is most like another one, where that is what widens its interval."""
+    if choice.fit.sharing[place] < _SHARED:
+        return ""
+    names = equation.names(choice.model)
+    covariance = choice.fit.covariance
+    deviation = np.maximum(choice.fit.deviations, 1e-300)
+    likeness = np.abs(covariance[place]) / (deviation * deviation[place])
+    likeness[place] = 0.0
+    return f", as its motion does not tell it from {_ALIKE[names[int(np.argmax(likeness))]]}"
+
+
+def _drawn(equation: Equation, choice: _Choice, times: Numbers, effort: Numbers) -> Fit:
+    is_between = times == 0.0  # no row is at the first sample
+    hole = np.where(is_between, np.nan, 1.0)
+    return Fit(
+        np.where(is_between, np.nan, times),
+        effort * hole,
+        equation.predicted(choice.model, choice.fit) * hole,
+        equation.weight > 0.0,
+    )

@@ -1,0 +1,109 @@
+r"""What a relay's limit cycle tells of a joint: ultimate gain and period, inertia, damping.
+
+Over whole cycles the first harmonics U of the effort and Y of the position are
+
+.. math:: U / Y = -m \omega^2 + j b \omega
+
+of the joint :math:`m \ddot q + b \dot q`. The describing function of a relay of amplitude a with
+hysteresis h on :math:`s = e + T \dot e`, whose amplitude is A,
+
+.. math:: N = \frac{4 a}{\pi A^2} \left(\sqrt{A^2 - h^2} - j h\right)
+
+says the same without the recorded effort, :math:`U / Y = -N (1 + j T \omega)`, as far as the joint
+filters the higher harmonics; where the two differ, it does not, or a limit was in the way.
+
+Sources: K. J. Astrom and T. Hagglund, "Automatic tuning of simple regulators with specifications
+on phase and amplitude margins", Automatica 20 (1984) 645-651; A. Gelb and W. E. Vander Velde,
+"Multiple-Input Describing Functions and Nonlinear System Design" (McGraw-Hill, 1968), tables.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from hpid_ros.base.errors import SettingError
+from hpid_ros.base.units import Numbers
+from hpid_ros.tuning.measurements import JointRecord
+
+_SWITCH = 1.5  # amplitudes: a switch at full weight is of two
+_LEAST_CYCLES = 3
+_LEAST_SAMPLES = 8  # in a cycle
+
+
+@dataclass(frozen=True)
+class RelayCycle:
+    """A limit cycle."""
+
+    begin: float  # [s] when its first whole cycle begins
+    cycles: int  # whole cycles that were used
+    period: float  # [s] ultimate period
+    spread: float  # standard deviation of the periods over their mean
+    amplitude: float  # [rad] of the position's first harmonic
+    ultimate_gain: float  # [N m/rad] |N|, of the gain on s at which the loop oscillates
+    inertia: float  # [kg m^2] by the first harmonics
+    damping: float  # [N m s/rad]
+    described_inertia: float  # [kg m^2] the inertia by the describing function
+
+
+def relay_cycle(
+    record: JointRecord, amplitude: float, hysteresis: float, lead: float
+) -> RelayCycle:
+    """Return the limit cycle in a recording."""
+    steps = np.diff(record.effort)
+    ups = record.effort_time[1:][steps > _SWITCH * amplitude]
+    if len(ups) < _LEAST_CYCLES + 2:
+        raise SettingError(
+            f"the relay switched {len(ups)} times upwards, {_LEAST_CYCLES + 2} are needed: there "
+            f"was no limit cycle"
+        )
+    ups = ups[1:]  # the first cycle is not yet the one that stays
+    begin, end, cycles = float(ups[0]), float(ups[-1]), len(ups) - 1
+    period = (end - begin) / cycles
+    if period < _LEAST_SAMPLES * record.period:
+        raise SettingError(
+            f"a cycle of {period:.3g} s has fewer than {_LEAST_SAMPLES} samples of "
+            f"{record.period:.3g} s: a larger hysteresis makes it longer"
+        )
+    rate = 2.0 * math.pi / period
+    effort = _held_harmonic(record.effort_time, record.effort, begin, end, rate)
+    position = _sampled_harmonic(record.time, record.position, begin, end, rate)
+    ratio = effort / position
+    size = abs(position)
+    leading = max(size * math.hypot(1.0, lead * rate), hysteresis)
+    scale = 4.0 * amplitude / (math.pi * leading**2)
+    in_phase = math.sqrt(leading**2 - hysteresis**2)
+    return RelayCycle(
+        begin,
+        cycles,
+        period,
+        float(np.std(np.diff(ups))) / period,
+        size,
+        scale * leading,
+        -ratio.real / rate**2,
+        ratio.imag / rate,
+        scale * (in_phase + lead * rate * hysteresis) / rate**2,
+    )
+
+
+def _held_harmonic(
+    time: Numbers, values: Numbers, begin: float, end: float, rate: float
+) -> complex:
+    """Return the first harmonic of what is held from each time on, over [begin, end]; exact."""
+    edges = np.clip(np.append(time, end), begin, end)
+    turns = np.exp(-1j * rate * (edges - begin))
+    return complex(2.0 / (end - begin) * np.sum(values * np.diff(turns)) * 1j / rate)
+
+
+def _sampled_harmonic(
+    time: Numbers, values: Numbers, begin: float, end: float, rate: float
+) -> complex:
+    """Return the same of samples of something smooth."""
+    inside = time[(time > begin) & (time < end)]
+    at = np.concatenate([[begin], inside, [end]])
+    there = np.interp(at, time, values)
+    waves = (there - np.mean(there)) * np.exp(-1j * rate * (at - begin))
+    areas = 0.5 * (waves[1:] + waves[:-1]) * np.diff(at)
+    return complex(2.0 / (end - begin) * np.sum(areas))

@@ -1,0 +1,421 @@
+"""A recorded joint computed again: the record, the same loop, the verdict.
+
+What a recording cannot tell is found by trying. A controller heard a motion or a change of its
+parameters some states before or after the recorder did; it may not have heard a state that the
+recorder has, or was stopped unnoticed. Every possibility is a branch with a loop of its own, which
+ends where its effort is not the recorded one while another's is. So a replay that agrees is a
+proof, whatever was assumed; one that does not tells where the last possibility ended.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Callable, Iterator, Sequence
+from copy import deepcopy
+from dataclasses import dataclass, fields, is_dataclass
+from typing import Any, NamedTuple
+
+from hpid_ros.base.errors import HpidError
+from hpid_ros.base.units import NANOSECONDS
+from hpid_ros.control.joint_loop import JointLoop
+from hpid_ros.control.overrides import RelayRequest
+from hpid_ros.control.reference import Motion
+from hpid_ros.control.settings import LoopSettings
+
+Answer = Callable[[JointLoop], float]
+"""Steps a loop with a state, and returns its effort in [N m]."""
+
+
+class RecordedState(NamedTuple):
+    """A state that a controller may have heard."""
+
+    log_time_ns: int  # [ns] when it was recorded
+    place: int  # its place in the log
+    stamp_ns: int  # [ns] its stamp
+    answer: Answer
+
+
+class RecordedCommand(NamedTuple):
+    """A command for the joint."""
+
+    place: int  # its place in the log
+    stamp_ns: int  # [ns] stamp of the state that it answers
+    effort: float  # [N m]
+    sender: str  # who sent it, as it says; empty where it does not
+
+
+class Instruction(NamedTuple):
+    """Something that a controller was told: a motion, other settings, or a relay."""
+
+    log_time_ns: int  # [ns] when it was recorded
+    place: int  # its place in the log
+    what: Callable[[JointLoop], None]  # does to a loop what the controller does then
+    text: str  # the same in words
+
+
+def following(motion: Motion) -> Callable[[JointLoop], None]:
+    """Return what has a loop follow a motion."""
+    return lambda loop: loop.follow(motion)
+
+
+def retuned(change: Callable[[LoopSettings], LoopSettings]) -> Callable[[JointLoop], None]:
+    """Return what puts the settings in force that a change makes of those before."""
+    return lambda loop: loop.retune(change(loop.settings))
+
+
+def driven(request: RelayRequest | None) -> Callable[[JointLoop], None]:
+    """Return what has a relay drive a loop's joint; None ends one."""
+    if request is None:
+        return lambda loop: loop.end_relay("it was told to end")
+    return lambda loop: loop.begin_relay(request)
+
+
+@dataclass(frozen=True)
+class JointRecord:
+    """One joint of a recording, each part in the order of the log."""
+
+    settings: LoopSettings  # the controller's settings when it began
+    states: Sequence[RecordedState]
+    commands: Sequence[RecordedCommand]
+    instructions: Sequence[Instruction]  # what the controller was told
+    begin_ns: int  # [ns] stamp from which times are counted
+    is_slide: bool = False  # [N] whether the joint slides: its efforts are
+
+
+class Difference(NamedTuple):
+    """Answered states one after the other whose commands are not the law's."""
+
+    stamp_ns: int  # [ns] stamp of the first
+    last_ns: int  # [ns] stamp of the last
+    time: float  # [s] of the first, since the first state of the recording
+    commands: int  # how many there are
+    recorded: float  # [N m] the first command
+    computed: float  # [N m] what the law answers
+    reason: str  # what is known of why
+
+
+@dataclass(frozen=True)
+class JointVerdict:
+    """One joint's commands against the law."""
+
+    joint: str
+    equal: int = 0  # commands that are the law's, to the last bit
+    different: int = 0  # commands that answer a state with another effort
+    differences: tuple[Difference, ...] = ()  # the same, one after the other taken together
+    unanswered: int = 0  # states without a command since the controller began
+    without_state: int = 0  # commands that answer a state which is not in the recording
+    outside: int = 0  # commands that answer states before the first or after the last one recorded
+    zeros: int = 0  # commands of zero with which the joint was left
+    fallbacks: int = 0  # commands that answer no state: a fallback effort, or zero while stopped
+    foreign: int = 0  # commands by somebody else than who sent the first
+    senders: tuple[str, ...] = ()  # who sent commands, as far as they say
+    notes: tuple[str, ...] = ()  # what had to be assumed, in words
+    is_slide: bool = False  # [N] whether the joint slides: its efforts are
+    is_begun_before: bool = False  # whether the controller ran before the recording began
+
+    @property
+    def is_the_law(self) -> bool:
+        """Whether every command that could be computed anew is the law's, and there is one."""
+        return self.equal > 0 and not (self.different or self.without_state or self.foreign)
+
+    @property
+    def is_untold(self) -> bool:
+        """Whether nothing can be said: what its controller remembered from before is missing."""
+        return self.is_begun_before and not self.equal
+
+
+_APART = (50, 500)
+"""States by which a controller may have heard something earlier or later than the recorder: first
+a few are tried, and where that does not agree, as on an overloaded machine, many."""
+_BRANCHES_AT_MOST = 64
+_SETTLED_AFTER = 200  # states without a choice, after which the likeliest branch is taken
+_TRIED_UNANSWERED = 3  # states without a command, one after the other, that may have been heard
+_SHOWN_AT_MOST = 100  # differences
+_BEGUN_BEFORE = (
+    "that the joint had only just been taken over when the recording began; it had not, and what "
+    "its controller remembered is not in the bag"
+)
+_CONTEXT = 1.0  # [s] within which something that happened may be the reason of a difference
+
+
+class _Command(NamedTuple):
+    effort: float
+    sender: str
+
+
+class _Branch:
+    """One possible course of the controller."""
+
+    __slots__ = ("cost", "effort", "heard", "loop", "notes")
+
+    def __init__(self, loop: JointLoop, heard: int, cost: float, notes: tuple[str, ...]) -> None:
+        self.loop, self.heard, self.cost, self.notes = loop, heard, cost, notes
+        self.effort = math.nan
+
+    def copy(self, cost: float = 0.0, note: str = "") -> _Branch:
+        """Return a branch that goes its own way from here on."""
+        notes = (*self.notes, note) if note else self.notes
+        return _Branch(_copied(self.loop), self.heard, self.cost + cost, notes)
+
+
+def _copied(loop: JointLoop) -> JointLoop:
+    """Return a loop that shares nothing that changes."""
+    memo: dict[int, Any] = {}
+    _keep(loop.settings, memo)
+    return deepcopy(loop, memo)
+
+
+def _keep(record: object, memo: dict[int, Any]) -> None:
+    """Have a copy share a frozen record and all that is in it."""
+    memo[id(record)] = record
+    if is_dataclass(record):
+        for each in fields(record):
+            value = getattr(record, each.name)
+            if is_dataclass(value):
+                _keep(value, memo)
+
+
+@dataclass
+class _Counts:
+    equal: int = 0
+    different: int = 0
+    unanswered: int = 0
+    zeros: int = 0
+    fallbacks: int = 0
+    foreign: int = 0
+
+
+def replay_joint(record: JointRecord) -> JointVerdict:
+    """Compute every command of one joint anew, and compare it to the last bit."""
+    verdict = JointVerdict(record.settings.joint, is_slide=record.is_slide)
+    for apart in _APART:
+        found = _Replay(record, apart).verdict()
+        if found.equal >= verdict.equal:
+            verdict = found
+        if not (verdict.different and record.instructions) or _BEGUN_BEFORE in verdict.notes:
+            break
+    return verdict
+
+
+class _Replay:
+    def __init__(self, record: JointRecord, apart: int) -> None:
+        self._record, self._apart = record, apart
+        self._counts = _Counts()
+        self._differences: list[Difference] = []
+        self._stretch: Difference | None = None
+        self._happened: tuple[int, str] = (record.begin_ns, "")
+        self._senders = tuple(dict.fromkeys(each.sender for each in record.commands))
+        self._sender = self._senders[0] if self._senders else ""
+        stamps = {each.stamp_ns for each in record.states}
+        self._answers: dict[int, list[_Command]] = {}
+        self._beside: dict[int, list[_Command]] = {}
+        self._without_state = self._outside = 0
+        self._is_begun_before = False
+        for command in record.commands:
+            self._sort(command, stamps)
+        self._nominal = _nominal(record.states, record.instructions)
+        self._branches = [_Branch(JointLoop(record.settings), 0, 0.0, ())]
+        self._undecided = self._passed_over = 0
+        self._is_left = False
+        self._log_time_ns: int | None = None
+
+    def _sort(self, command: RecordedCommand, stamps: set[int]) -> None:
+        """Put a command to the state that it answers, or beside which it was given."""
+        entry = _Command(command.effort, command.sender)
+        stamp_ns = command.stamp_ns
+        if stamp_ns in stamps:
+            self._answers.setdefault(stamp_ns, []).append(entry)
+            return
+        near = next((each for each in (stamp_ns - 1, stamp_ns + 1) if each in stamps), None)
+        states = self._record.states
+        if near is None and not (states and states[0].stamp_ns < stamp_ns < states[-1].stamp_ns):
+            self._outside += 1
+            self._is_begun_before |= bool(states) and stamp_ns < states[0].stamp_ns
+        elif near is None:
+            self._without_state += 1
+        else:
+            self._beside.setdefault(near, []).append(entry)
+
+    def verdict(self) -> JointVerdict:
+        has_begun = False
+        for index, state in enumerate(self._record.states):
+            has_begun = has_begun or state.stamp_ns in self._answers
+            if has_begun:
+                self._take(index, state)
+        self._agree()
+        counts, notes = self._counts, dict.fromkeys(self._branches[0].notes)
+        if self._is_begun_before:
+            notes[_BEGUN_BEFORE] = None
+        return JointVerdict(
+            self._record.settings.joint,
+            equal=counts.equal,
+            different=counts.different,
+            differences=tuple(self._differences),
+            unanswered=counts.unanswered,
+            without_state=self._without_state,
+            outside=self._outside,
+            zeros=counts.zeros,
+            fallbacks=counts.fallbacks,
+            foreign=counts.foreign,
+            senders=tuple(each for each in self._senders if each),
+            notes=tuple(notes),
+            is_slide=self._record.is_slide,
+            is_begun_before=self._is_begun_before,
+        )
+
+    def _take(self, index: int, state: RecordedState) -> None:
+        commands = self._answers.get(state.stamp_ns)
+        own = None
+        if commands:
+            own = next((each for each in commands if each.sender == self._sender), None)
+            if own is not None:
+                commands.remove(own)
+        if own is None:
+            self._pass_over(index, state)
+        else:
+            self._passed_over = 0
+            self._compare(index, state, own.effort)
+        self._after(state, commands or [])
+        self._log_time_ns = state.log_time_ns
+
+    def _pass_over(self, index: int, state: RecordedState) -> None:
+        """Take a state that nothing answers: it was not heard, or the command was lost."""
+        self._counts.unanswered += 1
+        if self._is_left:
+            return
+        self._happened = state.stamp_ns, "a state that no command answers"
+        self._passed_over += 1
+        if self._passed_over > _TRIED_UNANSWERED:  # it listens no more
+            return
+        heard = []
+        for branch in self._expanded(index):
+            each = branch.copy(1.0)
+            state.answer(each.loop)
+            heard.append(each)
+        self._keep([*self._branches, *heard])
+
+    def _compare(self, index: int, state: RecordedState, recorded: float) -> None:
+        if self._is_left:
+            self._is_left = False
+            for branch in self._branches:
+                branch.loop.release()
+                branch.heard = max(branch.heard, self._heard_before(index))
+        branches = self._expanded(index)
+        silence = state.log_time_ns - (self._log_time_ns or state.log_time_ns)
+        timeout = self._branches[0].loop.settings.timing.state_timeout
+        if silence > timeout * NANOSECONDS and self._branches[0].loop.stamp_ns is not None:
+            text = "the controller was stopped, or busy, for longer than state_timeout"
+            woken = [branch.copy(2.0, text) for branch in branches]
+            for branch in woken:
+                branch.loop.wake()
+            branches += woken
+        for branch in branches:
+            branch.effort = state.answer(branch.loop)
+        equal = [branch for branch in branches if _is_same(branch.effort, recorded)]
+        if equal:
+            self._counts.equal += 1
+            self._agree()
+            self._keep(equal)
+            return
+        self._differ(state, recorded, branches[0].effort)
+        self._keep(branches[:1])
+
+    def _differ(self, state: RecordedState, recorded: float, computed: float) -> None:
+        """Note a difference, or that one goes on."""
+        self._counts.different += 1
+        stamp_ns = state.stamp_ns
+        if self._stretch is not None:
+            commands = self._stretch.commands + 1
+            self._stretch = self._stretch._replace(last_ns=stamp_ns, commands=commands)
+            return
+        happened_ns, text = self._happened
+        since = (stamp_ns - happened_ns) / NANOSECONDS
+        reason = f"{text}, {since:.3f} s before" if text and since <= _CONTEXT else ""
+        time = (stamp_ns - self._record.begin_ns) / NANOSECONDS
+        self._stretch = Difference(stamp_ns, stamp_ns, time, 1, recorded, computed, reason)
+
+    def _agree(self) -> None:
+        """Note that differences, if there were any, have ended."""
+        if self._stretch is not None and len(self._differences) < _SHOWN_AT_MOST:
+            self._differences.append(self._stretch)
+        self._stretch = None
+
+    def _after(self, state: RecordedState, others: Sequence[_Command]) -> None:
+        """Take what was commanded beside the answer: repeats, a last zero, a fallback."""
+        for command in others:
+            if command.sender != self._sender:
+                self._counts.foreign += 1
+                self._happened = state.stamp_ns, f"a command by {command.sender or 'another'}"
+            elif command.effort == 0.0:
+                self._counts.zeros += 1
+                self._is_left = True
+                self._happened = state.stamp_ns, "the joint was left"
+            else:
+                self._differ(state, command.effort, self._branches[0].effort)
+        for command in self._beside.get(state.stamp_ns, ()):
+            self._counts.fallbacks += 1
+            unit = "N" if self._record.is_slide else "N m"
+            self._happened = state.stamp_ns, f"{command.effort:g} {unit} that answers no state"
+            for branch in self._branches:
+                if not branch.loop.is_on_fallback:
+                    branch.loop.lapse()
+
+    def _heard_before(self, index: int) -> int:
+        return sum(nominal <= index for nominal in self._nominal)
+
+    def _expanded(self, index: int) -> list[_Branch]:
+        """Return all branches, with those that hear something before this state."""
+        branches: list[_Branch] = []
+        for branch in self._branches:
+            branches += self._hearing(branch, index)
+        return sorted(branches, key=lambda each: each.cost)
+
+    def _hearing(self, branch: _Branch, index: int) -> Iterator[_Branch]:
+        """Yield a branch, unless it must have heard more by now, and those that have."""
+        while branch.heard < len(self._nominal):
+            late = index - self._nominal[branch.heard]
+            if late < -self._apart:
+                break
+            instruction = self._record.instructions[branch.heard]
+            if late >= self._apart:
+                self._tell(branch, instruction)
+                continue
+            waiting = branch.copy(1.0 if late >= 0 else 0.0)
+            branch.cost += max(-late, 0)
+            self._tell(branch, instruction)
+            yield waiting
+        yield branch
+
+    def _tell(self, branch: _Branch, instruction: Instruction) -> None:
+        branch.heard += 1
+        try:
+            instruction.what(branch.loop)
+        except HpidError as error:
+            branch.notes = (*branch.notes, f"{instruction.text} was left out: {error}")
+        stamp_ns = branch.loop.stamp_ns
+        if stamp_ns is not None and stamp_ns >= self._happened[0]:
+            self._happened = stamp_ns, instruction.text
+
+    def _keep(self, branches: list[_Branch]) -> None:
+        """Go on with the likeliest branches; with one where a choice has no effect."""
+        branches.sort(key=lambda each: each.cost)
+        self._undecided = self._undecided + 1 if len(branches) > 1 else 0
+        if self._undecided > _SETTLED_AFTER:
+            branches, self._undecided = branches[:1], 0
+        self._branches = branches[:_BRANCHES_AT_MOST]
+
+
+def _nominal(states: Sequence[RecordedState], instructions: Sequence[Instruction]) -> list[int]:
+    """Return for each instruction the first state that was recorded after it."""
+    found, index = [], 0
+    for each in instructions:
+        while index < len(states) and states[index].place < each.place:
+            index += 1
+        found.append(index)
+    return found
+
+
+def _is_same(one: float, other: float) -> bool:
+    """Tell whether two numbers are the same bits."""
+    return struct.pack("<d", one) == struct.pack("<d", other)

@@ -1,0 +1,432 @@
+"""The page of a proposal: what was found and assumed, what will change, what to try first."""
+
+from __future__ import annotations
+
+import math
+import shlex
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+
+from hpid_ros.base.names import controller_name
+from hpid_ros.base.units import of_slide, unit_over
+from hpid_ros.control.settings import LoopSettings
+from hpid_ros.metrics.comparison import verdict
+from hpid_ros.metrics.quantities import INDICES, ITAE, IVC, Quantity
+from hpid_ros.report.blocks import (
+    NOTHING,
+    Block,
+    Cell,
+    Heading,
+    IndexRow,
+    IndexTable,
+    Paragraph,
+    PlainTable,
+    Properties,
+    Steps,
+    Title,
+)
+from hpid_ros.report.data import figures_data
+from hpid_ros.report.page import render_page
+from hpid_ros.report.table import MARKS, format_ratio, format_values
+from hpid_ros.tuning.identification_results import (
+    COULOMB,
+    DELAY,
+    INERTIA,
+    VISCOUS,
+    JointIdentification,
+)
+from hpid_ros.tuning.upgrade_prediction import Expected, Prediction
+from hpid_ros.tuning.upgrade_proposal import Answer, PidCheck
+
+_HALF = 0.5
+
+
+def first_steps(
+    found: Answer, prediction: Prediction, files: Mapping[str, Path]
+) -> list[tuple[str, Sequence[str]]]:
+    """Return what to do, each in words and as lines of commands, if there are any."""
+    if not prediction.is_credible:
+        bag, robot = (shlex.quote(str(each)) for each in (found.question.bag, found.question.urdf))
+        return [
+            (
+                "See which joint's efforts the model does not explain.",
+                (f"hpid identify {bag} --urdf {robot} --plot efforts.png",),
+            ),
+            ("See whether the parameters are those that ran.", (f"hpid replay {bag}",)),
+        ]
+    changed = [each for each in found.settings if each.law == "hpid"]
+    if not changed:
+        return [
+            ("Nothing needs to be tried: keep what you have.", ()),
+            *(
+                (f"To see what the goal {goal} proposes, ask for it.", (_again(found, goal),))
+                for goal in found.others
+            ),
+        ]
+    first = min(changed, key=lambda each: _benefit(each.joint, prediction))
+    parameters = shlex.quote(str(files["parameters"]))
+    prediction_file = shlex.quote(str(files["prediction"]))
+    bag = shlex.quote(str(found.question.bag))
+    return [
+        (
+            "Start the controllers from the new file with the motors off; where your own file "
+            "says more, as topics or a robot_description, give that first.",
+            (f"ros2 run hpid_ros joint_controllers --ros-args --params-file {parameters}",),
+        ),
+        (
+            f"Begin with {first.joint}, which has most to gain, and with half of its degree; the "
+            "others get mu 0, which is the PID that you know. Then switch the motors on.",
+            [_half(each, each is first) for each in changed],
+        ),
+        (
+            "Move as the robot is going to work. If all is well, give it the whole degree, and "
+            "the next joint half of its own.",
+            (_set(first, first.mu),),
+        ),
+        (
+            "Record the motion of the first recording once more, with all that was proposed.",
+            (
+                "ros2 run hpid_ros bag_recorder --ros-args -p bag:=after \\",
+                f"    -p controllers_file:={parameters}",
+            ),
+        ),
+        (
+            "Hold the prediction against it.",
+            (f"hpid upgrade --verify {bag} after --prediction {prediction_file}",),
+        ),
+    ]
+
+
+def _benefit(joint: str, prediction: Prediction) -> float:
+    known = prediction.joints[joint]
+    return known[IVC.key].ratio + known[ITAE.key].ratio
+
+
+def _half(settings: LoopSettings, is_first: bool) -> str:
+    return _set(settings, _HALF * settings.mu if is_first else 0.0)
+
+
+def _set(settings: LoopSettings, degree: float) -> str:
+    node = shlex.quote(f"/{controller_name(settings.joint)}")
+    return f"ros2 param set {node} mu {round(degree, 3)!r}"
+
+
+def _again(found: Answer, goal: str) -> str:
+    bag, robot = (shlex.quote(str(each)) for each in (found.question.bag, found.question.urdf))
+    return f"hpid upgrade {bag} --urdf {robot} --goal {goal}"
+
+
+_DOUBTFUL = 0.1  # of an index, by which a simulated PID may miss the recorded one
+_THIN_PHASE = math.radians(30.0)
+_MILLISECONDS = 1e3
+
+ASSUMED = (
+    "Links are as the URDF says them, rigid, and the base stands still.",
+    "The motion is the recorded one: elsewhere inertia and gravity are others.",
+    "Friction is Coulomb's and viscous, the same both ways and everywhere.",
+    "Efforts act as commanded, with the delay that was found; gears are stiff and have no play.",
+    "Noise of the positions is white and normal, as large as in the recording.",
+)
+"""What every prediction stands on."""
+
+
+def render(found: Answer, prediction: Prediction, files: Mapping[str, Path]) -> str:
+    """Return the page as the text of an HTML file."""
+    comparison = found.comparison
+    labels = [run.label for run in comparison.runs]
+    sections: dict[str, Sequence[Block]] = {
+        "What was found": [*_found(found, prediction)],
+        "What is assumed": [*_assumed(found)],
+        "What will change": [*_changes(found)],
+        "What to try first": [
+            Steps(first_steps(found, prediction, files)),
+            Paragraph("Keep a hand on the emergency stop.", is_soft=True),
+        ],
+        "Figures": (),
+        "Provenance": [Properties.of("Provenance", _provenance(found, files))],
+    }
+    return render_page(
+        f"{found.question.bag.name}: from a PID to a homogeneous PID",
+        summary(found, prediction),
+        doubts(found, prediction),
+        [expectations(prediction)],
+        sections,
+        figures_data(found.runs, comparison, (), {}),
+        labels,
+    )
+
+
+def summary(found: Answer, prediction: Prediction) -> str:
+    """Return what came of the road in a sentence or two."""
+    if not prediction.is_credible:
+        return (
+            "Nothing is proposed: the simulation of your PID is far from what was recorded, so "
+            "the model says nothing about another law. Was the base at rest, are the masses of "
+            "the URDF right, and were these the parameters that ran?"
+        )
+    if found.is_kept:
+        text = f"Keep your PID: the goal {found.goal} gains nothing on this robot."
+        for goal, ratios in found.others.items():
+            told = " and ".join(_change(each, ratios[each.key]) for each in (IVC, ITAE))
+            text += f" The goal {goal} would bring {told}."
+        return text
+    laws = [each.law == "hpid" for each in found.settings]
+    which = "all joints" if all(laws) else f"{sum(laws)} of {len(laws)} joints"
+    told = " and ".join(_expected(each, prediction.total(each.key)) for each in (IVC, ITAE))
+    return (
+        f"A homogeneous PID with your gains for {which}, goal {found.goal}: expected over all "
+        f"joints {told}."
+    )
+
+
+def _change(index: Quantity, ratio: float) -> str:
+    share = 100.0 * (ratio - 1.0)
+    if not math.isfinite(share):
+        return f"an unknown change of {index.meaning} ({index.symbol})"
+    return (
+        f"{abs(share):.0f} % {'less' if share < 0.0 else 'more'} {index.meaning} ({index.symbol})"
+    )
+
+
+def _expected(index: Quantity, expected: Expected) -> str:
+    ends = [100.0 * (each - 1.0) for each in (expected.low, expected.high)]
+    if not all(map(math.isfinite, ends)):
+        return _change(index, expected.ratio)
+    return f"{_change(index, expected.ratio)} ({ends[0]:+.0f} to {ends[1]:+.0f} %)"
+
+
+def doubts(found: Answer, prediction: Prediction) -> list[str]:
+    """Return what the prediction must be read with, one line each."""
+    lines = list(found.warnings)
+    for joint, error in found.proposals.failures.items():
+        lines.append(f"{joint} is not upgraded: {error}")
+    for joint, check in found.checks.items():
+        if check.margins is None:
+            lines.append(
+                f"{joint}: your PID has no margins on the identified joint: {check.reason}"
+            )
+        elif check.margins.phase < _THIN_PHASE:
+            degrees = math.degrees(check.margins.phase)
+            lines.append(f"{joint}: your PID has a phase margin of only {degrees:.0f} degrees")
+    for index in (IVC, ITAE):
+        total = prediction.total(index.key)
+        if not (found.is_kept or total.is_certain):
+            lines.append(f"{index.symbol} may rise or fall: its interval contains no change")
+        off = total.fidelity - 1.0
+        if not abs(off) <= _DOUBTFUL:
+            lines.append(
+                f"the model does not have your robot right: your PID, simulated, has "
+                f"{_change(index, 1.0 + off)} than was recorded; what is expected is a guess"
+            )
+    return lines
+
+
+def expectations(prediction: Prediction) -> IndexTable:
+    """Return what was measured and what is expected, joint by joint."""
+    joints = list(prediction.joints)
+    slides = [name in prediction.slides for name in joints]
+    rows: list[IndexRow] = []
+    columns = [
+        _cells(
+            [*(prediction.joints[name][index.key] for name in joints), prediction.total(index.key)]
+        )
+        for index in INDICES
+    ]
+    for k, name in enumerate([*joints, "all: sum"]):
+        rows.append(IndexRow(name, [column[k] for column in columns]))
+    return IndexTable(
+        "What is expected of each joint",
+        "joint",
+        ["recorded", "expected", "ratio"],
+        rows[:-1],
+        rows[-1],
+        [Title(index.symbol, index.unit_in("rad", slides)) for index in INDICES],
+        3 * len(INDICES),
+    )
+
+
+def _cells(expected: Sequence[Expected]) -> list[list[Cell]]:
+    texts = iter(
+        format_values([value for each in expected for value in (each.before, each.after)])
+    )
+    return [[Cell(next(texts)), Cell(next(texts)), _ratio(each.ratio)] for each in expected]
+
+
+def _ratio(value: float) -> Cell:
+    found = verdict(value)
+    return Cell(format_ratio(value), MARKS[found], found)
+
+
+def _found(found: Answer, prediction: Prediction) -> Iterator[Block]:
+    yield Heading("The joints")
+    yield PlainTable(
+        "What was identified",
+        _identified_headings(found),
+        [_identified(each, found) for each in found.findings.joints],
+    )
+    yield Paragraph(
+        "± is half of the 95 % interval; in brackets: not told by the recording. Rotor: reflected "
+        "inertia that the links do not have. Moves: what the motor moves along the motion, links "
+        "and rotor. Fit: share of the effort's variance that is explained.",
+        is_soft=True,
+    )
+    yield Heading("Your PID on these joints")
+    yield PlainTable(
+        "Your PID",
+        (
+            "joint",
+            "p",
+            "i",
+            "d",
+            "phase margin [°]",
+            "gain margin [dB]",
+            "delay margin [ms]",
+            "Ms",
+        ),
+        [_checked(each, found.checks[each.joint]) for each in found.loops],
+    )
+    yield Paragraph(
+        "Margins of the sampled loop with the delay and friction that were found, the worst of "
+        "the least and the largest inertia. Ms: peak of the sensitivity; 2 or less is usual.",
+        is_soft=True,
+    )
+    yield Heading("Is the model right?")
+    totals = [prediction.total(index.key).fidelity for index in INDICES]
+    rows = [
+        [name, *(format_ratio(known[index.key].fidelity) for index in INDICES)]
+        for name, known in prediction.joints.items()
+    ]
+    rows.append(["all: sum", *map(format_ratio, totals)])
+    yield PlainTable(
+        "Your PID simulated, over what was recorded",
+        ("joint", *(index.symbol for index in INDICES)),
+        rows,
+    )
+    yield Paragraph(
+        "Your PID, simulated on the identified robot along the same motion, over what was "
+        "recorded: 1 where the model is right. What is expected is the recorded number times the "
+        "ratio of two simulations, so that a part of the model's error is in both.",
+        is_soft=True,
+    )
+
+
+def _identified_headings(found: Answer) -> tuple[str, ...]:
+    slides = [each.joint in found.findings.slides for each in found.findings.joints]
+    inertia, friction, effort, angle = (
+        unit_over(each, slides).replace("^2", "²")
+        for each in ("kg m^2", "N m s/rad", "N m", "rad")
+    )
+    return (
+        "joint",
+        f"rotor [{inertia}]",
+        f"moves [{inertia}]",
+        f"viscous [{friction}]",
+        f"Coulomb [{effort}]",
+        "delay [ms]",
+        f"noise [{angle}]",
+        "fit",
+    )
+
+
+def _identified(each: JointIdentification, found: Answer) -> list[str]:
+    moved = found.findings.moved.get(each.joint)
+    facts = found.known.facts.get(each.joint)
+    return [
+        each.joint,
+        _estimate(each, INERTIA),
+        NOTHING if moved is None else f"{moved.least:.3g} … {moved.largest:.3g}",
+        _estimate(each, VISCOUS),
+        _estimate(each, COULOMB),
+        _estimate(each, DELAY, _MILLISECONDS),
+        NOTHING if facts is None else f"{facts.noise:.2g}",
+        f"{100.0 * each.explained:.1f} %" if each.is_found else NOTHING,
+    ]
+
+
+def _estimate(found: JointIdentification, name: str, factor: float = 1.0) -> str:
+    estimate = found.estimates.get(name)
+    if estimate is None:
+        return NOTHING
+    text = f"{factor * estimate.value:.3g} ± {factor * estimate.half_width:.2g}"
+    return text if estimate.is_told else f"({text})"
+
+
+def _checked(settings: LoopSettings, check: PidCheck) -> list[str]:
+    gains = [f"{value:.4g}" for value in (settings.gains.p, settings.gains.i, settings.gains.d)]
+    if check.margins is None:
+        return [settings.joint, *gains, *["unstable"] * 4]
+    margins = check.margins
+    return [
+        settings.joint,
+        *gains,
+        f"{math.degrees(margins.phase):.0f}",
+        f"{20.0 * math.log10(margins.gain):.1f}",
+        f"{_MILLISECONDS * margins.delay:.3g}",
+        f"{margins.sensitivity:.2f}",
+    ]
+
+
+def _assumed(found: Answer) -> Iterator[Block]:
+    yield from (Paragraph(text) for text in ASSUMED)
+    rows = [(joint, line) for joint, lines in found.known.assumptions.items() for line in lines]
+    if rows:
+        yield Heading("What the recording did not tell")
+        yield PlainTable(
+            "What the recording did not tell", ("joint", "assumed"), rows, is_prose=True
+        )
+
+
+def _changes(found: Answer) -> Iterator[Block]:
+    before = {each.joint: each.to_parameters() for each in found.loops}
+    rows = []
+    for joint, each in found.proposals.found.items():
+        for name, value in each.settings.to_parameters().items():
+            was = before[joint][name]
+            if _text(was) != _text(value):
+                reason = each.reasons.get(name, "")
+                reason = of_slide(reason) if joint in found.findings.slides else reason
+                rows.append((joint, name, _text(was), _text(value), reason))
+    yield PlainTable(
+        "What will change", ("joint", "parameter", "was", "becomes", "why"), rows, is_prose=True
+    )
+    kept = [
+        (joint, each.reasons["law"])
+        for joint, each in found.proposals.found.items()
+        if each.settings.law == "pid"
+    ]
+    if kept:
+        yield Heading("What stays")
+        yield _prose("What stays", ("joint", "why"), kept)
+    if found.others:
+        yield Heading("What other goals would bring")
+        yield PlainTable(
+            "What other goals would bring",
+            ("goal", *(f"{index.symbol} over your PID's" for index in INDICES)),
+            [
+                (goal, *(format_ratio(ratios[index.key]) for index in INDICES))
+                for goal, ratios in found.others.items()
+            ],
+        )
+    yield Paragraph("Gains, limits and everything that is not named stay as they were.")
+
+
+def _prose(name: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> PlainTable:
+    return PlainTable(name, columns, rows, is_prose=True)
+
+
+def _text(value: object) -> str:
+    return f"{value:.5g}" if isinstance(value, float) else str(value)
+
+
+def _provenance(found: Answer, files: Mapping[str, Path]) -> dict[str, object]:
+    from hpid_ros import __version__
+
+    run = found.recording
+    return {
+        "hpid_ros": __version__,
+        "recording": str(found.question.bag),
+        "length": f"{run.duration:.4g} s",
+        "robot": found.question.urdf,
+        "goal": found.goal,
+        **{name: path.name for name, path in files.items()},
+    }

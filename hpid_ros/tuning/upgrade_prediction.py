@@ -1,0 +1,298 @@
+"""A prediction, and how it compares with what was measured before and after."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from hpid_ros import __version__
+from hpid_ros.base.errors import HpidError, SettingError
+from hpid_ros.messages.selection import BagSelection
+from hpid_ros.metrics.comparison import Comparison, mismatches
+from hpid_ros.metrics.measure import Measured, Measuring, Source, measure_all
+from hpid_ros.metrics.quantities import INDICES, Quantity
+from hpid_ros.metrics.results import RunIndices
+from hpid_ros.tuning.replay_reading import recorded_controllers
+from hpid_ros.tuning.upgrade_proposal import JUDGED, PREDICTED, RECORDED, SIMULATED, Answer
+
+KIND = "hpid_ros/prediction"
+"""What a file of this kind says it is."""
+
+_FAR = 1.5  # times, or as a part, of a recorded index: no model of that robot
+
+_KEYS = tuple(each.key for each in INDICES)
+
+
+class Expected(NamedTuple):
+    """One index of one joint."""
+
+    before: float  # measured under the PID
+    # what it becomes, over that: of the simulations, in which what the model lacks is in both
+    ratio: float
+    fidelity: float  # of the simulated PID over the measured one: 1 where the model is right
+    doubt: float = 0.0
+
+    @property
+    def after(self) -> float:
+        """What is expected to be measured."""
+        return self.before * self.ratio
+
+    @property
+    def low(self) -> float:
+        """Lower end of the ratio's interval."""
+        return self.ratio * math.exp(-self.doubt)
+
+    @property
+    def high(self) -> float:
+        """Upper end of it."""
+        return self.ratio * math.exp(self.doubt)
+
+    @property
+    def is_certain(self) -> bool:
+        """Whether the interval lies on one side of no change."""
+        return self.high < 1.0 or self.low > 1.0
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """What is expected."""
+
+    bag: str  # name of the recording under the PID
+    goal: str  # what the proposal is for
+    joints: Mapping[str, Mapping[str, Expected]]  # of each joint, by key of the index
+    parameters: Mapping[str, Mapping[str, object]] = field(default_factory=dict)
+    slides: tuple[str, ...] = ()  # joints that slide
+
+    def total(self, key: str) -> Expected:
+        """Return an index of all joints, the sum of theirs.
+
+        A joint of which nothing was recorded, as one that rested without an effort, has no ratio
+        and no share.
+        """
+        each = [known[key] for known in self.joints.values() if known[key].before != 0.0]
+        before = math.fsum(one.before for one in each)
+        after = math.fsum(one.after for one in each)
+        simulated = math.fsum(one.before * one.fidelity for one in each)
+        doubt = math.fsum(one.after * one.doubt for one in each)
+        return Expected(
+            before, _over(after, before), _over(simulated, before), _over(doubt, after)
+        )
+
+    @property
+    def is_credible(self) -> bool:
+        """Whether the simulated PID is anything like the recorded one."""
+        totals = [self.total(index.key).fidelity for index in JUDGED]
+        return all(1.0 / _FAR <= each <= _FAR for each in totals)
+
+    def as_text(self) -> str:
+        """Return the prediction as JSON."""
+        joints = {
+            name: {
+                "indices": {key: each._asdict() for key, each in known.items()},
+                "parameters": dict(self.parameters.get(name, {})),
+            }
+            for name, known in self.joints.items()
+        }
+        document = {
+            "kind": KIND,
+            "hpid_ros": __version__,
+            "bag": self.bag,
+            "goal": self.goal,
+            "slides": list(self.slides),
+            "joints": joints,
+        }
+        return json.dumps(document, indent=2) + "\n"
+
+
+def prediction_of(found: Answer) -> Prediction:
+    """Return what an answer predicts of the joints that it is about."""
+    recorded, simulated, proposed = (
+        found.comparison.run(label) for label in (RECORDED, SIMULATED, PREDICTED)
+    )
+    names = [each.joint for each in found.loops]
+    return Prediction(
+        found.question.bag.name,
+        found.goal,
+        {
+            name: _expected(name, recorded, simulated, proposed, found.doubts[name])
+            for name in names
+        },
+        {each.joint: dict(each.to_parameters()) for each in found.settings},
+        tuple(name for name in names if name in found.question.robot.description.slides),
+    )
+
+
+def _expected(
+    joint: str,
+    recorded: RunIndices,
+    simulated: RunIndices,
+    proposed: RunIndices,
+    doubt: float,
+) -> dict[str, Expected]:
+    values = {}
+    for index in INDICES:
+        before, model, after = (run.value(index, joint) for run in (recorded, simulated, proposed))
+        values[index.key] = Expected(before, _over(after, model), _over(model, before), doubt)
+    return values
+
+
+def _over(value: float, other: float) -> float:
+    return value / other if other else math.nan
+
+
+def read_prediction(path: Path) -> Prediction:
+    """Read a prediction."""
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        reason = (error.strerror or str(error)).lower()
+        raise SettingError(
+            f"cannot read the prediction {path}: {reason}; hpid upgrade BAG writes it beside the "
+            "parameter file, --prediction names it"
+        ) from None
+    except (ValueError, RecursionError):
+        raise SettingError(f"{path} is no prediction: it is no JSON") from None
+    try:
+        return _from(document)
+    except (KeyError, TypeError, ValueError, AttributeError):
+        raise SettingError(f"{path} is no prediction that hpid upgrade has written") from None
+
+
+def _from(document: Mapping[str, Any]) -> Prediction:
+    if document["kind"] != KIND or not document["joints"]:
+        raise ValueError
+    return Prediction(
+        str(document["bag"]),
+        str(document["goal"]),
+        {
+            str(name): {
+                key: Expected(*(float(each["indices"][key][of]) for of in Expected._fields))
+                for key in _KEYS
+            }
+            for name, each in document["joints"].items()
+        },
+        {str(name): dict(each["parameters"]) for name, each in document["joints"].items()},
+        tuple(map(str, document["slides"])),
+    )
+
+
+HOLDS_WITHIN = 0.1
+"""Share of what was predicted that a measured index may be off."""
+
+_SAME = 1e-4  # relative: parameter files have six digits
+_BEFORE, _AFTER = "before", "after"
+
+
+class Held(NamedTuple):
+    """One index, over what it was before."""
+
+    predicted: float  # ratio that was predicted
+    measured: float  # ratio that was measured; nan where the recordings do not allow one
+
+    @property
+    def off(self) -> float:
+        """How far the measured one is from the predicted one, as a share of that."""
+        return self.measured / self.predicted - 1.0 if self.predicted else math.nan
+
+    @property
+    def is_held(self) -> bool:
+        """Whether that is little."""
+        return abs(self.off) <= HOLDS_WITHIN
+
+
+@dataclass(frozen=True)
+class Verification:
+    """What came of a prediction."""
+
+    joints: dict[str, dict[str, Held]]  # of each joint, by key of the index
+    totals: dict[str, Held]  # of all joints together
+    warnings: tuple[str, ...] = ()  # what the numbers must be read with, one line each
+    # what ran that was not proposed, one line a joint: then nothing was tested
+    others: tuple[str, ...] = ()
+
+    @property
+    def is_held(self) -> bool:
+        """Whether the proposal ran, and each judged index of all joints is near the predicted."""
+        return not self.others and all(self.totals[index.key].is_held for index in JUDGED)
+
+
+def verify(prediction: Prediction, before: Path, after: Path) -> Verification:
+    """Hold a prediction against two recordings of one motion."""
+    joints = tuple(prediction.joints)
+    how = Measuring(BagSelection(joints=joints), keeps_series=False)
+    measured = measure_all([Source(before, _BEFORE), Source(after, _AFTER)], how)
+    runs = [replace(each.run, slides=frozenset(prediction.slides)) for each in measured]
+    comparison = Comparison(tuple(runs))
+    if all(math.isnan(comparison.ratio(_AFTER, each)) for each in JUDGED):
+        why = "; ".join(mismatches(runs)) or "an effort or a reference is missing"
+        raise SettingError(f"{before} and {after} cannot be compared: {why}")
+    others, warnings = _ran(prediction, after)
+    return Verification(
+        {
+            name: {each.key: _held(prediction, comparison, each, name) for each in INDICES}
+            for name in joints
+        },
+        {each.key: _held(prediction, comparison, each, None) for each in INDICES},
+        (*_warnings(prediction, comparison, measured), *warnings),
+        others,
+    )
+
+
+def _held(
+    prediction: Prediction, comparison: Comparison, index: Quantity, joint: str | None
+) -> Held:
+    if joint is None:
+        expected = prediction.total(index.key)
+    else:
+        expected = prediction.joints[joint][index.key]
+    return Held(expected.ratio, comparison.ratio(_AFTER, index, joint))
+
+
+def _warnings(
+    prediction: Prediction, comparison: Comparison, measured: list[Measured]
+) -> Iterator[str]:
+    for each in measured:
+        yield from each.defects
+    yield from mismatches(comparison.runs)
+    for index in JUDGED:
+        then, now = prediction.total(index.key).before, comparison.baseline.value(index)
+        if abs(now - then) > _SAME * abs(then):
+            yield (
+                f"the {index.symbol} before is {now:.4g} here, and was {then:.4g} when the "
+                f"prediction was made from {prediction.bag}"
+            )
+
+
+def _ran(prediction: Prediction, after: Path) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return what ran that was not proposed, and what the recording does not tell of it."""
+    try:
+        controllers = recorded_controllers(after)
+    except HpidError:
+        line = "the recording after does not hold its controllers' parameters: taken as proposed"
+        return (), (line,)
+    others = []
+    for joint, proposed in prediction.parameters.items():
+        if joint not in controllers:
+            continue
+        ran = controllers[joint].settings.to_parameters()
+        unlike = [
+            f"{name} {ran.get(name)!r} for {value!r}"
+            for name, value in proposed.items()
+            if name in _TOLD and not _is_same(ran.get(name), value)
+        ]
+        if unlike:
+            others.append(f"{joint} did not run what was proposed: {', '.join(unlike)}")
+    return tuple(others), ()
+
+
+_TOLD = ("law", "gains.p", "gains.i", "gains.d", "mu", "norm.type", "norm.effort_scale")
+
+
+def _is_same(ran: object, proposed: object) -> bool:
+    if isinstance(ran, float | int) and isinstance(proposed, float | int):
+        return math.isclose(float(ran), float(proposed), rel_tol=_SAME, abs_tol=1e-9)
+    return ran == proposed

@@ -1,0 +1,574 @@
+"""From a recording under a PID, and the robot, to a proposal with its prediction."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from types import MappingProxyType
+from typing import NamedTuple
+
+import numpy as np
+
+from hpid_ros.base.errors import HpidError, RobotDescriptionError, SettingError, unknown_name
+from hpid_ros.base.processes import raise_if_interrupted
+from hpid_ros.base.units import SECONDS_PER_NANOSECOND
+from hpid_ros.control.settings import LoopSettings
+from hpid_ros.messages.recording import measures_velocity
+from hpid_ros.messages.run import read_run
+from hpid_ros.messages.selection import BagSelection
+from hpid_ros.messages.series import JointSeries, RunSeries
+from hpid_ros.metrics.comparison import Comparison
+from hpid_ros.metrics.measure import read_retunes
+from hpid_ros.metrics.quantities import INDICES, ITAE, IVC
+from hpid_ros.metrics.results import RunIndices, run_indices
+from hpid_ros.robot.amendments import JointAmendment, amended
+from hpid_ros.robot.description import GivenRobot
+from hpid_ros.simulation.drives import LONGEST_DELAY
+from hpid_ros.stability.gain_check import inertia_of
+from hpid_ros.stability.margins import Margins, loop_family, margins_of
+from hpid_ros.tuning.identification_results import (
+    COULOMB,
+    DELAY,
+    INERTIA,
+    OFFSET,
+    STRIBECK,
+    VISCOUS,
+    Estimate,
+    JointIdentification,
+)
+from hpid_ros.tuning.inertias import inertia_ranges, visited_poses
+from hpid_ros.tuning.prediction import PHYSICS_STEPS, JointFacts, simulate
+from hpid_ros.tuning.recorded_robot import (
+    BaseMotion,
+    Findings,
+    base_motion,
+    findings_of,
+    is_wheel,
+    remark_on_base,
+    why_not_wheel,
+)
+from hpid_ros.tuning.replay_reading import recorded_controllers
+from hpid_ros.tuning.upgrade import (
+    GOALS,
+    Certifying,
+    Proposals,
+    Upgrade,
+    effort_limits,
+    position_resolution,
+    propose,
+    worthwhile,
+)
+
+_WINDOW = 200  # samples
+_THIRD_DIFFERENCE = 20.0  # of white noise, over the variance of the noise itself: 1 + 9 + 9 + 1
+_BELOW_A_COUNT = 0.2  # of a count: less noise than that cannot be told from rounding
+_MUCH = 0.05  # of the largest effort: a constant load that is worth a word
+
+
+@dataclass(frozen=True)
+class KnownRobot:
+    """A robot with what a recording tells of it."""
+
+    robot: GivenRobot  # with the rotors and the friction that were found
+    facts: Mapping[str, JointFacts]  # delays and noise, by joint
+    assumptions: Mapping[str, Sequence[str]]  # what had to be assumed, by joint, a line each
+
+
+def known_robot(
+    robot: GivenRobot,
+    found: Sequence[JointIdentification],
+    recorded: Sequence[JointSeries],
+) -> KnownRobot:
+    """Return a robot with what was found of its joints.
+
+    Estimates that the data do not tell are taken, too, where they can be true at all: together
+    with the others they explain the recording, whichever share each of them has.
+    """
+    series = {each.joint: each for each in recorded}
+    amendments = {
+        each.joint: _amendment(each, robot.description.joints[each.joint].effort)
+        for each in found
+        if each.is_found
+    }
+    facts = {}
+    for each in found:
+        own = series[each.joint]
+        resolution = position_resolution(own)
+        noise = position_noise(own, resolution)
+        facts[each.joint] = JointFacts(_delay(each, median_period(own)), noise, resolution)
+    description = amended(robot.description, amendments, {}, {})
+    return KnownRobot(
+        replace(robot, source=description.xml, description=description),
+        facts,
+        {each.joint: tuple(_assumptions(each, series[each.joint])) for each in found},
+    )
+
+
+def position_noise(series: JointSeries, resolution: float) -> float:
+    """Return the standard deviation of a position's noise before it is rounded, in [rad].
+
+    From third differences, in which smooth motion leaves no trace; the median over windows, so
+    that jumps and gaps do not count.
+    """
+    differences = np.diff(series.position, 3)
+    windows = max(1, len(differences) // _WINDOW)
+    if len(differences) < 2:
+        return 0.0
+    each = [float(np.var(window)) for window in np.array_split(differences, windows)]
+    whole = float(np.median(each)) / _THIRD_DIFFERENCE
+    noise = math.sqrt(max(0.0, whole - resolution**2 / 12.0))
+    return 0.0 if noise < _BELOW_A_COUNT * resolution else noise
+
+
+def median_period(series: JointSeries) -> float:
+    return float(np.median(np.diff(series.state_stamps_ns))) * SECONDS_PER_NANOSECOND
+
+
+def _amendment(found: JointIdentification, limit: float) -> JointAmendment:
+    """Return a joint's rotor, friction and limit; what is not known stays as the robot has it."""
+    rotor = _possible(found.estimates.get(INERTIA))
+    return JointAmendment(
+        rotor_inertia=rotor,
+        gear_ratio=None if rotor is None else 1.0,
+        damping=_possible(found.estimates.get(VISCOUS)),
+        friction=_possible(found.estimates.get(COULOMB)),
+        effort=found.effort_limit if found.effort_limit < (limit or math.inf) else None,
+    )
+
+
+def _possible(estimate: Estimate | None) -> float | None:
+    """Return a number that is not negative; None where there is none."""
+    if estimate is None or not math.isfinite(estimate.value):
+        return None
+    return max(estimate.value, 0.0)
+
+
+def _delay(found: JointIdentification, period: float) -> int:
+    """Return the delay in control periods.
+
+    A simulated position is half a physics step ahead of time, by semi-implicit integration.
+    """
+    estimate = found.estimates.get(DELAY)
+    if estimate is None or period <= 0.0:
+        return 0
+    periods = estimate.value / period + 0.5 / PHYSICS_STEPS
+    return min(max(round(periods), 0), LONGEST_DELAY)
+
+
+_WORDS = {INERTIA: "rotor", VISCOUS: "viscous friction", COULOMB: "Coulomb friction"}
+
+
+def _assumptions(found: JointIdentification, series: JointSeries) -> Iterator[str]:
+    if not found.is_found:
+        reason = found.untold.get(found.joint, "nothing was found")
+        yield f"its rotor and friction are those of the robot's description: {reason}"
+        return
+    for name, words in _WORDS.items():
+        estimate = found.estimates.get(name)
+        if estimate is None:
+            yield f"{words}: as the robot's description says"
+        elif not estimate.is_told:
+            yield f"{words} {max(estimate.value, 0.0):.3g} is a guess: {estimate.reason}"
+    offset, largest = found.told(OFFSET), float(np.max(np.abs(series.effort), initial=0.0))
+    if offset is not None and abs(offset.value) > _MUCH * largest:
+        load = f"a constant load of {offset.value:.3g} N m"
+        yield f"{load} is not simulated: the integral carries it"
+    if found.effort_limit < math.inf:
+        yield f"its drive gives at most {found.effort_limit:.3g} N m, whatever is commanded"
+    if found.told(STRIBECK) is not None:
+        yield "friction that grows when creeping (Stribeck) is not simulated"
+    yield from found.remarks
+
+
+RECORDED, SIMULATED, PREDICTED = "recorded", "simulated", "proposed"
+"""Labels of the three runs: the recording, the same PID simulated, the proposal simulated."""
+
+DEFAULT_GOAL = "balanced"
+"""The one that lowers both: what nobody has to choose."""
+
+_ENGINE = "mujoco"  # its joints have armatures: a rotor is simulated as it was identified
+
+JUDGED = (IVC, ITAE)
+"""The indices that a prediction has to hold for, of all joints together."""
+
+_LEAST_DOUBT, _DOUBT_OF_MISFIT = 0.04, 0.55
+"""Of the logarithm of a ratio, and of the largest logarithm by which a simulated PID misses an
+index: what the strange plants 16 to 47 need (``python -m benchmarks.road strange``)."""
+_NEAR = 0.03  # of the variation of an effort: the noise is left as it is
+_CLOSE_ENOUGH = 0.1  # of it: a noise that does not bring it as close explains nothing
+_NOISE_TRIALS = 6
+_WINDOWS, _QUIET = 60, 0.7
+_MOST_COUNTS = 0.5  # of noise: more would be seen in the position
+_MOST_TIMES = 2.0  # what the position shows
+
+
+class Question(NamedTuple):
+    """What is asked."""
+
+    bag: Path  # recorded under the PID
+    robot: GivenRobot  # the robot; its own rotors and friction do not count
+    urdf: str  # what it was named by
+    goal: str | None = None  # of GOALS
+    parameters: Path | None = None  # file of the controllers' parameters
+    payload: float = 0.0  # [kg] largest payload that inertias are certified for
+
+
+class Telling(NamedTuple):
+    """How the progress is told."""
+
+    phase: Callable[[str], None]  # is called with what begins
+    certifying: Certifying  # shows how many joints are certified
+
+
+class PidCheck(NamedTuple):
+    """One joint's PID as it ran, on the joint as it was identified."""
+
+    inertia: tuple[float, float]  # [kg m^2] least and largest along the recording
+    margins: Margins | None  # the worst of both; None where the loop is unstable on the model
+    reason: str = ""  # why there are none
+
+
+@dataclass(frozen=True)
+class Answer:
+    """Where the road led to."""
+
+    question: Question  # what was asked
+    goal: str  # the one that the proposal is for
+    recording: RunSeries  # what was recorded
+    findings: Findings  # what was identified of it
+    known: KnownRobot  # the robot with that
+    loops: tuple[LoopSettings, ...]  # the controllers as they ran
+    checks: Mapping[str, PidCheck]  # what they are worth, by joint
+    proposals: Proposals  # what is proposed instead; the PID where nothing is gained
+    # the recording, its simulation, and the proposal's
+    runs: tuple[RunSeries, RunSeries, RunSeries]
+    others: Mapping[str, Mapping[str, float]]
+    # half of the interval of the logarithm of each joint's ratios, by joint
+    doubts: Mapping[str, float]
+    warnings: tuple[str, ...] = ()  # what the numbers must be read with, one line each
+
+    @property
+    def comparison(self) -> Comparison:
+        """The three runs side by side."""
+        return Comparison(tuple(run_indices(each) for each in self.runs))
+
+    @property
+    def settings(self) -> tuple[LoopSettings, ...]:
+        """What is proposed for each controller."""
+        return tuple(_after(self.loops, self.proposals.found))
+
+    @property
+    def is_kept(self) -> bool:
+        """Whether every joint keeps its PID."""
+        return not _changed(self.proposals.found)
+
+
+def answer(question: Question, telling: Telling) -> Answer:
+    """Identify the robot, check the PID, propose another law and predict what it brings."""
+    telling.phase("reading the recording")
+    base = base_motion(question.bag)
+    recording, loops, warnings = _read(question, base)
+    telling.phase("identifying the joints")
+    findings = findings_of(
+        recording, question.robot, robot_name=question.urdf, bag_name=str(question.bag), base=base
+    )
+    known = known_robot(question.robot, findings.joints, recording.joints)
+    inertias = _inertias(question, known, loops, recording.joints)
+    period = median_period(recording.joints[0])
+    checks = {each.joint: pid_check(each, inertias[each.joint], known, period) for each in loops}
+    has_velocities = measures_velocity(question.bag, loops[0].joint)
+    if has_velocities and any(each.velocity.is_measured for each in loops):
+        warnings.append(
+            "velocities are those that the robot measured: they are simulated as differences of "
+            "its positions, whose noise may be another"
+        )
+    limits = effort_limits(question.robot.description)  # what a recording shows may be a load's
+    trial = _Trial(known, loops, recording, inertias, telling, has_velocities, limits)
+    goal = question.goal or DEFAULT_GOAL
+    proposals, predicted = trial.of(goal)
+    others: dict[str, dict[str, float]] = {}
+    if question.goal is None and not _changed(proposals.found):
+        others = trial.others(each for each in GOALS if each != goal)
+    return Answer(
+        question,
+        goal,
+        recording,
+        findings,
+        trial.known,
+        tuple(loops),
+        checks,
+        proposals,
+        (recording.narrowed([each.joint for each in loops]), trial.before, predicted),
+        others,
+        trial.doubts,
+        tuple(warnings),
+    )
+
+
+def _read(
+    question: Question, base: BaseMotion | None
+) -> tuple[RunSeries, list[LoopSettings], list[str]]:
+    """Return the recording, the controllers that ran, and what to warn of."""
+    if question.goal is not None and question.goal not in GOALS:
+        raise SettingError(unknown_name("goal", question.goal, GOALS))
+    controllers = recorded_controllers(question.bag, question.parameters)
+    recording = read_run(
+        question.bag,
+        RECORDED,
+        selection=BagSelection(separates_runs=True),  # which are no one motion
+        progress=lambda share: raise_if_interrupted(),
+    )
+    robot = question.robot.description
+    recording = recording.with_slides(robot.slides)
+    loops, warnings = [], []
+    for joint, controller in controllers.items():
+        if joint not in recording.joint_names or joint not in robot.joints:
+            who = "the recording" if joint not in recording.joint_names else "the robot"
+            warnings.append(f"{joint} is left out: {who} does not have it")
+        elif is_wheel(joint, question.robot, base) and (
+            reason := why_not_wheel(base, is_asked_for=True)
+        ):
+            warnings.append(f"{joint} is left out: {reason}")
+        else:
+            loops.append(controller.settings)
+    if not loops:
+        raise SettingError(f"{question.bag}: no controller can be upgraded: {'; '.join(warnings)}")
+    others = [f"{each.joint} (mu {each.mu:+g})" for each in loops if each.degree != 0.0]
+    if others:
+        raise SettingError(
+            f"{question.bag} was not recorded under a PID, but under the homogeneous law: "
+            f"{', '.join(others)}; record one with law pid or mu 0, which is the baseline"
+        )
+    missing = [each.joint for each in recording.joints if not each.has_reference]
+    missing = [each.joint for each in loops if each.joint in missing]
+    if missing:
+        raise SettingError(
+            f"{question.bag} has no reference of {', '.join(missing)}: record joint_trajectory, "
+            "as bag_recorder does"
+        )
+    retunes = read_retunes(question.bag)
+    if retunes:
+        first = retunes[0]
+        warnings.append(
+            f"parameters were changed while it was recorded, first {first.node}: {first.change}; "
+            "the controllers are taken as they began"
+        )
+    if base is not None and base.is_moving:
+        warnings.append(remark_on_base(base))
+    warnings.extend(recording.quality.missing_lines)
+    return recording, loops, warnings
+
+
+def _inertias(
+    question: Question,
+    known: KnownRobot,
+    loops: Sequence[LoopSettings],
+    recorded: Sequence[JointSeries],
+) -> dict[str, tuple[float, float]]:
+    start = known.robot.initial_positions
+    poses = [{**start, **pose} for pose in visited_poses(recorded)]
+    joints = [each.joint for each in loops]
+    try:
+        return inertia_ranges(known.robot.description, joints, question.payload, poses)
+    except np.linalg.LinAlgError:
+        raise RobotDescriptionError(
+            "the robot has a joint that moves no mass, and no rotor was found: give its links "
+            "masses, or hold it"
+        ) from None
+
+
+def pid_check(
+    settings: LoopSettings, inertia: tuple[float, float], known: KnownRobot, period: float
+) -> PidCheck:
+    """Return the margins of a PID on the joint as it was identified, the worst of both ends."""
+    joint = known.robot.description.joints[settings.joint]
+    delay = known.facts[settings.joint].delay if settings.joint in known.facts else 0
+    try:
+        settings = settings.with_parameters({"control_period": period})
+        inertia = inertia_of(settings, inertia)
+        family = loop_family(settings, inertia, joint.damping, delay * period)
+        ends = [margins_of(family.loop(each)) for each in family.inertia]
+    except HpidError as error:
+        return PidCheck(inertia, None, str(error))
+    return PidCheck(inertia, min(ends, key=lambda each: each.disk))
+
+
+def _ratio(value: float, other: float) -> float:
+    return value / other if other else 1.0
+
+
+def _quiet_variation(series: JointSeries) -> float:
+    """Return how much an effort varies in a window of time, the liveliest left out, in [N m].
+
+    They are those in which what a model lacks, as a spring, answers a step.
+    """
+    windows = np.array_split(np.abs(np.diff(series.effort)), _WINDOWS)
+    each = np.sort([float(window.sum()) for window in windows])
+    return float(each[: round(_QUIET * _WINDOWS)].mean())
+
+
+class _NoiseSearch(NamedTuple):
+    """The noise of one joint's position that makes its effort vary as recorded, bisected.
+
+    What is less than a fifth of a count is not seen in the position, but it is in the effort:
+    close to the edge between two counts it decides how often the position goes to and fro.
+    """
+
+    facts: JointFacts  # what is tried next
+    low: float  # [rad] noise with too little variation
+    high: float  # [rad] noise with too much
+    best: JointFacts | None = None  # what came closest and within what is near; None so far
+    off: float = _CLOSE_ENOUGH  # by how much, as a share
+
+    @classmethod
+    def begun(cls, facts: JointFacts) -> _NoiseSearch:
+        largest = max(_MOST_COUNTS * (facts.resolution or 0.0), _MOST_TIMES * facts.noise)
+        return cls(facts._replace(noise=largest / 4.0), 0.0, largest)
+
+    def told(self, value: float, target: float) -> _NoiseSearch:
+        """Return the next step once a simulation has said how much the effort varies."""
+        tried, off = self.facts.noise, abs(value / target - 1.0)
+        low, high = (tried, self.high) if value < target else (self.low, tried)
+        best, least = (self.facts, off) if off < self.off else (self.best, self.off)
+        middle = math.sqrt(low * high) if low > 0.0 else high / 4.0
+        return _NoiseSearch(self.facts._replace(noise=middle), low, high, best, least)
+
+
+class _Trial:
+    """Proposals for a robot, and their simulations."""
+
+    def __init__(
+        self,
+        known: KnownRobot,
+        loops: Sequence[LoopSettings],
+        recording: RunSeries,
+        inertias: Mapping[str, tuple[float, float]],
+        telling: Telling,
+        has_velocities: bool,
+        limits: Mapping[str, float],
+    ) -> None:
+        self._has_velocities = has_velocities
+        self.known, self._loops, self._recording = known, loops, recording
+        self._inertias, self._telling = inertias, telling
+        self._limits = limits
+
+    @cached_property
+    def _target(self) -> RunIndices:
+        return run_indices(self._recording.narrowed([each.joint for each in self._loops]))
+
+    @cached_property
+    def doubts(self) -> dict[str, float]:
+        """Half of the interval of the logarithm of a ratio, by joint.
+
+        By how far the simulated PID is from the recorded one, also before noise was fitted.
+        """
+        simulated, found = run_indices(self.before), {}
+        for name, explained in self._explained.items():
+            ratios = [explained]
+            ratios += [
+                _ratio(simulated.value(x, name), self._target.value(x, name)) for x in JUDGED
+            ]
+            misfits = [abs(math.log(x)) if 0.0 < x < math.inf else math.inf for x in ratios]
+            found[name] = _LEAST_DOUBT + _DOUBT_OF_MISFIT * max(misfits)
+        return found
+
+    def _doubt(self, goal: str, joint: str) -> float:
+        """Return the doubt that a gain must exceed: of all joints where they count together."""
+        if goal != "balanced":
+            return self.doubts[joint]
+        sizes = {name: self._target.value(IVC, name) for name in self.doubts}
+        whole = math.fsum(sizes.values())
+        return math.fsum(sizes[x] * self.doubts[x] for x in sizes if sizes[x]) / (whole or 1.0)
+
+    @cached_property
+    def before(self) -> RunSeries:
+        """The PID, simulated with the noise that explains how its efforts vary."""
+        (plain,) = self._simulated({SIMULATED: self._loops})
+        names, target = [each.joint for each in self._loops], self._target
+        self._explained = {
+            name: _ratio(run_indices(plain).value(IVC, name), target.value(IVC, name))
+            for name in names
+        }
+        aims = {each.joint: _quiet_variation(each) for each in self._recording.joints}
+        was = {each.joint: _quiet_variation(each) for each in plain.joints}
+        search = {
+            name: _NoiseSearch.begun(self.known.facts[name])
+            for name in names
+            if name in self.known.facts and not abs(_ratio(was[name], aims[name]) - 1.0) <= _NEAR
+        }
+        best = plain
+        for _ in range(_NOISE_TRIALS if search else 0):
+            facts = {name: each.facts for name, each in search.items()}
+            (run,) = self._simulated({SIMULATED: self._loops}, facts)
+            for each in run.joints:
+                if each.joint in search:
+                    search[each.joint] = search[each.joint].told(
+                        _quiet_variation(each), aims[each.joint]
+                    )
+        found = {name: each.best for name, each in search.items() if each.best is not None}
+        if found:
+            self.known = replace(self.known, facts={**self.known.facts, **found})
+            (best,) = self._simulated({SIMULATED: self._loops})
+        return best
+
+    def of(self, goal: str) -> tuple[Proposals, RunSeries]:
+        """Return what is proposed for a goal, and its simulation."""
+        tell, recorded = self._telling, self._recording.joints
+        tell.phase(f"certifying degrees for the goal {goal}")
+        proposals = propose(
+            self._loops, self._inertias, recorded, self._limits, goal, tell.certifying
+        )
+        tell.phase("simulating the identified robot")
+        before = self.before  # first: it fits the noise
+        (after,) = self._simulated({PREDICTED: _after(self._loops, proposals.found)})
+        both = Comparison((run_indices(before), run_indices(after)))
+        found = {
+            name: worthwhile(each, goal, both, self._doubt(goal, name))
+            for name, each in proposals.found.items()
+        }
+        kept = Proposals(found, proposals.failures)
+        if not _changed(found):
+            return kept, replace(before, label=PREDICTED)
+        if any(each.settings.law == "pid" for each in found.values()):
+            (after,) = self._simulated({PREDICTED: _after(self._loops, found)})
+        return kept, after
+
+    def others(self, goals: Iterable[str]) -> dict[str, dict[str, float]]:
+        """Return what goals would bring, by goal and index, over the PID's, of all joints."""
+        found = {}
+        for goal in goals:
+            proposals, after = self.of(goal)
+            if _changed(proposals.found):
+                both = Comparison((run_indices(self.before), run_indices(after)))
+                found[goal] = {each.key: both.ratio(after.label, each) for each in INDICES}
+        return found
+
+    def _simulated(
+        self,
+        loops: Mapping[str, Sequence[LoopSettings]],
+        facts: Mapping[str, JointFacts] = MappingProxyType({}),
+    ) -> list[RunSeries]:
+        robot = self.known.robot
+        return simulate(
+            robot.source,
+            loops,
+            self._recording.joints,
+            robot.fixed_base,
+            robot.initial_positions,
+            facts={**self.known.facts, **facts},
+            has_velocities=self._has_velocities,
+            period=median_period(self._recording.joints[0]),
+            engine=_ENGINE,
+        )
+
+
+def _after(loops: Sequence[LoopSettings], found: Mapping[str, Upgrade]) -> list[LoopSettings]:
+    return [found[each.joint].settings if each.joint in found else each for each in loops]
+
+
+def _changed(found: Mapping[str, Upgrade]) -> list[str]:
+    """Return the joints that do not keep their PID."""
+    return [name for name, each in found.items() if each.settings.law != "pid"]

@@ -1,0 +1,165 @@
+"""Records: what is declared once is checked, read, written and described alike."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import jsonschema
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hpid_ros.base.errors import ExperimentError, SettingError
+from hpid_ros.base.records import Record, Section, from_mapping, quantity, take_layered, to_mapping
+from hpid_ros.base.schema import json_schema, layered_schema, table
+
+
+@dataclass(frozen=True)
+class Part(Record):
+    """A part."""
+
+    name: str = quantity("Its name")
+    size: tuple[float, float] = quantity("Its edges", "m", default=(1.0, 1.0), above=0.0)
+
+
+@dataclass(frozen=True)
+class Motor(Record):
+    """A motor."""
+
+    torque: float = quantity("Its torque", "N m", above=0.0, most=1e3)
+    loss: float = quantity("A share", default=0.0, least=0.0, below=1.0)
+    kind: str = quantity("Its kind", default="fast", choices=("fast", "slow"))
+
+
+@dataclass(frozen=True)
+class Machine(Record):
+    """A machine."""
+
+    count: int = quantity("How many", least=0, most=9)
+    begin: float = quantity("When", "s", default=0.0, key="from")
+    is_on: bool = quantity("Whether it runs", default=True)
+    motor: Motor | None = quantity("Its motor", default=None)
+    limit: float | None = quantity("Its limit", "N m", default=None, above=0.0)
+    parts: tuple[Part, ...] = quantity("Its parts", default=(), names=True)
+    places: tuple[float, ...] = quantity("Where", "m", default=())
+    levels: int | Mapping[str, int] = quantity("One, or by name", default=0, least=0)
+
+
+NUMBERS = st.floats(-1e9, 1e9)
+POSITIVE = st.floats(1e-9, 1e3)
+MOTORS = st.builds(Motor, POSITIVE, st.floats(0.0, 0.999), st.sampled_from(["fast", "slow"]))
+MACHINES = st.builds(
+    Machine,
+    count=st.integers(0, 9),
+    begin=NUMBERS,
+    is_on=st.booleans(),
+    motor=st.none() | MOTORS,
+    limit=st.none() | POSITIVE,
+    parts=st.lists(
+        st.builds(Part, st.text(min_size=1, max_size=3), st.tuples(POSITIVE, POSITIVE)),
+        unique_by=lambda part: part.name,
+    ).map(tuple),
+    places=st.lists(NUMBERS).map(tuple),
+    levels=st.integers(0, 5) | st.dictionaries(st.text(min_size=1), st.integers(0, 5)),
+)
+
+
+@given(MACHINES)
+def test_what_is_written_is_read_again_and_fits_the_schema(machine):
+    written = to_mapping(machine)
+    assert from_mapping(Machine, written, "machine", ExperimentError) == machine
+    plain = {key: list(each) if isinstance(each, tuple) else each for key, each in written.items()}
+    jsonschema.validate(plain, json_schema(Machine))
+
+
+WRONG = [
+    ({}, "machine.count is missing"),
+    ({"count": 10}, "machine.count must be a whole number, at least 0 and at most 9, not 10"),
+    ({"count": 1.0}, "machine.count must be a whole number, at least 0 and at most 9, not 1.0"),
+    ({"count": True}, "machine.count must be a whole number, at least 0 and at most 9, not True"),
+    ({"count": 1, "begin": 0}, "unknown key 'machine.begin';"),
+    ({"count": 1, "from": "x"}, "machine.from must be a number, not 'x'"),
+    ({"count": 1, "from": math.inf}, "machine.from must be finite, not inf"),
+    ({"count": 1, "from": 10**400}, "machine.from must be finite, not 1000"),
+    ({"count": 1, "is_on": 1}, "machine.is_on must be true or false, not 1"),
+    ({"count": 1, "motor": {}}, "machine.motor.torque is missing"),
+    (
+        {"count": 1, "motor": {"torque": 1, "los": 0}},
+        "unknown key 'machine.motor.los'; did you mean 'machine.motor.loss'?",
+    ),
+    (
+        {"count": 1, "motor": {"torque": 1, "loss": 1}},
+        "machine.motor.loss must be at least 0 and below 1, not 1",
+    ),
+    (
+        {"count": 1, "motor": {"torque": 1, "kind": "fist"}},
+        "machine.motor.kind: unknown kind 'fist'; did you mean 'fast'?",
+    ),
+    ({"count": 1, "motor": True}, "machine.motor must be a mapping, not True"),
+    ({"count": 1, "limit": 0}, "machine.limit must be above 0, not 0"),
+    ({"count": 1, "parts": {"a": {"size": [1]}}}, "machine.parts.a.size must be two numbers [m]"),
+    ({"count": 1, "parts": [1]}, "machine.parts[0] must be a mapping, not 1"),
+    ({"count": 1, "places": [1, "x"]}, "machine.places[1] must be a number, not 'x'"),
+    ({"count": 1, "levels": {"a": -1}}, "machine.levels.a must be a whole number, at least 0"),
+]
+
+
+@pytest.mark.parametrize(("values", "message"), WRONG)
+def test_what_is_wrong_is_named_with_its_place(values, message):
+    with pytest.raises(ExperimentError) as caught:
+        from_mapping(Machine, values, "machine", ExperimentError)
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "values", [values for values, _ in WRONG if 10**400 not in values.values()]
+)
+def test_the_schema_refuses_it_as_well(values):
+    if values.get("from") == math.inf or values == {"count": 1.0}:
+        return  # JSON has no infinity, and takes 1.0 for a whole number
+    with pytest.raises(jsonschema.ValidationError):
+        jsonschema.validate(values, json_schema(Machine))
+
+
+def test_a_record_made_in_python_is_checked_and_has_the_declared_types():
+    machine = Machine(1, begin=2, places=[1, 2], parts=[Part("a", (1, 2))])
+    assert isinstance(machine.begin, float)
+    assert machine.places == (1.0, 2.0)
+    assert machine.parts == (Part("a", (1.0, 2.0)),)
+    with pytest.raises(SettingError, match="torque must be above 0 and at most 1000, not -1"):
+        Motor(-1)
+    with pytest.raises(SettingError, match=r"torque must be .* not nan"):
+        Motor(math.nan)
+
+
+def layered(values):
+    section = Section(values, "motors", ExperimentError)
+    records = take_layered(Motor, section, ("one", "two"))
+    section.finish()
+    return records
+
+
+def test_a_layer_of_one_joint_lies_over_what_is_said_of_all():
+    values = {"torque": 2.0, "kind": "slow", "joints": {"two": {"torque": 3.0}}}
+    jsonschema.validate(values, layered_schema(Motor))
+    assert layered(values) == (Motor(2.0, kind="slow"), Motor(3.0, kind="slow"))
+    with pytest.raises(ExperimentError, match=r"motors\.torque is missing"):
+        layered({"joints": {"two": {"torque": 3.0}}})
+    with pytest.raises(ExperimentError, match="unknown joint 'three'"):
+        layered({"torque": 1.0, "joints": {"three": {}}})
+
+
+def test_a_table_has_a_row_for_each_key_also_within():
+    rows = {row.key: row for row in table(Machine, "machine.")}
+    assert rows["machine.from"] == ("machine.from", "0.0", "", "When [s]")
+    assert rows["machine.motor.torque"][1:] == (
+        "needed",
+        "above 0 and at most 1000",
+        "Its torque [N m]",
+    )
+    assert rows["machine.parts.NAME.size"][1:] == ("[1.0, 1.0]", "above 0", "Its edges [m]")
+    assert rows["machine.motor.kind"].range == "fast, slow"
+    assert "machine.parts.NAME.name" not in rows

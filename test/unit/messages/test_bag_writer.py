@@ -1,0 +1,326 @@
+"""A bag holds every byte that was written, whatever ended it, and other readers open it."""
+
+from __future__ import annotations
+
+import math
+import os
+import signal
+import struct
+import subprocess
+import sys
+import tempfile
+import zlib
+from pathlib import Path
+
+import pytest
+import yaml
+from harness.interrupts import heeded_interrupts
+from hypothesis import given
+from hypothesis import strategies as st
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
+from rosbags.rosbag2 import Writer
+from rosbags.rosbag2.storage_mcap import McapWriter
+
+from hpid_ros.base.errors import BagError, ResultExistsError
+from hpid_ros.messages.bag_file import BagReader
+from hpid_ros.messages.joint_state import JointStateTemplate
+from hpid_ros.messages.writer import BagTopic, BagWriter, TopicQos
+
+JOINT_STATE = "sensor_msgs/msg/JointState"
+MS = 1_000_000
+COMMAND = JointStateTemplate(["elbow"], effort=True)
+
+
+def add_joint_commands(bag: BagWriter) -> BagTopic:
+    return bag.add_topic("/joint_commands", JOINT_STATE)
+
+
+def read_raw(path: Path) -> list[tuple[str, int, bytes]]:
+    with BagReader(path) as bag:
+        return [tuple(message) for message in bag.messages()]
+
+
+def mcap_file(bag: Path) -> Path:
+    return bag / f"{bag.name}.mcap"
+
+
+messages = st.lists(
+    st.tuples(
+        st.sampled_from(["/a", "/b"]), st.integers(0, 2**62), st.binary(min_size=1, max_size=40)
+    )
+)
+
+
+def test_an_interrupt_in_the_middle_of_a_chunk_waits_for_its_end(tmp_path, monkeypatch):
+    checksum = zlib.crc32
+
+    def interrupted(data):
+        os.kill(os.getpid(), signal.SIGTERM)
+        return checksum(data)
+
+    with heeded_interrupts(), BagWriter(tmp_path / "bag") as bag:
+        bag.write(add_joint_commands(bag), MS, COMMAND.encode(MS, effort=[1.0]))
+        with monkeypatch.context() as patched:
+            patched.setattr(zlib, "crc32", interrupted)
+            with pytest.raises(KeyboardInterrupt):
+                bag.flush()
+    assert len(read_raw(tmp_path / "bag")) == 1
+
+
+@given(messages)
+def test_every_byte_comes_back_in_the_order_of_the_log_times(written):
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "bag"
+        with BagWriter(path) as bag:
+            topics = {name: bag.add_topic(name, JOINT_STATE) for name in ("/a", "/b")}
+            for name, log_time_ns, raw in written:
+                bag.write(topics[name], log_time_ns, raw)
+        assert bag.counts == {name: sum(m[0] == name for m in written) for name in topics}
+        assert read_raw(path) == sorted(written, key=lambda message: message[1])
+
+
+def test_another_reader_decodes_equal_values(tmp_path):
+    values = (5e-324, -0.0, 1.7976931348623157e308, math.pi)
+    names = ["a", "bb", "ccc", "dddd"]
+    template = JointStateTemplate(names, "base_link", position=True, effort=True)
+    stamp_ns = 1_700_000_000_123_456_789
+    with BagWriter(tmp_path / "bag") as bag:
+        topic = bag.add_topic("/arm/joint_states", JOINT_STATE)
+        raw = template.encode(stamp_ns, position=values, effort=values[::-1])
+        for k in range(1000):
+            bag.write(topic, stamp_ns + k * MS, raw)
+    with mcap_file(tmp_path / "bag").open("rb") as stream:
+        reader = make_reader(stream, validate_crcs=True, decoder_factories=[DecoderFactory()])
+        assert reader.get_summary().statistics.message_count == 1000
+        decoded = list(reader.iter_decoded_messages())
+    assert [message.log_time for _, _, message, _ in decoded] == [
+        stamp_ns + k * MS for k in range(1000)
+    ]
+    schema, channel, _, state = decoded[-1]
+    assert (schema.name, channel.topic) == (JOINT_STATE, "/arm/joint_states")
+    assert state.header.frame_id == "base_link"
+    assert (state.header.stamp.sec, state.header.stamp.nanosec) == divmod(stamp_ns, 10**9)
+    assert list(state.name) == names
+    assert struct.pack("<4d", *state.position) == struct.pack("<4d", *values)
+    assert struct.pack("<4d", *state.effort) == struct.pack("<4d", *values[::-1])
+    assert list(state.velocity) == []
+
+
+def test_metadata_and_quality_of_service_are_kept(tmp_path):
+    with BagWriter(tmp_path / "bag", metadata={"seed": "7", "law": "hpid μ=-0.3"}) as bag:
+        bag.add_topic(
+            "/joint_trajectory",
+            "trajectory_msgs/msg/JointTrajectory",
+            TopicQos(transient_local=True, depth=1),
+        )
+        bag.write(
+            bag.add_topic("/odom", "nav_msgs/msg/Odometry", TopicQos(reliable=False)), 5, b"x"
+        )
+    with BagReader(tmp_path / "bag") as bag:
+        assert bag.metadata == {"seed": "7", "law": "hpid μ=-0.3"}
+        assert bag.topics["/joint_trajectory"].message_count == 0
+        assert tuple(bag.topics["/odom"]) == ("nav_msgs/msg/Odometry", 1)
+    information = yaml.safe_load((tmp_path / "bag/metadata.yaml").read_text())
+    trajectory, odom = information["rosbag2_bagfile_information"]["topics_with_message_count"]
+    (offered,) = trajectory["topic_metadata"]["offered_qos_profiles"]
+    assert (offered["durability"], offered["depth"]) == ("transient_local", 1)
+    (offered,) = odom["topic_metadata"]["offered_qos_profiles"]
+    assert (offered["reliability"], offered["durability"]) == ("best_effort", "volatile")
+
+
+def test_messages_reach_the_file_after_half_a_second_of_log_time(tmp_path):
+    with BagWriter(tmp_path / "bag") as bag:
+        topic = add_joint_commands(bag)
+        file = mcap_file(bag.path)
+        bag.write(topic, 0, b"the first one")
+        bag.write(topic, 499 * MS, b"the second one")
+        assert b"the first one" not in file.read_bytes()
+        bag.write(topic, 500 * MS, b"the third one")
+        for text in (b"the first one", b"the second one", b"the third one"):
+            assert text in file.read_bytes()
+
+
+def test_a_clock_that_went_back_does_not_keep_messages_from_the_file(tmp_path):
+    with BagWriter(tmp_path / "bag") as bag:
+        topic = add_joint_commands(bag)
+        bag.write(topic, 90_000 * MS, b"before the reset")
+        for k in range(501):
+            bag.write(topic, k * MS, b"after the reset %d" % k)
+        assert b"before the reset" in mcap_file(bag.path).read_bytes()
+        assert b"after the reset 500" in mcap_file(bag.path).read_bytes()
+
+
+def test_large_messages_reach_the_file_without_waiting_for_the_log_time(tmp_path):
+    with BagWriter(tmp_path / "bag") as bag:
+        topic = add_joint_commands(bag)
+        for k in range(5):
+            bag.write(topic, k, bytes(300_000))
+        assert mcap_file(bag.path).stat().st_size > 1_000_000
+
+
+def test_flush_hands_over_what_is_pending(tmp_path):
+    with BagWriter(tmp_path / "bag") as bag:
+        bag.flush()
+        bag.write(add_joint_commands(bag), 0, b"pending")
+        bag.flush()
+        size = mcap_file(bag.path).stat().st_size
+        assert b"pending" in mcap_file(bag.path).read_bytes()
+        bag.flush()
+        assert mcap_file(bag.path).stat().st_size == size
+    assert read_raw(bag.path) == [("/joint_commands", 0, b"pending")]
+
+
+@pytest.mark.parametrize("error", [RuntimeError("stop"), KeyboardInterrupt()])
+def test_an_exception_inside_leaves_a_readable_bag(tmp_path, error):
+    def record() -> None:
+        with BagWriter(tmp_path / "bag") as bag:
+            topic = add_joint_commands(bag)
+            for k in range(3):
+                bag.write(topic, k, COMMAND.encode(k, effort=[float(k)]))
+            raise error
+
+    with pytest.raises(type(error)):
+        record()
+    assert [log_time_ns for _, log_time_ns, _ in read_raw(tmp_path / "bag")] == [0, 1, 2]
+
+
+def test_closing_twice_is_closing_once_and_nothing_can_be_written_after(tmp_path):
+    bag = BagWriter(tmp_path / "bag")
+    topic = add_joint_commands(bag)
+    bag.write(topic, 1, b"x")
+    bag.close()
+    before = mcap_file(bag.path).read_bytes()
+    bag.close()
+    assert mcap_file(bag.path).read_bytes() == before
+    for late in (
+        lambda: bag.write(topic, 2, b"y"),
+        lambda: bag.add_topic("/late", JOINT_STATE),
+        bag.flush,
+    ):
+        with pytest.raises(BagError, match="is closed"):
+            late()
+    assert bag.counts == {"/joint_commands": 1}
+
+
+def test_an_existing_path_is_refused_and_left_alone(tmp_path):
+    folder = tmp_path / "folder"
+    folder.mkdir()
+    file = tmp_path / "file"
+    file.write_text("precious")
+    for path in (folder, file):
+        with pytest.raises(ResultExistsError, match=f"{path.name} exists already") as caught:
+            BagWriter(path)
+        assert isinstance(caught.value, FileExistsError)
+        assert "\n" not in str(caught.value)
+    assert list(folder.iterdir()) == []
+    assert file.read_text() == "precious"
+
+
+def test_a_place_that_cannot_be_written_is_one_line(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(BagError, match=r"cannot create bag .*Not a directory") as caught:
+        BagWriter(tmp_path / "file" / "bag")
+    assert "\n" not in str(caught.value)
+
+
+def test_wrong_use_is_refused_with_what_is_allowed(tmp_path):
+    other = BagWriter(tmp_path / "other")
+    with BagWriter(tmp_path / "bag") as bag:
+        topic = add_joint_commands(bag)
+        with pytest.raises(BagError, match="did you mean 'sensor_msgs/msg/JointState'"):
+            bag.add_topic("/joint_states", "sensor_msgs/msg/JointStat")
+        with pytest.raises(BagError, match="'/joint_commands' was added before"):
+            add_joint_commands(bag)
+        with pytest.raises(BagError, match=r"log time -1 ns of /joint_commands"):
+            bag.write(topic, -1, b"x")
+        with pytest.raises(BagError, match="/joint_commands is no topic of it"):
+            bag.write(other.add_topic("/joint_commands", JOINT_STATE), 0, b"x")
+    other.close()
+    assert read_raw(bag.path) == []
+
+
+FULL_DISK = """
+import resource, sys
+from hpid_ros.messages.writer import BagWriter
+from hpid_ros.base.errors import BagError
+
+def fill(path):
+    with BagWriter(path) as bag:
+        topic = bag.add_topic("/joint_states", "sensor_msgs/msg/JointState")
+        try:
+            for k in range(10**6):
+                bag.write(topic, k * 1_000_000, k.to_bytes(1000, "little"))
+        except BagError as error:
+            print(error)
+        try:
+            bag.write(topic, 0, b"")
+        except BagError as error:
+            print(error)
+    return bag.counts["/joint_states"]
+
+resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[2]), resource.RLIM_INFINITY))
+print(fill(sys.argv[1]))
+"""
+
+
+def size_of_one_chunk(path: Path) -> int:
+    """Return the size of the file that holds half a second of the messages above."""
+    with BagWriter(path) as bag:
+        topic = bag.add_topic("/joint_states", JOINT_STATE)
+        for k in range(501):
+            bag.write(topic, k * MS, bytes(1000))
+        return mcap_file(path).stat().st_size
+
+
+def fill_disk(bag: Path, limit: int) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-c", FULL_DISK, str(bag), str(limit)],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=120,
+    )
+
+
+@pytest.mark.parametrize("chunks", [0.5, 0.99999, 2.3, 3.5])
+def test_a_full_disk_costs_only_the_messages_that_did_not_fit(tmp_path, chunks):
+    path = tmp_path / "bag"
+    run = fill_disk(path, int(chunks * size_of_one_chunk(tmp_path / "one")))
+    assert run.stderr == ""
+    first, second, count = run.stdout.splitlines()
+    assert first == second
+    assert "cannot be written: File too large" in first
+    stored = read_raw(path)
+    assert len(stored) == int(count) == 501 * int(chunks)
+    assert [raw for _, _, raw in stored] == [
+        k.to_bytes(1000, "little") for k in range(len(stored))
+    ]
+    with BagReader(path) as bag:
+        assert bag.topics["/joint_states"].message_count == len(stored)
+    assert_another_reader_counts(mcap_file(path), len(stored))
+
+
+def test_a_disk_without_room_for_the_index_is_said_when_closing(tmp_path):
+    run = fill_disk(tmp_path / "bag", 2 * size_of_one_chunk(tmp_path / "one"))
+    assert run.returncode == 1
+    assert "BagError: cannot finish bag" in run.stderr.splitlines()[-1]
+    with pytest.raises(BagError, match=r"no metadata\.yaml"):
+        BagReader(tmp_path / "bag")
+
+
+def assert_another_reader_counts(file: Path, count: int) -> None:
+    with file.open("rb") as stream:
+        reader = make_reader(stream, validate_crcs=True)
+        assert reader.get_summary().statistics.message_count == count
+        assert sum(1 for _ in reader.iter_messages()) == count
+
+
+@pytest.mark.parametrize(("owner", "name"), [(McapWriter, "close_chunk"), (Writer, "abort")])
+def test_a_rosbags_that_lacks_what_is_used_is_named_before_anything_is_created(
+    owner, name, tmp_path, monkeypatch
+):
+    monkeypatch.delattr(owner, name)
+    with pytest.raises(BagError, match=rf"rosbags 0\.\S+: its {owner.__name__} has no {name}"):
+        BagWriter(tmp_path / "bag")
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,436 @@
+import csv
+import dataclasses
+import io
+import json
+import math
+import re
+import warnings
+
+import numpy as np
+import pytest
+from harness.runs import run
+from hypothesis import example, given
+from hypothesis import strategies as st
+from rich.console import Console
+
+from hpid_ros.messages.series import (
+    DataQuality,
+    JointSeries,
+    RecordingQuality,
+    RunSeries,
+    SeriesError,
+)
+from hpid_ros.metrics.comparison import (
+    Comparison,
+    Judgement,
+    Verdict,
+    answer,
+    common_cuts,
+    ratio,
+    verdict,
+    verdict_lines,
+)
+from hpid_ros.metrics.quantities import (
+    CHATTER,
+    EFFORT_L2,
+    ERROR_L2,
+    IAVC,
+    INDICES,
+    ITAE,
+    IVC,
+    NORMS,
+    Data,
+)
+from hpid_ros.metrics.results import IndexSettings, run_indices
+from hpid_ros.metrics.saved import runs_from_mapping
+from hpid_ros.report.export import CSV_COLUMNS, table_csv, table_latex
+from hpid_ros.report.table import ComparisonTable, format_ratio, format_values, table_text
+
+# The paper's Table I and norms.
+PAPER_PID = ((982, 114, 2.776), (2390, 142, 4.385), (836, 43, 1.198), (111, 67, 6.589))
+PAPER_HPID = ((615, 65, 2.806), (618, 68, 3.704), (853, 50, 0.987), (56, 65, 6.345))
+
+
+@pytest.fixture
+def paper():
+    return Comparison(
+        (run("PID", PAPER_PID, (423.933, 52.2818)), run("hPID", PAPER_HPID, (329.459, 55.0789)))
+    )
+
+
+@pytest.fixture
+def three(paper):
+    return Comparison((*paper.runs, run("hPID_canonical", PAPER_HPID)))
+
+
+# Comparison ------------------------------------------------------------------------------------
+
+
+def test_ratios_are_over_the_first_run(paper):
+    assert paper.ratio("hPID", IVC, "joint2") == 618 / 2390
+    assert paper.ratio("hPID", IAVC) == (65 + 68 + 50 + 65) / (114 + 142 + 43 + 67)
+    assert paper.ratio("hPID", EFFORT_L2) == 329.459 / 423.933
+    assert paper.ratio("PID", ERROR_L2) == 1.0
+
+
+def test_a_verdict_says_in_how_many_joints_each_number_got_worse(paper):
+    """As in the paper's table: a sum hides that joint 3 has more jumps."""
+    assert paper.worse_joints("hPID") == {IVC: (1, 4), IAVC: (1, 4), ITAE: (1, 4)}
+    assert "IVC 1/4, IAVC 1/4, ITAE 1/4." in list(verdict_lines(paper))[1]
+    assert "IVC 1 of 4, IAVC 1 of 4, ITAE 1 of 4." in answer(paper)
+    alone = Comparison((run("a", [(1, 1, 1)]), run("b", [(2, 2, 2)])))
+    assert len(list(verdict_lines(alone))) == 1
+
+
+@given(st.floats(0.0, 1e300), st.floats(0.0, 1e300))
+def test_a_ratio_is_always_defined_without_a_warning(value, baseline):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        quotient = ratio(value, baseline)
+    assert not math.isnan(quotient)
+    assert (quotient == 1.0) if value == baseline else True
+
+
+def test_a_zero_baseline_makes_zero_equal_and_anything_else_infinitely_worse():
+    assert ratio(0.0, 0.0) == 1.0
+    assert ratio(1e-300, 0.0) == math.inf
+    assert verdict(ratio(1.0, 0.0)) is Verdict.WORSE
+
+
+def test_runs_that_cannot_be_compared_are_refused():
+    one = run("PID", PAPER_PID)
+    with pytest.raises(SeriesError, match="at least one run"):
+        Comparison(())
+    with pytest.raises(SeriesError, match="unlike labels"):
+        Comparison((one, one))
+    with pytest.raises(SeriesError, match="only one of them has elbow, joint4"):
+        Comparison((one, run("b", PAPER_HPID, names=["joint1", "joint2", "joint3", "elbow"])))
+    with pytest.raises(SeriesError, match="unknown run 'hpid'"):
+        Comparison((one,)).ratio("hpid", IVC)
+
+
+def test_joints_in_another_order_compare_by_name():
+    names = ["a", "b", "c", "d"]
+    left, right = run("x", PAPER_PID, names=names), run("y", PAPER_PID[::-1], names=names[::-1])
+    comparison = Comparison((left, right))
+    assert comparison.joint_names == tuple(names)
+    assert all(comparison.ratio("y", IVC, name) == 1.0 for name in names)
+
+
+def test_the_mapping_is_json_even_against_a_zero_baseline():
+    comparison = Comparison((run("a", [(0, 1, 0)]), run("b", [(1, 2, 0)])))
+    mapping = json.loads(json.dumps(comparison.as_mapping(), allow_nan=False))
+    assert mapping["baseline"] == "a"
+    assert mapping["ratios"]["b"]["joints"]["joint1"] == {"ivc": None, "iavc": 2.0, "itae": 1.0}
+    assert mapping["ratios"]["b"]["error_l2"] == 1.0
+    assert "a" not in mapping["ratios"]
+
+
+@pytest.mark.parametrize(
+    ("row", "norms", "judgement", "sentences"),
+    [
+        (
+            (50, 120, 10),
+            (0.5, 1.127),
+            Judgement.MIXED,
+            "Better: the variation of the effort (IVC) by 50.0% and the L2 norm of the effort "
+            "(||u||) by 50.0%. Worse: the effort spent (IAVC) by 20.0% and the L2 norm of the "
+            "error (||e||) by 12.7%. Unchanged: the time-weighted error (ITAE).",
+        ),
+        (
+            (50, 60, 9),
+            (1.0, 1.0004),
+            Judgement.BETTER,
+            "Better: the variation of the effort (IVC) by 50.0%, the effort spent (IAVC) by "
+            "40.0% and the time-weighted error (ITAE) by 10.0%. Unchanged: the L2 norm of the "
+            "effort (||u||) and the L2 norm of the error (||e||).",
+        ),
+        (
+            (300, 100.01, 10),
+            (1.0, 1.0),
+            Judgement.WORSE,
+            "Worse: the variation of the effort (IVC) to 3 times. Unchanged: the effort spent "
+            "(IAVC), the time-weighted error (ITAE), the L2 norm of the effort (||u||) and the "
+            "L2 norm of the error (||e||).",
+        ),
+    ],
+)
+def test_the_answer_says_what_got_better_and_what_got_worse(row, norms, judgement, sentences):
+    comparison = Comparison((run("PID", [(100, 100, 10)]), run("hPID", [row], norms)))
+    head = f"hPID against PID, over the one joint: {judgement.value}."
+    assert answer(comparison) == f"{head} {sentences} Unchanged means within 0.05%."
+    assert comparison.judgement("hPID") is judgement
+
+
+def test_the_answer_handles_many_runs_and_a_zero_baseline(three):
+    assert answer(three).count("against PID, over all 4 joints: ") == 2
+    zero = Comparison((run("a", [(0, 1, 1)]), run("b", [(1, 1, 1)])))
+    assert "Worse: the variation of the effort (IVC) from zero" in answer(zero)
+    same = Comparison((run("a", [(1, 1, 1)]), run("b", [(1, 1, 1)])))
+    assert same.judgement("b") is Judgement.EQUAL
+
+
+def test_the_answer_of_a_lone_run_are_its_own_figures(three):
+    said = answer(Comparison(three.runs[:1]))
+    assert "nothing to compare" in said
+    for figure in ("(IVC) 4319 N m", "(ITAE) 14.95 rad s^2", "(||u||) 423.9 N m s^0.5"):
+        assert figure in said
+
+
+# What is not there -----------------------------------------------------------------------------
+
+
+def lacking(label, *lacks, **options):
+    """Return two joints' numbers, of which the second lacks something."""
+    numbers = recording(label, **options)
+    (first, second) = numbers.joints
+    if Data.REFERENCE in lacks:
+        second = dataclasses.replace(second, reference=())
+    if Data.EFFORT in lacks:
+        second = dataclasses.replace(second, command_stamps_ns=(), effort=())
+    return run_indices(dataclasses.replace(numbers, joints=(first, second)))
+
+
+def recording(label, duration=2.0, period=1e-3, gain=1.0, **options):
+    t = np.arange(round(duration / period) + 1) * period
+    stamps = np.round(t * 1e9).astype(np.int64)
+    joints = (
+        JointSeries(name, stamps, 1 - np.exp(-gain * t), np.ones(t.size), stamps, gain * np.cos(t))
+        for name in ("elbow", "wrist")
+    )
+    return RunSeries(label, tuple(joints), **options)
+
+
+def test_what_is_not_there_is_a_dash_with_its_reason_in_every_form():
+    comparison = Comparison((lacking("PID", Data.REFERENCE), lacking("hPID", Data.REFERENCE)))
+    note = "No ITAE, ||e||, joint wrist: no reference was recorded."
+    text = table_text(comparison)
+    assert note in text
+    assert re.search(r"wrist .* – +– +–$", text, re.MULTILINE)
+    assert re.search(r"total .* – +– +–$", text, re.MULTILINE)
+    assert "0.0000" not in text
+    rows = list(csv.DictReader(io.StringIO(table_csv(comparison))))
+    empty = {(row["joint"], row["quantity"]) for row in rows if not row["value"]}
+    assert empty == {("wrist", "itae"), ("", "itae"), ("", "error_l2")}
+    reasons = {row["note"] for row in rows if not row["value"]}
+    assert reasons == {"no reference was recorded"}
+    latex = table_latex(comparison)
+    assert r"No ITAE, $\|e\|_{L^2}$, joint wrist: no reference was recorded." in latex
+    assert r"& -- & --" in latex
+    saved = json.loads(json.dumps(comparison.as_mapping(), allow_nan=False))
+    one = saved["runs"]["hPID"]
+    assert one["lacking"] == {"wrist": {"reference": "no reference was recorded"}}
+    assert "itae" not in one["joints"]["wrist"]
+    assert not {"itae", "error_l2"} & {*one["totals"], *one, *saved["ratios"]["hPID"]["totals"]}
+    assert table_text(Comparison(runs_from_mapping(saved, "x.json"))) == text
+    assert "Not comparable: ITAE and ||e|| (no reference was recorded)." in answer(comparison)
+
+
+def test_of_two_runs_only_one_of_which_lacks_something_that_one_is_named():
+    comparison = Comparison((lacking("PID"), lacking("hPID", Data.EFFORT)))
+    note = "No IVC, IAVC, ||u|| of hPID, joint wrist: no effort was recorded."
+    assert note in table_text(comparison)
+    assert "0.0000" not in table_text(comparison)
+    assert Verdict.EQUAL not in [comparison.verdicts("hPID")[q] for q in (IVC, IAVC, EFFORT_L2)]
+    assert "(hPID: no effort was recorded)" in answer(comparison)
+
+
+def test_what_was_assumed_is_said_and_does_not_compare_with_what_was_recorded():
+    quality = {
+        name: DataQuality(reference="hold", effort="measured, of /joint_states")
+        for name in ("elbow", "wrist")
+    }
+    assumed = run_indices(recording("a", quality=RecordingQuality(joints=quality)))
+    twice = Comparison((assumed, dataclasses.replace(assumed, label="b")))
+    for text in (table_text(twice), table_latex(twice), answer(twice)):
+        assert "a and b: reference: the first position, held as asked for." in text
+        assert "effort: measured, of /joint" in text
+    assert "reference: the first position, held" in table_csv(twice)
+    assert twice.ratio("b", ITAE) == twice.ratio("b", IVC) == 1.0
+    saved = json.loads(json.dumps(twice.as_mapping()))
+    assert saved["runs"]["a"]["assumed"]["reference"] == "the first position, held as asked for"
+    assert Comparison(runs_from_mapping(saved, "x.json")) == twice
+    mixed = Comparison((run_indices(recording("PID")), assumed))
+    assert math.isnan(mixed.ratio("a", ITAE))
+    assert math.isnan(mixed.ratio("a", IVC))
+    assert mixed.judgement("a") is Judgement.INCOMPARABLE
+    assert "effort: PID's is commanded, a's is measured, of /joint_states" in answer(mixed)
+
+
+@pytest.mark.parametrize(
+    ("other", "reason"),
+    [
+        ({"duration": 17.7}, "durations differ: 2 s and 17.7 s"),
+        ({"period": 2e-3}, "state rates differ: 1000 Hz and 500 Hz"),
+    ],
+)
+def test_runs_of_unlike_length_or_rate_get_no_verdict_but_their_numbers(other, reason):
+    comparison = Comparison((lacking("PID"), lacking("hPID", **other)))
+    assert comparison.judgement("hPID") is Judgement.INCOMPARABLE
+    assert f"hPID against PID, over all 2 joints: not comparable: {reason}." in answer(comparison)
+    text = table_text(comparison)
+    assert f"hPID against PID: not comparable: {reason}." in text
+    assert f"No ratios of hPID to PID: {reason}." in text
+    assert not re.search(r"\d[▼▲=]", text)
+    assert "textbf" not in table_latex(comparison)
+    mapping = comparison.as_mapping()
+    assert mapping["not_compared"] == {"hPID": {reason: "all"}}
+    assert mapping["ratios"]["hPID"]["totals"] == {}
+    for row in csv.DictReader(io.StringIO(table_csv(comparison))):
+        assert row["value"]
+        assert not row["ratio"]
+        assert row["note"] == ("" if row["run"] == "PID" else f"not compared: {reason}")
+
+
+def test_an_unlike_cutoff_spoils_the_chatter_alone():
+    series = recording("hPID")
+    other = run_indices(series, IndexSettings(cutoff=50.0))
+    comparison = Comparison((lacking("PID"), other))
+    assert math.isnan(comparison.ratio("hPID", CHATTER))
+    assert comparison.ratio("hPID", IVC) == 1.0
+    assert comparison.judgement("hPID") is Judgement.EQUAL
+
+
+def test_a_few_lost_states_are_no_other_rate():
+    comparison = Comparison((lacking("PID"), lacking("hPID", period=1.02e-3)))
+    assert comparison.judgement("hPID") is not Judgement.INCOMPARABLE
+
+
+def test_recordings_are_cut_to_the_time_that_all_have_from_where_their_references_begin():
+    def starts(label, duration, begin):
+        quality = RecordingQuality(joints={"elbow": DataQuality(reference_from=begin)})
+        return run_indices(recording(label, duration=duration, quality=quality))
+
+    long, short = starts("PID", 17.7, 2.0), starts("hPID", 4.5, 0.5)
+    (first, second) = common_cuts([long, short])
+    assert first[:2] == pytest.approx((2.0, 6.0))
+    assert second[:2] == pytest.approx((0.5, 4.5))
+    assert first.text == "cut to 4 s of 17.7 s, from 2 s on, where its reference begins"
+    assert common_cuts([long, starts("b", 17.7, 2.0)]) == ()
+    assert len(common_cuts([long, starts("b", 17.7, 5.0)])) == 2
+    without = common_cuts([long, starts("b", 4.0, None)])
+    assert [cut.start for cut in without] == [0.0, 0.0]
+    assert without[0].text.endswith("from 0 s on, where its states do")
+    assert without[1].text == ""
+    assert common_cuts([long, starts("b", 4.0, 3.99)]) == ()  # nothing to speak of in common
+    assert common_cuts([long]) == ()
+
+
+# The table -------------------------------------------------------------------------------------
+
+
+def test_the_table_of_two_runs_fits_eighty_columns_side_by_side(paper):
+    lines = table_text(paper, 80).splitlines()
+    assert max(map(len, lines)) <= 80
+    assert all(f"{quantity.symbol} [{quantity.unit}]" in lines[0] for quantity in INDICES)
+    row = next(line for line in lines if line.startswith("joint2"))
+    assert re.split(r"\s+", row)[:4] == ["joint2", "2390.0", "618.0", "0.259▼"]
+    assert re.split(r"\s+", row)[4:] == ["142.00", "68.00", "0.479▼", "4.385", "3.704", "0.845▼"]
+    assert next(line for line in lines if line.startswith("total")).split()[3] == "0.496▼"
+
+
+@pytest.mark.parametrize("width", [60, 66, 80, 120])
+def test_no_number_is_cut_off_at_any_width(three, width):
+    text = table_text(three, width)
+    assert max(map(len, text.splitlines())) <= width
+    assert "…" not in text
+    numbers = [
+        format_values(r.value(q, j) for r in three.runs for j in (*three.joint_names, None))
+        for q in INDICES
+    ]
+    for number in {n[:4] for column in numbers for n in column}:
+        assert number in text
+
+
+def test_a_table_too_narrow_folds_its_numbers_and_drops_no_digit(paper):
+    text = table_text(paper, 24)
+    assert "…" not in text
+    assert max(map(len, text.splitlines())) <= 24
+
+
+def test_better_and_worse_read_without_colour_and_without_unicode(paper):
+    assert "0.259▼" in table_text(paper)
+    assert "1.054▲" in table_text(paper)  # the error norm
+    stream = io.TextIOWrapper(io.BytesIO(), encoding="ascii")
+    console = Console(file=stream, width=80, color_system=None)
+    console.print(ComparisonTable(paper))
+    stream.flush()
+    text = stream.buffer.getvalue().decode("ascii")
+    assert "0.259v" in text
+    assert "1.054^" in text
+
+
+def test_labels_are_text_and_never_markup():
+    names = ["[red]a[/red]", "[/]"]
+    rows = [(1, 1, 1), (2, 2, 2)]
+    comparison = Comparison((run("[b]x", rows, names=names), run(":smile:", rows, names=names)))
+    text = table_text(comparison, 120)
+    assert all(word in text for word in (*names, "[b]x", ":smile:"))
+
+
+@given(st.lists(st.floats(0.0, 1e12), min_size=1, max_size=8))
+@example([10000.0, 0.5])  # half of the last decimal is rounded to an even number
+def test_formatted_values_line_up_and_never_hide_a_number(values):
+    texts = format_values(values)
+    plain = {len(text.partition(".")[2]) for text in texts if "e" not in text}
+    assert len(plain) <= 1
+    for value, text in zip(values, texts, strict=True):
+        assert (float(text) == 0.0) == (value == 0.0)
+        assert float(text) == pytest.approx(
+            value, rel=0.051, abs=0.51 * 10.0 ** -max(plain or {0})
+        )
+
+
+@pytest.mark.parametrize(
+    ("value", "text"), [(0.25901, "0.259"), (12.345, "12.35"), (math.inf, "inf"), (1e6, "1.0e6")]
+)
+def test_formatted_ratios(value, text):
+    assert format_ratio(value) == text
+
+
+# Files -----------------------------------------------------------------------------------------
+
+
+def test_the_csv_returns_every_number_to_the_bit(three):
+    rows = list(csv.DictReader(io.StringIO(table_csv(three))))
+    assert tuple(rows[0]) == CSV_COLUMNS
+    assert len(rows) == 3 * (4 * 3 + 3 + 2)
+    quantities = {quantity.key: quantity for quantity in (*INDICES, *NORMS)}
+    for row in rows:
+        quantity, joint = quantities[row["quantity"]], row["joint"] or None
+        assert float(row["value"]) == three.run(row["run"]).value(quantity, joint)
+        assert row["unit"] == quantity.unit
+        if row["run"] == "PID":
+            assert row["ratio"] == ""
+        else:
+            assert float(row["ratio"]) == three.ratio(row["run"], quantity, joint)
+
+
+def test_the_latex_needs_no_package_and_every_row_has_all_columns(three):
+    text = table_latex(three)
+    assert not re.search(r"toprule|midrule|cmidrule|siunitx|\\SI|rowcolor", text)
+    assert text.count(r"\begin{tabular}") == text.count(r"\end{tabular}") == 2
+    main = text.split(r"\end{tabular}")[0]
+    for line in main.splitlines():
+        if line.endswith(r"\\ \hline"):
+            spans = [int(n) - 1 for n in re.findall(r"\\multicolumn\{(\d+)\}", line)]
+            assert len(re.findall(r"(?<!\\)&", line)) + sum(spans) == 9
+    assert r"hPID\_canonical" in text
+
+
+def test_the_latex_marks_the_lower_number_and_no_tie(paper):
+    text = table_latex(paper)
+    assert r"joint2 & 2390.0 & \textbf{618.0} & 142.00 & \textbf{68.00}" in text
+    assert r"\textbf{2.776} & 2.806" in text
+    tie = Comparison((run("a", [(1, 1, 1)]), run("b", [(1, 1, 1)])))
+    assert "textbf" not in table_latex(tie)
+    infinite = Comparison((run("a", [(0, 1, 1)]), run("b", [(1, 1, 1)])))
+    assert r"$\infty$" in table_latex(infinite)
+
+
+def test_a_single_run_has_a_table_in_every_form(paper):
+    alone = Comparison(paper.runs[:1])
+    assert "ratio" not in table_text(alone)
+    assert len(table_csv(alone).splitlines()) == 1 + 4 * 3 + 3 + 2
+    assert "PID /" not in table_latex(alone)
+    assert alone.ratio("PID", ITAE) == 1.0

@@ -1,0 +1,289 @@
+import dataclasses
+import json
+import math
+
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from hpid_ros.messages.series import JointSeries, Losses, RunSeries, SeriesError
+from hpid_ros.metrics.indices import integral_of_absolute, itae, l2_norm, total_variation
+from hpid_ros.metrics.quantities import EFFORT_L2, INDICES, ITAE, IVC, QUANTITIES, Data
+from hpid_ros.metrics.results import joint_indices, run_indices
+
+# Closed forms for u = sin t and e = exp(-t) on [0, 9], to ten digits.
+IVC_OF_SINE = 5.587881515
+IAVC_OF_SINE = 5.911130262
+L2_OF_SINE = 2.165120507
+ITAE_OF_DECAY = 0.9987659020
+L2_OF_DECAY = 0.7071067758
+TEN_DIGITS = 1e-9
+
+samples = hnp.arrays(
+    np.float64, st.integers(2, 40), elements=st.floats(-1e3, 1e3, width=32, allow_subnormal=False)
+)
+steps_ns = st.lists(st.integers(1, 10**8), min_size=40, max_size=40)
+
+
+def on_grid(count):
+    return np.linspace(0.0, 9.0, count)
+
+
+def series(joint, effort, error, start_ns=0, period_ns=1_000_000):
+    stamps = start_ns + period_ns * np.arange(len(effort), dtype=np.int64)
+    error = np.asarray(error, dtype=np.float64)
+    return JointSeries(joint, stamps, -error, np.zeros_like(error), stamps, np.asarray(effort))
+
+
+# Closed forms ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("count", [91, 901, 9001])
+def test_total_variation_of_a_sine_misses_only_the_tops_between_samples(count):
+    t = on_grid(count)
+    short = IVC_OF_SINE - total_variation(np.sin(t))
+    # Each of three extremes lies at most h/2 from a sample, twice cos(h/2) - 1 below its height.
+    assert -TEN_DIGITS <= short <= 3 * 2 * (1 - math.cos(t[1] / 2)) + TEN_DIGITS
+
+
+@pytest.mark.parametrize("count", [901, 9001])
+def test_integral_of_an_absolute_sine_is_within_the_trapezoidal_bound(count):
+    t = on_grid(count)
+    wrong = integral_of_absolute(t, np.sin(t)) - IAVC_OF_SINE
+    # The rule's own bound on the smooth pieces, and a triangle at each of the two kinks.
+    assert abs(wrong) <= t[1] ** 2 * (9 / 12 + 2 / 4) + TEN_DIGITS
+
+
+@pytest.mark.parametrize(
+    ("measure", "signal", "exact", "slope_difference"),
+    [
+        # Euler-Maclaurin: the rule is wrong by h^2 / 12 times the integrand's slope difference.
+        (itae, lambda t: np.exp(-t), ITAE_OF_DECAY, (1 - 9) * math.exp(-9) - 1.0),
+        (lambda t, x: l2_norm(t, x) ** 2, np.sin, L2_OF_SINE**2, math.sin(18.0)),
+        (
+            lambda t, x: l2_norm(t, x) ** 2,
+            lambda t: np.exp(-t),
+            L2_OF_DECAY**2,
+            -2 * math.exp(-18) + 2.0,
+        ),
+    ],
+    ids=["itae of a decay", "l2 of a sine", "l2 of a decay"],
+)
+@pytest.mark.parametrize("count", [91, 901, 9001])
+def test_quadrature_is_wrong_by_the_leading_term_of_its_order_and_no_more(
+    measure, signal, exact, slope_difference, count
+):
+    t = on_grid(count)
+    h = t[1]
+    leading = h**2 / 12 * slope_difference
+    assert measure(t, signal(t)) - exact == pytest.approx(leading, abs=h**4 + 5 * TEN_DIGITS)
+
+
+def test_reference_values_hold_for_a_joint_of_a_run():
+    t = on_grid(9001)
+    run = RunSeries("PID", (series("a", np.sin(t), np.exp(-t)),))
+    numbers = run_indices(run)
+    assert numbers.totals.ivc == pytest.approx(IVC_OF_SINE, abs=1e-6)
+    assert numbers.totals.iavc == pytest.approx(IAVC_OF_SINE, abs=1e-6)
+    assert numbers.totals.itae == pytest.approx(ITAE_OF_DECAY, abs=1e-6)
+    assert numbers.effort_l2 == pytest.approx(L2_OF_SINE, abs=1e-6)
+    assert numbers.error_l2 == pytest.approx(L2_OF_DECAY, abs=1e-6)
+
+
+def test_uneven_stamps_weigh_each_interval_by_its_own_length():
+    assert integral_of_absolute([0.0, 1.0, 4.0], [2.0, 2.0, -2.0]) == 8.0
+    assert itae([0.0, 1.0, 4.0], [1.0, 1.0, 1.0]) == 8.0
+    assert l2_norm([0.0, 1.0, 5.0], [3.0, 3.0, 3.0]) == pytest.approx(math.sqrt(45.0))
+
+
+# Properties ------------------------------------------------------------------------------------
+
+
+@given(samples, st.integers(-20, 20))
+def test_all_numbers_scale_with_their_signal(values, exponent):
+    factor = -(2.0**exponent)  # a power of two, so that scaling is exact
+    t = np.arange(values.size) * 0.5
+    assert total_variation(factor * values) == abs(factor) * total_variation(values)
+    for measure in (integral_of_absolute, itae, l2_norm):
+        assert measure(t, factor * values) == pytest.approx(
+            abs(factor) * measure(t, values), rel=1e-12, abs=1e-300
+        )
+
+
+@given(samples, st.integers(-(10**18), 10**18))
+def test_nothing_of_a_run_depends_on_when_it_was_made(values, start_ns):
+    early, late = (series("a", values, values, start) for start in (0, start_ns))
+    assert joint_indices(early) == joint_indices(late)
+
+
+@given(samples, st.floats(-50.0, 50.0))
+def test_iavc_is_invariant_and_itae_is_not_under_a_shift_of_time(values, shift):
+    assume(abs(shift) > 0.1 and np.abs(values).max() > 1e-3)
+    t = 100.0 + np.arange(values.size) * 0.5
+    area = integral_of_absolute(t, values)
+    assert integral_of_absolute(t + shift, values) == pytest.approx(area, rel=1e-9)
+    assert itae(t + shift, values) == pytest.approx(itae(t, values) + shift * area, rel=1e-9)
+
+
+@given(samples, st.data(), steps_ns)
+def test_a_lost_sample_is_bridged_by_a_straight_line(values, data, steps):
+    assume(values.size >= 3)
+    k = data.draw(st.integers(1, values.size - 2))
+    t = np.cumsum(steps[: values.size]) / 1e9
+    kept = np.arange(values.size) != k
+    bridge = np.interp(t[k], t[kept], np.abs(values[kept]))
+    difference = (abs(values[k]) - bridge) * (t[k + 1] - t[k - 1]) / 2
+    whole = integral_of_absolute(t, values)
+    assert integral_of_absolute(t[kept], values[kept]) == pytest.approx(
+        whole - difference, rel=1e-9, abs=1e-9
+    )
+    assert total_variation(values[kept]) <= total_variation(values) * (1 + 1e-15)
+
+
+@given(st.lists(samples, min_size=2, max_size=5), st.randoms(use_true_random=False))
+def test_the_order_of_joints_changes_no_bit(efforts, random):
+    joints = [series(f"joint{k}", values, values / 3.0) for k, values in enumerate(efforts)]
+    shuffled = random.sample(joints, len(joints))
+    before, after = (run_indices(RunSeries("a", tuple(order))) for order in (joints, shuffled))
+    assert before == dataclasses.replace(after, joints=before.joints)
+    assert dict(before.joints) == dict(after.joints)
+
+
+@given(samples, samples)
+def test_norms_over_joints_are_pythagorean_and_totals_are_sums(first, second):
+    joints = (series("a", first, first), series("b", second, second))
+    alone = [run_indices(RunSeries("x", (joint,))) for joint in joints]
+    both = run_indices(RunSeries("x", joints))
+    for quantity in INDICES:
+        parts = [numbers.value(quantity) for numbers in alone]
+        assert both.value(quantity) == pytest.approx(sum(parts), rel=1e-12)
+    for name in ("effort_l2", "error_l2"):
+        parts = [getattr(numbers, name) for numbers in alone]
+        assert getattr(both, name) == pytest.approx(math.hypot(*parts), rel=1e-9)
+
+
+def test_itae_counts_from_the_first_state_and_iavc_uses_the_commands_stamps():
+    states = np.array([5, 6, 7], dtype=np.int64) * 10**9
+    commands = np.array([6, 7], dtype=np.int64) * 10**9
+    joint = JointSeries("a", states, [0.0, 0.0, 0.0], [1.0, 1.0, 1.0], commands, [3.0, 3.0])
+    indices = joint_indices(joint)
+    assert joint.error.tolist() == [1.0, 1.0, 1.0]  # the reference minus the position
+    assert indices.itae == 2.0
+    assert indices.iavc == 3.0
+    assert joint.command_time.tolist() == [1.0, 2.0]
+
+
+def test_a_joint_that_was_never_answered_has_no_effort_and_no_index_of_it():
+    joint = JointSeries("a", [0, 10**9], [0.0, 0.0], [1.0, 1.0], [], [])
+    run = run_indices(RunSeries("x", (joint,)))
+    assert all(map(math.isnan, (run.totals.ivc, run.totals.iavc, run.effort_l2)))
+    assert run.why_undefined(IVC, "a") == run.why_undefined(IVC) == {"a": "no effort was recorded"}
+    assert run.totals.itae == 0.5
+
+
+def test_a_joint_without_a_reference_has_efforts_and_no_error_and_no_sum_goes_over_the_others():
+    stamps = np.arange(3) * 10**9
+    known = JointSeries("a", stamps, np.zeros(3), np.ones(3), stamps, [1.0, 2.0, 3.0])
+    unknown = JointSeries("b", stamps, np.zeros(3), [], stamps, [1.0, 2.0, 3.0])
+    run = run_indices(RunSeries("x", (known, unknown)))
+    assert (run.totals.ivc, run.value(IVC, "b")) == (4.0, 2.0)
+    assert run.value(ITAE, "a") == 2.0
+    of_error = [each for each in QUANTITIES.values() if each.needs is Data.REFERENCE]
+    assert {"itae", "error_l2", "rmse", "rise_time"} <= {each.key for each in of_error}
+    for quantity in of_error:
+        assert math.isnan(run.value(quantity, "b"))
+        assert math.isnan(run.value(quantity)), quantity.key
+        assert run.why_undefined(quantity)["b"] == "no reference was recorded"
+    with pytest.raises(SeriesError, match="joint 'b': no reference was recorded"):
+        _ = unknown.error
+    with pytest.raises(SeriesError, match="reference has shape"):
+        JointSeries("b", stamps, np.zeros(3), [1.0], stamps, np.zeros(3))
+
+
+def test_the_numbers_as_a_mapping_are_json_and_name_their_units():
+    run = run_indices(RunSeries("x", (series("a", [1.0, 2.0], [0.1, 0.2]),)))
+    mapping = json.loads(json.dumps(run.as_mapping(), allow_nan=False))
+    assert mapping["joints"]["a"]["ivc"] == run.value(IVC, "a")
+    assert set(mapping["units"]) == set(QUANTITIES)
+    assert set(mapping["joints"]["a"]) <= set(QUANTITIES)
+    assert mapping["units"]["itae"] == "rad s^2"
+
+
+# Refusals --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("t", "x", "words"),
+    [
+        ([0.0, 1.0], [1.0], "one length, got 2 and 1"),
+        ([0.0, -1.0], [1.0, 1.0], "must not fall"),
+        ([0.0, 1.0], [1.0, math.nan], r"\[1\] = nan"),
+        ([[0.0], [1.0]], [1.0, 1.0], "one-dimensional"),
+    ],
+)
+@pytest.mark.parametrize("measure", [integral_of_absolute, itae, l2_norm])
+def test_arrays_that_are_no_signal_are_refused(measure, t, x, words):
+    with pytest.raises(SeriesError, match=words):
+        measure(t, x)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"joint": ""}, "name"),
+        ({"position": [0.0]}, r"position has shape \(1,\), but its stamps have \(2,\)"),
+        ({"reference": [0.0, math.inf]}, r"reference must be finite, but \[1\] = inf"),
+        ({"effort": [math.nan, 0.0]}, "effort must be finite"),
+        ({"state_stamps_ns": [1, 1]}, "increase strictly"),
+        ({"command_stamps_ns": [2, 1]}, "increase strictly"),
+        ({"state_stamps_ns": [0.0, 1.0]}, "line of integers, got float64"),
+        ({"state_stamps_ns": [], "position": [], "reference": []}, "no state"),
+    ],
+)
+def test_a_series_that_cannot_be_is_refused_with_the_joint_and_the_reason(change, words):
+    good = {
+        "joint": "elbow",
+        "state_stamps_ns": [0, 1],
+        "position": [0.0, 0.0],
+        "reference": [0.0, 0.0],
+        "command_stamps_ns": [0, 1],
+        "effort": [0.0, 0.0],
+    }
+    JointSeries(**good)
+    with pytest.raises(SeriesError, match=words):
+        JointSeries(**{**good, **change})
+
+
+def test_a_series_cannot_be_changed_from_outside():
+    effort = np.array([1.0, 2.0])
+    joint = series("a", effort, [0.0, 0.0])
+    effort[0] = 9.0
+    assert joint.effort[0] == 1.0
+    with pytest.raises(ValueError, match="read-only"):
+        joint.effort[0] = 9.0
+
+
+def test_a_run_refuses_doubled_joints_and_foreign_losses_and_fills_in_the_rest():
+    joint = series("a", [0.0, 1.0], [0.0, 0.0])
+    with pytest.raises(SeriesError, match="twice"):
+        RunSeries("x", (joint, joint))
+    with pytest.raises(SeriesError, match="unknown joints b; known: a"):
+        RunSeries("x", (joint,), {"b": Losses(1, 0)})
+    with pytest.raises(SeriesError, match="at least one joint"):
+        RunSeries("x", ())
+    with pytest.raises(SeriesError, match="negative"):
+        Losses(-1, 0)
+    assert RunSeries("x", (joint,)).losses == {"a": Losses(0, 0)}
+
+
+def test_a_value_is_asked_by_quantity_and_joint():
+    run = run_indices(RunSeries("x", (series("elbow", [1.0, 2.0], [0.1, 0.2]),)))
+    assert run.value(ITAE, "elbow") == run.joints["elbow"].itae
+    with pytest.raises(SeriesError, match="did you mean 'elbow'"):
+        run.value(ITAE, "elbo")
+    assert run.value(EFFORT_L2, "elbow") == run.effort_l2
+    bare = dataclasses.replace(run, quantities=INDICES)
+    with pytest.raises(SeriesError, match=r"run 'x': unknown index 'effort_l2'.*iavc, itae, ivc"):
+        bare.value(EFFORT_L2)

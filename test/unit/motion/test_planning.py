@@ -1,0 +1,229 @@
+"""A planned brick task: within every limit, along straight lines, through every brick."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from harness.places import URDF
+
+from hpid_ros.base.errors import SettingError, TrajectoryError
+from hpid_ros.motion.bricks import plan_bricks
+from hpid_ros.motion.plan import BrickGoal, Placement, PlanOptions, TaskRobot
+from hpid_ros.motion.references import planned_reference
+from hpid_ros.motion.spline import SplineReference
+from hpid_ros.robot.description import RobotDescription
+from hpid_ros.robot.differential_drive import DifferentialDrive, integrated
+from hpid_ros.robot.kinematics import Kinematics, rotation_angles
+
+pytestmark = pytest.mark.slow
+
+ROBOT = RobotDescription.load(URDF)
+WHEELS = ("wheel_left_joint", "wheel_right_joint")
+ARM = Kinematics(ROBOT, "payload")
+FOLDED = {"arm_joint_2": -0.6, "arm_joint_3": 1.9, "arm_joint_5": math.pi - 1.3}
+AT_REST = [FOLDED.get(joint, 0.0) for joint in ARM.joints]
+MOBILE = TaskRobot(ROBOT, DifferentialDrive.of(ROBOT, *WHEELS), FOLDED)
+STANDING = replace(MOBILE, base=None)
+SIZE = (0.07, 0.06, 0.08)
+LIGHT = BrickGoal(
+    "light", SIZE, Placement((0.9, 0.1, 0.18), 0.3), Placement((0.2, 0.8, 0.19), 1.2, math.pi / 2)
+)
+HEAVY = BrickGoal("heavy", SIZE, Placement((0.9, -0.1, 0.18)), Placement((0.4, 0.8, 0.2)))
+NEAR = BrickGoal("near", SIZE, Placement((0.42, 0.1, 0.2)), Placement((0.4, -0.1, 0.2), 0.4))
+
+
+def splines(trajectory):
+    """Return each joint's reference from time 0."""
+    return {
+        joint: trajectory.column(joint).start(0, trajectory.points[0].positions[index])
+        for index, joint in enumerate(trajectory.joint_names)
+    }
+
+
+def sampled(reference: SplineReference, times_ns):
+    return np.array([reference.sample(int(time_ns)) for time_ns in times_ns])
+
+
+def hand_in_odom(plan, times_ns, base=MOBILE.base):
+    """Return where the plan has the hand: positions and rotations in odom."""
+    references = splines(plan.trajectory)
+    arm = np.column_stack([sampled(references[joint], times_ns)[:, 0] for joint in ARM.joints])
+    poses = ARM.poses(arm)
+    if base is None:
+        return poses.positions, poses.rotations
+    fine = np.arange(0, plan.trajectory.points[-1].time_from_start_ns + 1, 2_000_000)
+    wheels = [sampled(references[joint], fine)[:, 0] for joint in WHEELS]
+    at = np.searchsorted(fine, times_ns)
+    positions, rotations = [], []
+    for (x, y, heading), position, rotation in zip(
+        integrated(base, *wheels)[np.minimum(at, len(fine) - 1)], *poses, strict=True
+    ):
+        c, s = math.cos(heading), math.sin(heading)
+        turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        positions.append(turn @ position + [x, y, 0.0])
+        rotations.append(turn @ rotation)
+    return np.array(positions), np.array(rotations)
+
+
+@pytest.fixture(scope="module")
+def plan():
+    return plan_bricks(replace(MOBILE, opening=0.078), ARM, [LIGHT, HEAVY], AT_REST)
+
+
+def test_every_joint_stays_within_its_limits_and_moves_without_a_jump(plan):
+    end_ns = plan.trajectory.points[-1].time_from_start_ns
+    times_ns = np.arange(0, end_ns, 5_000_000)
+    for name, reference in splines(plan.trajectory).items():
+        joint = ROBOT.joints[name]
+        position, velocity, acceleration = sampled(reference, times_ns).T
+        assert position.min() >= joint.lower
+        assert position.max() <= joint.upper
+        assert np.abs(velocity).max() <= joint.velocity
+        # Continuous: within 5 ms each changes as its derivative says.
+        means = [0.5 * (each[1:] + each[:-1]) for each in (velocity, acceleration)]
+        assert np.abs(np.diff(position) - 5e-3 * means[0]).max() < 1e-5
+        assert np.abs(np.diff(velocity) - 5e-3 * means[1]).max() < 1e-3
+        assert velocity[0] == acceleration[0] == 0.0
+
+
+def test_the_hand_is_at_each_brick_and_place_when_the_gripper_moves(plan):
+    expected = [LIGHT.pick, LIGHT.place, HEAVY.pick, HEAVY.place]
+    assert [grip.is_closed for grip in plan.grips] == [True, False, True, False]
+    assert [grip.brick for grip in plan.grips] == ["light", "light", "heavy", "heavy"]
+    positions, rotations = hand_in_odom(plan, [grip.time_ns for grip in plan.grips])
+    gaps = (0.0, 0.003, 0.0, 0.003)
+    for position, rotation, where, gap in zip(positions, rotations, expected, gaps, strict=True):
+        assert position == pytest.approx(np.add(where.position, (0.0, 0.0, gap)), abs=1e-5)
+        assert rotation[:, 2] == pytest.approx([0.0, 0.0, -1.0], abs=1e-6)
+        across = math.atan2(rotation[1, 1], rotation[0, 1])
+        quarter = math.remainder(across - where.yaw, math.pi / 2)
+        assert quarter == pytest.approx(0.0, abs=1e-5)
+
+
+def test_every_planned_pose_is_met(plan):
+    positions, rotations = hand_in_odom(plan, [each.time_ns for each in plan.poses])
+    for position, rotation, each in zip(positions, rotations, plan.poses, strict=True):
+        assert position == pytest.approx(each.pose.position, abs=1e-5)
+        assert rotation_angles(rotation[None], each.pose.rotation[None])[0] < 1e-5
+
+
+def test_the_hand_goes_down_and_up_in_a_straight_line():
+    plan = plan_bricks(STANDING, ARM, [NEAR], AT_REST)
+    above, at_it, lifted = plan.poses[:3]
+    times_ns = np.linspace(above.time_ns, lifted.time_ns, 2000).astype(np.int64)
+    positions, rotations = hand_in_odom(plan, times_ns, None)
+    assert np.abs(positions[:, :2] - above.pose.position[:2]).max() < 2e-4
+    assert positions[:, 2].min() == pytest.approx(at_it.pose.position[2], abs=1e-6)
+    assert rotation_angles(rotations, np.array([above.pose.rotation] * 2000)).max() < 1e-3
+
+
+def test_the_base_moves_only_with_the_arm_folded(plan):
+    references = splines(plan.trajectory)
+    end_ns = plan.trajectory.points[-1].time_from_start_ns
+    times_ns = np.arange(0, end_ns, 5_000_000)
+    wheels = [sampled(references[joint], times_ns)[:, 1] for joint in WHEELS]
+    drives = np.abs(wheels).max(axis=0) > 1e-9
+    arm = np.column_stack([sampled(references[joint], times_ns)[:, 0] for joint in ARM.joints])
+    assert drives.mean() > 0.2
+    assert np.abs(arm[drives] - AT_REST).max() < 1e-9
+
+
+def test_a_plan_is_the_same_every_time(plan):
+    again = plan_bricks(replace(MOBILE, opening=0.078), ARM, [LIGHT, HEAVY], AT_REST)
+    assert again.trajectory == plan.trajectory
+
+
+def test_a_brick_is_taken_across_its_narrow_side():
+    long = replace(NEAR, size=(0.06, 0.15, 0.08))
+    plan = plan_bricks(replace(STANDING, opening=0.078), ARM, [long], AT_REST)
+    fingers = plan.poses[1].pose.rotation[:, 1]
+    assert abs(fingers[0]) == pytest.approx(1.0)  # the brick's x, since its yaw is 0
+    wide = replace(NEAR, size=(0.15, 0.15, 0.08))
+    with pytest.raises(TrajectoryError, match=r"'near' is 0\.15 m wide.* opening of 0\.078 m"):
+        plan_bricks(replace(STANDING, opening=0.078), ARM, [wide], AT_REST)
+
+
+def test_what_is_out_of_reach_is_named_with_the_reach():
+    far = replace(NEAR, name="far", place=Placement((1.4, 0.0, 0.2)))
+    with pytest.raises(
+        TrajectoryError, match=r"brick 'far', place: .*\(1\.400.* 0\.\d+ m"
+    ) as error:
+        plan_bricks(STANDING, ARM, [far], AT_REST)
+    assert "\n" not in str(error.value)
+    high = replace(LIGHT, pick=Placement((0.9, 0.1, 0.9)))
+    with pytest.raises(TrajectoryError, match="brick 'light', pick"):
+        plan_bricks(MOBILE, ARM, [high], AT_REST)
+
+
+def test_a_base_that_would_have_to_turn_its_wheels_too_fast_is_refused():
+    with pytest.raises(TrajectoryError, match="rad/s"):
+        plan_bricks(MOBILE, ARM, [LIGHT], AT_REST, PlanOptions(turn_speed=20.0))
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"standoff": 0.0}, {"arm_speed": 1.5}, {"settle": -1.0}, {"clearance": math.nan}]
+)
+def test_options_out_of_range_are_refused(wrong):
+    with pytest.raises(SettingError, match=next(iter(wrong))):
+        PlanOptions(**wrong)
+
+
+def document(**reference):
+    return {
+        "robot": {
+            "description": "robot",
+            "base": dict(zip(("left_wheel", "right_wheel"), WHEELS, strict=True)),
+            "initial_positions": FOLDED,
+        },
+        "scene": {
+            "gripper": {"opening": 0.078},
+            "bricks": {"b": {"size": [0.06, 0.06, 0.06], "position": [0.9, 0.0, 0.18], "mass": 1}},
+        },
+        "reference": {
+            "kind": "bricks",
+            "bricks": [{"brick": "b", "place": {"position": [0.2, 0.8, 0.18]}}],
+        }
+        | reference,
+    }
+
+
+def planned(values):
+    return planned_reference(values, "reference", lambda name: ROBOT)
+
+
+def test_a_document_says_the_whole_task():
+    trajectory, plan = planned(document(settle=0.5))
+    assert set(trajectory.joint_names) == {*WHEELS, *ARM.joints}
+    assert [goal.name for goal in plan.goals] == ["b"]
+    believed = {"brick": "b", "pick": {"yaw": 0.2}, "place": {"position": [0.2, 0.8, 0.18]}}
+    _, other = planned(document(bricks=[believed]))
+    assert other.goals[0].pick == Placement((0.9, 0.0, 0.18), 0.2)
+
+
+def test_any_other_reference_is_what_it_was():
+    section = {"kind": "step", "times": [0.0], "positions": {"arm_joint_1": [0.1]}}
+    trajectory, plan = planned({"reference": section})
+    assert plan is None
+    assert trajectory.joint_names == ("arm_joint_1",)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "line"),
+    [
+        ({"bricks": [{"brick": "c", "place": {"position": [0, 0, 0]}}]}, "unknown brick 'c'"),
+        ({"bricks": []}, "reference.bricks must name at least one brick"),
+        ({"bricks": [{"brick": "b"}]}, r"reference\.bricks\[0\]\.place is missing"),
+        ({"speed": 1.0}, "unknown key 'reference.speed'"),
+        ({"folded": {"elbow": 1.0}}, "unknown joint 'elbow'"),
+        ({"arm": "arm_joint_1"}, "reference.arm must be a list, not 'arm_joint_1'"),
+        ({"arm_speed": 2.0}, r"reference\.arm_speed must be above 0 and at most 1, not 2\.0"),
+        ({"bricks": [{"brick": "b", "place": {"position": [5, 0]}}]}, "three numbers"),
+    ],
+)
+def test_a_wrong_section_is_one_line(wrong, line):
+    with pytest.raises(TrajectoryError, match=line) as error:
+        planned(document(**wrong))
+    assert "\n" not in str(error.value)

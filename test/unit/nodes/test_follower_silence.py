@@ -1,0 +1,171 @@
+"""Goals over states and references that stay away, come apart, or are of another clock."""
+
+import pytest
+from harness.groups import MS, SECOND, THERE, SimulatedGroup, at_rest, goal, moving, started
+
+from hpid_ros.control.reference import Setpoint
+from hpid_ros.messages.joint_readers import JointPart
+from hpid_ros.nodes.parts.goals import GoalError, ResultCode
+
+
+def test_no_goal_is_taken_before_there_are_states_and_after_they_have_stopped():
+    group = SimulatedGroup()
+    with pytest.raises(GoalError, match="no state of shoulder yet"):
+        group.begin(moving())
+    group.run(0.2)
+    assert group.follower.lapse(0.6) is None
+    with pytest.raises(GoalError, match=r"no new state for 0\.6 s"):
+        group.begin(moving())
+    group.run(0.01)
+    group.begin(moving())
+
+
+def test_states_that_stop_abort_the_goal_and_the_joints_hold_where_they_are_found_again():
+    group = started()
+    group.run(0.5)
+    outcome = group.follower.lapse(0.7)
+    assert outcome.result.code is ResultCode.INVALID_GOAL
+    assert "no new state for 0.7 s" in outcome.result.text
+    assert outcome.told is None
+    group.position = [-0.3, 0.2]  # somebody has moved the arm meanwhile
+    group.velocity = [0.0, 0.0]
+    group.stamp_ns += SECOND
+    group.run(1.5)
+    assert [loop.reference for loop in group.loops] == [
+        (pytest.approx(-0.3, abs=0.01), 0.0),
+        (pytest.approx(0.2, abs=0.01), 0.0),
+    ]
+
+
+def test_a_paused_simulation_aborts_nothing():
+    group = started(state_clock="simulated")
+    group.run(0.5)
+    assert group.follower.lapse(60.0) is None
+    with pytest.raises(GoalError, match="no new state for 60 s"):
+        group.begin(moving())
+    group.run(1.0, until=lambda: group.results)
+    assert [each.code for each in group.results] == [ResultCode.SUCCESSFUL]
+
+
+def test_a_clock_that_goes_back_aborts_the_goal_and_moves_nothing():
+    group = started(start_ns=50 * SECOND)
+    group.run(0.5)
+    group.stamp_ns = 0
+    group.position, group.velocity = [0.0, 0.0], [0.0, 0.0]
+    group.run(3.0)
+    (result,) = group.results
+    assert result.code is ResultCode.INVALID_GOAL
+    assert "clock of the states went back by 50.7 s" in result.text
+    assert group.position == pytest.approx([0.0, 0.0], abs=1e-3)
+    group.begin(moving())
+    group.run(2.0, until=lambda: len(group.results) > 1)
+    assert group.results[1].code is ResultCode.SUCCESSFUL
+    # Of an idle group, too: its controllers would begin the last trajectory anew.
+    group.stamp_ns = 0
+    group.position, group.velocity = [0.0, 0.0], [0.0, 0.0]
+    group.run(3.0)
+    assert group.position == pytest.approx([0.0, 0.0], abs=1e-3)
+
+
+def test_a_joint_that_is_missing_from_the_states_aborts_the_goal():
+    group = started()
+    group.run(0.3)
+    group.seen = lambda parts: parts[:1]
+    assert group.run(2.0, until=lambda: group.results) == pytest.approx(0.5, abs=0.01)
+    (result,) = group.results
+    assert "elbow has had no state for 0.5" in result.text
+    with pytest.raises(GoalError, match="elbow has had no state"):
+        group.begin(moving())
+
+
+def test_a_controller_that_tells_its_reference_no_more_aborts_the_goal():
+    group = started()
+    group.run(0.3)
+    group.mute = {1}
+    group.run(2.0, until=lambda: group.results)
+    assert "the controller of elbow has told no reference for 0.5" in group.results[0].text
+    with pytest.raises(GoalError, match="controller of elbow has told no reference"):
+        group.begin(moving())
+    group.mute = set()
+    group.run(0.1)
+    group.begin(moving())
+
+
+def test_controllers_that_never_tell_their_references_are_taken_at_their_word():
+    group = SimulatedGroup()
+    group.mute = {0, 1}
+    group.run(0.2)
+    group.begin(moving())
+    group.run(2.0, until=lambda: group.results)
+    assert group.results[0].code is ResultCode.SUCCESSFUL
+
+
+@pytest.mark.parametrize("is_deaf", [True, False])
+def test_a_controller_that_follows_something_else_aborts_the_goal(is_deaf):
+    group = SimulatedGroup()
+    group.deaf = {1} if is_deaf else set()
+    group.run(0.2)
+    long = {name: [0.0, path[-1]] for name, path in THERE.items()}
+    group.begin(goal(long, [0.0, 4.0], at_rest(long)))
+    if not is_deaf:
+        group.run(1.0)
+        group.loops[1].follow(Setpoint(0.3))
+    group.run(5.0, until=lambda: group.results)
+    (result,) = group.results
+    assert result.code is ResultCode.INVALID_GOAL
+    assert "the reference of elbow's controller is at" in result.text
+    assert "follows something else" in result.text
+
+
+def test_joints_may_have_states_of_their_own_at_other_rates_and_stamps():
+    """As where a gripper tells its states on a topic of its own."""
+    group = SimulatedGroup(**{"constraints.elbow.goal": 2e-3, "constraints.elbow.trajectory": 0.1})
+    late = 300_000  # [ns]; its stamps are never those of the others
+
+    def apart(parts):
+        if group.stamp_ns % (20 * MS) == 0:
+            group.note(group.follower.take_state(group.stamp_ns - late, parts[1:]))
+        return parts[:1]
+
+    group.seen = apart
+    group.run(0.2)
+    group.begin(moving())
+    group.run(3.0, until=lambda: group.results)
+    assert group.results == [(ResultCode.SUCCESSFUL, "goal reached")]
+    assert group.position == pytest.approx([1.0, -0.5], abs=5e-3)
+    group.begin(goal({name: [0.0] for name in THERE}, [2.0]))
+    group.run(0.2)
+    group.seen = lambda parts: parts[:1]  # the other topic falls silent
+    group.run(1.0, until=lambda: len(group.results) > 1)
+    assert group.results[1].code is ResultCode.INVALID_GOAL
+    assert group.results[1].text.startswith("elbow has had no state for 0.5")
+
+
+@pytest.mark.parametrize(
+    ("is_excused", "dead", "code"),
+    [
+        (True, set(), ResultCode.SUCCESSFUL),
+        (True, {1}, ResultCode.INVALID_GOAL),
+        (False, set(), ResultCode.INVALID_GOAL),
+    ],
+)
+def test_what_came_while_nobody_called_is_not_missed_but_what_stays_away_is(
+    is_excused, dead, code
+):
+    group = SimulatedGroup()
+    group.run(0.2)
+    slow = {name: [0.0, path[-1]] for name, path in THERE.items()}
+    group.begin(goal(slow, [0.0, 3.0], at_rest(slow)))
+    group.run(0.5)
+    before, before_ns = list(zip(group.position, group.velocity, strict=True)), group.stamp_ns
+    group.seen, group.mute = lambda parts: [], {0, 1}
+    group.run(0.7)
+    if is_excused:
+        group.follower.excuse(0.7)
+        old = [JointPart(joint, *at) for joint, at in enumerate(before)]
+        group.note(group.follower.take_state(before_ns + MS, old))  # one that was on its way
+    del group.seen
+    group.run(0.1)  # a state comes before the references do
+    group.mute = dead
+    group.run(4.0, until=lambda: group.results)
+    assert group.results[0].code is code

@@ -1,0 +1,221 @@
+"""Which goals are obeyed: the rules of joint_trajectory_controller, each with its code."""
+
+import numpy as np
+import pytest
+from harness.groups import SECOND, goal
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hpid_ros.base.errors import SettingError
+from hpid_ros.messages.joint_trajectory import MOST_MIXED_POINTS, MOST_POINTS
+from hpid_ros.motion.joint_trajectory import PointArrays
+from hpid_ros.nodes.parts.goals import (
+    AskedTolerance,
+    GoalError,
+    GoalRequest,
+    GroupSettings,
+    JointFacts,
+    ResultCode,
+    Tolerance,
+    for_all_joints,
+)
+
+JOINTS = ("shoulder", "elbow", "slide")
+FACTS = {"slide": JointFacts(unit="m")}
+WHOLE = {"shoulder": [1.0, 2.0], "elbow": [0.0, 0.5], "slide": [0.1, 0.2]}
+
+
+def settings(**values):
+    return GroupSettings.from_parameters(JOINTS, FACTS, values)
+
+
+def code_of(request, **values):
+    with pytest.raises(GoalError) as refused:
+        request.require_group(settings(**values))
+    return refused.value.code, str(refused.value)
+
+
+def checked(names, times, positions, velocities=None, stamp_ns=0):
+    """Return a request from what came, point by point; arrays may have any length."""
+    count = len(names)
+    velocities = [[] for _ in times] if velocities is None else velocities
+    points = [
+        (time, tuple(p), tuple(v), (), ())
+        for time, p, v in zip(times, positions, velocities, strict=True)
+    ]
+    lengths = np.array([[len(p), len(v), 0, 0] for _, p, v, *_ in points]).reshape(-1, 4)
+    arrays, none = [], [[] for _ in times]
+    for rows in (positions, velocities, none, none):
+        whole = [row if len(row) == count else [np.nan] * count for row in rows]
+        arrays.append(np.array(whole, dtype=float).reshape(len(times), count))
+    times_ns = np.array(times, dtype=np.int64)
+    request = GoalRequest(tuple(names), stamp_ns, times_ns, PointArrays(*arrays))
+    request.require_trajectory(lengths, lambda index: points[index])
+    return request
+
+
+@pytest.mark.parametrize(
+    ("names", "times", "positions", "velocities", "code", "line"),
+    [
+        ([], [1], [[]], None, "INVALID_JOINTS", "each of its joints once, not \\[\\]"),
+        (["a", "a"], [1], [[1, 1]], None, "INVALID_JOINTS", "each of its joints once"),
+        (["a"], [], [], None, "INVALID_GOAL", "at least one point"),
+        (["a"], [2, 2], [[1], [2]], None, "INVALID_GOAL", "times must increase"),
+        (["a"], [3, 2], [[1], [2]], None, "INVALID_GOAL", "point 1 has 2 ns after 3 ns"),
+        (["a"], [-1], [[1]], None, "INVALID_GOAL", "times must increase from 0 ns on"),
+        (["a"], [1], [[]], None, "INVALID_GOAL", "point 0 must have 1 positions, not 0"),
+        (["a"], [1], [[1, 2]], None, "INVALID_GOAL", "must have 1 positions, not 2"),
+        (["a"], [1, 2], [[1], [2]], [[0], [0, 0]], "INVALID_GOAL", "0 or 1 velocities, not 2"),
+        (["a"], [1], [[np.nan]], None, "INVALID_GOAL", "must be finite, not nan for 'a'"),
+        (["a", "b"], [1], [[0, np.inf]], None, "INVALID_GOAL", "not inf for 'b'"),
+        (["a"], [1], [[1]], [[np.nan]], "INVALID_GOAL", "velocities of point 0 must be finite"),
+        (["a"], [1], [[1e12]], None, "INVALID_GOAL", "within 1e\\+09"),
+    ],
+)
+def test_what_is_no_trajectory_is_refused(names, times, positions, velocities, code, line):
+    with pytest.raises(GoalError, match=line) as refused:
+        checked(names, times, positions, velocities)
+    assert refused.value.code is ResultCode[code]
+
+
+@pytest.mark.parametrize(
+    ("count", "is_mixed", "line"),
+    [
+        (MOST_POINTS, False, "a goal may have 49999 points, not 50000"),
+        (MOST_MIXED_POINTS, True, "whose points differ in their arrays may have 4999 points"),
+    ],
+)
+def test_a_goal_has_no_more_points_than_controllers_take(count, is_mixed, line):
+    times, positions = range(1, count + 1), [[0.0]] * count
+    velocities = [[0.0]] * count
+    velocities[0] = [] if is_mixed else [0.0]
+    with pytest.raises(GoalError, match=line):
+        checked(["a"], times, positions, velocities)
+    checked(["a"], times[1:], positions[1:], [velocities[0], *velocities[2:]])
+
+
+def test_points_may_differ_in_what_they_give():
+    request = checked(["a"], [1, 2, 3], [[1], [2], [3]], [[0.5], [], [0.0]])
+    assert np.isnan(request.arrays[1][:, 0]).tolist() == [False, True, False]
+
+
+def test_joints_must_be_the_groups_and_all_of_them_unless_some_will_do():
+    assert settings() is not None
+    request = goal(WHOLE, [0.0, 1.0])
+    request.require_group(settings())
+    code, line = code_of(goal({**WHOLE, "elbw": [0.0, 0.0]}, [0.0, 1.0]))
+    assert code is ResultCode.INVALID_JOINTS
+    assert "unknown joint 'elbw'; did you mean 'elbow'?" in line
+    some = goal({"elbow": [1.0]}, [1.0])
+    code, line = code_of(some)
+    assert code is ResultCode.INVALID_JOINTS
+    assert "lacks shoulder, slide" in line
+    some.require_group(settings(allow_partial_joints_goal=True))
+
+
+def test_a_goal_ends_at_rest_unless_it_may_end_in_motion():
+    velocities = {name: [0.5, 0.0] for name in WHOLE}
+    goal(WHOLE, [0.0, 1.0], velocities).require_group(settings())
+    velocities["slide"] = [0.0, 1e-3]
+    moving = goal(WHOLE, [0.0, 1.0], velocities)
+    code, line = code_of(moving)
+    assert code is ResultCode.INVALID_GOAL
+    assert "not slide at 0.001 m/s" in line
+    moving.require_group(settings(allow_nonzero_velocity_at_trajectory_end=True))
+
+
+@pytest.mark.parametrize(
+    ("asked", "kept"), [(0.0, 0.2), (-1.0, 0.0), (0.5, 0.5), (-0.99999994, 0.0)]
+)
+def test_a_tolerance_of_zero_is_the_default_and_minus_one_is_none(asked, kept):
+    default = settings(
+        **{
+            "constraints.elbow.trajectory": 0.2,
+            "constraints.elbow.goal": 0.2,
+            "constraints.goal_time": 0.2,
+            "constraints.stopped_velocity_tolerance": 0.2,
+        }
+    )
+    found = goal(
+        WHOLE,
+        [0.0, 1.0],
+        path_tolerance=(AskedTolerance("elbow", asked, asked),),
+        goal_tolerance=(AskedTolerance("elbow", asked, asked),),
+        goal_time_tolerance=asked,
+    ).require_group(default)
+    assert found.path["elbow"].position == kept
+    assert found.goal["elbow"] == (kept, kept)
+    assert found.goal_time == kept
+    assert found.path["shoulder"] == (0.0, 0.0)
+    assert found.goal["shoulder"] == (0.0, 0.2)
+
+
+@pytest.mark.parametrize("bad", [-0.5, -2.0, float("nan"), float("inf")])
+@pytest.mark.parametrize("field", ["position", "velocity", "acceleration"])
+def test_a_tolerance_that_is_none_is_refused(bad, field):
+    asked = AskedTolerance("elbow")._replace(**{field: bad})
+    for where in ("path_tolerance", "goal_tolerance"):
+        code, line = code_of(goal(WHOLE, [0.0, 1.0], **{where: (asked,)}))
+        assert code is ResultCode.INVALID_GOAL
+        assert f"{where} of elbow: {field} must be positive, 0 for the default or -1" in line
+    code, _ = code_of(goal(WHOLE, [0.0, 1.0], goal_time_tolerance=bad))
+    assert code is ResultCode.INVALID_GOAL
+    unknown = (AskedTolerance("knee", 0.1),)
+    code, line = code_of(goal(WHOLE, [0.0, 1.0], path_tolerance=unknown))
+    assert code is ResultCode.INVALID_JOINTS
+    assert "path_tolerance: unknown joint 'knee'" in line
+
+
+@given(st.floats(-1.0, 1.0), st.floats(-1.0, 1.0), st.floats(0.0, 1.0), st.floats(0.0, 1.0))
+def test_a_violation_is_an_error_beyond_a_tolerance_that_is_enforced(p, v, most_p, most_v):
+    line = Tolerance(most_p, most_v).violation(p, v, "m")
+    assert bool(line) == ((0.0 < most_p < abs(p)) or (0.0 < most_v < abs(v)))
+
+
+def test_a_goal_is_told_to_all_joints_and_has_begun_for_each_of_them():
+    request = goal({"elbow": [1.0, 2.0]}, [0.5, 1.0], {"elbow": [0.3, 0.0]})
+    now_ns = 5 * SECOND
+    standing = [(0.1, 0.2, 0.3), (0.4, 0.5, 0.6), (0.7, 0.8, 0.9)]
+    told = for_all_joints(request, JOINTS, now_ns - 1, now_ns, standing, [10.0, 20.0, 30.0])
+    assert (told.names, told.stamp_ns) == (JOINTS, now_ns - 1)
+    assert told.times_ns.tolist() == [0, SECOND // 2, SECOND]
+    positions, velocities, accelerations, _ = told.arrays
+    assert positions.tolist() == [[10.0, 0.4, 30.0], [10.0, 1.0, 30.0], [10.0, 2.0, 30.0]]
+    assert velocities.tolist() == [[0.0, 0.5, 0.0], [0.0, 0.3, 0.0], [0.0, 0.0, 0.0]]
+    assert np.isnan(accelerations).all()
+    for joint in range(3):
+        assert told.column(joint).is_under_way(now_ns)
+
+
+def test_efforts_of_a_goal_are_told_to_its_joints_from_its_start_on():
+    request = goal({"elbow": [1.0, 2.0]}, [0.5, 1.0], efforts={"elbow": [3.0, 5.0]})
+    standing = [(0.0, 0.0, 0.0)] * 3
+    told = for_all_joints(request, JOINTS, 4 * SECOND, 4 * SECOND, standing, [0.0] * 3)
+    elbow, slide = (told.column(k).start(4 * SECOND, 0.0) for k in (1, 2))
+    planned = [elbow.effort(round((4.0 + t) * SECOND)) for t in (0.0, 0.5, 0.75, 1.0, 2.0)]
+    assert planned == pytest.approx([3.0, 3.0, 4.0, 5.0, 5.0])
+    assert slide.effort(5 * SECOND) == 0.0
+    assert told.column(1).gives_effort
+
+
+def test_a_goal_whose_first_point_is_now_gets_none_before_it():
+    request = goal({name: [1.0, 2.0] for name in JOINTS}, [0.0, 1.0])
+    told = for_all_joints(request, JOINTS, 4, 5, [(0.0, 0.0, 0.0)] * 3, [0.0] * 3)
+    assert told.times_ns.tolist() == [0, SECOND]
+    assert told.arrays[0][0].tolist() == [1.0, 1.0, 1.0]
+
+
+@pytest.mark.parametrize(
+    ("joints", "values", "line"),
+    [
+        ((), {}, "each joint once"),
+        (("a", "a"), {}, "each joint once"),
+        (("a",), {"constraints.goal_time": -1.0}, "goal_time must lie in"),
+        (("a",), {"constraints.a.trajectory": float("nan")}, "constraints.a.trajectory must lie"),
+        (("a",), {"state_clock": "sundial"}, "one of wall, simulated"),
+        (("a",), {"allow_partial_joints_goal": 1}, "must be true or false"),
+    ],
+)
+def test_settings_that_are_none_are_refused(joints, values, line):
+    with pytest.raises(SettingError, match=line):
+        GroupSettings.from_parameters(joints, {}, values)

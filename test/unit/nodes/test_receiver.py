@@ -1,0 +1,87 @@
+"""Why nothing is sent to a receiver: nobody, an unknown order, another interface, deactivated."""
+
+import pytest
+
+from hpid_ros.nodes.parts.merger import Receiver
+
+ONE, OTHER = frozenset([b"1"]), frozenset([b"2"])
+NAME, TOPIC = "/arm_controller", "/arm_controller/commands"
+
+
+def heard(joints=("b", "a"), interface="effort", given=()):
+    """Return a receiver that has subscribed and said what it has."""
+    receiver = Receiver(NAME, given, TOPIC)
+    receiver.see(ONE)
+    receiver.hear_joints(joints, interface)
+    return receiver
+
+
+def test_whoever_subscribes_gets_the_order_that_was_given():
+    receiver = Receiver("", ("b", "a"), "/commands")
+    assert receiver.reason == "waiting for somebody to subscribe to /commands"
+    receiver.see(ONE)
+    assert (receiver.reason, receiver.joints, receiver.must_be_asked) == ("", ("b", "a"), False)
+
+
+def test_a_controller_is_asked_for_its_joints_before_it_gets_anything():
+    receiver = Receiver(NAME, (), TOPIC)
+    assert receiver.reason == f"waiting for {NAME} to subscribe to {TOPIC}"
+    assert not receiver.must_be_asked
+    receiver.see(ONE)
+    assert receiver.must_be_asked
+    assert receiver.reason == f"waiting for {NAME} to say which joints it has"
+    receiver.hear_joints(["b", "a"], "effort")
+    assert (receiver.reason, receiver.joints, receiver.must_be_asked) == ("", ("b", "a"), False)
+
+
+@pytest.mark.parametrize("steps", [[OTHER], [frozenset(), ONE], [ONE | OTHER]])
+def test_a_new_one_of_its_name_is_asked_again(steps):
+    receiver = heard()
+    assert [receiver.see(endpoints) for endpoints in steps][-1]
+    assert receiver.must_be_asked
+    assert receiver.reason
+
+
+def test_one_that_stays_is_not_asked_again():
+    receiver = heard()
+    receiver.see(ONE | OTHER)
+    receiver.hear_joints(["b", "a"], "effort")
+    assert not receiver.see(OTHER)
+    assert receiver.reason == ""
+
+
+@pytest.mark.parametrize("state", ["inactive", "unconfigured", "finalized"])
+def test_a_controller_that_is_deactivated_gets_nothing_until_it_is_active_again(state):
+    receiver = heard()
+    receiver.hear_state(state)
+    assert receiver.is_deactivated
+    assert receiver.reason == f"{NAME} is {state}, and discards what it is sent"
+    receiver.hear_state("active")
+    assert receiver.reason == ""
+
+
+def test_what_was_known_of_one_that_has_gone_is_forgotten():
+    receiver = heard()
+    receiver.hear_state("inactive")
+    receiver.see(frozenset())
+    receiver.see(OTHER)
+    receiver.hear_joints(["c"], None)
+    assert (receiver.reason, receiver.joints) == ("", ("c",))
+
+
+@pytest.mark.parametrize(
+    ("told", "line"),
+    [
+        ({"joints": None}, "it has no parameter joints"),
+        ({"joints": []}, "must be named once each, not none"),
+        ({"joints": ["a", "a"]}, "must be named once each, not a, a"),
+        ({"interface": "position"}, "it commands the position of its joints, not their effort"),
+        ({"given": ("a", "b")}, "its joints are b, a, those that were given a, b"),
+        ({"given": ("b",)}, "its joints are b, a, those that were given b"),
+    ],
+)
+def test_one_that_cannot_be_used_is_told_and_not_asked_all_the_time(told, line):
+    receiver = heard(**told)
+    assert receiver.reason == f"nothing is sent to {NAME}: " + receiver.reason.partition(": ")[2]
+    assert line in receiver.reason
+    assert not receiver.must_be_asked

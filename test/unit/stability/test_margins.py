@@ -1,0 +1,244 @@
+"""Margins are margins: just within one the sampled loop is stable, just beyond it is not."""
+
+import math
+from dataclasses import replace
+
+import control
+import numpy as np
+import pytest
+from harness.examples import examples
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+from hpid_ros.base.errors import GainError
+from hpid_ros.control import LoopSettings
+from hpid_ros.stability.frequency import FrozenLoop, SampledJoint
+from hpid_ros.stability.margins import frequency_grid, margins_of
+from hpid_ros.tuning.gain_design import loop_margins
+
+NEAR = 1e-3
+
+
+@st.composite
+def frozen_loops(draw, sources=("measured", "filtered", "observer"), slowest=-2.0):
+    """Draw stable loops of any size, from calm to close to what sampling bears."""
+    inertia = 10.0 ** draw(st.floats(-3.0, 0.0))
+    rate = 10.0 ** draw(st.floats(0.5, 1.8))
+    period = 10.0 ** draw(st.floats(slowest, -0.7)) / rate
+    p, d = draw(st.floats(0.1, 1.0)), draw(st.floats(0.7, 3.0))
+    i = draw(st.sampled_from([0.0, 0.05, 0.3])) * p * d
+    settings = LoopSettings.from_parameters(
+        {
+            "joint": "elbow",
+            "law": "pid",
+            "gains.p": p * rate**2 * inertia,
+            "gains.i": i * rate**3 * inertia,
+            "gains.d": d * rate * inertia,
+            "inertia": inertia,
+            "control_period": period,
+            "state_timeout": 1.0,
+            "velocity_source": draw(st.sampled_from(sources)),
+            "velocity_filter_time_constant": draw(st.floats(0.0, 0.2)) / rate,
+            "discretization": draw(st.sampled_from(["explicit", "semi_implicit"])),
+        }
+    )
+    friction = draw(st.sampled_from([0.0, 0.1, 1.0])) * rate * inertia
+    delay = draw(st.floats(0.0, 4.0)) * period
+    loop = FrozenLoop(
+        settings,
+        SampledJoint(inertia, period, friction, delay),
+        multiplier=draw(st.sampled_from([0.5, 1.0, 2.0])),
+    )
+    assume(loop.spectral_radius < 1.0 - 1e-5)
+    return loop
+
+
+def with_gain(loop, factor):
+    """Return the loop with a joint that answers by a factor more."""
+    joint = loop.joint
+    return replace(
+        loop,
+        joint=replace(joint, inertia=joint.inertia / factor, friction=joint.friction / factor),
+    )
+
+
+@examples(1)
+@given(frozen_loops())
+def test_the_gain_may_vary_between_its_margins_and_no_further(loop):
+    found = margins_of(loop)
+    within = np.geomspace(max(found.gain_reduction, 0.02), min(found.gain, 50.0), 7)
+    within[0] *= 1.0 + NEAR
+    within[-1] *= 1.0 - NEAR
+    assert all(with_gain(loop, factor).is_stable for factor in within)
+    if found.gain < math.inf:
+        assert not with_gain(loop, found.gain * (1.0 + NEAR)).is_stable
+    if found.gain_reduction > 0.0:
+        assert not with_gain(loop, found.gain_reduction * (1.0 - NEAR)).is_stable
+
+
+@examples(1)
+@given(frozen_loops(slowest=-1.0))
+def test_dead_time_may_grow_by_the_delay_margin_and_no_further(loop):
+    found = margins_of(loop)
+    own = loop.joint.delay
+    for share in (0.3, 0.7, 1.0 - NEAR):
+        assert loop.with_delay(own + share * found.delay).is_stable
+    assert not loop.with_delay(own + found.delay * (1.0 + NEAR)).is_stable
+
+
+def python_control_loop(loop):
+    """Return the open loop of an explicit PID with a filtered velocity, by python-control."""
+    gains, joint, tau = loop.gains, loop.joint, loop.settings.velocity.filter_time_constant
+    period = joint.period
+    a = joint.friction / joint.inertia
+    plant = control.ss([[0.0, 1.0], [0.0, -a]], [[0.0], [1.0 / joint.inertia]], [[1.0, 0.0]], 0)
+    parts = [
+        ([gains.i * period], [1.0, -1.0]),
+        ([gains.d, -gains.d], [tau + period, -tau]),
+        ([1.0], [1.0, *[0.0] * round(joint.delay / period)]),
+    ]
+    integral, rate, late = (control.ss(control.tf(*each, period)) for each in parts)
+    return (gains.p + integral + rate) * late * control.c2d(plant, period, "zoh")
+
+
+def around_peaks(frequency, response):
+    """Return the frequencies and more of them around the peaks that margins are read at."""
+    sensitivity = 1.0 / (1.0 + response)
+    peaks = [sensitivity, 1.0 - sensitivity, sensitivity - 0.5]
+    places = [int(np.abs(each).argmax()) for each in peaks]
+    ends = [(frequency[max(0, k - 1)], frequency[min(k + 1, len(frequency) - 1)]) for k in places]
+    return np.unique(np.concatenate([frequency, *(np.geomspace(*each, 60) for each in ends)]))
+
+
+@examples(0.4)
+@given(frozen_loops(sources=("filtered",), slowest=-1.5), st.integers(0, 4))
+def test_margins_and_peaks_are_those_of_python_control(loop, late):
+    settings = loop.settings.with_parameters({"discretization": "explicit"})
+    loop = replace(loop, settings=settings).with_delay(late * loop.joint.period)
+    assume(loop.spectral_radius < 1.0 - 1e-4)
+    found = margins_of(loop)
+    frequency = frequency_grid(loop, 600)[:-1]
+    other = python_control_loop(loop)
+    response = other(np.exp(1j * frequency * loop.joint.period)).ravel()
+    frequency = around_peaks(frequency, response)
+    response = other(np.exp(1j * frequency * loop.joint.period)).ravel()
+    assert loop.response(frequency)[::50] == pytest.approx(response[::50], rel=1e-5)
+    data = control.frd(response, frequency, dt=loop.joint.period)
+    gains, phases, _, _, crossovers, _ = control.stability_margins(data, returnall=True)
+    above = [each for each in gains if each > 1.0]
+    if above and found.gain < 1e3:
+        # python-control does not look at the Nyquist frequency itself.
+        at_nyquist = -1.0 / loop.response(np.array([loop.joint.nyquist])).real[0]
+        least = min([*above, *([at_nyquist] if at_nyquist > 1.0 else [])])
+        assert found.gain == pytest.approx(least, rel=5e-3)
+    assert math.degrees(found.phase) == pytest.approx(np.abs(phases).min(), rel=5e-3)
+    assert found.crossover == pytest.approx(crossovers.max(), rel=5e-3)
+    alpha, _, _ = control.disk_margins(other, frequency)
+    assert found.disk == pytest.approx(min(float(alpha), 2.0), rel=2e-3)
+    peak = np.abs(1.0 / (1.0 + response)).max()
+    assert found.sensitivity == pytest.approx(max(1.0, peak), rel=2e-3)
+    peak = np.abs(response / (1.0 + response)).max()
+    assert found.complementary == pytest.approx(max(1.0, peak), rel=2e-3)
+
+
+@examples(1)
+@given(frozen_loops())
+def test_the_disk_margin_bounds_the_others(loop):
+    found = margins_of(loop)
+    low, high = found.disk_gain
+    assert found.gain_reduction <= low * (1.0 + 1e-6)
+    assert found.gain >= high * (1.0 - 1e-6)
+    assert found.phase >= found.disk_phase * (1.0 - 1e-6)
+    # Nor can the peaks be larger than its distance allows: S - T = 2 S - 1 = 1 - 2 T.
+    assert found.sensitivity <= 0.5 * (2.0 / found.disk + 1.0) * (1.0 + 1e-6)
+    assert found.complementary <= 0.5 * (2.0 / found.disk + 1.0) * (1.0 + 1e-6)
+
+
+@examples(0.6)
+@given(frozen_loops(), st.floats(-2.0, 0.0), st.floats(0.0, 0.5))
+def test_units_of_effort_and_of_time_do_not_matter(loop, effort, time):
+    unit, pace = 10.0**effort, 10.0**time
+    settings, joint = loop.settings, loop.joint
+    gains = settings.gains
+    scaled = FrozenLoop(
+        settings.with_parameters(
+            {
+                "gains.p": gains.p * unit,
+                "gains.d": gains.d * unit * pace,
+                "gains.i": gains.i * unit / pace,
+                "inertia": settings.inertia * unit * pace**2,
+                "control_period": settings.timing.control_period * pace,
+                "velocity_filter_time_constant": settings.velocity.filter_time_constant * pace,
+                "observer.bandwidth": 0.0,
+            }
+        ),
+        SampledJoint(
+            joint.inertia * unit * pace**2,
+            joint.period * pace,
+            joint.friction * unit * pace,
+            joint.delay * pace,
+        ),
+        loop.multiplier,
+    )
+    before, after = margins_of(loop), margins_of(scaled)
+    for name in ("gain", "gain_reduction", "phase", "disk", "sensitivity", "complementary"):
+        assert getattr(after, name) == pytest.approx(getattr(before, name), rel=1e-5)
+    assert after.delay == pytest.approx(before.delay * pace, rel=1e-5)
+    assert after.bandwidth == pytest.approx(before.bandwidth / pace, rel=1e-5)
+
+
+def test_fast_sampling_ends_at_the_continuous_margins():
+    settings = LoopSettings.from_parameters(
+        {
+            "joint": "elbow",
+            "law": "pid",
+            "gains.p": 21.0,
+            "gains.i": 52.5,
+            "gains.d": 2.1,
+            "control_period": 1e-5,
+            "velocity_source": "filtered",
+            "velocity_filter_time_constant": 0.01,
+        }
+    )
+    found = margins_of(FrozenLoop(settings, SampledJoint(0.105, 1e-5, delay=2e-3)))
+    expected = loop_margins(settings.gains, 0.105, delay=2e-3, filter_time=0.01)
+    for name in ("gain", "gain_reduction", "phase", "delay", "sensitivity", "crossover"):
+        assert getattr(found, name) == pytest.approx(getattr(expected, name), rel=5e-3)
+
+
+def test_a_loop_that_sampling_breaks_has_no_margins():
+    """Hurwitz says stable, the sampled loop is not: T d / m = 4."""
+    settings = LoopSettings.from_parameters(
+        {
+            "joint": "elbow",
+            "law": "pid",
+            "gains.p": 1.0,
+            "gains.i": 0.1,
+            "gains.d": 400.0,
+            "inertia": 0.1,
+            "control_period": 1e-3,
+        }
+    )
+    loop = FrozenLoop(settings, SampledJoint(0.1, 1e-3))
+    assert not loop.is_stable
+    with pytest.raises(GainError, match=r"is unstable: spectral radius 3$"):
+        margins_of(loop)
+
+
+@pytest.mark.parametrize("times", [1.9, 2.1])
+def test_a_pure_damper_breaks_where_theory_says(times):
+    """T d / m = 2 with a measured velocity, at the Nyquist frequency, where L is real."""
+    settings = LoopSettings.from_parameters(
+        {
+            "joint": "elbow",
+            "law": "pid",
+            "gains.p": 1e-6,
+            "gains.d": times,
+            "velocity_source": "measured",
+            "control_period": 1e-3,
+        }
+    )
+    loop = FrozenLoop(settings, SampledJoint(1e-3, 1e-3))
+    assert loop.is_stable == (times < 2.0)
+    if times < 2.0:
+        assert margins_of(loop).gain == pytest.approx(2.0 / times, rel=1e-3)

@@ -1,0 +1,253 @@
+"""The loop in C is Python's: to the last bit in double precision, closely in single."""
+
+import math
+import random
+import struct
+from contextlib import suppress
+
+import pytest
+from harness.c_loops import CLibrary, CLoop, parameters_by_chance, states_by_chance
+from harness.examples import examples
+from harness.loops import loop_settings
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hpid_ros.base.errors import HpidError
+from hpid_ros.control import LOOP_PARAMETERS, LoopSettings
+from hpid_ros.tuning.c_export import GivenLoop, golden_vectors, in_single
+
+SETTINGS = loop_settings(gains__p=40.0, gains__i=130.0, gains__d=4.0, mu=-0.2)
+SEEDS = st.integers(0, 2**32)
+MS = 1_000_000
+
+
+@pytest.fixture(scope="module")
+def library(tmp_path_factory):
+    return CLibrary(tmp_path_factory.mktemp("double"), SETTINGS)
+
+
+@pytest.fixture(scope="module")
+def single(tmp_path_factory):
+    return CLibrary(tmp_path_factory.mktemp("single"), SETTINGS, "single")
+
+
+def bits(number):
+    return struct.pack("d", number)
+
+
+def settings_by_chance(chance, **others):
+    """Return settings that go together."""
+    while True:
+        try:
+            return LoopSettings.from_parameters(parameters_by_chance(chance, **others))
+        except HpidError:
+            continue
+
+
+def both(library, settings):
+    loop = CLoop(library, settings)
+    assert loop.is_ready
+    return GivenLoop(settings), loop
+
+
+def assert_equal_answers(python, c, states):
+    for count, state in enumerate(states):
+        mine, other = c.step(*state), python.step(*state)
+        assert bits(mine) == bits(other), (count, state)
+        assert bits(c.state.integral) == bits(python.loop.integral), (count, state)
+
+
+@given(SEEDS)
+@examples(4)
+def test_c_answers_every_state_as_python_to_the_last_bit(library, seed):
+    chance = random.Random(seed)
+    settings = settings_by_chance(chance)
+    states = states_by_chance(chance, 200, settings.timing.control_period)
+    assert_equal_answers(*both(library, settings), states)
+
+
+def test_c_answers_ten_thousand_states_as_python_to_the_last_bit(library):
+    chance = random.Random(7)
+    states = states_by_chance(chance, 10_000, 0.001)
+    python, c = both(library, SETTINGS)
+    assert_equal_answers(python, c, states)
+    assert python.loop.counts.takeovers > 10
+    assert python.loop.counts.rejected > 10
+
+
+@pytest.mark.parametrize("norm", ["weighted", "canonical"])
+@pytest.mark.parametrize("degree", [-0.45, 0.45])
+def test_c_answers_the_smallest_errors_as_python(library, norm, degree):
+    """There the canonical norm brings a point to unit size in two steps."""
+    changes = {"mu": degree, "norm.type": norm, "norm.floor": 0.0, "takeover_time": 0.0}
+    python, c = both(library, SETTINGS.with_parameters(changes))
+    exponents = [*range(-320, -140, 3), *range(-140, 0, 10)]
+    states = [
+        (row * MS, 0.0, 0.0, sign * 10.0**position, 10.0**velocity)
+        for row, (position, velocity, sign) in enumerate(
+            (position, velocity, sign)
+            for position in exponents
+            for velocity in (-330, position, -150)
+            for sign in (1.0, -1.0)
+        )
+    ]
+    assert_equal_answers(python, c, states)
+    assert python.loop.counts.samples == len(states)
+
+
+@given(SEEDS)
+@examples(2)
+def test_c_retunes_as_python_to_the_last_bit(library, seed):
+    chance = random.Random(seed)
+    settings = settings_by_chance(chance, control_period=0.001)
+    python, c = both(library, settings)
+    for _ in range(6):
+        states = [*states_by_chance(chance, 40, 0.001)]
+        last = next(each for each in reversed(states) if math.isfinite(each[3]))
+        # Two that follow each other: what came after a gap is settled when settings change.
+        states += [(states[-1][0] + k * MS, 0.1, 0.0, last[3], 0.0) for k in (1, 2)]
+        assert_equal_answers(python, c, states)
+        settings = settings_by_chance(chance, control_period=0.001)
+        python.loop.retune(settings)
+        assert c.retune(settings)
+        assert bits(c.state.effort) == bits(python.loop.effort)
+
+
+@given(SEEDS)
+@examples(4)
+def test_c_accepts_the_settings_that_python_accepts(library, seed):
+    values = parameters_by_chance(random.Random(seed))
+    try:
+        settings = LoopSettings.from_parameters(values)
+    except HpidError:
+        settings = None
+    everything = {name: spec.default for name, spec in LOOP_PARAMETERS.items()} | values
+    told = library.of_values(everything)
+    state = library.state_type()
+    assert library.call("init", state, told) == (settings is not None), values
+
+
+@pytest.mark.parametrize("position", [1e9, -1e9])
+def test_a_position_that_is_no_joints_once_its_turns_are_added_is_a_fault(library, position):
+    settings = settings_by_chance(random.Random(1), encoder_wrap=1.0, velocity_source="filtered")
+    python, c = both(library, settings)
+    turns = [math.copysign(0.1 * k % 1.0, position) for k in range(40)]
+    states = [(k * MS, 0.0, 0.0, each, None) for k, each in enumerate([*turns, 0.1])]
+    far = [(10**12 + k * MS, 0.0, 0.0, position, None) for k in range(2)]
+    assert_equal_answers(python, c, [*states, *far, (10**12 + 2 * MS, 0.0, 0.0, 0.1, None)])
+    assert python.loop.counts.rejected == 2
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"gains.p": -1.0},
+        {"gains.p": math.nan},
+        {"gains.i": math.inf},
+        {"mu": 0.5},
+        {"mu": -0.5},
+        {"mu": math.nan},
+        {"norm.floor": 2e6},
+        {"norm.error_scale": 0.0},
+        {"norm.effort_scale": 1.0, "norm.error_scale": 0.5},
+        {"norm.effort_scale": 1.0, "gains.d": 0.0},
+        {"norm.effort_scale": 1e-300, "norm.type": "canonical"},
+        {"norm.effort_scale": 5e-324, "norm.type": "canonical"},
+        {"norm.effort_scale": 5e-324, "norm.type": "weighted"},
+        {"encoder_wrap": 5e-324},
+        {"u_clamp_min": 1.0, "u_clamp_max": 0.0},
+        {"state_timeout": 0.001},
+        {"discretization": "semi_implicit"},
+        {"inertia": 10.0},
+        {"angle_wraparound": True, "position_max": 1.0},
+    ],
+    ids=str,
+)
+def test_what_is_refused_leaves_the_loop_as_it_was(library, changes):
+    values = {**SETTINGS.to_parameters(), **changes}
+    with pytest.raises(HpidError):
+        LoopSettings.from_parameters(values)
+    python, c = both(library, SETTINGS)
+    states = [(k * MS, 0.3, 0.0, 0.001 * k, 1.0) for k in range(20)]
+    assert_equal_answers(python, c, states[:10])
+    assert not library.call("retune", c.state, library.of_values(values))
+    assert_equal_answers(python, c, states[10:])
+    fresh = library.state_type()
+    assert not library.call("init", fresh, library.of_values(values))
+
+
+def test_a_loop_without_settings_gives_no_effort(library):
+    c = CLoop(library, SETTINGS)
+    refused = library.of_python(SETTINGS)
+    refused.mu = 1.0
+    library.call("init", c.state, refused)
+    assert c.step(0, 1.0, 0.0, 0.0, 0.0) == c.step(MS, 1.0, 0.0, 0.0, 0.0) == 0.0
+
+
+def test_setters_retune_gains_and_degree_without_a_kick(library):
+    python, c = both(library, SETTINGS)
+    states = [(k * MS, 0.3, 0.0, 0.3 - 1e-4, 0.0) for k in range(1200)]
+    assert_equal_answers(python, c, states[:1000])
+    before, after = c.state.effort, SETTINGS.with_parameters({"gains.p": 60.0, "gains.i": 100.0})
+    assert c.set_gains(after.gains)
+    python.loop.retune(after)
+    assert c.state.effort == before
+    assert_equal_answers(python, c, states[1000:1100])
+    after = after.with_parameters({"mu": 0.1})
+    assert c.set_degree(0.1)
+    python.loop.retune(after)
+    assert_equal_answers(python, c, states[1100:])
+    assert not c.set_degree(0.5)
+    assert abs(c.state.effort - before) < 0.05 * abs(before)
+
+
+@given(SEEDS)
+def test_another_effort_is_taken_over_and_a_reset_forgets(library, seed):
+    chance = random.Random(seed)
+    settings = settings_by_chance(chance, control_period=0.001)
+    python, c = both(library, settings)
+    assert_equal_answers(python, c, states_by_chance(chance, 60, 0.001))
+    effort = chance.gauss(0.0, 10.0)
+    python.loop.supersede(effort)
+    c.supersede(effort)
+    assert_equal_answers(python, c, states_by_chance(chance, 60, 0.001))
+    python.loop.reset()
+    c.reset()
+    assert_equal_answers(python, c, states_by_chance(chance, 60, 0.001))
+
+
+def test_no_effort_that_is_given_elsewhere_can_spoil_the_integral(library):
+    c = CLoop(library, SETTINGS)
+    for stamp in range(5):
+        c.step(stamp * MS, 0.0, 0.0, 0.0, 0.0)
+    c.supersede(math.nan)
+    assert c.step(5 * MS, 0.0, 0.0, 0.0, 0.0) == 0.0
+    assert c.state.integral == 0.0
+
+
+def test_no_difference_of_stamps_overflows(library):
+    c = CLoop(library, SETTINGS)
+    for stamp in (-(2**63), 2**63 - 1, -(2**63), 0):
+        assert math.isfinite(c.step(stamp, 0.1, 0.0, 0.0, 0.0))
+
+
+def test_the_exported_settings_are_those_that_were_given(library):
+    exported, told = library.exported(), library.of_python(SETTINGS)
+    assert bytes(exported) == bytes(told)
+
+
+@given(SEEDS)
+def test_single_precision_deviates_by_no_more_than_the_golden_vectors_allow(single, seed):
+    chance = random.Random(seed)
+    while True:
+        settings = settings_by_chance(chance)
+        with suppress(HpidError):
+            in_single(settings)
+            break
+    golden, c = golden_vectors(settings), CLoop(single, settings)
+    assert c.is_ready
+    for row, state in enumerate(golden.rows):
+        if row == golden.retune_at:
+            assert c.set_gains(golden.retuned.gains)
+            assert c.set_degree(golden.retuned.mu)
+        assert abs(c.step(*state[:-1]) - state.effort) <= golden.single_tolerance, row

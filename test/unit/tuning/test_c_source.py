@@ -1,0 +1,190 @@
+"""The texts that are a joint's loop in C, and the program that replays Python's answers."""
+
+import re
+import subprocess
+
+import pytest
+from harness.c_loops import COMPILER, compile_c, needs_compiler, write_c
+from harness.loops import loop_settings
+
+from hpid_ros.base.errors import SettingError
+from hpid_ros.control import LOOP_PARAMETERS
+from hpid_ros.tuning.c_export import FIELDS, c_files, c_name, golden_vectors, require_distinct
+
+EVERYTHING = {
+    "gains__p": 39.6,
+    "gains__i": 132.0,
+    "gains__d": 3.96,
+    "mu": -0.2,
+    "norm__type": "canonical",
+    "norm__effort_scale": 3.0,
+    "u_clamp_max": 20.0,
+    "u_clamp_min": -20.0,
+    "position_max": 1.0,
+    "velocity_max": 30.0,
+    "effort_rate_max": 1e4,
+    "velocity_source": "filtered",
+    "antiwindup_strategy": "back_calculation",
+    "takeover_time": 0.1,
+}
+
+
+def settings(**changes):
+    return loop_settings(**{**EVERYTHING, **changes})
+
+
+def ended(folder, name, *options):
+    program = compile_c(folder, [f"{name}.c", f"{name}_test.c"], *options)
+    return subprocess.run([program], capture_output=True, text=True, check=False)
+
+
+@pytest.fixture(scope="module")
+def exported(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("exported")
+    return folder, write_c(folder, settings())
+
+
+def test_the_program_replays_what_python_answered_to_the_last_bit(exported):
+    found = ended(*exported)
+    assert found.returncode == 0, found.stdout
+    assert "double precision: largest deviation 0 N m" in found.stdout
+
+
+def test_the_sanitizers_find_nothing_in_either_precision(exported):
+    needs_compiler()
+    folder, name = exported
+    sanitized = ("-fsanitize=address,undefined,float-cast-overflow", "-fno-sanitize-recover")
+    probe = subprocess.run(
+        [COMPILER, *sanitized, "-x", "c", "-", "-o", folder / "probe"],
+        input="int main(void) { return 0; }",
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    if probe.returncode:
+        pytest.skip("the C compiler has no sanitizers")
+    single = f"-D{name.upper()}_SINGLE=1"
+    for options, word in ((sanitized, "double"), ((*sanitized, single), "single")):
+        found = ended(folder, name, *options)
+        assert found.returncode == 0, found.stdout + found.stderr
+        assert f"{word} precision" in found.stdout
+        assert not found.stderr
+
+
+@pytest.mark.parametrize(
+    ("line", "broken"),
+    [
+        (r"\.gains_d = REAL\(3\.96\)", ".gains_d = REAL(3.960001)"),
+        (r"p \* square \* error", "p * factor * error"),
+        (r"#define TOLERANCE REAL\(1e-15\)", "#define TOLERANCE REAL(1e-3)"),
+        (r"passage->carried = \(0 - rate\)", "passage->carried = (0 + rate)"),
+    ],
+)
+def test_the_program_finds_a_broken_number(exported, tmp_path, line, broken):
+    folder, name = exported
+    for file in folder.glob(f"{name}*.[ch]"):
+        (tmp_path / file.name).write_text(file.read_text())
+    source = tmp_path / f"{name}.c"
+    text, count = re.subn(line, broken, source.read_text(), count=1)
+    assert count == 1
+    source.write_text(text)
+    found = ended(tmp_path, name)
+    assert found.returncode == 1
+    assert "NOT GOOD" in found.stdout
+
+
+def test_two_joints_are_in_one_firmware_and_a_header_in_c_plus_plus_guards(tmp_path):
+    first = write_c(tmp_path, settings(joint="elbow"))
+    second = write_c(tmp_path, settings(joint="wrist/1"), "single")
+    assert (first, second) == ("hpid_elbow", "hpid_wrist_1")
+    (tmp_path / "firmware.c").write_text(
+        f"""#include "{first}.h"
+#include "{second}.h"
+int main(void)
+{{
+    static {first}_state elbow;
+    static {second}_state wrist;
+    bool are_ready = {first}_init(&elbow, &{first}_settings) &&
+        {second}_init(&wrist, &{second}_settings);
+    {first}_step(&elbow, 0, 0.0, 0.0, 0.0, NULL);
+    {second}_step(&wrist, 0, 0.0f, 0.0f, 0.0f, NULL);
+    return are_ready && sizeof({second}_real) == 4 ? 0 : 1;
+}}
+""".replace("#include", "#include <stddef.h>\n#include", 1)
+    )
+    program = compile_c(tmp_path, ["firmware.c", f"{first}.c", f"{second}.c"])
+    assert subprocess.run([program], check=False).returncode == 0
+    assert 'extern "C" {' in (tmp_path / f"{first}.h").read_text()
+
+
+def test_a_name_that_somebody_else_wrote_stays_in_its_comment(tmp_path):
+    evil = '*/ int x; /* ??/\n"\\'
+    files = c_files(settings(joint=evil), "double", f"{evil}.yaml")
+    for name, text in files.items():
+        assert re.fullmatch(r"hpid_int_x(_golden|_test)?\.[ch]", name)
+        assert "*/ int" not in text
+        assert "??" not in text
+    name = write_c(tmp_path, settings(joint=evil))
+    compile_c(tmp_path, [f"{name}.c", f"{name}_test.c"])
+
+
+def test_a_joint_without_a_letter_has_no_name():
+    with pytest.raises(SettingError, match=r"cannot have a name in C"):
+        c_name("関節")
+
+
+def test_joints_of_one_name_in_c_are_refused():
+    require_distinct(["a_1", "a_2"])
+    with pytest.raises(SettingError, match=r"'a-1' and 'A_1' would both be hpid_A_1"):
+        require_distinct(["a-1", "A_1"])
+
+
+@pytest.mark.parametrize("joints", [("arm", "arm_test"), ("arm_golden", "arm")])
+def test_joints_that_would_write_one_file_are_refused(joints):
+    require_distinct(["arm", "arm_2", "arm_golden_2"])
+    with pytest.raises(SettingError, match=r"would both be hpid_arm_(golden\.h|test\.c) in C"):
+        require_distinct(joints)
+
+
+@pytest.mark.parametrize(
+    ("changes", "line"),
+    [
+        ({"compensation": "gravity"}, "elbow: compensation = gravity cannot be exported"),
+        ({"compensation": "decoupling", "inertia": 0.1, "gains__i": 1.0}, "compensation = dec"),
+    ],
+)
+def test_what_the_c_code_cannot_do_is_refused(changes, line):
+    with pytest.raises(SettingError, match=line) as refused:
+        c_files(settings(**changes), "double", "a test")
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("changes", "line"),
+    [({"mu": 0.49999999999}, "in single precision.* mu"), ({"gains__i": 1e-60}, "is 0 in single")],
+)
+def test_what_single_precision_cannot_hold_is_refused_there_alone(changes, line):
+    c_files(settings(**changes), "double", "a test")
+    with pytest.raises(SettingError, match=line):
+        c_files(settings(**changes), "single", "a test")
+
+
+def test_every_parameter_of_a_loop_is_in_c_or_is_the_nodes_or_of_an_extra():
+    in_c = {field.parameter for field in FIELDS}
+    missing, extras = set(LOOP_PARAMETERS) - in_c, {"observer", "feedforward"}
+    assert {name for name in missing if name.partition(".")[0] not in extras} == {
+        "joint",
+        "state_clock",
+    }
+
+
+def test_golden_vectors_meet_all_that_a_loop_does():
+    golden = golden_vectors(settings())
+    assert golden == golden_vectors(settings())
+    assert golden.retuned.mu != settings().mu
+    assert golden.retuned.gains != settings().gains
+    efforts = [row.effort for row in golden.rows]
+    assert max(efforts) == 20.0
+    assert min(efforts) == -20.0
+    assert 0.0 in efforts  # the fallback
+    assert 0.0 < golden.double_tolerance < 1e-9 < golden.single_tolerance < 0.2

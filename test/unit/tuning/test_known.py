@@ -1,0 +1,122 @@
+"""A robot is simulated as the recording has it."""
+
+import numpy as np
+import pytest
+
+from hpid_ros.control import LoopSettings
+from hpid_ros.messages.series import JointSeries
+from hpid_ros.robot.description import GivenRobot, RobotDescription
+from hpid_ros.tuning.identification_results import Estimate, JointIdentification
+from hpid_ros.tuning.prediction import JointFacts
+from hpid_ros.tuning.upgrade_proposal import _NoiseSearch, known_robot, pid_check, position_noise
+
+PERIOD = 2e-3
+TIMES = np.arange(0.0, 8.0, PERIOD)
+URDF = """<robot name="one"><link name="stand"/><link name="arm"><inertial>
+<mass value="1"/><inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<joint name="a" type="revolute"><parent link="stand"/><child link="arm"/><axis xyz="0 1 0"/>
+<limit lower="-2" upper="2" effort="9" velocity="9"/><dynamics damping="0.7" friction="0.6"/>
+</joint></robot>"""
+
+
+def series(position, effort=1.0):
+    stamps = np.round(TIMES * 1e9).astype(np.int64)
+    return JointSeries("a", stamps, position, position, stamps, np.full(len(TIMES), effort))
+
+
+def known(found):
+    description = RobotDescription.load(URDF)
+    return known_robot(GivenRobot(URDF, description), [found], [series(0.4 * np.sin(3.0 * TIMES))])
+
+
+def estimates(**values):
+    return {name: Estimate(value, 0.1 * abs(value)) for name, value in values.items()}
+
+
+def test_what_was_found_is_laid_over_the_description():
+    found = known(
+        JointIdentification("a", estimates(inertia=0.05, viscous=0.2, coulomb=-0.01, delay=0.0031))
+    )
+    joint = found.robot.description.joints["a"]
+    assert joint.reflected_inertia == pytest.approx(0.05)
+    assert joint.damping == 0.2
+    assert joint.friction == 0.0  # below zero nothing can be
+    assert RobotDescription.load(found.robot.source).joints["a"] == joint
+    assert not found.assumptions["a"]
+
+
+@pytest.mark.parametrize(
+    ("delay", "periods"), [(-5e-4, 0), (0.0, 0), (8e-4, 1), (1.5e-3, 1), (3.5e-3, 2), (1e-2, 5)]
+)
+def test_a_delay_is_in_whole_periods_and_half_a_physics_step_more(delay, periods):
+    found = known(JointIdentification("a", estimates(inertia=0.05, delay=delay)))
+    assert found.facts["a"].delay == periods
+
+
+def test_a_joint_of_which_nothing_was_found_stays_as_it_is_described_and_says_so():
+    found = known(JointIdentification("a", untold={"a": "it did not move"}))
+    joint = found.robot.description.joints["a"]
+    assert (joint.damping, joint.friction) == (0.7, 0.6)
+    assert found.facts["a"].delay == 0
+    assert "it did not move" in found.assumptions["a"][0]
+
+
+def test_guesses_and_what_is_not_simulated_are_told():
+    guess = Estimate(0.02, 0.05, "its interval contains zero")
+    told = estimates(inertia=0.05, coulomb=0.1, offset=-0.3, stribeck=0.1)
+    (first, *others) = known(JointIdentification("a", {**told, "viscous": guess})).assumptions["a"]
+    assert "viscous friction 0.02 is a guess: its interval contains zero" in first
+    assert ["constant load of -0.3 N m" in others[0], "Stribeck" in others[1]] == [True, True]
+
+
+@pytest.mark.parametrize("noise", [0.0, 3e-6, 1e-4])
+@pytest.mark.parametrize("resolution", [0.0, 2e-5])
+def test_noise_is_told_from_motion_and_from_rounding(noise, resolution):
+    chance = np.random.default_rng(5)
+    position = 0.4 * np.sin(3.0 * TIMES) + noise * chance.standard_normal(len(TIMES))
+    if resolution:
+        position = np.round(position / resolution) * resolution
+    found = position_noise(series(position), resolution)
+    assert found == pytest.approx(noise, rel=0.1, abs=max(0.25 * resolution, 1e-7))
+
+
+def test_jumps_and_gaps_are_no_noise():
+    chance = np.random.default_rng(5)
+    position = 1e-4 * chance.standard_normal(len(TIMES))
+    position[1000:] += 0.5
+    assert position_noise(series(position), 0.0) == pytest.approx(1e-4, rel=0.1)
+
+
+def test_a_pid_is_checked_at_the_rate_at_which_it_ran():
+    """``control_period`` is 1 ms in a parameter file that does not say it."""
+    robot = known(JointIdentification("a", estimates(inertia=0.05, delay=2.0 * PERIOD)))
+    pid = {"joint": "a", "law": "pid", "gains.p": 4.0, "gains.i": 1.0, "gains.d": 0.8}
+    unsaid, said = (
+        pid_check(LoopSettings.from_parameters({**pid, **more}), (0.1, 0.1), robot, 0.02)
+        for more in ({}, {"control_period": 0.02})
+    )
+    assert unsaid == said
+    fast = pid_check(LoopSettings.from_parameters(pid), (0.1, 0.1), robot, 0.001)
+    assert said.margins.phase < 0.9 * fast.margins.phase
+
+
+@pytest.mark.parametrize("noise", [0.02, 0.1, 0.4])
+def test_noise_below_a_count_is_found_by_how_the_effort_varies(noise):
+    search = _NoiseSearch.begun(JointFacts(0, 0.0, 1.0))
+    for _ in range(8):
+        search = search.told(3.0 + search.facts.noise, 3.0 + noise)
+    assert search.best.noise == pytest.approx(noise, rel=0.1)
+
+
+def test_noise_that_explains_nothing_is_not_taken():
+    search = _NoiseSearch.begun(JointFacts(0, 0.0, 1.0))
+    for _ in range(8):
+        search = search.told(1.0, 3.0)
+    assert search.best is None
+
+
+def test_a_drive_that_saturates_is_simulated_with_its_limit():
+    weak = JointIdentification("a", estimates(inertia=0.05), effort_limit=4.0)
+    assert known(weak).robot.description.joints["a"].effort == 4.0
+    strong = JointIdentification("a", estimates(inertia=0.05), effort_limit=40.0)
+    assert known(strong).robot.description.joints["a"].effort == 9.0
