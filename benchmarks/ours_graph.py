@@ -8,11 +8,12 @@ import time
 from collections.abc import Mapping
 from pathlib import Path
 
+from rosbags.rosbag2 import Reader
+
 from hpid_ros.base.errors import RunError
 from hpid_ros.experiment.description import Experiment
 from hpid_ros.experiment.graph_run import GraphOptions, run_on_graph
 from hpid_ros.experiment.progress import Progress, RunReport, RunTiming
-from hpid_ros.messages.bag_file import BagReader
 
 
 class Clock:
@@ -110,8 +111,8 @@ def timing_of(report: RunReport) -> RunTiming:
 
 def _require_everything(bag: Path, states: int, joints: int) -> None:
     """Make sure that a bag holds every state and the answer of every joint."""
-    with BagReader(bag) as reader:
-        counts = {name: summary.message_count for name, summary in reader.topics.items()}
+    with Reader(bag) as reader:
+        counts = {name: summary.msgcount for name, summary in reader.topics.items()}
     expected = {"/joint_states": states, "/joint_commands": states * joints}
     lost = {topic: count - counts.get(topic, 0) for topic, count in expected.items()}
     if any(count > 0 for count in lost.values()):

@@ -11,8 +11,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
+from rosbags.rosbag2 import Reader
 
-from hpid_ros.messages.bag_file import BagReader
 from hpid_ros.messages.joint_state import JointStateTemplate
 from hpid_ros.messages.selection import encode_joint_trajectory
 from hpid_ros.messages.writer import BagWriter
@@ -47,9 +47,9 @@ def write_bag(folder, rates=(4.0, 8.0)):
 def main(folder):
     """Write a bag and say what is in it."""
     write_bag(folder)
-    with BagReader(folder) as bag:
+    with Reader(folder) as bag:
         for name, topic in bag.topics.items():
-            print(f"{name:18} {topic.type:36} {topic.message_count:5} messages")
+            print(f"{name:18} {topic.msgtype:36} {topic.msgcount:5} messages")
 
 
 if __name__ == "__main__" and len(sys.argv) > 1:

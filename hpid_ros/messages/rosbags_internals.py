@@ -3,8 +3,8 @@
 rosbags documents how a bag is opened, written and closed. It closes a chunk after 1 MiB, leaves
 flushing to the file's buffer and writes no checksums, and its public interface can change none of
 that. ``rosbags.rosbag2.Writer`` does let a subclass name its storage classes
-(``STORAGE_PLUGINS``), so the difference is two small subclasses. Whatever they and
-:func:`custom_data` use without a promise was read in rosbags 0.11.0 and 0.11.9, where it is the
+(``STORAGE_PLUGINS``), so the difference is two small subclasses. Whatever they use
+without a promise was read in rosbags 0.11.0 and 0.11.9, where it is the
 same; no other module of this package touches it (``test_architecture.py``). Where another version
 lacks it, :class:`.BagError` says in one line what is missing and which versions are known.
 """
@@ -15,14 +15,13 @@ import os
 import struct
 import zlib
 from collections import defaultdict
-from collections.abc import Mapping
 from contextlib import suppress
 from importlib.metadata import version
 from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rosbags.rosbag2 import Reader, StoragePlugin, Writer
+from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.rosbag2.storage_mcap import McapWriter, PendingChunk
 
 from hpid_ros.base.errors import BagError
@@ -159,17 +158,6 @@ class FlushingWriter(Writer):
             self.counts.update(mcap.channel_stats)
             self.min_timestamp = mcap.message_start_time
             self.max_timestamp = mcap.message_end_time
-
-
-def custom_data(reader: Reader) -> Mapping[str, str]:
-    """Return the texts that a recording was given; none where the bag or rosbags has none.
-
-    Uses ``Reader.storage`` (the folder's or the file's reader) and its ``metadata.custom``, which
-    is what YAML or MCAP held: anything, or None.
-    """
-    metadata = getattr(getattr(reader, "storage", None), "metadata", None)
-    custom: object = getattr(metadata, "custom", None)
-    return dict(custom) if isinstance(custom, Mapping) else {}
 
 
 def _require(owner: object, names: tuple[str, ...]) -> None:

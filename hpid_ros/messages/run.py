@@ -7,7 +7,6 @@ from dataclasses import replace
 from pathlib import Path
 
 from hpid_ros.base.errors import BagError, unknown_name
-from hpid_ros.messages.bag_file import BagReader, RawMessage, TopicSummary
 from hpid_ros.messages.joint_run import JointRun, Window
 from hpid_ros.messages.recording import RecordedRun
 from hpid_ros.messages.selection import BagSelection, missed_messages, time_stood_still
@@ -20,8 +19,6 @@ from hpid_ros.messages.series import (
 )
 from hpid_ros.messages.storage import OrderNeededError, Progress, Storage
 from hpid_ros.messages.topics import TopicChoice, choose_topics
-
-__all__ = ["BagReader", "RawMessage", "TopicSummary", "read_run"]
 
 _SHOWN_JOINTS = 3
 

@@ -9,13 +9,13 @@ import time
 
 import pytest
 import yaml
+from harness.bag_reader import BagReader
 from harness.graph import ros_arguments
 from trajectory_msgs.msg import JointTrajectory
 
 from hpid_ros.base.errors import BagError
 from hpid_ros.base.names import PROFILE_FILES
 from hpid_ros.cli.main import main
-from hpid_ros.messages.bag_file import BagReader
 from hpid_ros.messages.joint_state import JointStateTemplate
 from hpid_ros.messages.run import read_run
 from hpid_ros.messages.selection import (

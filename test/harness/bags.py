@@ -10,7 +10,7 @@ import numpy as np
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
-from hpid_ros.messages.bag_file import BagReader
+from harness.bag_reader import BagReader
 from hpid_ros.messages.joint_state import JointStateTemplate
 from hpid_ros.messages.reports import ODOMETRY, Stamp, encode_odometry
 from hpid_ros.messages.run import read_run
@@ -93,7 +93,7 @@ def convert(source: Path, target: Path, storage: StoragePlugin, mode: Compressio
     writer.set_compression(mode, CompressionFormat.ZSTD)
     with writer, BagReader(source) as bag:
         connections = {
-            name: writer.add_connection(name, topic.type, typestore=TYPES)
+            name: writer.add_connection(name, topic.msgtype, typestore=TYPES)
             for name, topic in bag.topics.items()
         }
         for name, log_time_ns, raw in bag.messages():

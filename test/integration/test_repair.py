@@ -11,12 +11,12 @@ import time
 from pathlib import Path
 
 import pytest
+from harness.bag_reader import BagReader
 from harness.graph import ros_arguments
 from mcap.reader import make_reader
 
 from hpid_ros.base.errors import BagError, ResultExistsError
 from hpid_ros.cli.main import main
-from hpid_ros.messages.bag_file import BagReader
 from hpid_ros.messages.joint_state import JointStateTemplate
 from hpid_ros.messages.run import read_run
 from hpid_ros.messages.writer import BagWriter, repair_bag
@@ -160,7 +160,7 @@ def test_a_type_that_jazzy_lacks_keeps_its_definition(tmp_path):
     repair = repair_bag(tmp_path / "bag", tmp_path / "repaired")
     assert repair.saved == {"/own": 1}
     with BagReader(tmp_path / "repaired") as bag:
-        assert bag.topics["/own"].type == "my_msgs/msg/Own"
+        assert bag.topics["/own"].msgtype == "my_msgs/msg/Own"
 
 
 def test_kill_minus_nine_costs_nothing_that_was_acknowledged(harness, tmp_path, faults):

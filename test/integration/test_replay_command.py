@@ -6,6 +6,7 @@ from functools import partial
 import numpy as np
 import pytest
 import yaml
+from harness.bag_reader import BagReader
 from harness.bags import MS, TYPES, convert
 from harness.loops import loop_settings
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
@@ -16,7 +17,6 @@ from hpid_ros.cli.main import main
 from hpid_ros.control import JointLoop, LoopSettings
 from hpid_ros.control.overrides import RelayRequest
 from hpid_ros.control.reference import Setpoint
-from hpid_ros.messages.bag_file import BagReader
 from hpid_ros.messages.joint_state import JointStateTemplate, decode_joint_state
 from hpid_ros.messages.messages import PARAMETER_EVENTS
 from hpid_ros.messages.selection import PARAMETERS, custom_data
@@ -60,7 +60,9 @@ def rewritten(bag, target, change, keeps_parameters=True):
     """Write a bag again, with each message as ``change(topic, raw)`` gives it; None drops it."""
     metadata = {PARAMETERS: custom_data(bag)[PARAMETERS]} if keeps_parameters else {}
     with BagReader(bag) as reader, BagWriter(target, metadata=metadata) as writer:
-        topics = {name: writer.add_topic(name, each.type) for name, each in reader.topics.items()}
+        topics = {
+            name: writer.add_topic(name, each.msgtype) for name, each in reader.topics.items()
+        }
         for message in reader.messages():
             raw = change(message.topic, message.raw)
             if raw is not None:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from harness.bag_reader import BagReader
 from harness.bags import JOINT_STATE, MS, TYPES, command, convert, small_log, state, write_bag
 from harness.examples import examples
 from hypothesis import given
@@ -20,7 +21,6 @@ from rosbags.rosbag2 import CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as rosbags_writer
 
 from hpid_ros.base.errors import BagError
-from hpid_ros.messages.bag_file import BagReader
 from hpid_ros.messages.run import read_run
 from hpid_ros.messages.series import RunSeries
 from hpid_ros.messages.sqlite_file import SqliteFile

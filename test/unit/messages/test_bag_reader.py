@@ -28,12 +28,10 @@ from hypothesis import strategies as st
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
 from hpid_ros.base.errors import BagError
-from hpid_ros.messages.bag_file import BagReader
 from hpid_ros.messages.joint_state import JointStateTemplate, decode_joint_state
 from hpid_ros.messages.run import read_run
 from hpid_ros.messages.selection import BagSelection
 from hpid_ros.messages.series import Losses
-from hpid_ros.messages.writer import BagWriter
 
 finite = st.floats(-9e49, 9e49)  # beyond 1e50 no joint is
 stamps = st.lists(st.integers(-(2**31) * S, 2**31 * S - 1), min_size=1, max_size=12, unique=True)
@@ -151,18 +149,6 @@ def test_a_topic_is_found_with_or_without_its_namespace(tmp_path, name):
     path = write_bag(tmp_path / "bag", log, namespace="/arm/")
     run = read_run(path, "run", selection=BagSelection(states=name))
     assert run.joints[0].position.tolist() == [1.0]
-
-
-def test_an_exact_topic_comes_before_a_namespaced_one_and_two_of_those_are_refused(tmp_path):
-    with BagWriter(tmp_path / "bag") as bag:
-        for name in ("/a/joint_states", "/b/joint_states", "/odom", "/a/odom"):
-            bag.add_topic(name, JOINT_STATE)
-    with BagReader(tmp_path / "bag") as bag:
-        assert bag.find_topic("odom", JOINT_STATE) == "/odom"
-        with pytest.raises(BagError, match="could be any of /a/joint_states, /b/joint_states"):
-            bag.find_topic("joint_states", JOINT_STATE)
-        with pytest.raises(BagError, match="unknown topic '/joint_states'"):
-            bag.find_topic("/joint_states", JOINT_STATE)
 
 
 @pytest.mark.parametrize(

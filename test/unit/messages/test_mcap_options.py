@@ -7,13 +7,13 @@ import struct
 from pathlib import Path
 
 import pytest
+from harness.bag_reader import BagReader
 from harness.bags import MS, small_log
 from harness.mcap_files import TYPES, write_mcap
 from mcap.reader import NonSeekingReader
 from mcap.writer import CompressionType, IndexType
 
 from hpid_ros.cli.main import main
-from hpid_ros.messages.bag_file import BagReader
 from hpid_ros.messages.run import read_run
 from hpid_ros.messages.storage import Storage
 from hpid_ros.messages.writer import repair_bag

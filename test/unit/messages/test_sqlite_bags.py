@@ -8,12 +8,12 @@ import struct
 from pathlib import Path
 
 import pytest
+from harness.bag_reader import BagReader
 from harness.bags import JOINT_STATE, MS, TYPES, command, convert, state, write_bag
 from mcap.reader import NonSeekingReader
 from rosbags.rosbag2 import CompressionMode, StoragePlugin, Writer
 
 from hpid_ros.cli.main import main
-from hpid_ros.messages.bag_file import BagReader
 from hpid_ros.messages.storage import Storage
 from hpid_ros.messages.writer import repair_bag
 
