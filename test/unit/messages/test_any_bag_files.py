@@ -11,19 +11,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 from harness.bag_reader import BagReader
-from harness.bags import JOINT_STATE, MS, TYPES, command, convert, small_log, state, write_bag
+from harness.bags import JOINT_STATE, MS, command, convert, small_log, state, write_bag
 from harness.examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, IndexType, Writer
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
-from rosbags.rosbag2 import Writer as rosbags_writer
 
 from hpid_ros.base.errors import BagError
 from hpid_ros.messages.run import read_run
 from hpid_ros.messages.series import RunSeries
-from hpid_ros.messages.sqlite_file import SqliteFile
 from hpid_ros.messages.storage import Storage
 
 pytestmark = pytest.mark.slow
@@ -276,31 +274,6 @@ def test_a_damaged_page_of_sqlite_costs_little_more_than_itself(tmp_path, whole)
     part_of(run, whole)
     assert 0.8 * COUNT < len(run.joints[0].position) < COUNT
     assert any("are damaged, left out" in line for line in run.quality.unreadable)
-
-
-@pytest.mark.parametrize("first_ns", [0, 1, 200, 40_000, 2**23, 2**31, 2**40, 2**62])
-def test_rows_taken_from_pages_are_those_that_sqlite_gives(tmp_path, first_ns):
-    path = tmp_path / "bag"
-    with rosbags_writer(path, version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
-        topics = [writer.add_connection(f"/{k}", JOINT_STATE, typestore=TYPES) for k in range(200)]
-        for k in range(1200):
-            # From nothing at all to several pages.
-            raw = bytes([k % 251]) * ((k * 37) % 300 if k % 50 else 3 * k)
-            writer.write(topics[k % 200], first_ns + k, raw)
-    rows = sqlite3.connect(path / "bag.db3").execute(
-        "SELECT name, timestamp, data FROM messages JOIN topics ON topics.id = topic_id"
-    )
-    report: list[str] = []
-    file = SqliteFile(path / "bag.db3", report.append)
-    assert sum(len(found.ids) for found in file.pages()) == 1200
-    found = [
-        (batch.topic, int(batch.log_times_ns[k]), batch.raw(k))
-        for batch in file.batches(frozenset(file.topics()), report.append, lambda size: None)
-        for k in range(len(batch.starts))
-    ]
-    assert sorted(found) == sorted(rows.fetchall())
-    assert report == []
-    file.close()
 
 
 def test_a_write_ahead_log_that_was_left_behind_is_read(tmp_path, whole):
