@@ -5,11 +5,8 @@ from __future__ import annotations
 from copy import deepcopy
 
 from hpid_ros.control.assembly import make_velocity_source, observer_figures
-from hpid_ros.control.limited_law import LimitedLaw, ModelTerm
 from hpid_ros.control.settings import LoopSettings
 from hpid_ros.control.velocity import FilteredVelocity, MeasuredVelocity, Observer, VelocitySource
-
-_NO_MODEL = ModelTerm(1.0, 0.0)
 
 MOVED_AT_ZERO = 0.05
 """A joint that has come so far without a velocity has a driver that measures none, in [rad]."""
@@ -18,24 +15,16 @@ MOVED_AT_ZERO = 0.05
 class Estimation:
     """What a loop takes for the joint's position and velocity.
 
-    That is the measured position and the velocity of a source, or both by an observer, which hears
+    That is the measured position and the velocity of a source, or both by an observer, which gets
     the efforts that are sent and may have the disturbance that it estimates fed forward.
     """
 
     __slots__ = (
-        "_fed",
-        "_law",
-        "_observer",
-        "_off",
-        "_off_for",
-        "_settings",
-        "_source",
-        "position",
-        "velocity",
+        *("_fed", "_observer", "_off", "_off_for", "_settings", "_source"),
+        *("position", "velocity"),
     )
 
-    def __init__(self, settings: LoopSettings, law: LimitedLaw) -> None:
-        self._law = law
+    def __init__(self, settings: LoopSettings) -> None:
         self._settings = settings
         self._use_source()
         self.reset()
@@ -53,7 +42,7 @@ class Estimation:
         """Forget the past."""
         self._source.reset()
         self.position = self.velocity = 0.0
-        self._off = self._off_for = 0.0  # of an observer that was left: a distance and a duration
+        self._off = self._off_for = 0.0  # a former observer's distance, and how long it fades
         self._fed = 0.0  # effort of the last sample against the observer's disturbance, in [N m]
 
     def restart(self) -> None:
@@ -61,76 +50,76 @@ class Estimation:
         self._source.reset()
         self._off = 0.0
 
-    def retune(self, settings: LoopSettings, position: float | None) -> None:
-        """Go by other settings; what is estimated is carried over.
+    @property
+    def has_observer(self) -> bool:
+        """Whether position and velocity are an observer's."""
+        return self._observer is not None
 
-        The law still has its former settings; :meth:`feed_anew` is to follow once it has these.
-        """
+    def retune(
+        self, settings: LoopSettings, position: float | None, effort: float, gain: float
+    ) -> None:
+        """Use other settings; what is estimated is carried over, with the effort now sent."""
         before, self._settings = self._settings, settings
         figures = observer_figures(settings)
         if figures is not None and self._observer is not None:
             if figures != self._observer.figures:
-                self.send()
+                self.send(effort, gain)
                 self._observer.retune(figures)
         elif (
             figures is not None
             or self._observer is not None
             or settings.velocity.in_use != before.velocity.in_use
         ):
-            had_observer = self._observer is not None
+            observed = self.position if self._observer is not None else None
             self._use_source()
-            if position is not None:
-                self._go_on_from(position, had_observer=had_observer)
+            if position is None:
+                return
+            if self._observer is not None:
+                self._off, position = 0.0, self.position
+                self.send(effort, gain)
+            elif observed is not None:
+                self._off = observed - position
+                self._off_for = settings.timing.takeover_time
+            self._source.take_over(position, self.velocity)
 
-    def _go_on_from(self, position: float, *, had_observer: bool) -> None:
-        """Let another source go on where the one before was; what was estimated off fades."""
+    def refeed(self, gain: float) -> float:
+        """Return how much less is fed forward with the settings of now, in [N m]."""
+        before, self._fed = self._fed, 0.0
+        return before - (self.feed(gain) if self.feeds_disturbance else 0.0)
+
+    def send(self, effort: float, gain: float) -> None:
+        """Give the observer, if there is one, what acts on the joint from the last sample on.
+
+        That is the effort sent without the model's own, over the model's gain.
+        """
         if self._observer is not None:
-            self._off = 0.0
-            self.send()
-            self._source.take_over(self.position, self.velocity)
-            return
-        if had_observer:
-            self._off = self.position - position
-            self._off_for = self._settings.timing.takeover_time
-        self._source.take_over(position, self.velocity)
-
-    def feed_anew(self) -> None:
-        """Let the integral give what is fed forward no more, or take what is from now on."""
-        fed, observer = self._fed, self._observer
-        is_fed = observer is not None and self._settings.observer.feed_disturbance
-        self._fed = -self._law.gain * observer.effort if observer is not None and is_fed else 0.0
-        if fed != self._fed:
-            self._law.take_from_model(fed - self._fed)
-
-    def send(self) -> None:
-        """Tell the observer, if there is one, what acts on the joint from the last sample on."""
-        if self._observer is not None:
-            law = self._law
-            self._observer.send(law.driving_effort + self._fed / law.gain)
+            self._observer.send(effort + self._fed / gain)
 
     def coast(self, since: float) -> None:
         """Let the observer, if there is one, go on under the effort sent, without a sample."""
         if self._observer is not None:
-            self.send()
             self._observer.coast(since)
 
-    def update(
-        self, position: float, velocity: float | None, dt: float, model: ModelTerm | None
-    ) -> ModelTerm | None:
+    def update(self, position: float, velocity: float | None, dt: float) -> None:
         """Take a sample."""
         observer = self._observer
         if observer is None:
             self.position = position + self._fade(dt) if self._off else position
             self.velocity = self._source.update(position, velocity, dt)
-            return model
-        self.send()
+            return
         observer.update(position, None, dt)
         self.position, self.velocity = observer.position, observer.velocity
-        if not self._settings.observer.feed_disturbance:
-            return model
-        alone = model or _NO_MODEL
-        self._fed = -alone.gain * observer.effort
-        return alone._replace(effort=alone.effort + self._fed)
+
+    @property
+    def feeds_disturbance(self) -> bool:
+        """Whether effort against an observed disturbance is fed forward."""
+        return self._observer is not None and self._settings.observer.feed_disturbance
+
+    def feed(self, gain: float) -> float:
+        """Return the effort against the disturbance that the observer estimates, in [N m]."""
+        assert self._observer is not None
+        self._fed = -gain * self._observer.effort
+        return self._fed
 
     def _fade(self, dt: float) -> float:
         """Return what is left of the distance by which an observer was off, in [rad]."""
@@ -148,21 +137,20 @@ class Estimation:
         self._observer = source if isinstance(source, Observer) else None
 
     def source_of_stop(self, position: float) -> VelocitySource:
-        """Return what tells the velocity to who takes the law's place."""
+        """Return the velocity source of a stop that takes the law's place."""
         if self._observer is None:
             return self._source
-        # It knows the efforts of the loop, not those of the stop.
+        # An observer knows the efforts of the loop, not those of the stop.
         source = FilteredVelocity(self._settings.velocity.filter_time_constant)
         source.take_over(position, self.velocity)
         return source
 
-    @property
-    def disturbed(self) -> tuple[float, float, float] | None:
-        """Position [rad], velocity [rad/s] and disturbing effort [N m] by the observer, if any."""
+    def disturbed(self, gain: float) -> tuple[float, float, float] | None:
+        """Return position [rad], velocity [rad/s] and disturbing effort [N m] by the observer."""
         observer = self._observer
         if observer is None:
             return None
-        return observer.position, observer.velocity, self._law.gain * observer.effort
+        return observer.position, observer.velocity, gain * observer.effort
 
     @property
     def origin(self) -> str:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 from copy import copy
+from dataclasses import dataclass
+from enum import Enum
 from typing import NamedTuple
 
 from hpid_ros.base.errors import SettingError
@@ -16,191 +18,91 @@ from hpid_ros.control.assembly import (
 )
 from hpid_ros.control.estimation import Estimation
 from hpid_ros.control.homogeneous_pid import Terms
-from hpid_ros.control.limited_law import LimitedLaw, LoopClock, LoopCounts, LoopState, ModelTerm
+from hpid_ros.control.limited_law import LimitedLaw, ModelTerm
 from hpid_ros.control.overrides import DampingStop, Relay, RelayRequest, reason_against
 from hpid_ros.control.reference import LARGEST_POSITION, Feedforward, Following, Motion
-from hpid_ros.control.settings import LoopSettings
+from hpid_ros.control.settings import LoopSettings, Timing
 from hpid_ros.control.velocity import VelocitySource
 
 
-class Tracked(NamedTuple):
-    """What tracking was at some time; see :meth:`Tracking.kept`."""
+class LoopState(Enum):
+    """What a loop is doing."""
 
+    WAITING = "waiting for the first state"
+    HOLDING = "holding its position"
+    FOLLOWING = "following a reference"
+    FAULT = "the last state could not be used"
+    SILENT = "no new state within state_timeout"
+
+
+@dataclass
+class LoopCounts:
+    """What a loop has seen since it was made."""
+
+    samples: int = 0  # states that were answered with a new effort
+    repeats: int = 0  # states with the stamp of the one before
+    resets: int = 0  # states older than the one before: the clock went back
+    gaps: int = 0  # states later than state_timeout after the one before
+    silences: int = 0  # times in which the fallback effort was given for want of states
+    takeovers: int = 0
+    jumps: int = 0  # rejected states whose position no joint can have come to since the last one
+    missed: int = 0  # states that must have been lost, by the stamps and control_period
+    saturated: int = 0  # samples whose effort was limited
+    rejected: int = 0
+
+
+_NO_MODEL = ModelTerm(1.0, 0.0)
+_LATE = 1.5  # control periods between two states: there was none in between
+
+
+class LoopClock:
+    """Keeps the stamps of the states that a loop was given."""
+
+    __slots__ = ("_counts", "_unusable", "has_lapsed", "stamp_ns", "unusable_ns")
+
+    def __init__(self, counts: LoopCounts) -> None:
+        self._counts = counts
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget the time: the next state is the first one."""
+        self.stamp_ns: int | None = None
+        self.unusable_ns: int | None = None
+        self.has_lapsed = False
+        self._unusable = 0
+
+    def lapse(self) -> None:
+        """Note that no state has come for too long."""
+        self.has_lapsed = True
+
+    def take(self, stamp_ns: int, dt: float, timing: Timing) -> None:
+        """Take the stamp of a usable state."""
+        self.stamp_ns = stamp_ns
+        self.has_lapsed = False
+        period = timing.control_period
+        if dt > _LATE * period:
+            self._counts.missed += max(round(dt / period) - 1 - self._unusable, 0)
+            self._counts.gaps += dt > timing.state_timeout
+        if self.unusable_ns is not None:
+            self.unusable_ns = None
+            self._unusable = 0
+
+    def skip(self, stamp_ns: int) -> None:
+        """Take the stamp of a state that cannot be used."""
+        self.unusable_ns = stamp_ns
+        self._unusable += 1
+
+
+class Snapshot(NamedTuple):
+    """What a loop was before a stamp that may be wrong."""
+
+    stamp_ns: int
+    takeovers: int
     settings: LoopSettings
     following: Following
     feedforward: Feedforward
     velocity: VelocitySource
     integral: float
-
-
-class Tracking:
-    """A joint's reference, its estimated motion, and what feedforward and law make of both.
-
-    It is told of states that count alone, and how much time there was between two of them; which
-    these are is for :class:`~hpid_ros.control.joint_loop.JointLoop`.
-    """
-
-    __slots__ = (
-        *("_settings", "_takeover_time"),
-        *("error", "estimation", "feedforward", "following", "law", "relay"),
-    )
-
-    def __init__(self, settings: LoopSettings, counts: LoopCounts) -> None:
-        self.relay: Relay | None = None
-        self.following = Following()
-        self.law = LimitedLaw(settings, counts)
-        self.estimation = Estimation(settings, self.law)
-        self.feedforward = Feedforward(feedforward_figures(settings))
-        self.error = 0.0
-        self._adopt(settings)
-
-    def _adopt(self, settings: LoopSettings) -> None:
-        """Take from settings what is looked at in each sample."""
-        self._settings, self._takeover_time = settings, settings.timing.takeover_time
-        self.following.turn = turn_of_references(settings)
-        self.following.lost_turn = max(settings.encoder.wrap, 0.0)
-
-    def reset(self) -> None:
-        """Forget integral and velocity; start the motion anew with the next state."""
-        self.law.reset()
-        self.estimation.reset()
-        self.feedforward.reset()
-        self.following.restart()
-        self.error = 0.0
-
-    def follow(self, motion: Motion) -> None:
-        """Follow a motion from the next sample on."""
-        self.end_relay("a reference came")
-        self.following.follow(motion)
-
-    def retune(self, settings: LoopSettings, position: float | None, stamp_ns: int) -> None:
-        """Go by other settings; the integral term stays, and what is estimated is carried over."""
-        self.end_relay("parameters were set")
-        self.estimation.retune(settings, position)
-        self.law.retune(
-            settings, None if position is None else (position, self.estimation.velocity)
-        )
-        self.estimation.feed_anew()
-        change = self.feedforward.retune(
-            feedforward_figures(settings), self.following.velocity, self.following.acceleration
-        )
-        self._adopt(settings)
-        if change:
-            self._hand_over(change, stamp_ns)
-
-    def begin(self, stamp_ns: int, position: float, *, is_takeover: bool) -> None:
-        """Start from where the joint is, before its sample."""
-        if self.law.limits is not None:
-            self.law.limits.open(position)
-        if not is_takeover:
-            self.following.stand(position)
-            return
-        if self.law.relay is not None:
-            self.drop_relay("the joint was taken over anew")
-            self.law.give(self.law.effort)  # what the relay gave is in no term
-        self.estimation.restart()
-        self.following.take_over(stamp_ns, position, self._takeover_time)
-
-    def update(
-        self,
-        stamp_ns: int,
-        position: float,
-        velocity: float | None,
-        dt: float,
-        elapsed: float,
-        model: ModelTerm | None,
-        is_takeover: bool,
-    ) -> float:
-        """Take one sample and return its effort in [N m], within the limits."""
-        law, following, estimation = self.law, self.following, self.estimation
-        model = estimation.update(position, velocity, dt, model)
-        speed = estimation.velocity
-        wanted, rate, acceleration = following.sample(stamp_ns, self._takeover_time, law.limits)
-        if rate and law.relay is not None:
-            law.relay.end("the reference moves")
-        ahead = 0.0
-        if self.feedforward.is_active or following.gives_effort:
-            ahead = self._feed_forward(stamp_ns, is_takeover=is_takeover)
-        if is_takeover:
-            law.take_over(model, acceleration, ahead, is_still_damped=dt > 0.0)
-        self.error = error = wanted - estimation.position
-        try:
-            return law.update(
-                error, rate - speed, position, speed, elapsed, model, acceleration, ahead
-            )
-        except ArithmeticError:
-            estimation.restart()
-            raise
-
-    def _feed_forward(self, stamp_ns: int, *, is_takeover: bool) -> float:
-        """Return the effort that the reference of this sample needs, in [N m]."""
-        forward, following = self.feedforward, self.following
-        planned = following.effort(stamp_ns)
-        if is_takeover:
-            forward.reset()
-        elif following.has_turned:
-            self._hand_over(forward.change_by(planned), stamp_ns)
-        following.has_turned = False
-        return forward.update(stamp_ns, following.velocity, following.acceleration, planned)
-
-    def _hand_over(self, change: float, stamp_ns: int) -> None:
-        """Let the effort stay what it is although what is fed forward changes, in [N m]."""
-        left = self.law.give_up(change)
-        if left:
-            self.feedforward.keep(-left, stamp_ns, self._takeover_time)
-
-    def begin_relay(self, request: RelayRequest, against: str) -> None:
-        """Let a relay drive the joint for some cycles, around where it is held."""
-        law, gains = self.law, self._settings.gains
-        if law.relay is not None:
-            against = "there is one already"
-        elif not against and (self.following.velocity or self.following.acceleration):
-            against = "the reference moves"
-        against = against or reason_against(
-            request, gains, self._settings.effort, law.integral + law.model_effort, self.error
-        )
-        if against:
-            raise SettingError(f"no relay now: {against}")
-        self.relay = law.relay = Relay(request, gains.d / gains.p)
-
-    def end_relay(self, reason: str) -> None:
-        """Let a relay give back, if there is one."""
-        if self.law.relay is not None:
-            self.law.relay.end(reason)
-
-    def drop_relay(self, reason: str) -> None:
-        """End a relay at once, without another effort: who calls decides about that."""
-        self.end_relay(reason)
-        self.law.relay = None
-
-    def kept(self) -> Tracked:
-        """Return what :meth:`go_back_to` needs."""
-        return Tracked(
-            self._settings,
-            copy(self.following),
-            copy(self.feedforward),
-            self.estimation.copy_of_source(),
-            self.law.own_integral,
-        )
-
-    def go_back_to(self, before: Tracked) -> None:
-        """Be what it was, but for what it was told since."""
-        told = self.following.motion
-        self.following = before.following
-        if told is not before.following.motion:
-            self.following.follow(told)
-        if self._settings is before.settings:  # else the source is another, or of other figures
-            self.estimation.put_back(before.velocity)
-            self.feedforward = before.feedforward
-        self.law.restore_integral(before.integral)
-
-
-class _BeforeJump(NamedTuple):
-    """What a loop was before a stamp that may be wrong."""
-
-    stamp_ns: int
-    takeovers: int
-    tracked: Tracked
 
 
 class JointLoop:
@@ -222,11 +124,17 @@ class JointLoop:
     """
 
     def __init__(self, settings: LoopSettings) -> None:
-        self.settings = settings
         self.counts = LoopCounts()
         self.last_fault = ""
         """What was last wrong with a state, in words."""
-        self._tracking = Tracking(settings, self.counts)
+        self.relay: Relay | None = None
+        """The last relay that there was, for what became of it."""
+        self.error = 0.0
+        """Reference minus position of the last sample in [rad]; an observer's, if there is one."""
+        self._following = Following()
+        self._estimation = Estimation(settings)
+        self._law = LimitedLaw(settings)
+        self._feedforward = Feedforward(feedforward_figures(settings))
         self._unwrapper = make_unwrapper(settings.encoder)
         self._clock = LoopClock(self.counts)
         self._adopt(settings)
@@ -234,9 +142,12 @@ class JointLoop:
 
     def _adopt(self, settings: LoopSettings) -> None:
         """Take from settings what is looked at in each sample."""
-        self._timing = settings.timing
-        self._hears_velocity = settings.velocity.is_measured
+        self.settings, self._timing = settings, settings.timing
+        self._takeover_time = settings.timing.takeover_time
+        self._uses_velocity = settings.velocity.is_measured
         self._step_max, self._speed_max = largest_step(settings)
+        self._following.turn = turn_of_references(settings)
+        self._following.lost_turn = max(settings.encoder.wrap, 0.0)
 
     def follow(self, motion: Motion) -> None:
         """Follow a motion from the next sample on; a reset starts it anew.
@@ -244,7 +155,8 @@ class JointLoop:
         Args:
             motion: A trajectory's column, or a :class:`Setpoint`.
         """
-        self._tracking.follow(motion)
+        self.end_relay("a reference came")
+        self._following.follow(motion)
 
     def begin_relay(self, request: RelayRequest) -> None:
         """Let a relay drive the joint for some cycles, around where it is held.
@@ -259,9 +171,19 @@ class JointLoop:
             SettingError: The joint is not held at rest, is too near to its effort limits, or the
                 law has nothing to hold it by.
         """
-        is_held = self.state in (LoopState.HOLDING, LoopState.FOLLOWING)
-        is_driven = is_held and not self._is_takeover_due
-        self._tracking.begin_relay(request, "" if is_driven else str(self.state.value))
+        law, gains, against = self._law, self.settings.gains, ""
+        if law.relay is not None:
+            against = "there is one already"
+        elif self.state not in (LoopState.HOLDING, LoopState.FOLLOWING) or self._is_takeover_due:
+            against = str(self.state.value)
+        elif self._following.velocity or self._following.acceleration:
+            against = "the reference moves"
+        against = against or reason_against(
+            request, gains, self.settings.effort, law.integral + law.model_effort, self.error
+        )
+        if against:
+            raise SettingError(f"no relay now: {against}")
+        self.relay = law.relay = Relay(request, gains.d / gains.p)
 
     def end_relay(self, reason: str) -> None:
         """Let a relay give back, if there is one.
@@ -269,7 +191,13 @@ class JointLoop:
         Args:
             reason: Why, in words.
         """
-        self._tracking.end_relay(reason)
+        if self._law.relay is not None:
+            self._law.relay.end(reason)
+
+    def _drop_relay(self, reason: str) -> None:
+        """End a relay at once, without another effort: the caller decides about that."""
+        self.end_relay(reason)
+        self._law.relay = None
 
     def retune(self, settings: LoopSettings) -> None:
         """Put other settings in force from the next sample on, as a whole.
@@ -291,35 +219,47 @@ class JointLoop:
             )
         if settings.model != before.model:
             raise SettingError("compensation and its model cannot change while the loop runs")
-        is_new = self._clock.stamp_ns is None
-        position = None if is_new else self._position
-        self._tracking.retune(settings, position, self._clock.stamp_ns or 0)
+        self.end_relay("parameters were set")
+        law, estimation, following = self._law, self._estimation, self._following
+        position = None if self._clock.stamp_ns is None else self._position
+        estimation.retune(settings, position, law.driving_effort, law.gain)
+        law.retune(settings, None if position is None else (position, estimation.velocity))
+        if less := estimation.refeed(law.gain):
+            law.take_from_model(less)
+        change = self._feedforward.retune(
+            feedforward_figures(settings), following.velocity, following.acceleration
+        )
         if settings.encoder.wrap != before.encoder.wrap:
             if self._unwrapper is None:
                 self._unwrapper = make_unwrapper(settings.encoder)
             else:
                 self._unwrapper.begin_anew_after(max(settings.encoder.wrap, 0.0) or math.inf)
-        self.settings = settings
         self._adopt(settings)
+        if change:
+            self._hand_over(change, self._clock.stamp_ns or 0)
         if self.is_on_fallback:
-            self._tracking.law.give(settings.effort.fallback)
+            law.give(settings.effort.fallback)
 
     def reset(self) -> None:
         """Forget integral, velocity and time; start the motion anew with the next state."""
-        self._tracking.drop_relay("the loop began anew")
-        self._tracking.reset()
+        self._drop_relay("the loop began anew")
+        self._law.reset()
+        self._estimation.reset()
+        self._feedforward.reset()
+        self._following.restart()
+        self.error = 0.0
         if self._unwrapper is not None:
             self._unwrapper.reset()
         self._clock.restart()
         self._position = 0.0
         self._state = LoopState.WAITING
         self._is_takeover_due = False
-        self._before_jump: _BeforeJump | None = None
-        self._astray: tuple[int, float] | None = None
+        self._before_gap: Snapshot | None = None
+        self._outlier: tuple[int, float] | None = None
 
     def release(self) -> None:
         """Forget everything, the motion too: the next state is the first, and is held."""
-        self._tracking.following.follow(None)
+        self._following.follow(None)
         self.reset()
 
     def lapse(self) -> float:
@@ -334,7 +274,7 @@ class JointLoop:
             ``fallback_effort``, within the effort limits, in [N m].
         """
         self._clock.lapse()
-        self._tracking.drop_relay("no state came")
+        self._drop_relay("no state came")
         self.counts.silences += 1
         if not self._timing.is_simulated:
             self.supersede(self.settings.effort.fallback)
@@ -346,9 +286,9 @@ class JointLoop:
         As after :meth:`lapse` the next state is a takeover, but from the effort in force.
         """
         self.counts.silences += 1
-        self._tracking.drop_relay("no state came")
+        self._drop_relay("no state came")
         if not self._timing.is_simulated:
-            self.supersede(self._tracking.law.effort)
+            self.supersede(self._law.effort)
 
     def supersede(self, effort: float) -> None:
         """Note that the joint was given another effort: the next state is a takeover from it.
@@ -356,14 +296,9 @@ class JointLoop:
         Args:
             effort: In [N m].
         """
-        self._tracking.drop_relay("the joint was given another effort")
+        self._drop_relay("the joint was given another effort")
         self._is_takeover_due = True
-        self._tracking.law.give(effort)
-
-    @property
-    def relay(self) -> Relay | None:
-        """The last relay that there was, for what became of it."""
-        return self._tracking.relay
+        self._law.give(effort)
 
     @property
     def is_on_fallback(self) -> bool:
@@ -375,17 +310,17 @@ class JointLoop:
     @property
     def velocity_origin(self) -> str:
         """Where the velocity of the last sample came from, in words."""
-        return self._tracking.estimation.origin
+        return self._estimation.origin
 
     @property
     def velocity_doubt(self) -> str:
         """What speaks against the velocities of the states, in words; empty if nothing does."""
-        return self._tracking.estimation.doubt
+        return self._estimation.doubt
 
     @property
     def estimate(self) -> tuple[float, float, float] | None:
         """Position [rad], velocity [rad/s] and disturbing effort [N m] by the observer, if any."""
-        return self._tracking.estimation.disturbed
+        return self._estimation.disturbed(self._law.gain)
 
     def damping_stop(self, duration: float) -> DampingStop:
         """Return what damps the joint from now on in this loop's place.
@@ -393,10 +328,8 @@ class JointLoop:
         Args:
             duration: In [s], positive.
         """
-        velocity = self._tracking.estimation.source_of_stop(self._position)
-        return self._tracking.law.damping_stop(
-            velocity, self._hears_velocity, self.stamp_ns, duration
-        )
+        velocity = self._estimation.source_of_stop(self._position)
+        return self._law.damping_stop(velocity, self._uses_velocity, self.stamp_ns, duration)
 
     def step(
         self,
@@ -418,12 +351,12 @@ class JointLoop:
             The effort in [N m]: finite, within the limits, and the fallback when the state is
             not finite.
         """
-        clock, tracking, timing = self._clock, self._tracking, self._timing
+        clock, law, timing = self._clock, self._law, self._timing
         before_ns = clock.stamp_ns
         if stamp_ns == before_ns or stamp_ns == clock.unusable_ns:
             self.counts.repeats += 1
-            return tracking.law.effort
-        if not self._hears_velocity:
+            return law.effort
+        if not self._uses_velocity:
             velocity = None
         if not (
             -LARGEST_POSITION <= position <= LARGEST_POSITION
@@ -433,8 +366,8 @@ class JointLoop:
             if -LARGEST_POSITION <= position <= LARGEST_POSITION:
                 reason += "; velocity_source filtered does without velocities"
             return self.reject(stamp_ns, reason)
-        if self._before_jump is not None:
-            before_ns = self._settle_jump(stamp_ns)
+        if self._before_gap is not None:
+            before_ns = self._settle_gap(stamp_ns)
         since = 0.0 if before_ns is None else (stamp_ns - before_ns) * SECONDS_PER_NANOSECOND
         is_next = 0.0 < since <= timing.state_timeout
         if not is_next:
@@ -445,28 +378,82 @@ class JointLoop:
                 return self.reject(stamp_ns, f"position {position} rad with its turns")
         allowed = self._step_max + self._speed_max * since
         if is_next and abs(position - self._position) > allowed:
-            held = self._doubt(stamp_ns, position, since)
+            held = self._check_jump(stamp_ns, position, since)
             if held is not None:
                 return held
         elapsed = dt = since if is_next else 0.0
         if clock.unusable_ns is not None:
-            self._astray = None
+            self._outlier = None
             elapsed = min(dt, timing.control_period)  # what was not seen is not integrated
         self._position = position
         is_takeover = False
-        if self._is_takeover_due or not tracking.following.is_standing:
+        if self._is_takeover_due or not self._following.is_standing:
             is_takeover = self._begin(stamp_ns, position)
         try:
-            effort = tracking.update(stamp_ns, position, velocity, dt, elapsed, model, is_takeover)
+            effort = self._update(stamp_ns, position, velocity, dt, elapsed, model, is_takeover)
         except ArithmeticError as fault:
             self.last_fault = str(fault)
             self._skip(stamp_ns)
             return self._fault()
-        is_holding = tracking.following.motion is None
+        is_holding = self._following.motion is None
         self._state = LoopState.HOLDING if is_holding else LoopState.FOLLOWING
         clock.take(stamp_ns, since, timing)
         self.counts.samples += 1
+        self.counts.saturated += law.is_saturated
         return effort
+
+    def _update(
+        self,
+        stamp_ns: int,
+        position: float,
+        velocity: float | None,
+        dt: float,
+        elapsed: float,
+        model: ModelTerm | None,
+        is_takeover: bool,
+    ) -> float:
+        """Answer a state that counts: estimation, reference, feedforward, law."""
+        law, following, estimation = self._law, self._following, self._estimation
+        if estimation.has_observer:
+            estimation.send(law.driving_effort, law.gain)
+        estimation.update(position, velocity, dt)
+        if estimation.feeds_disturbance:
+            alone = model or _NO_MODEL
+            model = alone._replace(effort=alone.effort + estimation.feed(alone.gain))
+        speed = estimation.velocity
+        wanted, rate, acceleration = following.sample(stamp_ns, self._takeover_time, law.limits)
+        if rate and law.relay is not None:
+            law.relay.end("the reference moves")
+        ahead = 0.0
+        if self._feedforward.is_active or following.gives_effort:
+            ahead = self._feed_forward(stamp_ns, is_takeover=is_takeover)
+        if is_takeover:
+            law.take_over(model, acceleration, ahead, is_still_damped=dt > 0.0)
+        self.error = error = wanted - estimation.position
+        try:
+            return law.update(
+                error, rate - speed, position, speed, elapsed, model, acceleration, ahead
+            )
+        except ArithmeticError:
+            estimation.restart()
+            raise
+
+    def _feed_forward(self, stamp_ns: int, *, is_takeover: bool) -> float:
+        """Return the effort that the reference of this sample needs, in [N m]."""
+        forward, following = self._feedforward, self._following
+        planned = following.effort(stamp_ns)
+        if is_takeover:
+            forward.reset()
+        elif following.has_turned:
+            self._hand_over(forward.change_by(planned), stamp_ns)
+        following.has_turned = False
+        return forward.update(stamp_ns, following.velocity, following.acceleration, planned)
+
+    def _hand_over(self, change: float, stamp_ns: int) -> None:
+        """Let the effort stay what it is although what is fed forward changes, in [N m]."""
+        left = self._law.give_up(change)
+        if left:
+            self._feedforward.keep(-left, stamp_ns, self._takeover_time)
 
     def reject(self, stamp_ns: int, reason: str) -> float:
         """Answer a state that cannot be used.
@@ -482,7 +469,7 @@ class JointLoop:
         clock = self._clock
         if stamp_ns in (clock.stamp_ns, clock.unusable_ns):
             self.counts.repeats += 1
-            return self._tracking.law.effort
+            return self._law.effort
         self.last_fault = reason
         self._skip(stamp_ns)
         return self._fault()
@@ -494,15 +481,16 @@ class JointLoop:
             last_ns = clock.stamp_ns if clock.unusable_ns is None else clock.unusable_ns
             since = (stamp_ns - last_ns) * SECONDS_PER_NANOSECOND
             if 0.0 < since <= self._timing.state_timeout:
-                self._tracking.estimation.coast(since)
+                self._estimation.send(self._law.driving_effort, self._law.gain)
+                self._estimation.coast(since)
         clock.skip(stamp_ns)
 
     def _fault(self) -> float:
-        self._tracking.drop_relay("a state could not be used")
+        self._drop_relay("a state could not be used")
         self.counts.rejected += 1
         self._state = LoopState.FAULT
-        self._tracking.law.give(self.settings.effort.fallback)
-        return self._tracking.law.effort
+        self._law.give(self.settings.effort.fallback)
+        return self._law.effort
 
     def _interrupt(self, dt: float) -> None:
         """Begin, begin anew after a clock that went back, or be without time after a gap."""
@@ -514,27 +502,41 @@ class JointLoop:
             self.last_fault = f"no usable state for {dt:g} s by the stamps"
             last_ns = self._clock.stamp_ns
             assert last_ns is not None
-            self._before_jump = _BeforeJump(last_ns, self.counts.takeovers, self._tracking.kept())
+            self._before_gap = Snapshot(
+                last_ns,
+                self.counts.takeovers,
+                self.settings,
+                copy(self._following),
+                copy(self._feedforward),
+                self._estimation.copy_of_source(),
+                self._law.own_integral,
+            )
             self._is_takeover_due = True
             if self._clock.has_lapsed:
-                self._tracking.law.give(self.settings.effort.fallback)
+                self._law.give(self.settings.effort.fallback)
             if self._unwrapper is not None:
                 self._unwrapper.interrupt()
 
-    def _settle_jump(self, stamp_ns: int) -> int | None:
+    def _settle_gap(self, stamp_ns: int) -> int | None:
         """Undo a gap whose stamp was wrong, and return the stamp of the last usable state."""
-        before, self._before_jump = self._before_jump, None
+        before, self._before_gap = self._before_gap, None
         last_ns = self._clock.stamp_ns
         assert before is not None
         assert last_ns is not None
         since = (stamp_ns - before.stamp_ns) * SECONDS_PER_NANOSECOND
         if stamp_ns > last_ns or not 0.0 <= since <= self._timing.state_timeout:
             return last_ns
-        self._tracking.go_back_to(before.tracked)
+        newest, self._following = self._following.motion, before.following
+        if newest is not before.following.motion:
+            self._following.follow(newest)
+        if self.settings is before.settings:  # else the source is another, or of other figures
+            self._estimation.put_back(before.velocity)
+            self._feedforward = before.feedforward
+        self._law.restore_integral(before.integral)
         self.counts.takeovers = before.takeovers
         return before.stamp_ns
 
-    def _doubt(self, stamp_ns: int, position: float, dt: float) -> float | None:
+    def _check_jump(self, stamp_ns: int, position: float, dt: float) -> float | None:
         """Answer a state whose position is where no joint can have come to, or believe it.
 
         The first one is passed over: the effort in force stays. The second is believed, as a
@@ -542,7 +544,7 @@ class JointLoop:
         """
         if self._is_takeover_due:
             return None
-        first, self._astray = self._astray, (stamp_ns, position)
+        first, self._outlier = self._outlier, (stamp_ns, position)
         if first is not None:
             since = (stamp_ns - first[0]) * SECONDS_PER_NANOSECOND
             allowed = self._step_max + self._speed_max * since
@@ -556,15 +558,25 @@ class JointLoop:
         self.last_fault = step
         self.counts.rejected += 1
         self._skip(stamp_ns)
-        return self._tracking.law.effort
+        return self._law.effort
 
     def _begin(self, stamp_ns: int, position: float) -> bool:
         """Start from where the joint is, and tell whether that is a takeover."""
-        is_takeover = self._is_takeover_due and self._tracking.following.is_standing
+        law, following = self._law, self._following
+        is_takeover = self._is_takeover_due and following.is_standing
         self._is_takeover_due = False
         self.counts.takeovers += is_takeover
-        self._tracking.begin(stamp_ns, position, is_takeover=is_takeover)
-        return is_takeover
+        if law.limits is not None:
+            law.limits.open(position)
+        if not is_takeover:
+            following.stand(position)
+            return False
+        if law.relay is not None:
+            self._drop_relay("the joint was taken over anew")
+            law.give(law.effort)  # what the relay gave is in no term
+        self._estimation.restart()
+        following.take_over(stamp_ns, position, self._takeover_time)
+        return True
 
     @property
     def state(self) -> LoopState:
@@ -574,37 +586,32 @@ class JointLoop:
     @property
     def effort(self) -> float:
         """The effort of the last sample in [N m]."""
-        return self._tracking.law.effort
+        return self._law.effort
 
     @property
     def terms(self) -> Terms:
         """The law's terms of the last sample in [N m], before the limits."""
-        return self._tracking.law.terms
+        return self._law.terms
 
     @property
     def model_effort(self) -> float:
         """What a model added in the last sample, in [N m], before the limits; 0 without one."""
-        return self._tracking.law.model_effort
+        return self._law.model_effort
 
     @property
     def feedforward_effort(self) -> float:
         """What was fed forward for the reference in the last sample, in [N m]."""
-        return self._tracking.feedforward.effort
+        return self._feedforward.effort
 
     @property
     def integral(self) -> float:
         """The integral term that the next sample uses, in [N m]."""
-        return self._tracking.law.integral
+        return self._law.integral
 
     @property
     def reference(self) -> tuple[float, float]:
         """Reference position [rad] and velocity [rad/s] of the last sample."""
-        return self._tracking.following.position, self._tracking.following.velocity
-
-    @property
-    def error(self) -> float:
-        """Reference minus position of the last sample in [rad]; an observer's, if there is one."""
-        return self._tracking.error
+        return self._following.position, self._following.velocity
 
     @property
     def stamp_ns(self) -> int | None:
@@ -614,15 +621,15 @@ class JointLoop:
     @property
     def has_motion(self) -> bool:
         """Whether the loop was told to follow anything."""
-        return self._tracking.following.motion is not None
+        return self._following.motion is not None
 
     @property
     def velocity(self) -> float:
         """The velocity that the last sample used, in [rad/s]."""
-        return self._tracking.estimation.velocity
+        return self._estimation.velocity
 
     @property
     def braked(self) -> int:
         """Samples in which a soft stop or the velocity limit braked the joint."""
-        limits = self._tracking.law.limits
+        limits = self._law.limits
         return limits.braked if limits else 0

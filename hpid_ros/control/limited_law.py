@@ -3,83 +3,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from enum import Enum
 from typing import NamedTuple
 
 from hpid_ros.control.assembly import make_anti_windup, make_law, make_motion_limits
 from hpid_ros.control.homogeneous_pid import Terms
 from hpid_ros.control.limits import MotionLimits
 from hpid_ros.control.overrides import DampingStop, Relay
-from hpid_ros.control.settings import LoopSettings, Timing
+from hpid_ros.control.settings import LoopSettings
 from hpid_ros.control.velocity import VelocitySource
-
-
-class LoopState(Enum):
-    """What a loop is doing."""
-
-    WAITING = "waiting for the first state"
-    HOLDING = "holding its position"
-    FOLLOWING = "following a reference"
-    FAULT = "the last state could not be used"
-    SILENT = "no new state within state_timeout"
-
-
-@dataclass
-class LoopCounts:
-    """What a loop has seen since it was made."""
-
-    samples: int = 0  # states that were answered with a new effort
-    repeats: int = 0  # states with the stamp of the one before
-    resets: int = 0  # states older than the one before: the clock went back
-    gaps: int = 0  # states later than state_timeout after the one before
-    silences: int = 0  # times in which the fallback effort was given for want of states
-    takeovers: int = 0
-    jumps: int = 0  # rejected states whose position no joint can have come to since the last one
-    missed: int = 0  # states that must have been lost, by the stamps and control_period
-    saturated: int = 0  # samples whose effort was limited
-    rejected: int = 0
-
-
-_LATE = 1.5  # control periods between two states: there was none in between
-
-
-class LoopClock:
-    """Keeps the stamps of the states that a loop was given."""
-
-    __slots__ = ("_counts", "_unusable", "has_lapsed", "stamp_ns", "unusable_ns")
-
-    def __init__(self, counts: LoopCounts) -> None:
-        self._counts = counts
-        self.restart()
-
-    def restart(self) -> None:
-        """Forget the time: the next state is the first one."""
-        self.stamp_ns: int | None = None
-        self.unusable_ns: int | None = None
-        self.has_lapsed = False
-        self._unusable = 0
-
-    def lapse(self) -> None:
-        """Note that no state has come for too long."""
-        self.has_lapsed = True
-
-    def take(self, stamp_ns: int, dt: float, timing: Timing) -> None:
-        """Take the stamp of a usable state."""
-        self.stamp_ns = stamp_ns
-        self.has_lapsed = False
-        period = timing.control_period
-        if dt > _LATE * period:
-            self._counts.missed += max(round(dt / period) - 1 - self._unusable, 0)
-            self._counts.gaps += dt > timing.state_timeout
-        if self.unusable_ns is not None:
-            self.unusable_ns = None
-            self._unusable = 0
-
-    def skip(self, stamp_ns: int) -> None:
-        """Take the stamp of a state that cannot be used."""
-        self.unusable_ns = stamp_ns
-        self._unusable += 1
 
 
 class ModelTerm(NamedTuple):
@@ -107,7 +38,6 @@ class LimitedLaw:
         "_ahead",
         "_anti_windup",
         "_clamp",
-        "_counts",
         "_damping",
         "_gain",
         "_has_integral",
@@ -117,14 +47,15 @@ class LimitedLaw:
         "_model_effort",
         "_offset",
         "effort",
+        "is_saturated",
         "limits",
         "relay",
     )
 
     effort: float  # [N m] the effort in force
 
-    def __init__(self, settings: LoopSettings, counts: LoopCounts) -> None:
-        self._counts = counts
+    def __init__(self, settings: LoopSettings) -> None:
+        self.is_saturated = False  # whether the effort of the last sample was limited
         self.relay: Relay | None = None
         self._law = make_law(settings)
         self._adopt(settings, make_motion_limits(settings))
@@ -281,8 +212,7 @@ class LimitedLaw:
             effort = min(max(wanted, least), most)
         else:
             effort = self.limits.limit(wanted, position, velocity, self.effort, dt)
-        if effort != wanted:
-            self._counts.saturated += 1
+        self.is_saturated = effort != wanted
         # In the law's own units: what is taken from the effort is taken from the law's output.
         integral = self._anti_windup(before, after, error, wanted / gain, effort / gain, dt)
         least, most = self._integral_clamp

@@ -13,7 +13,7 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
 from hpid_ros.base.errors import HpidError, MessageError
 from hpid_ros.control import Gains, JointLoop, LoopSettings
-from hpid_ros.control.limited_law import LoopState
+from hpid_ros.control.joint_loop import LoopState
 from hpid_ros.control.overrides import RelayRequest
 from hpid_ros.control.reference import Setpoint
 from hpid_ros.messages.joint_readers import JointReader

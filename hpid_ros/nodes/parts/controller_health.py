@@ -10,8 +10,7 @@ from hpid_ros.base.durations import Durations
 from hpid_ros.base.errors import GainError
 from hpid_ros.base.names import ALLOW_RELAY
 from hpid_ros.base.units import of_slide
-from hpid_ros.control.joint_loop import JointLoop
-from hpid_ros.control.limited_law import LoopState
+from hpid_ros.control.joint_loop import JointLoop, LoopState
 from hpid_ros.control.overrides import RelayRequest
 from hpid_ros.control.settings import LoopSettings
 from hpid_ros.nodes.core.middleware import steady_timer

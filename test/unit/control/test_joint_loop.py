@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from hpid_ros.base.errors import GainError, HpidError, NormError, SettingError
 from hpid_ros.control import LOOP_PARAMETERS, Gains, JointLoop, LoopSettings
-from hpid_ros.control.limited_law import LoopState
+from hpid_ros.control.joint_loop import LoopState
 from hpid_ros.control.reference import Setpoint
 from hpid_ros.motion import Column, Knot
 

@@ -219,7 +219,7 @@ def test_without_inertia_it_is_the_filter_to_the_bit_and_says_so():
 def test_its_bandwidth_follows_the_gains_unless_it_is_given():
     for d, given_, expected in ((20.0, 0.0, 160.0), (10.0, 0.0, 80.0), (10.0, 33.0, 33.0)):
         loop = loop_of(gains__d=d, observer__bandwidth=given_)
-        assert loop._tracking.estimation._observer.figures.bandwidth == expected
+        assert loop._estimation._observer.figures.bandwidth == expected
 
 
 def test_a_source_that_was_changed_beside_a_stray_stamp_stays_changed():

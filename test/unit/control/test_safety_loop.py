@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from hpid_ros.base.errors import HpidError, SettingError
 from hpid_ros.control import LOOP_PARAMETERS, Gains, JointLoop, LoopSettings
 from hpid_ros.control.assembly import make_law, make_motion_limits
-from hpid_ros.control.limited_law import LoopState
+from hpid_ros.control.joint_loop import LoopState
 from hpid_ros.control.reference import Glide, Setpoint
 from hpid_ros.motion import Column, Knot
 
