@@ -162,7 +162,7 @@ class Estimation:
         return self._settings.velocity.source
 
     @property
-    def doubt(self) -> str:
+    def warning(self) -> str:
         """What speaks against the velocities of the states, in words; empty if nothing does."""
         source = self._source
         if isinstance(source, MeasuredVelocity) and source.moved_at_zero > MOVED_AT_ZERO:

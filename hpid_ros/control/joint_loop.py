@@ -58,7 +58,7 @@ _LATE = 1.5  # control periods between two states: there was none in between
 class LoopClock:
     """Keeps the stamps of the states that a loop was given."""
 
-    __slots__ = ("_counts", "_unusable", "has_lapsed", "stamp_ns", "unusable_ns")
+    __slots__ = ("_counts", "_unusable", "has_timed_out", "stamp_ns", "unusable_ns")
 
     def __init__(self, counts: LoopCounts) -> None:
         self._counts = counts
@@ -68,17 +68,17 @@ class LoopClock:
         """Forget the time: the next state is the first one."""
         self.stamp_ns: int | None = None
         self.unusable_ns: int | None = None
-        self.has_lapsed = False
+        self.has_timed_out = False
         self._unusable = 0
 
-    def lapse(self) -> None:
+    def note_timeout(self) -> None:
         """Note that no state has come for too long."""
-        self.has_lapsed = True
+        self.has_timed_out = True
 
     def take(self, stamp_ns: int, dt: float, timing: Timing) -> None:
         """Take the stamp of a usable state."""
         self.stamp_ns = stamp_ns
-        self.has_lapsed = False
+        self.has_timed_out = False
         period = timing.control_period
         if dt > _LATE * period:
             self._counts.missed += max(round(dt / period) - 1 - self._unusable, 0)
@@ -113,7 +113,7 @@ class JointLoop:
     loop holds the position of its first state.
 
     Where the joint was without a command of the loop for longer than ``state_timeout`` (a gap
-    between the stamps, :meth:`lapse`, states that cannot be used), and where its position
+    between the stamps, :meth:`note_timeout`, states that cannot be used), and where its position
     jumped, the loop takes over anew: it starts from where the joint is, with the effort in force
     as its integral (after a jump without its derivative term), and glides onto a motion that is
     under way. A single stamp from the future, with one after it that continues those before,
@@ -233,7 +233,7 @@ class JointLoop:
             if self._unwrapper is None:
                 self._unwrapper = make_unwrapper(settings.encoder)
             else:
-                self._unwrapper.begin_anew_after(max(settings.encoder.wrap, 0.0) or math.inf)
+                self._unwrapper.restart_after(max(settings.encoder.wrap, 0.0) or math.inf)
         self._adopt(settings)
         if change:
             self._hand_over(change, self._clock.stamp_ns or 0)
@@ -262,7 +262,7 @@ class JointLoop:
         self._following.follow(None)
         self.reset()
 
-    def lapse(self) -> float:
+    def note_timeout(self) -> float:
         """Note that no state has come for too long, and return the effort to give until one does.
 
         The next state is a takeover. Only where ``state_clock`` is ``simulated`` do the stamps
@@ -273,17 +273,17 @@ class JointLoop:
         Returns:
             ``fallback_effort``, within the effort limits, in [N m].
         """
-        self._clock.lapse()
+        self._clock.note_timeout()
         self._drop_relay("no state came")
         self.counts.silences += 1
         if not self._timing.is_simulated:
             self.supersede(self.settings.effort.fallback)
         return self.settings.effort.fallback
 
-    def wake(self) -> None:
+    def note_unanswered(self) -> None:
         """Note that states have stayed away for too long, and nobody has given another effort.
 
-        As after :meth:`lapse` the next state is a takeover, but from the effort in force.
+        As after :meth:`note_timeout` the next state is a takeover, but from the effort in force.
         """
         self.counts.silences += 1
         self._drop_relay("no state came")
@@ -303,7 +303,7 @@ class JointLoop:
     @property
     def is_on_fallback(self) -> bool:
         """Whether the effort in force is ``fallback_effort``, for want of a usable state."""
-        if self._clock.has_lapsed:
+        if self._clock.has_timed_out:
             return not self._timing.is_simulated
         return self._state is LoopState.FAULT
 
@@ -313,9 +313,9 @@ class JointLoop:
         return self._estimation.origin
 
     @property
-    def velocity_doubt(self) -> str:
+    def velocity_warning(self) -> str:
         """What speaks against the velocities of the states, in words; empty if nothing does."""
-        return self._estimation.doubt
+        return self._estimation.warning
 
     @property
     def estimate(self) -> tuple[float, float, float] | None:
@@ -512,7 +512,7 @@ class JointLoop:
                 self._law.own_integral,
             )
             self._is_takeover_due = True
-            if self._clock.has_lapsed:
+            if self._clock.has_timed_out:
                 self._law.give(self.settings.effort.fallback)
             if self._unwrapper is not None:
                 self._unwrapper.interrupt()
@@ -581,7 +581,7 @@ class JointLoop:
     @property
     def state(self) -> LoopState:
         """What the loop is doing."""
-        return LoopState.SILENT if self._clock.has_lapsed else self._state
+        return LoopState.SILENT if self._clock.has_timed_out else self._state
 
     @property
     def effort(self) -> float:

@@ -18,7 +18,7 @@ LOOKS = 4.0
 _SHORTEST_PERIOD = 1e-3  # [s] between two looks
 
 
-class Silence(NamedTuple):
+class StateTimeout(NamedTuple):
     """States have stopped to come."""
 
     duration: float  # [s] since the last new one
@@ -69,21 +69,21 @@ class Watchdog:
         self._given_ns = last_ns
         return True
 
-    def look(self, now_ns: int) -> Silence | None:
+    def look(self, now_ns: int) -> StateTimeout | None:
         """Return the silence that there is."""
         silence = self._silence(now_ns)
         if self.timeout is None or silence <= self.timeout:
             return None
         is_new, self._noticed_ns = self._noticed_ns != self._last_ns, self._last_ns
-        return Silence(silence, is_new)
+        return StateTimeout(silence, is_new)
 
-    def catch_up(self, now_ns: int) -> Silence | None:
+    def note_past_timeout(self, now_ns: int) -> StateTimeout | None:
         """Return a silence in which an effort was given, and which has not been looked at."""
         if self._given_ns is None or not self._given_ns == self._last_ns != self._noticed_ns:
             return None
         return self.look(now_ns)
 
-    def observe(self, stamp_ns: int, now_ns: int) -> tuple[Silence | None, bool]:
+    def observe(self, stamp_ns: int, now_ns: int) -> tuple[StateTimeout | None, bool]:
         """Take note of a state; one that repeats the last stamp is not new."""
         if stamp_ns == self._stamp_ns:
             return None, False
@@ -92,7 +92,7 @@ class Watchdog:
             return None, False
         silence = (now_ns - before_ns) / NANOSECONDS
         if before_ns == self._given_ns:
-            return Silence(silence, True), False
+            return StateTimeout(silence, True), False
         return None, silence > self.timeout
 
     def _silence(self, now_ns: int) -> float:
@@ -106,12 +106,12 @@ class SupervisedLoop:
     def __init__(
         self,
         loop: JointLoop,
-        lapsed: Callable[[float, float], None],
+        timed_out: Callable[[float, float], None],
         cut: Callable[[], None],
     ) -> None:
         self.loop = loop
         self.watchdog = Watchdog()
-        self._lapsed, self._cut = lapsed, cut
+        self._timed_out, self._cut = timed_out, cut
         self._stop: DampingStop | None = None
         self._was_held = False
 
@@ -126,11 +126,11 @@ class SupervisedLoop:
         return has_begun
 
     @property
-    def effort_in_silence(self) -> float:
+    def timeout_effort(self) -> float:
         """Effort to give while no state comes, in [N m]."""
         return self.loop.settings.effort.fallback if self._stop is None else 0.0
 
-    def be_released(self) -> None:
+    def note_release(self) -> None:
         """Note that the joint was held without effort, and is not any more."""
         self._was_held = True
 
@@ -138,9 +138,9 @@ class SupervisedLoop:
         """Take note of a silence."""
         self._note(self.watchdog.look(now_ns))
 
-    def catch_up(self, now_ns: int) -> None:
+    def note_past_timeout(self, now_ns: int) -> None:
         """Take note of a silence in which an effort was given already."""
-        self._note(self.watchdog.catch_up(now_ns))
+        self._note(self.watchdog.note_past_timeout(now_ns))
 
     def answer(
         self,
@@ -154,7 +154,7 @@ class SupervisedLoop:
         silence, is_unnoticed = self.watchdog.observe(stamp_ns, now_ns)
         self._note(silence)
         if is_unnoticed:
-            self.loop.wake()
+            self.loop.note_unanswered()
         if self._was_held:
             self._was_held = False
             self.loop.supersede(0.0)
@@ -164,10 +164,10 @@ class SupervisedLoop:
             return answer()
         return self.loop.step(stamp_ns, position, velocity)
 
-    def _note(self, silence: Silence | None) -> None:
+    def _note(self, silence: StateTimeout | None) -> None:
         if silence is None:
             return
         if self._stop is not None:
             self._cut()
         elif silence.is_new and self.loop.stamp_ns is not None:
-            self._lapsed(silence.duration, self.loop.lapse())
+            self._timed_out(silence.duration, self.loop.note_timeout())

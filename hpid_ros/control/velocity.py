@@ -30,10 +30,10 @@ class Unwrapper:
     __slots__ = ("_before", "_has_wrapped", "_largest", "_offset", "_turn")
 
     def __init__(self, turn: float) -> None:
-        self.begin_anew_after(turn)
+        self.restart_after(turn)
         self.reset()
 
-    def begin_anew_after(self, turn: float) -> None:
+    def restart_after(self, turn: float) -> None:
         """Go by another turn from the next position on; those before stay what they were."""
         self._turn = turn
         self._largest = turn * (1.0 + _ROUNDING)

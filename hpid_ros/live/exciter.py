@@ -25,7 +25,7 @@ from hpid_ros.nodes.core import executor
 from hpid_ros.nodes.core.middleware import ALL_COMMANDS, NEWEST_STATES, steady_timer, subscribe_raw
 from hpid_ros.nodes.core.status import StatusPipe
 from hpid_ros.nodes.parts.goal_follower import GoalFollower, Outcome
-from hpid_ros.nodes.parts.goal_graph import FollowerInputs, ToldTrajectories
+from hpid_ros.nodes.parts.goal_graph import FollowerInputs, GroupTrajectoryPublisher
 from hpid_ros.nodes.parts.goals import ResultCode
 
 _LOOK_PERIOD = 0.05  # [s]
@@ -58,7 +58,7 @@ class Exciter(executor.ClosingNode):
             )
         )
         self._watch = Watch(plan)
-        self._told = ToldTrajectories(
+        self._told = GroupTrajectoryPublisher(
             self, plan.names, lambda: self._follower.is_active, self._give_way
         )
         self._listen([each.bounds.controller for each in plan.joints])
@@ -115,7 +115,7 @@ class Exciter(executor.ClosingNode):
         self._commanded.update(zip(names, efforts, strict=True))
 
     def _give_way(self, joints: Sequence[str]) -> None:
-        self._act(self._follower.give_way(joints))
+        self._act(self._follower.yield_joints(joints))
 
     def _act(self, outcome: Outcome | None) -> None:
         """Tell controllers what follows from something; look at the limits if nothing does."""

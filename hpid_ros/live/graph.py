@@ -29,7 +29,7 @@ class Health(NamedTuple):
 
 
 @dataclass(frozen=True)
-class SeenController:
+class ControllerSummary:
     """A joint controller of this package on the graph."""
 
     node: str  # its full name
@@ -95,7 +95,7 @@ class Change:
 class Graph(Protocol):
     """A running graph. Every method returns at once and may be called from any thread."""
 
-    def controllers(self) -> Mapping[str, SeenController]:
+    def controllers(self) -> Mapping[str, ControllerSummary]:
         """Return the controllers that have been seen, by the full names of their nodes, sorted."""
 
     def watch(self, nodes: Sequence[str]) -> None:
@@ -127,7 +127,7 @@ __all__ = [
     "RunningGraph",
     "StateOf",
     "as_running",
-    "seen_controller",
+    "controller_summary",
     "with_changes",
 ]
 
@@ -138,12 +138,12 @@ StateOf = Callable[[str], tuple[float | None, float | None]]
 """Returns position and mean effort of a node's joint, None where unknown."""
 
 
-def seen_controller(node: str, parameters: Mapping[str, Any]) -> SeenController:
+def controller_summary(node: str, parameters: Mapping[str, Any]) -> ControllerSummary:
     """Return a controller that has been found."""
     values = {name: parameters[name] for name in PARAMETERS}
     settings = LoopSettings.from_parameters(values)
     limits = _limits(str(parameters["robot_description"]), settings.joint)
-    return SeenController(
+    return ControllerSummary(
         node,
         values,
         limits.within(settings),
@@ -158,7 +158,7 @@ def _limits(source: str, joint: str) -> RobotLimits:
     return described_limits(source, joint)
 
 
-def with_changes(seen: SeenController, changes: Mapping[str, Any]) -> SeenController:
+def with_changes(seen: ControllerSummary, changes: Mapping[str, Any]) -> ControllerSummary:
     """Return a controller after some of its parameters have been set."""
     values = {**seen.values, **{name: changes[name] for name in changes if name in PARAMETERS}}
     settings = seen.limits.within(LoopSettings.from_parameters(values))
@@ -166,7 +166,7 @@ def with_changes(seen: SeenController, changes: Mapping[str, Any]) -> SeenContro
 
 
 def as_running(
-    seen: Sequence[SeenController],
+    seen: Sequence[ControllerSummary],
     parameters: Mapping[str, Mapping[str, Any]],
     state_of: StateOf,
     *,

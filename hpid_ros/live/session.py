@@ -18,7 +18,7 @@ from hpid_ros.base.errors import SettingError
 from hpid_ros.base.yaml_files import parse_yaml
 from hpid_ros.control.controller_files import parameters_from
 from hpid_ros.live.advice import Advice, AdviceClient
-from hpid_ros.live.graph import Answer, Graph, Samples, SeenController
+from hpid_ros.live.graph import Answer, ControllerSummary, Graph, Samples
 from hpid_ros.live.history import JointHistory, WindowIndices
 from hpid_ros.live.tuning import Tuning, Values, differences, same
 
@@ -41,7 +41,7 @@ class Limit:
         return True
 
 
-class Desk:
+class ControlLock:
     """One page at a time has the controllers in hand; the others look on.
 
     The first one has it. Another gets it when a person takes it there. A page that was cut off for
@@ -119,7 +119,7 @@ class LiveSession:
     def __init__(self, graph: Graph, advice: AdviceClient) -> None:
         self.graph = graph
         self.tuning = Tuning()
-        self.desk = Desk()
+        self.control_lock = ControlLock()
         self.log: deque[LogLine] = deque(maxlen=_LINES)
         self.said = 0
         self.marks: deque[Mark] = deque(maxlen=_CHANGES_KEPT)
@@ -136,7 +136,7 @@ class LiveSession:
     # What is seen
 
     @property
-    def controllers(self) -> Mapping[str, SeenController]:
+    def controllers(self) -> Mapping[str, ControllerSummary]:
         """The controllers by the full names of their nodes."""
         return self.graph.controllers()
 
@@ -175,7 +175,7 @@ class LiveSession:
                 self.history(node).append(each)
         return {node: self.history(node).drawn() for node in watched}
 
-    def _note_arrivals(self, seen: Mapping[str, SeenController]) -> None:
+    def _note_arrivals(self, seen: Mapping[str, ControllerSummary]) -> None:
         for node, each in seen.items():
             if self._here.get(node) == each.is_here:
                 continue

@@ -461,10 +461,10 @@ class Trials:
 
     def _is_left(self) -> bool:
         """Tell whether another page has control, or the trial's own has been gone for a while."""
-        desk, now = self._session.desk, time.monotonic()
-        if desk.holds(self._page):
+        control_lock, now = self._session.control_lock, time.monotonic()
+        if control_lock.holds(self._page):
             self._here_at = now
-        return desk.holder not in (None, self._page) or now - self._here_at > _GONE_FOR
+        return control_lock.holder not in (None, self._page) or now - self._here_at > _GONE_FOR
 
     async def _set(self, number: int, variant: Variant, tried: Tried) -> None:
         """Have controllers take what is next; who wants a certificate may compute it first."""

@@ -18,7 +18,7 @@ from hpid_ros.nodes.parts.goal_graph import (
     FollowerInputs,
     GoalHealth,
     GroupParameters,
-    ToldTrajectories,
+    GroupTrajectoryPublisher,
 )
 from hpid_ros.nodes.parts.goal_server import GoalServer, action_type
 from hpid_ros.nodes.parts.goals import (
@@ -48,7 +48,7 @@ class JointTrajectoryController(executor.ClosingNode):
         self._follower = GoalFollower(self._group.settings())
         joints = self._group.joints
         self._health = GoalHealth(self, joints)
-        self._told = ToldTrajectories(
+        self._told = GroupTrajectoryPublisher(
             self, joints, lambda: self._follower.is_active, self._give_way
         )
         self._inputs = FollowerInputs(
@@ -81,7 +81,7 @@ class JointTrajectoryController(executor.ClosingNode):
         self._act(self._follower.cancel())
 
     def _give_way(self, joints: Sequence[str]) -> None:
-        self._act(self._follower.give_way(joints))
+        self._act(self._follower.yield_joints(joints))
 
     def _act(self, outcome: Outcome | None) -> None:
         """Tell controllers and the client what follows from something."""

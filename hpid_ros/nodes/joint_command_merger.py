@@ -168,7 +168,7 @@ class JointCommandMerger(ManagedNode):
         except SettingError as error:  # only the controller knew its joints
             self._refusal = str(error)
             return
-        self._health.begin_anew()
+        self._health.restart()
         merger = self._stream.begin(settings)
         self._commanders = Commanders(self, order, merger.counts, self._wanted.timeout)
         self.is_starting = False

@@ -83,7 +83,7 @@ class JointController(ManagedNode):
         self._status = StatusPipe(self)
         self._certification = Certification(self, self._loop.settings)
         self._timing = LoopTiming()
-        self._supervised = SupervisedLoop(self._loop, self._lapsed, self._cut)
+        self._supervised = SupervisedLoop(self._loop, self._timed_out, self._cut)
         self._watchdog = StateWatchdog(self, self._supervised)
         self._stopping = ControllerStop(self, self._supervised, self._commands, self._left)
         self._health = ControllerHealth(
@@ -108,8 +108,8 @@ class JointController(ManagedNode):
         """Configure: listen to references."""
         self._stopping.end()
         self._loop.release()
-        if self._loop.velocity_doubt:
-            self.get_logger().warning(self._loop.velocity_doubt)
+        if self._loop.velocity_warning:
+            self.get_logger().warning(self._loop.velocity_warning)
         self._references = ControllerReferences(
             self,
             self.joint,
@@ -197,7 +197,7 @@ class JointController(ManagedNode):
 
     def _on_state(self, raw: bytes) -> None:
         began_ns = time.perf_counter_ns()
-        self._supervised.catch_up(began_ns)
+        self._supervised.note_past_timeout(began_ns)
         if not self._is_listening:  # it was on its way when the joint was left
             return
         try:
@@ -225,7 +225,7 @@ class JointController(ManagedNode):
             self._readiness = None
             self._health.begun()
 
-    def _lapsed(self, silence: float, effort: float) -> None:
+    def _timed_out(self, silence: float, effort: float) -> None:
         """Tell of a silence; :meth:`look` gives the effort, whatever this thread does."""
         self._is_silence_told = True
         unit = self._health.unit("N m")
@@ -293,7 +293,7 @@ class JointController(ManagedNode):
 
     def look(self) -> float:
         """Give the effort that states have not come for, and say that the joint is held."""
-        self._commands.fall_back(self._supervised.effort_in_silence, self._watchdog.is_silent)
+        self._commands.fall_back(self._supervised.timeout_effort, self._watchdog.is_silent)
         return min(self._watchdog.within(), self._claim.keep())
 
     def hold(self) -> None:
@@ -306,7 +306,7 @@ class JointController(ManagedNode):
 
     def go_on(self) -> None:
         """Answer states again."""
-        self._supervised.be_released()
+        self._supervised.note_release()
         self._commands.go_on()
 
     def abandon(self) -> bool:

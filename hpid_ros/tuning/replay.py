@@ -308,7 +308,7 @@ class _Replay:
             text = "the controller was stopped, or busy, for longer than state_timeout"
             woken = [branch.copy(2.0, text) for branch in branches]
             for branch in woken:
-                branch.loop.wake()
+                branch.loop.note_unanswered()
             branches += woken
         for branch in branches:
             branch.effort = state.answer(branch.loop)
@@ -359,7 +359,7 @@ class _Replay:
             self._happened = state.stamp_ns, f"{command.effort:g} {unit} that answers no state"
             for branch in self._branches:
                 if not branch.loop.is_on_fallback:
-                    branch.loop.lapse()
+                    branch.loop.note_timeout()
 
     def _heard_before(self, index: int) -> int:
         return sum(nominal <= index for nominal in self._nominal)

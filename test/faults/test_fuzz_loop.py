@@ -100,7 +100,7 @@ class AnyOrder(RuleBasedStateMachine):
 
     @rule(gap=st.floats(0.0, 1.0))
     def silence(self, gap):
-        assert self.loop.lapse() == 0.0
+        assert self.loop.note_timeout() == 0.0
         self.stamp_ns += int(gap * 1e9)
 
     @rule(position=st.floats(-4.0, 4.0), stamp=st.integers(0, 4), first=st.integers(0, 9))
@@ -255,10 +255,10 @@ class NothingKicks(RuleBasedStateMachine):
         stamp_ns = self.stamp_ns
         self._move(seconds)
         if noticed == "in time":
-            self.in_force = self.loop.lapse()
+            self.in_force = self.loop.note_timeout()
             assert self.in_force == FALLBACK
         elif noticed == "at its end":
-            self.loop.wake()
+            self.loop.note_unanswered()
         if noticed != "never" and counts:  # stamps that count samples do not tell
             self.stamp_ns = stamp_ns
         self.stamp_ns += MS
@@ -282,7 +282,7 @@ class NothingKicks(RuleBasedStateMachine):
     @rule()
     def repeat_in_a_silence(self):
         if self.loop.stamp_ns is not None:
-            self.in_force = self.loop.lapse()
+            self.in_force = self.loop.note_timeout()
             assert self.loop.step(self.loop.stamp_ns, 3.0, 0.0) == FALLBACK
 
     @rule(jump=st.floats(1.0, 2.0) | st.floats(-2.0, -1.0))

@@ -16,7 +16,7 @@ from harness.turntable import GAINS, INERTIA, URDF, positions, start_turntable, 
 from hpid_ros.control.parameters import PARAMETERS
 from hpid_ros.live.controllers import HELD_WITHIN, Button
 from hpid_ros.live.dead_man import DeadMan
-from hpid_ros.live.graph import as_running, seen_controller
+from hpid_ros.live.graph import as_running, controller_summary
 from hpid_ros.live.motion import HeldMotion, bounds_of, chosen
 from hpid_ros.motion.excitation import Design, Wish, plan
 
@@ -48,7 +48,7 @@ class Bench:
         parameters |= {name.replace("__", "."): value for name, value in GAINS.items()}
         parameters |= {"joint": "turn", "law": "pid", "control_period": 0.004}
         parameters |= {"robot_description": URDF, "introspection_rate": 20.0}
-        seen = seen_controller(NODE, {**parameters, "require_certificate": False})
+        seen = controller_summary(NODE, {**parameters, "require_certificate": False})
         states = {NODE: (0.0, 0.0)}
         self.graph = as_running([seen], {NODE: parameters}, states.get, has_commands=True)
         self.controllers = chosen(self.graph, [])

@@ -13,7 +13,7 @@ from hpid_ros.base.errors import HpidError, RunError
 from hpid_ros.control import JointLoop, LoopSettings
 from hpid_ros.control.controller_files import RobotLimits
 from hpid_ros.control.reference import Setpoint
-from hpid_ros.live.graph import Answer, Change, Health, Samples, SeenController
+from hpid_ros.live.graph import Answer, Change, ControllerSummary, Health, Samples
 
 PERIOD_NS = 1_000_000
 _LONGEST = 2.0  # [s] that is caught up at once
@@ -87,9 +87,9 @@ class SimulatedGraph:
         self._changes: list[Change] = []
         self._began = time.monotonic()
 
-    def controllers(self) -> dict[str, SeenController]:
+    def controllers(self) -> dict[str, ControllerSummary]:
         return {
-            node: SeenController(
+            node: ControllerSummary(
                 node,
                 joint.settings.to_parameters(),
                 joint.settings,

@@ -123,7 +123,7 @@ class TuningPanel:
 
     @property
     def _may_edit(self) -> bool:
-        return self._session.desk.holds(self._page)
+        return self._session.control_lock.holds(self._page)
 
     def _build_tune(self) -> None:
         self._of = ui.label().classes("heading")

@@ -221,7 +221,7 @@ class Frames:
             await socket.close(1008, "no such page")
             return
         await socket.accept()
-        self._session.desk.join(page)
+        self._session.control_lock.join(page)
         queue: asyncio.Queue[str] = asyncio.Queue(_BEHIND)
         self._viewers[queue] = page
         sending = asyncio.create_task(self._send(socket, queue))
@@ -234,10 +234,10 @@ class Frames:
             sending.cancel()
             self._viewers.pop(queue, None)
             self._trials.release(page)
-            self._session.desk.leave(page)
+            self._session.control_lock.leave(page)
 
     def _take(self, page: str, text: str) -> None:
-        if text == "hold" and self._session.desk.holds(page):
+        if text == "hold" and self._session.control_lock.holds(page):
             self._trials.press(page)
         elif text == "release":
             self._trials.release(page)

@@ -35,7 +35,7 @@ class TrialPanel:
 
     @property
     def _may_edit(self) -> bool:
-        return self._session.desk.holds(self._page)
+        return self._session.control_lock.holds(self._page)
 
     def _build(self) -> None:
         ui.label("Test motion of the joints that are chosen").classes("heading")

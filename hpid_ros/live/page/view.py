@@ -151,7 +151,7 @@ class _Row:
         self._switch.set_enabled(seen.is_here and seen.lifecycle in ("active", "inactive"))
 
     async def _transit(self) -> None:
-        if not self._session.desk.holds(ui.context.client.id):
+        if not self._session.control_lock.holds(ui.context.client.id):
             ui.notify("this page looks on: take control first", type="warning")
             return
         seen = self._session.controllers[self._node]
@@ -216,7 +216,7 @@ class PageView:
 
     @property
     def _may_edit(self) -> bool:
-        return self._session.desk.holds(self._page)
+        return self._session.control_lock.holds(self._page)
 
     def _build(self) -> None:
         with ui.element("div").classes("banner lost-banner").props('role="alert"'):
@@ -241,8 +241,8 @@ class PageView:
 
     def _build_header(self) -> None:
         ui.label("hpid live").classes("title")
-        self._desk = ui.label().classes("desk")
-        self._take = ui.button("Take control", on_click=self._take_desk)
+        self._control_lock = ui.label().classes("desk")
+        self._take = ui.button("Take control", on_click=self._take_control)
         self._take.props("outline dense no-caps")
         ui.space()
         ui.button(icon="contrast", on_click=self._toggle_dark).props(
@@ -294,8 +294,8 @@ class PageView:
                     f'data-chart="{name}" role="img" aria-label="{text} over time"'
                 )
 
-    def _take_desk(self) -> None:
-        self._session.desk.take(self._page)
+    def _take_control(self) -> None:
+        self._session.control_lock.take(self._page)
         self._refresh()
 
     def _toggle_dark(self) -> None:
@@ -327,14 +327,14 @@ class PageView:
 
     def _refresh(self) -> None:
         self._refreshed_at = time.monotonic()
-        desk = self._session.desk
+        control_lock = self._session.control_lock
         if self._may_edit:
-            others = f", {desk.pages - 1} more look on" if desk.pages > 1 else ""
-            self._desk.set_text(f"you have control{others}")
-        elif desk.holder is None:
-            self._desk.set_text("nobody has control")
+            others = f", {control_lock.pages - 1} more look on" if control_lock.pages > 1 else ""
+            self._control_lock.set_text(f"you have control{others}")
+        elif control_lock.holder is None:
+            self._control_lock.set_text("nobody has control")
         else:
-            self._desk.set_text("another page has control: this one looks on")
+            self._control_lock.set_text("another page has control: this one looks on")
         self._take.set_visibility(not self._may_edit)
         self._table.refresh()
         self._panel.refresh()

@@ -27,16 +27,16 @@ from hpid_ros.live.graph import (
     SILENT_AFTER,
     Answer,
     Change,
+    ControllerSummary,
     Health,
     RunningGraph,
     Samples,
-    SeenController,
     StateOf,
     as_running,
-    seen_controller,
+    controller_summary,
     with_changes,
 )
-from hpid_ros.live.ros.orders import TRANSITIONS, KnownParameters, Orders, Requests
+from hpid_ros.live.ros.orders import TRANSITIONS, ControllerRecord, ControllerRequests, Requests
 from hpid_ros.live.ros.watching import (
     JOINT_STATE,
     ControllerTopics,
@@ -93,7 +93,7 @@ class Discovery:
         """Tell whether a node's parameters are being read: what comes may be old by then."""
         return name in self._asked
 
-    def read_anew(self, name: str) -> None:
+    def reread(self, name: str) -> None:
         """Read the parameters of a controller again, if it is here and they are not being read."""
         if name in self._here and not self.is_reading(name):
             self._ask(name)
@@ -209,7 +209,7 @@ _LIFECYCLE, _SAMPLES = "lifecycle", "samples"
 
 
 @dataclass
-class _Known(KnownParameters):
+class _Known(ControllerRecord):
     """A controller that has been found."""
 
     topics: ControllerTopics  # where its samples come from
@@ -223,7 +223,7 @@ class LiveGraph:
         self._node = node
         self._lock = threading.RLock()
         self._known: dict[str, _Known] = {}
-        self._shown: Mapping[str, SeenController] = {}
+        self._shown: Mapping[str, ControllerSummary] = {}
         self._wanted: tuple[str, ...] = ()
         self._changes: deque[Change] = deque(maxlen=_CHANGES_KEPT)
         self._given: deque[tuple[Callable[[Future[Answer]], None], Future[Answer]]] = deque()
@@ -234,12 +234,12 @@ class LiveGraph:
         self._next_look = 0.0
         self._watching = Watching(node)
         self._requests = Requests(node)
-        self._orders = Orders(self._requests, self._known.__getitem__, self._read_anew)
+        self._orders = ControllerRequests(self._requests, self._known.__getitem__, self._reread)
         self._discovery = Discovery(node, self._requests, self._found, self._gone)
         self._news = News(node, Listeners(self._on_event, self._on_health, self._on_lifecycle))
         steady_timer(node, _TICK, self._tick)
 
-    def controllers(self) -> Mapping[str, SeenController]:
+    def controllers(self) -> Mapping[str, ControllerSummary]:
         """Return the controllers that have been seen, by the full names of their nodes, sorted."""
         return self._shown
 
@@ -323,14 +323,14 @@ class LiveGraph:
         for name in [name for name, due in self._stale.items() if now > due]:
             if not self._discovery.is_reading(name):
                 del self._stale[name]
-                self._discovery.read_anew(name)
+                self._discovery.reread(name)
         if now > self._next_look:
             self._next_look = now + _LOOK_FOR_TOPICS
             self._look_for_topics()
 
     def _found(self, name: str, parameters: Mapping[str, Any]) -> None:
         try:
-            seen = seen_controller(name, parameters)
+            seen = controller_summary(name, parameters)
         except HpidError as error:
             self._unusable.add(name)
             self._node.get_logger().warning(f"{name} is not shown: {error}")
@@ -407,7 +407,7 @@ class LiveGraph:
 
     def _on_event(self, event: ParameterEvent) -> None:
         if self._discovery.is_reading(event.node):  # what is read may be older than this
-            self._read_anew(event.node)
+            self._reread(event.node)
         known = self._known.get(event.node)
         if known is None:
             return
@@ -424,7 +424,7 @@ class LiveGraph:
             try:
                 known.seen = with_changes(known.seen, values)
             except HpidError:  # it has been set again since
-                self._read_anew(event.node)
+                self._reread(event.node)
             self._changes.append(Change(event.node, values, time.time(), moment))
             self._show()
         self._orders.see(event.node)
@@ -432,18 +432,18 @@ class LiveGraph:
     def _on_health(self, name: str, health: Health) -> None:
         if name not in self._known:
             if name not in self._unusable:
-                self._discovery.read_anew(name)
+                self._discovery.reread(name)
             return
         before = self._known[name].seen.health
         if before is not None and _may_be_other(before, health):
-            self._read_anew(name)
+            self._reread(name)
         self._change(name, health=health, lifecycle=health.values.get(_LIFECYCLE, ""))
         self._orders.hear(name)
 
     def _on_lifecycle(self, name: str, label: str) -> None:
         self._change(name, lifecycle=label)
 
-    def _read_anew(self, name: str) -> None:
+    def _reread(self, name: str) -> None:
         self._stale[name] = time.monotonic()
 
 
@@ -462,7 +462,7 @@ def _samples(health: Health) -> int:
     return int(text) if text.isdecimal() else 0
 
 
-def _has_begun(seen: SeenController) -> bool:
+def _has_begun(seen: ControllerSummary) -> bool:
     """Tell whether a controller takes states, or is not going to."""
     if seen.health is None:
         return False

@@ -17,7 +17,7 @@ from rclpy.parameter import Parameter
 from rclpy.task import Future as RosFuture
 
 from hpid_ros.control.parameters import PARAMETERS, Value
-from hpid_ros.live.graph import Answer, SeenController
+from hpid_ros.live.graph import Answer, ControllerSummary
 
 _SETTLED_AFTER = 0.5
 """Age of a client in [s] before it asks.
@@ -129,15 +129,15 @@ _SETTLED = {
 
 
 @dataclass
-class KnownParameters:
+class ControllerRecord:
     """A controller that has been found, as far as orders want it."""
 
-    seen: SeenController  # as the page knows it
+    seen: ControllerSummary  # as the page knows it
     parameters: dict[str, Any]  # all that are read of it
 
 
 @dataclass(frozen=True, eq=False)
-class _Taken:
+class _AcceptedSet:
     """A set that was taken, and is not seen in force yet."""
 
     node: str
@@ -148,7 +148,7 @@ class _Taken:
 
 
 @dataclass(frozen=True, eq=False)
-class _Doubt:
+class _UnexplainedFailure:
     """A transition that failed, and why is not known yet."""
 
     node: str
@@ -158,18 +158,18 @@ class _Doubt:
     answer: Future[Answer]
 
 
-class Orders:
+class ControllerRequests:
     """Asks controllers; of the executor's thread alone."""
 
     def __init__(
         self,
         requests: Requests,
-        known: Callable[[str], KnownParameters],
+        known: Callable[[str], ControllerRecord],
         doubt: Callable[[str], None],
     ) -> None:
         self._requests, self._known, self._doubt = requests, known, doubt
-        self._taken: list[_Taken] = []
-        self._doubts: list[_Doubt] = []
+        self._taken: list[_AcceptedSet] = []
+        self._unexplained: list[_UnexplainedFailure] = []
 
     def prepare(self, controller: str) -> None:
         """Be ready to ask a controller at once."""
@@ -217,7 +217,7 @@ class Orders:
             return
         # Whoever looks after the answer shall see what is in force.
         deadline = time.monotonic() + _SEEN_WITHIN
-        self._taken.append(_Taken(controller, values, told, deadline, answer))
+        self._taken.append(_AcceptedSet(controller, values, told, deadline, answer))
         self.see(controller)
 
     def see(self, controller: str) -> None:
@@ -245,7 +245,9 @@ class Orders:
             else:
                 line = f"{controller} did not {transition}: it is {state or 'in an unknown state'}"
                 deadline = time.monotonic() + _REASON_WITHIN
-                self._doubts.append(_Doubt(controller, last_fault, line, deadline, answer))
+                self._unexplained.append(
+                    _UnexplainedFailure(controller, last_fault, line, deadline, answer)
+                )
 
         content = Transition(id=TRANSITIONS[transition], label=transition)
         request = ChangeState.Request(transition=content)
@@ -254,7 +256,7 @@ class Orders:
     def hear(self, controller: str) -> None:
         """Take note that a controller has told its health: perhaps why it did not do something."""
         fault = _fault(self._known(controller).seen)
-        for doubt in [each for each in self._doubts if each.node == controller]:
+        for doubt in [each for each in self._unexplained if each.node == controller]:
             if fault != doubt.last_fault:
                 self._settle(doubt, f"{doubt.line}; {fault}")
 
@@ -265,7 +267,7 @@ class Orders:
             self._taken.remove(taken)
             self._doubt(taken.node)
             taken.answer.set_result(taken.told)
-        for doubt in [each for each in self._doubts if now > each.deadline]:
+        for doubt in [each for each in self._unexplained if now > each.deadline]:
             self._settle(doubt, doubt.line)
 
     def close(self) -> None:
@@ -273,16 +275,16 @@ class Orders:
         self._requests.close()
         for taken in self._taken:
             taken.answer.set_result(taken.told)
-        for doubt in tuple(self._doubts):
+        for doubt in tuple(self._unexplained):
             self._settle(doubt, doubt.line)
         self._taken = []
 
-    def _settle(self, doubt: _Doubt, reason: str) -> None:
-        self._doubts.remove(doubt)
+    def _settle(self, doubt: _UnexplainedFailure, reason: str) -> None:
+        self._unexplained.remove(doubt)
         doubt.answer.set_result(Answer(False, reason))
 
 
-def _fault(seen: SeenController) -> str:
+def _fault(seen: ControllerSummary) -> str:
     return seen.health.values.get(_LAST_FAULT, "") if seen.health else ""
 
 

@@ -39,7 +39,7 @@ _HANDED_DOWN = _pipes()  # before this process has opened any of its own
 _WAITING = 1000  # lines, for a parent that does not read
 
 
-class _Outlet:
+class _EventPipe:
     """The way to a parent, which all nodes of a process share and which makes none of them wait.
 
     What a full pipe does not take waits for the next line, the last thousand lines of it.
@@ -76,7 +76,7 @@ class _Outlet:
             self._begun = self._begun[written:]
 
 
-_OUTLETS: dict[int, _Outlet] = {}
+_OUTLETS: dict[int, _EventPipe] = {}
 
 
 def flush_events(within: float) -> None:
@@ -95,7 +95,7 @@ class StatusPipe:
         # The parameters of a node that had a parent may have been dumped and given to this one.
         self._outlet = None
         if fd in _HANDED_DOWN:
-            self._outlet = _OUTLETS[fd] = _OUTLETS.get(fd) or _Outlet(fd)
+            self._outlet = _OUTLETS[fd] = _OUTLETS.get(fd) or _EventPipe(fd)
 
     def send(self, event: str, **values: object) -> None:
         """Write one event."""

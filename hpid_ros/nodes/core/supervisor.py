@@ -127,9 +127,9 @@ class Supervisor:
         self._nodes = nodes
         if self.future.done():
             self._asked_at = time.monotonic()
-        self.look_anew()
+        self.check_again()
 
-    def look_anew(self) -> None:
+    def check_again(self) -> None:
         """Ask the nodes again when to look: something has changed."""
         self._tell(_LOOK_ANEW)
 

@@ -152,7 +152,7 @@ class Claim:
         return replace(self, state=state)
 
 
-class HeardClaims:
+class ReceivedClaims:
     """The claims of others, as far as they have been heard of late."""
 
     def __init__(self) -> None:
@@ -236,7 +236,7 @@ class JointClaim:
                 "host find out only once they hear each other"
             )
         self._claim = Claim(joint, commands, name, host, pid, _STARTED_NS, f"{realm} {graph}")
-        self._others = HeardClaims()
+        self._others = ReceivedClaims()
         self._listening_since: float | None = None
         self._told = 0.0
         self._telling = threading.Lock()
@@ -366,7 +366,7 @@ class JointClaim:
             if state is ClaimState.RELEASED:
                 self._mine = None
         if state is ClaimState.HELD and self._node.supervisor is not None:
-            self._node.supervisor.look_anew()
+            self._node.supervisor.check_again()
 
     def _tell(self) -> None:
         """Tell how it stands; only to be called by who has the lock."""

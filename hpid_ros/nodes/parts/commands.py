@@ -201,7 +201,7 @@ def node_of(sender: str) -> str:
     return sender.partition("#")[0]
 
 
-def unanswering(stamp_ns: int) -> int:
+def unsolicited_stamp(stamp_ns: int) -> int:
     """Return a stamp beside one that was answered, of a command that answers no state.
 
     A bridge in lock-step passes it over, so that a simulation that was paused goes on as if
@@ -244,7 +244,7 @@ class Commands:
             return
         try:
             if self._stamp_ns is not None and not (self._is_held or self._is_shut) and is_due():
-                self._sink.send(unanswering(self._stamp_ns), effort)
+                self._sink.send(unsolicited_stamp(self._stamp_ns), effort)
         finally:
             self._lock.release()
 
@@ -269,7 +269,7 @@ class Commands:
             return
         try:
             if self._stamp_ns is not None:
-                self._sink.send(unanswering(self._stamp_ns), 0.0)
+                self._sink.send(unsolicited_stamp(self._stamp_ns), 0.0)
         finally:
             self._lock.release()
 

@@ -227,7 +227,7 @@ class ControllerHealth:
         message, level = loop.state.value, OK
         warning = (
             self._certification.warning
-            or loop.velocity_doubt
+            or loop.velocity_warning
             or self._slowness()
             or self._model_fault()
         )

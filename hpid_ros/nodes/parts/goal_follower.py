@@ -71,7 +71,7 @@ class ActiveGoal:
         late_ns = round(tolerances.goal_time * NANOSECONDS)
         self._deadline_ns = self.end_ns + late_ns if late_ns else None
         self._has_ended = [False] * len(told.names)  # by each joint's own state
-        self._astray_since_ns: list[int | None] = [None] * len(told.names)
+        self._outside_since_ns: list[int | None] = [None] * len(told.names)
 
     def compare(self, joint: int, stamp_ns: int, desired: Sequence[float], error: Error) -> str:
         """Take a joint's newest state.
@@ -104,14 +104,14 @@ class ActiveGoal:
         """Tell whether the time has passed in which the tolerances had to be met."""
         return self._deadline_ns is not None and now_ns > self._deadline_ns
 
-    def astray(self, joint: int, stamp_ns: int, is_off: bool) -> float:
+    def outside(self, joint: int, stamp_ns: int, is_off: bool) -> float:
         """Note whether a controller follows something else; return for how long it has, in [s]."""
-        since_ns = self._astray_since_ns[joint]
+        since_ns = self._outside_since_ns[joint]
         if not is_off:
             since_ns = None
         elif since_ns is None:
             since_ns = stamp_ns
-        self._astray_since_ns[joint] = since_ns
+        self._outside_since_ns[joint] = since_ns
         return 0.0 if since_ns is None else (stamp_ns - since_ns) / NANOSECONDS
 
     def when(self, now_ns: int, lines: Iterable[str]) -> str:
@@ -138,7 +138,7 @@ class Outcome(NamedTuple):
     told: GroupTrajectory | None  # what joints are to be told now; None for nothing
 
 
-class Begun(NamedTuple):
+class StartedGoal(NamedTuple):
     """A goal that has begun."""
 
     told: GroupTrajectory  # what all joints are to be told now
@@ -159,9 +159,9 @@ class GoalFollower:
         self._active: ActiveGoal | None = None
         self._began_ns = 0
         self._silence = 0.0  # [s] of the wall clock; 0 while states come
-        self._excuse = 0.0  # [s]; 0 while nothing is to be excused
+        self._late_by = 0.0  # [s]; 0 while nothing is to be excused
         self._has_told = self._is_hold_due = False
-        self._excused_until_ns = 0
+        self._late_until_ns = 0
 
     @property
     def is_active(self) -> bool:
@@ -184,7 +184,7 @@ class GoalFollower:
             return f"there has been no new state for {self._silence:.3g} s"
         return self._states.lack() or self._silent_controller()
 
-    def begin(self, request: GoalRequest) -> Begun:
+    def begin(self, request: GoalRequest) -> StartedGoal:
         """Begin with a goal, in place of the one that is followed."""
         settings = self.settings
         tolerances = request.require_group(settings)
@@ -209,7 +209,7 @@ class GoalFollower:
         self._began_ns = now_ns
         errors = [self._error(joint, standing[joint]) for joint in joints]
         self._active = ActiveGoal(told, tolerances, settings, standing, errors)
-        return Begun(told, replaced)
+        return StartedGoal(told, replaced)
 
     def cancel(self) -> Outcome:
         """End the active goal, and stop."""
@@ -219,7 +219,7 @@ class GoalFollower:
         """End the active goal because nobody will look after it any more, and stop."""
         return self._end(Result(ResultCode.INVALID_GOAL, reason))
 
-    def give_way(self, joints: Collection[str]) -> Outcome:
+    def yield_joints(self, joints: Collection[str]) -> Outcome:
         """End the active goal because somebody else has told its joints something; stop the rest.
 
         A joint follows what it was told last. So that is left alone, and the joints that were not
@@ -239,7 +239,7 @@ class GoalFollower:
             self._references.stand(joint, position)  # until its controller tells where it is
         return self._end(Result(ResultCode.INVALID_GOAL, line), left_alone=left)
 
-    def lapse(self, silence: float) -> Outcome | None:
+    def note_timeout(self, silence: float) -> Outcome | None:
         """Note that no new state has come for too long."""
         self._silence = silence
         if self._active is None or self.settings.is_simulated:
@@ -249,26 +249,26 @@ class GoalFollower:
         line = f"there was no new state for {silence:.3g} s"
         return Outcome(Result(ResultCode.INVALID_GOAL, line), None)
 
-    def excuse(self, stood: float) -> None:
+    def allow_late(self, stood: float) -> None:
         """Note that nobody called for a while: what came meanwhile comes late, and not in order.
 
         Until states and references had time to come, none of them is missed. The first state that
         comes may still be one from before.
         """
-        self._excuse = max(stood, self._excuse)
+        self._late_by = max(stood, self._late_by)
 
     def take_state(self, stamp_ns: int, parts: Sequence[JointPart]) -> Outcome | None:
         """Take the joints of one state."""
         taken = self._states.take(stamp_ns, parts)
         if taken is None:
-            return self._begin_anew(stamp_ns, parts)
+            return self._restart(stamp_ns, parts)
         if not taken:
             return None
         self._silence = 0.0
-        if self._excuse:
+        if self._late_by:
             patience = max(self.settings.state_timeout, self.settings.reference_timeout)
-            self._excused_until_ns = stamp_ns + round((self._excuse + patience) * NANOSECONDS)
-            self._excuse = 0.0
+            self._late_until_ns = stamp_ns + round((self._late_by + patience) * NANOSECONDS)
+            self._late_by = 0.0
         if self._is_hold_due:
             return self._hold()
         if self._active is None:
@@ -333,7 +333,7 @@ class GoalFollower:
                 return Outcome(Result(ResultCode.SUCCESSFUL, "goal reached"), None)
             if active.is_late(self._now()):
                 return self._violate(ResultCode.GOAL_TOLERANCE_VIOLATED, active, violated)
-        if stamp_ns < self._excused_until_ns:
+        if stamp_ns < self._late_until_ns:
             return None
         against = self._states.lack() or self._silent_controller()
         return self._end(Result(ResultCode.INVALID_GOAL, against)) if against else None
@@ -346,8 +346,8 @@ class GoalFollower:
         self, active: ActiveGoal, joint: int, stamp_ns: int, position: float, off: float
     ) -> Outcome | None:
         """Abort if a controller follows something else for longer than a glide takes."""
-        astray = active.astray(joint, stamp_ns, abs(off) > AGREES_WITHIN)
-        if astray <= self.settings.takeover_time + _SETTLES_WITHIN:
+        outside = active.outside(joint, stamp_ns, abs(off) > AGREES_WITHIN)
+        if outside <= self.settings.takeover_time + _SETTLES_WITHIN:
             return None
         name, unit = self.settings.joints[joint], self.settings.facts[joint].unit
         line = (
@@ -369,12 +369,12 @@ class GoalFollower:
                 return f"the controller of {joint} has told no reference for {silence:.3g} s"
         return ""
 
-    def _begin_anew(self, stamp_ns: int, parts: Sequence[JointPart]) -> Outcome | None:
+    def _restart(self, stamp_ns: int, parts: Sequence[JointPart]) -> Outcome | None:
         """Abort because the clock went back; what controllers were told begins anew there."""
         back = (self._now() - stamp_ns) / NANOSECONDS
         self._states.restart()
         self._references.restart()
-        self._heard_ns, self._excused_until_ns = [None] * len(self._heard_ns), 0
+        self._heard_ns, self._late_until_ns = [None] * len(self._heard_ns), 0
         was_active, self._active = self._active, None
         self._is_hold_due = self._has_told
         self._states.take(stamp_ns, parts)

@@ -232,7 +232,7 @@ class FollowerInputs:
         now = time.monotonic()
         stood, self._looked_at = now - self._looked_at, now
         if stood > self._look_period + _STOOD_STILL:
-            self._follower.excuse(stood)
+            self._follower.allow_late(stood)
             self._tell_standstill(stood)
 
     def _look_for_states(self) -> None:
@@ -243,14 +243,14 @@ class FollowerInputs:
             return
         self._silence += self._look_period
         if self._silence > self._follower.settings.state_timeout:
-            self._act(self._follower.lapse(self._silence))
+            self._act(self._follower.note_timeout(self._silence))
 
 
 _OWN_KEPT = 16  # messages that may be on their way back
 _HEARD_WITHIN = Duration(seconds=0.5)
 
 
-class ToldTrajectories:
+class GroupTrajectoryPublisher:
     """Tells controllers trajectories, and hears what others tell them."""
 
     def __init__(
@@ -258,10 +258,10 @@ class ToldTrajectories:
         node: ClosingNode,
         joints: Sequence[str],
         is_listening: Callable[[], bool],
-        give_way: Callable[[Sequence[str]], None],
+        yield_joints: Callable[[Sequence[str]], None],
     ) -> None:
         self._node, self._joints = node, joints
-        self._is_listening, self._give_way = is_listening, give_way
+        self._is_listening, self._give_way = is_listening, yield_joints
         self._own: deque[bytes] = deque(maxlen=_OWN_KEPT)
         self._sent = 0
         self._publisher = node.create_publisher(

@@ -223,7 +223,7 @@ class StateWatchdog:
         self._watchdog.timeout = timeout
         self._timer = steady_timer(self._node, self._watchdog.period, self._look)
         if self._node.supervisor is not None:
-            self._node.supervisor.look_anew()
+            self._node.supervisor.check_again()
 
     def stop(self) -> None:
         """Look no more, and forget what came."""

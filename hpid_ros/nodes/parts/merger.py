@@ -173,11 +173,11 @@ class Receiver:
         self._endpoints = endpoints
         return is_new
 
-    def hear_state(self, state: str | None) -> None:
+    def note_state(self, state: str | None) -> None:
         """Take note of what its manager says of it."""
         self._state = state
 
-    def hear_joints(self, joints: Sequence[str] | None, interface: str | None) -> None:
+    def note_joints(self, joints: Sequence[str] | None, interface: str | None) -> None:
         """Take note of what it says of itself."""
         try:
             self._told, self._refusal = self._checked(joints, interface), ""

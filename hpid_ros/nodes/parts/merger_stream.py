@@ -129,11 +129,11 @@ class ReceiverWatch:
         self._is_asking = False
         values = [parameter_value_to_python(value) for value in answer.values]
         joints, interface = [*values, None, None][:2]
-        self._receiver.hear_joints(joints, interface)
+        self._receiver.note_joints(joints, interface)
         self._changed()
 
     def _hear(self, states: Mapping[str, str]) -> None:
-        self._receiver.hear_state(states.get(self._receiver.name.rpartition("/")[2]))
+        self._receiver.note_state(states.get(self._receiver.name.rpartition("/")[2]))
         self._changed()
 
 
@@ -216,7 +216,7 @@ class MergedStream:
             self.output.agree(settings.names)
             self.merger = merger
         if self._node.supervisor is not None:
-            self._node.supervisor.look_anew()
+            self._node.supervisor.check_again()
         return merger
 
     def end(self) -> None:
@@ -479,7 +479,7 @@ class MergerHealth:
                 lines.append(f"{name} is late")
         return lines
 
-    def begin_anew(self) -> None:
+    def restart(self) -> None:
         """Note that what was counted is counted from zero."""
         self._before, self._sent_before = {}, 0
 

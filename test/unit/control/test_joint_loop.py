@@ -57,16 +57,16 @@ def test_velocities_that_are_zero_while_the_joint_moves_are_doubted():
 
     go_on.stamp_ns = 0
     position = go_on(40, 0.0, 0.0)
-    assert loop.velocity_doubt == ""
+    assert loop.velocity_warning == ""
     position = go_on(20, position, 0.0)
-    assert "all 0, and the joint has moved by 0.05" in loop.velocity_doubt
-    assert "velocity_source filtered" in loop.velocity_doubt
+    assert "all 0, and the joint has moved by 0.05" in loop.velocity_warning
+    assert "velocity_source filtered" in loop.velocity_warning
     position = go_on(1, position, 1e-6)
-    assert loop.velocity_doubt == ""
+    assert loop.velocity_warning == ""
     loop.reset()
     for k in range(5000):  # at rest, seen by a noisy encoder
         loop.step(go_on.stamp_ns + k * MS, position + 0.01 * math.sin(k), 0.0)
-    assert loop.velocity_doubt == ""
+    assert loop.velocity_warning == ""
 
 
 @pytest.mark.parametrize(
@@ -82,7 +82,7 @@ def test_a_loop_tells_where_its_velocity_comes_from(source, velocity, origin):
     loop = JointLoop(settings(velocity_source=source))
     loop.step(0, 0.0, velocity)
     assert loop.velocity_origin == origin
-    assert loop.velocity_doubt == ""
+    assert loop.velocity_warning == ""
 
 
 def test_a_velocity_that_is_no_number_is_told_with_what_does_without():

@@ -210,9 +210,9 @@ def test_without_inertia_it_is_the_filter_to_the_bit_and_says_so():
     assert drive(loop, Joint(), 300) == drive(twin, Joint(), 300)
     assert loop.estimate is None
     assert loop.velocity_origin == "filtered, the inertia is unknown"
-    assert "needs the parameter inertia" in loop.velocity_doubt
+    assert "needs the parameter inertia" in loop.velocity_warning
     loop.retune(loop.settings.with_parameters({"inertia": INERTIA}))
-    assert (loop.velocity_origin, loop.velocity_doubt) == ("observer", "")
+    assert (loop.velocity_origin, loop.velocity_warning) == ("observer", "")
     assert loop.estimate is not None
 
 

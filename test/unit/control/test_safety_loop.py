@@ -40,7 +40,7 @@ def test_after_a_silence_the_loop_takes_over_from_where_the_joint_fell_without_a
     if motion:
         loop.follow(motion)
     assert abs(run(loop, 1000, 2000, 0.3)) > 2.0 or motion is None
-    assert loop.lapse() == fallback
+    assert loop.note_timeout() == fallback
     assert loop.state is LoopState.SILENT
     effort = loop.step(2500 * MS, -0.4, 0.0)
     assert effort == pytest.approx(fallback)
@@ -63,7 +63,7 @@ def test_a_pause_of_the_control_clock_leaves_no_trace():
     for k in range(1000, 1500):
         assert loop.step(k * MS, 0.1, 0.0) == twin.step(k * MS, 0.1, 0.0)
         if k % 100 == 50:
-            assert loop.lapse() == 0.0
+            assert loop.note_timeout() == 0.0
             assert loop.step(k * MS, 0.1, 0.0) == twin.effort  # asked again: the same answer
     assert loop.counts.takeovers == 0
 
@@ -89,7 +89,7 @@ def test_only_a_simulated_clock_can_be_paused(clock):
     loop = JointLoop(settings(state_clock=clock, fallback_effort=1.0))
     loop.follow(Setpoint(1.0))
     before = run(loop, 0, 200, 0.2)
-    assert loop.lapse() == 1.0
+    assert loop.note_timeout() == 1.0
     assert loop.step(199 * MS, 0.2, 0.0) == (1.0 if clock == "wall" else before)
     effort = loop.step(200 * MS, 0.2, 0.0)
     if clock == "wall":
@@ -110,7 +110,7 @@ def test_a_repeat_is_held_to_the_limits_of_now():
     loop.step(200 * MS, 0.2, 0.9)
     loop.retune(settings(u_clamp_max=5.0, velocity_max=0.5))
     assert loop.step(200 * MS, 0.2, 0.9) == pytest.approx(-20.0 * 0.4)  # it brakes
-    loop.lapse()
+    loop.note_timeout()
     loop.retune(settings(fallback_effort=2.0))
     assert loop.step(200 * MS, 0.2, 0.9) == 2.0
 
@@ -172,7 +172,7 @@ def test_a_silence_in_which_nobody_gave_another_effort_ends_with_the_effort_in_f
     loop = JointLoop(settings(state_clock=clock, fallback_effort=1.0))
     loop.follow(Setpoint(1.0))
     before = run(loop, 0, 200, 0.2)
-    loop.wake()
+    loop.note_unanswered()
     assert loop.step(200 * MS, 0.2, 0.0) == pytest.approx(before, abs=0.1)
     # Only a simulated clock can be paused.
     assert loop.counts.takeovers == (clock == "wall")

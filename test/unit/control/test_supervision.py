@@ -41,7 +41,7 @@ class Joint:
         for _ in range(count):
             self.now += MS
             self.stamp = self.now
-            self.joint.catch_up(self.now)
+            self.joint.note_past_timeout(self.now)
             self.in_force = self.joint.answer(self.stamp, position, 0.0, self.now, answer)
         return self.in_force
 
@@ -52,7 +52,7 @@ class Joint:
             self.joint.look(begin + round(each * 1e9))
         self.now = begin + round(seconds * 1e9)
         if gives and self.joint.watchdog.is_silent(self.now):
-            self.in_force = self.joint.effort_in_silence
+            self.in_force = self.joint.timeout_effort
         return self.now
 
 
@@ -95,7 +95,7 @@ def test_a_freeze_that_froze_the_supervisor_too_ends_with_the_effort_in_force():
 def test_an_effort_given_just_before_a_state_is_what_the_loop_takes_over_from():
     joint = settled(fallback_effort=1.5)
     joint.wait(0.06)
-    joint.joint.catch_up(joint.now)  # nobody has given anything yet
+    joint.joint.note_past_timeout(joint.now)  # nobody has given anything yet
     assert joint.joint.watchdog.is_silent(joint.now)  # now somebody has
     after = joint.joint.answer(joint.now, 0.3, 0.0, joint.now)
     assert after == pytest.approx(1.5, abs=0.05)
@@ -115,7 +115,7 @@ def test_a_driver_that_repeats_its_last_state_is_silent():
 
 def test_a_held_joint_goes_on_from_no_effort():
     joint = settled()
-    joint.joint.be_released()
+    joint.joint.note_release()
     assert joint.states() == pytest.approx(0.0, abs=0.05)
     assert joint.joint.loop.counts.takeovers == 1
 
@@ -124,7 +124,7 @@ def test_a_damping_stop_answers_in_the_place_of_the_loop_and_is_cut_by_a_silence
     joint = settled(fallback_effort=1.5)
     assert joint.joint.damp(0.5)
     assert abs(joint.states(50)) < 0.01  # at rest there is nothing to damp
-    assert joint.joint.effort_in_silence == 0.0
+    assert joint.joint.timeout_effort == 0.0
     joint.wait(0.06, gives=True)
     assert joint.in_force == 0.0
     joint.joint.look(joint.now)
@@ -165,7 +165,7 @@ def test_whatever_interrupts_the_effort_goes_on_from_what_was_in_force(events, f
         elif event == "silent, seen late":
             joint.wait(0.3, gives=True)
         elif event == "held":
-            joint.joint.be_released()
+            joint.joint.note_release()
             joint.in_force = 0.0
         before = joint.in_force
         after = joint.states()

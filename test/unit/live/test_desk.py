@@ -3,65 +3,65 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hpid_ros.live.session import Desk, Limit
+from hpid_ros.live.session import ControlLock, Limit
 
 
 def test_the_first_page_has_it_and_the_second_looks_on_until_a_person_takes_it():
-    desk = Desk()
-    desk.join("a")
-    desk.join("b")
-    assert desk.holds("a")
-    assert not desk.holds("b")
-    desk.take("b")
-    assert desk.holds("b")
-    assert not desk.holds("a")
+    control_lock = ControlLock()
+    control_lock.join("a")
+    control_lock.join("b")
+    assert control_lock.holds("a")
+    assert not control_lock.holds("b")
+    control_lock.take("b")
+    assert control_lock.holds("b")
+    assert not control_lock.holds("a")
 
 
 def test_what_a_page_had_in_hand_when_it_went_nobody_gets_by_itself():
-    desk = Desk()
-    desk.join("a")
-    desk.join("b")
-    desk.leave("a")
-    assert desk.holder is None
-    desk.take("a")  # it is gone
-    assert desk.holder is None
+    control_lock = ControlLock()
+    control_lock.join("a")
+    control_lock.join("b")
+    control_lock.leave("a")
+    assert control_lock.holder is None
+    control_lock.take("a")  # it is gone
+    assert control_lock.holder is None
 
 
 def test_a_page_that_was_cut_off_gets_it_back_unless_somebody_has_taken_it():
-    desk = Desk()
-    desk.join("a")
-    desk.join("b")
-    desk.leave("a")
-    desk.join("a")
-    assert desk.holds("a")
-    desk.leave("a")
-    desk.take("b")
-    desk.join("a")
-    assert desk.holds("b")
+    control_lock = ControlLock()
+    control_lock.join("a")
+    control_lock.join("b")
+    control_lock.leave("a")
+    control_lock.join("a")
+    assert control_lock.holds("a")
+    control_lock.leave("a")
+    control_lock.take("b")
+    control_lock.join("a")
+    assert control_lock.holds("b")
 
 
 def test_a_page_that_is_back_before_its_old_connection_is_found_to_be_dead_keeps_it():
-    desk = Desk()
-    desk.join("a")
-    desk.join("b")
-    desk.join("a")
-    assert desk.pages == 2
-    desk.leave("a")  # of the old one
-    assert desk.holds("a")
-    desk.take("b")
-    desk.take("a")
-    assert desk.holds("a")
-    desk.leave("a")
-    assert desk.holder is None
-    assert desk.pages == 1
+    control_lock = ControlLock()
+    control_lock.join("a")
+    control_lock.join("b")
+    control_lock.join("a")
+    assert control_lock.pages == 2
+    control_lock.leave("a")  # of the old one
+    assert control_lock.holds("a")
+    control_lock.take("b")
+    control_lock.take("a")
+    assert control_lock.holds("a")
+    control_lock.leave("a")
+    assert control_lock.holder is None
+    assert control_lock.pages == 1
 
 
 def test_a_page_that_is_opened_when_none_is_has_it():
-    desk = Desk()
-    desk.join("a")
-    desk.leave("a")
-    desk.join("b")
-    assert desk.holds("b")
+    control_lock = ControlLock()
+    control_lock.join("a")
+    control_lock.leave("a")
+    control_lock.join("b")
+    assert control_lock.holds("b")
 
 
 @given(st.lists(st.floats(0.0, 3.0), min_size=1, max_size=60))

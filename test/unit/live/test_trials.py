@@ -59,7 +59,7 @@ class Bench:
         self.graph = MovedGraph(arm())
         self.session = LiveSession(self.graph, Unasked())
         self.session.pulse()
-        self.session.desk.join(PAGE)
+        self.session.control_lock.join(PAGE)
         self.motions = []
         self.trials = Trials(self.session, self._start, 0.4)
         self._reason, self._motion = reason, motion
@@ -180,10 +180,10 @@ def test_a_trial_ends_where_another_page_has_control_or_its_own_is_gone(is_taken
     async def leave(bench):
         await bench.reach(Stage.READY)
         if is_taken:
-            bench.session.desk.join("another")
-            bench.session.desk.take("another")
+            bench.session.control_lock.join("another")
+            bench.session.control_lock.take("another")
         else:
-            bench.session.desk.leave(PAGE)
+            bench.session.control_lock.leave(PAGE)
 
     monkeypatch.setattr(module, "_GONE_FOR", 0.2)
     assert Bench().run(leave) == "cancelled"

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hpid_ros.nodes.parts.claims import LEASE, Claim, ClaimState, HeardClaims, HostLock
+from hpid_ros.nodes.parts.claims import LEASE, Claim, ClaimState, HostLock, ReceivedClaims
 from hpid_ros.simulation.lockstep import FollowedSender
 
 OWNERS = [("here", "a", 1, "/c"), ("there", "b", 1, "/c"), ("there", "b", 2, "/c")]
@@ -82,7 +82,7 @@ def test_whatever_comes_when_exactly_one_of_two_is_left(data):
 
 def test_a_claim_stands_for_its_lease_or_until_it_is_released():
     claim = Claim("elbow", "/t", "/c", "b", 1, 0, "there", ClaimState.HELD)
-    heard = HeardClaims()
+    heard = ReceivedClaims()
     heard.receive(claim, 10.0)
     assert heard.standing(10.0 + LEASE) == claim
     assert heard.standing(10.1 + LEASE) is None

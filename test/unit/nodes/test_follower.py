@@ -277,7 +277,9 @@ def test_a_wheel_that_is_turns_away_stops_where_it_is_and_starts_from_there(mult
     group.begin(path(5.0, 10.0, 15.0, 20.0))
     group.run(1.9)
     lost = group.position[0]
-    group.note(group.follower.lapse(1.0))  # states were away: it is told to hold where it is
+    group.note(
+        group.follower.note_timeout(1.0)
+    )  # states were away: it is told to hold where it is
     group.run(2.0)
     assert group.results[0].code is ResultCode.INVALID_GOAL
     held = group.position[0]

@@ -13,7 +13,7 @@ def test_no_goal_is_taken_before_there_are_states_and_after_they_have_stopped():
     with pytest.raises(GoalError, match="no state of shoulder yet"):
         group.begin(moving())
     group.run(0.2)
-    assert group.follower.lapse(0.6) is None
+    assert group.follower.note_timeout(0.6) is None
     with pytest.raises(GoalError, match=r"no new state for 0\.6 s"):
         group.begin(moving())
     group.run(0.01)
@@ -23,7 +23,7 @@ def test_no_goal_is_taken_before_there_are_states_and_after_they_have_stopped():
 def test_states_that_stop_abort_the_goal_and_the_joints_hold_where_they_are_found_again():
     group = started()
     group.run(0.5)
-    outcome = group.follower.lapse(0.7)
+    outcome = group.follower.note_timeout(0.7)
     assert outcome.result.code is ResultCode.INVALID_GOAL
     assert "no new state for 0.7 s" in outcome.result.text
     assert outcome.told is None
@@ -40,7 +40,7 @@ def test_states_that_stop_abort_the_goal_and_the_joints_hold_where_they_are_foun
 def test_a_paused_simulation_aborts_nothing():
     group = started(state_clock="simulated")
     group.run(0.5)
-    assert group.follower.lapse(60.0) is None
+    assert group.follower.note_timeout(60.0) is None
     with pytest.raises(GoalError, match="no new state for 60 s"):
         group.begin(moving())
     group.run(1.0, until=lambda: group.results)
@@ -161,7 +161,7 @@ def test_what_came_while_nobody_called_is_not_missed_but_what_stays_away_is(
     group.seen, group.mute = lambda parts: [], {0, 1}
     group.run(0.7)
     if is_excused:
-        group.follower.excuse(0.7)
+        group.follower.allow_late(0.7)
         old = [JointPart(joint, *at) for joint, at in enumerate(before)]
         group.note(group.follower.take_state(before_ns + MS, old))  # one that was on its way
     del group.seen

@@ -90,7 +90,7 @@ def test_a_goal_gives_way_to_another_trajectory_and_stops_only_the_joints_that_i
     group = started(allow_partial_joints_goal=True)
     group.run(0.5)
     group.loops[1].follow(Setpoint(0.7))
-    group.note(group.follower.give_way(["elbow", "of another robot"]))
+    group.note(group.follower.yield_joints(["elbow", "of another robot"]))
     (result,) = group.results
     assert result == (
         ResultCode.INVALID_GOAL,
@@ -110,7 +110,7 @@ def test_of_two_trajectories_at_the_same_time_none_is_followed():
     group = started(allow_partial_joints_goal=True)
     group.run(0.09)
     group.loops[1].follow(Setpoint(0.7))  # this one heard the other last
-    group.note(group.follower.give_way(["elbow"]))
+    group.note(group.follower.yield_joints(["elbow"]))
     (result,) = group.results
     assert result.code is ResultCode.INVALID_GOAL
     assert result.text.endswith("for elbow at the same time: the joints stop")
@@ -123,7 +123,7 @@ def test_of_two_trajectories_at_the_same_time_none_is_followed():
 
 def test_trajectories_of_other_joints_and_without_a_goal_are_nobodys_business():
     group = started()
-    assert group.follower.give_way(["of another robot"]) == (None, None)
+    assert group.follower.yield_joints(["of another robot"]) == (None, None)
     assert group.follower.is_active
     group.cancel()
-    assert group.follower.give_way(["elbow"]) == (None, None)
+    assert group.follower.yield_joints(["elbow"]) == (None, None)

@@ -12,7 +12,7 @@ def heard(joints=("b", "a"), interface="effort", given=()):
     """Return a receiver that has subscribed and said what it has."""
     receiver = Receiver(NAME, given, TOPIC)
     receiver.see(ONE)
-    receiver.hear_joints(joints, interface)
+    receiver.note_joints(joints, interface)
     return receiver
 
 
@@ -30,7 +30,7 @@ def test_a_controller_is_asked_for_its_joints_before_it_gets_anything():
     receiver.see(ONE)
     assert receiver.must_be_asked
     assert receiver.reason == f"waiting for {NAME} to say which joints it has"
-    receiver.hear_joints(["b", "a"], "effort")
+    receiver.note_joints(["b", "a"], "effort")
     assert (receiver.reason, receiver.joints, receiver.must_be_asked) == ("", ("b", "a"), False)
 
 
@@ -45,7 +45,7 @@ def test_a_new_one_of_its_name_is_asked_again(steps):
 def test_one_that_stays_is_not_asked_again():
     receiver = heard()
     receiver.see(ONE | OTHER)
-    receiver.hear_joints(["b", "a"], "effort")
+    receiver.note_joints(["b", "a"], "effort")
     assert not receiver.see(OTHER)
     assert receiver.reason == ""
 
@@ -53,19 +53,19 @@ def test_one_that_stays_is_not_asked_again():
 @pytest.mark.parametrize("state", ["inactive", "unconfigured", "finalized"])
 def test_a_controller_that_is_deactivated_gets_nothing_until_it_is_active_again(state):
     receiver = heard()
-    receiver.hear_state(state)
+    receiver.note_state(state)
     assert receiver.is_deactivated
     assert receiver.reason == f"{NAME} is {state}, and discards what it is sent"
-    receiver.hear_state("active")
+    receiver.note_state("active")
     assert receiver.reason == ""
 
 
 def test_what_was_known_of_one_that_has_gone_is_forgotten():
     receiver = heard()
-    receiver.hear_state("inactive")
+    receiver.note_state("inactive")
     receiver.see(frozenset())
     receiver.see(OTHER)
-    receiver.hear_joints(["c"], None)
+    receiver.note_joints(["c"], None)
     assert (receiver.reason, receiver.joints) == ("", ("c",))
 
 

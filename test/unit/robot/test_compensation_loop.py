@@ -111,7 +111,7 @@ def test_a_takeover_begins_with_the_fallback_effort_also_with_a_model(fallback):
     ours.follow(ramp)
     for k in range(1000, 1200):
         ours.step(k * MS, 0.1, 0.0, ModelTerm(0.5, 6.0, True))
-    assert ours.lapse() == fallback
+    assert ours.note_timeout() == fallback
     effort = ours.step(1500 * MS, 0.3, 0.0, ModelTerm(0.5, 6.0, True))
     assert ours.counts.takeovers == 1
     assert effort == pytest.approx(fallback)

@@ -213,9 +213,9 @@ def test_a_joint_that_was_left_and_taken_again_begins_anew():
 def test_after_a_silence_the_loop_takes_over_as_it_did(is_noticed):
     recorder = recorded(50)
     if is_noticed:
-        recorder.command(recorder.stamp_ns + 1, recorder.loop.lapse())
+        recorder.command(recorder.stamp_ns + 1, recorder.loop.note_timeout())
     else:
-        recorder.loop.wake()
+        recorder.loop.note_unanswered()
     recorder.state(later_ns=200 * MS)
     for _ in range(50):
         recorder.state()
