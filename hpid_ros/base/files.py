@@ -135,7 +135,7 @@ def _candidates() -> Iterator[Path]:
 
 
 def is_file(path: Path) -> bool:
-    """Tell whether there is a file; there is none of a name that is too long for one."""
+    """Return whether there is a file; there is none of a name that is too long for one."""
     try:
         return path.is_file()
     except OSError:

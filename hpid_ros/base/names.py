@@ -42,7 +42,7 @@ def node_sections(document: object) -> dict[str, Mapping[str, Any]]:
 
 
 def is_for(section: str, node: str) -> bool:
-    """Tell whether a section of a parameter file is for a node, by rcl's rules."""
+    """Return whether a section of a parameter file is for a node, by rcl's rules."""
     parts = {"**": r"(/\w+)*", "*": r"/\w+"}
     pattern = "".join(parts.get(part, f"/{re.escape(part)}") for part in section.split("/")[1:])
     return re.fullmatch(pattern, node) is not None
@@ -89,11 +89,11 @@ RULE = (
     "letters, digits, spaces and - _ . + = , ( ), beginning with a letter or digit, "
     f"at most {_LONGEST} characters"
 )
-"""What a label is, in words."""
+"""What a label is."""
 
 
 def is_label(text: object) -> bool:
-    """Tell whether something is a label."""
+    """Return whether something is a label."""
     return (
         isinstance(text, str)
         and 0 < len(text) <= _LONGEST

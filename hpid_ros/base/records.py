@@ -31,7 +31,7 @@ class Bounds(NamedTuple):
     below: float = math.inf  # it must be less than this
 
     def hold(self, value: float) -> bool:
-        """Tell whether a number is within them, and finite."""
+        """Return whether a number is within them, and finite."""
         try:
             is_finite = math.isfinite(value)
         except OverflowError:  # of a whole number beyond every double
@@ -268,7 +268,7 @@ def _fields_of(kind: Any) -> tuple[RecordField, ...]:
 
 
 def is_record(kind: Any) -> bool:
-    """Tell whether a field's type is a record."""
+    """Return whether a field's type is a record."""
     return isinstance(kind, type) and issubclass(kind, Record)
 
 

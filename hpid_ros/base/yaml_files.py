@@ -120,7 +120,7 @@ def _places(values: Mapping[str, Any], where: str = "") -> Iterator[str]:
 
 
 def _begins_with(line: str, place: str) -> bool:
-    """Tell whether a line begins with a place, and not with a longer word."""
+    """Return whether a line begins with a place, and not with a longer word."""
     rest = line[len(place) :]
     return line.startswith(place) and not (rest[:1].isalnum() or rest.startswith("_"))
 

@@ -154,7 +154,7 @@ class Estimation:
 
     @property
     def origin(self) -> str:
-        """Where the velocity of the last sample came from, in words."""
+        """Where the velocity of the last sample came from."""
         if isinstance(self._source, MeasuredVelocity) and not self._source.is_reported:
             return "filtered, the states have none"
         if self._lacks_inertia:
@@ -163,7 +163,7 @@ class Estimation:
 
     @property
     def warning(self) -> str:
-        """What speaks against the velocities of the states, in words; empty if nothing does."""
+        """What speaks against the velocities of the states; empty if nothing does."""
         source = self._source
         if isinstance(source, MeasuredVelocity) and source.moved_at_zero > MOVED_AT_ZERO:
             return (

@@ -43,7 +43,7 @@ class Gains:
 
 
 def is_hurwitz(gains: Gains, inertia: float = 1.0) -> bool:
-    """Tell whether the linear PID stabilises a joint of this inertia.
+    """Return whether the linear PID stabilises a joint of this inertia.
 
     The loop on ``m e'' = -u + p`` is ``m s^3 + kd s^2 + kp s + ki``; by Routh and Hurwitz it is
     stable if and only if the gains are positive and ``kp kd > m ki``. Without integral action

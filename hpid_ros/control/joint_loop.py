@@ -109,12 +109,12 @@ class JointLoop:
     """The control of one joint, without ROS, files or clocks.
 
     Time enters with the stamps of the states alone: equal stamps are a repeat, which gets the
-    effort in force again; a stamp that goes back resets the loop. Until it is told otherwise, a
+    active effort again; a stamp that goes back resets the loop. Until it is told otherwise, a
     loop holds the position of its first state.
 
     Where the joint was without a command of the loop for longer than ``state_timeout`` (a gap
     between the stamps, :meth:`note_timeout`, states that cannot be used), and where its position
-    jumped, the loop takes over anew: it starts from where the joint is, with the effort in force
+    jumped, the loop takes over again: it starts from where the joint is, with the active effort
     as its integral (after a jump without its derivative term), and glides onto a motion that is
     under way. A single stamp from the future, with one after it that continues those before,
     leaves nothing behind.
@@ -126,7 +126,7 @@ class JointLoop:
     def __init__(self, settings: LoopSettings) -> None:
         self.counts = LoopCounts()
         self.last_fault = ""
-        """What was last wrong with a state, in words."""
+        """What was last wrong with a state."""
         self.relay: Relay | None = None
         """The last relay that there was, for what became of it."""
         self.error = 0.0
@@ -150,7 +150,7 @@ class JointLoop:
         self._following.lost_turn = max(settings.encoder.wrap, 0.0)
 
     def follow(self, motion: Motion) -> None:
-        """Follow a motion from the next sample on; a reset starts it anew.
+        """Follow a motion from the next sample on; a reset starts it again.
 
         Args:
             motion: A trajectory's column, or a :class:`Setpoint`.
@@ -162,7 +162,7 @@ class JointLoop:
         """Let a relay drive the joint for some cycles, around where it is held.
 
         It gives back by itself; also when a reference or parameters come, and at once when the
-        joint is taken over anew, or a state cannot be used.
+        joint is taken over again, or a state cannot be used.
 
         Args:
             request: What it shall do.
@@ -189,7 +189,7 @@ class JointLoop:
         """Let a relay give back, if there is one.
 
         Args:
-            reason: Why, in words.
+            reason: Why.
         """
         if self._law.relay is not None:
             self._law.relay.end(reason)
@@ -200,7 +200,7 @@ class JointLoop:
         self._law.relay = None
 
     def retune(self, settings: LoopSettings) -> None:
-        """Put other settings in force from the next sample on, as a whole.
+        """Apply other settings from the next sample on, as a whole.
 
         The integral term stays, so that the effort changes by no more than the laws differ at
         the same error.
@@ -241,7 +241,7 @@ class JointLoop:
             law.give(settings.effort.fallback)
 
     def reset(self) -> None:
-        """Forget integral, velocity and time; start the motion anew with the next state."""
+        """Forget integral, velocity and time; start the motion again with the next state."""
         self._drop_relay("the loop began anew")
         self._law.reset()
         self._estimation.reset()
@@ -283,7 +283,7 @@ class JointLoop:
     def note_unanswered(self) -> None:
         """Note that states have stayed away for too long, and nobody has given another effort.
 
-        As after :meth:`note_timeout` the next state is a takeover, but from the effort in force.
+        As after :meth:`note_timeout` the next state is a takeover, but from the active effort.
         """
         self.counts.silences += 1
         self._drop_relay("no state came")
@@ -302,19 +302,19 @@ class JointLoop:
 
     @property
     def is_on_fallback(self) -> bool:
-        """Whether the effort in force is ``fallback_effort``, for want of a usable state."""
+        """Whether the active effort is ``fallback_effort``, for want of a usable state."""
         if self._clock.has_timed_out:
             return not self._timing.is_simulated
         return self._state is LoopState.FAULT
 
     @property
     def velocity_origin(self) -> str:
-        """Where the velocity of the last sample came from, in words."""
+        """Where the velocity of the last sample came from."""
         return self._estimation.origin
 
     @property
     def velocity_warning(self) -> str:
-        """What speaks against the velocities of the states, in words; empty if nothing does."""
+        """What speaks against the velocities of the states; empty if nothing does."""
         return self._estimation.warning
 
     @property
@@ -460,7 +460,7 @@ class JointLoop:
 
         Args:
             stamp_ns: Its stamp in [ns].
-            reason: What is wrong with it, in words.
+            reason: What is wrong with it.
 
         Returns:
             ``fallback_effort``, within the effort limits, in [N m]; for a repeat the effort in
@@ -493,7 +493,7 @@ class JointLoop:
         return self._law.effort
 
     def _interrupt(self, dt: float) -> None:
-        """Begin, begin anew after a clock that went back, or be without time after a gap."""
+        """Begin, start again after a clock that went back, or be without time after a gap."""
         if dt < 0.0:
             self.last_fault = f"the stamp went back by {-dt:g} s"
             self.counts.resets += 1
@@ -539,7 +539,7 @@ class JointLoop:
     def _check_jump(self, stamp_ns: int, position: float, dt: float) -> float | None:
         """Answer a state whose position is where no joint can have come to, or believe it.
 
-        The first one is passed over: the effort in force stays. The second is believed, as a
+        The first one is passed over: the active effort stays. The second is believed, as a
         takeover, if it is where the first one was. Others are no positions at all.
         """
         if self._is_takeover_due:

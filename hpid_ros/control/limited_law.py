@@ -52,7 +52,7 @@ class LimitedLaw:
         "relay",
     )
 
-    effort: float  # [N m] the effort in force
+    effort: float  # [N m] the active effort
 
     def __init__(self, settings: LoopSettings) -> None:
         self.is_saturated = False  # whether the effort of the last sample was limited
@@ -95,7 +95,7 @@ class LimitedLaw:
         self._law.restore_integral(integral)
 
     def retune(self, settings: LoopSettings, motion: tuple[float, float] | None) -> None:
-        """Put other settings in force; the integral stays, and the effort is within the limits."""
+        """Apply other settings; the integral stays, and the effort is within the limits."""
         law = make_law(settings)
         law.restore_integral(self._law.integral)
         limits = make_motion_limits(settings)
@@ -114,7 +114,7 @@ class LimitedLaw:
 
     @property
     def driving_effort(self) -> float:
-        """The effort in force without the model's own, in the law's units."""
+        """The active effort without the model's own, in the law's units."""
         return (self.effort - self._offset) / self._gain
 
     def take_from_model(self, effort: float) -> None:
@@ -135,7 +135,7 @@ class LimitedLaw:
         return effort + self._gain * (self._law.integral - before)
 
     def give(self, effort: float) -> None:
-        """Note the effort that is in force for another reason than the law's last sample."""
+        """Note the effort that is active for another reason than the law's last sample."""
         self.effort, self._is_given = effort, True
 
     def reset(self) -> None:
@@ -152,7 +152,7 @@ class LimitedLaw:
         *,
         is_still_damped: bool,
     ) -> None:
-        """Begin anew with the effort in force: the integral becomes what it needs."""
+        """Start again with the active effort: the integral becomes what it needs."""
         law, (least, most) = self._law, self._clamp
         integral = self.effort
         if is_still_damped and not self._is_given:

@@ -86,7 +86,7 @@ RAMP = 0.3
 """Time in which the relay takes over, and in which it gives back, in [s]."""
 
 LONGEST = 30.0
-"""No relay is in force for longer, in [s], whoever asked for it and is gone."""
+"""No relay is active for longer, in [s], whoever asked for it and is gone."""
 
 DONE = "all cycles are done"
 """Why a relay gives back that has done what was asked."""
@@ -130,7 +130,7 @@ class RelayRequest:
 def reason_against(
     request: RelayRequest, gains: Gains, limits: EffortLimits, load: float, error: float
 ) -> str:
-    """Return why a relay would not be safe, in words; nothing if it is."""
+    """Return why a relay would not be safe; empty if it is."""
     least, most = limits.u_clamp_min, limits.u_clamp_max
     if not (gains.p > 0.0 and gains.d > 0.0):
         return "gains.p and gains.d must be positive"

@@ -144,7 +144,7 @@ class Motion(Protocol):
         """Take over from where the reference stands, see ``trajectory.Column.start``."""
 
     def is_under_way(self, now_ns: int) -> bool:
-        """Tell whether it began before an instant, so that taking it over would jump."""
+        """Return whether it began before an instant, so that taking it over would jump."""
 
     def target(self, now_ns: int) -> float:
         """Return the position that it leads to first, or has now if it is under way, in [rad]."""
@@ -285,7 +285,7 @@ class Following:
         self.motion = self._pending = motion
 
     def restart(self) -> None:
-        """Forget where the reference stands, and start the motion anew."""
+        """Forget where the reference stands, and start the motion again."""
         self._pending = self.motion
         self._reference: Reference | None = None
         self._glide_end_ns: int | None = None

@@ -139,7 +139,7 @@ _LEAST_PERIODS = 1.5  # of control_period in state_timeout: one state may be lat
 
 
 LEAST_WRAP = 1e-6
-"""No encoder begins anew after less, in [rad]: positions have too many such turns for a number."""
+"""No encoder wraps after less, in [rad]: positions have too many such turns for a number."""
 
 
 @dataclass(frozen=True)
@@ -539,7 +539,7 @@ class LoopSettings(ParameterRecord):
 
     @cached_property
     def norm_floor(self) -> float:
-        """The least value of the norm in force: ``norm.floor``, or what sampling can bear.
+        """The least value of the active norm: ``norm.floor``, or what sampling can bear.
 
         Raises:
             NormError: That is not below ``norm.cap``.

@@ -1,6 +1,6 @@
 """A joint loop among all that may interrupt it: silence, a stop, another effort, a freeze.
 
-Without ROS, threads and clocks of its own: whoever has them says what time it is.
+Without ROS, threads and clocks of its own: the caller says what time it is.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ _SHORTEST_PERIOD = 1e-3  # [s] between two looks
 
 
 class StateTimeout(NamedTuple):
-    """States have stopped to come."""
+    """States have stopped coming."""
 
     duration: float  # [s] since the last new one
     is_new: bool  # whether it has not been noticed before
@@ -62,7 +62,7 @@ class Watchdog:
         return self.period if silence > timeout else timeout - silence
 
     def is_silent(self, now_ns: int) -> bool:
-        """Tell whether states are missing; whoever asks gives an effort then."""
+        """Return whether states are missing; whoever asks gives an effort then."""
         timeout, last_ns = self.timeout, self._last_ns  # another thread may change them
         if timeout is None or last_ns is None or now_ns - last_ns <= timeout * NANOSECONDS:
             return False

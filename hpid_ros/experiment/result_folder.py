@@ -382,7 +382,7 @@ def _inside(name: object) -> str:
 
 
 def _is_file(path: Path) -> bool:
-    """Tell whether there is a regular file; a symbolic link is none."""
+    """Return whether there is a regular file; a symbolic link is none."""
     try:
         return stat.S_ISREG(path.lstat().st_mode)
     except (FileNotFoundError, NotADirectoryError):
@@ -390,13 +390,13 @@ def _is_file(path: Path) -> bool:
 
 
 def _leads_through_link(folder: Path, name: str) -> bool:
-    """Tell whether a folder on the way to a name is a symbolic link."""
+    """Return whether a folder on the way to a name is a symbolic link."""
     parents = PurePosixPath(name).parents
     return any((folder / parent).is_symlink() for parent in parents if str(parent) != ".")
 
 
 def _is_in_the_way(folder: Path, name: str) -> bool:
-    """Tell whether a name is taken, or cannot be reached by real folders alone."""
+    """Return whether a name is taken, or cannot be reached by real folders alone."""
     if os.path.lexists(folder / name):
         return True
     above = [folder / parent for parent in PurePosixPath(name).parents]

@@ -95,7 +95,7 @@ class Shard(NamedTuple):
         raise SettingError(f"a shard is K/N with K from 1 to N, for instance 1/8, not {text!r}")
 
     def holds(self, place: int) -> bool:
-        """Tell whether a run is in it, by its place among all runs."""
+        """Return whether a run is in it, by its place among all runs."""
         return place % self.parts == self.place - 1
 
 
@@ -156,7 +156,7 @@ def default_files() -> list[Path]:
 
 
 def is_robot_installed(file: Path) -> bool:
-    """Tell whether an experiment's robot is here: two of this package's are PyBullet's."""
+    """Return whether an experiment's robot is here: two of this package's are PyBullet's."""
     document = load_document(file, ExperimentError)
     robot = Section(document.values, "", ExperimentError).section("robot", {})
     try:

@@ -226,7 +226,7 @@ JOURNAL = "runs.jsonl"
 def study_folder(
     path: Path, *, force: bool = False, resume: bool = False, inputs: Iterable[Path] = ()
 ) -> ResultFolder:
-    """Return the folder of a study, made anew or carried on."""
+    """Return the folder of a study, made again or carried on."""
     if resume and path.exists():
         if not (path / JOURNAL).is_file():
             raise ResultExistsError(f"{path} is not a study that could be carried on")

@@ -64,7 +64,7 @@ def shown(value: Value) -> str:
 
 
 def _is_text(name: str) -> bool:
-    """Tell whether a parameter is a text and no number."""
+    """Return whether a parameter is a text and no number."""
     names = [*(each for each in PARAMETERS if each != "joint"), *WORLD_SETTINGS]
     if name not in names:
         raise SettingError(unknown_name("parameter", name, names))

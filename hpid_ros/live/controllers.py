@@ -66,7 +66,7 @@ class Button:
             self._close()
 
     def is_overdue(self) -> bool:
-        """Tell whether the process should have ended long ago."""
+        """Return whether the process should have ended long ago."""
         released_at = self._released_at
         return released_at is not None and time.monotonic() - released_at > _ENDS_WITHIN
 
@@ -100,7 +100,7 @@ class RunningController:
     """A joint controller that runs."""
 
     node: str  # its full name
-    settings: LoopSettings  # in force, within the limits of its robot
+    settings: LoopSettings  # active, within the limits of its robot
     limits: RobotLimits  # those of its robot, which are in the settings already
     introspection_rate: float  # [Hz] of its ~/reference
     position: float | None  # [rad] where its joint is or [m]; None if nobody says so
@@ -206,7 +206,7 @@ class Mover(NamedTuple):
 
     name: str  # of its node
     executable: str  # module below hpid_ros, see module_of
-    unless_stopped: str  # what joints do if nobody stops them, in words
+    unless_stopped: str  # what joints do if nobody stops them
     topics: tuple[str, ...]  # that it publishes, and that are recorded
 
 
@@ -214,7 +214,7 @@ class Mover(NamedTuple):
 class Ending:
     """How an excitation ended."""
 
-    reason: str  # why it was stopped, in words; empty if it went to its end
+    reason: str  # why it was stopped; empty if it went to its end
     is_interrupted: bool = False  # whether somebody wanted it to end
     is_at_rest: bool = True  # whether the joints were seen to rest
 

@@ -48,7 +48,7 @@ class DeadMan:
         self._last = -float("inf")
 
     def is_held(self) -> bool:
-        """Tell whether it is held; to be asked more often than a byte must come."""
+        """Return whether it is held; to be asked more often than a byte must come."""
         now = time.monotonic()
         if self._has_come():
             self._last = now
@@ -90,7 +90,7 @@ class Watch:
         motions: Sequence[tuple[float, float]],
         efforts: Sequence[float | None],
     ) -> str:
-        """Return which limit is reached, in words; nothing if none is."""
+        """Return which limit is reached; empty if none is."""
         for number, planned in enumerate(self._joints):
             line = _motion_beyond(planned, *motions[number])
             line = line or self._effort_beyond(number, stamp_ns, efforts[number])

@@ -166,7 +166,7 @@ class Exciter(executor.ClosingNode):
             self._act(self._follower.leave("the button was released"))
 
     def _is_at_rest(self) -> bool:
-        """Tell whether all joints rest; those that nobody could tell to stop may not."""
+        """Return whether all joints rest; those that nobody could tell to stop may not."""
         if self._is_untold or time.monotonic() - self._ended < 2.0 * _LOOK_PERIOD:
             return False
         joints = range(len(self._plan.joints))
@@ -231,7 +231,7 @@ class Exciter(executor.ClosingNode):
         self.request_stop(executor.FAILED)
 
     def _lacking(self) -> str:
-        """Return what is missing before the joints may move, in words; nothing if all is there."""
+        """Return what is missing before the joints may move; empty if all is there."""
         against = self._follower.reason_against()
         if against:
             return against

@@ -33,7 +33,7 @@ class ControllerSummary:
     """A joint controller of this package on the graph."""
 
     node: str  # its full name
-    values: Mapping[str, Value]  # loop parameters in force by name, every one of PARAMETERS
+    values: Mapping[str, Value]  # loop parameters active by name, every one of PARAMETERS
     settings: LoopSettings  # those, within the limits of its robot
     limits: RobotLimits  # what its robot allows
     introspection_rate: float  # [Hz] of its ~/reference
@@ -63,7 +63,7 @@ class ControllerSummary:
 class Samples:
     """What came of one joint since the last look; times in [s] of the control clock.
 
-    The clock begins anew (0) with the first state that is seen, and again when its stamps go back.
+    The clock starts again (0) with the first state that is seen, and again when its stamps go back.
     """
 
     # [rad] time, position, velocity [rad/s] (nan where states have none), shape (N, 3)

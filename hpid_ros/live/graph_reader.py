@@ -110,7 +110,7 @@ class StateListener:
         return bool(self._commands)
 
     def has_any(self) -> bool:
-        """Tell whether there was a state."""
+        """Return whether there was a state."""
         return bool(self._positions)
 
     def joints(self) -> dict[str, dict[str, float | None]]:

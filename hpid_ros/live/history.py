@@ -207,7 +207,7 @@ class JointHistory:
         return np.asarray((ends[1] - ends[0]) / lag)
 
     def _off(self, differences: Numbers) -> Numbers:
-        """Return errors; of an encoder that begins anew, those the shorter way round."""
+        """Return errors; of an encoder that starts again, those the shorter way round."""
         wrap = self._law.settings.encoder.wrap
         if wrap <= 0.0:
             return differences

@@ -89,7 +89,7 @@ class RelayTester(executor.ClosingNode):
             self._status.send("at", seconds=now - self._begun)
 
     def _lacking(self) -> str:
-        """Return what is missing before the relay may begin, in words."""
+        """Return what is missing before the relay may begin."""
         lifecycle = self._told.get("lifecycle")
         if lifecycle != "active":
             return f"{self._controller} is not active ({lifecycle or 'it tells nothing'})"

@@ -33,7 +33,7 @@ class Limit:
         self._acts: deque[float] = deque(maxlen=most)
 
     def allows(self) -> bool:
-        """Tell whether one more act is allowed now, and count it if so."""
+        """Return whether one more act is allowed now, and count it if so."""
         now = self._clock()
         if len(self._acts) == self._most and now - self._acts[0] < self._within:
             return False
@@ -87,7 +87,7 @@ class ControlLock:
             self._holder = None
 
     def holds(self, page: str) -> bool:
-        """Tell whether a page has it."""
+        """Return whether a page has it."""
         return self._holder == page
 
 
@@ -160,7 +160,7 @@ class LiveSession:
         self._note_arrivals(seen)
         watched = tuple(node for node, each in seen.items() if each.is_here) if is_seen else ()
         if watched != self._watched:
-            for node in set(watched) - set(self._watched):  # its clock begins anew
+            for node in set(watched) - set(self._watched):  # its clock starts again
                 self._histories.pop(node, None)
             self._watched = watched
             self.graph.watch(watched)
@@ -365,7 +365,7 @@ class LiveSession:
     # Files
 
     def document(self) -> str:
-        """Return what is in force as a ROS parameter file, in YAML."""
+        """Return what is active as a ROS parameter file, in YAML."""
         nodes = [node for node, each in self.controllers.items() if each.is_here]
         return str(yaml.safe_dump(self.tuning.document(nodes), sort_keys=False))
 

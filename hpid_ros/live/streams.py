@@ -167,7 +167,7 @@ class ControlClock:
         self.epoch = 0
 
     def begin(self, stamp_ns: int) -> None:
-        """Begin anew with a stamp."""
+        """Start again with a stamp."""
         self.start_ns = stamp_ns
         self.epoch += 1
 
@@ -176,7 +176,7 @@ class JointClock:
     """The control clock as one joint has seen it.
 
     Joints of one topic may be told by several publishers, which do not go back at the same time:
-    the first one begins the clock anew, the others join it when they go back, too.
+    the first one begins the clock again, the others join it when they go back, too.
     """
 
     def __init__(self, clock: ControlClock) -> None:
@@ -195,7 +195,7 @@ class JointClock:
         return first, bool(len(back))
 
     def _join(self, stamp_ns: int) -> None:
-        """Take the topic's clock, and begin it anew where nobody else has done so."""
+        """Take the topic's clock, and begin it again where nobody else has done so."""
         clock = self._clock
         is_first_back = self.last_ns is not None and clock.epoch == self._epoch
         start_ns = clock.start_ns

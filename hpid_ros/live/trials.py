@@ -144,7 +144,7 @@ KINDS = {
     "step": "there and back, as fast as the limits allow",
     "sine": "sine",
 }
-"""The kinds of motion, in words."""
+"""The kinds of motion."""
 
 
 class Stage(Enum):
@@ -452,7 +452,7 @@ class Trials:
             raise RunError(self._end)
 
     def _inactive(self, nodes: Sequence[str]) -> str:
-        """Return which joint its controller does not control, in words; nothing if all do."""
+        """Return which joint its controller does not control; empty if all do."""
         seen = self._session.controllers
         for node in nodes:
             if seen[node].lifecycle not in ("", "active"):

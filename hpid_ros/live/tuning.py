@@ -55,7 +55,7 @@ def slider_range(name: str, first: float, error_scale: float = 0.0) -> Range:
 
 
 def same(one: Value, other: Value) -> bool:
-    """Tell whether two values of a parameter are one."""
+    """Return whether two values of a parameter are one."""
     if isinstance(one, float) and isinstance(other, float):
         return math.isclose(one, other, rel_tol=_TOLERANCE)
     return one == other
@@ -102,9 +102,9 @@ class Tuning:
     done: list[Step] = field(default_factory=list)
 
     def see(self, node: str, values: Values) -> None:
-        """Take note of what is in force on a controller.
+        """Take note of what is active on a controller.
 
-        What was staged and is in force now, whoever set it, is staged no more.
+        What was staged and is active now, whoever set it, is staged no more.
         """
         self.first.setdefault(node, dict(values))
         self.in_force[node] = dict(values)
@@ -112,19 +112,19 @@ class Tuning:
             self.staged[node] = differences(values, self.staged[node])
 
     def value(self, node: str, name: str) -> Value:
-        """Return a parameter as it is chosen: staged, or in force."""
+        """Return a parameter as it is chosen: staged, or active."""
         staged = self.staged.get(node, {})
         return staged[name] if name in staged else self.in_force[node][name]
 
     def stage(self, nodes: Sequence[str], name: str, value: object) -> None:
-        """Choose a value for controllers; what is in force already is not staged."""
+        """Choose a value for controllers; what is active already is not staged."""
         checked = _checked(name, value)
         for node in nodes:
             chosen = {**self.staged.get(node, {}), name: checked}
             self.staged[node] = differences(self.in_force[node], chosen)
 
     def stage_factor(self, nodes: Sequence[str], name: str, factor: float) -> None:
-        """Choose so many times what is in force, on each controller its own."""
+        """Choose so many times what is active, on each controller its own."""
         if not 0.0 < factor <= _LARGEST_FACTOR:
             raise SettingError(
                 f"a factor must be positive and at most {_LARGEST_FACTOR:g}, not {factor:g}"
@@ -138,7 +138,7 @@ class Tuning:
             self.stage([node], gain, product)
 
     def factor(self, node: str, name: str) -> float | None:
-        """Return how many times what is in force is chosen; None where that is no one number."""
+        """Return how many times what is active is chosen; None where that is no one number."""
         in_force = self.in_force[node]
         factors = [
             (float(self.value(node, gain)) / float(in_force[gain])) ** (1.0 / power)
@@ -204,7 +204,7 @@ class Tuning:
         return self._towards({node: self.first[node] for node in nodes})
 
     def keep(self, name: str, nodes: Sequence[str]) -> Snapshot:
-        """Keep what is in force on controllers."""
+        """Keep what is active on controllers."""
         name = name.strip()
         if not name:
             raise SettingError("a snapshot needs a name")
@@ -225,7 +225,7 @@ class Tuning:
         return found
 
     def document(self, nodes: Sequence[str]) -> dict[str, Any]:
-        """Return what is in force as a ROS parameter file has it."""
+        """Return what is active as a ROS parameter file has it."""
         return {node: {"ros__parameters": dict(self.in_force[node])} for node in nodes}
 
     def stage_loops(self, loops: Mapping[str, LoopSettings]) -> list[str]:

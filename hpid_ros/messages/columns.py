@@ -179,7 +179,7 @@ class CdrWalker:
         return Doubles(self._pass(count * _DOUBLE), count)
 
     def is_at_end(self) -> bool:
-        """Tell whether only padding is left."""
+        """Return whether only padding is left."""
         return len(self._raw) - self.offset < 4
 
     def _pass(self, size: int) -> int:
@@ -461,7 +461,7 @@ class LayoutFamily:
         self.add(first)
 
     def accepts(self, layout: Layout) -> bool:
-        """Tell whether a layout is of this family."""
+        """Return whether a layout is of this family."""
         return np.array_equal(layout.mask, self._mask) and layout.order == self.layouts[0].order
 
     def add(self, layout: Layout) -> None:

@@ -237,7 +237,7 @@ class JointRun:
             )
 
     def is_within(self, window: Window) -> bool:
-        """Tell whether the joint has a state in a window."""
+        """Return whether the joint has a state in a window."""
         return len(self.states.within(window.first_ns, window.last_ns).stamps_ns) > 0
 
     def series(self, window: Window) -> tuple[JointSeries, Losses, DataQuality]:

@@ -239,7 +239,7 @@ class JointStateLayout:
         return cls(tuple(names), size, position, velocity, effort, lengths, tuple(fixed))
 
     def matches(self, raw: bytes) -> bool:
-        """Tell whether a message has this layout, byte for byte."""
+        """Return whether a message has this layout, byte for byte."""
         return (
             len(raw) == self.size
             and raw.startswith(_LITTLE_ENDIAN)

@@ -239,7 +239,7 @@ class Catalogue:
 
 
 def is_sound(peek: Peek, position: int, end: int) -> bool:
-    """Tell whether records follow each other from a position on, as far as can be seen."""
+    """Return whether records follow each other from a position on, as far as can be seen."""
     for _ in range(_SUCCESSORS):
         if position == end:
             return True
@@ -253,7 +253,7 @@ def is_sound(peek: Peek, position: int, end: int) -> bool:
 
 
 def is_plausible(opcode: int, length: int) -> bool:
-    """Tell whether a record of this opcode can be that long."""
+    """Return whether a record of this opcode can be that long."""
     if opcode >= _FIRST_PRIVATE:
         return True
     return 0 < opcode <= _LARGEST_OPCODE and length >= _LEAST.get(opcode, 0)

@@ -70,7 +70,7 @@ class Arena:
         self.fill = SLACK
 
     def has_room(self, size: int) -> bool:
-        """Tell whether that many bytes fit; an empty arena grows to hold them."""
+        """Return whether that many bytes fit; an empty arena grows to hold them."""
         if self.fill + size + SLACK <= len(self.buffer):
             return True
         if self.fill == SLACK:

@@ -29,7 +29,7 @@ from hpid_ros.motion.spline import Column
 
 
 def measures_velocity(path: Path, joint: str) -> bool:
-    """Tell whether the first state of a joint in a bag has a velocity."""
+    """Return whether the first state of a joint in a bag has a velocity."""
     reader = JointReader(joint)
     with Storage(path) as bag:
         types = {name: info.type for name, info in bag.topics().items()}
@@ -84,7 +84,7 @@ RUN_SPACING_NS = 1_000_000_000_000_000
 
 
 def separated(stamps_ns: Integers) -> Integers:
-    """Return stamps in which a run that began anew follows the one before."""
+    """Return stamps in which a run that started again follows the one before."""
     resets = np.diff(stamps_ns) <= -_RESET_NS
     if not resets.any():
         return stamps_ns
@@ -258,12 +258,12 @@ class RecordedRun:
             self.trajectories.append(LoggedTrajectory(log_time_ns, place, batch.topic, *decoded))
 
     def has_efforts(self) -> bool:
-        """Tell whether any command carries a joint's effort."""
+        """Return whether any command carries a joint's effort."""
         streams = (*self.commands.values(), *self.floats.values())
         return any(stream.joints() for stream in streams)
 
     def is_of_other_joints(self) -> bool:
-        """Tell whether there are commands or references, but of joints that no state names."""
+        """Return whether there are commands or references, but of joints that no state names."""
         known = set(self.known_joints())
         named = self._concerned()
         return bool(named) and known.isdisjoint(named)

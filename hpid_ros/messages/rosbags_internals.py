@@ -81,7 +81,7 @@ class FlushingMcapWriter(McapWriter):
             self.close_chunk()
 
     def is_in_place(self) -> bool:
-        """Tell whether the file that is written is still the one that its path leads to."""
+        """Return whether the file that is written is still the one that its path leads to."""
         try:
             return os.path.samestat(self.path.stat(), os.fstat(self.bio.fileno()))
         except (FileNotFoundError, NotADirectoryError):

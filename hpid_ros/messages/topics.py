@@ -57,7 +57,7 @@ def last_part(topic: str) -> str:
 
 
 def is_below(topic: str, namespace: str) -> bool:
-    """Tell whether a topic is in a namespace or in one below it."""
+    """Return whether a topic is in a namespace or in one below it."""
     return topic.startswith(f"{namespace.rstrip('/')}/")
 
 
@@ -308,12 +308,12 @@ def _common(namespaces: Sequence[str]) -> str:
 
 
 def _is_of_a_controller(topic: str) -> bool:
-    """Tell whether a JointState topic is a controller's output by its name."""
+    """Return whether a JointState topic is a controller's output by its name."""
     return last_part(topic) in (*_NEITHER_STATES_NOR_COMMANDS, *_COMMANDS_OF_JOINTS)
 
 
 def _may_be_commands(topic: str) -> bool:
-    """Tell whether a JointState topic that is not the states' may be commands by its name."""
+    """Return whether a JointState topic that is not the states' may be commands by its name."""
     last = last_part(topic)
     return last not in _NEITHER_STATES_NOR_COMMANDS and "state" not in last
 

@@ -55,7 +55,7 @@ def run_differences(one: RunIndices, other: RunIndices) -> Iterator[Difference]:
 
 
 def _lacks(data: Data, *runs: RunIndices) -> bool:
-    """Tell whether all joints of a run lack something: there is nothing to compare then."""
+    """Return whether all joints of a run lack something: there is nothing to compare then."""
     return any(all(data in run.lacking.get(joint, {}) for joint in run.joints) for run in runs)
 
 

@@ -214,7 +214,7 @@ def effort_of(series: JointSeries) -> Signal:
 
 
 def has_any(runs: Sequence[RunSeries], data: Data) -> bool:
-    """Tell whether any joint of some runs has a reference, or an effort."""
+    """Return whether any joint of some runs has a reference, or an effort."""
     joints = [series for run in runs for series in run.joints]
     if data is Data.REFERENCE:
         return any(series.has_reference for series in joints)

@@ -59,7 +59,7 @@ def with_angles_in(run: RunIndices, angle_unit: str) -> RunIndices:
 
 
 def _beside_slides(run: RunIndices, angle_unit: str, scale: float) -> RunIndices:
-    """Return the numbers where some or all joints slide: these are left, totals folded anew."""
+    """Return the numbers where some or all joints slide: these are left, totals folded again."""
     if run.slides.issuperset(run.joints):
         return replace(run, angle_unit=angle_unit)
     if run.spread is not None:

@@ -169,7 +169,7 @@ class BrickFigures:
     lost: bool  # whether it was ever pulled out of the grip
     position_error: float | None  # [m] from where it lies at the end to its place
     orientation_error: float | None  # [rad] likewise
-    reason: str = ""  # why it was missed or lost first, in words; empty if it was neither
+    reason: str = ""  # why it was missed or lost first; empty if it was neither
 
     def as_mapping(self) -> dict[str, object]:
         """Return all figures by name but the name itself."""

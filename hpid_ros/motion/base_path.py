@@ -247,7 +247,7 @@ def leg_knots(
 
 
 def _is_close(knots: Sequence[Knot]) -> bool:
-    """Tell whether splines through every other knot meet those in between."""
+    """Return whether splines through every other knot meet those in between."""
     for left, middle, right in zip(knots[:-2:2], knots[1::2], knots[2::2], strict=True):
         t = (middle.time_ns - left.time_ns) * SECONDS_PER_NANOSECOND
         position = 0.0

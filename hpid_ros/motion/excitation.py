@@ -240,7 +240,7 @@ class Allowed(NamedTuple):
     """What a joint's excitation may reach, and why not more."""
 
     peaks: Peaks  # position, velocity and acceleration
-    notes: tuple[str, ...]  # what was assumed, in words
+    notes: tuple[str, ...]  # what was assumed
 
 
 def inertia_from_gains(p: float, d: float) -> float:
@@ -369,7 +369,7 @@ class PlannedJoint:
     crest_factor: float  # of its velocity
     tolerance: float  # [rad] how far it may be from its reference
     velocity_stop: float  # [rad/s] it is stopped when it is faster
-    notes: tuple[str, ...] = ()  # what was assumed, in words
+    notes: tuple[str, ...] = ()  # what was assumed
 
 
 @dataclass(frozen=True, eq=False)

@@ -211,7 +211,7 @@ class KnotArrays(Sequence[Knot]):
         )
 
     def __eq__(self, other: object) -> bool:
-        """Tell whether another sequence has the same knots."""
+        """Return whether another sequence has the same knots."""
         return isinstance(other, Sequence) and tuple(self) == tuple(other)
 
     __hash__ = None  # type: ignore[assignment]

@@ -65,7 +65,7 @@ class Column:
         return SplineReference(self.knots, start_ns, Knot(now_ns - start_ns, position, velocity))
 
     def is_under_way(self, now_ns: int) -> bool:
-        """Tell whether the first knot lies before an instant."""
+        """Return whether the first knot lies before an instant."""
         return self.stamp_ns != 0 and now_ns > self.stamp_ns + self.knots[0].time_ns
 
     def target(self, now_ns: int) -> float:

@@ -104,7 +104,7 @@ class BagRecorder(executor.ClosingNode):
         self._status.send("recording")
 
     def _waits_for_latched(self) -> bool:
-        """Tell whether the message of a latched topic may still be on its way."""
+        """Return whether the message of a latched topic may still be on its way."""
         counts = self._writer.counts
         is_awaited = not all(counts[topic] for topic in self._latched)
         return is_awaited and time.monotonic() < self._subscribed + _LATCHED_WITHIN

@@ -97,7 +97,7 @@ class JointTrajectoryController(executor.ClosingNode):
         self._health.fault(f"this process stood still for {stood:.3g} s")
 
     def _against(self) -> str:
-        """Return why no goal can be followed now, in words; nothing if one can be."""
+        """Return why no goal can be followed now; empty if one can be."""
         if not self._told.listeners():
             return self._follower.reason_against() or _UNHEARD
         return self._follower.reason_against()

@@ -138,7 +138,7 @@ class JointController(ManagedNode):
         self._readiness = steady_timer(self, _READINESS_PERIOD, self._start_when_ready)
 
     def leave(self) -> None:
-        """Deactivate: the last command is zero, and a later activation starts anew."""
+        """Deactivate: the last command is zero, and a later activation starts again."""
         self._needs_reference = self.is_starting = False
         if self._references is not None:
             self._references.discard()
@@ -218,7 +218,7 @@ class JointController(ManagedNode):
         self._introspection.sample(sample.stamp_ns, self._loop)
 
     def _begun(self) -> None:
-        """Look for silences from the first state on; from a usable one on all is in force."""
+        """Look for silences from the first state on; from a usable one on all is active."""
         self._watchdog.watch(self._loop.settings.timing.state_timeout)
         if self._loop.stamp_ns is not None:
             self.destroy_timer(self._readiness)

@@ -72,7 +72,7 @@ _DOUBLE, _SHARE = (0.10, 0.66, 0.36), 0.45
 _IN_FRONT = 0.006
 """How much nearer the double is where it is drawn over the robot, over the camera's distance."""
 _LEAST = 0.1
-"""What moves less is not drawn anew, over the height of a pixel; of a body's turn over 1 m."""
+"""What moves less is not drawn again, over the height of a pixel; of a body's turn over 1 m."""
 
 
 class Studio:

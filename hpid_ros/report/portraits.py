@@ -180,7 +180,7 @@ MARKER_SIZE = 8.0
 
 
 def can_be_drawn(comparison: Comparison) -> bool:
-    """Tell whether any run has both its error and its efforts."""
+    """Return whether any run has both its error and its efforts."""
     return any(
         not any(math.isnan(run.value(quantity)) for quantity in (ERROR, *EFFORTS))
         for run in comparison.runs

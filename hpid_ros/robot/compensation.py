@@ -163,7 +163,7 @@ class RobotStates:
         velocities: Sequence[float] | None,
         efforts: Sequence[float] | None,
     ) -> str:
-        """Return what makes a state unusable, in words; empty if nothing."""
+        """Return what makes a state unusable; empty if nothing."""
         if not _are_possible(positions):
             return f"positions of the model: {self._worst(positions)}"
         if velocities is not None and not _are_possible(velocities):
@@ -184,7 +184,7 @@ class RobotStates:
 
 
 def _are_possible(values: Sequence[float]) -> bool:
-    """Tell whether all numbers are finite and within bounds."""
+    """Return whether all numbers are finite and within bounds."""
     # A sum is finite only if nothing in it is nan, with which min and max would be blind.
     return (
         math.isfinite(sum(values))

@@ -85,7 +85,7 @@ class ReportTimes:
         return not self._period_ns
 
     def is_due(self, stamp_ns: int) -> bool:
-        """Tell whether a state comes with a report; ask once for each state."""
+        """Return whether a state comes with a report; ask once for each state."""
         if not self._period_ns:
             return False
         last_ns = self._last_ns
@@ -108,7 +108,7 @@ class BaseReport(NamedTuple):
 
 
 class BaseMonitor:
-    """Follows the base of a world; begins anew when time goes back."""
+    """Follows the base of a world; starts again when time goes back."""
 
     def __init__(self, world: World) -> None:
         settings = world.settings

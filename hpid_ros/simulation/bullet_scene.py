@@ -406,7 +406,7 @@ class Scene:
 def build_scene(
     client: int, urdf: str, description: RobotDescription, settings: WorldSettings
 ) -> Scene:
-    """Build everything anew in an empty simulation."""
+    """Build everything again in an empty simulation."""
     pybullet.setGravity(0.0, 0.0, -settings.gravity, physicsClientId=client)
     pybullet.setTimeStep(settings.physics_period, physicsClientId=client)
     pybullet.setPhysicsEngineParameter(

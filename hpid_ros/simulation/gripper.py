@@ -89,7 +89,7 @@ class GripEvent(NamedTuple):
     distance: float  # [m] between the brick's centre and the grasp frame
     angle: float  # [rad] between the brick's faces and the fingers
     force: float = 0.0  # [N] between the hand and the brick when it was lost; 0 otherwise
-    reason: str = ""  # why it was missed or lost, in words; empty otherwise
+    reason: str = ""  # why it was missed or lost; empty otherwise
 
 
 class Gripper:

@@ -148,7 +148,7 @@ class Barrier:
 
 
 def _differ(before: float | None, effort: float) -> bool:
-    """Tell whether two answers to one state come from two controllers.
+    """Return whether two answers to one state come from two controllers.
 
     One controller repeats itself, and leaves with an effort of zero.
     """
@@ -169,7 +169,7 @@ class FollowedSender:
         self._heard = 0.0
 
     def takes(self, sender: str, effort: float, now: float) -> bool:
-        """Tell whether a command is to be followed."""
+        """Return whether a command is to be followed."""
         if sender != self.sender:
             if self.sender is not None:
                 if now - self._heard <= self._patience:
@@ -183,5 +183,5 @@ class FollowedSender:
         return True
 
     def wait(self, now: float) -> None:
-        """Begin to be patient anew: time has stood still for everybody."""
+        """Begin to be patient again: time has stood still for everybody."""
         self._heard = now

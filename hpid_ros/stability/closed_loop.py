@@ -295,7 +295,7 @@ class DegreeInterval(NamedTuple):
     certificate: Certificate  # what proves it
 
     def contains(self, degree: float) -> bool:
-        """Tell whether a degree is certified."""
+        """Return whether a degree is certified."""
         return self.lower <= degree <= self.upper
 
 

@@ -299,7 +299,7 @@ class FrozenLoop:
 
     @cached_property
     def gains(self) -> Gains:
-        """The gains in force at this multiplier."""
+        """The gains active at this multiplier."""
         own, factor = self.settings.gains, self.multiplier
         return Gains(own.p * factor**2, own.i * factor**3, own.d * factor)
 

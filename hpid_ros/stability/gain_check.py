@@ -333,7 +333,7 @@ def saved_certificates(path: Path) -> dict[str, Mapping[str, Any]]:
 
 
 def verify(saved: Mapping[str, Any]) -> Verification:
-    """Check one saved certificate anew, without anything of the search that found it."""
+    """Check one saved certificate again, without anything of the search that found it."""
     if "reason" in saved:
         return Verification(False, f"none was found: {saved['reason']}")
     certificate = Certificate.from_mapping(saved)

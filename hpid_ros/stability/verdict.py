@@ -60,7 +60,7 @@ class Margins(NamedTuple):
 
 
 def check_certificate(certificate: Certificate) -> Margins:
-    """Check a certificate anew and return its least margins; see ``stability``."""
+    """Check a certificate again and return its least margins; see ``stability``."""
     margins = []
     for span in certificate.spans:
         _require_shape(span)
@@ -464,7 +464,7 @@ def certify_degree(
 
 
 def verify_certificate(certificate: Certificate) -> Margins:
-    """Check a certificate anew, without anything of the search that found it.
+    """Check a certificate again, without anything of the search that found it.
 
     Other points, and the field from the law's definition; see
     :mod:`hpid_ros.stability.verdict`. Checked is every degree whose norm it holds.

@@ -139,7 +139,7 @@ _PRECISIONS = 2.0**29  # a last place in single precision, in those of double pr
 
 @dataclass
 class GivenReference:
-    """A reference that is told anew with each state, as a firmware does.
+    """A reference that is told again with each state, as a firmware does.
 
     It is under way whenever a loop takes it up, so that the loop glides onto it.
     """

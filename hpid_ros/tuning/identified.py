@@ -184,7 +184,7 @@ def _chosen(equation: Equation, has_scale: bool) -> _Choice:
 
 
 def _is_gravity(equation: Equation, choice: _Choice) -> bool:
-    """Tell whether a part of the effort changes with the position, and not by chance."""
+    """Return whether a part of the effort changes with the position, and not by chance."""
     names, used = equation.names(choice.model), equation.weight > 0.0
     position = equation.terms.halves.mean(axis=0)[0][used]
     a, b = (float(choice.fit.values[names.index(each)]) for each in (GRAVITY_SIN, GRAVITY_COS))

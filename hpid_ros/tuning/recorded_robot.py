@@ -60,7 +60,7 @@ def base_motion(bag: Path, namespace: str = "") -> BaseMotion | None:
 
 
 def is_wheel(joint: str, robot: GivenRobot | None, motion: BaseMotion | None) -> bool:
-    """Tell whether a joint is a wheel of the base: the robot says so, or its name does."""
+    """Return whether a joint is a wheel of the base: the robot says so, or its name does."""
     is_fixed = robot is not None and robot.fixed_base and not (motion and motion.is_moving)
     if robot is not None and (robot.wheels or is_fixed):
         return joint in robot.wheels
@@ -96,7 +96,7 @@ _FEW_UNANSWERED = 0.01  # of the states; idle machines lose less
 _MANY = 0.05  # of the states or commands of a joint: numbers are of what is left
 _GAP = 1.5  # periods
 _PAUSE = 1.0  # [s]: nobody recorded meanwhile
-_REPEATING = 0.5  # of the measured efforts: where more change, they are measured anew
+_REPEATING = 0.5  # of the measured efforts: where more change, they are measured again
 _REGULAR = 0.8  # of the holds: those of a sensor with few steps depend on the motion
 _LEAST_HOLDS = 20
 _MILLISECONDS = 1e3
@@ -206,7 +206,7 @@ def _holds(records: Sequence[JointRecord], recording: RunSeries) -> Iterator[str
 
 
 def _is_held(effort: Numbers, source: str) -> bool:
-    """Tell whether efforts act until the next one: commands, and measured ones that repeat."""
+    """Return whether efforts act until the next one: commands, and measured ones that repeat."""
     if not source.startswith(MEASURED):
         return True
     changes = np.flatnonzero(np.diff(effort))

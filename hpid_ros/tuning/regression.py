@@ -369,7 +369,7 @@ class Equation:
         return int(np.count_nonzero(self.weight))
 
     def is_inside(self, delay: float) -> bool:
-        """Tell whether a delay is none of the ends between which it is looked for."""
+        """Return whether a delay is none of the ends between which it is looked for."""
         return self._least - self._step < delay < self._longest
 
     def effort(self, delay: float) -> Numbers:
@@ -450,7 +450,7 @@ class Equation:
         return regress(instruments[None], mean, target.mean(axis=0, keepdims=True), self.weight)
 
     def uses_reference(self, model: Model, delay: float) -> bool:
-        """Tell whether the reference is the source of a model's instruments."""
+        """Return whether the reference is the source of a model's instruments."""
         columns = self._columns(model, self._effort(delay)[1])
         return self._instruments(model, columns.mean(axis=0)) is not None
 

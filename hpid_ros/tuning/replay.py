@@ -60,7 +60,7 @@ def following(motion: Motion) -> Callable[[JointLoop], None]:
 
 
 def retuned(change: Callable[[LoopSettings], LoopSettings]) -> Callable[[JointLoop], None]:
-    """Return what puts the settings in force that a change makes of those before."""
+    """Return what applies the settings that a change makes of those before."""
     return lambda loop: loop.retune(change(loop.settings))
 
 
@@ -110,13 +110,13 @@ class JointVerdict:
     fallbacks: int = 0  # commands that answer no state: a fallback effort, or zero while stopped
     foreign: int = 0  # commands by somebody else than who sent the first
     senders: tuple[str, ...] = ()  # who sent commands, as far as they say
-    notes: tuple[str, ...] = ()  # what had to be assumed, in words
+    notes: tuple[str, ...] = ()  # what had to be assumed
     is_slide: bool = False  # [N] whether the joint slides: its efforts are
     is_begun_before: bool = False  # whether the controller ran before the recording began
 
     @property
     def is_the_law(self) -> bool:
-        """Whether every command that could be computed anew is the law's, and there is one."""
+        """Whether every command that could be computed again is the law's, and there is one."""
         return self.equal > 0 and not (self.different or self.without_state or self.foreign)
 
     @property
@@ -187,7 +187,7 @@ class _Counts:
 
 
 def replay_joint(record: JointRecord) -> JointVerdict:
-    """Compute every command of one joint anew, and compare it to the last bit."""
+    """Compute every command of one joint again, and compare it to the last bit."""
     verdict = JointVerdict(record.settings.joint, is_slide=record.is_slide)
     for apart in _APART:
         found = _Replay(record, apart).verdict()
@@ -417,5 +417,5 @@ def _nominal(states: Sequence[RecordedState], instructions: Sequence[Instruction
 
 
 def _is_same(one: float, other: float) -> bool:
-    """Tell whether two numbers are the same bits."""
+    """Return whether two numbers are the same bits."""
     return struct.pack("<d", one) == struct.pack("<d", other)

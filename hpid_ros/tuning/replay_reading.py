@@ -106,7 +106,7 @@ def controllers_of(document: object, where: str, namespace: str = "") -> dict[st
 
 
 def _in_force(settings: LoopSettings, limits: RobotLimits, robot: str) -> LoopSettings:
-    """Return settings as a controller puts them in force."""
+    """Return settings as a controller applies them."""
     settings = limits.within(settings)
     if not settings.model.is_on:
         return settings
@@ -194,7 +194,7 @@ def read_records(
     selection: BagSelection | None = None,
     progress: Callable[[float], None] = lambda share: None,
 ) -> tuple[list[JointRecord], list[str]]:
-    """Read what is to be computed anew."""
+    """Read what is to be computed again."""
     with Storage(path) as bag:
         where = f"bag {path}"
         types = {name: info.type for name, info in bag.topics().items()}

@@ -205,7 +205,7 @@ def _settling(options: argparse.Namespace, loops: Mapping[str, LoopSettings]) ->
 
 
 def _verify(saved: Mapping[str, Mapping[str, Any]], as_json: bool) -> int:
-    """Check saved certificates anew, each on its own."""
+    """Check saved certificates again, each on its own."""
     from hpid_ros.stability.gain_check import verify
 
     findings = {name: verify(each) for name, each in saved.items()}

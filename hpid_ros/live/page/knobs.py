@@ -35,7 +35,7 @@ LABELS = {
 class Knob:
     """A slider and a field for one parameter of the joints that are chosen, or their bandwidth.
 
-    Of several joints a gain is a factor on what each has in force; all else is one value for all.
+    Of several joints a gain is a factor on what each has active; all else is one value for all.
     The bandwidth is always such a factor.
     """
 

@@ -20,7 +20,7 @@ _LARGEST_FILE = 1_000_000  # bytes
 
 
 class SnapshotPanel:
-    """Keeps what is in force, goes back to it, writes and reads parameter files."""
+    """Keeps what is active, goes back to it, writes and reads parameter files."""
 
     def __init__(
         self,

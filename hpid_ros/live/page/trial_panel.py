@@ -143,7 +143,7 @@ class TrialPanel:
         return True
 
     def _stands(self, nodes: Sequence[str]) -> tuple[float, ...]:
-        """Return where joints are, so coarsely that noise plans nothing anew."""
+        """Return where joints are, so coarsely that noise plans nothing again."""
         places = (self._session.history(node).position for node in nodes)
         return tuple(round(each, 1) if each is not None else 0.0 for each in places)
 

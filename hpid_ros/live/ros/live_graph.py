@@ -90,7 +90,7 @@ class Discovery:
         self._here = here
 
     def is_reading(self, name: str) -> bool:
-        """Tell whether a node's parameters are being read: what comes may be old by then."""
+        """Return whether a node's parameters are being read: what comes may be old by then."""
         return name in self._asked
 
     def reread(self, name: str) -> None:
@@ -228,7 +228,7 @@ class LiveGraph:
         self._changes: deque[Change] = deque(maxlen=_CHANGES_KEPT)
         self._given: deque[tuple[Callable[[Future[Answer]], None], Future[Answer]]] = deque()
         self._unusable: set[str] = set()
-        self._stale: dict[str, float] = {}  # when to read a controller anew
+        self._stale: dict[str, float] = {}  # when to read a controller again
         self._reborn: set[str] = set()
         self._heard: set[Topic] = set()  # commands that others hear, too
         self._next_look = 0.0
@@ -261,7 +261,7 @@ class LiveGraph:
             return found
 
     def set(self, node: str, values: Mapping[str, Value]) -> Future[Answer]:
-        """Have a controller take parameters, all or none; its values are read anew afterwards."""
+        """Have a controller take parameters, all or none; its values are read again afterwards."""
         content = dict(values)
         return self._order(node, lambda answer: self._orders.set(node, content, answer))
 
@@ -402,7 +402,7 @@ class LiveGraph:
             self._rewatch()
 
     def _is_heard(self, topics: ControllerTopics) -> bool:
-        """Tell whether somebody publishes states where a controller took them from before."""
+        """Return whether somebody publishes states where a controller took them from before."""
         return self._node.count_publishers(topics.states.name) > 0
 
     def _on_event(self, event: ParameterEvent) -> None:
@@ -448,9 +448,9 @@ class LiveGraph:
 
 
 def _may_be_other(before: Health, health: Health) -> bool:
-    """Tell whether nobody knows what a controller was told since it spoke last.
+    """Return whether nobody knows what a controller was told since it spoke last.
 
-    A process that begins anew has declared its parameters before anybody could hear it, and if it
+    A process that starts again has declared its parameters before anybody could hear it, and if it
     was quick, nobody saw that it was gone. But it counts its samples from the first one.
     """
     is_anew = _samples(health) < _samples(before)
@@ -463,7 +463,7 @@ def _samples(health: Health) -> int:
 
 
 def _has_begun(seen: ControllerSummary) -> bool:
-    """Tell whether a controller takes states, or is not going to."""
+    """Return whether a controller takes states, or is not going to."""
     if seen.health is None:
         return False
     return seen.lifecycle != "active" or seen.health.values.get(_SAMPLES, "0") != "0"

@@ -138,7 +138,7 @@ class ControllerRecord:
 
 @dataclass(frozen=True, eq=False)
 class _AcceptedSet:
-    """A set that was taken, and is not seen in force yet."""
+    """A set that was taken, and is not seen active yet."""
 
     node: str
     values: Mapping[str, Value]
@@ -215,13 +215,13 @@ class ControllerRequests:
         if not told.is_taken:
             answer.set_result(told)
             return
-        # Whoever looks after the answer shall see what is in force.
+        # Whoever looks after the answer shall see what is active.
         deadline = time.monotonic() + _SEEN_WITHIN
         self._taken.append(_AcceptedSet(controller, values, told, deadline, answer))
         self.see(controller)
 
     def see(self, controller: str) -> None:
-        """Resolve the sets of a controller that are in force now."""
+        """Resolve the sets of a controller that are active now."""
         parameters = self._known(controller).parameters
         for taken in [each for each in self._taken if each.node == controller]:
             if all(parameters.get(name) == value for name, value in taken.values.items()):

@@ -244,7 +244,7 @@ class Watching:
         )
 
     def listens_to(self, topic: Topic) -> bool:
-        """Tell whether a topic is subscribed to."""
+        """Return whether a topic is subscribed to."""
         with self._lock:
             return topic in self._columns
 

@@ -107,7 +107,7 @@ class Usage:
 
 
 def is_asked_for(arguments: Sequence[str]) -> bool:
-    """Tell whether arguments ask for help."""
+    """Return whether arguments ask for help."""
     return any(argument in _HELP for argument in arguments)
 
 
@@ -367,7 +367,7 @@ def _destroy(node: Node) -> None:
     """Destroy a node: a process that ends with its participant alive stalls all others' discovery.
 
     Fast DDS takes a participant in shared memory that has gone without a word for a listener that
-    is stuck, and opens anew all that it listened to (docs/faults.md).
+    is stuck, and opens again all that it listened to (docs/faults.md).
     """
     with contextlib.suppress(AttributeError, InvalidHandle):  # half made, or destroyed already
         node.destroy_node()

@@ -126,7 +126,7 @@ def load_profile() -> None:
 
 
 def has_shared_memory_alone() -> bool:
-    """Tell whether the nodes of this process reach no other host and no other user.
+    """Return whether the nodes of this process reach no other host and no other user.
 
     As in the closed mode of docs/security.md: Fast DDS talks through shared memory alone, and does
     not meet those that talk through a network, even in the same domain of the same host.

@@ -77,7 +77,7 @@ def as_declared(given: Parameter, kind: Parameter.Type) -> Parameter:
 
 
 def is_same(present: Parameter, change: Parameter) -> bool:
-    """Tell whether a change would change nothing."""
+    """Return whether a change would change nothing."""
     return bool(present.get_parameter_value() == change.get_parameter_value())
 
 
@@ -123,7 +123,7 @@ def _numbers(given: Parameter, kind: Parameter.Type) -> Parameter:
 
 
 def _is_empty(given: Parameter) -> bool:
-    """Tell whether an empty array was given, which has no type: YAML makes booleans of it."""
+    """Return whether an empty array was given, which has no type: YAML makes booleans of it."""
     return given.type_ == _Type.BOOL_ARRAY and not len(given.value)
 
 
@@ -237,7 +237,7 @@ def guard_services(node: Node, fault: Callable[[str], None]) -> None:
 
     rclpy sets each parameter of a request alone, in the order of the alphabet: on the way from one
     valid set to another there would be sets that are refused, and of a set with one bad gain the
-    others would be in force. What comes in one request is therefore set or refused as a whole. And
+    others would be active. What comes in one request is therefore set or refused as a whole. And
     where one parameter has no value, rclpy answers a request
     for many with nothing at all; here it is told as not set, as the service's definition says.
 

@@ -69,7 +69,7 @@ class HeldCommands:
         return False
 
     def _is_by_another(self, name: str, stamp_ns: int, effort: float) -> bool:
-        """Tell whether a command does not continue the joint's last one.
+        """Return whether a command does not continue the joint's last one.
 
         One controller answers each state once, in their order; it repeats itself, and leaves
         with an effort of zero. Commands without stamps say nothing about their order.

@@ -80,7 +80,7 @@ class BridgeServices:
         self._reset()
 
     def may_advance(self) -> bool:
-        """Tell whether one more control period may be simulated, and use up a single step."""
+        """Return whether one more control period may be simulated, and use up a single step."""
         if not self._is_paused:
             return True
         if self._steps == 0:

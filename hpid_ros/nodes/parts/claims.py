@@ -139,7 +139,7 @@ class Claim:
         return self.realm, self.host, self.pid, self.node
 
     def yields_to(self, other: Claim) -> bool:
-        """Tell whether of two claims of one joint it is this one that must go.
+        """Return whether of two claims of one joint it is this one that must go.
 
         Of two different owners exactly one yields to the other.
         """
@@ -350,7 +350,7 @@ class JointClaim:
         try:
             mine, silence = self._mine, _now() - self._told
             if mine is None or mine.state is not ClaimState.HELD or silence > LEASE:
-                return math.inf  # not held, or held no more: the executor begins anew
+                return math.inf  # not held, or held no more: the executor starts again
             if silence < _OVERDUE:
                 return _OVERDUE - silence
             self._tell()

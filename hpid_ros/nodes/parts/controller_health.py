@@ -57,14 +57,14 @@ class Certification:
             raise GainError(_refusal(settings, found.text))
 
     def accept(self, settings: LoopSettings) -> None:
-        """Take note of settings that are in force now."""
+        """Take note of the active settings."""
         self._settings = settings
         if self._is_on:
             self._certifier.want(settings)
 
     @property
     def degrees(self) -> str:
-        """The certified degrees, in words."""
+        """The certified degrees."""
         if not self._is_on and not self._is_required:
             return "not asked for"
         return self._certifier.finding(self._settings).text
@@ -171,7 +171,7 @@ class ControllerHealth:
         return of_slide(text) if self._is_slide else text
 
     def begun(self) -> None:
-        """Say once, after the first state, what is in force."""
+        """Say once, after the first state, what is active."""
         loop, settings = self._loop, self._loop.settings
         effort, motion = settings.effort, settings.motion
         degree = f" with mu = {settings.mu:g}" if settings.law == "hpid" else ""

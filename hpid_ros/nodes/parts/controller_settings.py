@@ -65,10 +65,10 @@ class ControllerSettings:
         self._last: tuple[Mapping[str, Value], LoopSettings] | None = None
 
     def with_changes(self, changes: Sequence[Parameter] = ()) -> LoopSettings:
-        """Return the settings that would be in force after a change."""
+        """Return the settings that would be active after a change."""
         values = {name: self._node.get_parameter(name).value for name in PARAMETERS}
         values |= {each.name: each.value for each in changes if each.name in LOOP_PARAMETERS}
-        if self._last is None or self._last[0] != values:  # checked first, put in force afterwards
+        if self._last is None or self._last[0] != values:  # checked first, applied afterwards
             settings = self._limits.within(LoopSettings.from_parameters(values))
             if settings.model.is_on:
                 # Pinocchio takes a moment to import; what needs it is fixed at the start.
@@ -81,7 +81,7 @@ class ControllerSettings:
     def verdict(
         self, changes: Sequence[Parameter], require: Callable[[LoopSettings], None]
     ) -> SetParametersResult:
-        """Say whether a change can be put in force."""
+        """Say whether a change can be applied."""
         if concern_the_loop(changes):
             try:
                 require(self.with_changes(changes))
@@ -91,7 +91,7 @@ class ControllerSettings:
 
 
 def concern_the_loop(changes: Sequence[Parameter]) -> bool:
-    """Tell whether a change is about the loop at all."""
+    """Return whether a change is about the loop at all."""
     return any(change.name in LOOP_PARAMETERS for change in changes)
 
 
@@ -135,7 +135,7 @@ class ModelCompensation:
 
     @property
     def fault(self) -> str:
-        """What was last wrong with a state, in words; empty if nothing was."""
+        """What was last wrong with a state; empty if nothing was."""
         return self._compensator.states.last_fault
 
     @property

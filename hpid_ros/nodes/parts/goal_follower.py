@@ -83,7 +83,7 @@ class ActiveGoal:
             error: Of the joint.
 
         Returns:
-            What of its path tolerance is violated, in words; nothing if it is within, and after
+            What of its path tolerance is violated; empty if it is within, and after
             the last point.
         """
         self.desired[joint], self.errors[joint] = desired, error
@@ -96,12 +96,12 @@ class ActiveGoal:
         return all(self._has_ended)
 
     def unmet(self) -> dict[int, str]:
-        """Return what of the goal's tolerances is violated, in words, by joint."""
+        """Return what of the goal's tolerances is violated, by joint."""
         lines = {joint: self._violation(each, joint) for joint, each in enumerate(self._goal)}
         return {joint: line for joint, line in lines.items() if line}
 
     def is_late(self, now_ns: int) -> bool:
-        """Tell whether the time has passed in which the tolerances had to be met."""
+        """Return whether the time has passed in which the tolerances had to be met."""
         return self._deadline_ns is not None and now_ns > self._deadline_ns
 
     def outside(self, joint: int, stamp_ns: int, is_off: bool) -> float:
@@ -148,7 +148,7 @@ class StartedGoal(NamedTuple):
 class GoalFollower:
     """Follows one goal at a time with all joints of a group.
 
-    Every input returns what follows from it; whoever calls tells the joints and the client.
+    Every input returns what follows from it; the caller tells the joints and the client.
     """
 
     def __init__(self, settings: GroupSettings) -> None:
@@ -179,7 +179,7 @@ class GoalFollower:
         return self._states.unusable
 
     def reason_against(self) -> str:
-        """Return why no goal can be followed now, in words; nothing if one can be."""
+        """Return why no goal can be followed now; empty if one can be."""
         if self._silence:
             return f"there has been no new state for {self._silence:.3g} s"
         return self._states.lack() or self._silent_controller()
@@ -358,7 +358,7 @@ class GoalFollower:
         return self._end(Result(ResultCode.INVALID_GOAL, line))
 
     def _silent_controller(self) -> str:
-        """Return whose controller tells its reference no more, in words."""
+        """Return whose controller tells its reference no more."""
         timeout_ns = round(self.settings.reference_timeout * NANOSECONDS)
         now_ns = self._states.now_ns
         if not timeout_ns or now_ns is None:
@@ -370,7 +370,7 @@ class GoalFollower:
         return ""
 
     def _restart(self, stamp_ns: int, parts: Sequence[JointPart]) -> Outcome | None:
-        """Abort because the clock went back; what controllers were told begins anew there."""
+        """Abort because the clock went back; what controllers were told starts again there."""
         back = (self._now() - stamp_ns) / NANOSECONDS
         self._states.restart()
         self._references.restart()

@@ -85,13 +85,13 @@ class GroupParameters:
         self.settings()
 
     def settings(self, changes: Sequence[Parameter] = ()) -> GroupSettings:
-        """Return the settings that would be in force after a change."""
+        """Return the settings that would be active after a change."""
         values = {name: self._node.get_parameter(name).value for name in self._names}
         values.update({each.name: each.value for each in changes if each.name in values})
         return GroupSettings.from_parameters(self.joints, self._facts, values)
 
     def verdict(self, changes: Sequence[Parameter]) -> SetParametersResult:
-        """Say whether a change can be put in force."""
+        """Say whether a change can be applied."""
         try:
             self.settings(changes)
         except HpidError as error:

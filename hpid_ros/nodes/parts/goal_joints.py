@@ -206,7 +206,7 @@ class GroupStates:
         return None not in self.stamps_ns
 
     def lack(self) -> str:
-        """Return which joint has no state, or an old one, in words; nothing if all are there."""
+        """Return which joint has no state, or an old one; empty if all are there."""
         for joint, stamp_ns in zip(self._joints, self.stamps_ns, strict=True):
             if stamp_ns is None or self.now_ns is None:
                 return f"there is no state of {joint} yet"
@@ -237,7 +237,7 @@ class GroupReferences:
         self._following[joint].stand(position)
 
     def is_standing(self, joint: int) -> bool:
-        """Tell whether it is known where a joint's reference is."""
+        """Return whether it is known where a joint's reference is."""
         return self._following[joint].is_standing
 
     def nearest(self, request: GoalRequest, start_ns: int, now_ns: int) -> GoalRequest:

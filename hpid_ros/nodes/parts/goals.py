@@ -74,7 +74,7 @@ class Tolerance(NamedTuple):
     velocity: float = 0.0  # [rad/s] or [m/s]
 
     def violation(self, position: float, velocity: float, unit: str) -> str:
-        """Return what is violated by an error, in words; nothing if it is within the tolerance."""
+        """Return what is violated by an error; empty if it is within the tolerance."""
         if 0.0 < self.position < abs(position):
             return (
                 f"{abs(position):.4g} {unit} from its reference, "

@@ -152,7 +152,7 @@ class Receiver:
 
     @property
     def reason(self) -> str:
-        """Why nothing may be sent, in words; empty if something may."""
+        """Why nothing may be sent; empty if something may."""
         if self._refusal:
             return self._refusal
         if not self._endpoints:
@@ -269,7 +269,7 @@ class Rounds:
             self.deadline_ns = due_ns
 
     def _is_another(self, joint: int, stamp_ns: int, before: int | None) -> bool:
-        """Tell whether a command is of another round than the present one."""
+        """Return whether a command is of another round than the present one."""
         if self.stamp_ns is None or stamp_ns > self.stamp_ns:
             return True
         if stamp_ns == self.stamp_ns:
@@ -346,7 +346,7 @@ class CommandMerger:
     they come in time. A joint that is silent for longer than its timeout gets its fallback; one
     that comes back is faded in from there, and nothing that is not finite is ever sent.
 
-    All times are of one steady clock, in [ns]. Whoever calls it sends what it returns at once.
+    All times are of one steady clock, in [ns]. The caller it sends what it returns at once.
     """
 
     def __init__(self, settings: MergerSettings) -> None:
@@ -458,7 +458,7 @@ class CommandMerger:
                 self._fades[index] = _Fade(now_ns, effort)
 
     def _is_by_another(self, index: int, stamp_ns: int, effort: float) -> bool:
-        """Tell whether a command does not continue the joint's last one.
+        """Return whether a command does not continue the joint's last one.
 
         One controller answers each state once, in their order; it repeats itself, and leaves
         with an effort of zero. Commands without stamps say nothing about their order.
@@ -485,7 +485,7 @@ class CommandMerger:
         return self.has_begun
 
     def _forgive(self, now_ns: int) -> None:
-        """Be patient anew after having stood still: nobody could be heard meanwhile.
+        """Be patient again after having stood still: nobody could be heard meanwhile.
 
         Only once until a joint commands again: a machine that is always late hides no silence.
         """

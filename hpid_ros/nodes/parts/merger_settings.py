@@ -148,7 +148,7 @@ class GroupOutput:
             self._counter.destroy()
 
     def forget(self) -> None:
-        """Begin anew: there is nothing that a zero would have to end."""
+        """Start again: there is nothing that a zero would have to end."""
         self.has_sent = False
 
 

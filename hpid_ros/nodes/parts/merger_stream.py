@@ -28,7 +28,7 @@ from hpid_ros.nodes.parts.merger_settings import GroupOutput
 
 _LOOK_EVERY = 0.05  # [s]
 _LOOK_AGAIN = 0.002  # [s], while nobody knows whose a subscription is
-_NAMED_WITHIN = 0.5  # [s]; then it is taken for the receiver's, which is asked anew
+_NAMED_WITHIN = 0.5  # [s]; then it is taken for the receiver's, which is asked again
 _NAMELESS = "_NODE_NAME_UNKNOWN_"  # of rmw, before a node has told which subscriptions it has
 _ANSWER_WITHIN = 1.0  # [s]; then it is asked again
 _ASKED = ("joints", "interface_name")
