@@ -63,7 +63,7 @@ class ControllerSummary:
 class Samples:
     """What came of one joint since the last look; times in [s] of the control clock.
 
-    The clock starts again (0) with the first state that is seen, and again when its stamps go back.
+    The clock starts again (0) with the first state seen, and when its stamps go back.
     """
 
     # [rad] time, position, velocity [rad/s] (nan where states have none), shape (N, 3)
