@@ -11,7 +11,7 @@ from typing import Any
 from nicegui import ui
 
 from hpid_ros.base.errors import HpidError
-from hpid_ros.control.parameters import LOOP_PARAMETERS, PARAMETERS, ParameterSpec
+from hpid_ros.control.parameters import LOOP_PARAMETERS, ParameterSpec
 from hpid_ros.live.advice import Advice
 from hpid_ros.live.session import LiveSession
 from hpid_ros.live.tuning import BANDWIDTH, GAINS, SLIDERS, Range, slider_range
@@ -182,13 +182,6 @@ class Knob:
         except HpidError as error:
             ui.notify(str(error), type="negative")
         self._edited()
-
-
-def unit_of(name: str, *, is_slide: bool) -> str:
-    """Return the unit of a parameter, from its description."""
-    text = PARAMETERS[name].description
-    unit = text.rpartition("[")[2].partition("]")[0] if "[" in text else ""
-    return unit.replace("rad", "m").replace("N m", "N") if is_slide else unit
 
 
 _APART = {*SLIDERS, "joint", "law"}  # with controls of their own, or not to be changed

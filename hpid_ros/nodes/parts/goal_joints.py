@@ -200,11 +200,6 @@ class GroupStates:
             self.now_ns = stamp_ns
         return taken
 
-    @property
-    def are_complete(self) -> bool:
-        """Whether every joint has a state."""
-        return None not in self.stamps_ns
-
     def lack(self) -> str:
         """Return which joint has no state, or an old one; empty if all are there."""
         for joint, stamp_ns in zip(self._joints, self.stamps_ns, strict=True):
