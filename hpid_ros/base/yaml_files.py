@@ -40,7 +40,7 @@ class Document(NamedTuple):
 
     values: Any  # the merged document, without EXTENDS
     text: str  # the file as it stands where it extends nothing, else the merged document as YAML
-    files: tuple[Path, ...]  # the file, then what it extends, then what that extends,
+    files: tuple[Path, ...]  # the file, then what it extends, and so on
     path: Path  # the file, as it was named
     origins: Mapping[str, Path]  # the file that each entry comes from, by the entry's dotted place
 

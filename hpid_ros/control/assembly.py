@@ -61,7 +61,7 @@ def observer_figures(settings: LoopSettings) -> ObserverFigures | None:
 
 
 def feedforward_figures(settings: LoopSettings) -> FeedforwardFigures:
-    """Return what is fed forward. With a model trajectories' efforts are not: it has them too."""
+    """Return what is fed forward. With a model, planned efforts are not: it contains them."""
     wanted = settings.feedforward
     return FeedforwardFigures(
         settings.inertia if wanted.inertia < 0.0 else wanted.inertia,

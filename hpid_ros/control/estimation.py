@@ -9,7 +9,7 @@ from hpid_ros.control.settings import LoopSettings
 from hpid_ros.control.velocity import FilteredVelocity, MeasuredVelocity, Observer, VelocitySource
 
 MOVED_AT_ZERO = 0.05
-"""A joint that has come so far without a velocity has a driver that measures none, in [rad]."""
+"""Distance [rad] after which velocities that are all 0 are taken not to be measured."""
 
 
 class Estimation:
@@ -42,11 +42,13 @@ class Estimation:
         """Forget the past."""
         self._source.reset()
         self.position = self.velocity = 0.0
-        self._off = self._off_for = 0.0  # a former observer's distance, and how long it fades
+        self._off = self._off_for = (
+            0.0  # [rad] left of a former observer's distance, [s] to fade it
+        )
         self._fed = 0.0  # effort of the last sample against the observer's disturbance, in [N m]
 
     def restart(self) -> None:
-        """Forget the past of the velocity, not the one of the efforts."""
+        """Forget the velocity's past; the effort fed forward stays."""
         self._source.reset()
         self._off = 0.0
 
@@ -83,7 +85,7 @@ class Estimation:
             self._source.take_over(position, self.velocity)
 
     def refeed(self, gain: float) -> float:
-        """Return how much less is fed forward with the settings of now, in [N m]."""
+        """Compute the fed effort again with these settings; return the decrease in [N m]."""
         before, self._fed = self._fed, 0.0
         return before - (self.feed(gain) if self.feeds_disturbance else 0.0)
 

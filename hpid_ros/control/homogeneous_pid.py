@@ -45,9 +45,9 @@ class Gains:
 def is_hurwitz(gains: Gains, inertia: float = 1.0) -> bool:
     """Return whether the linear PID stabilises a joint of this inertia.
 
-    The loop on ``m e'' = -u + p`` is ``m s^3 + kd s^2 + kp s + ki``; by Routh and Hurwitz it is
-    stable if and only if the gains are positive and ``kp kd > m ki``. Without integral action
-    the loop is of second order and positive ``kp`` and ``kd`` suffice.
+    The loop on ``m e'' = -u + w`` (w the load) is ``m s^3 + kd s^2 + kp s + ki``; by Routh and
+    Hurwitz it is stable if and only if the gains are positive and ``kp kd > m ki``. Without
+    integral action the loop is of second order and positive ``kp`` and ``kd`` suffice.
     """
     return gains.p > 0.0 and gains.d > 0.0 and gains.p * gains.d > inertia * gains.i
 
@@ -160,9 +160,9 @@ class HomogeneousPid(Pid):
     Args:
         gains: The gains of the PID that it upgrades.
         norm: A homogeneous norm; its degree is the law's.
-        norm_floor: The norm is not let below this, see
+        norm_floor: Lower bound of the norm, see
             :func:`~hpid_ros.control.norms.norm_floor`. Zero gives the paper's law exactly.
-        norm_cap: The norm is not let above this.
+        norm_cap: Upper bound of the norm.
 
     Raises:
         NormError: The floor is negative or not below the cap.
@@ -190,12 +190,12 @@ class HomogeneousPid(Pid):
 
     @property
     def norm_floor(self) -> float:
-        """The least value that the norm is let to."""
+        """Lower bound of the norm."""
         return self._floor
 
     @property
     def norm_cap(self) -> float:
-        """The largest value that the norm is let to."""
+        """Upper bound of the norm."""
         return self._cap
 
     def multiplier(self, error: float, error_rate: float) -> float:
@@ -259,7 +259,7 @@ class SemiImplicitHomogeneousPid(HomogeneousPid):
     sampling, and stays stable where T kd lam / m is not small: worth its while from about
     T = 5 ms. At degree zero it is the PID by backward Euler.
 
-    Source: backward Euler of the paper's law, equation (8), on m e'' = -u + p.
+    Source: backward Euler of the paper's law, equation (8), on m e'' = -u + w, w the load.
     """
 
     __slots__ = ("inertia",)

@@ -43,16 +43,16 @@ class LoopCounts:
     repeats: int = 0  # states with the stamp of the one before
     resets: int = 0  # states older than the one before: the clock went back
     gaps: int = 0  # states later than state_timeout after the one before
-    silences: int = 0  # times in which the fallback effort was given for want of states
+    silences: int = 0  # times in which no state came for longer than state_timeout
     takeovers: int = 0
-    jumps: int = 0  # rejected states whose position no joint can have come to since the last one
+    jumps: int = 0  # states rejected because no joint can have moved that far
     missed: int = 0  # states that must have been lost, by the stamps and control_period
     saturated: int = 0  # samples whose effort was limited
     rejected: int = 0
 
 
 _NO_MODEL = ModelTerm(1.0, 0.0)
-_LATE = 1.5  # control periods between two states: there was none in between
+_LATE = 1.5  # control periods between two states; beyond it at least one was lost
 
 
 class LoopClock:
@@ -450,7 +450,7 @@ class JointLoop:
         return forward.update(stamp_ns, following.velocity, following.acceleration, planned)
 
     def _hand_over(self, change: float, stamp_ns: int) -> None:
-        """Let the effort stay what it is although what is fed forward changes, in [N m]."""
+        """Keep the effort continuous although the feedforward changes by so much, in [N m]."""
         left = self._law.give_up(change)
         if left:
             self._feedforward.keep(-left, stamp_ns, self._takeover_time)
@@ -463,8 +463,8 @@ class JointLoop:
             reason: What is wrong with it.
 
         Returns:
-            ``fallback_effort``, within the effort limits, in [N m]; for a repeat the effort in
-            force.
+            ``fallback_effort``, within the effort limits, in [N m]; for a repeat the active
+            effort.
         """
         clock = self._clock
         if stamp_ns in (clock.stamp_ns, clock.unusable_ns):
@@ -493,7 +493,7 @@ class JointLoop:
         return self._law.effort
 
     def _interrupt(self, dt: float) -> None:
-        """Begin, start again after a clock that went back, or be without time after a gap."""
+        """Handle a first state, a clock that went back (reset), or a gap (takeover)."""
         if dt < 0.0:
             self.last_fault = f"the stamp went back by {-dt:g} s"
             self.counts.resets += 1
@@ -573,7 +573,7 @@ class JointLoop:
             return False
         if law.relay is not None:
             self._drop_relay("the joint was taken over anew")
-            law.give(law.effort)  # what the relay gave is in no term
+            law.give(law.effort)  # the relay's share is in none of the law's terms
         self._estimation.restart()
         following.take_over(stamp_ns, position, self._takeover_time)
         return True
@@ -585,7 +585,7 @@ class JointLoop:
 
     @property
     def effort(self) -> float:
-        """The effort of the last sample in [N m]."""
+        """The active effort: what was given last, in [N m]."""
         return self._law.effort
 
     @property
@@ -615,7 +615,7 @@ class JointLoop:
 
     @property
     def stamp_ns(self) -> int | None:
-        """Stamp of the last state in [ns]; None before the first one."""
+        """Stamp of the last usable state in [ns]; None before the first one."""
         return self._clock.stamp_ns
 
     @property

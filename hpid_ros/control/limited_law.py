@@ -25,14 +25,14 @@ class ModelTerm(NamedTuple):
     the units of u: efforts where g is 1, accelerations where it is an inertia.
     """
 
-    gain: float  # [kg m^2] g, positive: 1, or what one unit of acceleration costs
+    gain: float  # [kg m^2] g > 0: an inertia where u is an acceleration; 1 where it is an effort
     effort: float  # [N m] the model's own effort
     # whether the reference's acceleration is added to the law's output
     follows_acceleration: bool = False
 
 
 class LimitedLaw:
-    """What one joint's settings make of an error, a model's term included."""
+    """The law of one joint with model term, relay, limits and anti-windup."""
 
     __slots__ = (
         "_ahead",
@@ -126,7 +126,7 @@ class LimitedLaw:
         self._offset -= effort
 
     def give_up(self, effort: float) -> float:
-        """Let the integral term give less, for what gives so much more from now on."""
+        """Reduce the integral by an effort added elsewhere; return what it could not take."""
         before = self._law.integral
         if self._has_integral:
             least, most = self._integral_clamp
@@ -135,7 +135,7 @@ class LimitedLaw:
         return effort + self._gain * (self._law.integral - before)
 
     def give(self, effort: float) -> None:
-        """Note the effort that is active for another reason than the law's last sample."""
+        """Note an effort that was given, but not computed by the law."""
         self.effort, self._is_given = effort, True
 
     def reset(self) -> None:
@@ -152,7 +152,7 @@ class LimitedLaw:
         *,
         is_still_damped: bool,
     ) -> None:
-        """Start again with the active effort: the integral becomes what it needs."""
+        """Start again with the active effort, by choice of the integral."""
         law, (least, most) = self._law, self._clamp
         integral = self.effort
         if is_still_damped and not self._is_given:

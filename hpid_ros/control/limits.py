@@ -17,7 +17,7 @@ class LimitFigures(NamedTuple):
     lower: float  # [rad] lowest position; -inf for none
     upper: float  # [rad] highest position; inf for none
     velocity: float  # [rad/s] largest absolute velocity; inf for none
-    margin: float  # [rad] where effort towards a stop begins to fade, before it
+    margin: float  # [rad] distance before a stop within which effort towards it fades
     k_position: float  # [1/s] velocity allowed towards a stop for each rad of distance
     k_velocity: float  # [N m s/rad] braking effort for each rad/s beyond what is allowed
     rate: float  # [N m/s] largest change of the effort; inf for none
@@ -119,9 +119,9 @@ class MotionLimits:
 AntiWindup = Callable[[float, float, float, float, float, float], float]
 """``(before, after, error, wanted, limited, dt) -> integral``.
 
-``before`` and ``after`` are the integral before and after the law's own increment in [N m],
-``error`` is in [rad], ``wanted`` and ``limited`` are the effort before and after the limits in
-[N m], ``dt`` in [s]. The answer is the integral for the next sample in [N m].
+``before`` and ``after`` are the integral before and after the law's own increment, ``wanted`` and
+``limited`` the effort before and after the limits, all in the law's own units ([N m] without a
+model); ``error`` is in [rad], ``dt`` in [s]. The answer is the integral for the next sample.
 """
 
 

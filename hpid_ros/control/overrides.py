@@ -86,7 +86,7 @@ RAMP = 0.3
 """Time in which the relay takes over, and in which it gives back, in [s]."""
 
 LONGEST = 30.0
-"""No relay is active for longer, in [s], whoever asked for it and is gone."""
+"""Longest time of a relay in [s], even if whoever asked for it has gone."""
 
 DONE = "all cycles are done"
 """Why a relay gives back that has done what was asked."""
@@ -164,7 +164,7 @@ class Relay:
 
     @property
     def weight(self) -> float:
-        """w, of the last sample."""
+        """The weight w of the last sample."""
         return self._weight
 
     @property

@@ -141,7 +141,7 @@ class Motion(Protocol):
         """Whether it says which effort it needs."""
 
     def start(self, now_ns: int, position: float, velocity: float) -> Reference:
-        """Take over from where the reference stands, see ``trajectory.Column.start``."""
+        """Take over from where the reference stands; see ``Column.start``."""
 
     def is_under_way(self, now_ns: int) -> bool:
         """Return whether it began before an instant, so that taking it over would jump."""

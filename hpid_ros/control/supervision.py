@@ -1,4 +1,4 @@
-"""A joint loop among all that may interrupt it: silence, a stop, another effort, a freeze.
+"""A joint loop with its interruptions: missing states, a stop, another effort, a freeze.
 
 Without ROS, threads and clocks of its own: the caller says what time it is.
 """
@@ -14,7 +14,7 @@ from hpid_ros.control.joint_loop import JointLoop
 from hpid_ros.control.overrides import DampingStop
 
 LOOKS = 4.0
-"""Looks at the silence in one timeout."""
+"""Checks in one timeout."""
 _SHORTEST_PERIOD = 1e-3  # [s] between two looks
 
 
@@ -54,7 +54,7 @@ class Watchdog:
         return math.inf if timeout is None else max(timeout / LOOKS, _SHORTEST_PERIOD)
 
     def within(self, now_ns: int) -> float:
-        """Return the time in [s] until there may be a silence."""
+        """Return the time in [s] until the next check is due."""
         timeout = self.timeout  # another thread may change it
         if timeout is None:
             return math.inf

@@ -226,7 +226,7 @@ class Beginning:
 
     # what the kernel sends the child when its parent is gone, however that came about
     parting: signal.Signals
-    # schedule it as a batch job: it yields the processor to nobody by waking somebody
+    # schedule as batch: waking another process does not make it yield the processor
     is_batch: bool = False
 
     def __call__(self) -> None:

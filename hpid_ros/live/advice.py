@@ -55,7 +55,7 @@ class Advice:
     """What is known of one joint's settings."""
 
     interval: tuple[float, float] | None = None  # certified degrees
-    reason: str = ""  # why not
+    reason: str = ""  # why no degree is certified
     phase: float = math.nan  # [deg] phase margin where the multiplier is 1
     delay: float = math.nan  # [s] delay margin there
     sensitivity: float = math.nan  # largest |S| there

@@ -103,8 +103,8 @@ class RunningController:
     settings: LoopSettings  # active, within the limits of its robot
     limits: RobotLimits  # those of its robot, which are in the settings already
     introspection_rate: float  # [Hz] of its ~/reference
-    position: float | None  # [rad] where its joint is or [m]; None if nobody says so
-    effort: float | None  # [N m] its mean effort or [N]; None likewise
+    position: float | None  # [rad] or [m], where its joint is; None if nobody says so
+    effort: float | None  # [N m] or [N], its mean effort; None likewise
 
     @property
     def namespace(self) -> str:

@@ -33,7 +33,7 @@ class ControllerSummary:
     """A joint controller of this package on the graph."""
 
     node: str  # its full name
-    values: Mapping[str, Value]  # loop parameters active by name, every one of PARAMETERS
+    values: Mapping[str, Value]  # active loop parameters by name, all of PARAMETERS
     settings: LoopSettings  # those, within the limits of its robot
     limits: RobotLimits  # what its robot allows
     introspection_rate: float  # [Hz] of its ~/reference
@@ -66,10 +66,10 @@ class Samples:
     The clock starts again (0) with the first state seen, and when its stamps go back.
     """
 
-    # [rad] time, position, velocity [rad/s] (nan where states have none), shape (N, 3)
+    # time [s], position [rad], velocity [rad/s] (nan where states have none), (N, 3)
     states: Numbers
-    efforts: Numbers  # [N m] time, effort that was commanded, shape (M, 2)
-    references: Numbers  # time, position, velocity, of ~/reference, shape (K, 3)
+    efforts: Numbers  # time [s], commanded effort [N m], (M, 2)
+    references: Numbers  # time [s], position [rad], velocity [rad/s] of ~/reference, (K, 3)
     # whether the clock has gone back: what came before is of another time
     is_restarted: bool = False
 
@@ -121,15 +121,6 @@ class Graph(Protocol):
     def states_topic(self, node: str) -> str:
         """Return the full name of the topic that a controller takes its states from."""
 
-
-__all__ = [
-    "MORE_PARAMETERS",
-    "RunningGraph",
-    "StateOf",
-    "as_running",
-    "controller_summary",
-    "with_changes",
-]
 
 MORE_PARAMETERS = ("robot_description", "introspection_rate", "require_certificate")
 """What a joint controller has beside the parameters of its loop, as far as it is read."""

@@ -159,7 +159,7 @@ class Stage(Enum):
 
 
 class HeldMotion(Protocol):
-    """A motion that goes on while it is pressed; see ``experiment.live.held``."""
+    """A motion that goes on while it is pressed; see ``live.motion``."""
 
     bag: Path
 

@@ -227,7 +227,7 @@ class _Known(NamedTuple):
 
     layout: JointStateLayout
     numbers: struct.Struct
-    places: tuple[tuple[int, int], ...]  # among the joints that were asked for; in the message
+    places: tuple[tuple[int, int], ...]  # (place among the joints asked for, place in the message)
 
 
 class GroupReader:

@@ -61,7 +61,7 @@ class PlanarColumns(NamedTuple):
     """Poses of a base in the plane, as one topic tells them."""
 
     stamps_ns: NDArray[np.int64]  # [ns] ascending, (N,)
-    poses: Numbers  # [m] x, y [m] and heading [rad], which does not wrap, (N, 3)
+    poses: Numbers  # x [m], y [m], heading [rad] (not wrapped), (N, 3)
 
 
 def odometry_topics(bag: Path) -> list[str]:

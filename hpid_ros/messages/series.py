@@ -38,7 +38,7 @@ class StampQuality:
     count: int = 0  # samples that are used
     period: float = 0.0  # [s] median time between two of them; zero for fewer than two
     begin: float = 0.0  # [s] first stamp, in seconds since the first state of any joint
-    end: float = 0.0  # last stamp, likewise
+    end: float = 0.0  # [s] last stamp, likewise
     gaps: int = 0  # intervals longer than 1.5 periods
     lost: int = 0  # samples that would fill the gaps, no more than the whole time has room for
     gap_time: float = 0.0  # [s] sum of the gaps

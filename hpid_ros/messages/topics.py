@@ -78,10 +78,10 @@ _NEITHER_STATES_NOR_COMMANDS = ("reference", "terms")
 class ReferenceTopics(NamedTuple):
     """Topics that say what the joints were to follow."""
 
-    trajectory: tuple[str, ...] = ()  # jointTrajectory
-    setpoint: Mapping[str, str] = {}  # float64, by joint
-    sampled: tuple[str, ...] = ()  # jointState with sampled references
-    controller_state: tuple[str, ...] = ()  # jointTrajectoryControllerState with references
+    trajectory: tuple[str, ...] = ()  # JointTrajectory
+    setpoint: Mapping[str, str] = {}  # Float64, by joint
+    sampled: tuple[str, ...] = ()  # JointState with sampled references
+    controller_state: tuple[str, ...] = ()  # JointTrajectoryControllerState with references
 
 
 NO_REFERENCES = ReferenceTopics()

@@ -195,7 +195,7 @@ class Spectrum(NamedTuple):
     """A one-sided power spectral density."""
 
     frequency: Numbers  # [Hz] increasing from zero, (K,)
-    density: Numbers  # [Hz] in the signal's unit squared over, (K,)
+    density: Numbers  # the signal's unit squared per Hz, (K,)
     ends_at_half_rate: bool  # whether the last frequency is half the sampling rate
 
 
@@ -338,7 +338,7 @@ class Step(NamedTuple):
 
     first: int  # the first sample at the new reference
     stop: int  # the first sample after the hold
-    start: float  # [rad] what is left
+    start: float  # [rad] the reference before the step
     goal: float  # [rad] the new reference
 
     @property
@@ -352,7 +352,7 @@ class StepResponse(NamedTuple):
 
     rise_time: float  # [s] from 10 % to 90 % of the height; infinite if 90 % is never reached
     settling_time: float  # [s] from the step until the joint stays within 2 % of the height
-    overshoot: float  # [%] largest excursion beyond the goal of the height
+    overshoot: float  # [% of the height] largest excursion beyond the goal
     steady_state_error: float  # [rad] magnitude of the mean error over the last tenth of the hold
 
 

@@ -43,12 +43,7 @@ from hpid_ros.metrics.indices import (
 )
 from hpid_ros.metrics.quantities import (
     CHATTER,
-    EFFORT_L2,
-    ERROR_L2,
-    IAVC,
     INDICES,
-    ITAE,
-    IVC,
     NORMS,
     QUANTITIES,
     STEP_QUANTITIES,
@@ -306,26 +301,6 @@ def _for_json(values: Mapping[str, float]) -> dict[str, float | None]:
         if not math.isnan(value)
     }
 
-
-__all__ = [
-    "EFFORT_L2",
-    "ERROR_L2",
-    "IAVC",
-    "INDICES",
-    "ITAE",
-    "IVC",
-    "NORMS",
-    "IndexSettings",
-    "JointIndices",
-    "Quantity",
-    "RunIndices",
-    "integral_of_absolute",
-    "itae",
-    "joint_indices",
-    "l2_norm",
-    "run_indices",
-    "total_variation",
-]
 
 DEFAULT_CUTOFF = 20.0
 """Above what motions of an arm hold and below what its drives follow, in [Hz]."""

@@ -368,7 +368,7 @@ class PlannedJoint:
     effort: float  # [N m] what that needs beside the load, by its inertia
     crest_factor: float  # of its velocity
     tolerance: float  # [rad] how far it may be from its reference
-    velocity_stop: float  # [rad/s] it is stopped when it is faster
+    velocity_stop: float  # [rad/s] above which it is stopped
     notes: tuple[str, ...] = ()  # what was assumed
 
 

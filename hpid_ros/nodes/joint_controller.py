@@ -218,7 +218,7 @@ class JointController(ManagedNode):
         self._introspection.sample(sample.stamp_ns, self._loop)
 
     def _begun(self) -> None:
-        """Look for silences from the first state on; from a usable one on all is active."""
+        """Look for silences from the first state; the first usable one completes the start."""
         self._watchdog.watch(self._loop.settings.timing.state_timeout)
         if self._loop.stamp_ns is not None:
             self.destroy_timer(self._readiness)

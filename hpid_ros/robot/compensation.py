@@ -338,7 +338,7 @@ class State(Protocol):
 class _Solved(NamedTuple):
     """The equations of motion at one state, ready for every joint."""
 
-    factor: Numbers  # cholesky factor of the mass matrix
+    factor: Numbers  # Cholesky factor of the mass matrix
     bias: Numbers  # [N m]
     efforts: Numbers  # [N m]
 

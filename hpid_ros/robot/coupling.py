@@ -37,7 +37,7 @@ _PLANAR = 3  # velocities of a planar root: forward, sideways, turning, in its o
 class Equations(NamedTuple):
     r"""Equations of motion :math:`M \ddot q + h = u` at one state."""
 
-    mass: Numbers  # [kg m^2] m, (n, n)
+    mass: Numbers  # [kg m^2] M, (n, n)
     bias: Numbers  # [N m] h: Coriolis, centrifugal, gravity and viscous friction, (n,)
 
 

@@ -79,10 +79,10 @@ class JointDescription:
     child: str  # name of the child link
     lower: float = -math.inf  # [rad] lowest position; -inf where there is none
     upper: float = math.inf  # [rad] highest position; +inf where there is none
-    effort: float = math.inf  # [N m] largest absolute effort or [N]; +inf where there is none
+    effort: float = math.inf  # [N m] or [N], largest absolute; +inf where there is none
     velocity: float = math.inf  # [rad/s] largest absolute velocity; +inf where there is none
     damping: float = 0.0  # [N m s/rad] viscous friction
-    friction: float = 0.0  # [N m] Coulomb friction or [N]
+    friction: float = 0.0  # [N m] or [N], Coulomb friction
     rotor_inertia: float = 0.0  # [kg m^2] inertia of the motor's rotor about its own axis
     gear_ratio: float = 1.0  # turns of the rotor for one turn of the joint; 1 without a gear
 

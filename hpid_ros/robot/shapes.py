@@ -33,7 +33,7 @@ class Body(NamedTuple):
     """A solid as it is drawn."""
 
     form: str  # box, sphere, cylinder (along its z) or mesh
-    size: tuple[float, ...]  # [m] edges of a box
+    size: tuple[float, ...]  # [m] a box's edges; a sphere's radius; a cylinder's radius, length
     color: Vector = PLAIN  # red, green and blue, each in [0, 1]
     mesh: Path | None = None  # file of a mesh
 

@@ -103,7 +103,7 @@ class BaseReport(NamedTuple):
     pose: PlanarPose  # where the base is by its wheels, from where it stood at time 0
     covariance: PlanarCovariance  # of the pose
     twist: BaseTwist  # by the wheels, its mean since the report before
-    twist_variance: tuple[float, float]  # [m^2/s^2] of the linear and the angular rate [rad^2/s^2]
+    twist_variance: tuple[float, float]  # of the linear [m^2/s^2] and the angular rate [rad^2/s^2]
     slip: Slip  # of the wheels up to now
 
 
@@ -197,10 +197,10 @@ class OdometryValues(NamedTuple):
     """Pose of a base in its frame ``odom`` and twist in its own frame (REP 105)."""
 
     pose: Pose  # of the base
-    # [m^2] of x, y, z and the rotations about them, row by row, 36 numbers, [m rad] and [rad^2]
+    # of x, y, z and the rotations about them, row by row, 36 numbers, in [m^2], [m rad], [rad^2]
     pose_covariance: tuple[float, ...]
     twist: Twist  # of the base
-    twist_covariance: tuple[float, ...]  # likewise, a second less
+    twist_covariance: tuple[float, ...]  # likewise, of the twist: the same units per s^2
 
 
 def wheel_odometry(report: BaseReport) -> OdometryValues:

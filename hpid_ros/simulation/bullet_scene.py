@@ -383,10 +383,10 @@ class Scene:
     """A loaded robot, in Bullet's numbers."""
 
     body: int  # the robot
-    driven: tuple[int, ...]  # bullet's indices of the driven joints, in the settings' order
-    links: Mapping[str, int]  # bullet's index of every link; -1 is the root
+    driven: tuple[int, ...]  # Bullet's indices of the driven joints, in the settings' order
+    links: Mapping[str, int]  # Bullet's index of every link; -1 is the root
     payload: int | None  # index of the payload link; None where the robot has none
-    # [kg] mass and moments in [kg m^2] of the bare payload link
+    # mass [kg] and moments of inertia [kg m^2] of the bare payload link
     payload_own: tuple[float, tuple[float, float, float]]
     bricks: tuple[int, ...] = ()  # the bricks, in the settings' order
 

@@ -191,7 +191,7 @@ class CertifiedSpan:
     inertia: float  # [kg m^2] what one unit of effort accelerates
     # the law's norm at each degree, from the span's lower end to its upper one
     norms: tuple[Norm, ...]
-    # [rad] the symmetric 3x3 matrix P on (e, de/dt [rad/s], (p - I)/inertia [rad/s^2])
+    # symmetric 3x3 matrix P on (e [rad], de/dt [rad/s], (p - I)/inertia [rad/s^2])
     shape: Matrix
     rate: float  # [1/s] how fast the field enters the sphere x'Px = 1 where it does so slowest
 

@@ -62,7 +62,7 @@ class HeldEffort(NamedTuple):
 class SampledJoint:
     """A joint behind a zero-order hold."""
 
-    inertia: float  # [kg m^2] j, what one unit of effort accelerates
+    inertia: float  # [kg m^2] J, what one unit of effort accelerates
     period: float  # [s] control period T
     friction: float = 0.0  # [N m s/rad] viscous friction b
     delay: float = 0.0  # [s]
@@ -299,7 +299,7 @@ class FrozenLoop:
 
     @cached_property
     def gains(self) -> Gains:
-        """The gains active at this multiplier."""
+        """The gains at this multiplier."""
         own, factor = self.settings.gains, self.multiplier
         return Gains(own.p * factor**2, own.i * factor**3, own.d * factor)
 

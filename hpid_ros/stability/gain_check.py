@@ -22,18 +22,6 @@ from hpid_ros.stability.closed_loop import Certificate, DegreeInterval
 from hpid_ros.stability.degrees import Loop, certified_degrees
 from hpid_ros.stability.verdict import certify_degree, verify_certificate
 
-__all__ = [
-    "GOOD_SAMPLING_MARGIN",
-    "LARGEST_SAMPLING_MARGIN",
-    "LARGEST_SAMPLING_MARGIN_LATE",
-    "MultiplierRange",
-    "decay_time",
-    "gain_multiplier_range",
-    "integral_ratio",
-    "sampling_margin",
-    "settling_time_bound",
-]
-
 LARGEST_SAMPLING_MARGIN, LARGEST_SAMPLING_MARGIN_LATE = 2.0, 0.85
 """T kd lam / m at which the sampled loop breaks, and where a sample is answered one period late,
 as over a topic."""
@@ -163,7 +151,7 @@ class GainVerdict:
     reason: str  # why it is not; empty when it is
     interval: tuple[float, float] | None  # certified degrees, or None when there are none
     integral_ratio: float  # rho = m ki / (kp kd) at the largest inertia
-    sampling_margin: float  # t kd lam_max / m at the least inertia
+    sampling_margin: float  # T kd lam_max / m at the least inertia
     multipliers: tuple[float, float]  # least and largest factor of the bandwidth, up to norm 2
     # [s] time after which an error of norm.error_scale has certainly come down to a hundredth
     settling_bound: float | None

@@ -47,9 +47,9 @@ class Margins:
     phase: float  # [rad] phase that may be lost or gained at a crossover
     delay: float  # [s] further dead time that it bears
     disk: float  # alpha, the balanced disk margin, in (0, 2]
-    sensitivity: float  # ms, the peak of |S|
+    sensitivity: float  # Ms, the peak of |S|
     sensitivity_at: float  # [rad/s] where that is
-    complementary: float  # mt, the peak of |T|
+    complementary: float  # Mt, the peak of |T|
     complementary_at: float  # [rad/s] where that is
     crossover: float  # [rad/s] the highest frequency at which its gain is one; 0 for none
     bandwidth: float  # [rad/s] the first frequency at which |T| has fallen by 3 dB

@@ -3,13 +3,11 @@
 A linear PID is stable if and only if its gains are Hurwitz. The homogeneous PID with the same
 gains is stable for degrees close to zero; how close is what a certificate says.
 
-Nothing of the search is used: the field comes from the law's definition and the norms
-themselves, in physical units, on points that were chosen without them: a circle in the plane of
-error and rate, carried by the dilation from the sphere's rim to its pole, and a second look with
-small steps around the worst of them.
-
-What the search accepts was seen on a fine grid; :mod:`hpid_ros.stability.verdict`
-proves the same statement again on another one.
+The search (:class:`CertificateSearch`) accepts what holds on a fine grid. The check
+(:func:`check_certificate`) proves the same statement again and shares neither code nor points with
+it: the field comes from the law's definition and the norms themselves, in physical units, on a
+circle in the plane of error and rate, carried by the dilation from the sphere's rim to its pole,
+and a second time with small steps around the worst of them.
 """
 
 from __future__ import annotations
@@ -60,7 +58,7 @@ class Margins(NamedTuple):
 
 
 def check_certificate(certificate: Certificate) -> Margins:
-    """Check a certificate again and return its least margins; see ``stability``."""
+    """Check a certificate on points of its own, and return its least margins."""
     margins = []
     for span in certificate.spans:
         _require_shape(span)
@@ -403,16 +401,6 @@ class CertificateSearch:
         return [SphereGrid(self._effective, self.norm(degree), *size) for degree in degrees]
 
 
-__all__ = [
-    "Certificate",
-    "DegreeInterval",
-    "certified_degree_interval",
-    "certify_degree",
-    "require_certifiable",
-    "verify_certificate",
-]
-
-
 def certified_degree_interval(
     gains: Gains,
     norm_of_degree: Callable[[float], Norm],
@@ -453,8 +441,6 @@ def certify_degree(
     gains: Gains, norm: Norm, inertia: float | tuple[float, float] = 1.0
 ) -> Certificate:
     """Return a certificate of one degree, its decay made as fast as the search can."""
-    from hpid_ros.stability.closed_loop import require_known_norm
-
     require_known_norm(norm)
     spans = [
         CertificateSearch(gains, each, lambda degree: norm, norm.degree).at(norm.degree)

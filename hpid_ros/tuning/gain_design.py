@@ -31,7 +31,7 @@ class RobustnessMargins(NamedTuple):
     gain_reduction: float  # factor to which it may fall
     phase: float  # [rad] phase that may be lost at the crossover
     delay: float  # [s] delay that may be added
-    sensitivity: float  # ms, the largest magnitude of the sensitivity function
+    sensitivity: float  # Ms, the largest magnitude of the sensitivity function
     crossover: float  # [rad/s] where the loop's gain is one
 
 

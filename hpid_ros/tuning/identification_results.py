@@ -93,12 +93,12 @@ class JointIdentification:
     time: float = 0.0  # [s] time that they stand for
     stribeck_speed: float = 0.0  # [rad/s] speed at which Stribeck friction has fallen to 1/e
     residual: float = 0.0  # [N m] root mean square of what is not explained
-    explained: float = 0.0  # share of the effort's variance that is
+    explained: float = 0.0  # share of the effort's variance that is explained
     condition: float = 0.0  # condition number of the scaled columns
     travel: float = 0.0  # [rad] how far the joint moved between its ends
     speed: float = 0.0  # [rad/s] largest speed
     acceleration: float = 0.0  # [rad/s^2] largest acceleration
-    effort_limit: float = math.inf  # [N m] what acts of a larger command
+    effort_limit: float = math.inf  # [N m] largest that the drive gives; inf if not seen
     fit: Fit | None = None  # to draw
 
     @property

@@ -83,11 +83,11 @@ class JointRecord:
     """What is known of one joint."""
 
     joint: str  # its name
-    time: Numbers  # [s] when it was where, strictly increasing, (N,)
+    time: Numbers  # [s] of the positions, strictly increasing, (N,)
     position: Numbers  # [rad] where it was, (N,); in [m] where it slides
     # [s] when its efforts were commanded or measured, strictly increasing, (M,)
     effort_time: Numbers
-    effort: Numbers  # [N m] these, (M,); in [N] where it slides
+    effort: Numbers  # [N m] the efforts, (M,); [N] where it slides
     reference: Numbers = field(default_factory=lambda: np.empty(0))
     is_held: bool = True  # each effort acts until the next one comes, as a command does
 

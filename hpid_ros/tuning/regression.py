@@ -122,7 +122,7 @@ def _convolved(
 class Motion(NamedTuple):
     """A joint's motion at R rows, from either half of its samples."""
 
-    # [rad] positions, velocities and accelerations, (2, 3, R), [rad/s] and [rad/s^2]
+    # positions [rad], velocities [rad/s], accelerations [rad/s^2], (2, 3, R)
     halves: Numbers
     sign: Numbers  # direction of its motion, smoothed, (R,); 1 or -1 but around a reversal
     slow: Numbers  # which share of a row's weight lies where the direction is in doubt, (R,)
@@ -292,7 +292,7 @@ class Terms(NamedTuple):
     rigid: Numbers | None  # effort of the rigid bodies for either half, (2, R); None if unknown
     static: Numbers | None  # what they need at rest, (R,), without the noise of accelerations
     reference: Numbers  # what the reference and friction did, (B, R)
-    # [rad/s] returns the smoothed column of Stribeck friction, (R,), for its speed
+    # smoothed column of Stribeck friction, (R,), for a Stribeck speed [rad/s]
     stribeck: Callable[[float], Numbers]
     spin: Numbers | None = None  # effort that rotors need beside their inertia, (R,)
 
@@ -327,7 +327,7 @@ class Terms(NamedTuple):
 class Model(NamedTuple):
     """Which terms an equation has."""
 
-    has_coulomb: bool = True  # it knows both directions
+    has_coulomb: bool = True  # Coulomb friction: the joint moved in both directions
     has_gravity: bool = False  # sine and cosine of the position
     has_delay: bool = True  # what is left of the delay is sought, too
     has_scale: bool = False  # the rigid bodies' effort has a coefficient

@@ -80,7 +80,7 @@ class JointRecord:
     commands: Sequence[RecordedCommand]
     instructions: Sequence[Instruction]  # what the controller was told
     begin_ns: int  # [ns] stamp from which times are counted
-    is_slide: bool = False  # [N] whether the joint slides: its efforts are
+    is_slide: bool = False  # whether the joint slides: its efforts are in [N]
 
 
 class Difference(NamedTuple):
@@ -111,7 +111,7 @@ class JointVerdict:
     foreign: int = 0  # commands by somebody else than who sent the first
     senders: tuple[str, ...] = ()  # who sent commands, as far as they say
     notes: tuple[str, ...] = ()  # what had to be assumed
-    is_slide: bool = False  # [N] whether the joint slides: its efforts are
+    is_slide: bool = False  # whether the joint slides: its efforts are in [N]
     is_begun_before: bool = False  # whether the controller ran before the recording began
 
     @property

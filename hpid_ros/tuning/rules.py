@@ -15,9 +15,9 @@ from hpid_ros.control.homogeneous_pid import Gains
 
 
 class SeriesPid(NamedTuple):
-    """A PID in series form, c(s) = gain (1 + 1 / (integral_time s)) (derivative_time s + 1)."""
+    """A PID in series form, C(s) = gain (1 + 1 / (integral_time s)) (derivative_time s + 1)."""
 
-    gain: float  # [N m/rad] kc
+    gain: float  # [N m/rad] Kc
     integral_time: float  # [s] tau_I
     derivative_time: float  # [s] tau_D
 

@@ -148,8 +148,8 @@ def effort_scale(candidates: Sequence[Candidate]) -> float:
     total = sum(p * p * each.mean_square_error * each.states for p, each in known)
     if total == 0.0:
         raise SettingError(
-            "goal balanced takes the norm's scale in N m from a recording in which joints move under "
-            "the PID, with a proportional gain: give --bag, or one in which they do"
+            "goal balanced takes the norm's scale in N m from a recording under the PID, with a "
+            "proportional gain and joints that move: give --bag, or one with more of a motion"
         )
     return float(f"{math.sqrt(total / states):.3g}")
 

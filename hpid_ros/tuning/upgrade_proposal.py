@@ -420,7 +420,7 @@ class _NoiseSearch(NamedTuple):
     facts: JointFacts  # what is tried next
     low: float  # [rad] noise with too little variation
     high: float  # [rad] noise with too much
-    best: JointFacts | None = None  # what came closest and within what is near; None so far
+    best: JointFacts | None = None  # what came closest, if close enough; None if nothing has
     off: float = _CLOSE_ENOUGH  # by how much, as a share
 
     @classmethod

@@ -169,7 +169,6 @@ def _add_robot(group: Any) -> None:
 
 def sources_of(options: argparse.Namespace) -> list[Source]:
     """Return what is to be read, the baseline first if it was named by a path."""
-    from hpid_ros.base.errors import SettingError
     from hpid_ros.base.names import require_label
     from hpid_ros.metrics.measure import Source, expanded
 
@@ -236,7 +235,6 @@ def _reference(text: str) -> Reference:
 
 
 def _effort_limits(texts: Sequence[str]) -> dict[str, float]:
-    from hpid_ros.base.errors import SettingError
     from hpid_ros.metrics.measure import ALL_JOINTS
 
     limits: dict[str, float] = {}
@@ -255,8 +253,6 @@ def _task_frame(options: argparse.Namespace) -> TaskFrame | None:
     """Return the robot that the options name; None without one."""
     if options.robot is None:
         if options.end_effector is not None or options.wheels is not None:
-            from hpid_ros.base.errors import SettingError
-
             raise SettingError("--end-effector and --wheels need --robot URDF")
         return None
     from hpid_ros.base.files import find_resource
@@ -422,7 +418,6 @@ def add(commands: Any) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Read, compute, compare, and leave what was asked for."""
-    from hpid_ros.base.errors import SettingError, unknown_name
     from hpid_ros.metrics.compare import summary
     from hpid_ros.metrics.measure import measure_all
     from hpid_ros.metrics.quantities import ANGLE_UNITS, find_quantities
@@ -461,7 +456,6 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _print(options: argparse.Namespace, found: Summary) -> None:
-    from hpid_ros.base.errors import SettingError
     from hpid_ros.report.export import FORMATS
 
     try:

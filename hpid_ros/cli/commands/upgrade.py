@@ -462,7 +462,6 @@ def _simulated(
     recorded: Sequence[JointSeries],
     told: Console,
 ) -> Comparison:
-    from dataclasses import replace
 
     from hpid_ros.tuning.prediction import predict
 

@@ -22,6 +22,7 @@ from rclpy.subscription import Subscription
 
 from hpid_ros.base.errors import HpidError, MessageError, unknown_name
 from hpid_ros.control.parameters import PARAMETERS, Value
+from hpid_ros.live.controllers import RunningGraph
 from hpid_ros.live.graph import (
     MORE_PARAMETERS,
     SILENT_AFTER,
@@ -29,7 +30,6 @@ from hpid_ros.live.graph import (
     Change,
     ControllerSummary,
     Health,
-    RunningGraph,
     Samples,
     StateOf,
     as_running,
@@ -213,7 +213,7 @@ class _Known(ControllerRecord):
     """A controller that has been found."""
 
     topics: ControllerTopics  # where its samples come from
-    is_settled: bool = False  # whether the graph has told all of these since it came
+    is_settled: bool = False  # whether the graph has named all these topics
 
 
 class LiveGraph:

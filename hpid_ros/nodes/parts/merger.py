@@ -34,7 +34,7 @@ class MergedJoint:
 
     name: str  # the joint
     timeout: float = 0.1  # [s] it is silent when no usable command has come for longer than this
-    fallback: float = 0.0  # [N m] effort that it is sent while it is silent or [N]
+    fallback: float = 0.0  # [N m] or [N], effort that it is sent while silent
     # whether the merger starts without a command of this joint, at its fallback
     may_be_missing: bool = False
 
@@ -315,7 +315,7 @@ class Merged(NamedTuple):
     """One command for all joints."""
 
     stamp_ns: int  # [ns] stamp of the newest state that it answers
-    efforts: tuple[float, ...]  # [N m] in the order of the joints or [N]; all are finite
+    efforts: tuple[float, ...]  # [N m] or [N], in the order of the joints, all finite
 
 
 @dataclass
@@ -335,7 +335,7 @@ class _Fade(NamedTuple):
     """How a joint comes back."""
 
     began_ns: int  # since when
-    effort: float  # [N m] from where or [N]
+    effort: float  # [N m] or [N], effort that the fade starts from
 
 
 class CommandMerger:

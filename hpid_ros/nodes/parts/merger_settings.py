@@ -169,7 +169,7 @@ class MergerParameters:
     fade_in_time: float  # [s] likewise
     timeout: float  # [s] of joints that have none of their own
     timeouts: dict[str, float]  # [s] by joint
-    fallbacks: dict[str, float]  # [N m] by joint or [N]
+    fallbacks: dict[str, float]  # [N m] or [N], by joint
 
     def settings(self, order: Sequence[str]) -> MergerSettings:
         """Return the settings of a merger."""
