@@ -35,6 +35,8 @@ _POINTS = 1200
 _POINTS_A_TURN = 32  # of the phase that a delay turns up to the Nyquist frequency
 _ZOOMS, _ZOOM_POINTS = 4, 33
 _NEWTON_STEPS, _STEP, _TOLERANCE = 30, 1e-6, 1e-12
+_INSIDE, _RESOLUTION = 1e-4, 1e-9  # of a delay margin
+_DELAYS = 32  # that are tried where no crossing is found, or not the first
 _HALF_POWER = math.sqrt(0.5)
 
 
@@ -194,20 +196,51 @@ def _peak(
 
 def _delay_margin(loop: FrozenLoop, crossovers: list[float], spare: list[float]) -> float:
     """Return the least dead time beyond the loop's own at which 1 + L = 0, in [s]."""
-    return min(
-        (_solved(loop, w, phase / w) for w, phase in zip(crossovers, spare, strict=True)),
-        default=math.inf,
-    )
+    if not crossovers:
+        return math.inf
+    starts = [(w, phase / w) for w, phase in zip(crossovers, spare, strict=True)]
+    found = [late for late in (_solved(loop, *each) for each in starts) if late is not None]
+    least = min(found or (late for _, late in starts))
+    is_least = len(found) == len(starts) and _bears(loop, (1.0 - _INSIDE) * least)
+    return least if is_least else _searched(loop, least)
 
 
-def _solved(loop: FrozenLoop, frequency: float, late: float) -> float:
-    """Improve a frequency and a dead time until the loop passes through -1, by Newton steps.
+def _bears(loop: FrozenLoop, late: float) -> bool:
+    return loop.with_delay(loop.joint.delay + late).is_stable
+
+
+def _searched(loop: FrozenLoop, guess: float) -> float:
+    """Return the least dead time that the loop does not bear, near a guess or before it, in [s].
+
+    A fraction of a period changes the gain at the Nyquist frequency, too: a loop may leave
+    stability there, where no crossover was without that dead time.
+    """
+    while _bears(loop, guess):
+        guess *= 1.0 + 1.0 / _DELAYS
+        if guess > MOST_PERIODS_LATE * loop.joint.period:
+            return guess
+    low = 0.0
+    for late in np.linspace(0.0, guess, _DELAYS + 1)[1:].tolist():
+        if not _bears(loop, late):
+            guess = late
+            break
+        low = late
+    while guess - low > _RESOLUTION * guess:
+        middle = 0.5 * (low + guess)
+        if _bears(loop, middle):
+            low = middle
+        else:
+            guess = middle
+    return low
+
+
+def _solved(loop: FrozenLoop, frequency: float, late: float) -> float | None:
+    """Improve a frequency and a dead time until the loop passes through -1; None if it does not.
 
     A continuous loop would have the start for its answer; the hold makes its gain depend on the
     fraction of the period, by little.
     """
     own, nyquist = loop.joint.delay, loop.joint.nyquist
-    begin = late
 
     def off(w: float, delay: float) -> complex:
         return cmath.log(-complex(loop.with_delay(own + delay).response(np.array([w]))[0]))
@@ -223,12 +256,12 @@ def _solved(loop: FrozenLoop, frequency: float, late: float) -> float:
         try:
             step_w, step_t = np.linalg.solve(jacobian, (-here.real, -here.imag))
         except np.linalg.LinAlgError:
-            return begin
+            return None
         frequency = min(frequency + float(step_w), nyquist)
         late += float(step_t)
         if not (frequency > 0.0 and late > 0.0 and math.isfinite(late)):
-            return begin
-    return late
+            return None
+    return None
 
 
 MOST_PERIODS_LATE = 200

@@ -86,6 +86,22 @@ def test_dead_time_may_grow_by_the_delay_margin_and_no_further(loop):
     assert not loop.with_delay(own + found.delay * (1.0 + NEAR)).is_stable
 
 
+def test_a_dead_time_that_costs_stability_at_the_nyquist_frequency_counts():
+    """No crossover is there without it: a fraction of the period changes the gain, too."""
+    period = 0.0191
+    gains = {"gains.p": 100.0, "gains.i": 0.0, "gains.d": 30.0, "inertia": 1.0}
+    settings = LoopSettings.from_parameters(
+        {"joint": "elbow", "law": "pid", "control_period": period, "state_timeout": 1.0, **gains}
+        | {"velocity_source": "measured"}
+    )
+    joint = SampledJoint(1.0, period, 10.0, 0.5 * period)
+    loop = FrozenLoop(settings, joint, multiplier=2.0)
+    found = margins_of(loop)
+    assert found.delay < 0.8 * found.phase / found.crossover
+    late = [loop.with_delay(joint.delay + share * found.delay) for share in (1 - NEAR, 1 + NEAR)]
+    assert [each.is_stable for each in late] == [True, False]
+
+
 def python_control_loop(loop):
     """Return the open loop of an explicit PID with a filtered velocity, by python-control."""
     gains, joint, tau = loop.gains, loop.joint, loop.settings.velocity.filter_time_constant
