@@ -1,9 +1,18 @@
 """The site, by ``make docs``. Every warning is an error: a dead link, an unknown name."""
 
 import re
+import sys
 from pathlib import Path
 
+from docutils import nodes
+from docutils.statemachine import StringList
+from sphinx.util.docutils import SphinxDirective
+
 import hpid_ros
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+import declared
 
 project = "hpid_ros"
 author = "The hpid_ros developers"
@@ -32,7 +41,22 @@ LINK = re.compile(r"\[(?P<text>[^]]+)\]\((?P<target>[^)#:]+)(?:#[^)]*)?\)")
 
 def setup(app):
     """Let pages of the site be read in the repository, too."""
+    app.add_directive("declared", Declared)
     app.connect("source-read", without_links_outside)
+
+
+class Declared(SphinxDirective):
+    """A table of :mod:`declared`; its content is for who reads the page in the repository."""
+
+    required_arguments = 1
+    has_content = True
+
+    def run(self):
+        """Return the table."""
+        box = nodes.container()
+        lines = declared.markdown(self.arguments[0])
+        self.state.nested_parse(StringList(lines, self.get_source_info()[0]), 0, box)
+        return box.children
 
 
 def without_links_outside(app, page, source):

@@ -4,54 +4,42 @@ import importlib.util
 import inspect
 import pydoc
 import re
+from itertools import chain
 
 import numpy as np
 import pytest
 from harness.places import ROOT
 
-from hpid_ros.control import LOOP_PARAMETERS
 from hpid_ros.nodes.parts.bridge import OVER_THE_FILE
-from hpid_ros.nodes.parts.goals import FIXED_PARAMETERS, GOAL_PARAMETERS, joint_parameters
 
+
+def module_at(path):
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+tables = module_at(ROOT / "docs" / "declared.py")
+PAGES = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").rglob("*.md"))]
 INTERFACES = (ROOT / "docs" / "interfaces.md").read_text()
 
 
-def row_of(section, spec):
-    """Return default, range and meaning of a parameter, as a section's table has them."""
-    lines = INTERFACES.partition(f"## {section}\n")[2].partition("\n## ")[0].splitlines()
-    (row,) = [line for line in lines if line.startswith(f"| `{spec.name}` |")]
-    return tuple(cell.strip() for cell in row.split("|")[2:5])
+def tables_of(page):
+    """Return the names of the tables that a page has in place of this text on the site."""
+    return re.findall(r"^```\{declared\} (\S+)$", page, re.MULTILINE)
 
 
-@pytest.mark.parametrize("spec", LOOP_PARAMETERS.values(), ids=lambda spec: spec.name)
-def test_every_parameter_is_documented_as_it_is(spec):
-    default, allowed, meaning = row_of("joint_controller", spec)
-    assert meaning == spec.description
-    if isinstance(spec.default, float):
-        assert float(default) == spec.default
-        assert [float(each) for each in allowed.split(" to ")] == [spec.minimum, spec.maximum]
-    elif spec.choices:
-        assert default == spec.default
-        assert re.findall(r"`(\w+)`", allowed) == list(spec.choices)
+def test_every_declared_table_stands_in_one_page():
+    pages = [page.read_text() for page in PAGES]
+    assert sorted(name for page in pages for name in tables_of(page)) == sorted(tables.TABLES)
 
 
-GOALS = (*GOAL_PARAMETERS, *FIXED_PARAMETERS, *joint_parameters("JOINT"))
-
-
-@pytest.mark.parametrize("spec", GOALS, ids=lambda spec: spec.name)
-def test_every_parameter_of_goals_is_documented_as_it_is(spec):
-    row = shown(spec.default), range_of(spec), spec.description
-    assert row_of("follow_joint_trajectory", spec) == row
-
-
-def shown(value):
-    return f"{value:g}" if type(value) is float else str(value).lower()
-
-
-def range_of(spec):
-    if isinstance(spec.default, float):
-        return f"{spec.minimum:g} to {spec.maximum:g}".replace("0 to inf", "from 0")
-    return ", ".join(f"`{each}`" for each in spec.choices or ("true", "false"))
+@pytest.mark.parametrize("name", tables.TABLES)
+def test_a_declared_table_has_a_meaning_for_each_name(name):
+    rows = list(tables.TABLES[name]())
+    assert len({row[0] for row in rows}) == len(rows) > 0
+    assert all(row[3] and "|" not in "".join(row) for row in rows)
 
 
 OFFERED = re.findall(r"auto(?:class|function):: (\S+)", (ROOT / "docs" / "api.md").read_text())
@@ -82,10 +70,8 @@ def test_every_other_parameter_of_a_node_is_documented():
         declared |= set(re.findall(pattern, path.read_text()))
     declared |= set(OVER_THE_FILE)
     assert {"command_interface", "bag", "mode", "command_timeout", "seed"} <= declared
-    assert not {name for name in declared if f"`{name}`" not in INTERFACES}
-
-
-PAGES = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").rglob("*.md"))]
+    page = "\n".join([INTERFACES, *chain(*map(tables.markdown, tables_of(INTERFACES)))])
+    assert not {name for name in declared if f"`{name}`" not in page}
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
@@ -119,21 +105,6 @@ def test_every_page_is_in_the_sites_contents():
     assert {page for page in pages if not re.search(rf"^{page}$", index, re.MULTILINE)} == set()
 
 
-def tool_named(name):
-    spec = importlib.util.spec_from_file_location(name, ROOT / "tools" / f"{name}.py")
-    tool = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(tool)
-    return tool
-
-
-def test_the_tables_of_experiment_files_are_what_the_package_declares():
-    name = "make_experiment_tables"
-    tool = tool_named(name)
-    text = tool.PAGE.read_text()
-    assert {match["name"] for match in tool.BLOCK.finditer(text)} == set(tool.TABLES)
-    assert tool.page(text) == text, f"python tools/{name}.py writes it"
-
-
 def exact_time_of_the_pid(level):
     """Return when max(|e|, |de/dt|) stays below a level, from e = 1, de/dt = 0.
 
@@ -147,7 +118,7 @@ def exact_time_of_the_pid(level):
 
 def test_the_theorys_times_of_the_pid_are_the_exact_ones():
     exact = [exact_time_of_the_pid(10.0**-k) for k in (2, 4, 6, 8, 1, 3, 6)]
-    tool = tool_named("draw_theory")
+    tool = module_at(ROOT / "tools" / "draw_theory.py")
     near = tool.transient(0.0, 1.0, 30.0, 1e-12)
     found = [tool.last_above(*near, 10.0**-k) for k in (2, 4, 6, 8)]
     for start in (1e1, 1e3, 1e6):
