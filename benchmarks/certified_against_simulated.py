@@ -29,7 +29,7 @@ from scipy.integrate import solve_ivp
 
 from hpid_ros.base.errors import GainError, NormError
 from hpid_ros.control import CanonicalNorm, Gains, WeightedNorm
-from hpid_ros.control.parameters import NormType
+from hpid_ros.control.norms import NormType
 from hpid_ros.control.settings import NormSettings
 from hpid_ros.stability.closed_loop import Norm
 from hpid_ros.stability.gain_check import integral_ratio

@@ -18,7 +18,7 @@ from hpid_ros.control import (
     Pid,
     WeightedNorm,
 )
-from hpid_ros.control.parameters import NormType
+from hpid_ros.control.norms import NormType
 from hpid_ros.control.settings import (
     EffortLimits,
     EncoderSettings,

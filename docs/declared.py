@@ -6,8 +6,9 @@ from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 from typing import Any
 
+from hpid_ros.base.records import ParameterSpec
 from hpid_ros.base.schema import table
-from hpid_ros.control.parameters import LOOP_PARAMETERS, MODEL_PARAMETERS, ParameterSpec
+from hpid_ros.control.settings import LOOP_PARAMETERS, MODEL_PARAMETERS
 from hpid_ros.motion.references import BrickTask, Oscillations, PathSection, Waypoints
 from hpid_ros.nodes.parts.goals import FIXED_PARAMETERS, GOAL_PARAMETERS, joint_parameters
 from hpid_ros.robot.amendments import RobotSection
@@ -44,8 +45,8 @@ def keys(*sections: tuple[Any, str]) -> Iterator[Row]:
 TABLES: dict[str, Callable[[], Iterable[Row]]] = {
     "loop": partial(parameters, *LOOP_PARAMETERS.values()),
     "model": partial(parameters, *MODEL_PARAMETERS.values()),
-    "goals": partial(parameters, *GOAL_PARAMETERS, *joint_parameters("JOINT")),
-    "goals-fixed": partial(parameters, *FIXED_PARAMETERS),
+    "goals": partial(parameters, *GOAL_PARAMETERS.values(), *joint_parameters("JOINT").values()),
+    "goals-fixed": partial(parameters, *FIXED_PARAMETERS.values()),
     "robot": partial(keys, (RobotSection, "robot.")),
     "control": partial(keys, (ControlSection, "control."), (PhysicsSection, "simulation.")),
     "sensors": partial(keys, (Sensor, "sensors."), (MeasuredSection, "sensors.")),

@@ -1,8 +1,9 @@
-"""Records: what a section of a file may say, declared once as a frozen dataclass.
+"""Records: values that belong together, each declared once in a frozen dataclass.
 
 A field declares its meaning, unit, range and default. From that come the checks of a record that
-is made in Python, the reading of a section, the way back into a file, and in :mod:`.descriptions`
-the JSON Schema with which editors complete and check files, and the tables of the documentation.
+is made in Python, the reading of a section of a file, the way back into a file, the parameters of
+a node, and in :mod:`.schema` the JSON Schema with which editors complete and check files, and the
+tables of the documentation.
 
 A library would be the better choice, were there one: of those that do all this, pydantic has
 another interface on PyPI than in the Ubuntu of Jazzy, and msgspec and cattrs have no rosdep key.
@@ -13,9 +14,20 @@ from __future__ import annotations
 import math
 import types
 from collections.abc import Mapping, Sequence
-from dataclasses import MISSING, Field, dataclass, field, fields
+from dataclasses import MISSING, Field, dataclass, field, fields, replace
 from functools import cache
-from typing import Any, NamedTuple, TypeVar, Union, cast, get_args, get_origin, get_type_hints
+from operator import attrgetter
+from typing import (
+    Any,
+    Literal,
+    NamedTuple,
+    TypeVar,
+    Union,
+    cast,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
 from hpid_ros.base.errors import HpidError, SettingError, unknown_name
 
@@ -46,6 +58,13 @@ class Bounds(NamedTuple):
             if math.isfinite(bound)
         ]
         return " and ".join(words) or "finite"
+
+    @property
+    def rule(self) -> str:
+        """What follows "must" in a message."""
+        if math.isfinite(self.least + self.most):
+            return f"lie in [{self.least:g}, {self.most:g}]"
+        return f"be {self}"
 
     def schema(self) -> dict[str, float]:
         """Return them as JSON Schema."""
@@ -85,57 +104,21 @@ class Section:
             raise self.error(f"{self.place(key)} is missing")
         return default
 
-    def number(
-        self,
-        key: str,
-        default: Any = _MISSING,
-        *,
-        above: float = -math.inf,
-        least: float = -math.inf,
-        most: float = math.inf,
-        bounds: Bounds | None = None,
-    ) -> float:
-        """Return a finite number."""
-        value = self.take(key, default)
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            raise self.error(f"{self.place(key)} must be a number, not {shown(value)}")
-        bounds = bounds or Bounds(above, least, most)
-        if not bounds.hold(value):
-            raise self.error(f"{self.place(key)} must be {bounds}, not {value}")
-        return float(value)
+    def number(self, key: str, default: Any = _MISSING, **bounds: float) -> float:
+        """Return a finite number; for its bounds see :class:`Bounds`."""
+        return _number(self.take(key, default), Bounds(**bounds), self.place(key), self.error)
 
-    def whole(
-        self,
-        key: str,
-        default: Any = _MISSING,
-        *,
-        least: float = -math.inf,
-        most: float = 2**62,
-        bounds: Bounds | None = None,
-    ) -> int:
-        """Return a whole number in a range."""
-        value = self.take(key, default)
-        bounds = bounds or Bounds(least=least, most=most)
-        whole = isinstance(value, int) and not isinstance(value, bool)
-        if not (whole and bounds.hold(value)):
-            raise self.error(
-                f"{self.place(key)} must be a whole number{_inserted(bounds)}, not {shown(value)}"
-            )
-        return int(value)
+    def whole(self, key: str, default: Any = _MISSING, **bounds: float) -> int:
+        """Return a whole number; for its bounds see :class:`Bounds`."""
+        return _whole(self.take(key, default), Bounds(**bounds), self.place(key), self.error)
 
     def text(self, key: str, default: Any = _MISSING) -> str:
         """Return a text that is not empty."""
-        value = self.take(key, default)
-        if not isinstance(value, str) or not value:
-            raise self.error(f"{self.place(key)} must be a text, not {shown(value)}")
-        return value
+        return _text(self.take(key, default), self.place(key), self.error)
 
     def flag(self, key: str, default: Any = _MISSING) -> bool:
         """Return true or false."""
-        value = self.take(key, default)
-        if not isinstance(value, bool):
-            raise self.error(f"{self.place(key)} must be true or false, not {shown(value)}")
-        return value
+        return _flag(self.take(key, default), self.place(key), self.error)
 
     def section(self, key: str, default: Any = _MISSING) -> Section:
         """Return a mapping inside this one."""
@@ -160,10 +143,44 @@ class Section:
                 )
 
 
-def _inserted(bounds: Bounds) -> str:
-    """Return bounds as part of a sentence; nothing where there are none."""
-    text = str(bounds if bounds.most < 2**62 else bounds._replace(most=math.inf))
-    return "" if text == "finite" else f", {text}"
+def _number(value: Any, bounds: Bounds, place: str, error: type[HpidError]) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise error(f"{place} must be a number, not {shown(value)}")
+    if not bounds.hold(value):
+        raise error(f"{place} must {bounds.rule}, not {value}")
+    return float(value)
+
+
+_LARGEST_WHOLE = 2**62
+
+
+def _whole(value: Any, bounds: Bounds, place: str, error: type[HpidError]) -> int:
+    is_whole = isinstance(value, int) and not isinstance(value, bool)
+    if not (is_whole and bounds.hold(value) and value <= _LARGEST_WHOLE):
+        range_ = "" if bounds == ANY else f", {bounds}"
+        raise error(f"{place} must be a whole number{range_}, not {shown(value)}")
+    return int(value)
+
+
+def _flag(value: Any, place: str, error: type[HpidError]) -> bool:
+    if not isinstance(value, bool):
+        raise error(f"{place} must be true or false, not {shown(value)}")
+    return value
+
+
+def _text(
+    value: Any,
+    place: str,
+    error: type[HpidError],
+    choices: Sequence[str] = (),
+    *,
+    may_be_empty: bool = False,
+) -> str:
+    is_text = isinstance(value, str) and bool(value or may_be_empty)
+    if not is_text or (choices and value not in choices):
+        allowed = f"one of {', '.join(choices)}" if choices else "a text"
+        raise error(f"{place} must be {allowed}, not {shown(value)}")
+    return cast(str, value)
 
 
 def shown(value: object) -> str:
@@ -188,6 +205,13 @@ class FieldSpec:
     key: str = ""  # its name in a file, where that is no name in Python
     # whether a file has a mapping by name, whose keys are the name of each record
     names: bool = False
+    # the ends of a slider in a parameter client, each of them allowed and sensible
+    slider: tuple[float, float] | None = None
+
+    @property
+    def description(self) -> str:
+        """The meaning, with the unit in brackets."""
+        return f"{self.meaning} [{self.unit}]" if self.unit else self.meaning
 
 
 def quantity(
@@ -203,26 +227,40 @@ def quantity(
     choices: Sequence[str] = (),
     key: str = "",
     names: bool = False,
+    slider: tuple[float, float] | None = None,
 ) -> Any:
     """Declare a field of a :class:`Record`; see :class:`FieldSpec` and :class:`.Bounds`."""
     bounds = Bounds(above, least, most, below)
-    metadata = {_KEY: FieldSpec(meaning, unit, bounds, tuple(choices), key, names)}
+    metadata = {_KEY: FieldSpec(meaning, unit, bounds, tuple(choices), key, names, slider)}
     return field(default=default, default_factory=factory, metadata=metadata)
+
+
+def group(kind: Any) -> Any:
+    """Declare a field that holds some of a record's parameters, a record itself."""
+    return field(default_factory=kind, metadata={_KEY: FieldSpec("")})
 
 
 class Record:
     """A frozen dataclass all of whose fields are declared by :func:`quantity`.
 
-    A field is a bool, a number, a text, another record, a tuple of such (``tuple[float, float,
-    float]``, ``tuple[Brick, ...]``), a mapping by name, a union of a number and a mapping, or one
-    of these or None. Values become what their field is declared to be.
+    A field is a bool, a number, a text, one of some texts (``Literal``), another record, a tuple
+    of such (``tuple[float, float, float]``, ``tuple[Brick, ...]``), a mapping by name, a union of
+    a number and a mapping, or one of these or None. Values become what their field is declared to
+    be.
     """
+
+    _prefix = ""
+
+    def __init_subclass__(cls, prefix: str = "", **options: Any) -> None:
+        """Note what the names of the parameters begin with, for instance ``norm.``."""
+        super().__init_subclass__(**options)
+        cls._prefix = prefix
 
     def __post_init__(self) -> None:
         for each in record_fields(type(self)):
             value = getattr(self, each.name)
             if value is not None or not each.is_optional:
-                value = _converted(value, each, each.name, SettingError)
+                value = _converted(value, each, each.key, SettingError)
                 object.__setattr__(self, each.name, value)
 
 
@@ -261,8 +299,10 @@ def _fields_of(kind: Any) -> tuple[RecordField, ...]:
     for each in fields(kind):
         what: FieldSpec = each.metadata[_KEY]
         inner, is_optional = _without_none(hints[each.name])
+        if get_origin(inner) is Literal:
+            inner, what = str, replace(what, choices=get_args(inner))
         is_needed = each.default is MISSING and each.default_factory is MISSING
-        key = what.key or each.name
+        key = what.key or f"{kind._prefix}{each.name}"
         found.append(RecordField(each.name, key, inner, is_optional, is_needed, what, each))
     return tuple(found)
 
@@ -357,6 +397,98 @@ def to_mapping(record: Record) -> dict[str, Any]:
     }
 
 
+class ParameterSpec(NamedTuple):
+    """A value of a record, or of a group in it, under a name of its own."""
+
+    name: str  # as in ROS
+    path: str  # of the attribute, from the record
+    field: RecordField
+
+    @property
+    def default(self) -> Any:
+        """Its default; None where it has none."""
+        return self.field.default
+
+    @property
+    def description(self) -> str:
+        """What it is, with the unit in brackets."""
+        return self.field.quantity.description
+
+    @property
+    def minimum(self) -> float:
+        """Least allowed number; -inf where there is none."""
+        return self.field.quantity.bounds.least
+
+    @property
+    def maximum(self) -> float:
+        """Largest allowed number; inf where there is none."""
+        return self.field.quantity.bounds.most
+
+    @property
+    def choices(self) -> tuple[str, ...]:
+        """Allowed texts; any if empty."""
+        return self.field.quantity.choices
+
+    @property
+    def slider(self) -> tuple[float, float] | None:
+        """The ends of a slider in a parameter client, each of them allowed and sensible."""
+        return self.field.quantity.slider
+
+    def checked(self, value: object) -> Any:
+        """Return the value in the parameter's type."""
+        if value is None and self.field.is_optional:
+            return None
+        return _converted(value, self.field, self.name, SettingError)
+
+
+def parameters_of(kind: type[Record]) -> Mapping[str, ParameterSpec]:
+    """Return the parameters of a record by name, those of its groups too, in their order."""
+    return _parameters(cast(Any, kind))
+
+
+@cache
+def _parameters(kind: Any) -> Mapping[str, ParameterSpec]:
+    found = {}
+    for each in record_fields(kind):
+        if is_record(each.kind):
+            for name, spec in parameters_of(each.kind).items():
+                found[name] = spec._replace(path=f"{each.name}.{spec.path}")
+        else:
+            found[each.key] = ParameterSpec(each.key, each.name, each)
+    return found
+
+
+def to_parameters(record: Record) -> dict[str, Any]:
+    """Return the values of a record's parameters by name."""
+    return {name: get(record) for name, get in _getters(cast(Any, type(record)))}
+
+
+@cache
+def _getters(kind: Any) -> Sequence[tuple[str, Any]]:
+    return [(name, attrgetter(spec.path)) for name, spec in parameters_of(kind).items()]
+
+
+def from_parameters(kind: type[AnyRecord], values: Mapping[str, object]) -> AnyRecord:
+    """Return the record with these values of its parameters; what is left out has its default."""
+    known = parameters_of(kind)
+    for name in values:
+        if name not in known:
+            raise SettingError(unknown_name("parameter", name, known))
+    return cast(AnyRecord, _assembled(kind, values))
+
+
+def _assembled(kind: Any, values: Mapping[str, object]) -> Any:
+    arguments = {}
+    for each in record_fields(kind):
+        if is_record(each.kind):
+            arguments[each.name] = _assembled(each.kind, values)
+        elif each.key in values:
+            arguments[each.name] = ParameterSpec(each.key, each.name, each).checked(
+                values[each.key]
+            )
+    return kind(**arguments)
+
+
 def _without_none(hint: Any) -> tuple[Any, bool]:
     """Return a type without None, and whether None was one of its choices."""
     if get_origin(hint) not in (Union, types.UnionType):
@@ -366,11 +498,20 @@ def _without_none(hint: Any) -> tuple[Any, bool]:
 
 
 def _converted(value: Any, each: RecordField, place: str, error: type[HpidError]) -> Any:
-    return _as(each.kind, value, each.quantity, place, error)
+    """Return a value as its field is declared; a text may be empty if its default is."""
+    may_be_empty = each.kind is str and each.declared.default == ""
+    return _as(each.kind, value, each.quantity, place, error, may_be_empty=may_be_empty)
 
 
-def _as(kind: Any, value: Any, what: FieldSpec, place: str, error: type[HpidError]) -> Any:
-    """Return a value as what its field is declared to be."""
+def _as(
+    kind: Any,
+    value: Any,
+    what: FieldSpec,
+    place: str,
+    error: type[HpidError],
+    *,
+    may_be_empty: bool = False,
+) -> Any:
     if kind is object or (is_record(kind) and isinstance(value, kind)):
         return value
     origin = get_origin(kind)
@@ -387,17 +528,13 @@ def _as(kind: Any, value: Any, what: FieldSpec, place: str, error: type[HpidErro
         }
     if is_record(kind):
         return from_mapping(kind, value, place, error)
-    checked = Section({place: value}, "", error)
     if kind is bool:
-        return checked.flag(place)
+        return _flag(value, place, error)
     if kind is int:
-        return checked.whole(place, bounds=what.bounds)
+        return _whole(value, what.bounds, place, error)
     if kind is float:
-        return checked.number(place, bounds=what.bounds)
-    text = checked.text(place)
-    if what.choices and text not in what.choices:
-        raise error(f"{place}: {unknown_name(place.rpartition('.')[2], text, what.choices)}")
-    return text
+        return _number(value, what.bounds, place, error)
+    return _text(value, place, error, what.choices, may_be_empty=may_be_empty)
 
 
 def _chosen(kinds: tuple[Any, ...], value: Any) -> Any:

@@ -26,7 +26,7 @@ def json_schema(kind: type[Record]) -> dict[str, Any]:
     schema: dict[str, Any] = {
         "type": "object",
         "description": _summary(kind),
-        "properties": {key: _schema(each) for key, each in named.items()},
+        "properties": {key: field_schema(each) for key, each in named.items()},
         "additionalProperties": False,
     }
     needed = [key for key, each in named.items() if each.is_needed and each.key != "name"]
@@ -75,12 +75,11 @@ def table(kind: type[Record], prefix: str = "") -> Iterator[TableRow]:
         inner, place = _inner(each.kind, each.quantity)
         if each.key == "name":  # stands for NAME in the other keys
             continue
-        unit = f" [{each.quantity.unit}]" if each.quantity.unit else ""
         bounds = ", ".join(each.quantity.choices)
         if each.quantity.bounds != ANY:
             bounds = str(each.quantity.bounds)
         default = "needed" if each.is_needed else _shown_default(each.default)
-        yield TableRow(f"{prefix}{each.key}", default, bounds, f"{each.quantity.meaning}{unit}")
+        yield TableRow(f"{prefix}{each.key}", default, bounds, each.quantity.description)
         if is_record(inner):
             yield from table(inner, f"{prefix}{each.key}{place}.")
 
@@ -103,13 +102,15 @@ def _shown_default(value: Any) -> str:
     return str(list(value)) if isinstance(value, tuple) else f"{value}"
 
 
-def _schema(each: RecordField) -> dict[str, Any]:
+def field_schema(each: RecordField) -> dict[str, Any]:
+    """Return the JSON Schema of one value."""
     what = each.quantity
-    unit = f" [{what.unit}]" if what.unit else ""
     schema = _schema_of(each.kind, what)
     if each.is_optional and is_record(each.kind):
         schema = {"anyOf": [schema, {"const": OFF}]}
-    schema = {**schema, "description": f"{what.meaning}{unit}"}
+    schema = {**schema, "description": what.description}
+    if each.kind is str and not what.choices and (each.is_needed or each.default != ""):
+        schema["minLength"] = 1
     if not each.is_needed and isinstance(each.default, bool | int | float | str):
         schema["default"] = each.default
     return schema
@@ -134,9 +135,7 @@ def _schema_of(kind: Any, what: FieldSpec) -> dict[str, Any]:
     if name is None:
         return {}
     if kind is str:
-        return {"type": name} | (
-            {"enum": list(what.choices)} if what.choices else {"minLength": 1}
-        )
+        return {"type": name} | ({"enum": list(what.choices)} if what.choices else {})
     return {"type": name} | ({} if kind is bool else what.bounds.schema())
 
 

@@ -7,9 +7,13 @@ import math
 from hpid_ros.control.homogeneous_pid import HomogeneousPid, Pid, SemiImplicitHomogeneousPid
 from hpid_ros.control.limits import AntiWindup, LimitFigures, MotionLimits, anti_windup
 from hpid_ros.control.norms import CanonicalNorm, WeightedNorm
-from hpid_ros.control.parameters import LARGEST_MOTION
 from hpid_ros.control.reference import FeedforwardFigures
-from hpid_ros.control.settings import EncoderSettings, LoopSettings, VelocitySettings
+from hpid_ros.control.settings import (
+    LARGEST_MOTION,
+    EncoderSettings,
+    LoopSettings,
+    VelocitySettings,
+)
 from hpid_ros.control.velocity import (
     FilteredVelocity,
     HomogeneousDifferentiator,

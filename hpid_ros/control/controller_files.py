@@ -11,8 +11,7 @@ from typing import Any, NamedTuple, Protocol
 from hpid_ros.base.errors import HpidError, SettingError, unknown_name
 from hpid_ros.base.names import ANYWHERE, NODE_PARAMETERS, node_sections
 from hpid_ros.base.yaml_files import load_yaml
-from hpid_ros.control.parameters import LOOP_PARAMETERS, PARAMETERS
-from hpid_ros.control.settings import LoopSettings
+from hpid_ros.control.settings import LOOP_PARAMETERS, PARAMETERS, LoopSettings
 
 
 class DescribedJoint(Protocol):

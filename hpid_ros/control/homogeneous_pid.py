@@ -9,14 +9,20 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 from hpid_ros.base.errors import GainError
+from hpid_ros.base.records import Record, quantity
 from hpid_ros.control.norms import WeightedNorm, require_floor
 
 
+def _gain(term: str, unit: str) -> Any:
+    text = f"{term} gain [{unit}]; error = reference - measurement, gains positive"
+    return quantity(text, default=0.0, least=0.0, most=1e6)
+
+
 @dataclass(frozen=True)
-class Gains:
+class Gains(Record, prefix="gains."):
     """Gains of a PID on error = reference - measurement; the linear ones and the homogeneous.
 
     Attributes:
@@ -28,9 +34,9 @@ class Gains:
         GainError: A gain is not finite or is negative.
     """
 
-    p: float
-    i: float
-    d: float
+    p: float = _gain("Proportional", "N m/rad")
+    i: float = _gain("Integral", "N m/(rad s)")
+    d: float = _gain("Derivative", "N m s/rad")
 
     def __post_init__(self) -> None:
         for name in ("p", "i", "d"):

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 from hpid_ros.base.errors import SettingError
 from hpid_ros.control.homogeneous_pid import Gains
-from hpid_ros.control.parameters import AntiWindupStrategy
+
+AntiWindupStrategy = Literal["none", "conditional_integration", "back_calculation"]
+"""What the integral does while the effort is limited, as in control_toolbox."""
 
 
 class LimitFigures(NamedTuple):

@@ -12,9 +12,9 @@ import math
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 from hpid_ros.base.errors import NormError
-from hpid_ros.control.parameters import NormType
 
 DEGREE_LIMIT = 0.5
 """Degrees lie strictly between minus and plus this."""
@@ -22,6 +22,9 @@ DEGREE_LIMIT = 0.5
 GOOD_SAMPLING_MARGIN = 0.25
 """T kd lam / m up to which sampling is not felt; see
 :func:`~hpid_ros.stability.gain_check.sampling_margin`."""
+
+NormType = Literal["weighted", "canonical"]
+"""The norms by name."""
 
 
 def require_degree(degree: float) -> None:

@@ -1,138 +1,60 @@
-"""The settings of a joint loop, checked as a whole.
+"""The settings of a joint loop and of its model: each parameter declared once, checked as a whole.
 
-A set of parameters by dotted name and a record of records are one thing in two shapes; the
-functions here turn one into the other without knowing a single parameter.
+A set of parameters by dotted name and a record of records are one thing in two shapes. From these
+records come a node's parameters, the keys of files, the JSON Schema and the tables of the docs.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields, is_dataclass, replace
-from functools import cache, cached_property
-from operator import attrgetter
-from typing import Any, NamedTuple, TypeVar, cast, get_type_hints
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Literal
 
-from hpid_ros.base.errors import SettingError, unknown_name
-from hpid_ros.control.homogeneous_pid import Gains, require_hurwitz
-from hpid_ros.control.norms import NormFamily, norm_floor, require_degree, require_floor
-from hpid_ros.control.parameters import (
-    LARGEST_MOTION,
-    PARAMETERS,
-    AntiWindupStrategy,
-    Compensation,
-    Discretization,
-    LawName,
-    NormType,
+from hpid_ros.base.errors import SettingError
+from hpid_ros.base.records import (
     ParameterSpec,
-    StateClock,
-    Value,
-    VelocitySourceName,
+    Record,
+    from_parameters,
+    group,
+    parameters_of,
+    quantity,
+    to_parameters,
 )
+from hpid_ros.control.homogeneous_pid import Gains, require_hurwitz
+from hpid_ros.control.limits import AntiWindupStrategy
+from hpid_ros.control.norms import NormFamily, NormType, norm_floor, require_degree, require_floor
+from hpid_ros.control.velocity import LARGEST_DEGREE, LEAST_DEGREE
 
-_KEY = "parameter"
+LawName = Literal["hpid", "pid"]
+"""The homogeneous PID, or the linear one."""
 
-AnyRecord = TypeVar("AnyRecord")
+Discretization = Literal["explicit", "semi_implicit"]
+"""Steps of the law, see :mod:`hpid_ros.control.homogeneous_pid`."""
 
+VelocitySourceName = Literal["measured", "filtered", "homogeneous_differentiator", "observer"]
+"""Where a velocity comes from, see :mod:`hpid_ros.control.estimation`."""
 
-def parameter(name: str) -> Any:
-    """Declare the field of a record that holds a parameter; its default is the table's."""
-    return field(default=PARAMETERS[name].default, metadata={_KEY: name})
+StateClock = Literal["wall", "simulated"]
+"""What stamps the states; a simulated clock can be paused."""
 
+Compensation = Literal["none", "gravity", "decoupling"]
+"""What of a model of the robot a loop's effort takes into account."""
 
-class ParameterRecord:
-    """A frozen dataclass whose fields are declared by :func:`parameter`, or are records."""
+LARGEST_EFFORT = 1e6
+LARGEST_NORM = 1e6
+LARGEST_MOTION = 1e6
+"""A position or velocity limit of this size is none."""
 
-    def __post_init__(self) -> None:
-        for name, spec in _layout(cast(Any, type(self))).leaves:
-            value = getattr(self, name)
-            checked = spec.checked(value)
-            if checked is not value:  # a whole number becomes a float
-                object.__setattr__(self, name, checked)
+LONGEST_TIMEOUT = 1.0
+"""No watchdog may be patient for longer than this, in [s]."""
 
-
-def from_values(kind: type[AnyRecord], values: Mapping[str, object]) -> AnyRecord:
-    """Return the record that holds a set of parameters."""
-    return cast(AnyRecord, _assembled(_layout(cast(Any, kind)), values))
-
-
-def to_values(record: object) -> dict[str, Value]:
-    """Return the parameters that a record holds, by dotted name, in the order of the tables."""
-    return {name: get(record) for name, get in _getters(cast(Any, type(record)))}
-
-
-def with_values(record: AnyRecord, changes: Mapping[str, object]) -> AnyRecord:
-    """Return a record with some of its parameters changed, checked again."""
-    paths = _paths(cast(Any, type(record)))
-    for name in changes:
-        if name not in paths:
-            raise SettingError(unknown_name("parameter", name, paths))
-    return _replaced(record, [(paths[name], value) for name, value in changes.items()])
+Value = str | float | bool
 
 
-_Path = tuple[str, ...]  # names of fields, from a record to a value
-
-
-class _Layout(NamedTuple):
-    """The fields of a record."""
-
-    kind: type  # the record
-    is_checking: bool  # whether it checks its parameters itself
-    # its fields that hold a parameter, and the parameter
-    leaves: tuple[tuple[str, ParameterSpec], ...]
-    groups: tuple[tuple[str, _Layout], ...]  # its fields that hold records, and their layout
-
-    def paths(self) -> Iterator[tuple[str, _Path]]:
-        """Yield each parameter and where it is."""
-        yield from ((spec.name, (own,)) for own, spec in self.leaves)
-        for group, layout in self.groups:
-            yield from ((name, (group, *path)) for name, path in layout.paths())
-
-
-@cache
-def _layout(kind: type, group: str = "") -> _Layout:
-    """Return the layout of a record; a field that names no parameter holds its namesake."""
-    prefix = f"{group}." if group else ""
-    hints = get_type_hints(kind)
-    leaves, groups = [], []
-    for each in fields(cast(Any, kind)):
-        if is_dataclass(hints[each.name]):
-            groups.append((each.name, _layout(hints[each.name], each.name)))
-        else:
-            name = each.metadata.get(_KEY, f"{prefix}{each.name}")
-            leaves.append((each.name, PARAMETERS[name]))
-    return _Layout(kind, issubclass(kind, ParameterRecord), tuple(leaves), tuple(groups))
-
-
-@cache
-def _paths(kind: type) -> Mapping[str, _Path]:
-    """Return where a record holds each of its parameters, in the order of the tables."""
-    found = dict(_layout(kind).paths())
-    return {name: found[name] for name in PARAMETERS if name in found}
-
-
-@cache
-def _getters(kind: type) -> Sequence[tuple[str, Callable[[object], Value]]]:
-    return [(name, attrgetter(".".join(path))) for name, path in _paths(kind).items()]
-
-
-def _assembled(layout: _Layout, values: Mapping[str, object]) -> object:
-    arguments: dict[str, object] = {
-        own: values.get(spec.name, spec.default) for own, spec in layout.leaves
-    }
-    if not layout.is_checking:
-        arguments = {own: spec.checked(arguments[own]) for own, spec in layout.leaves}
-    for group, inner in layout.groups:
-        arguments[group] = _assembled(inner, values)
-    return layout.kind(**arguments)
-
-
-def _replaced(record: AnyRecord, changes: Sequence[tuple[_Path, object]]) -> AnyRecord:
-    own = {path[0]: value for path, value in changes if len(path) == 1}
-    for group in {path[0] for path, _ in changes if len(path) > 1}:
-        within = [(path[1:], value) for path, value in changes if path[0] == group]
-        own[group] = _replaced(getattr(record, group), within)
-    return cast(AnyRecord, replace(cast(Any, record), **own))
+def _signed(meaning: str, unit: str = "", *, default: float, largest: float) -> Any:
+    return quantity(meaning, unit, default=default, least=-largest, most=largest)
 
 
 _LEAST_PERIODS = 1.5  # of control_period in state_timeout: one state may be late
@@ -143,15 +65,33 @@ LEAST_WRAP = 1e-6
 
 
 @dataclass(frozen=True)
-class NormSettings(ParameterRecord):
+class NormSettings(Record, prefix="norm."):
     """The homogeneous norm: what it is, and between which bounds it is used."""
 
-    type: NormType = parameter("norm.type")
-    error_scale: float = parameter("norm.error_scale")
-    rate_weight: float = parameter("norm.rate_weight")
-    effort_scale: float = parameter("norm.effort_scale")
-    floor: float = parameter("norm.floor")
-    cap: float = parameter("norm.cap")
+    type: NormType = quantity("Homogeneous norm", default="weighted")
+    error_scale: float = quantity(
+        "Error at rest whose norm is 1, e_max", "rad", default=1.0, least=1e-6, most=LARGEST_NORM
+    )
+    rate_weight: float = quantity(
+        "Weight of the error rate in the norm", "s/rad", default=0.1, least=1e-6, most=1e6
+    )
+    effort_scale: float = quantity(
+        "u0 [N m]: the norm is 1 where the PID's p e or d de is u0, that is error_scale = "
+        "u0/p and rate_weight = d/u0, which are not given then; 0 is off",
+        default=0.0,
+        least=0.0,
+        most=LARGEST_EFFORT,
+    )
+    floor: float = quantity(
+        "Least value of the norm; 0 is the paper's law exactly, -1 computes it from "
+        "encoder_resolution, velocity_filter_time_constant and control_period",
+        default=-1.0,
+        least=-1.0,
+        most=LARGEST_NORM,
+    )
+    cap: float = quantity(
+        "Largest value of the norm", default=LARGEST_NORM, least=1e-6, most=LARGEST_NORM
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -177,13 +117,26 @@ class NormSettings(ParameterRecord):
 
 
 @dataclass(frozen=True)
-class EffortLimits(ParameterRecord):
+class EffortLimits(Record):
     """The efforts that may be given."""
 
-    u_clamp_max: float = parameter("u_clamp_max")
-    u_clamp_min: float = parameter("u_clamp_min")
-    effort_rate_max: float = parameter("effort_rate_max")
-    fallback_effort: float = parameter("fallback_effort")
+    u_clamp_max: float = _signed(
+        "Upper effort limit", "N m", default=LARGEST_EFFORT, largest=LARGEST_EFFORT
+    )
+    u_clamp_min: float = _signed(
+        "Lower effort limit", "N m", default=-LARGEST_EFFORT, largest=LARGEST_EFFORT
+    )
+    effort_rate_max: float = quantity(
+        "Largest change of the effort [N m/s]; 0 is none. Faults go to fallback_effort at once",
+        default=0.0,
+        least=0.0,
+        most=1e9,
+    )
+    fallback_effort: float = _signed(
+        "Effort while there is no usable state [N m], within the effort limits",
+        default=0.0,
+        largest=LARGEST_EFFORT,
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -200,13 +153,25 @@ class EffortLimits(ParameterRecord):
 
 
 @dataclass(frozen=True)
-class IntegralLimits(ParameterRecord):
+class IntegralLimits(Record):
     """What keeps the integral term from winding up."""
 
-    i_clamp_max: float = parameter("i_clamp_max")
-    i_clamp_min: float = parameter("i_clamp_min")
-    antiwindup_strategy: AntiWindupStrategy = parameter("antiwindup_strategy")
-    tracking_time_constant: float = parameter("tracking_time_constant")
+    i_clamp_max: float = _signed(
+        "Upper limit of the integral term", "N m", default=LARGEST_EFFORT, largest=LARGEST_EFFORT
+    )
+    i_clamp_min: float = _signed(
+        "Lower limit of the integral term", "N m", default=-LARGEST_EFFORT, largest=LARGEST_EFFORT
+    )
+    antiwindup_strategy: AntiWindupStrategy = quantity(
+        "What the integral does while the effort is limited, as in control_toolbox",
+        default="conditional_integration",
+    )
+    tracking_time_constant: float = quantity(
+        "Of back_calculation [s]; 0 chooses sqrt(gains.d / gains.i)",
+        default=0.0,
+        least=0.0,
+        most=1000.0,
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -214,12 +179,31 @@ class IntegralLimits(ParameterRecord):
 
 
 @dataclass(frozen=True)
-class VelocitySettings(ParameterRecord):
+class VelocitySettings(Record):
     """Where the velocity comes from."""
 
-    source: VelocitySourceName = parameter("velocity_source")
-    filter_time_constant: float = parameter("velocity_filter_time_constant")
-    acceleration_bound: float = parameter("acceleration_bound")
+    source: VelocitySourceName = quantity(
+        "Where the velocity comes from: the message (filtered differences where it has none),"
+        " always filtered differences of the position, Levant's differentiator, or an "
+        "observer (needs inertia), which gives the position, too",
+        default="measured",
+        key="velocity_source",
+    )
+    filter_time_constant: float = quantity(
+        "Of the first-order velocity filter",
+        "s",
+        default=0.005,
+        least=0.0,
+        most=10.0,
+        key="velocity_filter_time_constant",
+    )
+    acceleration_bound: float = quantity(
+        "Acceleration that the joint does not exceed, for homogeneous_differentiator",
+        "rad/s^2",
+        default=50.0,
+        least=0.001,
+        most=1e6,
+    )
 
     @property
     def is_measured(self) -> bool:
@@ -235,33 +219,102 @@ class VelocitySettings(ParameterRecord):
 
 
 @dataclass(frozen=True)
-class ObserverSettings(ParameterRecord):
+class ObserverSettings(Record, prefix="observer."):
     """The observer, where the velocity comes from one."""
 
-    bandwidth: float = parameter("observer.bandwidth")
-    degree: float = parameter("observer.degree")
-    innovation_scale: float = parameter("observer.innovation_scale")
-    feed_disturbance: bool = parameter("observer.feed_disturbance")
+    bandwidth: float = quantity(
+        "Of the observer [1/s]; 0 chooses 4 gains.d / inertia",
+        default=0.0,
+        least=0.0,
+        most=10000.0,
+    )
+    degree: float = quantity(
+        "Homogeneity degree of the observer: 0 is linear, negative is tighter at small "
+        "innovations, positive calmer",
+        default=0.0,
+        least=LEAST_DEGREE,
+        most=LARGEST_DEGREE,
+        slider=(LEAST_DEGREE, LARGEST_DEGREE),
+    )
+    innovation_scale: float = quantity(
+        "Innovation at which the degree leaves the bandwidth as it is [rad]; 0 chooses "
+        "encoder_resolution, or 0.001 where that is unknown",
+        default=0.0,
+        least=0.0,
+        most=1000.0,
+    )
+    feed_disturbance: bool = quantity(
+        "Add the effort against the disturbance that the observer estimates", default=False
+    )
 
 
 @dataclass(frozen=True)
-class FeedforwardSettings(ParameterRecord):
+class FeedforwardSettings(Record, prefix="feedforward."):
     """What is added to the law's effort for the reference's sake."""
 
-    inertia: float = parameter("feedforward.inertia")
-    viscous_friction: float = parameter("feedforward.viscous_friction")
-    coulomb_friction: float = parameter("feedforward.coulomb_friction")
-    friction_velocity: float = parameter("feedforward.friction_velocity")
-    trajectory_effort: bool = parameter("feedforward.trajectory_effort")
+    inertia: float = quantity(
+        "Effort for the reference's acceleration [kg m^2]; negative takes inertia",
+        default=0.0,
+        least=-1.0,
+        most=LARGEST_EFFORT,
+    )
+    viscous_friction: float = quantity(
+        "Effort for the reference's velocity [N m s/rad]; negative takes the damping in "
+        "robot_description",
+        default=0.0,
+        least=-1.0,
+        most=LARGEST_EFFORT,
+    )
+    coulomb_friction: float = quantity(
+        "Effort in the direction in which the reference moves [N m]; negative takes the "
+        "friction in robot_description",
+        default=0.0,
+        least=-1.0,
+        most=LARGEST_EFFORT,
+    )
+    friction_velocity: float = quantity(
+        "Velocity of the reference from which on feedforward.coulomb_friction is given whole",
+        "rad/s",
+        default=0.01,
+        least=1e-6,
+        most=10.0,
+    )
+    trajectory_effort: bool = quantity(
+        "Add the efforts of trajectories that have one in every point; not with a "
+        "compensation, which knows the robot's weight itself",
+        default=True,
+    )
 
 
 @dataclass(frozen=True)
-class EncoderSettings(ParameterRecord):
+class EncoderSettings(Record):
     """What is known of the encoder, and which of its positions are believed."""
 
-    wrap: float = parameter("encoder_wrap")
-    resolution: float = parameter("encoder_resolution")
-    step_max: float = parameter("position_step_max")
+    wrap: float = quantity(
+        "The encoder begins anew after so much [rad], as a driver does that reports (-pi, pi]"
+        " or [0, 2 pi); 0 never; -1 after 2 pi where robot_description has the joint as "
+        "continuous",
+        default=-1.0,
+        least=-1.0,
+        most=1000.0,
+        key="encoder_wrap",
+    )
+    resolution: float = quantity(
+        "Step of the measured position [rad]; 0 if unknown",
+        default=0.0,
+        least=0.0,
+        most=1.0,
+        key="encoder_resolution",
+    )
+    step_max: float = quantity(
+        "A position that differs from the last one by more than this [rad], and twice "
+        "velocity_max times the time between, is a fault; 0 chooses 0.1, or pi where there is"
+        " no velocity_max; 1e6 is none",
+        default=0.0,
+        least=0.0,
+        most=LARGEST_MOTION,
+        key="position_step_max",
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -272,24 +325,59 @@ class EncoderSettings(ParameterRecord):
 
 
 @dataclass(frozen=True)
-class SoftStop(ParameterRecord):
+class SoftStop(Record, prefix="soft_stop."):
     """How a stop is approached."""
 
-    margin: float = parameter("soft_stop.margin")
-    k_position: float = parameter("soft_stop.k_position")
-    k_velocity: float = parameter("soft_stop.k_velocity")
+    margin: float = quantity(
+        "Effort towards a stop begins to fade this far before it",
+        "rad",
+        default=0.05,
+        least=1e-6,
+        most=10.0,
+    )
+    k_position: float = quantity(
+        "Velocity allowed towards a stop for each rad of distance [1/s]; 0 chooses 0.75 "
+        "gains.p / gains.d",
+        default=0.0,
+        least=0.0,
+        most=1e6,
+    )
+    k_velocity: float = quantity(
+        "Braking for each rad/s beyond the velocity allowed [N m s/rad]; 0 chooses gains.d",
+        default=0.0,
+        least=0.0,
+        most=1e6,
+    )
 
 
 @dataclass(frozen=True)
-class MotionSettings(ParameterRecord):
+class MotionSettings(Record):
     """How far and how fast the joint may move."""
 
-    position_max: float = parameter("position_max")
-    position_min: float = parameter("position_min")
-    velocity_max: float = parameter("velocity_max")
-    soft_stop: SoftStop = field(default_factory=SoftStop)
-    angle_wraparound: bool = parameter("angle_wraparound")
-    multi_turn: bool = parameter("multi_turn")
+    position_max: float = _signed(
+        "Upper soft stop [rad]; 1e6 is none", default=LARGEST_MOTION, largest=LARGEST_MOTION
+    )
+    position_min: float = _signed(
+        "Lower soft stop [rad]; -1e6 is none", default=-LARGEST_MOTION, largest=LARGEST_MOTION
+    )
+    velocity_max: float = quantity(
+        "Velocity limit [rad/s]; 1e6 is none",
+        default=LARGEST_MOTION,
+        least=1e-6,
+        most=LARGEST_MOTION,
+    )
+    soft_stop: SoftStop = group(SoftStop)
+    angle_wraparound: bool = quantity(
+        "Take the shorter way round to each new reference, also where the encoder counts its "
+        "turns; for joints that turn without end",
+        default=False,
+    )
+    multi_turn: bool = quantity(
+        "References mean what they say, whole turns included; otherwise, where the encoder "
+        "begins anew (encoder_wrap) and there is no stop, the shorter way round leads to each"
+        " new one",
+        default=False,
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -327,13 +415,30 @@ class MotionSettings(ParameterRecord):
 
 
 @dataclass(frozen=True)
-class Timing(ParameterRecord):
+class Timing(Record):
     """The times between states, and what follows when one stays away."""
 
-    control_period: float = parameter("control_period")
-    state_timeout: float = parameter("state_timeout")
-    state_clock: StateClock = parameter("state_clock")
-    takeover_time: float = parameter("takeover_time")
+    control_period: float = quantity(
+        "Nominal time between two states", "s", default=0.001, least=1e-6, most=10.0
+    )
+    state_timeout: float = quantity(
+        "A longer time between two states is a gap, after which the loop takes over anew",
+        "s",
+        default=0.1,
+        least=1e-6,
+        most=LONGEST_TIMEOUT,
+    )
+    state_clock: StateClock = quantity(
+        "What stamps the states: wall, or simulated, which can be paused without a takeover",
+        default="wall",
+    )
+    takeover_time: float = quantity(
+        "The reference glides for so long from where the joint is onto a motion that is under"
+        " way [s]; 0 jumps",
+        default=0.5,
+        least=0.0,
+        most=100.0,
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -355,20 +460,52 @@ def _require_order(name: str, low: float, high: float) -> None:
 
 
 @dataclass(frozen=True)
-class ModelSettings(ParameterRecord):
+class ModelSettings(Record, prefix="model."):
     """The model that a loop's effort takes into account; see :data:`.MODEL_PARAMETERS`."""
 
-    compensation: Compensation = parameter("compensation")
-    description: str = parameter("model.description")
-    payload: float = parameter("model.payload")
-    payload_link: str = parameter("model.payload_link")
-    mass_scale: float = parameter("model.mass_scale")
-    locked_joints: str = parameter("model.locked_joints")
-    left_wheel: str = parameter("model.left_wheel")
-    right_wheel: str = parameter("model.right_wheel")
-    wheel_radius: float = parameter("model.wheel_radius")
-    wheel_separation: float = parameter("model.wheel_separation")
-    effort_filter_time_constant: float = parameter("model.effort_filter_time_constant")
+    compensation: Compensation = quantity(
+        "Model-based term: none, gravity, or decoupling, with which gains and i_clamp are "
+        "those of a unit double integrator (per kg m^2)",
+        default="none",
+        key="compensation",
+    )
+    description: str = quantity(
+        "URDF of the model, XML text or path, where it is not robot_description", default=""
+    )
+    payload: float = quantity(
+        "Payload that the model carries", "kg", default=0.0, least=0.0, most=10000.0
+    )
+    payload_link: str = quantity("Link that carries the model's payload", default="payload")
+    mass_scale: float = quantity(
+        "Factor on the mass and inertia of every link of the model, rotors not",
+        default=1.0,
+        least=0.001,
+        most=1000.0,
+    )
+    locked_joints: str = quantity(
+        "Joints that joint_states do not have, separated by commas: the model holds them at 0",
+        default="",
+    )
+    left_wheel: str = quantity(
+        "Joint of the left wheel of a rolling base; empty for a fixed base", default=""
+    )
+    right_wheel: str = quantity("Joint of its right wheel; empty for a fixed base", default="")
+    wheel_radius: float = quantity(
+        "Of both wheels [m]; 0 is that of the URDF", default=0.0, least=0.0, most=1e6
+    )
+    wheel_separation: float = quantity(
+        "Distance of the wheels' contact points [m]; 0 is that of the URDF",
+        default=0.0,
+        least=0.0,
+        most=1e6,
+    )
+    effort_filter_time_constant: float = quantity(
+        "Of the low-pass on the measured efforts of the other joints [s]; 0 is none, -1 "
+        "chooses it from the model",
+        default=-1.0,
+        least=-1.0,
+        most=10.0,
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -395,7 +532,7 @@ class ModelSettings(ParameterRecord):
 
 
 @dataclass(frozen=True)
-class LoopSettings(ParameterRecord):
+class LoopSettings(Record):
     """The checked settings of one joint loop; their parameters are in :data:`.LOOP_PARAMETERS`.
 
     Attributes:
@@ -422,22 +559,38 @@ class LoopSettings(ParameterRecord):
         NormError: A degree that the law does not allow, or a norm without room below its cap.
     """
 
-    joint: str
-    gains: Gains
-    law: LawName = parameter("law")
-    mu: float = parameter("mu")
-    norm: NormSettings = field(default_factory=NormSettings)
-    discretization: Discretization = parameter("discretization")
-    inertia: float = parameter("inertia")
-    effort: EffortLimits = field(default_factory=EffortLimits)
-    integral: IntegralLimits = field(default_factory=IntegralLimits)
-    velocity: VelocitySettings = field(default_factory=VelocitySettings)
-    observer: ObserverSettings = field(default_factory=ObserverSettings)
-    feedforward: FeedforwardSettings = field(default_factory=FeedforwardSettings)
-    encoder: EncoderSettings = field(default_factory=EncoderSettings)
-    motion: MotionSettings = field(default_factory=MotionSettings)
-    timing: Timing = field(default_factory=Timing)
-    model: ModelSettings = field(default_factory=ModelSettings)
+    joint: str = quantity("Name of the joint in joint_states and joint_commands", default="")
+    gains: Gains = group(Gains)
+    law: LawName = quantity("Control law: homogeneous PID or linear PID", default="hpid")
+    mu: float = quantity(
+        "Homogeneity degree, strictly inside (-0.5, 0.5); 0 is the linear PID",
+        default=0.0,
+        least=-0.5,
+        most=0.5,
+        slider=(-0.4999, 0.4999),
+    )
+    norm: NormSettings = group(NormSettings)
+    discretization: Discretization = quantity(
+        "Step of the law: explicit, or semi_implicit for periods from 5 ms on with a weak "
+        "integral (needs inertia)",
+        default="explicit",
+    )
+    inertia: float = quantity(
+        "What one unit of effort accelerates at this joint [kg m^2]; 0 if unknown. When "
+        "known, gains whose linear loop is unstable are refused",
+        default=0.0,
+        least=0.0,
+        most=1e6,
+    )
+    effort: EffortLimits = group(EffortLimits)
+    integral: IntegralLimits = group(IntegralLimits)
+    velocity: VelocitySettings = group(VelocitySettings)
+    observer: ObserverSettings = group(ObserverSettings)
+    feedforward: FeedforwardSettings = group(FeedforwardSettings)
+    encoder: EncoderSettings = group(EncoderSettings)
+    motion: MotionSettings = group(MotionSettings)
+    timing: Timing = group(Timing)
+    model: ModelSettings = group(ModelSettings)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -480,18 +633,14 @@ class LoopSettings(ParameterRecord):
             GainError: As for the class.
             NormError: As for the class.
         """
-        for name in values:
-            if name not in PARAMETERS:
-                raise SettingError(unknown_name("parameter", name, PARAMETERS))
-        return from_values(cls, values)
+        return from_parameters(cls, values)
 
     def to_parameters(self) -> dict[str, Value]:
         """Return every parameter by its dotted name; those of a model only if there is one."""
-        values = to_values(self)
-        if not self.model.is_on:
-            for name in to_values(self.model):
-                del values[name]
-        return values
+        values = to_parameters(self)
+        if self.model.is_on:
+            return values
+        return {name: value for name, value in values.items() if name in LOOP_PARAMETERS}
 
     def with_parameters(self, changes: Mapping[str, object]) -> LoopSettings:
         """Return the settings with some parameters changed, checked again as a whole.
@@ -504,7 +653,7 @@ class LoopSettings(ParameterRecord):
             GainError: As for the class.
             NormError: As for the class.
         """
-        return with_values(self, changes)
+        return from_parameters(type(self), {**to_parameters(self), **changes})
 
     @property
     def degree(self) -> float:
@@ -554,3 +703,15 @@ class LoopSettings(ParameterRecord):
             filter_time_constant=self.velocity.filter_time_constant,
             cap=self.norm.cap,
         )
+
+
+PARAMETERS: Mapping[str, ParameterSpec] = parameters_of(LoopSettings)
+"""Every parameter of a joint loop and of its model by its dotted name."""
+
+MODEL_PARAMETERS: Mapping[str, ParameterSpec] = parameters_of(ModelSettings)
+"""Those of the model; all are fixed when a node starts."""
+
+LOOP_PARAMETERS: Mapping[str, ParameterSpec] = {
+    name: spec for name, spec in PARAMETERS.items() if name not in MODEL_PARAMETERS
+}
+"""Those of the loop."""

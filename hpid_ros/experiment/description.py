@@ -16,8 +16,7 @@ from hpid_ros.base.names import require_label
 from hpid_ros.base.records import Section
 from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.base.yaml_files import Document, load_document
-from hpid_ros.control.parameters import LOOP_PARAMETERS, PARAMETERS
-from hpid_ros.control.settings import LoopSettings, ModelSettings
+from hpid_ros.control.settings import LOOP_PARAMETERS, PARAMETERS, LoopSettings, ModelSettings
 from hpid_ros.motion.joint_trajectory import JointTrajectory
 from hpid_ros.motion.plan import BrickPlan
 from hpid_ros.motion.references import planned_reference

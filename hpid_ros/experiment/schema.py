@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable
 from typing import Any
 
-from hpid_ros.base.schema import partial_schema
+from hpid_ros.base.schema import field_schema, partial_schema
 from hpid_ros.base.yaml_files import EXTENDS
-from hpid_ros.control.parameters import PARAMETERS, ParameterSpec
+from hpid_ros.control.settings import PARAMETERS
 from hpid_ros.motion.references import task_schema
 from hpid_ros.simulation.world_file import world_schema
 
-_TYPES = {bool: "boolean", float: "number", str: "string"}
 _OF_THE_NODE = "joint"
 _NEEDED = ("name", "duration", "robot", "reference", "controllers", "compare")
 
@@ -94,7 +92,7 @@ def _sections(parameters: str) -> dict[str, Any]:
 def parameters_schema() -> dict[str, Any]:
     """Return the schema of a controller's parameters, whose names may be nested or dotted."""
     specs = [spec for name, spec in PARAMETERS.items() if name != _OF_THE_NODE]
-    properties = {spec.name: _parameter(spec) for spec in specs}
+    properties = {spec.name: field_schema(spec.field) for spec in specs}
     for prefix in dict.fromkeys(name.partition(".")[0] for name in properties if "." in name):
         inner = {
             name.partition(".")[2]: schema
@@ -112,17 +110,3 @@ def _mapping(properties: dict[str, Any], needed: Iterable[str] = ()) -> dict[str
         "additionalProperties": False,
         **({"required": list(needed)} if needed else {}),
     }
-
-
-def _parameter(spec: ParameterSpec) -> dict[str, Any]:
-    schema: dict[str, Any] = {
-        "type": _TYPES[type(spec.default)],
-        "description": spec.description,
-        "default": spec.default,
-    }
-    if spec.choices:
-        schema["enum"] = list(spec.choices)
-    for word, bound in (("minimum", spec.minimum), ("maximum", spec.maximum)):
-        if math.isfinite(bound):
-            schema[word] = bound
-    return schema

@@ -15,8 +15,7 @@ from typing import Protocol, get_args
 
 from hpid_ros.base.errors import HpidError, SettingError, unknown_name
 from hpid_ros.control.homogeneous_pid import Gains
-from hpid_ros.control.parameters import LawName
-from hpid_ros.control.settings import LoopSettings
+from hpid_ros.control.settings import LawName, LoopSettings
 from hpid_ros.experiment.batch import PAPER_QUANTITIES
 from hpid_ros.experiment.description import Experiment
 from hpid_ros.metrics.comparison import ratio

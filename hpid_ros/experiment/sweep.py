@@ -10,8 +10,7 @@ from fractions import Fraction
 from typing import Any
 
 from hpid_ros.base.errors import HpidError, SettingError, unknown_name
-from hpid_ros.control.parameters import PARAMETERS
-from hpid_ros.control.settings import LoopSettings
+from hpid_ros.control.settings import PARAMETERS, LoopSettings
 from hpid_ros.experiment.batch import RunTask
 from hpid_ros.experiment.description import Experiment, with_robot
 from hpid_ros.robot.description import RobotDescription

@@ -17,9 +17,8 @@ from typing import Any
 from hpid_ros.base.errors import HpidError
 from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.control.joint_loop import JointLoop
-from hpid_ros.control.parameters import LARGEST_MOTION, Value
 from hpid_ros.control.reference import Setpoint
-from hpid_ros.control.settings import LoopSettings
+from hpid_ros.control.settings import LARGEST_MOTION, LoopSettings, Value
 from hpid_ros.stability.closed_loop import DegreeInterval
 from hpid_ros.stability.degrees import LoopKind, certified_degrees, kind_of
 from hpid_ros.stability.margins import loop_family, margins_of

@@ -11,8 +11,7 @@ from typing import Any, NamedTuple, Protocol
 from hpid_ros.base.errors import RunError
 from hpid_ros.base.units import Numbers
 from hpid_ros.control.controller_files import RobotLimits
-from hpid_ros.control.parameters import PARAMETERS, Value
-from hpid_ros.control.settings import LoopSettings
+from hpid_ros.control.settings import PARAMETERS, LoopSettings, Value
 from hpid_ros.live.controllers import RunningController, RunningGraph, described_limits
 
 SILENT_AFTER = 3.0

@@ -19,7 +19,7 @@ from rclpy.parameter_client import AsyncParameterClient
 from sensor_msgs.msg import JointState
 
 from hpid_ros.base.errors import MessageError
-from hpid_ros.control.parameters import PARAMETERS
+from hpid_ros.control.settings import PARAMETERS
 from hpid_ros.messages.joint_state import JointStateFields, decode_joint_state
 from hpid_ros.messages.topics import is_below
 from hpid_ros.nodes.core.middleware import NEWEST_STATES

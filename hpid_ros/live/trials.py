@@ -18,7 +18,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from hpid_ros.base.errors import HpidError, RunError, SettingError
-from hpid_ros.control.parameters import Value
+from hpid_ros.control.settings import Value
 from hpid_ros.live.controllers import RELEASED, Ending, RunningController, RunningGraph
 from hpid_ros.live.motion import bounds_of, chosen
 from hpid_ros.live.session import LiveSession

@@ -8,8 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 from hpid_ros.base.errors import HpidError, SettingError
-from hpid_ros.control.parameters import PARAMETERS, Value
-from hpid_ros.control.settings import LoopSettings
+from hpid_ros.control.settings import PARAMETERS, LoopSettings, Value
 
 GAINS = ("gains.p", "gains.i", "gains.d")
 SLIDERS = (*GAINS, "mu", "norm.effort_scale")

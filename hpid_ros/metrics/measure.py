@@ -17,8 +17,7 @@ from hpid_ros.base.names import is_label
 from hpid_ros.base.units import NANOSECONDS, Numbers
 from hpid_ros.control.assembly import make_law, make_norm
 from hpid_ros.control.homogeneous_pid import HomogeneousPid
-from hpid_ros.control.parameters import LOOP_PARAMETERS
-from hpid_ros.control.settings import LoopSettings
+from hpid_ros.control.settings import LOOP_PARAMETERS, LoopSettings
 from hpid_ros.messages.messages import ParameterChange, parameter_changes, read_robot_descriptions
 from hpid_ros.messages.run import read_run
 from hpid_ros.messages.selection import JOINT_STATE, BagSelection, custom_data, recorded_slides

@@ -18,8 +18,8 @@ from hpid_ros.base.errors import ClaimError, MessageError, SettingError
 from hpid_ros.base.names import ALLOW_RELAY
 from hpid_ros.control.joint_loop import JointLoop
 from hpid_ros.control.overrides import RelayRequest
-from hpid_ros.control.parameters import PARAMETERS
 from hpid_ros.control.reference import Motion
+from hpid_ros.control.settings import PARAMETERS
 from hpid_ros.control.supervision import SupervisedLoop
 from hpid_ros.messages.joint_readers import JointReader
 from hpid_ros.nodes.core import executor

@@ -14,8 +14,7 @@ from hpid_ros.base.errors import GainError, NormError, SettingError
 from hpid_ros.base.processes import side_by_side
 from hpid_ros.control.assembly import make_norm
 from hpid_ros.control.homogeneous_pid import Gains, is_hurwitz
-from hpid_ros.control.norms import NormFamily
-from hpid_ros.control.parameters import NormType
+from hpid_ros.control.norms import NormFamily, NormType
 from hpid_ros.control.settings import LoopSettings
 from hpid_ros.stability.closed_loop import (
     Certificate,

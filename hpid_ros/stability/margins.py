@@ -25,7 +25,7 @@ import numpy as np
 
 from hpid_ros.base.errors import GainError, SettingError
 from hpid_ros.base.units import Numbers
-from hpid_ros.control.parameters import LARGEST_NORM as NO_CAP
+from hpid_ros.control.settings import LARGEST_NORM as NO_CAP
 from hpid_ros.control.settings import LoopSettings
 from hpid_ros.stability.frequency import Complexes, FrozenLoop, SampledJoint
 from hpid_ros.stability.gain_check import LARGEST_NORM

@@ -20,9 +20,15 @@ from hpid_ros import __version__
 from hpid_ros.base.errors import HpidError, SettingError
 from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.control.joint_loop import JointLoop
-from hpid_ros.control.parameters import LARGEST_MOTION, LOOP_PARAMETERS, PARAMETERS, Value
 from hpid_ros.control.reference import LARGEST_POSITION
-from hpid_ros.control.settings import LEAST_WRAP, LoopSettings
+from hpid_ros.control.settings import (
+    LARGEST_MOTION,
+    LEAST_WRAP,
+    LOOP_PARAMETERS,
+    PARAMETERS,
+    LoopSettings,
+    Value,
+)
 
 _CHOICES: Mapping[str, tuple[str, ...]] = {
     "law": ("hpid", "pid"),
@@ -33,19 +39,19 @@ _CHOICES: Mapping[str, tuple[str, ...]] = {
 }
 """What the C code can do of what a parameter may say, in the order of its enumerators."""
 
-_NUMBERS = (
-    *("gains.p", "gains.i", "gains.d", "mu"),
-    *("norm.error_scale", "norm.rate_weight", "norm.effort_scale", "norm.floor", "norm.cap"),
-    *("u_clamp_max", "u_clamp_min", "i_clamp_max", "i_clamp_min", "tracking_time_constant"),
-    *("velocity_filter_time_constant", "acceleration_bound"),
-    *("encoder_wrap", "encoder_resolution", "position_step_max", "effort_rate_max"),
-    *("position_max", "position_min", "velocity_max"),
-    *("soft_stop.margin", "soft_stop.k_position", "soft_stop.k_velocity"),
-    *("takeover_time", "fallback_effort", "state_timeout", "control_period", "inertia"),
+_EXPORTED = (
+    *("law", "gains.p", "gains.i", "gains.d", "mu", "norm.type", "norm.error_scale"),
+    *("norm.rate_weight", "norm.effort_scale", "norm.floor", "norm.cap", "u_clamp_max"),
+    *("u_clamp_min", "i_clamp_max", "i_clamp_min", "antiwindup_strategy"),
+    *("tracking_time_constant", "velocity_source", "velocity_filter_time_constant"),
+    *("acceleration_bound", "discretization", "encoder_wrap", "angle_wraparound", "multi_turn"),
+    *("position_step_max", "effort_rate_max", "position_max", "position_min", "velocity_max"),
+    *("soft_stop.margin", "soft_stop.k_position", "soft_stop.k_velocity", "takeover_time"),
+    *("fallback_effort", "state_timeout", "control_period", "encoder_resolution", "inertia"),
 )
-_FLAGS = ("angle_wraparound", "multi_turn")
+_NUMBERS = tuple(n for n in _EXPORTED if isinstance(LOOP_PARAMETERS[n].default, float))
+_FLAGS = tuple(n for n in _EXPORTED if isinstance(LOOP_PARAMETERS[n].default, bool))
 _TIMES = ("state_timeout", "control_period")  # compared with some slack in single precision
-_EXPORTED = {*_CHOICES, *_NUMBERS, *_FLAGS}
 
 _OF_THE_NODE = {"joint", "state_clock"}
 """What a loop's node looks at: its name, and whether a silence may be a pause."""
@@ -82,8 +88,8 @@ def _field(parameter: str) -> Field:
     return Field(parameter, f"{text} ({ends[0]:g} to {ends[1]:g})", range=ends)
 
 
-FIELDS = tuple(_field(name) for name in LOOP_PARAMETERS if name in _EXPORTED)
-"""The members of the settings in C, in the order of the parameters' table."""
+FIELDS = tuple(map(_field, _EXPORTED))
+"""The members of the settings in C, in their order."""
 
 
 def exported_values(settings: LoopSettings) -> dict[str, Value]:

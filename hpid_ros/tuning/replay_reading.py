@@ -16,9 +16,8 @@ from hpid_ros.control.controller_files import RobotLimits, settings_from_paramet
 from hpid_ros.control.joint_loop import JointLoop
 from hpid_ros.control.limited_law import ModelTerm
 from hpid_ros.control.overrides import RelayRequest
-from hpid_ros.control.parameters import LOOP_PARAMETERS
 from hpid_ros.control.reference import Setpoint
-from hpid_ros.control.settings import LoopSettings
+from hpid_ros.control.settings import LOOP_PARAMETERS, LoopSettings
 from hpid_ros.messages.columns import TopicBatch
 from hpid_ros.messages.joint_readers import EffortReader, JointReader, JointSample, RobotReader
 from hpid_ros.messages.joint_trajectory import decode_float64

@@ -19,8 +19,7 @@ from hpid_ros.control.assembly import make_law
 from hpid_ros.control.controller_files import INERTIA_RANGES
 from hpid_ros.control.homogeneous_pid import Gains, HomogeneousPid
 from hpid_ros.control.norms import GOOD_SAMPLING_MARGIN
-from hpid_ros.control.parameters import LARGEST_EFFORT, PARAMETERS, Value
-from hpid_ros.control.settings import LoopSettings
+from hpid_ros.control.settings import LARGEST_EFFORT, PARAMETERS, LoopSettings, Value
 from hpid_ros.messages.series import JointSeries
 from hpid_ros.metrics.comparison import Comparison
 from hpid_ros.metrics.quantities import ITAE, IVC, Quantity

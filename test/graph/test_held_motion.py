@@ -13,7 +13,7 @@ import pytest
 from harness.health import change
 from harness.turntable import GAINS, INERTIA, URDF, positions, start_turntable, wait_for_rest
 
-from hpid_ros.control.parameters import PARAMETERS
+from hpid_ros.control.settings import PARAMETERS
 from hpid_ros.live.controllers import HELD_WITHIN, Button
 from hpid_ros.live.dead_man import DeadMan
 from hpid_ros.live.graph import as_running, controller_summary

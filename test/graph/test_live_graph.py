@@ -21,7 +21,7 @@ from rclpy.qos import qos_profile_parameter_events
 from rclpy.task import Future
 from sensor_msgs.msg import JointState
 
-from hpid_ros.control.parameters import PARAMETERS
+from hpid_ros.control.settings import PARAMETERS
 from hpid_ros.live.graph import Answer, Samples
 from hpid_ros.live.ros import live_graph, orders
 from hpid_ros.live.ros.live_graph import LiveGraph

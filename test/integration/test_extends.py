@@ -215,10 +215,13 @@ BAD = {
     "out of range": ("robot: {payload: -2.0}", "robot.payload must be at least 0, not -2.0"),
     "of another kind": ("seed: many", "seed must be a whole number"),
     "no mapping": ("sensors: 3", "sensors must be a mapping"),
-    "unknown choice": ("simulation: {engine: dart}", "simulation.engine: unknown engine 'dart'"),
+    "unknown choice": (
+        "simulation: {engine: dart}",
+        "simulation.engine must be one of pybullet, mujoco, not 'dart'",
+    ),
     "in a list": (
         "disturbances: {payload: [{time: -1.0, mass: 1.0}]}",
-        "disturbances.payload[0].time must be",
+        "disturbances.payload[0].time must lie in",
     ),
     "parameter out of range": (
         "compare: {hPID: {mu: 0.5}}",

@@ -11,7 +11,8 @@ from typing import Any
 from nicegui import ui
 
 from hpid_ros.base.errors import HpidError
-from hpid_ros.control.parameters import LOOP_PARAMETERS, ParameterSpec
+from hpid_ros.base.records import ParameterSpec
+from hpid_ros.control.settings import LOOP_PARAMETERS
 from hpid_ros.live.advice import Advice
 from hpid_ros.live.session import LiveSession
 from hpid_ros.live.tuning import BANDWIDTH, GAINS, SLIDERS, Range, slider_range

@@ -21,7 +21,7 @@ from rclpy.qos import qos_profile_parameter_events
 from rclpy.subscription import Subscription
 
 from hpid_ros.base.errors import HpidError, MessageError, unknown_name
-from hpid_ros.control.parameters import PARAMETERS, Value
+from hpid_ros.control.settings import PARAMETERS, Value
 from hpid_ros.live.controllers import RunningGraph
 from hpid_ros.live.graph import (
     MORE_PARAMETERS,

@@ -16,7 +16,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.task import Future as RosFuture
 
-from hpid_ros.control.parameters import PARAMETERS, Value
+from hpid_ros.control.settings import PARAMETERS, Value
 from hpid_ros.live.graph import Answer, ControllerSummary
 
 _SETTLED_AFTER = 0.5

@@ -27,22 +27,21 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from hpid_ros.base.errors import SettingError
-from hpid_ros.control.parameters import ParameterSpec
+from hpid_ros.base.records import ParameterSpec
+from hpid_ros.base.units import of_slide
 
 
-def descriptor(spec: ParameterSpec, *, read_only: bool = False) -> ParameterDescriptor:
+def descriptor(spec: ParameterSpec, description: str, *, read_only: bool) -> ParameterDescriptor:
     """Return what ROS tools show of a parameter."""
-    description = ParameterDescriptor(
-        description=spec.description,
+    shown = ParameterDescriptor(
+        description=description,
         read_only=read_only,
         additional_constraints=_constraints(spec),
     )
     if spec.slider:
         low, high = spec.slider
-        description.floating_point_range = [
-            FloatingPointRange(from_value=low, to_value=high, step=0.0)
-        ]
-    return description
+        shown.floating_point_range = [FloatingPointRange(from_value=low, to_value=high, step=0.0)]
+    return shown
 
 
 def _constraints(spec: ParameterSpec) -> str:
@@ -53,13 +52,19 @@ def _constraints(spec: ParameterSpec) -> str:
     return ""
 
 
-def declare(node: Node, specs: Iterable[ParameterSpec], read_only: Iterable[str] = ()) -> None:
-    """Declare parameters from their table."""
+def declare(
+    node: Node,
+    specs: Iterable[ParameterSpec],
+    read_only: Iterable[str] = (),
+    *,
+    is_slide: bool = False,
+) -> None:
+    """Declare parameters from their records; for a prismatic joint in m and N."""
     fixed = set(read_only)
     for spec in specs:
-        node.declare_parameter(
-            spec.name, spec.default, descriptor(spec, read_only=spec.name in fixed)
-        )
+        text = of_slide(spec.description) if is_slide else spec.description
+        shown = descriptor(spec, text, read_only=spec.name in fixed)
+        node.declare_parameter(spec.name, spec.default, shown)
 
 
 def read_only(node: Node, name: str, default: object, description: str) -> Any:

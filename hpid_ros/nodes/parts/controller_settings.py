@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from rcl_interfaces.msg import SetParametersResult
@@ -12,12 +11,16 @@ from rclpy.parameter import Parameter
 
 from hpid_ros.base.errors import HpidError, MessageError
 from hpid_ros.base.files import find_resource
-from hpid_ros.base.units import of_slide
 from hpid_ros.control.controller_files import RobotLimits
 from hpid_ros.control.joint_loop import JointLoop
 from hpid_ros.control.limited_law import ModelTerm
-from hpid_ros.control.parameters import LOOP_PARAMETERS, MODEL_PARAMETERS, PARAMETERS, Value
-from hpid_ros.control.settings import LoopSettings
+from hpid_ros.control.settings import (
+    LOOP_PARAMETERS,
+    MODEL_PARAMETERS,
+    PARAMETERS,
+    LoopSettings,
+    Value,
+)
 from hpid_ros.messages.joint_readers import JointSample, RobotReader
 from hpid_ros.nodes.core.process import declare, read_only
 from hpid_ros.robot.description import RobotDescription
@@ -59,9 +62,7 @@ class ControllerSettings:
         self._limits = robot_limits(node, self.robot)
         self.is_slide = self._limits.is_slide
         specs = [spec for name, spec in PARAMETERS.items() if name != "joint"]
-        if self.is_slide:
-            specs = [replace(spec, description=of_slide(spec.description)) for spec in specs]
-        declare(node, specs, read_only=MODEL_PARAMETERS)
+        declare(node, specs, read_only=MODEL_PARAMETERS, is_slide=self.is_slide)
         self._last: tuple[Mapping[str, Value], LoopSettings] | None = None
 
     def with_changes(self, changes: Sequence[Parameter] = ()) -> LoopSettings:

@@ -6,7 +6,6 @@ import time
 from collections import Counter, deque
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from itertools import chain
 
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.duration import Duration
@@ -78,10 +77,11 @@ class GroupParameters:
             "them turn without end",
         )
         self._facts = joint_facts(self.joints, str(source), wrapping or (), counting or ())
-        specs = (*GOAL_PARAMETERS, *chain(*map(joint_parameters, self.joints)))
-        self._names = [spec.name for spec in (*FIXED_PARAMETERS, *specs)]
-        declare(node, FIXED_PARAMETERS, read_only=[spec.name for spec in FIXED_PARAMETERS])
-        declare(node, specs)
+        specs = {**FIXED_PARAMETERS, **GOAL_PARAMETERS}
+        for joint in self.joints:
+            specs |= joint_parameters(joint)
+        self._names = tuple(specs)
+        declare(node, specs.values(), read_only=FIXED_PARAMETERS)
         self.settings()
 
     def settings(self, changes: Sequence[Parameter] = ()) -> GroupSettings:

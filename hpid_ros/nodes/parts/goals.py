@@ -13,15 +13,21 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
-from itertools import chain
-from typing import NamedTuple, get_args
+from typing import NamedTuple
 
 import numpy as np
 
 from hpid_ros.base.errors import SettingError, TrajectoryError, unknown_name
+from hpid_ros.base.records import (
+    ParameterSpec,
+    Record,
+    from_parameters,
+    parameters_of,
+    quantity,
+)
 from hpid_ros.base.units import NANOSECONDS
-from hpid_ros.control.parameters import ParameterSpec, StateClock, Value
 from hpid_ros.control.reference import LARGEST_POSITION
+from hpid_ros.control.settings import StateClock, Value
 from hpid_ros.messages.joint_trajectory import MOST_MIXED_POINTS, MOST_POINTS
 from hpid_ros.motion.joint_trajectory import (
     Integers,
@@ -147,102 +153,101 @@ def _resolved(default: float, asked: float, where: str, unit: str) -> float:
     return asked
 
 
-_MOST = math.inf  # no range, so no slider whose steps are too coarse
+@dataclass(frozen=True)
+class GoalParameters(Record):
+    """What may change while the node runs; it holds for the next goal."""
 
-
-def _positive(name: str, default: float, least: float, most: float, text: str) -> ParameterSpec:
-    return ParameterSpec(name, default, text, least, most)
-
-
-GOAL_PARAMETERS = (
-    ParameterSpec("allow_partial_joints_goal", False, "Take goals that name some joints only"),
-    ParameterSpec(
-        "allow_nonzero_velocity_at_trajectory_end",
-        False,
+    allows_partial: bool = quantity(
+        "Take goals that name some joints only", default=False, key="allow_partial_joints_goal"
+    )
+    allows_final_velocity: bool = quantity(
         "Take goals whose last point has a velocity; the reference rests there all the same",
-    ),
-    _positive(
-        "constraints.goal_time",
-        0.0,
-        0.0,
-        _MOST,
+        default=False,
+        key="allow_nonzero_velocity_at_trajectory_end",
+    )
+    goal_time: float = quantity(
         "How much later than its last point a goal's tolerances must be met [s]; 0 waits for ever",
-    ),
-    _positive(
-        "constraints.stopped_velocity_tolerance",
-        0.01,
-        0.0,
-        _MOST,
+        default=0.0,
+        least=0.0,
+        key="constraints.goal_time",
+    )
+    stopped_velocity: float = quantity(
         "Velocity at which a joint counts as stopped at the end of a goal [rad/s]; 0 is any",
-    ),
-    _positive(
-        "constraints.stop_duration",
-        0.5,
-        0.01,
-        100.0,
-        "How long a joint without max_deceleration_on_cancel takes to stop [s]",
-    ),
-)
-"""What may change while the node runs; it holds for the next goal."""
+        default=0.01,
+        least=0.0,
+        key="constraints.stopped_velocity_tolerance",
+    )
+    stop_duration: float = quantity(
+        "How long a joint without max_deceleration_on_cancel takes to stop",
+        "s",
+        default=0.5,
+        least=0.01,
+        most=100.0,
+        key="constraints.stop_duration",
+    )
 
-FIXED_PARAMETERS = (
-    _positive(
-        "action_monitor_rate", 20.0, 0.1, 1000.0, "Rate of the feedback [Hz], of the wall clock"
-    ),
-    _positive(
-        "state_timeout",
-        0.5,
-        0.01,
-        10.0,
-        "A goal is aborted, and none is taken, when a joint has had no state for so long [s]",
-    ),
-    ParameterSpec(
-        "state_clock",
-        "wall",
+
+@dataclass(frozen=True)
+class FixedParameters(Record):
+    """What is fixed when the node starts."""
+
+    action_monitor_rate: float = quantity(
+        "Rate of the feedback [Hz], of the wall clock", default=20.0, least=0.1, most=1000.0
+    )
+    state_timeout: float = quantity(
+        "A goal is aborted, and none is taken, when a joint has had no state for so long",
+        "s",
+        default=0.5,
+        least=0.01,
+        most=10.0,
+    )
+    state_clock: StateClock = quantity(
         "What stamps the states: wall, or simulated, which can be paused without an abort",
-        choices=get_args(StateClock),
-    ),
-    _positive(
-        "takeover_time", 0.5, 0.0, 100.0, "That of the controllers [s], which they glide for"
-    ),
-    _positive(
-        "reference_timeout",
-        0.5,
-        0.0,
-        100.0,
+        default="wall",
+    )
+    takeover_time: float = quantity(
+        "That of the controllers [s], which they glide for", default=0.5, least=0.0, most=100.0
+    )
+    reference_timeout: float = quantity(
         "A goal is aborted when a controller that has told its ~/reference tells none for so "
         "long [s], by the stamps; 0 does not look",
-    ),
-)
-"""What is fixed when the node starts."""
-
-
-def joint_parameters(joint: str) -> tuple[ParameterSpec, ...]:
-    """Return the parameters of one joint of a group; they may change as GOAL_PARAMETERS may."""
-    return (
-        _positive(
-            f"constraints.{joint}.trajectory",
-            0.0,
-            0.0,
-            _MOST,
-            "How far the joint may be from its reference during a goal [rad]; 0 is any",
-        ),
-        _positive(
-            f"constraints.{joint}.goal",
-            0.0,
-            0.0,
-            _MOST,
-            "How far it may be from its reference at the end of a goal [rad]; 0 is any",
-        ),
-        _positive(
-            f"constraints.{joint}.max_deceleration_on_cancel",
-            0.0,
-            0.0,
-            _MOST,
-            "Deceleration with which it stops when a goal is cancelled or aborted [rad/s^2]; 0 "
-            "stops it within constraints.stop_duration",
-        ),
+        default=0.5,
+        least=0.0,
+        most=100.0,
     )
+
+
+@dataclass(frozen=True)
+class JointParameters(Record):
+    """What is asked of one joint of a group; it may change as the goals' parameters may."""
+
+    trajectory: float = quantity(
+        "How far the joint may be from its reference during a goal [rad]; 0 is any",
+        default=0.0,
+        least=0.0,
+    )
+    goal: float = quantity(
+        "How far it may be from its reference at the end of a goal [rad]; 0 is any",
+        default=0.0,
+        least=0.0,
+    )
+    max_deceleration_on_cancel: float = quantity(
+        "Deceleration with which it stops when a goal is cancelled or aborted [rad/s^2]; 0 "
+        "stops it within constraints.stop_duration",
+        default=0.0,
+        least=0.0,
+    )
+
+
+GOAL_PARAMETERS = parameters_of(GoalParameters)
+FIXED_PARAMETERS = parameters_of(FixedParameters)
+
+
+def joint_parameters(joint: str) -> Mapping[str, ParameterSpec]:
+    """Return the parameters of one joint of a group by name."""
+    own = parameters_of(JointParameters).items()
+    specs = [spec._replace(name=f"constraints.{joint}.{name}") for name, spec in own]
+    return {spec.name: spec for spec in specs}
 
 
 class JointFacts(NamedTuple):
@@ -294,32 +299,39 @@ class GroupSettings:
     ) -> GroupSettings:
         """Return the settings that parameters say."""
         require_joints(joints)
-        specs = (*GOAL_PARAMETERS, *FIXED_PARAMETERS, *chain(*map(joint_parameters, joints)))
-        checked = {spec.name: spec.checked(values.get(spec.name, spec.default)) for spec in specs}
-
-        def of(name: str) -> float:
-            return float(checked[name])
-
-        stopped = of("constraints.stopped_velocity_tolerance")
+        goals = from_parameters(GoalParameters, _among(GOAL_PARAMETERS, values))
+        fixed = from_parameters(FixedParameters, _among(FIXED_PARAMETERS, values))
+        own = [_of_joint(joint, values) for joint in joints]
+        pairs = list(zip(joints, own, strict=True))
         tolerances = Tolerances(
-            {each: Tolerance(of(f"constraints.{each}.trajectory")) for each in joints},
-            {each: Tolerance(of(f"constraints.{each}.goal"), stopped) for each in joints},
-            of("constraints.goal_time"),
+            {joint: Tolerance(each.trajectory) for joint, each in pairs},
+            {joint: Tolerance(each.goal, goals.stopped_velocity) for joint, each in pairs},
+            goals.goal_time,
         )
-        stopping = "max_deceleration_on_cancel"
         return cls(
             tuple(joints),
             tuple(facts.get(joint, JointFacts()) for joint in joints),
             tolerances,
-            tuple(of(f"constraints.{joint}.{stopping}") for joint in joints),
-            of("constraints.stop_duration"),
-            bool(checked["allow_partial_joints_goal"]),
-            bool(checked["allow_nonzero_velocity_at_trajectory_end"]),
-            of("state_timeout"),
-            checked["state_clock"] == "simulated",
-            of("takeover_time"),
-            of("reference_timeout"),
+            tuple(each.max_deceleration_on_cancel for each in own),
+            goals.stop_duration,
+            goals.allows_partial,
+            goals.allows_final_velocity,
+            fixed.state_timeout,
+            fixed.state_clock == "simulated",
+            fixed.takeover_time,
+            fixed.reference_timeout,
         )
+
+
+def _among(names: Iterable[str], values: Mapping[str, Value]) -> dict[str, Value]:
+    return {name: values[name] for name in names if name in values}
+
+
+def _of_joint(joint: str, values: Mapping[str, Value]) -> JointParameters:
+    specs = joint_parameters(joint).items()
+    return JointParameters(
+        **{spec.path: spec.checked(values.get(name, 0.0)) for name, spec in specs}
+    )
 
 
 _EFFORTS = PointArrays._fields.index("efforts")

@@ -95,7 +95,7 @@ WRONG = [
     ),
     (
         {"count": 1, "motor": {"torque": 1, "kind": "fist"}},
-        "machine.motor.kind: unknown kind 'fist'; did you mean 'fast'?",
+        "machine.motor.kind must be one of fast, slow, not 'fist'",
     ),
     ({"count": 1, "motor": True}, "machine.motor must be a mapping, not True"),
     ({"count": 1, "limit": 0}, "machine.limit must be above 0, not 0"),

@@ -5,7 +5,7 @@ import re
 import pytest
 
 from hpid_ros.base.units import of_slide, unit_over
-from hpid_ros.control.parameters import PARAMETERS
+from hpid_ros.control.settings import PARAMETERS
 
 
 @pytest.mark.parametrize(

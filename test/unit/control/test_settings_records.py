@@ -8,9 +8,11 @@ import pytest
 from harness.loops import loop_settings
 
 from hpid_ros.base.errors import SettingError
+from hpid_ros.base.records import record_fields, to_parameters
 from hpid_ros.control import LOOP_PARAMETERS, Gains, LoopSettings
-from hpid_ros.control.parameters import MODEL_PARAMETERS, PARAMETERS
 from hpid_ros.control.settings import (
+    MODEL_PARAMETERS,
+    PARAMETERS,
     EffortLimits,
     FeedforwardSettings,
     IntegralLimits,
@@ -20,7 +22,6 @@ from hpid_ros.control.settings import (
     ObserverSettings,
     SoftStop,
     Timing,
-    to_values,
 )
 
 # Another value of each parameter, all of them possible together.
@@ -68,7 +69,7 @@ def leaves(kind):
 
 def test_the_settings_hold_each_parameter_once_with_the_tables_default():
     plain = loop_settings(joint="j")
-    held = to_values(plain)
+    held = to_parameters(plain)
     assert list(held) == list(PARAMETERS)
     assert len(list(leaves(LoopSettings))) == len(PARAMETERS)
     assert held == {name: spec.default for name, spec in PARAMETERS.items()} | {"joint": "j"}
@@ -92,8 +93,8 @@ def test_a_parameter_has_a_place_of_its_own(name):
     )
     before = LoopSettings.from_parameters({"joint": "j", **beside})
     after = before.with_parameters({name: value})
-    assert to_values(after) == to_values(before) | {name: value}
-    assert after == LoopSettings.from_parameters(to_values(after))
+    assert to_parameters(after) == to_parameters(before) | {name: value}
+    assert after == LoopSettings.from_parameters(to_parameters(after))
 
 
 def test_all_parameters_together_survive_the_round_trip():
@@ -104,7 +105,7 @@ def test_all_parameters_together_survive_the_round_trip():
         OTHERS,
     ):
         found = LoopSettings.from_parameters(values)
-        assert found.to_parameters() == {**to_values(loop_settings()), **values}
+        assert found.to_parameters() == {**to_parameters(loop_settings()), **values}
         assert LoopSettings.from_parameters(found.to_parameters()) == found
     assert set(loop_settings().to_parameters()) == set(LOOP_PARAMETERS)
     assert set(found.to_parameters()) == set(LOOP_PARAMETERS) | set(MODEL_PARAMETERS)
@@ -112,10 +113,10 @@ def test_all_parameters_together_survive_the_round_trip():
 
 @pytest.mark.parametrize("kind", GROUPS)
 def test_a_group_made_in_python_names_the_parameter_that_it_refuses(kind):
-    for each in fields(kind):
-        if not each.metadata:
+    for each in record_fields(kind):
+        if is_dataclass(each.kind):
             continue
-        spec = PARAMETERS[each.metadata["parameter"]]
+        spec = PARAMETERS[each.key]
         bad = [math.nan, math.inf, "x", True, None] if isinstance(spec.default, float) else [7.0]
         for value in bad:
             with pytest.raises(SettingError, match=rf"^{spec.name} must "):

@@ -210,8 +210,12 @@ def test_a_goal_whose_first_point_is_now_gets_none_before_it():
     [
         ((), {}, "each joint once"),
         (("a", "a"), {}, "each joint once"),
-        (("a",), {"constraints.goal_time": -1.0}, "goal_time must lie in"),
-        (("a",), {"constraints.a.trajectory": float("nan")}, "constraints.a.trajectory must lie"),
+        (("a",), {"constraints.goal_time": -1.0}, "goal_time must be at least"),
+        (
+            ("a",),
+            {"constraints.a.trajectory": float("nan")},
+            "a.trajectory must be at least",
+        ),
         (("a",), {"state_clock": "sundial"}, "one of wall, simulated"),
         (("a",), {"allow_partial_joints_goal": 1}, "must be true or false"),
     ],
