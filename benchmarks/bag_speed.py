@@ -23,8 +23,7 @@ from pathlib import Path
 
 from rosbags.highlevel import AnyReader
 
-from hpid_ros.messages.mcap_chunks import Catalogue
-from hpid_ros.messages.mcap_file import Arena, RecordStream
+from hpid_ros.messages.mcap_file import Arena, Catalogue, RecordStream
 from hpid_ros.messages.run import read_run
 
 MIB = 1 << 20

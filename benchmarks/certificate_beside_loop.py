@@ -54,8 +54,7 @@ def measure(certify: bool, seconds: float, folder: Path) -> Measurement:
     from rclpy.executors import SingleThreadedExecutor
     from sensor_msgs.msg import JointState
 
-    from hpid_ros.messages.joint_readers import EffortReader
-    from hpid_ros.messages.joint_state import JointStateTemplate
+    from hpid_ros.messages.joint_state import EffortReader, JointStateTemplate
     from hpid_ros.nodes.core.middleware import ALL_COMMANDS, OFFERED
 
     with own_domain() as domain, NodeGroup(closed_environment(domain), folder) as group:

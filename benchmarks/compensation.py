@@ -12,8 +12,7 @@ from benchmarks.figures import Bound, Figure, Group, Measure, Source
 from benchmarks.measuring import time_per_item
 from hpid_ros.base.files import share_folder
 from hpid_ros.control import LoopSettings
-from hpid_ros.messages.joint_readers import RobotReader
-from hpid_ros.messages.joint_state import JointStateTemplate
+from hpid_ros.messages.joint_state import JointStateTemplate, RobotReader
 from hpid_ros.robot.compensation import compensators
 from hpid_ros.robot.description import RobotDescription
 from hpid_ros.robot.dynamics import build_model

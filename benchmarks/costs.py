@@ -13,8 +13,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
 
 from benchmarks.tracking import tracking
-from hpid_ros.messages.joint_readers import JointReader
-from hpid_ros.messages.joint_state import JointStateTemplate
+from hpid_ros.messages.joint_state import JointReader, JointStateTemplate
 
 _CALLS, _REPEATS = 20_000, 7
 

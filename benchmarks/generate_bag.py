@@ -14,8 +14,9 @@ import numpy as np
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
+from hpid_ros.messages.columns import JOINT_STATE, JOINT_TRAJECTORY
 from hpid_ros.messages.joint_state import JointStateTemplate
-from hpid_ros.messages.selection import JOINT_STATE, JOINT_TRAJECTORY, encode_joint_trajectory
+from hpid_ros.messages.joint_trajectory import encode_joint_trajectory
 from hpid_ros.messages.writer import BagWriter
 from hpid_ros.motion import JointTrajectory, TrajectoryPoint
 

@@ -12,9 +12,9 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from benchmarks.figures import Figure, Group, Source
 from benchmarks.measuring import time_per_item
 from benchmarks.tracking import tracking
+from hpid_ros.messages.columns import JOINT_STATE
 from hpid_ros.messages.joint_state import JointStateTemplate
-from hpid_ros.messages.selection import JOINT_STATE, jazzy_types
-from hpid_ros.messages.writer import BagWriter
+from hpid_ros.messages.writer import BagWriter, jazzy_types
 
 TOPIC = "/joint_states"
 

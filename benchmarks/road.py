@@ -31,13 +31,10 @@ from hpid_ros.control import JointLoop, LoopSettings
 from hpid_ros.experiment.description import Experiment, load_experiment
 from hpid_ros.experiment.in_process import controllers_text, run_without_ros
 from hpid_ros.experiment.progress import NoProgress
+from hpid_ros.messages.columns import JOINT_STATE, JOINT_TRAJECTORY
 from hpid_ros.messages.joint_state import JointStateTemplate
-from hpid_ros.messages.selection import (
-    JOINT_STATE,
-    JOINT_TRAJECTORY,
-    PARAMETERS,
-    encode_joint_trajectory,
-)
+from hpid_ros.messages.joint_trajectory import encode_joint_trajectory
+from hpid_ros.messages.storage import PARAMETERS
 from hpid_ros.messages.writer import BagWriter, TopicQos
 from hpid_ros.metrics.quantities import ITAE, IVC
 from hpid_ros.motion.generators import minimum_jerk, step

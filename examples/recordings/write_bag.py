@@ -14,7 +14,7 @@ import numpy as np
 from rosbags.rosbag2 import Reader
 
 from hpid_ros.messages.joint_state import JointStateTemplate
-from hpid_ros.messages.selection import encode_joint_trajectory
+from hpid_ros.messages.joint_trajectory import encode_joint_trajectory
 from hpid_ros.messages.writer import BagWriter
 from hpid_ros.motion import step
 

@@ -20,14 +20,10 @@ from hpid_ros.control.joint_loop import JointLoop
 from hpid_ros.control.settings import LoopSettings
 from hpid_ros.experiment.description import Experiment
 from hpid_ros.experiment.progress import Progress, RunReport
+from hpid_ros.messages.columns import JOINT_STATE, JOINT_TRAJECTORY
 from hpid_ros.messages.joint_state import JointStateTemplate
-from hpid_ros.messages.selection import (
-    JOINT_STATE,
-    JOINT_TRAJECTORY,
-    PARAMETERS,
-    encode_joint_trajectory,
-    slides_entry,
-)
+from hpid_ros.messages.joint_trajectory import encode_joint_trajectory
+from hpid_ros.messages.storage import PARAMETERS, slides_entry
 from hpid_ros.messages.writer import BagWriter, TopicQos
 from hpid_ros.robot.compensation import compensators
 from hpid_ros.simulation.base import REPORT_RATE

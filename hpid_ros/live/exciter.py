@@ -18,8 +18,7 @@ from sensor_msgs.msg import JointState
 
 from hpid_ros.base.errors import HpidError, MessageError, SettingError
 from hpid_ros.live.dead_man import DeadMan, Watch, goal_of, group_settings, read_order
-from hpid_ros.messages.joint_readers import EffortReader
-from hpid_ros.messages.joint_state import decode_joint_state
+from hpid_ros.messages.joint_state import EffortReader, decode_joint_state
 from hpid_ros.motion.excitation import ExcitationPlan
 from hpid_ros.nodes.core import executor
 from hpid_ros.nodes.core.middleware import ALL_COMMANDS, NEWEST_STATES, steady_timer, subscribe_raw

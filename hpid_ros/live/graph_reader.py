@@ -21,7 +21,7 @@ from sensor_msgs.msg import JointState
 from hpid_ros.base.errors import MessageError
 from hpid_ros.control.settings import PARAMETERS
 from hpid_ros.messages.joint_state import JointStateFields, decode_joint_state
-from hpid_ros.messages.topics import is_below
+from hpid_ros.messages.selection import is_below
 from hpid_ros.nodes.core.middleware import NEWEST_STATES
 
 _MORE = ("robot_description", "introspection_rate")

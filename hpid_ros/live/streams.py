@@ -10,17 +10,9 @@ import numpy as np
 from hpid_ros.base.errors import MessageError
 from hpid_ros.base.units import NANOSECONDS, Numbers
 from hpid_ros.live.graph import Samples
-from hpid_ros.messages.columns import (
-    ENCAPSULATION,
-    LAYOUTS,
-    SLACK,
-    WORD,
-    Integers,
-    Layout,
-    LayoutFamily,
-    Words,
-    gather_words,
-)
+from hpid_ros.messages.batches import SLACK, Integers
+from hpid_ros.messages.columns import LAYOUTS, WORD, Layout, LayoutFamily, Words, gather_words
+from hpid_ros.messages.joint_state import ENCAPSULATION
 
 _MOST_FAMILIES = 64  # of layouts; a topic has one or two
 _MOST_LEARNED = 64  # layouts in one batch; a robot has fewer joints, and a flood is passed over

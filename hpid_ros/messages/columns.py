@@ -1,7 +1,4 @@
-"""Columns of messages: batches of bytes, layouts, numbers of one joint as arrays.
-
-Plain CDR (XCDR version 1): a four-byte encapsulation header, then values aligned to their own
-size, counted from the header's end. Source: OMG DDS-XTypes 1.3 section 7.4.1.
+"""Columns of messages: layouts of their bytes, numbers of one joint as arrays.
 
 A publisher repeats one layout: nearly all messages of a topic differ in their stamp and doubles
 only. A layout is learned from one message; a mask over its bytes then tells the others that
@@ -10,89 +7,19 @@ have it, many at once.
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple, Protocol
+from typing import Any, Generic, NamedTuple, TypeVar
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hpid_ros.base.errors import MessageError
 from hpid_ros.base.units import NANOSECONDS, Numbers
-
-Bytes = NDArray[np.uint8]
-Integers = NDArray[np.int64]
-
-SLACK = 64
-"""Bytes of a buffer before its first and after its last message, so that rows may reach out."""
-
-
-class TopicInfo(NamedTuple):
-    """A topic of a bag."""
-
-    type: str  # message type, for instance "sensor_msgs/msg/JointState"
-    encoding: str  # of the messages; "cdr" in all of ROS 2
-    message_count: int | None  # number of messages by the index; None if the bag has none
-    definition: str  # the type's definition as recorded; empty if it was not
-
-
-class TopicBatch(NamedTuple):
-    """Messages of one topic, in the order in which the file holds them."""
-
-    topic: str  # full name
-    buffer: Bytes  # bytes; valid until the next batch is asked for
-    starts: Integers  # first byte of each serialised message, (n,)
-    sizes: Integers  # their lengths in bytes, (n,)
-    log_times_ns: Integers  # [ns] when they were recorded, (n,)
-    places: Integers  # ascending numbers that order all messages of the bag as its files do, (n,)
-
-    def raw(self, index: int) -> bytes:
-        """Return one serialised message."""
-        start = int(self.starts[index])
-        return self.buffer[start : start + int(self.sizes[index])].tobytes()
-
-
-def batch_of(
-    topic: str, raws: Sequence[bytes], log_times_ns: Integers, places: Integers
-) -> TopicBatch:
-    """Return messages that lie apart as a batch."""
-    slack = bytes(SLACK)
-    sizes = np.fromiter(map(len, raws), np.int64, len(raws))
-    buffer = np.frombuffer(b"".join((slack, *raws, slack)), dtype=np.uint8)
-    return TopicBatch(topic, buffer, SLACK + np.cumsum(sizes) - sizes, sizes, log_times_ns, places)
-
-
-def count_difference(told: Mapping[str, int], found: Mapping[str, int]) -> str:
-    """Return in words where two counts of messages differ; empty if nowhere."""
-    unequal = [(name, told[name], found.get(name, 0)) for name in sorted(told)]
-    return "; ".join(
-        f"{count} messages on {name}, not {seen}" for name, count, seen in unequal if count != seen
-    )
-
-
-Report = Callable[[str], None]
-"""Takes one line about something that could not be read."""
-
-Advance = Callable[[int], None]
-"""Takes the number of bytes of a file that are done."""
-
-
-class StorageFile(Protocol):
-    """One file of a bag."""
-
-    def topics(self) -> Mapping[str, TopicInfo]:
-        """Return its topics by full name."""
-
-    def batches(
-        self, topics: frozenset[str], report: Report, done: Advance
-    ) -> Iterator[TopicBatch]:
-        """Yield the messages of some topics; what cannot be read is reported, never raised."""
-
-    def close(self) -> None:
-        """Close the file."""
-
+from hpid_ros.messages.batches import Bytes, Integers, TopicBatch
+from hpid_ros.messages.joint_state import ENCAPSULATION, Cursor
 
 Words = NDArray[np.uint64]
 WORD = 8
@@ -109,10 +36,7 @@ def gather_words(buffer: Bytes, starts: Integers, words: int) -> Words:
     return rows.view("<u8").reshape(len(starts), words)
 
 
-ENCAPSULATION = 4
-_DOUBLE = 8
 _STAMP = 8
-_BYTE_ORDERS = {0: ">", 1: "<"}
 
 
 class Doubles(NamedTuple):
@@ -122,87 +46,43 @@ class Doubles(NamedTuple):
     length: int  # how many there are
 
 
-class CdrWalker:
-    """Reads values one after the other and refuses to leave the message."""
+class Walker(Cursor):
+    """Passes over stamps and doubles, whose bytes differ between messages of one layout."""
 
-    def __init__(self, raw: bytes, what: str) -> None:
-        if len(raw) < ENCAPSULATION or raw[0] != 0 or raw[1] not in _BYTE_ORDERS:
-            raise MessageError(
-                f"{what} must start with a plain CDR header (00 00 or 00 01), "
-                f"not {raw[:2].hex(' ') or 'nothing'}"
-            )
-        self._raw, self._what = raw, what
-        self.order = _BYTE_ORDERS[raw[1]]
-        self.offset = ENCAPSULATION
+    def __init__(self, raw: bytes, kind: str) -> None:
+        super().__init__(raw, kind)
         self.variable: list[tuple[int, int]] = []
-
-    def count(self) -> int:
-        """Return the next 32-bit length."""
-        self._align(4)
-        self._require(4)
-        (value,) = struct.unpack_from(f"{self.order}I", self._raw, self.offset)
-        self.offset += 4
-        return int(value)
-
-    def text(self) -> str:
-        """Return the next string."""
-        length = self.count()
-        self._require(length)
-        raw = self._raw[self.offset : self.offset + length]
-        self.offset += length
-        try:
-            return raw.rstrip(b"\x00").decode()
-        except UnicodeDecodeError:
-            raise MessageError(f"{self._what} has a name that is not UTF-8: {raw!r}") from None
-
-    def texts(self) -> tuple[str, ...]:
-        """Return the next sequence of strings."""
-        count = self.count()
-        if count > len(self._raw):
-            raise MessageError(f"{self._what} of {len(self._raw)} bytes cannot hold {count} names")
-        return tuple(self.text() for _ in range(count))
 
     def time(self) -> int:
         """Pass a ``builtin_interfaces`` Time or Duration; return its offset."""
-        self._align(4)
-        return self._pass(_STAMP)
+        return self._pass(4, _STAMP)
 
-    def doubles(self) -> Doubles:
+    def array(self) -> Doubles:
         """Pass the next sequence of doubles."""
-        return self.array(self.count())
+        return self.fixed_array(self.scalar("I"))
 
-    def array(self, count: int) -> Doubles:
+    def fixed_array(self, count: int) -> Doubles:
         """Pass that many doubles."""
-        if count == 0:
-            return Doubles(self.offset, 0)
-        self._align(_DOUBLE)
-        return Doubles(self._pass(count * _DOUBLE), count)
+        return Doubles(self._pass(8, 8 * count) if count else self.offset, count)
 
     def is_at_end(self) -> bool:
         """Return whether only padding is left."""
-        return len(self._raw) - self.offset < 4
+        return len(self.raw) - self.offset < 4
 
-    def _pass(self, size: int) -> int:
-        self._require(size)
+    def _pass(self, alignment: int, size: int) -> int:
+        self.align(alignment)
+        self.require(size)
         begin = self.offset
         self.variable.append((begin, size))
         self.offset += size
         return begin
-
-    def _align(self, size: int) -> None:
-        self.offset += -(self.offset - ENCAPSULATION) % size
-
-    def _require(self, size: int) -> None:
-        if self.offset + size > len(self._raw):
-            raise MessageError(
-                f"{self._what} of {len(self._raw)} bytes ends before byte {self.offset + size}"
-            )
 
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 FLOAT64 = "std_msgs/msg/Float64"
 FLOAT64_MULTI_ARRAY = "std_msgs/msg/Float64MultiArray"
 CONTROLLER_STATE = "control_msgs/msg/JointTrajectoryControllerState"
+JOINT_TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
 
 
 @dataclass(frozen=True, eq=False)
@@ -259,32 +139,27 @@ class Layout:
 
 def joint_state_layout(raw: bytes) -> Layout:
     """Learn the layout of a ``sensor_msgs/JointState``: position, velocity and effort."""
-    walker = CdrWalker(raw, "a JointState")
-    stamp = walker.time()
-    walker.text()
-    names = walker.texts()
-    fields = {field: walker.doubles() for field in ("position", "velocity", "effort")}
-    return _layout(raw, walker, stamp, names, fields)
+    walker = Walker(raw, "JointState")
+    stamp, _, names = walker.time(), walker.string(), walker.strings()
+    fields = {field: walker.array() for field in ("position", "velocity", "effort")}
+    return _layout(walker, stamp, names, fields)
 
 
 def float64_layout(raw: bytes) -> Layout:
     """Learn the layout of a ``std_msgs/Float64``: the field ``data``."""
-    walker = CdrWalker(raw, "a Float64")
-    return _layout(raw, walker, None, (), {"data": walker.array(1)})
+    walker = Walker(raw, "Float64")
+    return _layout(walker, None, (), {"data": walker.fixed_array(1)})
 
 
 def float64_multi_array_layout(raw: bytes) -> Layout:
     """Learn the layout of a ``std_msgs/Float64MultiArray``: the field ``data``."""
-    walker = CdrWalker(raw, "a Float64MultiArray")
-    for _ in range(min(walker.count(), len(raw))):
-        walker.text()
-        walker.count()
-        walker.count()
-    walker.count()
-    return _layout(raw, walker, None, (), {"data": walker.doubles()})
-
-
-_POINTS = {4: ("reference", "effort"), 3: ("reference", "")}
+    walker = Walker(raw, "Float64MultiArray")
+    for _ in range(min(walker.scalar("I"), len(raw))):
+        walker.string()
+        walker.scalar("I")
+        walker.scalar("I")
+    walker.scalar("I")
+    return _layout(walker, None, (), {"data": walker.array()})
 
 
 def controller_state_layout(raw: bytes) -> Layout:
@@ -304,48 +179,34 @@ def controller_state_layout(raw: bytes) -> Layout:
 
 
 def _controller_state(raw: bytes, points: int, has_speed: bool) -> Layout:
-    walker = CdrWalker(raw, "a JointTrajectoryControllerState")
-    stamp = walker.time()
-    walker.text()
-    names = walker.texts()
-    found = [_trajectory_point(walker) for _ in range(points)]
-    fields = {"reference": found[0][0]}
+    walker = Walker(raw, "JointTrajectoryControllerState")
+    stamp, _, names = walker.time(), walker.string(), walker.strings()
+    arrays = []
+    for _ in range(points):  # trajectory_msgs/JointTrajectoryPoint
+        arrays.append([walker.array() for _ in range(4)])
+        walker.time()
+    fields = {"reference": arrays[0][0]}
     if points == 4:
-        fields["effort"] = found[3][1]
+        fields["effort"] = arrays[3][3]
     if not (points == 3 and walker.is_at_end()):  # Foxy ends here
-        walker.texts()
-        for _ in range(points):
-            _multi_dof_point(walker)
+        walker.strings()
+        for _ in range(points):  # trajectory_msgs/MultiDOFJointTrajectoryPoint
+            for doubles in (7, 6, 6):  # transforms, velocities, accelerations
+                walker.fixed_array(walker.scalar("I") * doubles)
+            walker.time()
         if has_speed:
-            walker.array(1)
+            walker.fixed_array(1)
     if not walker.is_at_end():
         raise MessageError(f"a JointTrajectoryControllerState has {len(raw)} bytes, too many")
-    return _layout(raw, walker, stamp, names, fields)
-
-
-def _trajectory_point(walker: CdrWalker) -> tuple[Doubles, Doubles]:
-    """Pass a ``trajectory_msgs/JointTrajectoryPoint``; return positions and efforts."""
-    positions, _, _, efforts = (walker.doubles() for _ in range(4))
-    walker.time()
-    return positions, efforts
-
-
-def _multi_dof_point(walker: CdrWalker) -> None:
-    """Pass a ``trajectory_msgs/MultiDOFJointTrajectoryPoint``."""
-    for doubles in (7, 6, 6):  # transforms, velocities, accelerations
-        walker.array(walker.count() * doubles)
-    walker.time()
+    return _layout(walker, stamp, names, fields)
 
 
 def _layout(
-    raw: bytes,
-    walker: CdrWalker,
-    stamp: int | None,
-    names: tuple[str, ...],
-    fields: Mapping[str, Doubles],
+    walker: Walker, stamp: int | None, names: tuple[str, ...], fields: Mapping[str, Doubles]
 ) -> Layout:
-    rest = (walker.offset, len(raw) - walker.offset)  # padding after the last value
-    return Layout(raw, names, walker.order, stamp, fields, (*walker.variable, rest))
+    rest = (walker.offset, len(walker.raw) - walker.offset)  # padding after the last value
+    variable = (*walker.variable, rest)
+    return Layout(bytes(walker.raw), names, walker.order, stamp, fields, variable)
 
 
 LAYOUTS: Mapping[str, Callable[[bytes], Layout]] = {
@@ -357,22 +218,23 @@ LAYOUTS: Mapping[str, Callable[[bytes], Layout]] = {
 """How the layout of a type is learned; each raises MessageError for other bytes."""
 
 
+_Number = TypeVar("_Number", bound=np.generic)
 _FIRST_CAPACITY = 1 << 12
 _GROWTH = 1.2
 """Small, because numpy fills what it adds with zeros; large arrays are moved, not copied."""
 
 
-class GrowingColumn:
+class GrowingColumn(Generic[_Number]):
     """Numbers of one type, appended many at once."""
 
-    def __init__(self, kind: type[np.generic]) -> None:
-        self._numbers: NDArray[np.generic] = np.empty(_FIRST_CAPACITY, kind)
+    def __init__(self, kind: type[_Number]) -> None:
+        self._numbers = np.empty(_FIRST_CAPACITY, kind)
         self._length = 0
 
     def __len__(self) -> int:
         return self._length
 
-    def append(self, numbers: NDArray[np.generic]) -> None:
+    def append(self, numbers: NDArray[Any]) -> None:
         """Append numbers, (n,)."""
         end = self._length + len(numbers)
         if end > len(self._numbers):
@@ -381,25 +243,10 @@ class GrowingColumn:
         self._numbers[self._length : end] = numbers
         self._length = end
 
-    def finished(self) -> NDArray[np.generic]:
+    def finished(self) -> NDArray[_Number]:
         """Return all numbers as one array of exactly their size; nothing may follow."""
         self._numbers.resize(self._length, refcheck=False)
         return self._numbers
-
-
-class NumberColumn:
-    """Doubles, appended many at once."""
-
-    def __init__(self) -> None:
-        self._column = GrowingColumn(np.float64)
-
-    def append(self, numbers: Numbers) -> None:
-        """Append numbers, (n,)."""
-        self._column.append(numbers)
-
-    def finished(self) -> Numbers:
-        """Return all of them; nothing may follow."""
-        return self._column.finished().astype(np.float64, copy=False)
 
 
 class DeltaColumn:
@@ -435,7 +282,7 @@ class DeltaColumn:
     def numbers(self) -> Integers:
         """Return all integers, (n,)."""
         steps = self._steps.finished().astype(np.int64)
-        steps[self._large_places.finished().astype(np.int64)] = self._large_steps.finished()
+        steps[self._large_places.finished()] = self._large_steps.finished()
         return np.cumsum(steps, out=steps)
 
 
@@ -517,3 +364,211 @@ def merged(parts: Sequence[JointSamples]) -> JointSamples:
     stamps, log_times, places = clocks
     values = np.concatenate([part.values for part in parts])
     return JointSamples(stamps, log_times, places, values)
+
+
+class OrderNeededError(Exception):
+    """The order of messages matters, but was not kept: read again, and keep it."""
+
+
+class _Group:
+    """Messages that carry numbers of the same joints."""
+
+    def __init__(self, joints: tuple[str, ...], has_stamps: bool, has_order: bool) -> None:
+        self._stamps = DeltaColumn(np.uint32) if has_stamps else None
+        self._log_times = DeltaColumn(np.uint32) if has_order else None
+        self._places = DeltaColumn(np.uint16) if has_order else None
+        self._last_place = -1
+        self.is_in_order = True
+        self.values = {joint: GrowingColumn(np.float64) for joint in joints}
+
+    def append(
+        self, layout: Layout, rows: Words, which: Integers | slice, batch: TopicBatch
+    ) -> None:
+        places = batch.places[which]
+        if places[0] < self._last_place:
+            self.is_in_order = False  # two layouts by turns
+        self._last_place = max(self._last_place, int(places[-1]))
+        if self._stamps is not None:
+            self._stamps.append(layout.stamps_ns(rows, which))
+        if self._log_times is not None and self._places is not None:
+            self._log_times.append(batch.log_times_ns[which])
+            self._places.append(places)
+
+    @cached_property
+    def clock(self) -> tuple[Integers | None, Integers | None, Integers | None]:
+        """Stamps, log times and places, shared by all joints of the group."""
+        stamps, log_times, places = (
+            None if column is None else column.numbers()
+            for column in (self._stamps, self._log_times, self._places)
+        )
+        return stamps, log_times, places
+
+
+class JointStream:
+    """Collects one field of a topic's messages by joint."""
+
+    def __init__(
+        self,
+        type: str,
+        field: str,
+        joints: frozenset[str] | None = None,
+        elements: Mapping[int, str] | None = None,
+        keeps_order: bool = True,
+    ) -> None:
+        self._learn: Callable[[bytes], Layout] = LAYOUTS[type]
+        self._field = field
+        self._joints = joints
+        self._elements = elements
+        self._keeps_order = keeps_order
+        self._families: dict[int, list[LayoutFamily]] = {}
+        self._groups: dict[tuple[str, ...], _Group] = {}
+        self._groups_of: dict[str, list[tuple[str, ...]]] = {}
+        self._last_log_time_ns = -(2**63)
+        self._is_log_ordered = True
+        self._columns_of: WeakKeyDictionary[Layout, Mapping[str, int]] = WeakKeyDictionary()
+        self.names: dict[str, None] = {}
+        self.message_count = 0
+        self.undecodable = 0
+        self.first_failure = ""
+
+    def add(self, batch: TopicBatch) -> None:
+        """Take the next messages of the topic."""
+        self.message_count += len(batch.starts)
+        times = batch.log_times_ns
+        if times[0] < self._last_log_time_ns or (times[1:] < times[:-1]).any():
+            self._is_log_ordered = False
+            if not self._keeps_order:
+                raise OrderNeededError
+        self._last_log_time_ns = max(self._last_log_time_ns, int(times[-1]))
+        sizes = batch.sizes
+        left = sizes
+        while len(left):
+            size = int(left[0])
+            is_size = sizes == size
+            if is_size.all():
+                self._add_size(batch, size)
+                return
+            self._add_size(TopicBatch(batch.topic, batch.buffer, *_picked(batch, is_size)), size)
+            left = left[left != size]
+
+    def joints(self) -> frozenset[str]:
+        """Return the joints that have numbers."""
+        return frozenset(self._groups_of)
+
+    def take(self, joint: str) -> JointSamples | None:
+        """Return one joint's samples and forget them; None if there are none."""
+        parts, is_in_order = [], self._is_log_ordered
+        for joints in self._groups_of.pop(joint, ()):
+            group = self._groups[joints]
+            parts.append(JointSamples(*group.clock, group.values.pop(joint).finished()))
+            is_in_order &= group.is_in_order
+            if not group.values:
+                del self._groups[joints]
+        if not parts:
+            return None
+        if len(parts) == 1 and is_in_order:
+            return parts[0]
+        samples = merged(parts)
+        if samples.places is None or samples.log_times_ns is None:
+            raise OrderNeededError
+        return samples.picked(np.lexsort((samples.places, samples.log_times_ns)))
+
+    def _add_size(self, batch: TopicBatch, size: int) -> None:
+        """Take messages of one length."""
+        words = -(-(size + ENCAPSULATION) // WORD)
+        rows = gather_words(batch.buffer, batch.starts - ENCAPSULATION, words)
+        families = self._families.setdefault(size, [])
+        is_left = np.ones(len(rows), dtype=np.bool_)
+        for family in families:
+            for layout, claims in family.split(rows):
+                self._keep(layout, rows, np.flatnonzero(claims), batch)
+                is_left &= ~claims
+        while is_left.any():
+            left = np.flatnonzero(is_left)
+            first = self._learned(batch, int(left[0]))
+            if first is None:
+                is_left[left[0]] = False
+                continue
+            for which in _equal_rows(rows[left] & first.mask):
+                here = left[which]
+                own = first if here[0] == left[0] else self._learned(batch, int(here[0]))
+                if own is None or not np.array_equal(own.mask, first.mask):
+                    here = here[:1]  # the others may differ from it where the first's mask is zero
+                is_left[here] = False
+                if own is not None:
+                    _remember(own, families)
+                    self._keep(own, rows, here, batch)
+
+    def _learned(self, batch: TopicBatch, index: int) -> Layout | None:
+        """Return the layout of one message; None if it is not of the type."""
+        try:
+            return self._learn(batch.raw(index))
+        except MessageError as error:
+            self.undecodable += 1
+            self.first_failure = self.first_failure or str(error)
+            return None
+
+    def _keep(self, layout: Layout, rows: Words, which: Integers, batch: TopicBatch) -> None:
+        """Append the numbers of messages of one layout to their group."""
+        columns = self._columns(layout)
+        if not columns:
+            return
+        joints = tuple(columns)
+        group = self._groups.get(joints)
+        if group is None:
+            if not self._keeps_order and any(joint in self._groups_of for joint in joints):
+                raise OrderNeededError
+            group = _Group(joints, layout.stamp is not None, self._keeps_order)
+            self._groups[joints] = group
+            for joint in joints:
+                self._groups_of.setdefault(joint, []).append(joints)
+        picked: Integers | slice = slice(None) if len(which) == len(rows) else which
+        group.append(layout, rows, picked, batch)
+        if not (group.is_in_order or self._keeps_order):
+            raise OrderNeededError
+        for joint, index in columns.items():
+            group.values[joint].append(layout.column(rows, self._field, index)[picked])
+
+    def _columns(self, layout: Layout) -> Mapping[str, int]:
+        """Return which wanted joint is at which place of the field."""
+        columns = self._columns_of.get(layout)
+        if columns is None:
+            columns = self._columns_of[layout] = self._find_columns(layout)
+        return columns
+
+    def _find_columns(self, layout: Layout) -> Mapping[str, int]:
+        length = layout.fields[self._field].length if self._field in layout.fields else 0
+        if self._elements is not None:
+            return {j: element for element, j in self._elements.items() if element < length}
+        self.names.update(dict.fromkeys(layout.names))
+        if length != len(layout.names):
+            return {}  # the wire allows arrays of another length than the names
+        wanted = self._joints
+        columns: dict[str, int] = {}
+        for index, name in enumerate(layout.names):
+            if wanted is None or name in wanted:
+                columns.setdefault(name, index)
+        return columns
+
+
+def _remember(layout: Layout, families: list[LayoutFamily]) -> None:
+    for family in families:
+        if family.accepts(layout):
+            family.add(layout)
+            return
+    families.append(LayoutFamily(layout))
+
+
+def _equal_rows(rows: Words) -> list[Integers]:
+    """Return which rows are equal to each other, the first one's first."""
+    is_first = (rows == rows[0]).all(axis=1)
+    if is_first.all():
+        return [np.flatnonzero(is_first)]
+    order = np.lexsort(rows.T)
+    is_new = (rows[order[1:]] != rows[order[:-1]]).any(axis=1)
+    groups = np.split(order, np.flatnonzero(is_new) + 1)
+    return sorted(groups, key=lambda group: int(group[0]))
+
+
+def _picked(batch: TopicBatch, which: Mask) -> Iterator[Integers]:
+    return (part[which] for part in (batch[2], batch[3], batch[4], batch[5]))

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from hpid_ros.base.errors import MessageError
 from hpid_ros.base.units import NANOSECONDS, Numbers
 from hpid_ros.messages.joint_state import ENCAPSULATION, Cursor, Writer, require_nanoseconds
+from hpid_ros.motion.joint_trajectory import JointTrajectory
 
 MOST_POINTS = 50_000
 """Points of one layout that a message may have."""
@@ -279,6 +280,16 @@ def encode_trajectory(
         writer.scalar("i", int(seconds_of[index]))
         writer.scalar("I", int(nanoseconds_of[index]))
     return writer.raw
+
+
+def encode_joint_trajectory(trajectory: JointTrajectory) -> bytes:
+    """Serialise a trajectory without its efforts."""
+    points, names = trajectory.points, trajectory.joint_names
+    none = (np.nan,) * len(names)
+    arrays = [np.array([point[k] or none for point in points], dtype=float) for k in (1, 2, 3)]
+    arrays.append(np.full_like(arrays[0], np.nan))
+    times_ns = np.array([point.time_from_start_ns for point in points])
+    return encode_trajectory(trajectory.stamp_ns, names, times_ns, arrays)
 
 
 def _as_records(

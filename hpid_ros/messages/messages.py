@@ -25,9 +25,9 @@ from hpid_ros.messages.reports import (
     decode_parameter_event,
     decode_text,
 )
-from hpid_ros.messages.selection import jazzy_types
+from hpid_ros.messages.selection import find_topic
 from hpid_ros.messages.storage import Storage
-from hpid_ros.messages.topics import find_topic
+from hpid_ros.messages.writer import jazzy_types
 
 
 def stamp_ns_of(message: Any) -> int:

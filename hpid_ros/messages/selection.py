@@ -1,186 +1,23 @@
-"""What is read of a bag: its metadata, and topics, joints, references, clock and window.
-
-A recorder that was slower than what it recorded, or frozen for a while, knows from the middleware
-how many messages it never got. Where it stood still for longer than a publisher's lease (an hour
-with the profile of an experiment, else 20 s) the two forget each other, and nobody counts: how
-long it stood still is told, too. The stamps of a stream show all that as gaps, where they are
-regular.
-"""
+"""What is read of a bag: which topics are a run's states, commands and references."""
 
 from __future__ import annotations
 
-import functools
-import json
 import math
 import re
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
-
-import numpy as np
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 from hpid_ros.base.errors import BagError, SettingError, unknown_name
-from hpid_ros.base.units import NANOSECONDS
-from hpid_ros.base.yaml_files import load_yaml
+from hpid_ros.messages.columns import (
+    CONTROLLER_STATE,
+    FLOAT64,
+    FLOAT64_MULTI_ARRAY,
+    JOINT_STATE,
+    JOINT_TRAJECTORY,
+)
 from hpid_ros.messages.series import HOLD
 from hpid_ros.motion.joint_trajectory import JointTrajectory
-
-if TYPE_CHECKING:
-    from rosbags.typesys.store import Typestore
-
-
-JOINT_STATE = "sensor_msgs/msg/JointState"
-JOINT_TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
-
-
-@functools.cache
-def jazzy_types() -> Typestore:
-    """Return Jazzy's message definitions; building them takes some 50 ms, once."""
-    from rosbags.typesys import Stores, get_typestore
-
-    return get_typestore(Stores.ROS2_JAZZY)
-
-
-def encode_joint_trajectory(trajectory: JointTrajectory) -> bytes:
-    """Return a trajectory as a serialised ``trajectory_msgs/msg/JointTrajectory``."""
-    types = jazzy_types()
-    time, duration, header, point_type, message_type = (
-        types.types[name]
-        for name in (
-            "builtin_interfaces/msg/Time",
-            "builtin_interfaces/msg/Duration",
-            "std_msgs/msg/Header",
-            "trajectory_msgs/msg/JointTrajectoryPoint",
-            JOINT_TRAJECTORY,
-        )
-    )
-    points = [
-        point_type(
-            positions=np.array(point.positions),
-            velocities=np.array(point.velocities),
-            accelerations=np.array(point.accelerations),
-            effort=np.array([]),
-            time_from_start=duration(*divmod(point.time_from_start_ns, NANOSECONDS)),
-        )
-        for point in trajectory.points
-    ]
-    stamp = time(*divmod(trajectory.stamp_ns, NANOSECONDS))
-    message = message_type(
-        header=header(stamp=stamp, frame_id=""),
-        joint_names=list(trajectory.joint_names),
-        points=points,
-    )
-    return bytes(types.serialize_cdr(message, JOINT_TRAJECTORY))
-
-
-METADATA = "metadata.yaml"
-_KEY = "rosbag2_bagfile_information"
-
-
-def read_metadata(folder: Path) -> dict[str, Any]:
-    """Return the information of a bag."""
-    path = folder / METADATA
-    if not path.is_file():
-        raise BagError(f"{METADATA} is {'no file' if path.exists() else 'missing'}")
-    document = load_yaml(path, BagError)
-    metadata = document.get(_KEY) if isinstance(document, Mapping) else None
-    if not isinstance(metadata, dict):
-        raise BagError(f"cannot read {path}: it does not say {_KEY}")
-    return metadata
-
-
-def custom_data(bag: Path) -> Mapping[str, object]:
-    """Return the texts that a recording was given; none for a damaged one.
-
-    A single file has those of the folder in which it is, if that folder's metadata name it.
-    """
-    folder = bag if bag.is_dir() else bag.parent
-    try:
-        metadata = read_metadata(folder)
-    except BagError:  # what is wrong with a bag is said when it is read
-        return {}
-    if folder is not bag and bag.name not in _files(metadata):
-        return {}
-    custom = metadata.get("custom_data")
-    return custom if isinstance(custom, Mapping) else {}
-
-
-def _files(metadata: Mapping[str, Any]) -> set[str]:
-    named = metadata.get("relative_file_paths")
-    return {Path(str(name)).name for name in named} if isinstance(named, list) else set()
-
-
-def counts_of(metadata: Mapping[str, Any]) -> dict[str, int]:
-    """Return how many messages of each topic the metadata counts."""
-    counts: dict[str, int] = {}
-    try:
-        for each in metadata["topics_with_message_count"]:
-            name, count = each["topic_metadata"]["name"], int(each["message_count"])
-            counts[str(name)] = counts.get(str(name), 0) + count
-    except (KeyError, TypeError, ValueError, OverflowError):
-        return {}
-    return counts
-
-
-MISSED = "hpid_ros/missed_messages"
-"""Name of the entry with the counts: JSON, by topic."""
-
-STOOD_STILL = "hpid_ros/stood_still"
-"""Name of the entry with the time that the recorder stood still, in [s]."""
-
-
-def missed_entries(missed: Mapping[str, int], stood_still: float) -> dict[str, str]:
-    """Return the entries for the metadata."""
-    counts = json.dumps(dict(missed), sort_keys=True)
-    return {MISSED: counts, STOOD_STILL: f"{stood_still:.3f}"}
-
-
-def missed_messages(metadata: Mapping[str, str]) -> dict[str, int]:
-    """Return the messages that a bag's recorder missed, by topic; only those that missed some."""
-    try:
-        entry = json.loads(metadata.get(MISSED, "{}"))
-    except (ValueError, RecursionError):
-        return {}
-    if not isinstance(entry, dict):
-        return {}
-    return {topic: count for topic, count in entry.items() if type(count) is int and count > 0}
-
-
-def time_stood_still(metadata: Mapping[str, str]) -> float:
-    """Return how long a bag's recorder stood still, in [s]; zero if it did not or did not say."""
-    try:
-        seconds = float(metadata.get(STOOD_STILL, "0"))
-    except ValueError:
-        return 0.0
-    return seconds if math.isfinite(seconds) and seconds > 0.0 else 0.0
-
-
-SLIDES = "hpid_ros/slides"
-"""Name of the entry with the joints that slide, whose units are m and N: JSON, a list."""
-
-
-def slides_entry(slides: Collection[str]) -> dict[str, str]:
-    """Return the entry for the metadata; none where no joint slides."""
-    return {SLIDES: json.dumps(sorted(slides))} if slides else {}
-
-
-def recorded_slides(metadata: Mapping[str, object]) -> frozenset[str]:
-    """Return the joints that a bag's recorder knew to slide."""
-    try:
-        entry = json.loads(str(metadata.get(SLIDES, "[]")))
-    except (ValueError, RecursionError):
-        return frozenset()
-    return frozenset(filter(_is_text, entry)) if isinstance(entry, list) else frozenset()
-
-
-def _is_text(value: object) -> bool:
-    return isinstance(value, str)
-
-
-PARAMETERS = "hpid_ros/controllers"
-"""Name of the entry with the parameters of the controllers as they began: a ROS parameter file."""
-
 
 CLOCKS = ("header", "receive")
 """Where the time of states and stamped commands comes from.
@@ -293,3 +130,306 @@ def parse_command_topics(texts: Sequence[str]) -> dict[str, CommandTopic]:
             raise SettingError(f"joint {joint!r} has two command topics, the second in {text!r}")
         topics[joint] = CommandTopic(match["topic"], int(match["element"] or 0))
     return topics
+
+
+_CONTROLLER = "_controller"
+
+
+def find_topic(where: str, name: str, types: Mapping[str, str], allowed: Collection[str]) -> str:
+    """Return the full name of a topic."""
+    found = matching(name, types)
+    if not found:
+        raise BagError(f"{where}: {unknown_name('topic', name, types)}")
+    if len(found) > 1:
+        raise BagError(f"{where}: topic {name!r} could be any of {', '.join(found)}")
+    (topic,) = found
+    if types[topic] not in allowed:
+        raise BagError(
+            f"{where}: topic {topic} is {types[topic]}, but must be {' or '.join(allowed)}"
+        )
+    return topic
+
+
+def matching(name: str, topics: Collection[str]) -> list[str]:
+    """Return the topics that a name can mean, in order: one if it is a full name."""
+    bare = name.lstrip("/")
+    found = [topic for topic in topics if topic.lstrip("/") == bare]
+    if not found and not name.startswith("/"):
+        found = [topic for topic in topics if topic.endswith(f"/{bare}")]
+    return sorted(found)
+
+
+def namespace_of(topic: str) -> str:
+    """Return the part before the last slash: ``/left`` for ``/left/joint_states``."""
+    return topic.rpartition("/")[0]
+
+
+def last_part(topic: str) -> str:
+    """Return the part after the last slash."""
+    return topic.rpartition("/")[2]
+
+
+def is_below(topic: str, namespace: str) -> bool:
+    """Return whether a topic is in a namespace or in one below it."""
+    return topic.startswith(f"{namespace.rstrip('/')}/")
+
+
+def joint_of(topic: str) -> str:
+    """Return the joint of a controller's own topic: ``elbow`` of ``/elbow_controller/command``."""
+    return last_part(namespace_of(topic)).removesuffix(_CONTROLLER)
+
+
+_FLOATS = (FLOAT64, FLOAT64_MULTI_ARRAY)
+_EFFORTS_OF_A_JOINT = ("cmd_force", "cmd_effort")
+_COMMANDS_OF_A_JOINT = ("command", "commands")
+"""Positions, velocities or efforts: only who ran the controllers knows."""
+_COMMANDS_OF_JOINTS = ("joint_commands", "joint_command")
+"""The second is Isaac Sim's."""
+_NEITHER_STATES_NOR_COMMANDS = ("reference", "terms")
+
+
+class ReferenceTopics(NamedTuple):
+    """Topics that say what the joints were to follow."""
+
+    trajectory: tuple[str, ...] = ()  # JointTrajectory
+    setpoint: Mapping[str, str] = {}  # Float64, by joint
+    sampled: tuple[str, ...] = ()  # JointState with sampled references
+    controller_state: tuple[str, ...] = ()  # JointTrajectoryControllerState with references
+
+
+NO_REFERENCES = ReferenceTopics()
+"""Nothing says what the joints were to follow."""
+
+
+@dataclass(frozen=True)
+class TopicChoice:
+    """The topics of a run."""
+
+    states: tuple[str, ...]  # of the states; each joint is on one of them
+    # of stamped commands, JointState or JointTrajectoryControllerState
+    commands: tuple[str, ...] = ()
+    command_topics: Mapping[str, CommandTopic] = field(default_factory=dict)
+    references: ReferenceTopics = NO_REFERENCES
+    # whether efforts are wanted, and there is anything that may carry them
+    has_commands: bool = True
+    is_measured: bool = False  # whether the efforts are those that the states measured
+    may_be_measured: bool = False  # whether those are to be taken if nothing else carries efforts
+    in_doubt: tuple[str, ...] = ()  # topics that may carry efforts, or something else
+    relays: tuple[str, ...] = ()  # where controllers are asked for relays
+
+    def measured(self) -> TopicChoice:
+        """Return the same with the efforts that the states measured, and no others."""
+        return replace(
+            self,
+            commands=self.states,
+            command_topics={},
+            is_measured=True,
+            may_be_measured=False,
+        )
+
+    @property
+    def all(self) -> frozenset[str]:
+        """All topics that are read."""
+        references = self.references
+        return frozenset(
+            (
+                *self.states,
+                *self.commands,
+                *(each.topic for each in self.command_topics.values()),
+                *references.trajectory,
+                *references.setpoint.values(),
+                *references.sampled,
+                *references.controller_state,
+            )
+        )
+
+
+def choose_topics(where: str, types: Mapping[str, str], selection: BagSelection) -> TopicChoice:
+    """Find the topics of a run."""
+    return _Chooser(where, types, selection).choice()
+
+
+class _Chooser:
+    def __init__(self, where: str, types: Mapping[str, str], selection: BagSelection) -> None:
+        self.where, self.selection, self.types = where, selection, types
+        if selection.namespace is not None:
+            namespace = f"/{selection.namespace.strip('/')}"
+            self.types = {name: types[name] for name in types if is_below(name, namespace)}
+            if not self.types:
+                raise BagError(
+                    f"{where}: no topic is below namespace {namespace}; topics: {_listed(types)}"
+                )
+
+    def choice(self) -> TopicChoice:
+        states = self.states()
+        self.near = _common([namespace_of(topic) for topic in states])
+        explicit = {
+            joint: each._replace(topic=self.named(each.topic, _FLOATS))
+            for joint, each in self.selection.command_topics.items()
+        }
+        asked = self.selection.commands
+        commands, found = self.commands(states, bool(explicit))
+        topics = {**found, **explicit}
+        choice = TopicChoice(
+            states,
+            commands=commands,
+            command_topics=topics,
+            references=self.references(),
+            has_commands=asked != NO_COMMANDS,
+            is_measured=commands == states,
+            may_be_measured=asked is None and not explicit,
+            in_doubt=self.in_doubt({*commands, *(each.topic for each in topics.values())}),
+            relays=tuple(
+                name for name in self.below(FLOAT64_MULTI_ARRAY) if last_part(name) == "relay"
+            ),
+        )
+        if choice.may_be_measured and not commands and not topics:
+            return choice.measured()
+        return choice
+
+    def named(self, name: str, allowed: tuple[str, ...]) -> str:
+        return find_topic(self.where, name, self.types, allowed)
+
+    def of_type(self, *types: str) -> list[str]:
+        return sorted(name for name, kind in self.types.items() if kind in types)
+
+    def below(self, *types: str) -> list[str]:
+        """Return the topics of some types in the namespace of the states."""
+        return [name for name in self.of_type(*types) if is_below(name, self.near)]
+
+    def one(self, what: str, found: list[str], option: str) -> str:
+        if len(found) > 1:
+            raise BagError(
+                f"{self.where}: {what} could be any of {', '.join(found)}; "
+                f"choose by --namespace, or name the topic ({option})"
+            )
+        return found[0]
+
+    def states(self) -> tuple[str, ...]:
+        if self.selection.states is not None:
+            found = [self.named(name, (JOINT_STATE,)) for name in self.selection.states]
+            return tuple(dict.fromkeys(found))
+        candidates = self.of_type(JOINT_STATE)
+        found = matching("joint_states", candidates)
+        if not found:
+            found = [name for name in candidates if not _is_of_a_controller(name)]
+        if not found:
+            raise BagError(
+                f"{self.where}: no topic of states ({JOINT_STATE}); topics: {self.listed()}"
+            )
+        return (self.one("the states", found, "--states, several times for one robot's"),)
+
+    def listed(self) -> str:
+        return _listed(self.types)
+
+    def commands(
+        self, states: tuple[str, ...], has_explicit: bool
+    ) -> tuple[tuple[str, ...], dict[str, CommandTopic]]:
+        """Return topics with stamps, and those of single joints without; none if there is none."""
+        asked = self.selection.commands
+        if asked == NO_COMMANDS:
+            return (), {}
+        if asked not in (None, EFFORT_COMMANDS):
+            named = self.named(asked, (JOINT_STATE, CONTROLLER_STATE))
+            return (states if named in states else (named,)), {}
+        candidates = self.of_type(JOINT_STATE)
+        here = f"{self.near}/joint_commands"
+        found = [here] if here in candidates else matching("joint_commands", candidates)
+        if found and asked is None and len(states) > 1:  # as its states, so its commands
+            return tuple(name for name in found if is_below(name, self.near)), {}
+        if found and asked is None:
+            return (self.one("the commands", found, "--commands"),), {}
+        wanted: tuple[str, ...] = _EFFORTS_OF_A_JOINT
+        if asked == EFFORT_COMMANDS:
+            wanted += _COMMANDS_OF_A_JOINT
+        floats = {
+            joint_of(name): CommandTopic(name)
+            for name in self.below(*_FLOATS)
+            if last_part(name) in wanted
+        }
+        if asked == EFFORT_COMMANDS:
+            if not floats:
+                raise BagError(
+                    f"{self.where}: no topic of a controller's commands, such as "
+                    f"/elbow_controller/commands ({FLOAT64}, {FLOAT64_MULTI_ARRAY}); topics: "
+                    f"{self.listed()}"
+                )
+            return (), floats
+        reports = tuple(self.below(CONTROLLER_STATE))
+        if floats or reports or has_explicit:
+            return reports, floats
+        found = [name for name in candidates if name not in states and _may_be_commands(name)]
+        return (self.one("the commands", found, "--commands"),) if found else (), {}
+
+    def in_doubt(self, taken: Collection[str]) -> tuple[str, ...]:
+        """Return topics without names of joints that may carry efforts, or something else."""
+        return tuple(
+            name
+            for name in self.below(*_FLOATS)
+            if last_part(name) in _COMMANDS_OF_A_JOINT and name not in taken
+        )
+
+    def references(self) -> ReferenceTopics:
+        asked = self.selection.reference
+        if isinstance(asked, JointTrajectory) or asked == HOLD:
+            return NO_REFERENCES
+        if asked not in REFERENCES:
+            return self.named_reference(asked)
+        here = f"{self.near}/joint_trajectory"
+        trajectories = self.below(JOINT_TRAJECTORY)
+        found = ReferenceTopics(
+            (here,) if here in trajectories else tuple(trajectories),
+            {
+                joint_of(name): name
+                for name in self.below(FLOAT64)
+                if last_part(name) == "setpoint"
+            },
+            tuple(name for name in self.below(JOINT_STATE) if last_part(name) == "reference"),
+            tuple(self.below(CONTROLLER_STATE)),
+        )
+        if asked == "auto":
+            return found
+        wanted = getattr(found, asked)
+        if not wanted:
+            raise BagError(f"{self.where}: no {asked} as reference; topics: {self.listed()}")
+        return NO_REFERENCES._replace(**{asked: wanted})
+
+    def named_reference(self, name: str) -> ReferenceTopics:
+        allowed = (JOINT_TRAJECTORY, FLOAT64, JOINT_STATE, CONTROLLER_STATE)
+        topic = self.named(name, allowed)
+        kind = self.types[topic]
+        if kind == FLOAT64:
+            joints = self.selection.joints or ()
+            joint = joints[0] if len(joints) == 1 else joint_of(topic)
+            return ReferenceTopics(setpoint={joint: topic})
+        if kind == JOINT_TRAJECTORY:
+            return ReferenceTopics(trajectory=(topic,))
+        if kind == JOINT_STATE:
+            return ReferenceTopics(sampled=(topic,))
+        return ReferenceTopics(controller_state=(topic,))
+
+
+def _common(namespaces: Sequence[str]) -> str:
+    """Return the namespace that others share: ``/robot`` of ``/robot/arm`` and ``/robot/hand``."""
+    parts = [namespace.split("/") for namespace in namespaces]
+    shared = []
+    for level in zip(*parts, strict=False):
+        if len(set(level)) > 1:
+            break
+        shared.append(level[0])
+    return "/".join(shared)
+
+
+def _is_of_a_controller(topic: str) -> bool:
+    """Return whether a JointState topic is a controller's output by its name."""
+    return last_part(topic) in (*_NEITHER_STATES_NOR_COMMANDS, *_COMMANDS_OF_JOINTS)
+
+
+def _may_be_commands(topic: str) -> bool:
+    """Return whether a JointState topic that is not the states' may be commands by its name."""
+    last = last_part(topic)
+    return last not in _NEITHER_STATES_NOR_COMMANDS and "state" not in last
+
+
+def _listed(types: Mapping[str, str]) -> str:
+    return ", ".join(f"{name} ({types[name]})" for name in sorted(types)) or "none"

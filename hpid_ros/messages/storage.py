@@ -1,48 +1,403 @@
-"""An open bag of any storage, and streams of numbers out of its messages."""
+"""An open bag: its files, MCAP or SQLite, its metadata, and its messages in batches.
+
+A recorder that was slower than what it recorded, or frozen for a while, knows from the middleware
+how many messages it never got. Where it stood still for longer than a publisher's lease (an hour
+with the profile of an experiment, else 20 s) the two forget each other, and nobody counts: how
+long it stood still is recorded, too. The stamps of a stream show all that as gaps, where they are
+regular.
+"""
 
 from __future__ import annotations
 
+import itertools
+import json
+import math
+import shutil
+import sqlite3
 import stat
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack
-from functools import cached_property
+import struct
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import ExitStack, closing
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
-from weakref import WeakKeyDictionary
+from urllib.parse import quote
 
 import numpy as np
+from numpy.typing import NDArray
 
-from hpid_ros.base.errors import BagError, MessageError
-from hpid_ros.messages.columns import (
-    ENCAPSULATION,
-    LAYOUTS,
-    WORD,
-    DeltaColumn,
+from hpid_ros.base.errors import BagError
+from hpid_ros.base.yaml_files import load_yaml
+from hpid_ros.messages.batches import (
+    Advance,
+    Allowance,
     Integers,
-    JointSamples,
-    Layout,
-    LayoutFamily,
-    Mask,
-    NumberColumn,
     Report,
     StorageFile,
     TopicBatch,
     TopicInfo,
-    Words,
     batch_of,
     count_difference,
-    gather_words,
-    merged,
+    decompressed_message,
+    unpack_file,
 )
-from hpid_ros.messages.mcap_chunks import Allowance, decompressed_message, unpack_file
 from hpid_ros.messages.mcap_file import McapFile
-from hpid_ros.messages.selection import METADATA, counts_of, custom_data, read_metadata
-from hpid_ros.messages.sqlite_file import SqliteFile
 
 if TYPE_CHECKING:
     from typing_extensions import Self
+
+METADATA = "metadata.yaml"
+_KEY = "rosbag2_bagfile_information"
+
+
+def read_metadata(folder: Path) -> dict[str, Any]:
+    """Return the information of a bag."""
+    path = folder / METADATA
+    if not path.is_file():
+        raise BagError(f"{METADATA} is {'no file' if path.exists() else 'missing'}")
+    document = load_yaml(path, BagError)
+    metadata = document.get(_KEY) if isinstance(document, Mapping) else None
+    if not isinstance(metadata, dict):
+        raise BagError(f"cannot read {path}: it does not say {_KEY}")
+    return metadata
+
+
+def custom_data(bag: Path) -> Mapping[str, object]:
+    """Return the texts that a recording was given; none for a damaged one.
+
+    A single file has those of the folder in which it is, if that folder's metadata name it.
+    """
+    folder = bag if bag.is_dir() else bag.parent
+    try:
+        metadata = read_metadata(folder)
+    except BagError:  # what is wrong with a bag is said when it is read
+        return {}
+    if folder is not bag and bag.name not in _files(metadata):
+        return {}
+    custom = metadata.get("custom_data")
+    return custom if isinstance(custom, Mapping) else {}
+
+
+def _files(metadata: Mapping[str, Any]) -> set[str]:
+    named = metadata.get("relative_file_paths")
+    return {Path(str(name)).name for name in named} if isinstance(named, list) else set()
+
+
+def counts_of(metadata: Mapping[str, Any]) -> dict[str, int]:
+    """Return how many messages of each topic the metadata counts."""
+    counts: dict[str, int] = {}
+    try:
+        for each in metadata["topics_with_message_count"]:
+            name, count = each["topic_metadata"]["name"], int(each["message_count"])
+            counts[str(name)] = counts.get(str(name), 0) + count
+    except (KeyError, TypeError, ValueError, OverflowError):
+        return {}
+    return counts
+
+
+MISSED = "hpid_ros/missed_messages"
+"""Name of the entry with the counts: JSON, by topic."""
+
+STOOD_STILL = "hpid_ros/stood_still"
+"""Name of the entry with the time that the recorder stood still, in [s]."""
+
+
+def missed_entries(missed: Mapping[str, int], stood_still: float) -> dict[str, str]:
+    """Return the entries for the metadata."""
+    counts = json.dumps(dict(missed), sort_keys=True)
+    return {MISSED: counts, STOOD_STILL: f"{stood_still:.3f}"}
+
+
+def missed_messages(metadata: Mapping[str, str]) -> dict[str, int]:
+    """Return the messages that a bag's recorder missed, by topic; only those that missed some."""
+    try:
+        entry = json.loads(metadata.get(MISSED, "{}"))
+    except (ValueError, RecursionError):
+        return {}
+    if not isinstance(entry, dict):
+        return {}
+    return {topic: count for topic, count in entry.items() if type(count) is int and count > 0}
+
+
+def time_stood_still(metadata: Mapping[str, str]) -> float:
+    """Return how long a bag's recorder stood still, in [s]; zero if it did not or did not say."""
+    try:
+        seconds = float(metadata.get(STOOD_STILL, "0"))
+    except ValueError:
+        return 0.0
+    return seconds if math.isfinite(seconds) and seconds > 0.0 else 0.0
+
+
+SLIDES = "hpid_ros/slides"
+"""Name of the entry with the joints that slide, whose units are m and N: JSON, a list."""
+
+
+def slides_entry(slides: Collection[str]) -> dict[str, str]:
+    """Return the entry for the metadata; none where no joint slides."""
+    return {SLIDES: json.dumps(sorted(slides))} if slides else {}
+
+
+def recorded_slides(metadata: Mapping[str, object]) -> frozenset[str]:
+    """Return the joints that a bag's recorder knew to slide."""
+    try:
+        entry = json.loads(str(metadata.get(SLIDES, "[]")))
+    except (ValueError, RecursionError):
+        return frozenset()
+    return frozenset(filter(_is_text, entry)) if isinstance(entry, list) else frozenset()
+
+
+def _is_text(value: object) -> bool:
+    return isinstance(value, str)
+
+
+PARAMETERS = "hpid_ros/controllers"
+"""Name of the entry with the parameters of the controllers as they began: a ROS parameter file."""
+
+_BATCH_ROWS = 1 << 14
+_BATCH_BYTES = 4 << 20
+_FIRST_STEP = 16
+"""Rows that are passed over after a damaged page; doubled as long as that does not help."""
+
+_ROWS = (
+    "SELECT rowid, topic_id, timestamp, data FROM messages "
+    "WHERE rowid >= ? AND topic_id IN ({}) ORDER BY rowid"
+)
+_FAILURES = (sqlite3.Error, UnicodeDecodeError)
+"""What damage raises; the second when SQLite quotes it."""
+
+_LONGEST_REASON = 200
+_LARGEST_ID = 2**63 - 1
+_HEAD = struct.Struct(">16xH6xII60xI4x")
+"""Page size, change counter, page count, and the change for which that count was written."""
+
+_LARGEST_PAGE = 65536
+_STEPS_AT_ONCE = 1 << 20
+_STEPS_PER_BYTE = 4
+"""Instructions of SQLite for each byte of a file: a row has 12 bytes or more and takes some 10."""
+
+Row = tuple[int, int, int, bytes]
+
+
+class SqliteFile:
+    """An open ``.db3`` file."""
+
+    def __init__(self, path: Path, report: Report) -> None:
+        path = path.resolve()  # a log lies beside the file, not beside a link to it
+        if not path.is_file():
+            raise BagError("no such file")
+        self._size, self._steps = path.stat().st_size, 0
+        with ExitStack() as stack:
+            path, is_cut_off = _whole_pages(path, stack, report)
+            self._connection = _connected(path, is_cut_off, report)
+            stack.callback(self._connection.close)
+            self._connection.set_progress_handler(self._is_too_long, _STEPS_AT_ONCE)
+            try:
+                self._topics = self._read_topics()
+            except (*_FAILURES, BagError) as error:
+                raise BagError(_line(error)) from error
+            self._stack = stack.pop_all()
+
+    def _is_too_long(self) -> bool:
+        """Stop a query that takes more steps than the file has rows for: pages in a circle."""
+        self._steps += _STEPS_AT_ONCE
+        return self._steps > _STEPS_AT_ONCE + _STEPS_PER_BYTE * self._size
+
+    def _read_topics(self) -> dict[str, tuple[list[int], TopicInfo]]:
+        """Return the numbers of each topic and what is known of it, in the order of the names."""
+        columns = self._columns("topics")
+        if not {"id", "name", "type", "serialization_format"} <= columns:
+            raise BagError("no bag: it has no table of topics")
+        if not {"topic_id", "timestamp", "data"} <= self._columns("messages"):
+            raise BagError("no bag: it has no table of messages")
+        query = "SELECT id, name, type, serialization_format FROM topics"
+        topics = self._connection.execute(query).fetchall()
+        definitions: dict[str, str] = {}
+        if self._columns("message_definitions"):
+            query = "SELECT topic_type, encoded_message_definition FROM message_definitions"
+            definitions = dict(self._connection.execute(query).fetchall())
+        found: dict[str, tuple[list[int], TopicInfo]] = {}
+        for number, name, kind, encoding in topics:
+            if tuple(map(type, (number, name, kind, encoding))) != (int, str, str, str):
+                raise BagError("a topic has no proper number, name or type")
+            info = TopicInfo(kind, encoding, None, str(definitions.get(kind, "")))
+            found.setdefault(name, ([], info))[0].append(number)
+        return dict(sorted(found.items()))
+
+    def _columns(self, table: str) -> set[str]:
+        """Return the columns of a table; none if there is no such table."""
+        row = self._connection.execute(
+            "SELECT type, rootpage FROM sqlite_master "
+            "WHERE name = ? COLLATE NOCASE AND type IN ('table', 'view')",
+            (table,),
+        ).fetchone()
+        if row is None:
+            return set()
+        columns = self._connection.execute(f"PRAGMA table_xinfo({table})").fetchall()
+        if row[0] != "table" or not row[1] or any(column[6] for column in columns):
+            raise BagError(f"no bag: {table} is no plain table, but computed when it is read")
+        return {column[1] for column in columns}
+
+    def topics(self) -> dict[str, TopicInfo]:
+        """Return the topics by full name; counting their messages would read the whole file."""
+        return {name: info for name, (_, info) in self._topics.items()}
+
+    def close(self) -> None:
+        """Close the file."""
+        self._stack.close()
+
+    def batches(
+        self, topics: frozenset[str], report: Report, done: Advance
+    ) -> Iterator[TopicBatch]:
+        """Yield the messages of some topics; what cannot be read is reported, never raised."""
+        self._steps = 0
+        wanted = {name: numbers for name, (numbers, _) in self._topics.items() if name in topics}
+        place, (following, largest) = 0, self._ids(report)
+        span, first = max(largest - following, 1), following
+
+        for rows in self._batches_of_rows(wanted, following, largest, report):
+            yield from self._of_rows(rows, wanted, place, report)
+            place += len(rows)
+            done(min(self._size, self._size * (rows[-1][0] + 1 - first) // span))
+        done(self._size)
+
+    def _ids(self, report: Report) -> tuple[int, int]:
+        """Return bounds of the row numbers."""
+        try:
+            query = "SELECT min(rowid), max(rowid) FROM messages"
+            smallest, largest = self._connection.execute(query).fetchone()
+        except _FAILURES:
+            pass
+        else:
+            return (smallest, largest) if isinstance(smallest, int) else (1, 0)
+        try:
+            (smallest,) = self._connection.execute("SELECT min(rowid) FROM messages").fetchone()
+        except _FAILURES as error:
+            report(f"the first rows are damaged: {_line(error)}")
+            smallest = 1
+        return (smallest if isinstance(smallest, int) else 1), _LARGEST_ID
+
+    def _batches_of_rows(
+        self,
+        wanted: Mapping[str, Sequence[int]],
+        following: int,
+        largest: int,
+        report: Report,
+    ) -> Iterator[list[Row]]:
+        """Yield rows in the order of their ids, passing over pages that cannot be read."""
+        numbers = itertools.chain.from_iterable(wanted.values())
+        query = _ROWS.format(",".join(map(str, numbers)))
+        step, damaged_from, reason = _FIRST_STEP, following, ""
+        rows: list[Row] = []
+        while following <= largest:
+            try:
+                with closing(self._connection.execute(query, (following,))) as cursor:
+                    size = 0
+                    for row in cursor:
+                        if row[0] < following:
+                            raise sqlite3.DatabaseError("rows are not in order")
+                        if reason:
+                            report(f"rows {damaged_from} to {row[0] - 1} are damaged, left out")
+                            step, reason = _FIRST_STEP, ""
+                        rows.append(row)
+                        following = row[0] + 1
+                        size += len(row[3]) if type(row[3]) is bytes else 0
+                        if len(rows) == _BATCH_ROWS or size >= _BATCH_BYTES:
+                            yield rows
+                            rows, size = [], 0
+                break
+            except _FAILURES as error:
+                if not reason:
+                    damaged_from, reason = following, _line(error)
+                following, step = following + step, 2 * step
+        if rows:
+            yield rows
+        if reason:
+            report(f"rows from {damaged_from} on are left out: {reason}")
+
+    def _of_rows(
+        self,
+        rows: Sequence[Row],
+        wanted: Mapping[str, Sequence[int]],
+        place: int,
+        report: Report,
+    ) -> Iterator[TopicBatch]:
+        kept = [row for row in rows if tuple(map(type, row)) == (int, int, int, bytes)]
+        if len(kept) < len(rows):  # a damaged row holds anything
+            report(f"{len(rows) - len(kept)} rows are no messages, left out")
+        if not kept:
+            return
+        _, owners, times, blobs = zip(*kept, strict=True)
+        owner, time = (np.array(each, dtype=np.int64) for each in (owners, times))
+        whole = batch_of("", blobs, time, place + np.arange(len(kept)))
+        for name, numbers in wanted.items():
+            is_own = _is_one_of(owner, numbers)
+            if is_own.any():
+                yield TopicBatch(name, whole.buffer, *(part[is_own] for part in whole[2:]))
+
+
+def _is_one_of(owners: Integers, numbers: Sequence[int]) -> NDArray[np.bool_]:
+    return owners == numbers[0] if len(numbers) == 1 else np.isin(owners, numbers)
+
+
+def _line(error: Exception) -> str:
+    """Return an error's text as one line; SQLite quotes what it found in the file."""
+    return " ".join(str(error).split())[:_LONGEST_REASON]
+
+
+def _whole_pages(path: Path, stack: ExitStack, report: Report) -> tuple[Path, bool]:
+    """Return a file all of whose pages are whole, and whether pages are missing at its end.
+
+    SQLite takes what is missing of the last page to be zeros, so that its rows would be wrong: a
+    file that ends within a page is copied up to there.
+    """
+    if _is_filled(path, "-wal"):  # the log has the pages, and their count
+        return path, False
+    with path.open("rb") as stream:
+        head = stream.read(_HEAD.size)
+    if len(head) < _HEAD.size:
+        return path, False
+    page, change, count, of_change = _HEAD.unpack(head)
+    page = _LARGEST_PAGE if page == 1 else page
+    size = path.stat().st_size
+    whole = page * count if change == of_change else 0
+    if size < whole:
+        report(f"it is cut off: {size} of {whole} bytes are there")
+    elif page and size % page:
+        report(f"it ends within a page of {page} bytes")
+    if not page or not size % page:
+        return path, size < whole
+    copy = Path(stack.enter_context(TemporaryDirectory(prefix="hpid_bag_"))) / path.name
+    with path.open("rb") as source, copy.open("wb") as target:
+        shutil.copyfileobj(source, target)
+        target.truncate(size - size % page)
+    return copy, size < whole
+
+
+def _is_filled(path: Path, suffix: str) -> bool:
+    beside = path.with_name(f"{path.name}{suffix}")
+    return beside.is_file() and beside.stat().st_size > 0
+
+
+def _connected(path: Path, is_cut_off: bool, report: Report) -> sqlite3.Connection:
+    """Open a file for reading, with its log if there is one."""
+    has_log = _is_filled(path, "-wal")
+    if _is_filled(path, "-journal"):
+        report("the recorder was stopped in a transaction; messages may be missing")
+    for mode in ("mode=ro", "immutable=1") if has_log else ("immutable=1",):
+        try:
+            connection = sqlite3.connect(f"file:{quote(str(path))}?{mode}", uri=True)
+            if is_cut_off:
+                # Without it SQLite opens no file with fewer pages than the header counts.
+                connection.execute("PRAGMA writable_schema=ON")
+            connection.execute("SELECT count(*) FROM sqlite_master").fetchone()
+        except _FAILURES as error:
+            failure = error
+            continue
+        if has_log and mode != "mode=ro":
+            report("its write-ahead log cannot be read; messages are missing")
+        return connection
+    raise BagError(_line(failure))
 
 
 _SUFFIXES = (".mcap", ".db3")
@@ -255,211 +610,3 @@ def _natural_order(path: Path) -> tuple[str, int, str]:
     stem = path.name.partition(".")[0]
     base, _, number = stem.rpartition("_")
     return (base, int(number), path.name) if number.isdecimal() else (stem, -1, path.name)
-
-
-class OrderNeededError(Exception):
-    """The order of messages matters, but was not kept: read again, and keep it."""
-
-
-class _Group:
-    """Messages that carry numbers of the same joints."""
-
-    def __init__(self, joints: tuple[str, ...], has_stamps: bool, has_order: bool) -> None:
-        self._stamps = DeltaColumn(np.uint32) if has_stamps else None
-        self._log_times = DeltaColumn(np.uint32) if has_order else None
-        self._places = DeltaColumn(np.uint16) if has_order else None
-        self._last_place = -1
-        self.is_in_order = True
-        self.values = {joint: NumberColumn() for joint in joints}
-
-    def append(
-        self, layout: Layout, rows: Words, which: Integers | slice, batch: TopicBatch
-    ) -> None:
-        places = batch.places[which]
-        if places[0] < self._last_place:
-            self.is_in_order = False  # two layouts by turns
-        self._last_place = max(self._last_place, int(places[-1]))
-        if self._stamps is not None:
-            self._stamps.append(layout.stamps_ns(rows, which))
-        if self._log_times is not None and self._places is not None:
-            self._log_times.append(batch.log_times_ns[which])
-            self._places.append(places)
-
-    @cached_property
-    def clock(self) -> tuple[Integers | None, Integers | None, Integers | None]:
-        """Stamps, log times and places, shared by all joints of the group."""
-        stamps, log_times, places = (
-            None if column is None else column.numbers()
-            for column in (self._stamps, self._log_times, self._places)
-        )
-        return stamps, log_times, places
-
-
-class JointStream:
-    """Collects one field of a topic's messages by joint."""
-
-    def __init__(
-        self,
-        type: str,
-        field: str,
-        joints: frozenset[str] | None = None,
-        elements: Mapping[int, str] | None = None,
-        keeps_order: bool = True,
-    ) -> None:
-        self._learn: Callable[[bytes], Layout] = LAYOUTS[type]
-        self._field = field
-        self._joints = joints
-        self._elements = elements
-        self._keeps_order = keeps_order
-        self._families: dict[int, list[LayoutFamily]] = {}
-        self._groups: dict[tuple[str, ...], _Group] = {}
-        self._groups_of: dict[str, list[tuple[str, ...]]] = {}
-        self._last_log_time_ns = -(2**63)
-        self._is_log_ordered = True
-        self._columns_of: WeakKeyDictionary[Layout, Mapping[str, int]] = WeakKeyDictionary()
-        self.names: dict[str, None] = {}
-        self.message_count = 0
-        self.undecodable = 0
-        self.first_failure = ""
-
-    def add(self, batch: TopicBatch) -> None:
-        """Take the next messages of the topic."""
-        self.message_count += len(batch.starts)
-        times = batch.log_times_ns
-        if times[0] < self._last_log_time_ns or (times[1:] < times[:-1]).any():
-            self._is_log_ordered = False
-            if not self._keeps_order:
-                raise OrderNeededError
-        self._last_log_time_ns = max(self._last_log_time_ns, int(times[-1]))
-        sizes = batch.sizes
-        left = sizes
-        while len(left):
-            size = int(left[0])
-            is_size = sizes == size
-            if is_size.all():
-                self._add_size(batch, size)
-                return
-            self._add_size(TopicBatch(batch.topic, batch.buffer, *_picked(batch, is_size)), size)
-            left = left[left != size]
-
-    def joints(self) -> frozenset[str]:
-        """Return the joints that have numbers."""
-        return frozenset(self._groups_of)
-
-    def take(self, joint: str) -> JointSamples | None:
-        """Return one joint's samples and forget them; None if there are none."""
-        parts, is_in_order = [], self._is_log_ordered
-        for joints in self._groups_of.pop(joint, ()):
-            group = self._groups[joints]
-            parts.append(JointSamples(*group.clock, group.values.pop(joint).finished()))
-            is_in_order &= group.is_in_order
-            if not group.values:
-                del self._groups[joints]
-        if not parts:
-            return None
-        if len(parts) == 1 and is_in_order:
-            return parts[0]
-        samples = merged(parts)
-        if samples.places is None or samples.log_times_ns is None:
-            raise OrderNeededError
-        return samples.picked(np.lexsort((samples.places, samples.log_times_ns)))
-
-    def _add_size(self, batch: TopicBatch, size: int) -> None:
-        """Take messages of one length."""
-        words = -(-(size + ENCAPSULATION) // WORD)
-        rows = gather_words(batch.buffer, batch.starts - ENCAPSULATION, words)
-        families = self._families.setdefault(size, [])
-        is_left = np.ones(len(rows), dtype=np.bool_)
-        for family in families:
-            for layout, claims in family.split(rows):
-                self._keep(layout, rows, np.flatnonzero(claims), batch)
-                is_left &= ~claims
-        while is_left.any():
-            left = np.flatnonzero(is_left)
-            first = self._learned(batch, int(left[0]))
-            if first is None:
-                is_left[left[0]] = False
-                continue
-            for which in _equal_rows(rows[left] & first.mask):
-                here = left[which]
-                own = first if here[0] == left[0] else self._learned(batch, int(here[0]))
-                if own is None or not np.array_equal(own.mask, first.mask):
-                    here = here[:1]  # the others may differ from it where the first's mask is zero
-                is_left[here] = False
-                if own is not None:
-                    _remember(own, families)
-                    self._keep(own, rows, here, batch)
-
-    def _learned(self, batch: TopicBatch, index: int) -> Layout | None:
-        """Return the layout of one message; None if it is not of the type."""
-        try:
-            return self._learn(batch.raw(index))
-        except MessageError as error:
-            self.undecodable += 1
-            self.first_failure = self.first_failure or str(error)
-            return None
-
-    def _keep(self, layout: Layout, rows: Words, which: Integers, batch: TopicBatch) -> None:
-        """Append the numbers of messages of one layout to their group."""
-        columns = self._columns(layout)
-        if not columns:
-            return
-        joints = tuple(columns)
-        group = self._groups.get(joints)
-        if group is None:
-            if not self._keeps_order and any(joint in self._groups_of for joint in joints):
-                raise OrderNeededError
-            group = _Group(joints, layout.stamp is not None, self._keeps_order)
-            self._groups[joints] = group
-            for joint in joints:
-                self._groups_of.setdefault(joint, []).append(joints)
-        picked: Integers | slice = slice(None) if len(which) == len(rows) else which
-        group.append(layout, rows, picked, batch)
-        if not (group.is_in_order or self._keeps_order):
-            raise OrderNeededError
-        for joint, index in columns.items():
-            group.values[joint].append(layout.column(rows, self._field, index)[picked])
-
-    def _columns(self, layout: Layout) -> Mapping[str, int]:
-        """Return which wanted joint is at which place of the field."""
-        columns = self._columns_of.get(layout)
-        if columns is None:
-            columns = self._columns_of[layout] = self._find_columns(layout)
-        return columns
-
-    def _find_columns(self, layout: Layout) -> Mapping[str, int]:
-        length = layout.fields[self._field].length if self._field in layout.fields else 0
-        if self._elements is not None:
-            return {j: element for element, j in self._elements.items() if element < length}
-        self.names.update(dict.fromkeys(layout.names))
-        if length != len(layout.names):
-            return {}  # the wire allows arrays of another length than the names
-        wanted = self._joints
-        columns: dict[str, int] = {}
-        for index, name in enumerate(layout.names):
-            if wanted is None or name in wanted:
-                columns.setdefault(name, index)
-        return columns
-
-
-def _remember(layout: Layout, families: list[LayoutFamily]) -> None:
-    for family in families:
-        if family.accepts(layout):
-            family.add(layout)
-            return
-    families.append(LayoutFamily(layout))
-
-
-def _equal_rows(rows: Words) -> list[Integers]:
-    """Return which rows are equal to each other, the first one's first."""
-    is_first = (rows == rows[0]).all(axis=1)
-    if is_first.all():
-        return [np.flatnonzero(is_first)]
-    order = np.lexsort(rows.T)
-    is_new = (rows[order[1:]] != rows[order[:-1]]).any(axis=1)
-    groups = np.split(order, np.flatnonzero(is_new) + 1)
-    return sorted(groups, key=lambda group: int(group[0]))
-
-
-def _picked(batch: TopicBatch, which: Mask) -> Iterator[Integers]:
-    return (part[which] for part in (batch[2], batch[3], batch[4], batch[5]))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
@@ -10,13 +11,22 @@ from types import TracebackType
 from typing import TYPE_CHECKING, NamedTuple
 
 from hpid_ros.base.errors import BagError, ResultExistsError, unknown_name
-from hpid_ros.messages.columns import TopicBatch
-from hpid_ros.messages.selection import JOINT_TRAJECTORY, jazzy_types
+from hpid_ros.messages.batches import TopicBatch
+from hpid_ros.messages.columns import JOINT_TRAJECTORY
 from hpid_ros.messages.storage import Progress, Storage
 
 if TYPE_CHECKING:
     from rosbags.interfaces import Connection, Qos
+    from rosbags.typesys.store import Typestore
     from typing_extensions import Self
+
+
+@functools.cache
+def jazzy_types() -> Typestore:
+    """Return Jazzy's message definitions; building them takes some 50 ms, once."""
+    from rosbags.typesys import Stores, get_typestore
+
+    return get_typestore(Stores.ROS2_JAZZY)
 
 
 _MAX_TIME_NS = 2**63

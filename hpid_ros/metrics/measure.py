@@ -18,11 +18,12 @@ from hpid_ros.base.units import NANOSECONDS, Numbers
 from hpid_ros.control.assembly import make_law, make_norm
 from hpid_ros.control.homogeneous_pid import HomogeneousPid
 from hpid_ros.control.settings import LOOP_PARAMETERS, LoopSettings
+from hpid_ros.messages.columns import JOINT_STATE
 from hpid_ros.messages.messages import ParameterChange, parameter_changes, read_robot_descriptions
 from hpid_ros.messages.run import read_run
-from hpid_ros.messages.selection import JOINT_STATE, BagSelection, custom_data, recorded_slides
+from hpid_ros.messages.selection import BagSelection
 from hpid_ros.messages.series import JointSeries, Retune, RunSeries
-from hpid_ros.messages.storage import Storage
+from hpid_ros.messages.storage import Storage, custom_data, recorded_slides
 from hpid_ros.metrics.comparison import Cut, common_cuts
 from hpid_ros.metrics.folding import quality_lines
 from hpid_ros.metrics.quantities import GainSignals, Signal

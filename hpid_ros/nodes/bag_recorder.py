@@ -28,7 +28,7 @@ from rclpy.validate_topic_name import validate_topic_name
 from hpid_ros.base.errors import BagError, HpidError, SettingError
 from hpid_ros.base.yaml_files import load_yaml
 from hpid_ros.control.controller_files import settings_from_parameters
-from hpid_ros.messages.selection import PARAMETERS, missed_entries, slides_entry
+from hpid_ros.messages.storage import PARAMETERS, missed_entries, slides_entry
 from hpid_ros.messages.writer import BagTopic, BagWriter, TopicQos
 from hpid_ros.nodes.core import executor
 from hpid_ros.nodes.core.executor import Usage

@@ -12,7 +12,7 @@ from rclpy.timer import Timer
 
 from hpid_ros.base.errors import ClaimError, MessageError, SettingError
 from hpid_ros.base.names import ALL_JOINTS
-from hpid_ros.messages.joint_readers import EffortReader
+from hpid_ros.messages.joint_state import EffortReader
 from hpid_ros.nodes.core import executor
 from hpid_ros.nodes.core.executor import Usage
 from hpid_ros.nodes.core.middleware import ALL_COMMANDS, steady_timer, subscribe_raw

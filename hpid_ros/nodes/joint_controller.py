@@ -21,7 +21,7 @@ from hpid_ros.control.overrides import RelayRequest
 from hpid_ros.control.reference import Motion
 from hpid_ros.control.settings import PARAMETERS
 from hpid_ros.control.supervision import SupervisedLoop
-from hpid_ros.messages.joint_readers import JointReader
+from hpid_ros.messages.joint_state import JointReader
 from hpid_ros.nodes.core import executor
 from hpid_ros.nodes.core.executor import Usage
 from hpid_ros.nodes.core.middleware import steady_timer

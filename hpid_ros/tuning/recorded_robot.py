@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from hpid_ros.base.errors import BagError, SettingError, unknown_name
 from hpid_ros.base.units import NANOSECONDS, Numbers
 from hpid_ros.messages.messages import odometry_topics, read_planar
+from hpid_ros.messages.selection import is_below
 from hpid_ros.messages.series import MEASURED, RunSeries, seconds_since
-from hpid_ros.messages.topics import is_below
 from hpid_ros.robot.amendments import JointAmendment, amended
 from hpid_ros.robot.description import GivenRobot
 from hpid_ros.robot.dynamics import Dynamics, InverseDynamics

@@ -18,15 +18,15 @@ from hpid_ros.control.limited_law import ModelTerm
 from hpid_ros.control.overrides import RelayRequest
 from hpid_ros.control.reference import Setpoint
 from hpid_ros.control.settings import LOOP_PARAMETERS, LoopSettings
-from hpid_ros.messages.columns import TopicBatch
-from hpid_ros.messages.joint_readers import EffortReader, JointReader, JointSample, RobotReader
+from hpid_ros.messages.batches import TopicBatch
+from hpid_ros.messages.columns import JOINT_STATE
+from hpid_ros.messages.joint_state import EffortReader, JointReader, JointSample, RobotReader
 from hpid_ros.messages.joint_trajectory import decode_float64
 from hpid_ros.messages.messages import PARAMETER_EVENTS, parameter_changes, read_event
-from hpid_ros.messages.recording import decoded_trajectory
 from hpid_ros.messages.reports import ParameterEvent, decode_numbers
-from hpid_ros.messages.selection import JOINT_STATE, PARAMETERS, BagSelection, recorded_slides
-from hpid_ros.messages.storage import Storage
-from hpid_ros.messages.topics import (
+from hpid_ros.messages.run import decoded_trajectory
+from hpid_ros.messages.selection import (
+    BagSelection,
     TopicChoice,
     choose_topics,
     is_below,
@@ -34,6 +34,7 @@ from hpid_ros.messages.topics import (
     last_part,
     namespace_of,
 )
+from hpid_ros.messages.storage import PARAMETERS, Storage, recorded_slides
 from hpid_ros.robot.description import RobotDescription
 from hpid_ros.tuning.replay import (
     Answer,

@@ -16,8 +16,7 @@ from hpid_ros.base.errors import HpidError, RobotDescriptionError, SettingError,
 from hpid_ros.base.processes import raise_if_interrupted
 from hpid_ros.base.units import SECONDS_PER_NANOSECOND
 from hpid_ros.control.settings import LoopSettings
-from hpid_ros.messages.recording import measures_velocity
-from hpid_ros.messages.run import read_run
+from hpid_ros.messages.run import measures_velocity, read_run
 from hpid_ros.messages.selection import BagSelection
 from hpid_ros.messages.series import JointSeries, RunSeries
 from hpid_ros.metrics.comparison import Comparison

@@ -16,7 +16,7 @@ from hpid_ros.control import Gains, JointLoop, LoopSettings
 from hpid_ros.control.joint_loop import LoopState
 from hpid_ros.control.overrides import RelayRequest
 from hpid_ros.control.reference import Setpoint
-from hpid_ros.messages.joint_readers import JointReader
+from hpid_ros.messages.joint_state import JointReader
 from hpid_ros.motion import Column, Knot
 
 MS = 1_000_000

@@ -18,10 +18,10 @@ from hpid_ros.base.names import PROFILE_FILES
 from hpid_ros.cli.main import main
 from hpid_ros.messages.joint_state import JointStateTemplate
 from hpid_ros.messages.run import read_run
-from hpid_ros.messages.selection import (
+from hpid_ros.messages.selection import BagSelection
+from hpid_ros.messages.storage import (
     MISSED,
     STOOD_STILL,
-    BagSelection,
     custom_data,
     missed_entries,
     missed_messages,

@@ -6,7 +6,7 @@ import random
 import numpy as np
 
 from harness.loops import pure_loop
-from hpid_ros.messages.joint_readers import JointPart
+from hpid_ros.messages.joint_state import JointPart
 from hpid_ros.motion.joint_trajectory import PointArrays
 from hpid_ros.nodes.parts.goal_follower import GoalFollower
 from hpid_ros.nodes.parts.goals import GoalRequest, GroupSettings

@@ -12,7 +12,7 @@ from hpid_ros.base.files import share_folder
 from hpid_ros.cli.main import main
 from hpid_ros.experiment.description import load_experiment
 from hpid_ros.messages.joint_state import JointStateTemplate
-from hpid_ros.messages.selection import missed_entries
+from hpid_ros.messages.storage import missed_entries
 from hpid_ros.messages.writer import BagWriter
 
 JOINT_STATE = "sensor_msgs/msg/JointState"

@@ -19,7 +19,7 @@ from hpid_ros.control.overrides import RelayRequest
 from hpid_ros.control.reference import Setpoint
 from hpid_ros.messages.joint_state import JointStateTemplate, decode_joint_state
 from hpid_ros.messages.messages import PARAMETER_EVENTS
-from hpid_ros.messages.selection import PARAMETERS, custom_data
+from hpid_ros.messages.storage import PARAMETERS, custom_data
 from hpid_ros.messages.writer import BagWriter
 
 JOINT_STATE = "sensor_msgs/msg/JointState"

@@ -14,8 +14,8 @@ from harness.bags import JOINT_STATE, MS, TYPES, command, ramp, state, trajector
 from hpid_ros.cli.commands import BAD_INPUT, DONE
 from hpid_ros.cli.main import main
 from hpid_ros.cli.options import sliding_joints
-from hpid_ros.messages.selection import SLIDES, recorded_slides, slides_entry
 from hpid_ros.messages.series import RunSeries
+from hpid_ros.messages.storage import SLIDES, recorded_slides, slides_entry
 from hpid_ros.messages.writer import BagWriter
 from hpid_ros.metrics import measure
 from hpid_ros.metrics.comparison import Comparison, answer

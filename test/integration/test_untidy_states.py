@@ -7,8 +7,7 @@ import pytest
 from harness.loops import pure_loop
 
 from hpid_ros.control.reference import Setpoint
-from hpid_ros.messages.joint_readers import JointReader
-from hpid_ros.messages.joint_state import JointStateTemplate
+from hpid_ros.messages.joint_state import JointReader, JointStateTemplate
 
 MS = 1_000_000
 NAMES = ("wrist_3", "base", "elbow", "wrist_1", "shoulder", "wrist_2", "wheel")

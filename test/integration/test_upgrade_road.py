@@ -15,8 +15,8 @@ from hpid_ros.experiment.description import load_experiment
 from hpid_ros.experiment.in_process import run_without_ros
 from hpid_ros.experiment.progress import NoProgress
 from hpid_ros.messages.run import read_run
-from hpid_ros.messages.selection import PARAMETERS, missed_entries, read_metadata
 from hpid_ros.messages.series import SeriesError
+from hpid_ros.messages.storage import PARAMETERS, missed_entries, read_metadata
 from hpid_ros.tuning.upgrade_prediction import read_prediction
 
 DONE, FAILED, BAD_INPUT = 0, 1, 2

@@ -17,8 +17,7 @@ from hpid_ros.base.errors import ExperimentError, MessageError, SettingError
 from hpid_ros.base.files import find_resource
 from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.base.yaml_files import load_document
-from hpid_ros.messages.joint_readers import EffortReader
-from hpid_ros.messages.joint_state import JointStateTemplate
+from hpid_ros.messages.joint_state import EffortReader, JointStateTemplate
 from hpid_ros.nodes.core import executor
 from hpid_ros.nodes.core.executor import Usage
 from hpid_ros.nodes.core.middleware import (

@@ -21,7 +21,7 @@ from hpid_ros.control.settings import (
     LoopSettings,
     Value,
 )
-from hpid_ros.messages.joint_readers import JointSample, RobotReader
+from hpid_ros.messages.joint_state import JointSample, RobotReader
 from hpid_ros.nodes.core.process import declare, read_only
 from hpid_ros.robot.description import RobotDescription
 

@@ -12,7 +12,7 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 from hpid_ros.base.units import NANOSECONDS, SECONDS_PER_NANOSECOND
-from hpid_ros.messages.joint_readers import JointPart
+from hpid_ros.messages.joint_state import JointPart
 from hpid_ros.motion.spline import Knot
 from hpid_ros.nodes.parts.goal_joints import (
     AGREES_WITHIN,

@@ -16,7 +16,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from hpid_ros.base.errors import HpidError, MessageError, SettingError
 from hpid_ros.base.files import find_resource
-from hpid_ros.messages.joint_readers import GroupReader, JointReader
+from hpid_ros.messages.joint_state import GroupReader, JointReader
 from hpid_ros.messages.joint_trajectory import encode_trajectory
 from hpid_ros.nodes.core.executor import ClosingNode
 from hpid_ros.nodes.core.middleware import (

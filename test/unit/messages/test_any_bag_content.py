@@ -32,8 +32,7 @@ from harness.foreign_bags import (
 )
 
 from hpid_ros.base.errors import BagError, SettingError
-from hpid_ros.messages import columns as layouts
-from hpid_ros.messages import storage as streams
+from hpid_ros.messages import columns
 from hpid_ros.messages.joint_state import JointStateTemplate
 from hpid_ros.messages.run import read_run
 from hpid_ros.messages.selection import parse_command_topics
@@ -228,7 +227,7 @@ def test_a_thousand_joints_with_messages_of_their_own_are_read_in_one_go(tmp_pat
         log += [command(k * MS, **{name: k + j / 1000}) for j, name in enumerate(names)]
     bag = write_bag(tmp_path / "bag", log)
     counts = Counter()
-    learn, equal_rows = layouts.LAYOUTS[JOINT_STATE], streams._equal_rows
+    learn, equal_rows = columns.LAYOUTS[JOINT_STATE], columns._equal_rows
 
     def learned(raw: bytes):
         counts["learned"] += 1
@@ -238,8 +237,8 @@ def test_a_thousand_joints_with_messages_of_their_own_are_read_in_one_go(tmp_pat
         counts["compared"] += 1
         return equal_rows(rows)
 
-    monkeypatch.setattr(streams, "_equal_rows", compared)
-    monkeypatch.setattr(streams, "LAYOUTS", {**layouts.LAYOUTS, JOINT_STATE: learned})
+    monkeypatch.setattr(columns, "_equal_rows", compared)
+    monkeypatch.setattr(columns, "LAYOUTS", {**columns.LAYOUTS, JOINT_STATE: learned})
     run = read(bag)
     assert len(run.joints) == 1000
     for j, series in enumerate(run.joints):

@@ -25,7 +25,7 @@ from rosbags.rosbag2.storage_mcap import McapWriter
 
 from hpid_ros.base.errors import BagError, ResultExistsError
 from hpid_ros.messages.joint_state import JointStateTemplate
-from hpid_ros.messages.selection import custom_data
+from hpid_ros.messages.storage import custom_data
 from hpid_ros.messages.writer import BagTopic, BagWriter, TopicQos
 
 JOINT_STATE = "sensor_msgs/msg/JointState"

@@ -7,8 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hpid_ros.base.errors import MessageError
-from hpid_ros.messages.joint_readers import GroupReader, JointPart
-from hpid_ros.messages.joint_state import JointStateTemplate
+from hpid_ros.messages.joint_state import GroupReader, JointPart, JointStateTemplate
 
 JOINTS = ("shoulder", "elbow", "wrist")
 NAMES = st.permutations([*JOINTS, "wheel", "gripper"])

@@ -10,8 +10,13 @@ from hypothesis import strategies as st
 from rosbags.typesys import Stores, get_typestore
 
 from hpid_ros.base.errors import MessageError
-from hpid_ros.messages.joint_readers import EffortReader, JointReader
-from hpid_ros.messages.joint_state import JointStateLayout, JointStateTemplate, decode_joint_state
+from hpid_ros.messages.joint_state import (
+    EffortReader,
+    JointReader,
+    JointStateLayout,
+    JointStateTemplate,
+    decode_joint_state,
+)
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 STAMPS = st.integers(min_value=-(2**31) * 10**9, max_value=2**31 * 10**9 - 1)

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from hpid_ros.base.errors import MessageError
 from hpid_ros.messages.messages import PARAMETER_EVENTS, read_event
 from hpid_ros.messages.reports import decode_parameter_event, decode_text
-from hpid_ros.messages.selection import jazzy_types
+from hpid_ros.messages.writer import jazzy_types
 
 TEXTS = st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=9)
 INTEGERS, NUMBERS = st.integers(-(2**63), 2**63 - 1), st.floats(allow_nan=False)

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hpid_ros.messages import reports
-from hpid_ros.messages.selection import jazzy_types
+from hpid_ros.messages.writer import jazzy_types
 
 NUMBERS = st.floats(allow_nan=False)
 VECTORS = st.tuples(NUMBERS, NUMBERS, NUMBERS)

@@ -8,8 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hpid_ros.base.errors import MessageError
-from hpid_ros.messages.joint_readers import RobotReader
-from hpid_ros.messages.joint_state import JointStateTemplate, decode_joint_state
+from hpid_ros.messages.joint_state import JointStateTemplate, RobotReader, decode_joint_state
 
 NAMES = ("shoulder", "elbow", "wrist", "gripper")
 

@@ -7,8 +7,7 @@ from hpid_ros.cli.commands import DONE
 from hpid_ros.cli.main import main
 from hpid_ros.messages.joint_state import JointStateTemplate
 from hpid_ros.messages.messages import PARAMETER_EVENTS
-from hpid_ros.messages.selection import jazzy_types
-from hpid_ros.messages.writer import BagWriter
+from hpid_ros.messages.writer import BagWriter, jazzy_types
 from hpid_ros.metrics.measure import read_retunes
 
 JOINT_STATE = "sensor_msgs/msg/JointState"

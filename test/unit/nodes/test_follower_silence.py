@@ -4,7 +4,7 @@ import pytest
 from harness.groups import MS, SECOND, THERE, SimulatedGroup, at_rest, goal, moving, started
 
 from hpid_ros.control.reference import Setpoint
-from hpid_ros.messages.joint_readers import JointPart
+from hpid_ros.messages.joint_state import JointPart
 from hpid_ros.nodes.parts.goals import GoalError, ResultCode
 
 
