@@ -20,7 +20,7 @@ class Estimation:
     """
 
     __slots__ = (
-        *("_fed", "_observer", "_off", "_off_for", "_settings", "_source"),
+        *("_fed_forward", "_observer", "_offset", "_fade_time", "_settings", "_source"),
         *("position", "velocity"),
     )
 
@@ -42,15 +42,13 @@ class Estimation:
         """Forget the past."""
         self._source.reset()
         self.position = self.velocity = 0.0
-        self._off = self._off_for = (
-            0.0  # [rad] left of a former observer's distance, [s] to fade it
-        )
-        self._fed = 0.0  # effort of the last sample against the observer's disturbance, in [N m]
+        self._offset = self._fade_time = 0.0  # [rad] of a former observer, [s] to fade it
+        self._fed_forward = 0.0  # [N m] of the last sample against the observer's disturbance
 
     def restart(self) -> None:
         """Forget the velocity's past; the effort fed forward stays."""
         self._source.reset()
-        self._off = 0.0
+        self._offset = 0.0
 
     @property
     def has_observer(self) -> bool:
@@ -77,16 +75,16 @@ class Estimation:
             if position is None:
                 return
             if self._observer is not None:
-                self._off, position = 0.0, self.position
+                self._offset, position = 0.0, self.position
                 self.send(effort, gain)
             elif observed is not None:
-                self._off = observed - position
-                self._off_for = settings.timing.takeover_time
+                self._offset = observed - position
+                self._fade_time = settings.timing.takeover_time
             self._source.take_over(position, self.velocity)
 
-    def refeed(self, gain: float) -> float:
+    def update_fed_effort(self, gain: float) -> float:
         """Compute the fed effort again with these settings; return the decrease in [N m]."""
-        before, self._fed = self._fed, 0.0
+        before, self._fed_forward = self._fed_forward, 0.0
         return before - (self.feed(gain) if self.feeds_disturbance else 0.0)
 
     def send(self, effort: float, gain: float) -> None:
@@ -95,7 +93,7 @@ class Estimation:
         That is the effort sent without the model's own, over the model's gain.
         """
         if self._observer is not None:
-            self._observer.send(effort + self._fed / gain)
+            self._observer.send(effort + self._fed_forward / gain)
 
     def coast(self, since: float) -> None:
         """Let the observer, if there is one, go on under the effort sent, without a sample."""
@@ -106,7 +104,7 @@ class Estimation:
         """Take a sample."""
         observer = self._observer
         if observer is None:
-            self.position = position + self._fade(dt) if self._off else position
+            self.position = position + self._fade(dt) if self._offset else position
             self.velocity = self._source.update(position, velocity, dt)
             return
         observer.update(position, None, dt)
@@ -120,25 +118,26 @@ class Estimation:
     def feed(self, gain: float) -> float:
         """Return the effort against the disturbance that the observer estimates, in [N m]."""
         assert self._observer is not None
-        self._fed = -gain * self._observer.effort
-        return self._fed
+        self._fed_forward = -gain * self._observer.effort
+        return self._fed_forward
 
     def _fade(self, dt: float) -> float:
         """Return what is left of the distance by which an observer was off, in [rad]."""
-        self._off *= max(self._off_for - dt, 0.0) / self._off_for if self._off_for else 0.0
-        self._off_for = max(self._off_for - dt, 0.0)
-        return self._off
+        left = max(self._fade_time - dt, 0.0)
+        self._offset *= left / self._fade_time if self._fade_time else 0.0
+        self._fade_time = left
+        return self._offset
 
     def copy_of_source(self) -> VelocitySource:
         """Return a copy of the velocity source with its past."""
         return deepcopy(self._source)
 
-    def put_back(self, source: VelocitySource) -> None:
+    def restore_source(self, source: VelocitySource) -> None:
         """Go on with a velocity source as it was."""
         self._source = source
         self._observer = source if isinstance(source, Observer) else None
 
-    def source_of_stop(self, position: float) -> VelocitySource:
+    def stop_velocity_source(self, position: float) -> VelocitySource:
         """Return the velocity source of a stop that takes the law's place."""
         if self._observer is None:
             return self._source
@@ -147,7 +146,7 @@ class Estimation:
         source.take_over(position, self.velocity)
         return source
 
-    def disturbed(self, gain: float) -> tuple[float, float, float] | None:
+    def observer_state(self, gain: float) -> tuple[float, float, float] | None:
         """Return position [rad], velocity [rad/s] and disturbing effort [N m] by the observer."""
         observer = self._observer
         if observer is None:

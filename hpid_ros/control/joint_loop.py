@@ -19,7 +19,7 @@ from hpid_ros.control.assembly import (
 from hpid_ros.control.estimation import Estimation
 from hpid_ros.control.homogeneous_pid import Terms
 from hpid_ros.control.limited_law import LimitedLaw, ModelTerm
-from hpid_ros.control.overrides import DampingStop, Relay, RelayRequest, reason_against
+from hpid_ros.control.overrides import DampingStop, Relay, RelayRequest, relay_obstacle
 from hpid_ros.control.reference import LARGEST_POSITION, Feedforward, Following, Motion
 from hpid_ros.control.settings import LoopSettings, Timing
 from hpid_ros.control.velocity import VelocitySource
@@ -147,7 +147,7 @@ class JointLoop:
         self._uses_velocity = settings.velocity.is_measured
         self._step_max, self._speed_max = largest_step(settings)
         self._following.turn = turn_of_references(settings)
-        self._following.lost_turn = max(settings.encoder.wrap, 0.0)
+        self._following.encoder_turn = max(settings.encoder.wrap, 0.0)
 
     def follow(self, motion: Motion) -> None:
         """Follow a motion from the next sample on; a reset starts it again.
@@ -178,7 +178,7 @@ class JointLoop:
             against = str(self.state.value)
         elif self._following.velocity or self._following.acceleration:
             against = "the reference moves"
-        against = against or reason_against(
+        against = against or relay_obstacle(
             request, gains, self.settings.effort, law.integral + law.model_effort, self.error
         )
         if against:
@@ -224,8 +224,8 @@ class JointLoop:
         position = None if self._clock.stamp_ns is None else self._position
         estimation.retune(settings, position, law.driving_effort, law.gain)
         law.retune(settings, None if position is None else (position, estimation.velocity))
-        if less := estimation.refeed(law.gain):
-            law.take_from_model(less)
+        if less := estimation.update_fed_effort(law.gain):
+            law.absorb_model_effort(less)
         change = self._feedforward.retune(
             feedforward_figures(settings), following.velocity, following.acceleration
         )
@@ -236,9 +236,9 @@ class JointLoop:
                 self._unwrapper.restart_after(max(settings.encoder.wrap, 0.0) or math.inf)
         self._adopt(settings)
         if change:
-            self._hand_over(change, self._clock.stamp_ns or 0)
+            self._compensate_jump(change, self._clock.stamp_ns or 0)
         if self.is_on_fallback:
-            law.give(settings.effort.fallback)
+            law.override_effort(settings.effort.fallback)
 
     def reset(self) -> None:
         """Forget integral, velocity and time; start the motion again with the next state."""
@@ -298,7 +298,7 @@ class JointLoop:
         """
         self._drop_relay("the joint was given another effort")
         self._is_takeover_due = True
-        self._law.give(effort)
+        self._law.override_effort(effort)
 
     @property
     def is_on_fallback(self) -> bool:
@@ -320,7 +320,7 @@ class JointLoop:
     @property
     def estimate(self) -> tuple[float, float, float] | None:
         """Position [rad], velocity [rad/s] and disturbing effort [N m] by the observer, if any."""
-        return self._estimation.disturbed(self._law.gain)
+        return self._estimation.observer_state(self._law.gain)
 
     def damping_stop(self, duration: float) -> DampingStop:
         """Return what damps the joint from now on in this loop's place.
@@ -328,7 +328,7 @@ class JointLoop:
         Args:
             duration: In [s], positive.
         """
-        velocity = self._estimation.source_of_stop(self._position)
+        velocity = self._estimation.stop_velocity_source(self._position)
         return self._law.damping_stop(velocity, self._uses_velocity, self.stamp_ns, duration)
 
     def step(
@@ -428,7 +428,7 @@ class JointLoop:
         if self._feedforward.is_active or following.gives_effort:
             ahead = self._feed_forward(stamp_ns, is_takeover=is_takeover)
         if is_takeover:
-            law.take_over(model, acceleration, ahead, is_still_damped=dt > 0.0)
+            law.take_over(model, acceleration, ahead, keeps_damping=dt > 0.0)
         self.error = error = wanted - estimation.position
         try:
             return law.update(
@@ -444,14 +444,14 @@ class JointLoop:
         planned = following.effort(stamp_ns)
         if is_takeover:
             forward.reset()
-        elif following.has_turned:
-            self._hand_over(forward.change_by(planned), stamp_ns)
-        following.has_turned = False
+        elif following.has_new_motion:
+            self._compensate_jump(forward.change_by(planned), stamp_ns)
+        following.has_new_motion = False
         return forward.update(stamp_ns, following.velocity, following.acceleration, planned)
 
-    def _hand_over(self, change: float, stamp_ns: int) -> None:
+    def _compensate_jump(self, change: float, stamp_ns: int) -> None:
         """Keep the effort continuous although the feedforward changes by so much, in [N m]."""
-        left = self._law.give_up(change)
+        left = self._law.absorb_added_effort(change)
         if left:
             self._feedforward.keep(-left, stamp_ns, self._takeover_time)
 
@@ -489,7 +489,7 @@ class JointLoop:
         self._drop_relay("a state could not be used")
         self.counts.rejected += 1
         self._state = LoopState.FAULT
-        self._law.give(self.settings.effort.fallback)
+        self._law.override_effort(self.settings.effort.fallback)
         return self._law.effort
 
     def _interrupt(self, dt: float) -> None:
@@ -509,11 +509,11 @@ class JointLoop:
                 copy(self._following),
                 copy(self._feedforward),
                 self._estimation.copy_of_source(),
-                self._law.own_integral,
+                self._law.raw_integral,
             )
             self._is_takeover_due = True
             if self._clock.has_timed_out:
-                self._law.give(self.settings.effort.fallback)
+                self._law.override_effort(self.settings.effort.fallback)
             if self._unwrapper is not None:
                 self._unwrapper.interrupt()
 
@@ -530,7 +530,7 @@ class JointLoop:
         if newest is not before.following.motion:
             self._following.follow(newest)
         if self.settings is before.settings:  # else the source is another, or of other figures
-            self._estimation.put_back(before.velocity)
+            self._estimation.restore_source(before.velocity)
             self._feedforward = before.feedforward
         self._law.restore_integral(before.integral)
         self.counts.takeovers = before.takeovers
@@ -573,7 +573,7 @@ class JointLoop:
             return False
         if law.relay is not None:
             self._drop_relay("the joint was taken over anew")
-            law.give(law.effort)  # the relay's share is in none of the law's terms
+            law.override_effort(law.effort)  # the relay's share is in none of the law's terms
         self._estimation.restart()
         following.take_over(stamp_ns, position, self._takeover_time)
         return True

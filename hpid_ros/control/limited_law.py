@@ -42,7 +42,7 @@ class LimitedLaw:
         "_gain",
         "_has_integral",
         "_integral_clamp",
-        "_is_given",
+        "_is_external",
         "_law",
         "_model_effort",
         "_offset",
@@ -86,7 +86,7 @@ class LimitedLaw:
         return self._gain * self._law.integral
 
     @property
-    def own_integral(self) -> float:
+    def raw_integral(self) -> float:
         """The integral in the law's own units: with decoupling those of a unit inertia."""
         return self._law.integral
 
@@ -105,7 +105,7 @@ class LimitedLaw:
             effort = limits.limit(effort, *motion, before=effort, dt=0.0)
         self._adopt(settings, limits)
         self._law = law
-        self.give(effort)
+        self.override_effort(effort)
 
     @property
     def gain(self) -> float:
@@ -117,7 +117,7 @@ class LimitedLaw:
         """The active effort without the model's own, in the law's units."""
         return (self.effort - self._offset) / self._gain
 
-    def take_from_model(self, effort: float) -> None:
+    def absorb_model_effort(self, effort: float) -> None:
         """Let the integral term give what a model's effort has given until now."""
         least, most = self._integral_clamp
         integral = self._law.integral + effort / self._gain
@@ -125,7 +125,7 @@ class LimitedLaw:
         self._model_effort -= effort
         self._offset -= effort
 
-    def give_up(self, effort: float) -> float:
+    def absorb_added_effort(self, effort: float) -> float:
         """Reduce the integral by an effort added elsewhere; return what it could not take."""
         before = self._law.integral
         if self._has_integral:
@@ -134,14 +134,14 @@ class LimitedLaw:
             self._law.restore_integral(min(max(wanted, min(least, before)), max(most, before)))
         return effort + self._gain * (self._law.integral - before)
 
-    def give(self, effort: float) -> None:
+    def override_effort(self, effort: float) -> None:
         """Note an effort that was given, but not computed by the law."""
-        self.effort, self._is_given = effort, True
+        self.effort, self._is_external = effort, True
 
     def reset(self) -> None:
         """Forget the integral, and be without effort."""
         self._law.reset()
-        self.give(0.0)
+        self.override_effort(0.0)
         self._gain, self._model_effort, self._offset, self._ahead = 1.0, 0.0, 0.0, 0.0
 
     def take_over(
@@ -150,12 +150,12 @@ class LimitedLaw:
         acceleration: float,
         ahead: float = 0.0,
         *,
-        is_still_damped: bool,
+        keeps_damping: bool,
     ) -> None:
         """Start again with the active effort, by choice of the integral."""
         law, (least, most) = self._law, self._clamp
         integral = self.effort
-        if is_still_damped and not self._is_given:
+        if keeps_damping and not self._is_external:
             terms = self.terms
             rest = terms.p + terms.i + self._model_effort + self._ahead
             integral = min(max(rest, least), most)
@@ -217,13 +217,13 @@ class LimitedLaw:
         integral = self._anti_windup(before, after, error, wanted / gain, effort / gain, dt)
         least, most = self._integral_clamp
         law.restore_integral(min(max(integral, least), most))
-        self.effort, self._is_given = effort, False
+        self.effort, self._is_external = effort, False
         return effort
 
     def damping_stop(
         self,
         velocity: VelocitySource,
-        hears_velocity: bool,
+        uses_velocity: bool,
         stamp_ns: int | None,
         duration: float,
     ) -> DampingStop:
@@ -231,7 +231,7 @@ class LimitedLaw:
         return DampingStop(
             self._gain * self._damping,
             velocity,
-            hears_velocity,
+            uses_velocity,
             self.limits,
             self._clamp,
             self.effort,

@@ -44,7 +44,7 @@ class DampingStop:
         self,
         damping: float,
         velocity: VelocitySource,
-        hears_velocity: bool,
+        uses_velocity: bool,
         limits: MotionLimits | None,
         clamp: tuple[float, float],
         effort: float,
@@ -52,7 +52,7 @@ class DampingStop:
         duration: float,
     ) -> None:
         self._damping, self._velocity, self._limits = damping, velocity, limits
-        self._hears_velocity = hears_velocity
+        self._uses_velocity = uses_velocity
         self._clamp = clamp
         self._effort = effort
         self._begin_ns = self._stamp_ns = stamp_ns
@@ -63,7 +63,7 @@ class DampingStop:
 
         A state that cannot be used, or that is not later than the last one, gets none.
         """
-        if not self._hears_velocity:
+        if not self._uses_velocity:
             velocity = None
         dt = (stamp_ns - self._stamp_ns) * SECONDS_PER_NANOSECOND
         numbers = (position, 0.0 if velocity is None else velocity)
@@ -127,7 +127,7 @@ class RelayRequest:
         return cls(*numbers)
 
 
-def reason_against(
+def relay_obstacle(
     request: RelayRequest, gains: Gains, limits: EffortLimits, load: float, error: float
 ) -> str:
     """Return why a relay would not be safe; empty if it is."""

@@ -24,10 +24,10 @@ class FeedforwardFigures(NamedTuple):
     viscous_friction: float = 0.0  # [N m s/rad] b
     coulomb_friction: float = 0.0  # [N m] c
     friction_velocity: float = 1.0  # [rad/s] v, positive
-    hears_trajectory: bool = True  # whether planned efforts are added
+    uses_planned_effort: bool = True  # whether planned efforts are added
 
     @property
-    def is_by_model(self) -> bool:
+    def is_model_based(self) -> bool:
         """Whether anything follows from the reference's velocity and acceleration."""
         return bool(self.inertia or self.viscous_friction or self.coulomb_friction)
 
@@ -49,10 +49,10 @@ class Feedforward:
     """
 
     __slots__ = (
+        "_fade_begin_ns",
+        "_fade_end_ns",
+        "_fading",
         "_figures",
-        "_kept",
-        "_kept_from_ns",
-        "_kept_to_ns",
         "_last",
         "effort",
         "is_active",
@@ -64,46 +64,46 @@ class Feedforward:
 
     def reset(self) -> None:
         """Forget the past."""
-        self.effort = self._kept = 0.0
-        self._kept_from_ns = self._kept_to_ns = 0
+        self.effort = self._fading = 0.0
+        self._fade_begin_ns = self._fade_end_ns = 0
         self._last = 0.0, 0.0, 0.0  # velocity, acceleration and planned effort
         self._settle()
 
     def _settle(self) -> None:
-        self.is_active = bool(self._figures.is_by_model or self._last[2] or self._kept)
+        self.is_active = bool(self._figures.is_model_based or self._last[2] or self._fading)
 
     def update(self, stamp_ns: int, velocity: float, acceleration: float, planned: float) -> float:
         """Take a sample of the reference and return its effort in [N m]."""
         self._last = velocity, acceleration, planned
-        effort = self._of(self._figures)
-        if self._kept:
-            effort += self._faded(stamp_ns)
+        effort = self._effort_by(self._figures)
+        if self._fading:
+            effort += self._fading_effort(stamp_ns)
         self.effort = effort
         self._settle()
         return effort
 
-    def _of(self, figures: FeedforwardFigures) -> float:
+    def _effort_by(self, figures: FeedforwardFigures) -> float:
         """Return what figures make of the last sample, in [N m]."""
         velocity, acceleration, planned = self._last
         effort = figures.effort(velocity, acceleration)
-        return effort + planned if figures.hears_trajectory else effort
+        return effort + planned if figures.uses_planned_effort else effort
 
-    def _faded(self, stamp_ns: int) -> float:
+    def _fading_effort(self, stamp_ns: int) -> float:
         """Return what is left of what was kept."""
-        left = self._kept_to_ns - stamp_ns
+        left = self._fade_end_ns - stamp_ns
         if left <= 0:
-            self._kept = 0.0
+            self._fading = 0.0
             return 0.0
-        return self._kept * min(left / (self._kept_to_ns - self._kept_from_ns), 1.0)
+        return self._fading * min(left / (self._fade_end_ns - self._fade_begin_ns), 1.0)
 
     def change_by(self, planned: float) -> float:
         """Return by how much another motion changes the effort at the same reference, in [N m]."""
-        return planned - self._last[2] if self._figures.hears_trajectory else 0.0
+        return planned - self._last[2] if self._figures.uses_planned_effort else 0.0
 
     def retune(self, figures: FeedforwardFigures, velocity: float, acceleration: float) -> float:
         """Go by other figures, and return by how much that changes the effort, in [N m]."""
         self._last = velocity, acceleration, self._last[2]
-        change = self._of(figures) - self._of(self._figures)
+        change = self._effort_by(figures) - self._effort_by(self._figures)
         self._figures = figures
         self.effort += change
         self._settle()
@@ -111,9 +111,9 @@ class Feedforward:
 
     def keep(self, effort: float, stamp_ns: int, duration: float) -> None:
         """Add an effort that fades."""
-        self._kept = effort + (self._faded(stamp_ns) if self._kept else 0.0)
-        self._kept_from_ns = stamp_ns
-        self._kept_to_ns = stamp_ns + max(round(duration / SECONDS_PER_NANOSECOND), 1)
+        self._fading = effort + (self._fading_effort(stamp_ns) if self._fading else 0.0)
+        self._fade_begin_ns = stamp_ns
+        self._fade_end_ns = stamp_ns + max(round(duration / SECONDS_PER_NANOSECOND), 1)
         self._settle()
 
 
@@ -190,7 +190,7 @@ class Setpoint:
 
 
 @dataclass(frozen=True)
-class Turned:
+class ShiftedReference:
     """Another reference, whole turns away."""
 
     onto: Reference  # the other reference
@@ -261,8 +261,8 @@ class Following:
         *(
             "acceleration",
             "gives_effort",
-            "has_turned",
-            "lost_turn",
+            "has_new_motion",
+            "encoder_turn",
             "motion",
             "position",
             "turn",
@@ -272,7 +272,7 @@ class Following:
 
     def __init__(self) -> None:
         self.motion: Motion | None = None
-        self.turn = self.lost_turn = 0.0
+        self.turn = self.encoder_turn = 0.0
         self.restart()
 
     @property
@@ -290,7 +290,7 @@ class Following:
         self._reference: Reference | None = None
         self._glide_end_ns: int | None = None
         self._is_first = True
-        self.gives_effort = self.has_turned = False
+        self.gives_effort = self.has_new_motion = False
         self.position = self.velocity = self.acceleration = 0.0
 
     def stand(self, position: float) -> None:
@@ -304,7 +304,7 @@ class Following:
         self.stand(position)
         if self.motion is not None and self._pending is None:
             away = self.position - onto.sample(stamp_ns)[0]
-            onto = _turned(onto, whole_turns(away, self.turn))
+            onto = _shifted(onto, whole_turns(away, self.turn))
             self._glide(onto, stamp_ns, position, 0.0, duration)
 
     def sample(
@@ -339,13 +339,13 @@ class Following:
         before = self._reference
         assert before is not None
         self._pending = None
-        self.gives_effort, self.has_turned = motion.gives_effort, True
+        self.gives_effort, self.has_new_motion = motion.gives_effort, True
         is_under_way, turn = motion.is_under_way(stamp_ns), self.turn
         if self._is_first and is_under_way:
-            turn = turn or self.lost_turn
+            turn = turn or self.encoder_turn
         self._is_first = False
         offset = whole_turns(self.position - motion.target(stamp_ns), turn) if turn else 0.0
-        onto = _turned(motion.start(stamp_ns, self.position - offset, self.velocity), offset)
+        onto = _shifted(motion.start(stamp_ns, self.position - offset, self.velocity), offset)
         self._reference, self._glide_end_ns = onto, None
         if is_under_way:
             position, velocity = before.sample(stamp_ns)[:2]
@@ -379,10 +379,10 @@ def whole_turns(away: float, turn: float) -> float:
     return math.copysign(turn * max(math.ceil(abs(turns) - 0.5 - _HALF), 0), turns)
 
 
-def _turned(onto: Reference, offset: float) -> Reference:
+def _shifted(onto: Reference, offset: float) -> Reference:
     """Return a reference so many rad further."""
     if offset == 0.0:
         return onto
-    if isinstance(onto, Turned):
-        return Turned(onto.onto, onto.offset + offset)
-    return Turned(onto, offset)
+    if isinstance(onto, ShiftedReference):
+        return ShiftedReference(onto.onto, onto.offset + offset)
+    return ShiftedReference(onto, offset)
