@@ -1,9 +1,9 @@
 """Records: values that belong together, each declared once in a frozen dataclass.
 
 A field declares its meaning, unit, range and default. From that come the checks of a record that
-is made in Python, the reading of a section of a file, the way back into a file, the parameters of
-a node, and in :mod:`.schema` the JSON Schema with which editors complete and check files, and the
-tables of the documentation.
+is made in Python, the reading of a section of a file, the parameters of a node, and in
+:mod:`.schema` the JSON Schema with which editors complete and check files, and the tables of the
+documentation.
 
 A library would be the better choice, were there one: of those that do all this, pydantic has
 another interface on PyPI than in the Ubuntu of Jazzy, and msgspec and cattrs have no rosdep key.
@@ -388,15 +388,6 @@ def take_layered(
     return tuple(records)
 
 
-def to_mapping(record: Record) -> dict[str, Any]:
-    """Return what a file says to give this record; what has its default is left out."""
-    return {
-        each.key: _plain(getattr(record, each.name), each)
-        for each in record_fields(type(record))
-        if each.is_needed or getattr(record, each.name) != each.default
-    }
-
-
 class ParameterSpec(NamedTuple):
     """A value of a record, or of a group in it, under a name of its own."""
 
@@ -569,18 +560,3 @@ def _list(
 
 
 _COUNTS = {2: "two", 3: "three", 4: "four", 6: "six"}
-
-
-def _plain(value: Any, each: RecordField) -> Any:
-    if isinstance(value, Record):
-        return to_mapping(value)
-    if isinstance(value, Mapping):
-        return {name: _plain(inner, each) for name, inner in value.items()}
-    if isinstance(value, tuple):
-        if not each.quantity.names:
-            return [_plain(inner, each) for inner in value]
-        named = {inner.name: to_mapping(inner) for inner in value}
-        for entry in named.values():
-            del entry["name"]
-        return named
-    return value

@@ -15,7 +15,7 @@ from hpid_ros.base.files import find_resource
 from hpid_ros.base.names import require_label
 from hpid_ros.base.records import Section
 from hpid_ros.base.units import NANOSECONDS
-from hpid_ros.base.yaml_files import Document, load_document
+from hpid_ros.base.yaml_files import Document, load_document, parse_yaml
 from hpid_ros.control.settings import LOOP_PARAMETERS, PARAMETERS, LoopSettings, ModelSettings
 from hpid_ros.motion.joint_trajectory import JointTrajectory
 from hpid_ros.motion.plan import BrickPlan
@@ -24,7 +24,7 @@ from hpid_ros.robot.compensation import robot_xml, with_inertia
 from hpid_ros.robot.description import JointDescription, RobotDescription
 from hpid_ros.robot.dynamics import Dynamics
 from hpid_ros.simulation.settings import ENGINES, WorldSettings
-from hpid_ros.simulation.world_file import read_world
+from hpid_ros.simulation.world_file import WORLD_SECTIONS, read_world, robot_source
 
 
 def with_robot(settings: LoopSettings, world: WorldSettings) -> LoopSettings:
@@ -244,6 +244,22 @@ class Experiment:
         """Return of each of these joints whether it slides."""
         slides = self.slides
         return tuple(joint in slides for joint in joints)
+
+    def world_document(self) -> dict[str, Any]:
+        """Return the sections of the file that are of its world, with what is planned resolved."""
+        values = parse_yaml(self.path, self.text, ExperimentError)
+        document = {key: values[key] for key in WORLD_SECTIONS if key in values}
+        robot = document["robot"]
+        folders = tuple(file.parent for file in self.files)
+        source = str(robot_source(robot["description"], folders))
+        document["robot"] = {**robot, "description": source, "driven": list(self.world.joints)}
+        document["simulation"] = {**values.get("simulation", {}), "engine": self.world.engine}
+        if self.plan is not None:
+            grips = self.world.workplace.schedule
+            document["scene"]["grips"] = [
+                {"time": each.time, "closed": each.is_closed} for each in grips
+            ]
+        return document
 
     @property
     def inputs(self) -> tuple[Path, ...]:

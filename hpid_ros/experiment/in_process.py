@@ -32,7 +32,6 @@ from hpid_ros.simulation.reports import KINDS as REPORT_KINDS
 from hpid_ros.simulation.reports import Reports, recorded_reports
 from hpid_ros.simulation.settings import WorldSettings
 from hpid_ros.simulation.world import World
-from hpid_ros.simulation.world_file import world_mapping
 
 
 def controllers_document(settings: Sequence[LoopSettings], robot: str = "") -> dict[str, Any]:
@@ -81,7 +80,7 @@ def write_run_files(
     controllers, bridge, world = (
         folder / f"{name}.yaml" for name in ("controllers", "bridge", "world")
     )
-    write_document(world, world_mapping(experiment.world))
+    write_document(world, experiment.world_document())
     write_document(bridge, bridge_document(experiment, world))
     robot = str(experiment.world.robot_description)
     write_document(controllers, controllers_document(settings, robot))

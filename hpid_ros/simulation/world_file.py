@@ -10,12 +10,12 @@ from typing import Any, NamedTuple
 
 from hpid_ros.base.errors import ExperimentError, HpidError, SettingError
 from hpid_ros.base.files import find_resource
-from hpid_ros.base.records import Record, Section, quantity, take_layered, take_record, to_mapping
+from hpid_ros.base.records import Record, Section, quantity, take_layered, take_record
 from hpid_ros.base.schema import json_schema, layered_schema
 from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.base.yaml_files import Document
 from hpid_ros.motion.references import PlannedReference, planned_reference
-from hpid_ros.robot.amendments import RobotSection, Wheels
+from hpid_ros.robot.amendments import RobotSection
 from hpid_ros.robot.description import RobotDescription
 from hpid_ros.simulation.drives import DriveSettings
 from hpid_ros.simulation.settings import (
@@ -29,6 +29,10 @@ from hpid_ros.simulation.settings import (
     default_engine,
 )
 
+WORLD_SECTIONS = (
+    *("robot", "control", "simulation", "seed", "sensors", "actuators", "disturbances", "scene"),
+)
+"""Keys of a file that describe its world."""
 _OF_EXPERIMENTS = ("name", "duration", "reference", "controllers", "compare", "judge")
 """Keys of an experiment that are not of its world."""
 _BY_JOINT = ("encoder_counts", "noise")
@@ -131,34 +135,6 @@ def world_of(values: Any, document: Document | None) -> WorldFile:
     return found
 
 
-def world_mapping(world: WorldSettings) -> dict[str, Any]:
-    """Return what a file says to describe this world.
-
-    What no file can say is left out: another gravity, PyBullet's window.
-    """
-    robot = RobotSection(
-        description=str(world.robot_description),
-        driven=world.joints,
-        payload=world.payload_mass,
-        fixed_base=world.fixed_base,
-        initial_positions=world.initial_positions,
-        base=None if world.base is None else Wheels.of(world.base),
-    )
-    columns = zip(world.counts, world.position_noises, world.homings, strict=True)
-    sensors = [Sensor(*each) for each in columns]
-    document = {
-        "robot": to_mapping(robot),
-        "control": to_mapping(ControlSection(NANOSECONDS / world.control_period_ns)),
-        "simulation": to_mapping(PhysicsSection(world.engine, world.physics_steps)),
-        "seed": world.seed,
-        "sensors": to_mapping(MeasuredSection(world.velocity)) | _each(world.joints, sensors),
-        "actuators": _each(world.joints, world.drives),
-        "disturbances": to_mapping(world.disturbances),
-        "scene": to_mapping(world.workplace),
-    }
-    return {key: value for key, value in document.items() if value not in ({}, None)}
-
-
 def world_schema() -> dict[str, Any]:
     """Return the JSON Schema of each section that is of the world, by key."""
     sensors = layered_schema(Sensor)
@@ -193,17 +169,17 @@ def _whole(kind: type[Any], section: Section) -> Any:
 
 
 def _load(source: str, folders: Sequence[Path]) -> RobotDescription:
-    return RobotDescription.load(_source(source, folders))
+    return RobotDescription.load(robot_source(source, folders))
 
 
-def _source(source: str, folders: Sequence[Path]) -> str | Path:
+def robot_source(source: str, folders: Sequence[Path]) -> str | Path:
     """Return a URDF's text as it is, and where the file is that anything else names."""
     return source if source.lstrip().startswith("<") else find_resource(source, folders)
 
 
 def _description(robot: RobotSection, known: RobotDescription, folders: Sequence[Path]) -> str:
     is_plain = not (robot.joints or robot.links or robot.held)
-    return str(_source(robot.description, folders)) if is_plain else known.xml
+    return str(robot_source(robot.description, folders)) if is_plain else known.xml
 
 
 def _reference(root: Section, folders: Sequence[Path]) -> PlannedReference | None:
@@ -270,16 +246,3 @@ def _workplace(section: Section, reference: PlannedReference | None) -> Workplac
     workplace = take_record(Workplace, section, {"schedule": schedule})
     section.finish()
     return workplace
-
-
-def _each(joints: Sequence[str], records: Sequence[Record]) -> dict[str, Any]:
-    """Return a layered section: what all joints have alike, and the ``joints`` with the rest."""
-    each = [to_mapping(record) for record in records]
-    first = each[0] if each else {}
-    common = {k: v for k, v in first.items() if all(k in one and one[k] == v for one in each)}
-    own = {
-        joint: {key: value for key, value in one.items() if key not in common}
-        for joint, one in zip(joints, each, strict=bool(each))
-    }
-    own = {joint: one for joint, one in own.items() if one}
-    return common | ({"joints": own} if own else {})

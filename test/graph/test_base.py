@@ -33,7 +33,6 @@ from hpid_ros.robot.differential_drive import DifferentialDrive, PlanarPose, int
 from hpid_ros.simulation.base import BaseMonitor, ReportTimes, SlipMeter, planar
 from hpid_ros.simulation.settings import WorldSettings
 from hpid_ros.simulation.world import World
-from hpid_ros.simulation.world_file import world_mapping
 
 WHEELS = ("wheel_left_joint", "wheel_right_joint")
 JOINTS = (*WHEELS, *(f"arm_joint_{number}" for number in range(1, 7)))
@@ -188,7 +187,6 @@ def test_a_robot_without_a_base_has_no_such_section(experiment_file, tmp_path):
     path.write_text(yaml.safe_dump(document))
     experiment = load_experiment(path)
     assert experiment.world.base is None
-    assert "base" not in world_mapping(experiment.world)["robot"]
     run_without_ros(experiment, "PID", tmp_path / "bag", NoProgress())
     assert "base" not in compute(experiment, {"PID": tmp_path / "bag"}).as_mapping()
 
@@ -196,7 +194,6 @@ def test_a_robot_without_a_base_has_no_such_section(experiment_file, tmp_path):
 def test_the_robot_has_a_base_and_its_urdf_tells_the_lengths(experiment_file):
     experiment = load_experiment(experiment_file())
     assert experiment.world.base == DRIVE
-    assert world_mapping(experiment.world)["robot"]["base"] == BASE
 
 
 @pytest.mark.parametrize(

@@ -29,7 +29,7 @@ from hpid_ros.metrics.end_effector import EndEffector, TaskFrame, moving_joints
 from hpid_ros.robot.description import RobotDescription
 from hpid_ros.robot.differential_drive import DifferentialDrive
 from hpid_ros.robot.kinematics import Kinematics
-from hpid_ros.simulation.world_file import read_world, world_mapping
+from hpid_ros.simulation.world_file import read_world
 
 EXPERIMENTS = share_folder() / "config" / "experiments"
 ROBOT = RobotDescription.load(share_folder() / "urdf" / "mobile_manipulator.urdf")
@@ -221,7 +221,7 @@ def test_the_bridge_gets_the_same_scene(written, tmp_path):
         scene__gripper={"tolerance": 0.01, "opening": 0.07},
     )
     experiment = load_experiment(path)
-    write_document(tmp_path / "world.yaml", world_mapping(experiment.world))
+    write_document(tmp_path / "world.yaml", experiment.world_document())
     document = load_yaml(tmp_path / "world.yaml", ExperimentError)
     there = read_world(Section(document, "", ExperimentError), ()).world
     assert there == experiment.world
