@@ -31,9 +31,9 @@ from hpid_ros.base.errors import GainError, NormError
 from hpid_ros.control import CanonicalNorm, Gains, WeightedNorm
 from hpid_ros.control.norms import NormType
 from hpid_ros.control.settings import NormSettings
+from hpid_ros.stability.certification import certified_degree_interval, margins_at
 from hpid_ros.stability.closed_loop import Norm
 from hpid_ros.stability.gain_check import integral_ratio
-from hpid_ros.stability.verdict import certified_degree_interval, margins_at
 
 STARTS = 4
 HORIZONS = (250.0, 3000.0)  # in units of 1 / ki^(1/3); the second where the first decides nothing

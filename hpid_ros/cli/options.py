@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from hpid_ros.experiment.description import Experiment
     from hpid_ros.experiment.result_folder import ResultFolder
     from hpid_ros.messages.selection import BagSelection, Reference
-    from hpid_ros.stability.degrees import Loop
+    from hpid_ros.stability.gain_check import Loop
 
 
 DEFAULT_EXPERIMENT = "config/experiments/paper.yaml"

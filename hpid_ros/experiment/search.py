@@ -29,7 +29,7 @@ from hpid_ros.experiment.result_folder import ResultFolder, versions
 from hpid_ros.experiment.search_space import SearchCost, SearchSpace, mean_ratios, source_label
 from hpid_ros.metrics.results import RunIndices
 from hpid_ros.report.table import format_ratio
-from hpid_ros.stability.degrees import DegreeChecker
+from hpid_ros.stability.gain_check import DegreeChecker
 
 LEAST_EVALUATIONS = 10
 _TRAINING = 1000

@@ -30,7 +30,7 @@ from hpid_ros.metrics.comparison import ratio
 from hpid_ros.metrics.folding import EngineTotal, engine_mapping
 from hpid_ros.metrics.quantities import EFFORT_L2, ERROR_L2, IAVC, ITAE, IVC, OVERSHOOT, Quantity
 from hpid_ros.report.table import format_ratio
-from hpid_ros.stability.degrees import DegreeChecker
+from hpid_ros.stability.gain_check import DegreeChecker
 
 JOINTS_SHARE = 4.0 / 6.0
 """The paper's four of six joints."""

@@ -19,10 +19,10 @@ from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.control.joint_loop import JointLoop
 from hpid_ros.control.reference import Setpoint
 from hpid_ros.control.settings import LARGEST_MOTION, LoopSettings, Value
+from hpid_ros.stability.certification import require_certifiable
 from hpid_ros.stability.closed_loop import DegreeInterval
-from hpid_ros.stability.degrees import LoopKind, certified_degrees, kind_of
+from hpid_ros.stability.gain_check import LoopKind, certified_degrees, kind_of
 from hpid_ros.stability.margins import loop_family, margins_of
-from hpid_ros.stability.verdict import require_certifiable
 
 SETTLED = 0.02
 """Of a step, within which a response counts as settled."""

@@ -1,4 +1,8 @@
-"""The certifier: certified degrees, those it knows and those it finds beside a running loop."""
+"""Certified degrees of a running loop, computed in a child process and remembered.
+
+The child, ``python -m hpid_ros.stability.certifier < parameters.json``, certifies one loop: its
+parameters as JSON in, ``{"lower": .., "upper": ..}`` or ``{"reason": ..}`` out.
+"""
 
 from __future__ import annotations
 
@@ -10,6 +14,7 @@ import sys
 from collections.abc import Hashable
 from typing import NamedTuple
 
+from hpid_ros.base.errors import HpidError
 from hpid_ros.control.settings import LoopSettings
 
 _REMEMBERED = 1000  # loops, the oldest are forgotten
@@ -37,14 +42,10 @@ class Certifier:
 
     def finding(self, settings: LoopSettings) -> Finding:
         """Say what is known now, without waiting."""
-        if settings.degree == 0.0:
-            return (
-                Finding(True, "linear, stable by Routh and Hurwitz")
-                if settings.plant_inertia
-                else (Finding(None, "unknown: the inertia is not given"))
-            )
         if settings.plant_inertia == 0.0:
             return Finding(None, "unknown: the inertia is not given")
+        if settings.degree == 0.0:
+            return Finding(True, "linear, stable by Routh and Hurwitz")
         known = self._known.get(_key(settings))
         if known is None:
             return Finding(None, "being computed")
@@ -92,7 +93,7 @@ class Certifier:
         try:
             self._child = subprocess.Popen(
                 # nice from outside: its imports, too, come after the loop.
-                ["nice", "-n", "19", sys.executable, "-m", "hpid_ros.stability.certify"],
+                ["nice", "-n", "19", sys.executable, "-m", "hpid_ros.stability.certifier"],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.DEVNULL,
@@ -133,3 +134,24 @@ class Certifier:
 def _key(settings: LoopSettings) -> Hashable:
     """Return everything that a certificate depends on but the degree."""
     return settings.gains, settings.norm_family, settings.plant_inertia
+
+
+def main() -> int:
+    # Imported here: a node that asks does not wait for the search.
+    from hpid_ros.stability.certification import certified_degree_interval
+
+    try:
+        settings = LoopSettings.from_parameters(json.load(sys.stdin))
+        interval = certified_degree_interval(
+            settings.gains, settings.norm_family, settings.plant_inertia
+        )
+    except HpidError as error:
+        answer: dict[str, object] = {"reason": str(error)}
+    else:
+        answer = {"lower": interval.lower, "upper": interval.upper}
+    print(json.dumps(answer))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

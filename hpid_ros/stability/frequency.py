@@ -13,8 +13,8 @@ Source: K. J. Astrom and B. Wittenmark, "Computer-Controlled Systems" (3rd ed., 
 2.3 (sampling of a system with a hold) and 2.3 "Systems with time delay"; the modified
 z-transform.
 
-Each class here is the linear twin of a source in :mod:`hpid_ros.control.estimation`: one sample of
-it, and its frequency response at z = exp(j w T).
+Each source here is the linear twin of one in :mod:`hpid_ros.control.estimation`: ``sample`` takes
+one sample of it, ``controller`` returns what a law makes of what is measured, at z = exp(j w T).
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -159,31 +159,15 @@ class ControllerResponse(NamedTuple):
     velocity: Complexes  # [N m s/rad] of the measured velocity
 
 
-class LinearSource(Protocol):
-    """A velocity source as a linear system."""
-
-    @property
-    def size(self) -> int:
-        """How many states it has."""
-
-    def sample(self, states: Numbers, position: Numbers, velocity: Numbers, sent: Numbers) -> Seen:
-        """Take one sample."""
-
-    def controller(self, law: LawResponse, ahead: Complexes) -> ControllerResponse:
-        """Return what a law makes of what is measured."""
-
-
 class MeasuredSource:
     """The velocity is measured, and taken to be the joint's own at the sample."""
 
     size = 0
 
     def sample(self, states: Numbers, position: Numbers, velocity: Numbers, sent: Numbers) -> Seen:
-        """Take one sample; see :class:`LinearSource`."""
         return Seen(position, velocity, np.zeros_like(position), states)
 
     def controller(self, law: LawResponse, ahead: Complexes) -> ControllerResponse:
-        """Return what a law makes of what is measured; see :class:`LinearSource`."""
         return ControllerResponse(law.position, law.velocity)
 
 
@@ -199,14 +183,12 @@ class FilteredSource:
     size: int = 2  # the position and the velocity of the sample before
 
     def sample(self, states: Numbers, position: Numbers, velocity: Numbers, sent: Numbers) -> Seen:
-        """Take one sample; see :class:`LinearSource`."""
         before, rate = states
         whole = self.time_constant + self.period
         rate = rate + (position - before - self.period * rate) / whole
         return Seen(position, rate, np.zeros_like(position), np.stack([position, rate]))
 
     def controller(self, law: LawResponse, ahead: Complexes) -> ControllerResponse:
-        """Return what a law makes of what is measured; see :class:`LinearSource`."""
         tau, period = self.time_constant, self.period
         rate = ahead / ((tau + period) * ahead + period)
         return ControllerResponse(law.position + law.velocity * rate, np.zeros_like(ahead))
@@ -237,16 +219,12 @@ class ObserverSource:
         )
 
     def sample(self, states: Numbers, position: Numbers, velocity: Numbers, sent: Numbers) -> Seen:
-        """Take one sample; see :class:`LinearSource`."""
         ahead = self._follow @ states + np.outer(self._push, sent)
         ahead = ahead + np.outer(self._correct, position - ahead[0])
         return Seen(ahead[0], ahead[1], self._inertia * ahead[2], ahead)
 
     def controller(self, law: LawResponse, ahead: Complexes) -> ControllerResponse:
-        """Return what a law makes of what is measured; see :class:`LinearSource`.
-
-        The observer knows the efforts that the law sends, so that they are in a loop of their own.
-        """
+        # The observer knows the efforts that the law sends: they are in a loop of their own.
         back = 1.0 / (1.0 + ahead)
         kept = np.eye(3) - np.outer(self._correct, (1.0, 0.0, 0.0))
         system = np.eye(3) - back[:, None, None] * (kept @ self._follow)
@@ -256,6 +234,9 @@ class ObserverSource:
         own = law.disturbance * self._inertia * states[:, 2]
         answer = law.position[:, None] * states[:, 0] + law.velocity[:, None] * states[:, 1] + own
         return ControllerResponse(answer[:, 0] / (1.0 + answer[:, 1]), np.zeros_like(ahead))
+
+
+LinearSource = MeasuredSource | FilteredSource | ObserverSource
 
 
 def linear_source(settings: LoopSettings) -> LinearSource:
@@ -311,8 +292,15 @@ class FrozenLoop:
         """Return the open loop L(exp(j w T)), which is -1 where the closed loop oscillates."""
         joint = self.joint.response(frequency)
         ahead = np.expm1(1j * self.joint.period * frequency)
-        law = self._law_response(ahead)
-        controller = self._source.controller(law, ahead)
+        law, summed = self._law, self.joint.period / ahead
+        controller = self._source.controller(
+            LawResponse(
+                law.position + law.integral_position * summed,
+                law.velocity + law.integral_velocity * summed,
+                float(self.settings.observer.feed_disturbance),
+            ),
+            ahead,
+        )
         return controller.position * joint.position + controller.velocity * joint.velocity
 
     def controller(self, frequency: Numbers) -> Complexes:
@@ -356,7 +344,7 @@ class FrozenLoop:
             state[2 + under_way : 2 + under_way + source.size], position, velocity, sent[0]
         )
         effort = integral - law.position * seen.position - law.velocity * seen.velocity
-        effort = effort - self._feeds * seen.disturbance
+        effort = effort - float(self.settings.observer.feed_disturbance) * seen.disturbance
         efforts = np.vstack([effort, sent])
         newer, older = efforts[held.whole_periods], efforts[held.whole_periods + 1]
         after = [
@@ -374,11 +362,6 @@ class FrozenLoop:
     def _source(self) -> LinearSource:
         return linear_source(self.settings)
 
-    @property
-    def _feeds(self) -> float:
-        """Which part of an observer's disturbance is fed forward."""
-        return 1.0 if self.settings.observer.feed_disturbance else 0.0
-
     @cached_property
     def _law(self) -> LawStep:
         p, i, d = self.gains.p, self.gains.i, self.gains.d
@@ -392,13 +375,4 @@ class FrozenLoop:
             (d + period * p) / divisor,
             i * (1.0 + moved * d) / divisor,
             i * period / divisor,
-        )
-
-    def _law_response(self, ahead: Complexes) -> LawResponse:
-        law = self._law
-        summed = self.joint.period / ahead
-        return LawResponse(
-            law.position + law.integral_position * summed,
-            law.velocity + law.integral_velocity * summed,
-            self._feeds,
         )

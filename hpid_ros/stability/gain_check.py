@@ -1,26 +1,193 @@
-"""Whether gains are certified: bounds, the check of loops, certificates saved and verified."""
+"""Whether gains are certified: many loops at once, figures of a loop, saved certificates verified.
+
+Two loops are of one kind if they differ by their units alone: by the scale of the error, of time
+and of effort. Joints that were tuned by one rule are of one kind, and so are the controllers of
+one joint that differ in their degree. Each kind is computed once, the kinds on all cores.
+"""
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from hpid_ros.base.errors import GainError, SettingError
+from hpid_ros.base.errors import GainError, NormError, SettingError
 from hpid_ros.base.processes import side_by_side
 from hpid_ros.control.assembly import make_law, make_norm
 from hpid_ros.control.homogeneous_pid import Gains, HomogeneousPid, is_hurwitz
-from hpid_ros.control.norms import GOOD_SAMPLING_MARGIN, CanonicalNorm, WeightedNorm
+from hpid_ros.control.norms import CanonicalNorm, NormFamily, WeightedNorm
 from hpid_ros.control.settings import LoopSettings
-from hpid_ros.stability.closed_loop import Certificate, DegreeInterval
-from hpid_ros.stability.degrees import Loop, certified_degrees
-from hpid_ros.stability.verdict import certify_degree, verify_certificate
+from hpid_ros.stability.certification import (
+    best_spans,
+    certified_degree_interval,
+    certify_degree,
+    require_certifiable,
+    verify_certificate,
+)
+from hpid_ros.stability.closed_loop import (
+    Certificate,
+    CertifiedSpan,
+    DegreeInterval,
+    Matrix,
+    effective_gains,
+    state_norm,
+)
+
+Loop = tuple[LoopSettings, tuple[float, float]]
+"""Settings, and the least and the largest inertia in [kg m^2]."""
+
+_DIGITS = 12  # rounding when units are changed; a certificate's margins are far larger
+
+
+class LoopKind(NamedTuple):
+    """A loop in its own units: ``norm.error_scale`` 1, i 1, and 1 the largest inertia."""
+
+    p: float  # proportional gain
+    d: float  # derivative gain
+    least_inertia: float
+    norm_type: NormType
+    rate_weight: float  # weight of the error rate in the norm
+
+
+def certified_degrees(
+    loops: Sequence[Loop], tell: Callable[[Sequence[str]], None] = lambda joints: None
+) -> list[DegreeInterval | GainError]:
+    """Certify many loops, see :func:`.certified_degree_interval`."""
+    found: list[DegreeInterval | GainError | None] = [None] * len(loops)
+    places: dict[LoopKind, list[int]] = {}
+    for place, (settings, inertia) in enumerate(loops):
+        try:
+            require_certifiable(settings.gains, inertia)
+        except GainError as error:
+            found[place] = error
+            tell([settings.joint])
+        else:
+            places.setdefault(kind_of(settings, inertia), []).append(place)
+    kinds = list(places)
+    for number, interval in side_by_side(_interval, kinds):
+        kind = kinds[number]
+        for place in places[kind]:
+            found[place] = _in_physical_units(interval, *loops[place])
+        tell([loops[place][0].joint for place in places[kind]])
+    return [each for each in found if each is not None]
+
+
+def kind_of(settings: LoopSettings, inertia: tuple[float, float]) -> LoopKind:
+    """Return a loop's kind."""
+    least, largest = inertia
+    rate, norm = _rate(settings.gains, largest), settings.norm_family
+    numbers = (
+        settings.gains.p / (largest * rate**2),
+        settings.gains.d / (largest * rate),
+        least / largest,
+        norm.rate_weight * norm.error_scale * rate,
+    )
+    p, d, least_inertia, rate_weight = (float(f"{each:.{_DIGITS}g}") for each in numbers)
+    return LoopKind(p, d, least_inertia, norm.type, rate_weight)
+
+
+def _rate(gains: Gains, inertia: float) -> float:
+    """Return the loop's unit of rate in [1/s]."""
+    return float((gains.i / inertia) ** (1.0 / 3.0))
+
+
+def _interval(kind: LoopKind) -> DegreeInterval | None:
+    try:
+        return certified_degree_interval(
+            Gains(kind.p, 1.0, kind.d),
+            NormFamily(kind.norm_type, 1.0, kind.rate_weight),
+            (kind.least_inertia, 1.0),
+        )
+    except GainError:
+        return None
+
+
+def _in_physical_units(
+    interval: DegreeInterval | None, settings: LoopSettings, inertia: tuple[float, float]
+) -> DegreeInterval | GainError:
+    gains, (least, largest) = settings.gains, inertia
+    if interval is None:
+        return GainError(
+            f"not even degree 0 is certified: p d = {gains.p * gains.d:g} must exceed i x inertia "
+            f"= {gains.i * largest:g} by more"
+        )
+    family = settings.norm_family
+    rate, scale = _rate(gains, largest), family.error_scale
+    units = [scale, scale * rate, scale * rate**2]
+    certificate = interval.certificate
+    middle = [0.5 * (least + largest)] * (len(certificate.inertias) - 2)
+    ends = [least, largest] if len(certificate.inertias) > 1 else [largest]
+    physical = dict(zip(certificate.inertias, sorted([*ends, *middle]), strict=True))
+
+    def converted(span: CertifiedSpan) -> CertifiedSpan:
+        shape: Matrix = tuple(
+            tuple(value / (units[i] * units[j]) for j, value in enumerate(row))
+            for i, row in enumerate(span.shape)
+        )
+        norms = tuple(family(norm.degree) for norm in span.norms)
+        return CertifiedSpan(physical[span.inertia], norms, shape, span.rate * rate)
+
+    return DegreeInterval(
+        interval.lower,
+        interval.upper,
+        Certificate(gains, tuple(converted(span) for span in certificate.spans)),
+    )
+
+
+_GAIN_DIGITS = 9
+"""Loops whose gains over their inertia agree to so many digits are one: the margins with which
+certificates are accepted are larger by orders of magnitude."""
+
+
+class DegreeChecker:
+    """Remembers what it found: joints tuned by one rule have one and the same loop."""
+
+    def __init__(self) -> None:
+        self._known: dict[Hashable, str] = {}
+
+    def instability(self, settings: LoopSettings) -> str:
+        """Return why a loop is unstable as a linear PID, in one line; empty if it is stable."""
+        if not settings.plant_inertia > 0.0:
+            raise SettingError(
+                f"the inertia of {settings.joint!r} is not known: set its parameter inertia"
+            )
+        if is_hurwitz(settings.gains, settings.plant_inertia):
+            return ""
+        gains, inertia = settings.gains, settings.plant_inertia
+        return (
+            f"unstable as a linear PID: p d = {gains.p * gains.d:g} must exceed "
+            f"i x inertia = {gains.i * inertia:g}"
+        )
+
+    def refusal(self, settings: LoopSettings) -> str:
+        """Return why a loop is not certified, in one line; empty if it is.
+
+        The linear law is certified by Routh and Hurwitz, the homogeneous one at its degree by
+        :func:`~hpid_ros.stability.certification.certify_degree`, at the inertia of its settings.
+        """
+        reason = self.instability(settings)
+        if reason or settings.degree == 0.0:
+            return reason
+        gains = effective_gains(settings.gains, settings.plant_inertia)
+        rounded = tuple(float(f"{each:.{_GAIN_DIGITS}g}") for each in (gains.p, gains.i, gains.d))
+        key = (rounded, settings.mu, settings.norm_family)
+        if key not in self._known:
+            self._known[key] = _reason(settings)
+        return self._known[key]
+
+
+def _reason(settings: LoopSettings) -> str:
+    try:
+        certify_degree(settings.gains, make_norm(settings), settings.plant_inertia)
+    except (GainError, NormError) as error:
+        return f"not certified at mu = {settings.mu:g}: {error}"
+    return ""
+
 
 LARGEST_SAMPLING_MARGIN, LARGEST_SAMPLING_MARGIN_LATE = 2.0, 0.85
 """T kd lam / m at which the sampled loop breaks, and where a sample is answered one period late,
@@ -38,32 +205,14 @@ def integral_ratio(gains: Gains, inertia: float = 1.0) -> float:
     return inertia * gains.i / product if product > 0.0 else math.inf
 
 
-class MultiplierRange(NamedTuple):
-    """The factors of a loop's bandwidth, n^mu."""
-
-    least: float  # the smallest
-    largest: float
-
-
-def gain_multiplier_range(
-    norm: WeightedNorm | CanonicalNorm,
-    *,
-    floor: float,
-    cap: float = math.inf,
-    largest_error: float = math.inf,
-    largest_error_rate: float = math.inf,
-) -> MultiplierRange:
+def multiplier_range(degree: float, floor: float, cap: float) -> tuple[float, float]:
     """Return the least and the largest factor of the bandwidth, lam = n^mu.
 
     The derivative gain is multiplied by lam, the proportional one by its square, the integral
     one by its cube. Source: the paper, equation (8).
     """
-    largest = cap
-    if math.isfinite(largest_error) and math.isfinite(largest_error_rate):
-        corners = (norm(largest_error, sign * largest_error_rate) for sign in (1.0, -1.0))
-        largest = max(floor, min(cap, max(corners)))
-    ends = sorted((_power(floor, norm.degree), _power(largest, norm.degree)))
-    return MultiplierRange(*ends)
+    least, largest = sorted((_power(floor, degree), _power(cap, degree)))
+    return least, largest
 
 
 def sampling_margin(
@@ -112,10 +261,6 @@ def settling_time_bound(
     Source: along the closed loop dV/dt <= -beta V^{1+mu} with beta the least of -x'Pf/x'PGx on
     the sphere. (The paper's bound of the rate takes lambda_min where lambda_max is needed.)
     """
-    # Imported here: a controller that only reads the figures above does not wait for numpy.
-    from hpid_ros.stability.closed_loop import state_norm
-    from hpid_ros.stability.verdict import best_spans
-
     if not any(state) or not 0.0 <= remaining < 1.0:
         raise SettingError(
             f"the state must not be zero and remaining must lie in [0, 1), "
@@ -157,22 +302,18 @@ class GainVerdict:
     settling_bound: float | None
     certificate: dict[str, Any] | None  # the certificate as plain data, or None
 
-    @property
-    def is_sampled_fast_enough(self) -> bool:
-        """Whether sampling is not felt."""
-        return self.sampling_margin <= GOOD_SAMPLING_MARGIN
-
-    def as_mapping(self) -> dict[str, Any]:
-        """Return plain data for JSON."""
-        return dataclasses.asdict(self)
-
 
 def check_gains(
     loops: Sequence[Loop], tell: Callable[[Sequence[str]], None] = lambda joints: None
 ) -> list[GainVerdict]:
     """Judge several loops, side by side on the machine's cores."""
     for settings, inertia in loops:
-        _require_inertia(settings.joint, inertia)
+        low, high = inertia
+        if not 0.0 < low <= high < math.inf:
+            raise GainError(
+                f"the inertia of {settings.joint!r} must be positive and finite, its least value "
+                f"not above its largest, not {low} to {high} kg m^2"
+            )
     found = certified_degrees(loops, tell)
     tasks = [(*loop, each) for loop, each in zip(loops, found, strict=True)]
     verdicts = dict(side_by_side(_verdict, tasks, name=lambda task: task[0].joint))
@@ -182,15 +323,6 @@ def check_gains(
 def judge(settings: LoopSettings, inertia: tuple[float, float]) -> GainVerdict:
     """Judge one loop."""
     return check_gains([(settings, inertia)])[0]
-
-
-def _require_inertia(joint: str, inertia: tuple[float, float]) -> None:
-    low, high = inertia
-    if not 0.0 < low <= high < float("inf"):
-        raise GainError(
-            f"the inertia of {joint!r} must be positive and finite, its least value not "
-            f"above its largest, not {low} to {high} kg m^2"
-        )
 
 
 def _verdict(
@@ -270,10 +402,7 @@ def _multipliers(settings: LoopSettings) -> tuple[float, float]:
     if not isinstance(law, HomogeneousPid):
         return 1.0, 1.0
     cap = min(law.norm_cap, LARGEST_NORM)
-    least, largest = gain_multiplier_range(
-        make_norm(settings), floor=min(law.norm_floor, cap), cap=cap
-    )
-    return least, largest
+    return multiplier_range(settings.degree, min(law.norm_floor, cap), cap)
 
 
 _KEY = "certificates"

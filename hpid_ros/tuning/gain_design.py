@@ -16,7 +16,7 @@ from hpid_ros.base.units import Numbers
 from hpid_ros.control.homogeneous_pid import Gains, require_hurwitz
 from hpid_ros.control.settings import LoopSettings
 from hpid_ros.stability.closed_loop import DegreeInterval
-from hpid_ros.stability.degrees import Loop, certified_degrees
+from hpid_ros.stability.gain_check import Loop, certified_degrees
 from hpid_ros.tuning.rules import RULES
 
 _LARGEST_STUCK_ERROR = 0.1  # [rad], of a joint that friction holds

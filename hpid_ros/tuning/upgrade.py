@@ -25,10 +25,10 @@ from hpid_ros.metrics.comparison import Comparison
 from hpid_ros.metrics.quantities import ITAE, IVC, Quantity
 from hpid_ros.robot.description import RobotDescription
 from hpid_ros.stability.closed_loop import DegreeInterval
-from hpid_ros.stability.degrees import certified_degrees
 from hpid_ros.stability.gain_check import (
     LARGEST_SAMPLING_MARGIN,
     LARGEST_SAMPLING_MARGIN_LATE,
+    certified_degrees,
     inertia_of,
     sampling_margin,
 )

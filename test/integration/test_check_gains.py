@@ -11,8 +11,8 @@ from hpid_ros.cli.commands import BAD_INPUT, DONE, FAILED
 from hpid_ros.cli.main import main
 from hpid_ros.control.controller_files import settings_from_parameters
 from hpid_ros.experiment.processes import closed_environment, own_domain
+from hpid_ros.stability.certification import verify_certificate
 from hpid_ros.stability.closed_loop import Certificate
-from hpid_ros.stability.verdict import verify_certificate
 
 WELL_TUNED = ["--p", "100", "--i", "100", "--d", "20", "--rate-weight", "0.1", "--inertia", "1"]
 NEAR_THE_LIMIT = ["--p", "5", "--i", "9", "--d", "2", "--rate-weight", "3", "--inertia", "1"]

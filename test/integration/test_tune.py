@@ -18,7 +18,7 @@ from hpid_ros.experiment.batch import in_processes, run_batch, simulated_indices
 from hpid_ros.experiment.description import load_experiment
 from hpid_ros.experiment.search import Evaluation, Search, SearchPlan, SearchResult, compare_entry
 from hpid_ros.experiment.search_space import Cost, SearchSpace
-from hpid_ros.stability import degrees as degree_check
+from hpid_ros.stability import gain_check as degree_check
 
 ARM = ["arm_joint_1", "arm_joint_2"]
 

@@ -22,7 +22,7 @@ from hpid_ros.messages.series import JointSeries
 from hpid_ros.metrics import Comparison
 from hpid_ros.metrics.results import JointIndices, RunIndices
 from hpid_ros.simulation.settings import Encoder
-from hpid_ros.stability.verdict import certified_degree_interval, verify_certificate
+from hpid_ros.stability.certification import certified_degree_interval, verify_certificate
 from hpid_ros.tuning.inertias import visited_poses
 from hpid_ros.tuning.upgrade import (
     Candidate,

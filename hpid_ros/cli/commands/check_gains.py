@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 from collections.abc import Collection, Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -74,7 +75,7 @@ class GainTable:
                     f"late, as over a topic, and at {LARGEST_SAMPLING_MARGIN:g} at best",
                     style="red",
                 )
-            elif not verdict.is_sampled_fast_enough:
+            elif verdict.sampling_margin > GOOD_SAMPLING_MARGIN:
                 yield Text(
                     f"{name}: T kd lam / m = {verdict.sampling_margin:.2f} exceeds "
                     f"{GOOD_SAMPLING_MARGIN}: sampling will be felt",
@@ -170,7 +171,7 @@ def run(options: argparse.Namespace) -> int:
         verdicts = check_gains(judged, tell)
     by_name = dict(zip(map(shown_name, loops), verdicts, strict=True))
     if options.json:
-        print(json.dumps({name: each.as_mapping() for name, each in by_name.items()}, indent=2))
+        print(json.dumps({name: asdict(each) for name, each in by_name.items()}, indent=2))
     else:
         found = loop_file(options.file) if options.file else None
         slides = sliding_joints(options, found and found.experiment)

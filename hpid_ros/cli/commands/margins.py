@@ -28,8 +28,8 @@ if TYPE_CHECKING:
     from hpid_ros.control.controller_files import ParameterFile
     from hpid_ros.control.settings import LoopSettings
     from hpid_ros.robot.description import RobotDescription
-    from hpid_ros.stability.degrees import Loop
     from hpid_ros.stability.frequency import FrozenLoop
+    from hpid_ros.stability.gain_check import Loop
     from hpid_ros.stability.margins import LoopFamily
     from hpid_ros.stability.measured_margins import LoopReport, MeasuredJoint
 

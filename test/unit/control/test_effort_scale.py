@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from hpid_ros.base.errors import SettingError
 from hpid_ros.control import LoopSettings
 from hpid_ros.control.assembly import make_law
-from hpid_ros.stability.degrees import kind_of
+from hpid_ros.stability.gain_check import kind_of
 
 NORMS = st.sampled_from(["weighted", "canonical"])
 GAINS = {"gains.p": 21.0, "gains.i": 52.5, "gains.d": 2.1}

@@ -13,6 +13,14 @@ from scipy.optimize import linprog
 
 from hpid_ros.base.errors import GainError, NormError, SettingError
 from hpid_ros.control import CanonicalNorm, Gains, HomogeneousPid, WeightedNorm
+from hpid_ros.stability.certification import (
+    certified_degree_interval,
+    certify_degree,
+    margins_at,
+    shared_spans,
+    span_margins,
+    verify_certificate,
+)
 from hpid_ros.stability.closed_loop import (
     Certificate,
     CertifiedSpan,
@@ -33,14 +41,6 @@ from hpid_ros.stability.quadratic_forms import (
     time_unit,
     worst_rate,
     worst_rates,
-)
-from hpid_ros.stability.verdict import (
-    certified_degree_interval,
-    certify_degree,
-    margins_at,
-    shared_spans,
-    span_margins,
-    verify_certificate,
 )
 
 DEGREES = st.floats(-0.49, 0.49)

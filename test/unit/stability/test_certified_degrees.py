@@ -5,9 +5,9 @@ import pytest
 from hpid_ros.base.errors import GainError
 from hpid_ros.control import Gains, LoopSettings
 from hpid_ros.control.settings import NormSettings
-from hpid_ros.stability import degrees as module
-from hpid_ros.stability.degrees import certified_degrees, kind_of
-from hpid_ros.stability.verdict import certified_degree_interval, verify_certificate
+from hpid_ros.stability import gain_check as module
+from hpid_ros.stability.certification import certified_degree_interval, verify_certificate
+from hpid_ros.stability.gain_check import certified_degrees, kind_of
 
 pytestmark = pytest.mark.slow
 

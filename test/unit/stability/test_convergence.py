@@ -11,9 +11,9 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from hpid_ros.control import CanonicalNorm, Gains, WeightedNorm
+from hpid_ros.stability.certification import certify_degree, margins_at
 from hpid_ros.stability.closed_loop import closed_loop_field, dilated, state_norm
 from hpid_ros.stability.gain_check import decay_time
-from hpid_ros.stability.verdict import certify_degree, margins_at
 
 pytestmark = pytest.mark.slow
 

@@ -453,7 +453,7 @@ def verify_certificate(certificate: Certificate) -> Margins:
     """Check a certificate again, without anything of the search that found it.
 
     Other points, and the field from the law's definition; see
-    :mod:`hpid_ros.stability.verdict`. Checked is every degree whose norm it holds.
+    :mod:`hpid_ros.stability.certification`. Checked is every degree whose norm it holds.
     """
     for inertia in certificate.inertias:
         _require_integral_action(certificate.gains)
