@@ -30,7 +30,7 @@ from hpid_ros.base.names import controller_name
 from hpid_ros.experiment.description import load_experiment
 from hpid_ros.experiment.in_process import write_run_files
 from hpid_ros.experiment.processes import NodeGroup, closed_environment, own_domain
-from hpid_ros.live.ros.live_graph import LiveGraph
+from hpid_ros.live.graph_client import GraphClient
 from hpid_ros.nodes.core.executor import ClosingNode
 from hpid_ros.nodes.core.process import end
 
@@ -43,7 +43,7 @@ def watch(seconds: float) -> None:
     """Watch all controllers for some seconds and print what that cost, as JSON."""
     rclpy.init(args=[])
     node = ClosingNode("watcher")
-    graph = LiveGraph(node)
+    graph = GraphClient(node)
     executor = SingleThreadedExecutor()
     executor.add_node(node)
     threading.Thread(target=executor.spin, daemon=True).start()

@@ -84,6 +84,7 @@ OPTIONAL = {
         Library("the live page", "'hpid_ros[live]'"),
     ),
     "joblib": Library("more than one process at a time (--jobs 1 needs none)", "joblib"),
+    "rclpy": Library("a running graph", "'hpid_ros[ros]'"),
     "distributed": Library("a batch on a Dask cluster", "distributed"),
     "lz4": Library("reading bags compressed with lz4", "lz4"),
     "backports": Library("reading bags compressed with zstd", "backports.zstd"),

@@ -14,7 +14,7 @@ from hpid_ros.control.assembly import make_law, make_norm
 from hpid_ros.control.homogeneous_pid import HomogeneousPid
 from hpid_ros.control.norms import CanonicalNorm, WeightedNorm
 from hpid_ros.control.settings import LoopSettings
-from hpid_ros.live.graph import Samples
+from hpid_ros.live.controllers import Samples
 
 LONGEST = 60.0
 """Samples of so many seconds are kept."""

@@ -12,7 +12,7 @@ from typing import Any
 from rclpy.task import Future
 
 from hpid_ros.base.errors import SettingError
-from hpid_ros.live.ros.live_graph import LiveGraph
+from hpid_ros.live.graph_client import GraphClient
 from hpid_ros.nodes.core import executor
 from hpid_ros.nodes.core.executor import Usage
 from hpid_ros.nodes.core.middleware import steady_timer
@@ -43,7 +43,7 @@ class LiveTuner(executor.ClosingNode):
         if not 0 <= port <= _LARGEST_PORT:
             raise SettingError(f"port must lie in [0, {_LARGEST_PORT}], not {port}")
         self._status = StatusPipe(self)
-        self._graph = LiveGraph(self)
+        self._graph = GraphClient(self)
         self._served = _serve(
             self._graph, host=host, port=port, token=token, rate=rate, button_timeout=within
         )
@@ -82,7 +82,7 @@ class LiveTuner(executor.ClosingNode):
         self._graph.close()
 
 
-def _serve(graph: LiveGraph, **settings: Any) -> Any:
+def _serve(graph: GraphClient, **settings: Any) -> Any:
     """Serve the page; its library, which no other node needs, is imported here."""
     from hpid_ros.live.page.server import ServerSettings, serve
 

@@ -1,25 +1,30 @@
-"""Motions of a running joint: an excitation or a relay test, recorded and analysed."""
+"""Motions of a running joint: an excitation or a relay test, recorded, watched, analysed.
+
+What moves joints is a process of its own, which stops them when its parent or its button is gone.
+"""
 
 from __future__ import annotations
 
+import contextlib
+import json
 import math
+import os
+import signal
+import subprocess
+import tempfile
 import threading
-from collections.abc import Sequence
-from dataclasses import astuple
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import astuple, dataclass
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
+import yaml
+
 from hpid_ros.base.errors import RunError, SettingError, unknown_name
-from hpid_ros.live.controllers import (
-    HELD_WITHIN,
-    Button,
-    Ending,
-    Mover,
-    RunningController,
-    RunningGraph,
-    Tell,
-    carried_out,
-)
+from hpid_ros.experiment.processes import NodeGroup, NodeProcess
+from hpid_ros.live.controllers import Controller, RunningGraph
 from hpid_ros.messages.run import read_run
 from hpid_ros.messages.series import seconds_since
 from hpid_ros.motion.excitation import ExcitationPlan, JointBounds, inertia_from_gains
@@ -28,6 +33,230 @@ from hpid_ros.tuning.identification_results import DELAY, INERTIA, JointIdentifi
 from hpid_ros.tuning.identify import identify
 from hpid_ros.tuning.measurements import JointRecord
 from hpid_ros.tuning.relay_identification import RelayCycle, relay_cycle
+
+HELD_WITHIN = 0.4
+"""Longest time between two presses, in [s]; who holds the button presses several times in it."""
+
+_ENDS_WITHIN = 8.0  # [s] from the release
+
+
+class Button:
+    """Bytes on a process's standard input while somebody holds it, and its end afterwards."""
+
+    def __init__(self, within: float = HELD_WITHIN) -> None:
+        self.within = within
+        self._lock = threading.Lock()
+        self._process: subprocess.Popen[bytes] | None = None
+        self._released_at: float | None = None
+
+    @property
+    def is_released(self) -> bool:
+        """Whether it has been released; it cannot be pressed again."""
+        return self._released_at is not None
+
+    def press(self) -> None:
+        """Say that it is held: several times in the time allowed, or joints stop."""
+        with self._lock:
+            if self._process is None or self._process.stdin is None or self.is_released:
+                return
+            with contextlib.suppress(BlockingIOError, BrokenPipeError):
+                os.write(self._process.stdin.fileno(), b".")
+
+    def release(self) -> None:
+        """Have the joints stop."""
+        with self._lock:
+            if self._released_at is None:
+                self._released_at = time.monotonic()
+            self._close()
+
+    def is_overdue(self) -> bool:
+        """Return whether the process should have ended long ago."""
+        released_at = self._released_at
+        return released_at is not None and time.monotonic() - released_at > _ENDS_WITHIN
+
+    @contextlib.contextmanager
+    def held_for(self, process: subprocess.Popen[bytes]) -> Iterator[None]:
+        """Tell this process while the block runs."""
+        assert process.stdin is not None
+        os.set_blocking(process.stdin.fileno(), False)
+        with self._lock:
+            self._process = process
+            if self.is_released:
+                self._close()
+        try:
+            yield
+        finally:
+            with self._lock:
+                self._close()
+
+    def _close(self) -> None:
+        if self._process is not None and self._process.stdin is not None:
+            with contextlib.suppress(OSError):
+                self._process.stdin.close()
+            self._process = None
+
+
+RECORDER = "hpid_excitation_recorder"
+_LOOK_PERIOD = 0.05  # [s]
+_ENDINGS = ("done", "stopped", "failed")
+
+RELEASED = "the button was released"
+"""Why a motion that is held has ended: nobody has said for a while that it is."""
+
+Tell = Callable[[str, float], None]
+"""Is called with the event, ``begun`` or ``at``, and the time since the start in [s].
+
+Where a button must be held also with ``ready``.
+"""
+
+
+class Mover(NamedTuple):
+    """A process that moves joints."""
+
+    name: str  # of its node
+    executable: str  # module below hpid_ros, see module_of
+    unless_stopped: str  # what joints do if nobody stops them
+    topics: tuple[str, ...]  # that it publishes, and that are recorded
+
+
+@dataclass(frozen=True)
+class Ending:
+    """How an excitation ended."""
+
+    reason: str  # why it was stopped; empty if it went to its end
+    is_interrupted: bool = False  # whether somebody wanted it to end
+    is_at_rest: bool = True  # whether the joints were seen to rest
+
+
+def carried_out(
+    mover: Mover,
+    order: Mapping[str, Any],
+    graph: RunningGraph,
+    namespace: str,
+    bag: Path,
+    states: str,
+    tell: Tell,
+    button: Button | None = None,
+) -> Ending:
+    """Run a process that moves joints, and record; however it ends, it has let the joints rest."""
+    remapped = ["-r", f"joint_states:={states}"] if states != "joint_states" else []
+    arguments = ["-r", f"__ns:={namespace}", *remapped]
+    with tempfile.TemporaryDirectory(prefix="hpid_live_") as folder:
+        place = Path(folder)
+        file = place / "plan.json"
+        whole = {**order, "recorder": RECORDER, "held_within": button and button.within}
+        file.write_text(json.dumps(whole))
+        with (
+            NodeGroup(os.environ, place) as group,
+            _recorded(group, graph, mover.topics, bag, place, arguments) as recorder,
+        ):
+            of_mover = [*arguments, "-p", f"plan_file:={file}"]
+            process = group.start(
+                mover.name, mover.executable, of_mover, has_input=button is not None
+            )
+            if button is None:
+                return _watched(mover, process, recorder, tell, lambda: False)
+            with button.held_for(process.process):
+                return _watched(mover, process, recorder, tell, button.is_overdue)
+
+
+@contextmanager
+def _recorded(
+    group: NodeGroup,
+    graph: RunningGraph,
+    told: Sequence[str],
+    bag: Path,
+    place: Path,
+    arguments: Sequence[str],
+) -> Iterator[NodeProcess]:
+    """Record while the block runs, and close the bag when nothing is told any more."""
+    parameters = place / "controllers.yaml"
+    parameters.write_text(yaml.safe_dump(dict(graph.document), sort_keys=False))
+    commands = ["joint_commands"] if graph.has_commands else []
+    topics = ["/parameter_events", *told, *commands, "joint_states"]
+    of_recorder = [
+        f"bag:={bag.resolve()}",
+        f"controllers_file:={parameters}",
+        f"topics:={topics}",
+    ]
+    slides = [name for name, each in graph.controllers.items() if each.limits.is_slide]
+    if slides:
+        of_recorder.append(f"slides:={slides}")
+    flags = [text for each in of_recorder for text in ("-p", each)]
+    recorder = group.start(RECORDER, "bag_recorder", [*arguments, *flags])
+    try:
+        yield recorder
+    finally:
+        recorder.read_events()
+        group.stop([RECORDER], patience=_ENDS_WITHIN)
+    if recorder.process.returncode:
+        raise RunError(f"the recorder has failed: {recorder.last_words()}")
+
+
+def _watched(
+    mover: Mover,
+    process: NodeProcess,
+    recorder: NodeProcess,
+    tell: Tell,
+    is_overdue: Callable[[], bool],
+) -> Ending:
+    """Wait for the end; an interrupt, or the recorder's end, is a reason to stop.
+
+    So is an end that is overdue.
+    """
+    try:
+        while True:
+            recorder.read_events()  # a pipe that nobody reads would hold the recorder up
+            ending = _ending(mover, process, tell)
+            if ending is not None:
+                return ending
+            if recorder.process.poll() is not None:
+                return _stopped(mover, process, f"the recorder has ended: {recorder.last_words()}")
+            if is_overdue():
+                return _stopped(mover, process, RELEASED)
+            time.sleep(_LOOK_PERIOD)
+    except KeyboardInterrupt:
+        return _stopped(mover, process, "it was interrupted", is_interrupted=True)
+
+
+def _stopped(
+    mover: Mover, process: NodeProcess, reason: str, *, is_interrupted: bool = False
+) -> Ending:
+    """Ask the process to stop the joints, and return when they rest."""
+    process.process.send_signal(signal.SIGINT)
+    try:
+        process.process.wait(_ENDS_WITHIN)
+    except subprocess.TimeoutExpired:
+        raise RunError(
+            f"{reason}; {mover.name} has not stopped the joints within {_ENDS_WITHIN:g} s: "
+            f"{mover.unless_stopped}; deactivate their controllers"
+        ) from None
+    told = [each for each in process.read_events() if each["event"] in _ENDINGS]
+    if not told and process.process.returncode:
+        raise RunError(f"{reason}; {_by_itself(mover, process)}; deactivate their controllers")
+    is_at_rest = all(each.get("is_at_rest", True) for each in told)
+    return Ending(reason, is_interrupted, is_at_rest)
+
+
+def _by_itself(mover: Mover, process: NodeProcess) -> str:
+    return f"{mover.name} has ended by itself ({process.last_words()}): {mover.unless_stopped}"
+
+
+def _ending(mover: Mover, process: NodeProcess, tell: Tell) -> Ending | None:
+    has_ended = process.process.poll() is not None
+    for event in process.read_events():
+        kind = event["event"]
+        if kind == "failed":
+            raise RunError(f"nothing was moved: {event['reason']}")
+        if kind in ("done", "stopped"):
+            with suppress(subprocess.TimeoutExpired):  # it has done what it was to do
+                process.process.wait(_ENDS_WITHIN)
+            return Ending(str(event["reason"]), is_at_rest=bool(event["is_at_rest"]))
+        tell(kind, float(event.get("seconds", 0.0)))
+    if has_ended:
+        raise RunError(_by_itself(mover, process))
+    return None
+
 
 _EXCITER = Mover(
     "hpid_exciter",
@@ -39,7 +268,7 @@ _UNLIMITED = 1e6  # what parameters say where there is no limit
 _REFERENCE_PERIODS, _LEAST_REFERENCE_TIMEOUT = 5.0, 0.5  # of ~/reference; [s]
 
 
-def chosen(graph: RunningGraph, joints: Sequence[str]) -> list[RunningController]:
+def chosen(graph: RunningGraph, joints: Sequence[str]) -> list[Controller]:
     """Return the controllers of the joints that are to be excited, in their order."""
     for joint in joints:
         if joint not in graph.controllers:
@@ -53,7 +282,7 @@ def chosen(graph: RunningGraph, joints: Sequence[str]) -> list[RunningController
         )
     for each in found:
         if each.position is None:
-            raise RunError(f"there has been no state of {each.settings.joint}: is the robot on?")
+            raise RunError(f"there has been no state of {each.joint}: is the robot on?")
         if each.introspection_rate == 0.0:
             raise SettingError(
                 f"{each.node} has introspection_rate 0: without its ~/reference nobody sees "
@@ -62,7 +291,7 @@ def chosen(graph: RunningGraph, joints: Sequence[str]) -> list[RunningController
     return found
 
 
-def bounds_of(controller: RunningController, inertia: float | None) -> JointBounds:
+def bounds_of(controller: Controller, inertia: float | None) -> JointBounds:
     """Return the bounds of a running controller's joint."""
     settings, limits = controller.settings, controller.limits
     known = inertia or settings.inertia
@@ -95,7 +324,7 @@ def _limit(value: float) -> float:
 
 def carry_out(
     plan: ExcitationPlan,
-    controllers: Sequence[RunningController],
+    controllers: Sequence[Controller],
     graph: RunningGraph,
     bag: Path,
     states: str,
@@ -108,7 +337,7 @@ def carry_out(
     return carried_out(_EXCITER, order, graph, space, bag, states, tell, button)
 
 
-def _order(plan: ExcitationPlan, controllers: Sequence[RunningController]) -> dict[str, Any]:
+def _order(plan: ExcitationPlan, controllers: Sequence[Controller]) -> dict[str, Any]:
     timings = [each.settings.timing for each in controllers]
     rates = [each.introspection_rate for each in controllers if each.introspection_rate > 0.0]
     slowest = max((_REFERENCE_PERIODS / rate for rate in rates), default=0.0)
@@ -133,7 +362,7 @@ class HeldMotion:
     def __init__(
         self,
         plan: ExcitationPlan,
-        controllers: Sequence[RunningController],
+        controllers: Sequence[Controller],
         graph: RunningGraph,
         bag: Path,
         states: str = "joint_states",
@@ -196,7 +425,7 @@ _UNSURE = 0.15  # of an inertia that only the limit cycle tells
 
 def carry_out_relay(
     planned: PlannedRelay,
-    controller: RunningController,
+    controller: Controller,
     graph: RunningGraph,
     bag: Path,
     states: str,
@@ -223,11 +452,9 @@ class RelayFindings(NamedTuple):
     is_by_cycle: bool  # whether the inertia is the limit cycle's, for want of a better one
 
 
-def relay_findings(
-    bag: Path, controller: RunningController, planned: PlannedRelay
-) -> RelayFindings:
+def relay_findings(bag: Path, controller: Controller, planned: PlannedRelay) -> RelayFindings:
     """Return what a bag tells."""
-    joint = controller.settings.joint
+    joint = controller.joint
     record = _record(bag, joint)
     gains, request = controller.settings.gains, planned.request
     cycle = relay_cycle(record, request.amplitude, request.hysteresis, gains.d / gains.p)

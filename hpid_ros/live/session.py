@@ -10,7 +10,7 @@ import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import yaml
 
@@ -18,9 +18,12 @@ from hpid_ros.base.errors import SettingError
 from hpid_ros.base.yaml_files import parse_yaml
 from hpid_ros.control.controller_files import parameters_from
 from hpid_ros.live.advice import Advice, AdviceClient
-from hpid_ros.live.graph import Answer, ControllerSummary, Graph, Samples
+from hpid_ros.live.controllers import Answer, Controller, Samples
 from hpid_ros.live.history import JointHistory, WindowIndices
 from hpid_ros.live.tuning import Tuning, Values, differences, same
+
+if TYPE_CHECKING:
+    from hpid_ros.live.graph_client import GraphClient
 
 
 class Limit:
@@ -116,7 +119,7 @@ class Mark(NamedTuple):
 class LiveSession:
     """The session."""
 
-    def __init__(self, graph: Graph, advice: AdviceClient) -> None:
+    def __init__(self, graph: GraphClient, advice: AdviceClient) -> None:
         self.graph = graph
         self.tuning = Tuning()
         self.control_lock = ControlLock()
@@ -136,7 +139,7 @@ class LiveSession:
     # What is seen
 
     @property
-    def controllers(self) -> Mapping[str, ControllerSummary]:
+    def controllers(self) -> Mapping[str, Controller]:
         """The controllers by the full names of their nodes."""
         return self.graph.controllers()
 
@@ -175,7 +178,7 @@ class LiveSession:
                 self.history(node).append(each)
         return {node: self.history(node).drawn() for node in watched}
 
-    def _note_arrivals(self, seen: Mapping[str, ControllerSummary]) -> None:
+    def _note_arrivals(self, seen: Mapping[str, Controller]) -> None:
         for node, each in seen.items():
             if self._here.get(node) == each.is_here:
                 continue

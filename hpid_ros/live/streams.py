@@ -1,18 +1,29 @@
-"""Messages of one joint as samples on its control clock."""
+"""Messages of joints as samples on their control clocks, and the subscriptions they come from."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from typing import NamedTuple
+import math
+import struct
+import threading
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.subscription import Subscription
+from rclpy.topic_endpoint_info import TopicEndpointInfo
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64, Float64MultiArray
 
 from hpid_ros.base.errors import MessageError
 from hpid_ros.base.units import NANOSECONDS, Numbers
-from hpid_ros.live.graph import Samples
+from hpid_ros.live.controllers import Samples
 from hpid_ros.messages.batches import SLACK, Integers
 from hpid_ros.messages.columns import LAYOUTS, WORD, Layout, LayoutFamily, Words, gather_words
 from hpid_ros.messages.joint_state import ENCAPSULATION
+from hpid_ros.nodes.core.executor import ClosingNode
+from hpid_ros.nodes.core.rclpy_internals import taker
 
 _MOST_FAMILIES = 64  # of layouts; a topic has one or two
 _MOST_LEARNED = 64  # layouts in one batch; a robot has fewer joints, and a flood is passed over
@@ -281,3 +292,231 @@ class JointSampler:
             last_ns = self.clock.last_ns
             return np.full(count, np.nan if last_ns is None else self.clock.now(last_ns))
         return times[np.clip(np.arange(len(times) - count, len(times)), 0, None)]
+
+
+_STATES, _COMMANDS = "joint_states", "joint_commands"
+_KINDS: dict[str, Any] = {
+    "sensor_msgs/msg/JointState": JointState,
+    "std_msgs/msg/Float64MultiArray": Float64MultiArray,
+    "std_msgs/msg/Float64": Float64,
+}
+_JOINT_STATE = "sensor_msgs/msg/JointState"
+
+
+class Topic(NamedTuple):
+    """A topic."""
+
+    name: str  # its full name
+    type: str = _JOINT_STATE  # one of _KINDS
+    is_reliable: bool = False  # whether what was lost is sent again
+
+
+class ControllerTopics(NamedTuple):
+    """The topics of one controller that tell how its joint does."""
+
+    joint: str
+    states: Topic  # where its states come from
+    commands: Topic | None  # where its commands go; None where they are not to be listened to
+    reference: Topic
+
+    @classmethod
+    def usual(cls, controller: str, joint: str, states: str = _STATES) -> ControllerTopics:
+        """Return the topics of a controller where nobody has renamed any; states are given."""
+        space = controller.rpartition("/")[0]
+        full = states if states.startswith("/") else f"{space}/{states}"
+        reference = Topic(f"{controller}/reference", is_reliable=True)
+        return cls(joint, Topic(full), Topic(f"{space}/{_COMMANDS}"), reference)
+
+
+def controller_topics(node: Node, controller: str, joint: str) -> tuple[ControllerTopics, bool]:
+    """Return the topics of a controller, and whether the graph has told all of them.
+
+    One that is not active listens to no states, and one of several in a process may leave both to
+    the process: these have their usual names then.
+    """
+    space, _, name = controller.rpartition("/")
+    known = [
+        Topic(topic, kind)
+        for topic, kinds in node.get_topic_names_and_types()
+        for kind in kinds
+        if kind in _KINDS
+    ]
+
+    def of_controller(find: Callable[[str], list[TopicEndpointInfo]]) -> list[Topic]:
+        """Go by endpoints: a dead node's name may be left, and hide a new node of that name."""
+        who = (name, space or "/")
+        return [
+            each
+            for each in known
+            if any(
+                (*who, each.type) == (info.node_name, info.node_namespace, info.topic_type)
+                for info in find(each.name)
+            )
+        ]
+
+    def chosen(found: Sequence[Topic], usual: str, kinds: Sequence[str]) -> Topic | None:
+        """Return the one that can be meant: of the usual name, if there are several."""
+        might = [
+            each
+            for each in found
+            if each.type in kinds
+            and not (each.type == _JOINT_STATE and each.name.startswith(f"{controller}/"))
+        ]
+        might.sort(key=lambda each: (each.name.rpartition("/")[2] != usual, each.name))
+        return might[0] if might else None
+
+    listens = of_controller(node.get_subscriptions_info_by_topic)
+    publishes = of_controller(node.get_publishers_info_by_topic)
+    states = chosen(listens, _STATES, (_JOINT_STATE,))
+    commands = chosen(publishes, _COMMANDS, tuple(_KINDS))
+    usual = ControllerTopics.usual(controller, joint)
+    topics = usual._replace(states=states or usual.states, commands=commands or usual.commands)
+    return topics, states is not None and commands is not None
+
+
+_KEPT = 10_000  # messages of a topic until they are taken: eight joints at 1 kHz for 1.2 s
+
+
+class _Stream:
+    """The messages of a topic, which no executor takes: a message costs its copy."""
+
+    def __init__(self, node: Node, topic: Topic) -> None:
+        kinds = ReliabilityPolicy
+        profile = QoSProfile(
+            history=HistoryPolicy.KEEP_LAST,
+            depth=_KEPT,
+            reliability=kinds.RELIABLE if topic.is_reliable else kinds.BEST_EFFORT,
+            durability=DurabilityPolicy.VOLATILE,
+        )
+        self.subscription: Subscription = node.create_subscription(
+            _KINDS[topic.type], topic.name, lambda _: None, profile, raw=True
+        )
+        self._next = taker(self.subscription)
+        self._messages: list[bytes] = []
+        self._columns = MessageColumns(topic.type)
+
+    def newest(self) -> bytes | None:
+        """Return the newest message that has not been read; None if there is none."""
+        # At most what can have waited: a publisher that is faster than this must not hold it up.
+        for _ in range(_KEPT):
+            message = self._next()
+            if message is None:
+                break
+            self._messages.append(message)
+        del self._messages[:-_KEPT]
+        return self._messages[-1] if self._messages else None
+
+    def read(self) -> list[Part]:
+        """Return the messages since the last call."""
+        self.newest()
+        messages, self._messages = self._messages, []
+        return self._columns.read(messages)
+
+
+_STAMP_OFFSET = 4  # of a message with a header, in bytes
+
+
+class Watching:
+    """Takes samples of controllers; every method may be called from any thread.
+
+    A topic that several controllers share is subscribed to, taken and decoded once. Subscriptions
+    are of a node of their own, which no executor spins.
+    """
+
+    def __init__(self, node: Node) -> None:
+        self._lock = threading.Lock()
+        self._node = Node(
+            f"{node.get_name()}_streams",
+            context=node.context,
+            namespace=node.get_namespace(),
+            use_global_arguments=False,
+            start_parameter_services=False,
+            enable_rosout=False,
+        )
+        ClosingNode.made.append(self._node)  # for a process that ends without closing it
+        self._watched: dict[str, ControllerTopics] = {}
+        self._samplers: dict[str, JointSampler] = {}
+        self._clocks: dict[Topic, ControlClock] = {}
+        self._streams: dict[Topic, _Stream] = {}
+
+    def watch(self, watched: Mapping[str, ControllerTopics]) -> None:
+        """Take samples of these controllers from now on, and of no others."""
+        with self._lock:
+            if watched == self._watched:
+                return
+            topics = {
+                topic
+                for each in watched.values()
+                for topic in (each.states, each.commands, each.reference)
+                if topic
+            }
+            for topic in self._streams.keys() - topics:
+                self._node.destroy_subscription(self._streams.pop(topic).subscription)
+            for topic in topics - self._streams.keys():
+                self._streams[topic] = _Stream(self._node, topic)
+            states = {each.states for each in watched.values()}
+            self._clocks = {topic: self._clocks.get(topic, ControlClock()) for topic in states}
+            self._samplers = {
+                node: self._samplers[node]
+                if self._is_same(node, each)
+                else JointSampler(self._clocks[each.states])
+                for node, each in watched.items()
+            }
+            self._watched = dict(watched)
+
+    def _is_same(self, node: str, topics: ControllerTopics) -> bool:
+        before = self._watched.get(node)
+        return before is not None and before[:2] == topics[:2]  # joint and states
+
+    def listens_to(self, topic: Topic) -> bool:
+        """Return whether a topic is subscribed to."""
+        with self._lock:
+            return topic in self._streams
+
+    def take(self) -> dict[str, Samples]:
+        """Return what came since the last call, by node."""
+        with self._lock:
+            # What answers a state is taken before the states: so the state is there, too.
+            parts: dict[Topic, list[Part]] = {}
+            for which in ("commands", "reference", "states"):
+                for topic in {getattr(each, which) for each in self._watched.values()} - {None}:
+                    parts[topic] = self._streams[topic].read()
+            return {
+                node: self._samplers[node].take(_heard(each, parts))
+                for node, each in self._watched.items()
+            }
+
+    def time_of(self, node: str) -> float:
+        """Return the time now on the control clock of a controller, in [s]; nan if unknown."""
+        with self._lock:
+            clock = self._samplers[node].clock if node in self._samplers else None
+            if clock is None or clock.last_ns is None:
+                return math.nan
+            newest = self._streams[self._watched[node].states].newest()
+            stamp_ns = clock.last_ns if newest is None else _stamp_ns(newest, clock.last_ns)
+            return clock.now(stamp_ns) if stamp_ns >= clock.last_ns else math.nan
+
+    def close(self) -> None:
+        """Take no more."""
+        self.watch({})
+        self._node.destroy_node()
+
+
+def _heard(topics: ControllerTopics, parts: Mapping[Topic, list[Part]]) -> Heard:
+    joint = topics.joint
+    is_bare = topics.commands is not None and topics.commands.type != _JOINT_STATE
+    commands = parts[topics.commands] if topics.commands else []
+    return Heard(
+        joint_numbers(parts[topics.states], joint),
+        joint_numbers([] if is_bare else commands, joint),
+        bare_numbers(commands if is_bare else []),
+        joint_numbers(parts[topics.reference], joint),
+    )
+
+
+def _stamp_ns(raw: bytes, otherwise: int) -> int:
+    if len(raw) < _STAMP_OFFSET + 8:
+        return otherwise
+    order = "<" if raw[1] else ">"
+    seconds, nanoseconds = struct.unpack_from(f"{order}iI", raw, _STAMP_OFFSET)
+    return int(seconds * NANOSECONDS + nanoseconds)

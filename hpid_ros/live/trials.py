@@ -13,14 +13,14 @@ from dataclasses import dataclass, replace
 from datetime import datetime
 from enum import Enum
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
 from hpid_ros.base.errors import HpidError, RunError, SettingError
 from hpid_ros.control.settings import Value
-from hpid_ros.live.controllers import RELEASED, Ending, RunningController, RunningGraph
-from hpid_ros.live.motion import bounds_of, chosen
+from hpid_ros.live.controllers import Controller, RunningGraph
+from hpid_ros.live.motion import RELEASED, Ending, HeldMotion, bounds_of, chosen
 from hpid_ros.live.session import LiveSession
 from hpid_ros.live.tuning import Values, differences, same
 from hpid_ros.messages.selection import BagSelection
@@ -158,29 +158,7 @@ class Stage(Enum):
     ENDING = "ending"
 
 
-class HeldMotion(Protocol):
-    """A motion that goes on while it is pressed; see ``live.motion``."""
-
-    bag: Path
-
-    @property
-    def stage(self) -> str:
-        """``preparing``, ``ready``, ``moving`` or ``ended``."""
-
-    @property
-    def ending(self) -> Ending | None:
-        """How it ended; None before."""
-
-    def press(self) -> None:
-        """Note that the button is held; to be called every 0.1 s."""
-
-    def release(self) -> None:
-        """Stop the joints, and end."""
-
-
-Starter = Callable[
-    [ExcitationPlan, Sequence[RunningController], RunningGraph, Path, str], HeldMotion
-]
+Starter = Callable[[ExcitationPlan, Sequence[Controller], RunningGraph, Path, str], HeldMotion]
 """Begins a motion: what, whose, on which graph, into which bag, by which topic of states."""
 
 
@@ -222,7 +200,7 @@ class Trials:
 
     def _planned(
         self, nodes: Sequence[str], wish: MotionWish
-    ) -> tuple[ExcitationPlan, list[RunningController], RunningGraph]:
+    ) -> tuple[ExcitationPlan, list[Controller], RunningGraph]:
         if not nodes:
             raise SettingError("choose a joint")
         if not 0.0 < wish.duration <= _LARGEST_TIME:

@@ -10,7 +10,7 @@ from std_msgs.msg import Float64MultiArray
 
 from hpid_ros.cli.main import main
 from hpid_ros.control.controller_files import settings_from_parameter_file
-from hpid_ros.live.controllers import running_graph
+from hpid_ros.live.graph_client import running_graph
 from hpid_ros.live.motion import bounds_of, carry_out_relay, relay_findings
 from hpid_ros.messages.run import read_run
 from hpid_ros.motion.relays import RelayWish, planned_relay

@@ -14,10 +14,9 @@ from harness.health import change
 from harness.turntable import GAINS, INERTIA, URDF, positions, start_turntable, wait_for_rest
 
 from hpid_ros.control.settings import PARAMETERS
-from hpid_ros.live.controllers import HELD_WITHIN, Button
+from hpid_ros.live.controllers import Controller, RunningGraph
 from hpid_ros.live.dead_man import DeadMan
-from hpid_ros.live.graph import as_running, controller_summary
-from hpid_ros.live.motion import HeldMotion, bounds_of, chosen
+from hpid_ros.live.motion import HELD_WITHIN, Button, HeldMotion, bounds_of, chosen
 from hpid_ros.motion.excitation import Design, Wish, plan
 
 NODE = "/turn_controller"
@@ -48,9 +47,9 @@ class Bench:
         parameters |= {name.replace("__", "."): value for name, value in GAINS.items()}
         parameters |= {"joint": "turn", "law": "pid", "control_period": 0.004}
         parameters |= {"robot_description": URDF, "introspection_rate": 20.0}
-        seen = controller_summary(NODE, {**parameters, "require_certificate": False})
-        states = {NODE: (0.0, 0.0)}
-        self.graph = as_running([seen], {NODE: parameters}, states.get, has_commands=True)
+        seen = Controller.of(NODE, {**parameters, "require_certificate": False})
+        seen = replace(seen, position=0.0, effort=0.0)
+        self.graph = RunningGraph.of([seen], has_commands=True)
         self.controllers = chosen(self.graph, [])
 
     def order(self, name, position):

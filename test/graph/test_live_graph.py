@@ -22,11 +22,10 @@ from rclpy.task import Future
 from sensor_msgs.msg import JointState
 
 from hpid_ros.control.settings import PARAMETERS
-from hpid_ros.live.graph import Answer, Samples
-from hpid_ros.live.ros import live_graph, orders
-from hpid_ros.live.ros.live_graph import LiveGraph
-from hpid_ros.live.ros.orders import parameter
-from hpid_ros.live.ros.watching import controller_topics
+from hpid_ros.live import graph_client
+from hpid_ros.live.controllers import Answer, Samples
+from hpid_ros.live.graph_client import GraphClient, parameter
+from hpid_ros.live.streams import controller_topics
 from hpid_ros.messages.joint_state import JointStateTemplate
 from hpid_ros.nodes.core.executor import ClosingNode
 from hpid_ros.nodes.core.middleware import OFFERED
@@ -43,7 +42,7 @@ JOINTS = {ELBOW: "elbow", WRIST: "wrist"}
 def graph(harness):
     """Return a live graph whose node is spun beside the test."""
     node = ClosingNode("tuner", context=harness.context)
-    graph = LiveGraph(node)
+    graph = GraphClient(node)
     executor, end = EventsExecutor(context=harness.context), Future()
     executor.add_node(node)
     spin = partial(executor.spin_until_future_complete, end, 600.0)
@@ -222,7 +221,7 @@ def test_another_node_of_the_same_name_does_not_hide_a_controllers_topics(harnes
     rclpy.init(args=[], context=context, domain_id=harness.context.get_domain_id())
     other = rclpy.create_node("elbow_controller", context=context)
     harness.start_controller()
-    harness.wait(lambda: controller_topics(harness.node, ELBOW)[1], what="its topics")
+    harness.wait(lambda: controller_topics(harness.node, ELBOW, "elbow")[1], what="its topics")
     other.destroy_node()
     rclpy.shutdown(context=context)
 
@@ -343,7 +342,7 @@ def test_controllers_are_stopped_and_come_back_with_the_parameters_that_they_hav
     # Whoever is frozen before it has found the client never gets what is asked.
     harness.wait(lambda: answered(harness, graph.set(ELBOW, {"gains.p": 3.5})).is_taken)
 
-    monkeypatch.setattr(orders, "_SET_WITHIN", 0.5)
+    monkeypatch.setattr(graph_client, "_SET_WITHIN", 0.5)
     process = harness.processes.nodes["elbow_controller"].process
     values = itertools.count(4.0)
 
@@ -411,7 +410,7 @@ def test_what_was_read_before_a_set_does_not_hide_it(harness, graph):
 
 
 def test_a_controller_that_was_silent_is_read_anew(harness, graph, monkeypatch):
-    monkeypatch.setattr(live_graph, "SILENT_AFTER", 0.3)
+    monkeypatch.setattr(graph_client, "SILENT_AFTER", 0.3)
     late = Forgetful(harness)
     harness.wait(lambda: late.NAME in graph.controllers(), what="it")
 

@@ -13,9 +13,14 @@ from hpid_ros.base.errors import HpidError, RunError
 from hpid_ros.control import JointLoop, LoopSettings
 from hpid_ros.control.controller_files import RobotLimits
 from hpid_ros.control.reference import Setpoint
-from hpid_ros.live.graph import Answer, Change, ControllerSummary, Health, Samples
+from hpid_ros.control.settings import PARAMETERS
+from hpid_ros.live.controllers import Answer, Change, Controller, Health, Samples
 
 PERIOD_NS = 1_000_000
+_OF_NODE = {
+    **{name: each.default for name, each in PARAMETERS.items()},
+    **{"robot_description": "", "introspection_rate": 20.0},
+}
 _LONGEST = 2.0  # [s] that is caught up at once
 
 
@@ -73,7 +78,7 @@ def loop_settings(joint: str, inertia: float = 0.5, **more: object) -> LoopSetti
 
 
 class SimulatedGraph:
-    """A :class:`~hpid_ros.live.graph.Graph` of such joints, as fast as the wall clock."""
+    """A :class:`~hpid_ros.live.graph_client.GraphClient` of such joints, by the wall clock."""
 
     def __init__(self, joints: Mapping[str, LoopSettings], step: float = 0.1) -> None:
         self.joints = {node: SimulatedJoint(each) for node, each in joints.items()}
@@ -87,15 +92,14 @@ class SimulatedGraph:
         self._changes: list[Change] = []
         self._began = time.monotonic()
 
-    def controllers(self) -> dict[str, ControllerSummary]:
+    def controllers(self) -> dict[str, Controller]:
         return {
-            node: ControllerSummary(
+            node: Controller(
                 node,
-                joint.settings.to_parameters(),
+                {**_OF_NODE, **joint.settings.to_parameters()}
+                | {"require_certificate": self.certified},
                 joint.settings,
                 RobotLimits(),
-                20.0,
-                self.certified,
                 "active" if joint.is_active else "inactive",
                 Health(0, "following a reference", {"missed samples": "0"}, time.monotonic()),
                 node not in self.gone,
@@ -132,7 +136,7 @@ class SimulatedGraph:
             return _done(Answer(False, str(error)))
         joint.settings = settings
         joint.loop.retune(settings)
-        self._changes.append(Change(node, dict(values), time.time(), joint.stamp_ns * 1e-9))
+        self._changes.append(Change(node, dict(values), joint.stamp_ns * 1e-9))
         return _done(Answer(True))
 
     def change_state(self, node: str, transition: str) -> Future[Answer]:

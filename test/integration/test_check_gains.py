@@ -10,7 +10,7 @@ from hpid_ros.base.files import share_folder
 from hpid_ros.cli.commands import BAD_INPUT, DONE, FAILED
 from hpid_ros.cli.main import main
 from hpid_ros.control.controller_files import settings_from_parameters
-from hpid_ros.experiment.processes import closed_environment, own_domain
+from hpid_ros.live import graph_client
 from hpid_ros.stability.certification import verify_certificate
 from hpid_ros.stability.closed_loop import Certificate
 
@@ -127,11 +127,9 @@ def test_running_controllers_are_found_and_checked(harness, capsys):
     }
 
 
-def test_an_empty_graph_is_said(monkeypatch, capsys):
-    with own_domain() as domain:
-        for name, value in closed_environment(domain).items():
-            monkeypatch.setenv(name, value)
-        assert main(["check-gains", "--live"]) == BAD_INPUT
+def test_an_empty_graph_is_said(harness, monkeypatch, capsys):
+    monkeypatch.setattr(graph_client, "_FOUND_WITHIN", 1.0)
+    assert main(["check-gains", "--live"]) == BAD_INPUT
     assert "the running graph has no joint controller" in capsys.readouterr().err
 
 

@@ -18,8 +18,8 @@ from hpid_ros.cli.commands.excite import agreed
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from hpid_ros.live.controllers import Ending, RunningController, RunningGraph, Tell
-    from hpid_ros.live.motion import RelayFindings
+    from hpid_ros.live.controllers import Controller, RunningGraph
+    from hpid_ros.live.motion import Ending, RelayFindings, Tell
     from hpid_ros.motion.excitation import JointBounds
     from hpid_ros.motion.relays import PlannedRelay
     from hpid_ros.tuning.upgrade import Autotuned
@@ -76,7 +76,7 @@ def add(commands: Any) -> None:
 def run(options: argparse.Namespace) -> int:
     """Plan, ask, test, propose, ask, write."""
     from hpid_ros.cli.terminal import output_console
-    from hpid_ros.live.controllers import running_graph
+    from hpid_ros.live.graph_client import running_graph
 
     bag = _checked(options)
     graph = running_graph(options.states, options.namespace)
@@ -111,7 +111,7 @@ def _checked(options: argparse.Namespace) -> Path:
     return bag
 
 
-def _controller(graph: RunningGraph, joint: str | None) -> RunningController:
+def _controller(graph: RunningGraph, joint: str | None) -> Controller:
     from hpid_ros.live.motion import chosen
 
     if joint is None and len(graph.controllers) > 1:
@@ -124,7 +124,7 @@ def _controller(graph: RunningGraph, joint: str | None) -> RunningController:
 
 
 def _planned(
-    options: argparse.Namespace, controller: RunningController
+    options: argparse.Namespace, controller: Controller
 ) -> tuple[JointBounds, PlannedRelay]:
     from hpid_ros.live.motion import bounds_of
     from hpid_ros.motion.relays import RelayWish, planned_relay
@@ -166,7 +166,7 @@ def _show(console: Console, bounds: JointBounds, planned: PlannedRelay) -> None:
 def _test(
     console: Console,
     planned: PlannedRelay,
-    controller: RunningController,
+    controller: Controller,
     graph: RunningGraph,
     bag: Path,
     states: str,
@@ -190,7 +190,7 @@ def _progress(console: Console) -> Iterator[Tell]:
 def _propose(
     console: Console,
     options: argparse.Namespace,
-    controller: RunningController,
+    controller: Controller,
     planned: PlannedRelay,
     bag: Path,
 ) -> int:
@@ -240,7 +240,7 @@ def _findings(found: RelayFindings) -> list[str]:
     return lines
 
 
-def _proposal(controller: RunningController, tuned: Autotuned) -> list[str]:
+def _proposal(controller: Controller, tuned: Autotuned) -> list[str]:
     before, after = controller.settings.gains, tuned.pid.gains
     proposal = tuned.upgrade
     lines = [
@@ -256,11 +256,11 @@ def _proposal(controller: RunningController, tuned: Autotuned) -> list[str]:
 
 
 def _write(
-    path: Path, controller: RunningController, tuned: Autotuned, found: RelayFindings, bag: Path
+    path: Path, controller: Controller, tuned: Autotuned, found: RelayFindings, bag: Path
 ) -> None:
     from hpid_ros.tuning.upgrade import upgrade_text
 
-    joint = controller.settings.joint
+    joint = controller.joint
     header = [
         f"Gains of {joint} by a relay test, recorded in {bag.name}.",
         f"ros2 param load {controller.node} THIS_FILE sets them while the controller runs.",

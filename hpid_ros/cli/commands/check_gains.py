@@ -233,7 +233,7 @@ def _loops(options: argparse.Namespace) -> ParameterFile:
             "check-gains needs one source: a FILE, --live, or gains given as --p --i --d"
         )
     if options.live:
-        from hpid_ros.live.controllers import running_loops
+        from hpid_ros.live.graph_client import running_loops
 
         return ParameterFile(running_loops(), {})
     if options.file:

@@ -18,7 +18,8 @@ from hpid_ros.cli.options import add_joints, add_robot_options, inertias_from
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from hpid_ros.live.controllers import Ending, RunningController, RunningGraph, Tell
+    from hpid_ros.live.controllers import Controller, RunningGraph
+    from hpid_ros.live.motion import Ending, Tell
     from hpid_ros.motion.excitation import ExcitationPlan
 
 
@@ -107,7 +108,7 @@ def add(commands: Any) -> None:
 def run(options: argparse.Namespace) -> int:
     """Plan, show, ask, excite."""
     from hpid_ros.cli.terminal import output_console
-    from hpid_ros.live.controllers import running_graph
+    from hpid_ros.live.graph_client import running_graph
     from hpid_ros.live.motion import chosen
 
     bag = _bag(options)
@@ -146,14 +147,12 @@ def _bag(options: argparse.Namespace) -> Path:
     return bag
 
 
-def _plan(options: argparse.Namespace, controllers: Sequence[RunningController]) -> ExcitationPlan:
+def _plan(options: argparse.Namespace, controllers: Sequence[Controller]) -> ExcitationPlan:
     from hpid_ros.live.motion import bounds_of
     from hpid_ros.motion.excitation import Design, Wish, plan
 
-    names = [each.settings.joint for each in controllers]
-    pose = {
-        each.settings.joint: each.position for each in controllers if each.position is not None
-    }
+    names = [each.joint for each in controllers]
+    pose = {each.joint: each.position for each in controllers if each.position is not None}
     inertias = inertias_from(options, names, [pose])
     bounds = [
         bounds_of(each, inertias[name][1] if name in inertias else None)
@@ -229,7 +228,7 @@ def _draw(path: Path, planned: ExcitationPlan) -> None:
 def _excite(
     console: Console,
     planned: ExcitationPlan,
-    controllers: Sequence[RunningController],
+    controllers: Sequence[Controller],
     graph: RunningGraph,
     bag: Path,
     states: str,

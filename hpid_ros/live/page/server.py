@@ -12,7 +12,7 @@ import threading
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import uvicorn
 from fastapi import FastAPI, WebSocket, WebSocketDisconnect
@@ -21,13 +21,14 @@ from nicegui import app as pages
 
 from hpid_ros.base.errors import SettingError
 from hpid_ros.live.advice import AdviceClient
-from hpid_ros.live.controllers import HELD_WITHIN
-from hpid_ros.live.graph import Graph
-from hpid_ros.live.motion import HeldMotion
+from hpid_ros.live.motion import HELD_WITHIN, HeldMotion
 from hpid_ros.live.page.access import LOOPBACK, Access, Guard, require_token
 from hpid_ros.live.page.view import PageView
 from hpid_ros.live.session import LiveSession, Mark
 from hpid_ros.live.trials import Stage, Starter, Trials
+
+if TYPE_CHECKING:
+    from hpid_ros.live.graph_client import GraphClient
 
 ASSETS = Path(__file__).parent / "assets"
 
@@ -93,7 +94,7 @@ class Served:
         return tried
 
 
-def serve(graph: Graph, settings: ServerSettings, start: Starter | None = None) -> Served:
+def serve(graph: GraphClient, settings: ServerSettings, start: Starter | None = None) -> Served:
     """Serve the page of a graph, in a thread of its own."""
     listener = _listener(settings)
     port = int(listener.getsockname()[1])

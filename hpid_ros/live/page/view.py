@@ -10,7 +10,7 @@ from datetime import datetime
 
 from nicegui import ui
 
-from hpid_ros.live.graph import SILENT_AFTER
+from hpid_ros.live.controllers import SILENT_AFTER, Controller
 from hpid_ros.live.history import RisingCount
 from hpid_ros.live.page.panel import TuningPanel
 from hpid_ros.live.session import LiveSession
@@ -159,10 +159,10 @@ class _Row:
         await self._session.transit([self._node], transition)
 
 
-def _state(seen: object) -> tuple[str, str, str]:
+def _state(seen: Controller) -> tuple[str, str, str]:
     """Return a controller's state in a word or two, how bad that is, and more about it."""
-    health, lifecycle = seen.health, seen.lifecycle  # type: ignore[attr-defined]
-    if not seen.is_here:  # type: ignore[attr-defined]
+    health, lifecycle = seen.health, seen.lifecycle
+    if not seen.is_here:
         return "gone", "error", "its process has ended, or is out of reach"
     if lifecycle and lifecycle != "active":
         return lifecycle, "warning", "it controls nothing"

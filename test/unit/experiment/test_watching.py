@@ -5,8 +5,9 @@ import subprocess
 import pytest
 
 from hpid_ros.base.errors import RunError
-from hpid_ros.live import controllers as watching
-from hpid_ros.live.controllers import Ending, Mover, RunningGraph, carried_out
+from hpid_ros.live import motion as watching
+from hpid_ros.live.controllers import RunningGraph
+from hpid_ros.live.motion import Ending, Mover, carried_out
 
 MOVER = Mover("mover", "live.exciter", "joints go on", ())
 
@@ -54,7 +55,7 @@ def ending(tmp_path, monkeypatch):
 
     def carry_out(mover, recorder):
         monkeypatch.setattr(watching, "NodeGroup", lambda *_: Group(mover, recorder))
-        graph = RunningGraph({}, {}, has_commands=True)
+        graph = RunningGraph({}, has_commands=True)
         return carried_out(MOVER, {}, graph, "/", tmp_path / "bag", "states", lambda *_: None)
 
     return carry_out

@@ -8,7 +8,7 @@ from harness.simulated_graph import loop_settings
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from hpid_ros.live.graph import Samples
+from hpid_ros.live.controllers import Samples
 from hpid_ros.live.history import LONGEST, JointHistory, RisingCount, Track, extremes
 from hpid_ros.metrics.indices import itae, total_variation
 

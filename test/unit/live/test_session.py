@@ -7,7 +7,7 @@ import pytest
 from harness.simulated_graph import SimulatedGraph, arm, loop_settings
 
 from hpid_ros.base.errors import SettingError
-from hpid_ros.live.graph import Answer
+from hpid_ros.live.controllers import Answer
 from hpid_ros.live.session import LiveSession
 
 NODES = sorted(arm())

@@ -1,14 +1,15 @@
 """Test motions of the live page: once more, or to an end, whatever a person or a page does."""
 
 import asyncio
+from dataclasses import replace
 
 import pytest
 from harness.simulated_graph import SimulatedGraph, arm
 
 from hpid_ros.base.errors import HpidError
 from hpid_ros.live import trials as module
-from hpid_ros.live.controllers import RELEASED, Ending
-from hpid_ros.live.graph import as_running
+from hpid_ros.live.controllers import RunningGraph
+from hpid_ros.live.motion import RELEASED, Ending
 from hpid_ros.live.session import LiveSession
 from hpid_ros.live.trials import MotionWish, Stage, Trials, Tried, Variant
 
@@ -20,8 +21,10 @@ IN_FORCE, CHOSEN = Variant("in force"), Variant("chosen", {NODE: {"gains.p": 99.
 class MovedGraph(SimulatedGraph):
     def running(self, nodes, state_of):
         seen = self.controllers()
-        return as_running(
-            [seen[n] for n in nodes], {n: {} for n in nodes}, state_of, has_commands=True
+        states = [(seen[node], *state_of(node)) for node in nodes]
+        return RunningGraph.of(
+            [replace(each, position=at, effort=effort) for each, at, effort in states],
+            has_commands=True,
         )
 
 

@@ -1,1 +1,0 @@
-"""The page's client of the graph."""
