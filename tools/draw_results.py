@@ -18,11 +18,36 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-from hpid_ros.metrics.quantities import find_quantities  # noqa: E402
-from hpid_ros.report.study_figures import SearchPoints, front_figure, ratio_figure  # noqa: E402
+from hpid_ros.metrics.quantities import (  # noqa: E402
+    EFFORT_L2,
+    ERROR_L2,
+    IAVC,
+    ITAE,
+    IVC,
+    OVERSHOOT,
+    Quantity,
+    find_quantities,
+)
+from hpid_ros.report.plots import SearchPoints, front_figure  # noqa: E402
+from hpid_ros.report.style import (  # noqa: E402
+    DOTS_PER_INCH,
+    INK,
+    MARKERS,
+    WIDTH_IN,
+    RunStyle,
+    add_legend,
+    figure_style,
+    laid_out,
+    ratio_ticks,
+    run_styles,
+)
 
 BLOCK = re.compile(r"<!-- begin (?P<name>[^>]*?) -->\n(?P<body>.*?)<!-- end (?P=name) -->\n", re.S)
 PAPER = find_quantities(["paper"])
@@ -66,6 +91,97 @@ def search_points(folder: Path) -> SearchPoints:
     best = found["best"]
     return SearchPoints(
         found["label"], ratios, None if best is None else numbers.index(best["point"])
+    )
+
+
+SHOWN = (IVC, IAVC, EFFORT_L2, ITAE, ERROR_L2, OVERSHOOT)
+PAPER_RATIOS: Mapping[str, float] = {"ivc": 0.575, "iavc": 0.79, "effort_l2": 0.777, "itae": 0.947}
+"""What the paper's Table I has, over its PID."""
+
+_ROW_HEIGHT_IN, _MARGIN_IN = 0.32, 1.6
+_SPACE = 0.6  # of a row, for all its controllers
+
+
+@figure_style()
+def ratio_figure(study: Mapping[str, Any]) -> Figure:
+    """Return medians with bars from quartile to quartile, one panel an index."""
+    experiments: Mapping[str, Any] = study["experiments"]
+    labels = _labels(experiments)
+    looks = {
+        label: (style, MARKERS[k % len(MARKERS)])
+        for k, (label, style) in enumerate(zip(labels, run_styles(), strict=False))
+    }
+    height = 2.0 * (_MARGIN_IN + _ROW_HEIGHT_IN * len(experiments))
+    figure = Figure(figsize=(WIDTH_IN, height), dpi=DOTS_PER_INCH)
+    panels = figure.subplots(2, 3, sharey=True).flat
+    for panel, quantity in zip(panels, SHOWN, strict=True):
+        panel.axvline(1.0, color=INK, linewidth=0.8)
+        if quantity.key in PAPER_RATIOS:
+            panel.axvline(PAPER_RATIOS[quantity.key], color=INK, linewidth=0.8, dashes=(2.0, 2.0))
+        for row, experiment in enumerate(experiments.values()):
+            _draw_row(panel, row, experiment["controllers"], quantity, labels, looks)
+        _label(panel, quantity, list(experiments))
+    handles = [_point(style, marker, label) for label, (style, marker) in looks.items()]
+    paper = Line2D([], [], color=INK, linewidth=0.8, dashes=(2.0, 2.0), label="the paper")
+    add_legend(figure, [*handles, paper])
+    return laid_out(figure)
+
+
+def _labels(experiments: Mapping[str, Any]) -> list[str]:
+    """Return the labels of all controllers but the baselines, in their order."""
+    found: dict[str, None] = {}
+    for experiment in experiments.values():
+        others = [name for name in experiment["controllers"] if name != experiment["baseline"]]
+        found |= dict.fromkeys(others)
+    return list(found)
+
+
+def _draw_row(
+    panel: Axes,
+    row: int,
+    controllers: Mapping[str, Any],
+    quantity: Quantity,
+    labels: Sequence[str],
+    looks: Mapping[str, tuple[RunStyle, str]],
+) -> None:
+    step = _SPACE / len(labels)
+    for place, label in enumerate(labels):
+        ratios = controllers.get(label, {}).get("ratios", {}).get(quantity.key)
+        if ratios is None or not ratios["median"]:
+            continue  # it has none, or one over zero
+        style, marker = looks[label]
+        y = row + (place - 0.5 * (len(labels) - 1)) * step
+        low, middle, high = (ratios[name] for name in ("first", "median", "third"))
+        panel.plot([low, high], [y, y], color=style.color, linewidth=2.5, alpha=0.5)
+        panel.add_line(_point(style, marker, label, middle, y))
+
+
+def _label(panel: Axes, quantity: Quantity, names: Sequence[str]) -> None:
+    panel.set_xscale("log")
+    panel.set_title(f"{quantity.symbol}, {quantity.meaning}")
+    panel.set_ylim(len(names) - 0.5, -0.5)
+    panel.set_yticks(range(len(names)), names)
+    panel.grid(axis="y", visible=False)
+    panel.margins(x=0.08)
+    low, high = panel.get_xlim()
+    panel.set_xlim(min(low, 0.5), max(high, 1.25))
+    ratio_ticks(panel.xaxis)
+    panel.set_xlabel("over the PID's")
+
+
+def _point(
+    style: RunStyle, marker: str, label: str, x: float | None = None, y: float | None = None
+) -> Line2D:
+    places = ([], []) if x is None or y is None else ([x], [y])
+    return Line2D(
+        *places,
+        color=style.color,
+        marker=marker,
+        markersize=6.5,
+        markeredgecolor="white",
+        linestyle="",
+        label=label,
+        zorder=4,
     )
 
 

@@ -332,9 +332,7 @@ def save(
     if has_figures:
         from hpid_ros.report.plots import save_figures
 
-        save_figures(
-            result.runs, folder.figures, comparison=result.comparison, gains=gains, paths=paths
-        )
+        save_figures(result.comparison, result.runs, folder.figures, gains=gains, paths=paths)
     provenance = {
         "experiment": result.experiment.name,
         "ran": how,

@@ -384,7 +384,7 @@ class SearchResult:
             self._draw(folder)
 
     def _draw(self, folder: ResultFolder) -> None:
-        from hpid_ros.report.study_figures import SearchPoints, front_figure
+        from hpid_ros.report.plots import SearchPoints, front_figure
 
         run = [each for each in self._search.evaluations if each.ratios]
         best = self._search.best

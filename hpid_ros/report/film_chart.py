@@ -15,7 +15,6 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties, findfont
-from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from hpid_ros.base.errors import unknown_name
@@ -23,8 +22,15 @@ from hpid_ros.base.text import figure_text
 from hpid_ros.base.units import Numbers
 from hpid_ros.messages.series import RunSeries, SeriesError, seconds_since
 from hpid_ros.metrics.quantities import Signal, error_of, norm_of_run, position_of, reference_of
-from hpid_ros.report.panels import TICK_STEPS, plain_ticks, series_of, styled_line
-from hpid_ros.report.style import REFERENCE, RUN_STYLES, JointUnits, figure_style, run_styles
+from hpid_ros.report.figures import JointUnits
+from hpid_ros.report.style import (
+    REFERENCE,
+    RUN_STYLES,
+    figure_style,
+    plain_ticks,
+    run_styles,
+    styled_line,
+)
 
 _DOTS_PER_INCH = 100
 _PALE = 0.22
@@ -120,7 +126,7 @@ def _positions(runs: Sequence[RunSeries], joint: str) -> _Curves:
     for run in runs:
         if joint not in run.joint_names:
             raise SeriesError(unknown_name("joint", joint, run.joint_names))
-    series = series_of(runs, joint)
+    series = [run.joints[run.joint_names.index(joint)] for run in runs]
     unit = "m" if any(each.is_slide for each in series) else "rad"
     return _Curves(
         *(
@@ -150,8 +156,8 @@ def _draw(
     low, high = min(float(values.min()), 0.0), float(values.max())
     air = _AIR * (high - low) or 1.0
     panel.set_ylim(low - (air if low < 0.0 else 0.0), high + air)
-    plain_ticks(panel.xaxis, MaxNLocator(10, steps=TICK_STEPS))
-    plain_ticks(panel.yaxis, MaxNLocator(3, steps=TICK_STEPS))
+    plain_ticks(panel.xaxis, 10)
+    plain_ticks(panel.yaxis, 3)
 
 
 def _line(

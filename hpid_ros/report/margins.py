@@ -11,14 +11,23 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Patch
-from matplotlib.ticker import MaxNLocator, MultipleLocator
+from matplotlib.ticker import MultipleLocator
 from rich.console import Console, ConsoleOptions, RenderResult
 from rich.text import Text
 
 from hpid_ros.base.text import figure_text
 from hpid_ros.base.units import Numbers, of_slide
-from hpid_ros.report.panels import TICK_STEPS, laid_out, legend_outside, log_ticks, plain_ticks
-from hpid_ros.report.style import DOTS_PER_INCH, INK, RUN_STYLES, WIDTH_IN, figure_style
+from hpid_ros.report.style import (
+    DOTS_PER_INCH,
+    INK,
+    RUN_STYLES,
+    WIDTH_IN,
+    figure_style,
+    laid_out,
+    legend_outside,
+    log_ticks,
+    plain_ticks,
+)
 from hpid_ros.report.table import TableColumn, WideTable
 from hpid_ros.stability.frequency import Complexes, FrozenLoop
 from hpid_ros.stability.margins import Case, FamilyMargins, LoopFamily, Margins, frequency_grid
@@ -391,7 +400,7 @@ def _draw_magnitude(panel: Axes, lines: _Lines, margins: Margins | None) -> None
                 _arrow(panel, place, (0.0, level), f"GM {-level:+.1f} dB")
     panel.set_title("open loop |L|")
     panel.set_ylabel("|L| [dB]")
-    plain_ticks(panel.yaxis, MaxNLocator(6, steps=TICK_STEPS))
+    plain_ticks(panel.yaxis, 6)
     log_ticks(panel.xaxis)
 
 
@@ -487,7 +496,7 @@ def _draw_nyquist(
     panel.set_ylim(-_REACH, _REACH)
     panel.set_aspect("equal", adjustable="box", anchor="N")
     for axis in (panel.xaxis, panel.yaxis):
-        plain_ticks(axis, MaxNLocator(6, steps=TICK_STEPS))
+        plain_ticks(axis, 6)
 
 
 def _disk(margins: Margins) -> Circle:

@@ -9,13 +9,15 @@ nothing of a recording.
 
 from __future__ import annotations
 
-import base64
 import re
+from base64 import b64encode
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 from jinja2 import Environment, FileSystemLoader, StrictUndefined, Template
 from markupsafe import Markup, escape
 
@@ -40,8 +42,7 @@ from hpid_ros.report.blocks import (
     parameter_tables,
     retunes,
 )
-from hpid_ros.report.data import Figure, figures_data, page_data
-from hpid_ros.report.plots import path_data
+from hpid_ros.report.figures import Figure, Line, figures_of
 from hpid_ros.report.style import GRID, INK, REFERENCE, RUN_STYLES
 
 # The same hues as on paper, light enough for a dark page: line and tint of each run.
@@ -79,9 +80,7 @@ def render_report(
             f"are {', '.join(labels)}"
         )
     others = " and ".join(labels[1:])
-    figures = figures_data(runs, comparison, repeats, gains or {})
-    if paths:
-        figures.append(path_data(paths, labels))
+    figures = page_figures(comparison, runs, repeats=repeats, gains=gains, paths=paths)
     sections: dict[str, Sequence[Block]] = {
         "Figures": () if figures else (_NO_RECORDING,),
         "All indices": [*further_tables(comparison)],
@@ -127,6 +126,69 @@ def render_page(
         style=style_sheet(),
         script=script(),
     )
+
+
+SAMPLES = 150_000
+"""Samples of all lines together: about 1.6 MB of text."""
+LEAST_SAMPLES, MOST_SAMPLES = 200, 6000
+PIXELS_PER_POINT = 4.0 / 3.0
+
+
+def page_figures(
+    comparison: Comparison, runs: Sequence[RunSeries], *, gains: Gains | None = None, **more: Any
+) -> list[Figure]:
+    """Return :func:`.figures_of` runs, as detailed as keeps a page small."""
+    joints = max((len(run.joint_names) for run in runs), default=1)
+    lines = (3 + 2 * bool(gains)) * len(runs) * joints + joints
+    samples = min(max(SAMPLES // lines, LEAST_SAMPLES), MOST_SAMPLES)
+    return figures_of(comparison, runs, samples, gains=gains, **more)
+
+
+def page_data(figures: Sequence[Figure], labels: Sequence[str]) -> dict[str, object]:
+    """Return figures and runs as the page's program is given them, as JSON."""
+    runs = [
+        {
+            "label": label,
+            "style": k % len(RUN_STYLES),
+            "dashes": [
+                round(each * PIXELS_PER_POINT, 1)
+                for each in RUN_STYLES[k % len(RUN_STYLES)].dashes or ()
+            ],
+        }
+        for k, label in enumerate(labels)
+    ]
+    return {"runs": runs, "figures": [_packed(each) for each in figures]}
+
+
+def _packed(figure: Figure) -> dict[str, object]:
+    panels = [
+        {
+            "title": panel.caption,
+            "lines": [line_data(line) for line in panel.lines],
+            "level": panel.level,
+            "marks": [{"run": run, "x": x} for run, x in panel.marks],
+        }
+        for panel in figure.panels
+    ]
+    return {
+        "name": figure.name,
+        "panels": panels,
+        "caption": figure.caption.replace("^2", "²"),
+        "group": figure.kind,
+        "xName": figure.x,
+        "xLog": figure.kind == "frequency",
+        "yLog": figure.y_log,
+        "free": figure.is_free,
+        "points": figure.kind == "points",
+    }
+
+
+def line_data(line: Line) -> dict[str, object]:
+    """Return a line with its numbers as base64 of little-endian float32."""
+    x, y = (
+        b64encode(np.asarray(each, dtype="<f4").tobytes()).decode() for each in (line.x, line.y)
+    )
+    return {"run": line.run, "x": x, "y": y}
 
 
 def style_sheet() -> Markup:
@@ -210,6 +272,6 @@ def with_animation(page: str, moving: bytes, still: bytes, text: str) -> str:
     before, begin, rest = page.partition(_BEGIN)
     _, end, after = rest.partition(_END)
     figure = template("animation.html").render(
-        moving=base64.b64encode(moving).decode(), still=base64.b64encode(still).decode(), text=text
+        moving=b64encode(moving).decode(), still=b64encode(still).decode(), text=text
     )
     return f"{before}{begin}{figure}{end}{after}"

@@ -1,153 +1,58 @@
-"""The figures of runs: the paper's five, the effort's spectrum, the phase portrait, and more.
+"""The figures drawn by matplotlib, for print.
 
-matplotlib through its objects only: no pyplot, no figure that outlives its function, and the
-same bytes for the same runs.
+Through its objects only: no pyplot, no figure that outlives its function, and the same bytes for
+the same runs.
 """
 
 from __future__ import annotations
 
 import io
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from functools import partial
+import re
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, NamedTuple
 
-import numpy as np
-from matplotlib.figure import Figure
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure as Drawing
 from matplotlib.lines import Line2D
-from matplotlib.ticker import MaxNLocator
 
 from hpid_ros.base.errors import unknown_name
 from hpid_ros.base.text import figure_text
-from hpid_ros.messages.series import JointSeries, RunSeries, SeriesError
+from hpid_ros.messages.series import RunSeries, SeriesError
 from hpid_ros.metrics.comparison import Comparison
-from hpid_ros.metrics.quantities import (
-    EFFORT_L2,
-    ERROR_L2,
-    Data,
-    Gains,
-    Quantity,
-    Signal,
-    effort_of,
-    error_of,
-    has_any,
-    norm_of_run,
-    position_of,
-    reference_of,
-)
-from hpid_ros.metrics.results import RunIndices, run_indices
+from hpid_ros.metrics.indices import total_variation
+from hpid_ros.metrics.quantities import ERROR_L2, IAVC, ITAE, IVC, Gains, Quantity
+from hpid_ros.metrics.results import RunIndices
 from hpid_ros.metrics.task import EndEffectorPath
-from hpid_ros.report.data import Figure as FigureData
-from hpid_ros.report.data import Panel, figure_data, line_data
-from hpid_ros.report.panels import (
-    REFERENCE_LABEL,
-    TICK_STEPS,
-    add_legend,
-    joint_panels,
-    laid_out,
-    plain_ticks,
-    run_handles,
-    single_panel,
-    styled_line,
-)
-from hpid_ros.report.portraits import can_be_drawn, phase_panels, spectrum_panels, trade_off_figure
+from hpid_ros.report.figures import NO_RUN, Figure, Line, Panel, figures_of
 from hpid_ros.report.style import (
     DOTS_PER_INCH,
+    INK,
+    MARKERS,
+    NORM_HEIGHT_IN,
+    PANEL_HEIGHT_IN,
     REFERENCE,
+    RUN_STYLES,
     WIDTH_IN,
-    JointUnits,
+    RunStyle,
+    add_legend,
     figure_style,
+    laid_out,
+    log_ticks,
+    plain_ticks,
+    ratio_ticks,
     run_styles,
+    styled_line,
 )
 
-VIEWS = (("from above", 0, 1, "x [m]", "y [m]"), ("from the side", 0, 2, "x [m]", "z [m]"))
-"""Title of a view, the axes that it shows, and their labels."""
-
-_HEIGHT_IN = 5.2
-_REFERENCE_WIDTH = 3.2  # [pt]: wide enough to be seen on both sides of a run's line
-
-
-def path_figure(paths: Sequence[EndEffectorPath]) -> Figure:
-    """Return both views, each with one scale for both of its axes."""
-    if not paths:
-        raise SeriesError("a figure of paths needs at least one, got none")
-    figure = Figure(figsize=(WIDTH_IN, _HEIGHT_IN), dpi=DOTS_PER_INCH)
-    panels = figure.subplots(1, len(VIEWS))
-    for panel, (title, across, up, x_label, y_label) in zip(panels, VIEWS, strict=True):
-        panel.set_title(title)
-        panel.add_line(
-            Line2D(
-                paths[0].reference[:, across],
-                paths[0].reference[:, up],
-                color=REFERENCE,
-                linewidth=_REFERENCE_WIDTH,
-                solid_capstyle="round",
-            )
-        )
-        for path, style in zip(paths, run_styles(), strict=False):
-            line = styled_line(style)
-            line.set_data(path.position[:, across], path.position[:, up])
-            panel.add_line(line)
-        panel.margins(0.06)
-        panel.autoscale_view()
-        panel.set_aspect("equal", adjustable="datalim")
-        panel.set_xlabel(x_label)
-        panel.set_ylabel(y_label)
-        for axis in (panel.xaxis, panel.yaxis):
-            plain_ticks(axis, MaxNLocator(6, steps=TICK_STEPS))
-    handles = run_handles([figure_text(path.label) for path in paths])
-    handles.append(
-        Line2D([], [], color=REFERENCE, linewidth=_REFERENCE_WIDTH, label=REFERENCE_LABEL)
-    )
-    add_legend(figure, handles)
-    return laid_out(figure)
-
-
-def path_data(paths: Sequence[EndEffectorPath], labels: Sequence[str]) -> FigureData:
-    """Return both views for the report."""
-    panels: list[Panel] = []
-    for title, across, up, x_label, y_label in VIEWS:
-        lines = [line_data(-1, paths[0].reference[:, across], paths[0].reference[:, up])]
-        lines += [
-            line_data(labels.index(path.label), path.position[:, across], path.position[:, up])
-            for path in paths
-        ]
-        title = f"{title}: {y_label} over {x_label}"
-        panels.append({"title": title, "lines": lines, "level": None, "marks": []})
-    caption = "Path of the end effector in the task frame, and its reference"
-    return figure_data("end_effector", caption, panels, is_free=True)
-
-
-# Zero has no place on a logarithmic axis.
-LEAST_NORM = 1e-6
-
-
-@figure_style()
-def norm_figure(runs: Sequence[RunSeries], gains: Gains, buckets: int) -> Figure:
-    """Return the homogeneous norm over time, one panel a joint, its axis logarithmic."""
-
-    def norm_of(run: RunSeries, series: JointSeries) -> Signal:
-        stamps_ns, values = gains[run.label][series.joint].norm
-        return Signal(stamps_ns, np.maximum(values, LEAST_NORM))
-
-    return joint_panels(runs, "homogeneous norm", "", norm_of, buckets, level=None, is_log=True)
-
-
-@figure_style()
-def multiplier_figure(runs: Sequence[RunSeries], gains: Gains, buckets: int) -> Figure:
-    """Return the gain multiplier over time, one panel a joint; see :func:`norm_figure`."""
-
-    def multiplier_of(run: RunSeries, series: JointSeries) -> Signal:
-        return gains[run.label][series.joint].multiplier
-
-    # One is the linear PID.
-    return joint_panels(runs, "gain multiplier", "", multiplier_of, buckets, level=1.0)
-
-
 FORMATS = ("png", "pdf", "svg")
-# Detail of a line: three times the pixels of a panel in a PNG, so that a PDF can be enlarged.
-BUCKETS = 2000
+SAMPLES = 8000
+"""Detail of a line: twelve times the pixels of a panel in a PNG, so that a PDF can be enlarged."""
+DECADES_AT_MOST = 6.0  # of a spectrum
+MARKER_SIZE = 8.0
+_PATH_HEIGHT_IN = 5.2
+_MARGINS = {"curves": 0.05, "path": 0.06, "points": 0.12}  # around what is drawn, over its size
 
 # Dates and versions would make two files of the same run differ.
 _METADATA: Mapping[str, dict[str, Any]] = {
@@ -157,158 +62,36 @@ _METADATA: Mapping[str, dict[str, Any]] = {
 }
 
 
-def _position(run: RunSeries, series: JointSeries) -> Signal:
-    return position_of(series)
-
-
-def _reference(run: RunSeries, series: JointSeries) -> Signal:
-    return reference_of(series)
-
-
-def _error(run: RunSeries, series: JointSeries) -> Signal:
-    return error_of(series)
-
-
-def _effort(run: RunSeries, series: JointSeries) -> Signal:
-    return effort_of(series)
-
-
-class DrawRuns(Protocol):
-    """A function that draws runs at some detail; the first run is the baseline."""
-
-    def __call__(self, runs: Sequence[RunSeries], buckets: int = BUCKETS) -> Figure:
-        """Return the figure."""
-        ...
-
-
-@figure_style()
-def positions_figure(runs: Sequence[RunSeries], buckets: int = BUCKETS) -> Figure:
-    """Return measured positions over the first run's reference, one panel a joint, in [rad].
-
-    Of joints that slide it is in [m], as all figures have [N] for [N m] of them; what stands over
-    joints of both kinds names both units, and the panels their own.
-    """
-    return joint_panels(runs, "position", "rad", _position, buckets, _reference)
-
-
-@figure_style()
-def efforts_figure(runs: Sequence[RunSeries], buckets: int = BUCKETS) -> Figure:
-    """Return efforts, one panel a joint, in [N m]; see :func:`positions_figure`."""
-    return joint_panels(runs, "effort", "N m", _effort, buckets)
-
-
-@figure_style()
-def errors_figure(runs: Sequence[RunSeries], buckets: int = BUCKETS) -> Figure:
-    """Return reference minus position by joint, in [rad]; see :func:`positions_figure`."""
-    return joint_panels(runs, "error", "rad", _error, buckets)
-
-
-@figure_style()
-def effort_norm_figure(runs: Sequence[RunSeries], buckets: int = BUCKETS) -> Figure:
-    """Return the effort's norm over joints, in [N m]; see :func:`positions_figure`."""
-    return _norm_figure(runs, r"$\|u(t)\|_2$", "N m", effort_of, EFFORT_L2, buckets)
-
-
-@figure_style()
-def error_norm_figure(runs: Sequence[RunSeries], buckets: int = BUCKETS) -> Figure:
-    """Return the error's norm over joints, in [rad]; see :func:`positions_figure`."""
-    return _norm_figure(runs, r"$\|e(t)\|_2$", "rad", error_of, ERROR_L2, buckets)
-
-
-@figure_style()
-def spectrum_figure(runs: Sequence[RunSeries], buckets: int = BUCKETS) -> Figure:
-    """Return the spectrum of the effort by joint, in [N m / Hz^0.5]."""
-    return spectrum_panels(runs)
-
-
-@figure_style()
-def phase_figure(runs: Sequence[RunSeries], buckets: int = BUCKETS) -> Figure:
-    """Return error rate over error by joint, in [rad/s], [rad]; see :func:`positions_figure`."""
-    return phase_panels(runs, 4 * buckets)
-
-
-FIGURES: Mapping[str, DrawRuns] = {
-    "positions": positions_figure,
-    "efforts": efforts_figure,
-    "errors": errors_figure,
-    "effort_norm": effort_norm_figure,
-    "error_norm": error_norm_figure,
-    "spectrum": spectrum_figure,
-    "phase": phase_figure,
-}
-_NEEDED: Mapping[str, Data] = {
-    **dict.fromkeys(("errors", "error_norm", "phase"), Data.REFERENCE),
-    **dict.fromkeys(("efforts", "effort_norm", "spectrum"), Data.EFFORT),
-}
-"""What a figure shows nothing without."""
-
-
 def save_figures(
+    comparison: Comparison,
     runs: Sequence[RunSeries],
     folder: Path,
     formats: Iterable[str] = ("png", "pdf"),
     *,
-    comparison: Comparison | None = None,
     repeats: Sequence[RunIndices] = (),
     gains: Gains | None = None,
     paths: Sequence[EndEffectorPath] = (),
 ) -> list[Path]:
-    """Draw all figures into a folder, which must exist; files of the same name are replaced.
-
-    A figure that would be empty, for want of any reference or effort, is left out.
-    """
+    """Draw all figures into a folder, which must exist; files of the same name are replaced."""
     wanted = tuple(formats)
     for form in wanted:
         if form not in FORMATS:
             raise SeriesError(unknown_name("figure format", form, FORMATS))
-    if not runs and comparison is None:
-        raise SeriesError("figures need at least one run, got none")
+    labels = [run.label for run in comparison.runs]
     written: list[Path] = []
-    drawings = _drawings(runs, comparison, repeats, gains or {})
-    if paths:
-        drawings["end_effector"] = partial(_path_figure, paths)
-    for name, draw in drawings.items():
-        figure = draw()
+    for each in figures_of(comparison, runs, SAMPLES, repeats=repeats, gains=gains, paths=paths):
+        drawing = drawn(each, labels)
         for form in wanted:
-            path = Path(folder) / f"{name}.{form}"
-            path.write_bytes(render(figure, form))
-            written.append(path)
+            written.append(Path(folder) / f"{each.name}.{form}")
+            written[-1].write_bytes(render(drawing, form))
     return written
 
 
 @figure_style()
-def _path_figure(paths: Sequence[EndEffectorPath]) -> Figure:
-    return path_figure(paths)
-
-
-def _drawings(
-    runs: Sequence[RunSeries],
-    comparison: Comparison | None,
-    repeats: Sequence[RunIndices],
-    gains: Gains,
-) -> dict[str, Callable[[], Figure]]:
-    """Return what can be drawn, by name."""
-    drawings: dict[str, Callable[[], Figure]] = {}
-    if runs:
-        drawings = {
-            name: partial(draw, runs)
-            for name, draw in FIGURES.items()
-            if name not in _NEEDED or has_any(runs, _NEEDED[name])
-        }
-    known = [run for run in runs if run.label in gains]
-    if known:
-        drawings["norm"] = partial(norm_figure, known, gains, BUCKETS)
-        drawings["multiplier"] = partial(multiplier_figure, known, gains, BUCKETS)
-    if comparison is not None and comparison.others and can_be_drawn(comparison):
-        drawings["trade_off"] = partial(trade_off_figure, comparison, repeats)
-    return drawings
-
-
-@figure_style()
-def render(figure: Figure, form: str, transparent: bool = False) -> bytes:
-    """Return a figure as the bytes of a file; the same figure gives the same bytes."""
+def render(drawing: Drawing, form: str, transparent: bool = False) -> bytes:
+    """Return a drawing as the bytes of a file; the same one gives the same bytes."""
     buffer = io.BytesIO()
-    figure.savefig(
+    drawing.savefig(
         buffer,
         format=form,
         dpi=DOTS_PER_INCH,
@@ -318,24 +101,211 @@ def render(figure: Figure, form: str, transparent: bool = False) -> bytes:
     return buffer.getvalue()
 
 
-def _norm_figure(
-    runs: Sequence[RunSeries],
-    symbol: str,
-    unit: str,
-    signal_of: Callable[[JointSeries], Signal],
-    quantity: Quantity,
-    buckets: int,
-) -> Figure:
-    signals = [norm_of_run(run, signal_of) for run in runs]
-    values = [run_indices(run).value(quantity) for run in runs]
-    units = JointUnits.of(runs)
-    of_norm = units.over_all(quantity.unit).replace("^0.5", "$^{0.5}$")
-    of_norm = f"[{of_norm}]" if "," in of_norm else of_norm
-    notes = [
-        f"no {quantity.meaning}"
-        if math.isnan(value)
-        else f"{quantity.meaning} {value:.4g} {of_norm}"
-        for value in values
+@figure_style()
+def drawn(figure: Figure, labels: Sequence[str]) -> Drawing:
+    """Return a figure as matplotlib draws it; the labels are those of all runs."""
+    count, is_time_like = len(figure.panels), not figure.is_free
+    # Wide panels while they fit on a page.
+    columns = 2 if 3 < count <= 12 or figure.kind in ("path", "points") else 1 if count < 4 else 3
+    rows = math.ceil(count / columns)
+    height = 0.8 + PANEL_HEIGHT_IN * rows if count > 1 else NORM_HEIGHT_IN
+    height = {"path": _PATH_HEIGHT_IN, "points": NORM_HEIGHT_IN}.get(figure.kind, height)
+    drawing = Drawing(figsize=(WIDTH_IN, height), dpi=DOTS_PER_INCH)
+    axes = drawing.subplots(
+        rows, columns, sharex=is_time_like, sharey=figure.kind == "points", squeeze=False
+    ).flat
+    for k, (panel, place) in enumerate(zip(figure.panels, axes[:count], strict=True)):
+        _draw_panel(place, figure, panel)
+        # The last panel of each column carries the labels, also where the last row has gaps.
+        place.tick_params(labelbottom=not is_time_like or k + columns >= count)
+    for place in axes[count:]:
+        place.set_visible(False)
+    drawing.supxlabel(_with_powers(figure.x))
+    drawing.supylabel(_with_powers(figure.y))
+    handles = _handles(figure, labels)
+    add_legend(drawing, handles, columns_at_most=2 if figure.labels and is_time_like else 8)
+    return laid_out(drawing)
+
+
+def _draw_panel(place: Axes, figure: Figure, panel: Panel) -> None:
+    place.set_title(figure_text(panel.title))
+    place.set(xlabel=_with_powers(panel.x), ylabel=_with_powers(panel.y))
+    if figure.kind == "frequency":
+        place.set_xscale("log")
+    if figure.y_log:
+        place.set_yscale("log")
+    if panel.level is not None:
+        place.axhline(panel.level, color=INK, linewidth=0.5)
+        if figure.is_free:
+            place.axvline(panel.level, color=INK, linewidth=0.5)
+    # The calmest on top, so that none is hidden.
+    order = (lambda line: 0.0) if figure.is_free else (lambda line: -total_variation(line.y))
+    for k, line in enumerate(sorted(panel.lines, key=order)):
+        artist = _artist(figure, line)
+        artist.set_data(line.x, line.y)
+        artist.set_zorder(2 if line.run == NO_RUN else 3 + k)
+        place.add_line(artist)
+    for run, x in panel.marks:
+        color = INK if run == NO_RUN else _style(run).color
+        place.axvline(x, color=color, linewidth=0.9, linestyle=":", zorder=2)
+    if figure.is_free:
+        place.margins(_MARGINS[figure.kind])
+    place.autoscale_view()
+    if figure.kind == "path":
+        place.set_aspect("equal", adjustable="datalim")
+    _set_limits_and_ticks(place, figure, panel)
+
+
+def _set_limits_and_ticks(place: Axes, figure: Figure, panel: Panel) -> None:
+    if figure.kind == "time":
+        most = max((float(each.x[-1]) for each in panel.lines if each.x.size), default=0.0)
+        plain_ticks(place.xaxis, 10, are_whole=most >= 5.0)
+    elif figure.kind == "frequency":
+        highest = max((float(each.y.max(initial=0.0)) for each in panel.lines), default=0.0)
+        if highest:
+            low, high = place.get_ylim()
+            place.set_ylim(max(low, high * 10.0**-DECADES_AT_MOST), high)
+        log_ticks(place.xaxis)
+    else:
+        plain_ticks(place.xaxis, 7 if figure.kind == "curves" else 6)
+    if figure.y_log:
+        log_ticks(place.yaxis)
+    else:
+        plain_ticks(place.yaxis, 6 if figure.kind in ("path", "points") else 5)
+    if len(figure.panels) == 1 and figure.labels:  # a norm
+        place.set_ylim(bottom=0.0)
+
+
+def _style(run: int) -> RunStyle:
+    return RUN_STYLES[run % len(RUN_STYLES)]
+
+
+def _artist(figure: Figure, line: Line) -> Line2D:
+    """Return an empty line that looks like one of a figure's."""
+    if line.run == NO_RUN:
+        if figure.kind == "path":
+            return Line2D([], [], color=REFERENCE, linewidth=3.2, solid_capstyle="round")
+        return Line2D([], [], color=REFERENCE, linewidth=4.0, solid_capstyle="butt")
+    style = _style(line.run)
+    if figure.kind != "points":
+        artist = styled_line(style)
+        if figure.kind == "curves":
+            artist.set_linewidth(0.9)
+        return artist
+    if len(line.x) > 1:
+        return Line2D([], [], color=style.color, linewidth=style.width)
+    artist = Line2D([], [], color=style.color, marker=MARKERS[line.run % len(MARKERS)])
+    artist.set(linestyle="", markersize=MARKER_SIZE, markeredgecolor="white")
+    if line.is_repeat:
+        artist.set(markersize=MARKER_SIZE / 2.0, markeredgecolor=style.color)
+        artist.set_markerfacecolor("none")
+    return artist
+
+
+def _handles(figure: Figure, labels: Sequence[str]) -> list[Line2D]:
+    """Return the legend's lines: the runs in order, the reference, the marks."""
+    last = {line.run: line for panel in figure.panels for line in panel.lines}  # no repeat
+    handles = []
+    for run in sorted(last, key=lambda run: (run == NO_RUN, run)):
+        handle = _artist(figure, last[run])
+        if run == NO_RUN:
+            handle.set_label("reference")
+        elif run in figure.labels:
+            handle.set_label(_with_powers(figure.labels[run]))
+        else:
+            handle.set_label(figure_text(labels[run]))
+        if run != NO_RUN and figure.kind != "points":
+            handle.set_linewidth(_style(run).width + 0.5)
+        handles.append(handle)
+    if any(panel.marks for panel in figure.panels):
+        handles.append(Line2D([], [], color=INK, linewidth=0.9, ls=":", label=figure.mark))
+    return handles
+
+
+def _with_powers(text: str) -> str:
+    """Return a text with its powers raised."""
+    return re.sub(r"\^([\d.]+)", r"$^{\1}$", figure_text(text))
+
+
+def pareto_front(points: Sequence[tuple[float, float]]) -> list[int]:
+    """Return the places of the points that no other point beats in both costs.
+
+    Of equal points the first is there; one that is not finite is not.
+    """
+    finite = [k for k, point in enumerate(points) if all(map(math.isfinite, point))]
+    front: list[int] = []
+    least = math.inf
+    for place in sorted(finite, key=lambda k: points[k]):
+        if points[place][1] < least:
+            front.append(place)
+            least = points[place][1]
+    return front
+
+
+PAIRS = ((IVC, ITAE), (IAVC, ITAE), (IVC, ERROR_L2))
+"""What is drawn over what."""
+
+SHOWN_UP_TO = 6.0
+"""Points more than so many times worse than the baseline in either cost are left out."""
+
+
+class SearchPoints(NamedTuple):
+    """The points of one search."""
+
+    label: str  # name of the search
+    ratios: Sequence[Mapping[str, float]]  # of each point, each index over the baseline's, by key
+    best: int | None  # place of the point that it chose; None if it chose none
+
+
+@figure_style()
+def front_figure(searches: Sequence[SearchPoints], baseline: str = "PID") -> Drawing:
+    """Return the trade-offs of searches, as ratios to their baseline."""
+    figure = Drawing(figsize=(WIDTH_IN, NORM_HEIGHT_IN), dpi=DOTS_PER_INCH)
+    looks = [
+        (search, style, MARKERS[k % len(MARKERS)])
+        for k, (search, style) in enumerate(zip(searches, run_styles(), strict=False))
     ]
-    label = f"{symbol} over all joints [{units.over_all(unit)}]"
-    return single_panel(runs, label, signals, notes, buckets)
+    for panel, (across, up) in zip(figure.subplots(1, len(PAIRS)), PAIRS, strict=True):
+        panel.set(xscale="log", yscale="log")
+        panel.plot(1.0, 1.0, marker="+", color=INK, markersize=11, linestyle="", zorder=5)
+        for search, style, marker in looks:
+            _draw(panel, search, (across, up), style, marker)
+        panel.margins(0.06)
+        for axis, quantity in ((panel.xaxis, across), (panel.yaxis, up)):
+            axis.set_label_text(f"{quantity.symbol} / {quantity.symbol} of {baseline}")
+            ratio_ticks(axis)
+    handles = [
+        Line2D([], [], color=style.color, marker=marker, markeredgecolor="white", label=each.label)
+        for each, style, marker in looks
+    ]
+    base = Line2D([], [], color=INK, marker="+", markersize=9, linestyle="", label=baseline)
+    add_legend(figure, [base, *handles])
+    return laid_out(figure)
+
+
+def _draw(
+    panel: Axes,
+    search: SearchPoints,
+    pair: tuple[Quantity, Quantity],
+    style: RunStyle,
+    marker: str,
+) -> None:
+    """Draw all points of a search faintly, its front as steps, its choice large."""
+    every = [(each[pair[0].key], each[pair[1].key]) for each in search.ratios]
+    shown = [point for point in every if max(point) <= SHOWN_UP_TO and min(point) > 0.0]
+    if shown:
+        x, y = zip(*shown, strict=True)
+        panel.plot(x, y, ".", color=style.color, alpha=0.3, markersize=4, zorder=1)
+    front = [shown[k] for k in pareto_front(shown)]
+    if front:
+        x, y = zip(*front, strict=True)
+        panel.step(x, y, where="post", color=style.color, linewidth=style.width, zorder=3)
+    if search.best is not None:
+        panel.plot(
+            *every[search.best],
+            marker=marker,
+            color=style.color,
+            markeredgecolor="white",
+            markersize=9,
+            zorder=6,
+        )

@@ -12,14 +12,22 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import MaxNLocator
 from rich.text import Text
 
 from hpid_ros.base.text import figure_text, shown
 from hpid_ros.base.units import Numbers
 from hpid_ros.motion.excitation import ExcitationPlan, PlannedJoint
-from hpid_ros.report.panels import TICK_STEPS, add_legend, laid_out, plain_ticks
-from hpid_ros.report.style import DOTS_PER_INCH, INK, REFERENCE, RUN_STYLES, WIDTH_IN, figure_style
+from hpid_ros.report.style import (
+    DOTS_PER_INCH,
+    INK,
+    REFERENCE,
+    RUN_STYLES,
+    WIDTH_IN,
+    add_legend,
+    figure_style,
+    laid_out,
+    plain_ticks,
+)
 from hpid_ros.report.table import TableColumn, WideTable
 from hpid_ros.tuning.experiment_text import MovedInertia, unit
 from hpid_ros.tuning.identification_results import (
@@ -76,7 +84,7 @@ def _draw_planned(
         if math.isfinite(limit) and abs(limit - middle) < _NEAR * span:
             panel.axhline(limit, color=_LIMIT, linewidth=1.0, dashes=(7.0, 1.8))
     panel.spines["bottom"].set_color(INK)
-    plain_ticks(panel.yaxis, MaxNLocator(4, steps=TICK_STEPS))
+    plain_ticks(panel.yaxis, 4)
 
 
 def _plan_handles() -> list[Line2D]:
@@ -128,8 +136,8 @@ def _draw(panel: Axes, fit: Fit, unit: str) -> None:
     panel.plot(time, residual, color=_RESIDUAL, linewidth=0.9)
     panel.axhline(0.0, color=INK, linewidth=0.5)
     panel.set_ylabel(f"effort [{unit}]")
-    plain_ticks(panel.yaxis, MaxNLocator(4, steps=TICK_STEPS))
-    plain_ticks(panel.xaxis, MaxNLocator(8, steps=TICK_STEPS))
+    plain_ticks(panel.yaxis, 4)
+    plain_ticks(panel.xaxis, 8)
 
 
 def _packed(time: Numbers) -> Numbers:

@@ -25,8 +25,7 @@ from hpid_ros.report.blocks import (
     Steps,
     Title,
 )
-from hpid_ros.report.data import figures_data
-from hpid_ros.report.page import render_page
+from hpid_ros.report.page import page_figures, render_page
 from hpid_ros.report.table import MARKS, format_ratio, format_values
 from hpid_ros.tuning.identification_results import (
     COULOMB,
@@ -151,7 +150,7 @@ def render(found: Answer, prediction: Prediction, files: Mapping[str, Path]) -> 
         doubts(found, prediction),
         [expectations(prediction)],
         sections,
-        figures_data(found.runs, comparison, (), {}),
+        page_figures(comparison, found.runs),
         labels,
     )
 

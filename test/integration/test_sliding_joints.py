@@ -20,9 +20,8 @@ from hpid_ros.messages.writer import BagWriter
 from hpid_ros.metrics import measure
 from hpid_ros.metrics.comparison import Comparison, answer
 from hpid_ros.metrics.results import run_indices
-from hpid_ros.report.data import figures_data
 from hpid_ros.report.export import FORMATS
-from hpid_ros.report.plots import FIGURES
+from hpid_ros.report.figures import figures_of
 
 ROBOT = """<robot name="lift">
   <link name="base"/>
@@ -372,6 +371,11 @@ def series(result):
     return [measure(result / "bags" / label, label).series for label in ("PID", "hPID")]
 
 
+def figures(series):
+    comparison = Comparison(tuple(run_indices(run) for run in series))
+    return {each.name: each for each in figures_of(comparison, series, 200)}
+
+
 @pytest.mark.parametrize(
     ("name", "axis", "titles"),
     [
@@ -379,34 +383,25 @@ def series(result):
         ("errors", "error [rad, m]", ["lift [m]", "turn [rad]"]),
         ("efforts", "effort [N m, N]", ["lift [N]", "turn [N m]"]),
         ("phase", "error rate [rad/s, m/s]", ["lift [m, m/s]", "turn [rad, rad/s]"]),
+        (
+            "spectrum",
+            "effort density [N m / √Hz, N / √Hz]",
+            ["lift [N / √Hz]", "turn [N m / √Hz]"],
+        ),
     ],
 )
 def test_a_panel_has_its_joints_unit_and_a_shared_axis_both(series, name, axis, titles):
-    figure = FIGURES[name](series, 50)
-    assert figure.get_supylabel() == axis
-    assert [panel.get_title(loc="left") or panel.get_title() for panel in figure.axes] == titles
-    alike = [RunSeries(run.label, run.joints[:1]) for run in series]
-    figure = FIGURES[name](alike, 50)
-    assert figure.get_supylabel() == re.sub(r"\[.*, ", "[", axis)
-    assert (figure.axes[0].get_title(loc="left") or figure.axes[0].get_title()) == "lift"
+    figure = figures(series)[name]
+    assert (figure.y, [panel.title for panel in figure.panels]) == (axis, titles)
+    figure = figures([RunSeries(run.label, run.joints[:1]) for run in series])[name]
+    assert figure.y == re.sub(r"\[.*, ", "[", axis)
+    assert figure.panels[0].title == "lift"
 
 
-def test_a_norm_over_both_kinds_names_both(series):
-    figure = FIGURES["effort_norm"](series, 50)
-    assert figure.axes[0].get_ylabel().endswith("over all joints [N m, N]")
-    (legend,) = figure.legends
-    assert "[N m s$^{0.5}$, N s$^{0.5}$]" in legend.get_texts()[0].get_text()
-
-
-def test_the_report_names_the_units(series, result):
-    comparison = Comparison(tuple(run_indices(run) for run in series))
-    figures = {each["name"]: each for each in figures_data(series, comparison, (), {})}
-    assert figures["efforts"]["caption"] == "Efforts [N m, N], over time [s]"
-    assert [panel["title"] for panel in figures["efforts"]["panels"]] == ["lift [N]", "turn [N m]"]
-    assert figures["effort_norm"]["caption"].startswith(
-        "Norm of the effort over all joints [N m, N]"
-    )
-    assert "[N m / √Hz, N / √Hz]" in figures["spectrum"]["caption"]
+def test_a_norm_over_both_kinds_names_both_as_the_report_does(series, result):
+    figure = figures(series)["effort_norm"]
+    assert figure.y.endswith("over all joints [N m, N]")
+    assert "[N m s^0.5, N s^0.5]" in figure.labels[0]
     page = (result / "report.html").read_text()
     assert NOTE in page
     assert "IVC [N m, N]" in page

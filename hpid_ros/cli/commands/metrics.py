@@ -335,10 +335,10 @@ def _save_figures(options: argparse.Namespace, found: Summary, gains: Gains) -> 
         options.figures, force=options.force, inputs=_inputs(options), option="--figures"
     ) as folder:
         for path in save_figures(
+            found.comparison,
             found.series,
             folder.path,
             figure_formats(options),
-            comparison=found.comparison,
             repeats=found.repeats,
             gains=gains,
             paths=found.paths,

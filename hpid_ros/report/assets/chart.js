@@ -110,13 +110,13 @@ class Chart {
     pen.beginPath();
     pen.rect(LEFT, TOP, wide, high);
     pen.clip();
-    for (const mark of this.panel.marks ?? []) {
+    for (const mark of this.panel.marks) {
       pen.strokeStyle = color(mark.run < 0 ? "--soft" : `--run-${data.runs[mark.run].style}`);
       this.stroke(
         pen,
         [
-          [mark.x, y0],
-          [mark.x, y1],
+          [this.figure.xLog ? Math.log10(mark.x) : mark.x, y0],
+          [this.figure.xLog ? Math.log10(mark.x) : mark.x, y1],
         ],
         [2, 3],
         1,

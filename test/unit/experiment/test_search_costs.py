@@ -16,7 +16,7 @@ from hpid_ros.experiment.search_space import (
     mean_ratios,
 )
 from hpid_ros.metrics.results import JointIndices, RunIndices
-from hpid_ros.report.study_figures import pareto_front
+from hpid_ros.report.plots import pareto_front
 
 
 @given(

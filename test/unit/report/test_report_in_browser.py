@@ -174,7 +174,7 @@ def test_the_keyboard_reads_values_and_zooms(open_page):
     text = chart.locator("output").inner_text()
     at = 9.0 * 0.51
     expected = np.exp(-0.6 * at) * np.cos(3 * at)
-    assert text.startswith("t [s] 4.59: PID ")
+    assert text.startswith("time [s] 4.59: PID ")
     value = float(text.split("PID ")[1].split(",")[0].replace("\u2212", "-"))
     assert value == pytest.approx(expected, abs=2e-3)
     page.keyboard.press("+")

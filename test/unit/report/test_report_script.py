@@ -16,8 +16,8 @@ from harness.places import ROOT
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from hpid_ros.report.data import line_data
-from hpid_ros.report.page import script, style_sheet
+from hpid_ros.report.figures import Line
+from hpid_ros.report.page import line_data, script, style_sheet
 
 NODE = Path(playwright.__file__).parent / "driver" / "node"
 BIOME = shutil.which("biome", path=Path(sys.executable).parent) or shutil.which("biome")
@@ -67,7 +67,7 @@ def test_the_parts_of_the_program_fit_together(rule, tmp_path):
 
 def test_numbers_come_back_as_they_were_packed():
     x, y = np.linspace(0.0, 1.0, 7), np.array([1.0, np.nan, -3.5, 0.0, 1e-9, 2e9, 4.0])
-    line = line_data(0, x, y)
+    line = line_data(Line(0, x, y))
     back = evaluate("[...floats(given.y)].map((v) => (Number.isNaN(v) ? null : v))", line)
     assert [np.nan if v is None else v for v in back] == pytest.approx(
         y.astype(np.float32).tolist(), nan_ok=True
