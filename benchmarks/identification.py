@@ -34,15 +34,10 @@ from hpid_ros.robot.description import RobotDescription
 from hpid_ros.robot.dynamics import Dynamics, InverseDynamics
 from hpid_ros.simulation.engine import Recording, record_run
 from hpid_ros.simulation.world import World
-from hpid_ros.tuning.identification_results import (
-    COULOMB,
-    DELAY,
-    INERTIA,
-    VISCOUS,
-    JointIdentification,
-)
 from hpid_ros.tuning.identify import identify
-from hpid_ros.tuning.measurements import JointRecord
+from hpid_ros.tuning.joint_record import JointRecord
+from hpid_ros.tuning.regression import COULOMB, DELAY, INERTIA, VISCOUS
+from hpid_ros.tuning.term_selection import JointIdentification
 
 ROBOTS = ("paper", "iiwa", "panda")
 PERIOD = 1e-3  # [s]

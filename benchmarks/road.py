@@ -42,6 +42,7 @@ from hpid_ros.robot.amendments import JointAmendment, amended
 from hpid_ros.robot.description import GivenRobot, RobotDescription
 from hpid_ros.robot.dynamics import Dynamics
 from hpid_ros.tuning.upgrade import GOALS
+from hpid_ros.tuning.upgrade_from_bag import Answer, Question, Telling, answer
 from hpid_ros.tuning.upgrade_prediction import (
     HOLDS_WITHIN,
     Prediction,
@@ -49,7 +50,6 @@ from hpid_ros.tuning.upgrade_prediction import (
     prediction_of,
     verify,
 )
-from hpid_ros.tuning.upgrade_proposal import Answer, Question, Telling, answer
 
 ROBOTS = ("paper", "iiwa", "panda")
 STRANGE = "strange"

@@ -449,7 +449,7 @@ def _of_file(file: Path) -> dict[str, Range]:
 def _of_robot(
     options: argparse.Namespace, joints: Sequence[str], poses: Sequence[Mapping[str, float]]
 ) -> dict[str, Range]:
-    from hpid_ros.tuning.inertias import inertia_ranges
+    from hpid_ros.robot.dynamics import inertia_ranges
 
     wanted = _POSES if options.poses is None else options.poses
     try:

@@ -29,10 +29,11 @@ from hpid_ros.messages.run import read_run
 from hpid_ros.messages.series import seconds_since
 from hpid_ros.motion.excitation import ExcitationPlan, JointBounds, inertia_from_gains
 from hpid_ros.motion.relays import PlannedRelay
-from hpid_ros.tuning.identification_results import DELAY, INERTIA, JointIdentification
+from hpid_ros.tuning.autotune import RelayCycle, relay_cycle
 from hpid_ros.tuning.identify import identify
-from hpid_ros.tuning.measurements import JointRecord
-from hpid_ros.tuning.relay_identification import RelayCycle, relay_cycle
+from hpid_ros.tuning.joint_record import JointRecord
+from hpid_ros.tuning.regression import DELAY, INERTIA
+from hpid_ros.tuning.term_selection import JointIdentification
 
 HELD_WITHIN = 0.4
 """Longest time between two presses, in [s]; who holds the button presses several times in it."""

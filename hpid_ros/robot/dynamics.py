@@ -352,3 +352,32 @@ class _Rotor(NamedTuple):
             axis / np.linalg.norm(axis),
             0.0 if joint.is_slide else ratio,
         )
+
+
+_SEED = 1  # of the poses over which inertias are sampled
+
+
+def inertia_ranges(
+    description: RobotDescription,
+    joints: Sequence[str],
+    payload: float,
+    poses: int | Sequence[Mapping[str, float]],
+) -> dict[str, tuple[float, float]]:
+    """Return the least and the largest inertia that each joint's motor has to accelerate.
+
+    It is 1 / (M^-1)_jj on a fixed base, rotors included; a wheel on the ground accelerates the
+    robot as well, which is not in it.
+    """
+    names = list(dict.fromkeys(joints))
+    found: dict[str, list[float]] = {name: [] for name in names}
+    for mass in sorted({0.0, payload}):
+        dynamics = Dynamics(description, payload_mass=mass)
+        if isinstance(poses, int):
+            for name, each in dynamics.inertia_range(names, poses, _SEED).items():
+                found[name] += [each.minimum, each.maximum]
+        else:
+            for pose in poses:
+                known = {name: at for name, at in pose.items() if name in description.joints}
+                for name, inertia in dynamics.joint_inertias(names, known).items():
+                    found[name].append(inertia)
+    return {name: (min(each), max(each)) for name, each in found.items()}

@@ -12,10 +12,18 @@ from numpy.typing import NDArray
 
 from hpid_ros.base.errors import SettingError
 from hpid_ros.base.units import Numbers
-from hpid_ros.tuning.identification_results import INERTIA, JointIdentification
-from hpid_ros.tuning.identified import findings, nothing
-from hpid_ros.tuning.measurements import JointRecord, Kernel, Span, halves, spans
-from hpid_ros.tuning.regression import Equation, Grid, Model, Motion, Terms, joined, motion_of
+from hpid_ros.tuning.joint_record import JointRecord, Kernel, Span, halves, spans
+from hpid_ros.tuning.regression import (
+    INERTIA,
+    Equation,
+    Grid,
+    Model,
+    Motion,
+    Terms,
+    joined,
+    motion_of,
+)
+from hpid_ros.tuning.term_selection import JointIdentification, findings, nothing
 
 _LEAST = 0.05  # of the largest command; less is no drive
 _LEVELS = 25

@@ -24,7 +24,8 @@ heteroskedasticity-autocorrelation robust tests", Econometric Theory 21, 2005).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -32,19 +33,62 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from hpid_ros.base.units import Numbers
-from hpid_ros.tuning.identification_results import (
-    COULOMB,
-    DELAY,
-    EFFORT_SCALE,
-    GRAVITY_COS,
-    GRAVITY_SIN,
-    INERTIA,
-    OFFSET,
-    SPIN,
-    STRIBECK,
-    VISCOUS,
-)
-from hpid_ros.tuning.measurements import DERIVATIVES, Halves, Kernel
+from hpid_ros.tuning.joint_record import DERIVATIVES, Halves, Kernel
+
+INERTIA = "inertia"
+VISCOUS = "viscous"
+COULOMB = "coulomb"
+STRIBECK = "stribeck"
+OFFSET = "offset"
+GRAVITY_SIN = "gravity_sin"
+GRAVITY_COS = "gravity_cos"
+EFFORT_SCALE = "effort_scale"
+DELAY = "delay"
+SPIN = "spin"
+"""Beside the parameters: how much of the effort is there that rotors need beside their inertia."""
+
+PARAMETERS: Mapping[str, tuple[str, str]] = {
+    INERTIA: ("kg m^2", "kg"),
+    VISCOUS: ("N m s/rad", "N s/m"),
+    COULOMB: ("N m", "N"),
+    STRIBECK: ("N m", "N"),
+    GRAVITY_SIN: ("N m", "N"),
+    GRAVITY_COS: ("N m", "N"),
+    OFFSET: ("N m", "N"),
+    EFFORT_SCALE: ("", ""),
+    DELAY: ("s", "s"),
+}
+"""Names of all parameters, with the units of a joint that turns and of one that slides."""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """One number."""
+
+    value: float  # the estimate, in SI units
+    half_width: float  # of its 95 % interval
+    reason: str = ""  # why it should not be relied on, and what motion would help
+
+    @property
+    def low(self) -> float:
+        """Lower end of the interval."""
+        return self.value - self.half_width
+
+    @property
+    def high(self) -> float:
+        """Upper end of the interval."""
+        return self.value + self.half_width
+
+    @property
+    def is_told(self) -> bool:
+        """Whether the data tell it."""
+        return not self.reason
+
+    @property
+    def is_positive(self) -> bool:
+        """Whether the whole interval is above zero."""
+        return self.low > 0.0
+
 
 _ROUNDING = 1e-6  # cells: what stamps in floating point may be off
 _ROWS_PER_PERIOD = 4  # of the kernel's cut-off frequency

@@ -27,15 +27,10 @@ from hpid_ros.report.blocks import (
 )
 from hpid_ros.report.page import page_figures, render_page
 from hpid_ros.report.table import MARKS, format_ratio, format_values
-from hpid_ros.tuning.identification_results import (
-    COULOMB,
-    DELAY,
-    INERTIA,
-    VISCOUS,
-    JointIdentification,
-)
+from hpid_ros.tuning.regression import COULOMB, DELAY, INERTIA, VISCOUS
+from hpid_ros.tuning.term_selection import JointIdentification
+from hpid_ros.tuning.upgrade_from_bag import Answer, PidCheck
 from hpid_ros.tuning.upgrade_prediction import Expected, Prediction
-from hpid_ros.tuning.upgrade_proposal import Answer, PidCheck
 
 _HALF = 0.5
 

@@ -16,8 +16,8 @@ from hpid_ros.metrics.comparison import Comparison, mismatches
 from hpid_ros.metrics.measure import Measured, Measuring, Source, measure_all
 from hpid_ros.metrics.quantities import INDICES, Quantity
 from hpid_ros.metrics.results import RunIndices
-from hpid_ros.tuning.replay_reading import recorded_controllers
-from hpid_ros.tuning.upgrade_proposal import JUDGED, PREDICTED, RECORDED, SIMULATED, Answer
+from hpid_ros.tuning.recorded_loops import recorded_controllers
+from hpid_ros.tuning.upgrade_from_bag import JUDGED, PREDICTED, RECORDED, SIMULATED, Answer
 
 KIND = "hpid_ros/prediction"
 """What a file of this kind says it is."""

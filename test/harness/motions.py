@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hpid_ros.tuning.measurements import JointRecord
+from hpid_ros.tuning.joint_record import JointRecord
 
 FREQUENCIES = np.array([0.13, 0.37, 0.71, 1.19, 1.93])  # [Hz]
 

@@ -297,7 +297,7 @@ def test_the_graph_gives_what_one_process_gives(tmp_path: Path, engine: str):
 
 @needs_bullet
 def test_predictions_start_where_the_experiment_does():
-    from hpid_ros.tuning.prediction import predict
+    from hpid_ros.tuning.loop_simulation import predict
 
     experiment = load_experiment(EXPERIMENTS / "panda.yaml")
     world = experiment.world

@@ -23,7 +23,7 @@ from hpid_ros.metrics import Comparison
 from hpid_ros.metrics.results import JointIndices, RunIndices
 from hpid_ros.simulation.settings import Encoder
 from hpid_ros.stability.certification import certified_degree_interval, verify_certificate
-from hpid_ros.tuning.inertias import visited_poses
+from hpid_ros.tuning.robot_identification import visited_poses
 from hpid_ros.tuning.upgrade import (
     Candidate,
     loop_statistics,

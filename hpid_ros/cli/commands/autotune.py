@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from hpid_ros.live.motion import Ending, RelayFindings, Tell
     from hpid_ros.motion.excitation import JointBounds
     from hpid_ros.motion.relays import PlannedRelay
-    from hpid_ros.tuning.upgrade import Autotuned
+    from hpid_ros.tuning.autotune import Autotuned
 
 
 _GOALS = ("smooth", "fast")
@@ -195,7 +195,7 @@ def _propose(
     bag: Path,
 ) -> int:
     from hpid_ros.live.motion import relay_findings
-    from hpid_ros.tuning.upgrade import autotuned
+    from hpid_ros.tuning.autotune import autotuned
 
     found = relay_findings(bag, controller, planned)
     tuned = autotuned(
@@ -220,7 +220,7 @@ def _propose(
 
 
 def _findings(found: RelayFindings) -> list[str]:
-    from hpid_ros.tuning.identification_results import COULOMB, VISCOUS
+    from hpid_ros.tuning.regression import COULOMB, VISCOUS
 
     cycle, low_high = found.cycle, found.inertia
     middle, half = 0.5 * sum(low_high), 0.5 * (low_high[1] - low_high[0])

@@ -15,8 +15,8 @@ from hpid_ros.cli.options import add_joints, add_time, add_topics, bag_selection
 
 if TYPE_CHECKING:
     from hpid_ros.robot.description import GivenRobot
-    from hpid_ros.tuning.experiment_text import Origin
-    from hpid_ros.tuning.recorded_robot import Findings
+    from hpid_ros.tuning.identification_report import Origin
+    from hpid_ros.tuning.robot_identification import Findings
 
 
 _FORMATS = (".png", ".pdf", ".svg")
@@ -110,7 +110,7 @@ def _found(options: argparse.Namespace, robot: GivenRobot | None) -> Findings:
     from hpid_ros.messages.run import read_run
     from hpid_ros.metrics.measure import sliding_joints
     from hpid_ros.tuning.identify import Method
-    from hpid_ros.tuning.recorded_robot import base_motion, findings_of
+    from hpid_ros.tuning.robot_identification import base_motion, findings_of
 
     method = Method(options.cutoff, options.longest_delay, options.effort_unit == "any")
     # Other joints' motion counts where the robot is known, whoever is asked for.
@@ -157,7 +157,7 @@ def _written(options: argparse.Namespace, robot: GivenRobot | None, found: Findi
 
 
 def _yaml(options: argparse.Namespace, robot: GivenRobot | None, found: Findings) -> str:
-    from hpid_ros.tuning.experiment_text import experiment_text
+    from hpid_ros.tuning.identification_report import experiment_text
 
     header = [
         f"Identified from {options.bag.name}.",
@@ -177,7 +177,7 @@ def _ratios(robot: GivenRobot | None) -> dict[str, float]:
 
 def _origin(options: argparse.Namespace, robot: GivenRobot | None) -> Origin | None:
     from hpid_ros.base.files import find_resource
-    from hpid_ros.tuning.experiment_text import Origin
+    from hpid_ros.tuning.identification_report import Origin
 
     if robot is None:
         return None

@@ -68,8 +68,8 @@ def run(options: argparse.Namespace) -> int:
     from hpid_ros.cli.options import joint_progress
     from hpid_ros.cli.terminal import output_console
     from hpid_ros.messages.selection import BagSelection
+    from hpid_ros.tuning.recorded_loops import read_records
     from hpid_ros.tuning.replay import replay_joint
-    from hpid_ros.tuning.replay_reading import read_records
 
     selection = BagSelection(
         namespace=options.namespace, states=options.states, commands=options.commands

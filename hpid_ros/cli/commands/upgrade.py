@@ -31,8 +31,8 @@ if TYPE_CHECKING:
     from hpid_ros.report.table import WideTable
     from hpid_ros.robot.description import GivenRobot
     from hpid_ros.tuning.upgrade import Proposals, Upgrade
+    from hpid_ros.tuning.upgrade_from_bag import Answer, Telling
     from hpid_ros.tuning.upgrade_prediction import Held, Prediction, Verification
-    from hpid_ros.tuning.upgrade_proposal import Answer, Telling
 
 
 _OUTPUT = Path("upgrade.yaml")
@@ -44,9 +44,9 @@ def run_road(options: argparse.Namespace) -> int:
     """Identify, check, propose, predict, write."""
     from hpid_ros.base.console import TextConsole
     from hpid_ros.cli.terminal import output_console
+    from hpid_ros.tuning.upgrade_from_bag import Question, answer
     from hpid_ros.tuning.upgrade_page import doubts, summary
     from hpid_ros.tuning.upgrade_prediction import prediction_of
-    from hpid_ros.tuning.upgrade_proposal import Question, answer
 
     _check(options)
     files = _files(options)
@@ -110,7 +110,7 @@ def _robot(name: str) -> GivenRobot:
 
 def _telling(told: Console) -> Telling:
     from hpid_ros.cli.options import joint_progress
-    from hpid_ros.tuning.upgrade_proposal import Telling
+    from hpid_ros.tuning.upgrade_from_bag import Telling
 
     return Telling(
         lambda phase: told.print(phase, style="dim", highlight=False, markup=False),
@@ -249,8 +249,8 @@ def _off(each: Sequence[Held]) -> list[str | Text]:
 
 
 def _verdict(found: Verification) -> Text:
+    from hpid_ros.tuning.upgrade_from_bag import JUDGED
     from hpid_ros.tuning.upgrade_prediction import HOLDS_WITHIN
-    from hpid_ros.tuning.upgrade_proposal import JUDGED
 
     judged = [found.totals[index.key] for index in JUDGED]
     told = ", ".join(
@@ -423,7 +423,7 @@ def _proposals(
 ) -> Proposals:
     """Return what is proposed, and why there is nothing for the other joints."""
     from hpid_ros.cli.options import joint_progress
-    from hpid_ros.tuning.inertias import visited_poses
+    from hpid_ros.tuning.robot_identification import visited_poses
     from hpid_ros.tuning.upgrade import effort_limits, propose
 
     joints = [each.joint for each in loops]
@@ -463,7 +463,7 @@ def _simulated(
     told: Console,
 ) -> Comparison:
 
-    from hpid_ros.tuning.prediction import predict
+    from hpid_ros.tuning.loop_simulation import predict
 
     after = [proposals[loop.joint].settings if loop.joint in proposals else loop for loop in loops]
     before = [replace(each, law="pid") for each in after]

@@ -10,8 +10,8 @@ from hpid_ros.base.errors import SettingError
 from hpid_ros.control import JointLoop, LoopSettings
 from hpid_ros.control.overrides import DONE, LONGEST, RelayRequest
 from hpid_ros.control.reference import Setpoint
-from hpid_ros.tuning.measurements import JointRecord
-from hpid_ros.tuning.relay_identification import relay_cycle
+from hpid_ros.tuning.autotune import relay_cycle
+from hpid_ros.tuning.joint_record import JointRecord
 
 MS = 1_000_000
 PERIOD = 0.002

@@ -13,10 +13,9 @@ from benchmarks.strange_plants import Motion as MovingPlant
 from hpid_ros.base.errors import SettingError
 from hpid_ros.control import JointLoop, LoopSettings
 from hpid_ros.motion.generators import minimum_jerk
-from hpid_ros.tuning.experiment_text import Origin, experiment_text
-from hpid_ros.tuning.identification_report import as_mapping, report
+from hpid_ros.tuning.identification_report import Origin, as_mapping, experiment_text, report
 from hpid_ros.tuning.identify import Method, identify
-from hpid_ros.tuning.measurements import JointRecord
+from hpid_ros.tuning.joint_record import JointRecord
 
 PID = {
     **{"joint": "arm", "law": "pid", "u_clamp_max": 21.0, "u_clamp_min": -21.0},

@@ -4,8 +4,8 @@ import pytest
 
 from hpid_ros.base.errors import SettingError
 from hpid_ros.control import LoopSettings
-from hpid_ros.tuning.rules import simc
-from hpid_ros.tuning.upgrade import autotuned, effective_delay
+from hpid_ros.tuning.autotune import autotuned, effective_delay
+from hpid_ros.tuning.gain_design import simc
 
 RUNNING = {"joint": "elbow", "gains.p": 30.0, "gains.i": 90.0, "gains.d": 3.0}
 FILTERED = {"velocity_source": "filtered", "velocity_filter_time_constant": 0.006}

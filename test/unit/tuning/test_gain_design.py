@@ -19,8 +19,7 @@ from hpid_ros.experiment.description import initial_inertias, load_experiment
 from hpid_ros.robot.description import RobotDescription
 from hpid_ros.robot.differential_drive import DifferentialDrive
 from hpid_ros.robot.dynamics import wheel_inertias
-from hpid_ros.tuning.gain_design import loop_margins
-from hpid_ros.tuning.rules import RULES, pole_placement, simc, simc_series
+from hpid_ros.tuning.gain_design import RULES, loop_margins, pole_placement, simc, simc_series
 
 EXPERIMENTS = sorted((share_folder() / "config" / "experiments").glob("*.yaml"))
 inertias = st.floats(1e-4, 10.0)

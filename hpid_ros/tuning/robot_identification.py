@@ -16,16 +16,14 @@ from hpid_ros.base.errors import BagError, SettingError, unknown_name
 from hpid_ros.base.units import NANOSECONDS, Numbers
 from hpid_ros.messages.messages import odometry_topics, read_planar
 from hpid_ros.messages.selection import is_below
-from hpid_ros.messages.series import MEASURED, RunSeries, seconds_since
+from hpid_ros.messages.series import MEASURED, JointSeries, RunSeries, seconds_since
 from hpid_ros.robot.amendments import JointAmendment, amended
 from hpid_ros.robot.description import GivenRobot
 from hpid_ros.robot.dynamics import Dynamics, InverseDynamics
-from hpid_ros.tuning.experiment_text import MovedInertia
-from hpid_ros.tuning.identification_results import INERTIA, JointIdentification
-from hpid_ros.tuning.identified import nothing
 from hpid_ros.tuning.identify import Method, identify
-from hpid_ros.tuning.inertias import visited_poses
-from hpid_ros.tuning.measurements import JointRecord
+from hpid_ros.tuning.joint_record import JointRecord
+from hpid_ros.tuning.regression import INERTIA
+from hpid_ros.tuning.term_selection import JointIdentification, nothing
 
 _STILL = 1e-3  # [m] and [rad]
 _WHEEL = "wheel"
@@ -100,6 +98,14 @@ _REPEATING = 0.5  # of the measured efforts: where more change, they are measure
 _REGULAR = 0.8  # of the holds: those of a sensor with few steps depend on the motion
 _LEAST_HOLDS = 20
 _MILLISECONDS = 1e3
+
+
+class MovedInertia(NamedTuple):
+    """What a joint's motor moves, over the poses of a recording, in [kg m^2]; [kg] of a slide."""
+
+    least: float  # of all poses
+    mean: float  # over the poses
+    largest: float  # of all poses
 
 
 @dataclass(frozen=True)
@@ -315,3 +321,18 @@ def _moved(
         )
         for name in names
     }
+
+
+_VISITED = 200  # poses of a recording
+
+
+def visited_poses(recorded: Sequence[JointSeries]) -> list[dict[str, float]]:
+    """Return poses of a recording, evenly spaced among its states: none in a long gap."""
+    if not recorded:
+        return []
+    known = np.unique(np.concatenate([each.state_stamps_ns for each in recorded]))
+    places = np.linspace(0.0, len(known) - 1.0, _VISITED)
+    stamps = np.interp(places, np.arange(len(known)), known)
+    columns = [np.interp(stamps, each.state_stamps_ns, each.position) for each in recorded]
+    names = [each.joint for each in recorded]
+    return [dict(zip(names, map(float, row), strict=True)) for row in zip(*columns, strict=True)]

@@ -20,13 +20,18 @@ on phase and amplitude margins", Automatica 20 (1984) 645-651; A. Gelb and W. E.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
 from hpid_ros.base.errors import SettingError
 from hpid_ros.base.units import Numbers
-from hpid_ros.tuning.measurements import JointRecord
+from hpid_ros.control.homogeneous_pid import Gains
+from hpid_ros.control.settings import LoopSettings
+from hpid_ros.tuning.gain_design import simc
+from hpid_ros.tuning.joint_record import JointRecord
+from hpid_ros.tuning.upgrade import Upgrade, upgrade
 
 _SWITCH = 1.5  # amplitudes: a switch at full weight is of two
 _LEAST_CYCLES = 3
@@ -107,3 +112,55 @@ def _sampled_harmonic(
     waves = (there - np.mean(there)) * np.exp(-1j * rate * (at - begin))
     areas = 0.5 * (waves[1:] + waves[:-1]) * np.diff(at)
     return complex(2.0 / (end - begin) * np.sum(areas))
+
+
+_DIGITS = 4
+_PATIENCE = 4.0  # delays: SIMC's own choice is one, for a joint without resonances
+
+
+class Autotuned(NamedTuple):
+    """Proposed gains, and the loop that has them."""
+
+    pid: LoopSettings  # the linear loop
+    upgrade: Upgrade  # the homogeneous one
+    delay: float  # [s] effective delay that they are for
+    closed_loop_time: float  # [s]
+
+
+def effective_delay(settings: LoopSettings, delay: float) -> float:
+    """Return the delay that a rule should count: of the joint, the velocity and the sampling.
+
+    Half a period of the hold, and the time constant of a first-order lag, count as delays.
+    Source: S. Skogestad, "Simple analytic rules for model reduction and PID controller tuning",
+    Journal of Process Control 13 (2003) 291-309, section 2, the half rule.
+    """
+    velocity = settings.velocity
+    filtered = velocity.filter_time_constant if velocity.source == "filtered" else 0.0
+    return delay + filtered + 0.5 * settings.timing.control_period
+
+
+def autotuned(
+    settings: LoopSettings,
+    inertia: tuple[float, float],
+    delay: float,
+    closed_loop_time: float | None,
+    goal: str,
+) -> Autotuned:
+    """Return SIMC gains for a joint, and the homogeneous PID with them."""
+    if settings.model.is_decoupling:
+        raise SettingError(
+            "compensation decoupling has gains of a unit inertia: hpid gains designs them"
+        )
+    middle = float(f"{0.5 * (inertia[0] + inertia[1]):.3g}")
+    effective = effective_delay(settings, delay)
+    time = _PATIENCE * effective if closed_loop_time is None else closed_loop_time
+    exact = simc(middle, time, effective)
+    gains = Gains(*(float(f"{each:.{_DIGITS}g}") for each in (exact.p, exact.i, exact.d)))
+    pid = replace(settings, law="pid", mu=0.0, gains=gains, inertia=middle)
+    found = upgrade(pid, inertia, goal)
+    why = (
+        f"SIMC, closed-loop time {time:.3g} s, delay {effective:.3g} s, inertia {middle:g} kg m^2"
+    )
+    reasons = {**found.reasons, **dict.fromkeys(("gains.p", "gains.i", "gains.d"), why)}
+    reasons["inertia"] = "identified from a relay test"
+    return Autotuned(pid, replace(found, reasons=reasons), effective, time)

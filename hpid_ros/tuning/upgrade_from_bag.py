@@ -25,31 +25,24 @@ from hpid_ros.metrics.quantities import INDICES, ITAE, IVC
 from hpid_ros.metrics.results import RunIndices, run_indices
 from hpid_ros.robot.amendments import JointAmendment, amended
 from hpid_ros.robot.description import GivenRobot
+from hpid_ros.robot.dynamics import inertia_ranges
 from hpid_ros.simulation.drives import LONGEST_DELAY
 from hpid_ros.stability.gain_check import inertia_of
 from hpid_ros.stability.margins import Margins, loop_family, margins_of
-from hpid_ros.tuning.identification_results import (
-    COULOMB,
-    DELAY,
-    INERTIA,
-    OFFSET,
-    STRIBECK,
-    VISCOUS,
-    Estimate,
-    JointIdentification,
-)
-from hpid_ros.tuning.inertias import inertia_ranges, visited_poses
-from hpid_ros.tuning.prediction import PHYSICS_STEPS, JointFacts, simulate
-from hpid_ros.tuning.recorded_robot import (
+from hpid_ros.tuning.loop_simulation import PHYSICS_STEPS, JointFacts, simulate
+from hpid_ros.tuning.recorded_loops import recorded_controllers
+from hpid_ros.tuning.regression import COULOMB, DELAY, INERTIA, OFFSET, STRIBECK, VISCOUS, Estimate
+from hpid_ros.tuning.robot_identification import (
     BaseMotion,
     Findings,
     base_motion,
     findings_of,
     is_wheel,
     remark_on_base,
+    visited_poses,
     why_not_wheel,
 )
-from hpid_ros.tuning.replay_reading import recorded_controllers
+from hpid_ros.tuning.term_selection import JointIdentification
 from hpid_ros.tuning.upgrade import (
     GOALS,
     Certifying,

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hpid_ros.base.units import Numbers
-from hpid_ros.tuning.identification_results import (
+from hpid_ros.tuning.joint_record import JointRecord
+from hpid_ros.tuning.regression import (
     COULOMB,
     DELAY,
     EFFORT_SCALE,
@@ -21,12 +24,57 @@ from hpid_ros.tuning.identification_results import (
     SPIN,
     STRIBECK,
     VISCOUS,
+    Equation,
     Estimate,
-    Fit,
-    JointIdentification,
+    Model,
+    Regression,
 )
-from hpid_ros.tuning.measurements import JointRecord
-from hpid_ros.tuning.regression import Equation, Model, Regression
+
+
+class Fit(NamedTuple):
+    """How a joint's efforts are explained, row by row; NaN between spans."""
+
+    time: Numbers  # [s] (R,)
+    measured: Numbers  # [N m] effort at the joint's motion, smoothed and freed of the delay, (R,)
+    predicted: Numbers  # [N m] what the estimates say of it, (R,)
+    is_used: NDArray[
+        np.bool_
+    ]  # whether the row counted; where the direction is in doubt it does not, (R,)
+
+
+@dataclass(frozen=True, eq=False)
+class JointIdentification:
+    """What was found of one joint."""
+
+    joint: str  # its name
+    estimates: Mapping[str, Estimate] = field(default_factory=dict)
+    untold: Mapping[str, str] = field(default_factory=dict)
+    remarks: tuple[str, ...] = ()  # what to know of all the numbers
+    method: str = ""  # how, in a few words
+    why: str = ""  # the reason for the method, in a few words
+    cutoff: float = 0.0  # [Hz] of the low pass
+    rows: int = 0  # rows that counted
+    time: float = 0.0  # [s] time that they stand for
+    stribeck_speed: float = 0.0  # [rad/s] speed at which Stribeck friction has fallen to 1/e
+    residual: float = 0.0  # [N m] root mean square of what is not explained
+    explained: float = 0.0  # share of the effort's variance that is explained
+    condition: float = 0.0  # condition number of the scaled columns
+    travel: float = 0.0  # [rad] how far the joint moved between its ends
+    speed: float = 0.0  # [rad/s] largest speed
+    acceleration: float = 0.0  # [rad/s^2] largest acceleration
+    effort_limit: float = math.inf  # [N m] largest that the drive gives; inf if not seen
+    fit: Fit | None = None  # to draw
+
+    @property
+    def is_found(self) -> bool:
+        """Whether there is any number."""
+        return bool(self.estimates)
+
+    def told(self, name: str) -> Estimate | None:
+        """Return an estimate that the data tell; None if they do not."""
+        found = self.estimates.get(name)
+        return found if found is not None and found.is_told else None
+
 
 _CHANCE = 0.01  # of seeing a term that is not there
 _ONE_WAY = 0.05  # of the rows: fewer are no motion in the other direction

@@ -5,7 +5,7 @@ import pytest
 from harness.motions import Plant, motion, needed
 
 from hpid_ros.messages.series import DataQuality, JointSeries, RecordingQuality, RunSeries
-from hpid_ros.tuning.recorded_robot import findings_of
+from hpid_ros.tuning.robot_identification import findings_of
 
 TIMES = np.arange(0.0, 8.0, 2e-3)
 PLANT = Plant(delay=0.0)

@@ -3,7 +3,7 @@
 import pytest
 
 from hpid_ros.base.errors import SettingError
-from hpid_ros.tuning.replay_reading import controllers_of
+from hpid_ros.tuning.recorded_loops import controllers_of
 
 GAINS = {"gains": {"p": 2.0, "d": 3.0}}
 
