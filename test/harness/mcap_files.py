@@ -13,7 +13,8 @@ TYPES = {
 }
 
 
-def write_mcap(path: Path, log, **options) -> Path:
+def write_mcap(path: Path, log, *, end: bool = True, **options) -> Path:
+    """Write ``(topic, log time, raw)``; without the end as after a recorder that was killed."""
     with path.open("wb") as stream:
         writer = Writer(stream, chunk_size=2000, **options)
         writer.start("ros2", "test")
@@ -27,5 +28,6 @@ def write_mcap(path: Path, log, **options) -> Path:
         }
         for name, log_time_ns, raw in log:
             writer.add_message(channels[name], log_time_ns, raw, log_time_ns)
-        writer.finish()
+        if end:
+            writer.finish()
     return path

@@ -1,14 +1,12 @@
 """Trajectories as bytes: what is encoded is what ROS reads, and what was meant."""
 
 import numpy as np
+from harness.bags import JOINT_TRAJECTORY as KIND
+from harness.bags import TYPES
 from hypothesis import given
 from hypothesis import strategies as st
-from rosbags.typesys import Stores, get_typestore
 
 from hpid_ros.messages.joint_trajectory import decode_trajectory, encode_trajectory
-
-TYPES = get_typestore(Stores.ROS2_JAZZY)
-KIND = "trajectory_msgs/msg/JointTrajectory"
 
 
 @st.composite
