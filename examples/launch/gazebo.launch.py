@@ -3,7 +3,7 @@
     ros2 launch examples/launch/gazebo.launch.py model:=arm world:=default
 
 The model has gz's JointStatePublisher and an ApplyJointForce for each joint, as
-docs/robots/gazebo.md has them. Gazebo itself, with the model in it, is started before.
+docs/robots/simulators.md has them. Gazebo itself, with the model in it, is started before.
 """
 
 from launch import LaunchDescription
