@@ -18,8 +18,7 @@ from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.base.yaml_files import Document, load_document, parse_yaml
 from hpid_ros.control.settings import LOOP_PARAMETERS, PARAMETERS, LoopSettings, ModelSettings
 from hpid_ros.motion.joint_trajectory import JointTrajectory
-from hpid_ros.motion.plan import BrickPlan
-from hpid_ros.motion.references import planned_reference
+from hpid_ros.motion.references import BrickPlan, planned_reference
 from hpid_ros.robot.compensation import robot_xml, with_inertia
 from hpid_ros.robot.description import JointDescription, RobotDescription
 from hpid_ros.robot.dynamics import Dynamics

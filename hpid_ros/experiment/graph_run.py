@@ -31,8 +31,8 @@ from hpid_ros.experiment.processes import (
     require_no_sockets,
 )
 from hpid_ros.experiment.progress import NoProgress, Progress, RunReport, run_timing
-from hpid_ros.simulation.base import REPORT_RATE
 from hpid_ros.simulation.gripper import task_topics
+from hpid_ros.simulation.reports import REPORT_RATE
 
 PROCESSES = ("each", "composed", "single")
 

@@ -26,10 +26,9 @@ from hpid_ros.messages.joint_trajectory import encode_joint_trajectory
 from hpid_ros.messages.storage import PARAMETERS, slides_entry
 from hpid_ros.messages.writer import BagWriter, TopicQos
 from hpid_ros.robot.compensation import compensators
-from hpid_ros.simulation.base import REPORT_RATE
 from hpid_ros.simulation.engine import Sample, run_in_process
 from hpid_ros.simulation.reports import KINDS as REPORT_KINDS
-from hpid_ros.simulation.reports import Reports, recorded_reports
+from hpid_ros.simulation.reports import REPORT_RATE, Reports, recorded_reports
 from hpid_ros.simulation.settings import WorldSettings
 from hpid_ros.simulation.world import World
 

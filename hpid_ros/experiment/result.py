@@ -34,7 +34,7 @@ from hpid_ros.metrics.task import (
     base_figures,
     task_notes,
 )
-from hpid_ros.motion.plan import BrickGoal
+from hpid_ros.motion.references import BrickGoal
 from hpid_ros.robot.description import RobotDescription
 from hpid_ros.robot.differential_drive import DifferentialDrive, integrated
 from hpid_ros.simulation.gripper import (

@@ -27,8 +27,12 @@ from hpid_ros.experiment.processes import NodeGroup, NodeProcess
 from hpid_ros.live.controllers import Controller, RunningGraph
 from hpid_ros.messages.run import read_run
 from hpid_ros.messages.series import seconds_since
-from hpid_ros.motion.excitation import ExcitationPlan, JointBounds, inertia_from_gains
-from hpid_ros.motion.relays import PlannedRelay
+from hpid_ros.motion.excitation import (
+    ExcitationPlan,
+    JointBounds,
+    PlannedRelay,
+    inertia_from_gains,
+)
 from hpid_ros.tuning.autotune import RelayCycle, relay_cycle
 from hpid_ros.tuning.identify import identify
 from hpid_ros.tuning.joint_record import JointRecord

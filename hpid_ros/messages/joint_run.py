@@ -23,8 +23,14 @@ from hpid_ros.messages.series import (
     SeriesError,
     StampQuality,
 )
-from hpid_ros.motion.joint_trajectory import JointTrajectory
-from hpid_ros.motion.spline import Column, Knot, ReferenceSample, SplineReference, segment
+from hpid_ros.motion.joint_trajectory import (
+    Column,
+    JointTrajectory,
+    Knot,
+    ReferenceSample,
+    SplineReference,
+    segment,
+)
 
 if TYPE_CHECKING:
     from hpid_ros.messages.run import RecordedRun

@@ -29,8 +29,7 @@ from hpid_ros.messages.series import (
     StampQuality,
 )
 from hpid_ros.messages.storage import Progress, Storage, missed_messages, time_stood_still
-from hpid_ros.motion.joint_trajectory import PointArrays, checked_column, require_arrays
-from hpid_ros.motion.spline import Column
+from hpid_ros.motion.joint_trajectory import Column, PointArrays, checked_column, require_arrays
 
 _SHOWN_JOINTS = 3
 

@@ -2,9 +2,15 @@
 
 from hpid_ros.motion.base_path import BasePath, base_path
 from hpid_ros.motion.generators import combined, minimum_jerk, sine, step
-from hpid_ros.motion.joint_trajectory import JointTrajectory, TrajectoryPoint
+from hpid_ros.motion.joint_trajectory import (
+    Column,
+    JointTrajectory,
+    Knot,
+    ReferenceSample,
+    SplineReference,
+    TrajectoryPoint,
+)
 from hpid_ros.motion.references import reference_from
-from hpid_ros.motion.spline import Column, Knot, ReferenceSample, SplineReference
 
 __all__ = [
     "BasePath",

@@ -22,8 +22,7 @@ import numpy as np
 
 from hpid_ros.base.errors import TrajectoryError
 from hpid_ros.base.units import NANOSECONDS, SECONDS_PER_NANOSECOND, Numbers
-from hpid_ros.motion.joint_trajectory import JointTrajectory, TrajectoryPoint
-from hpid_ros.motion.spline import Knot, segment
+from hpid_ros.motion.joint_trajectory import JointTrajectory, Knot, TrajectoryPoint, segment
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(10)
 _FINE = np.linspace(0.0, 1.0, 257)  # of a curve, to count its windings

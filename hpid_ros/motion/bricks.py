@@ -26,8 +26,8 @@ from hpid_ros.base.errors import TrajectoryError
 from hpid_ros.base.units import NANOSECONDS, SECONDS_PER_NANOSECOND, Numbers
 from hpid_ros.motion.base_path import BACKWARD, FORWARD, base_path
 from hpid_ros.motion.generators import combined
-from hpid_ros.motion.joint_trajectory import JointTrajectory, TrajectoryPoint
-from hpid_ros.motion.plan import (
+from hpid_ros.motion.joint_trajectory import JointTrajectory, TrajectoryPoint, segment
+from hpid_ros.motion.references import (
     BrickGoal,
     BrickPlan,
     Grip,
@@ -36,7 +36,6 @@ from hpid_ros.motion.plan import (
     TaskPose,
     TaskRobot,
 )
-from hpid_ros.motion.spline import segment
 from hpid_ros.robot.description import RobotDescription
 from hpid_ros.robot.differential_drive import DifferentialDrive
 from hpid_ros.robot.kinematics import Kinematics, LinkPose, ReachError

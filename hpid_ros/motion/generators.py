@@ -14,8 +14,7 @@ from typing import NamedTuple
 
 from hpid_ros.base.errors import TrajectoryError
 from hpid_ros.base.units import NANOSECONDS, SECONDS_PER_NANOSECOND
-from hpid_ros.motion.joint_trajectory import JointTrajectory, TrajectoryPoint
-from hpid_ros.motion.spline import Column, segment
+from hpid_ros.motion.joint_trajectory import Column, JointTrajectory, TrajectoryPoint, segment
 
 _MOST_PIECES = 1_000_000
 

@@ -12,7 +12,7 @@ import math
 import warnings
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import NamedTuple
 from xml.etree import ElementTree
 
@@ -102,33 +102,10 @@ class JointAmendment(Record):
         return {name: value for name, value in vars(self).items() if value is not None}
 
 
-@dataclass(frozen=True)
-class Inertial:
-    """Mass and inertia of one link; they replace its ``inertial`` element as a whole."""
-
-    mass: float  # [kg]
-    center_of_mass: tuple[float, float, float]  # [m] in the link's frame
-    inertia: tuple[float, float, float, float, float, float]  # [kg m^2]
-
-    def __post_init__(self) -> None:
-        if not all(map(math.isfinite, (self.mass, *self.center_of_mass, *self.inertia))):
-            raise RobotDescriptionError("mass, centre and inertia must be finite numbers")
-        if self.mass <= 0.0:
-            raise RobotDescriptionError(f"mass {self.mass} kg must be above 0")
-        moments = principal_moments(self.inertia)
-        if not is_possible(moments):
-            shown = ", ".join(f"{moment:.4g}" for moment in moments)
-            raise RobotDescriptionError(
-                f"no body has the principal moments {shown} kg m^2: each must be above 0, and"
-                " none above the sum of the others"
-            )
-
-
 def principal_moments(
-    inertia: tuple[float, float, float, float, float, float],
+    xx: float, yy: float, zz: float, xy: float, xz: float, yz: float
 ) -> tuple[float, float, float]:
     """Return the principal moments of inertia, the least first, in [kg m^2]."""
-    xx, yy, zz, xy, xz, yz = inertia
     least, middle, most = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     return float(least), float(middle), float(most)
 
@@ -142,7 +119,7 @@ def is_possible(moments: tuple[float, float, float]) -> bool:
 def amended(
     description: RobotDescription,
     joints: Mapping[str, JointAmendment],
-    links: Mapping[str, Inertial | None],
+    links: Mapping[str, LinkAmendment],
     held: Mapping[str, float],
 ) -> RobotDescription:
     """Return a robot with what is known better.
@@ -157,8 +134,8 @@ def amended(
     for name, amendment in joints.items():
         _amend_joint(robot, elements[name], amendment)
     bodies = {element.get("name", ""): element for element in robot.findall("link")}
-    for name, inertial in links.items():
-        _replace_inertial(bodies[description.link(name)], inertial)
+    for name, link in links.items():
+        _replace_inertial(bodies[description.link(name)], link)
     for name, position in held.items():
         hold(elements[name], description.joints[name], position)
     for mesh in robot.iter("mesh"):
@@ -196,17 +173,23 @@ def _actuator(robot: ElementTree.Element, joint: str) -> ElementTree.Element:
     return _child(transmission, "actuator", name=f"{joint}_motor")
 
 
-def _replace_inertial(link: ElementTree.Element, inertial: Inertial | None) -> None:
-    for old in link.findall("inertial"):
-        link.remove(old)
-    if inertial is None:
+def _replace_inertial(element: ElementTree.Element, link: LinkAmendment) -> None:
+    for old in element.findall("inertial"):
+        element.remove(old)
+    if link.inertia is None:
         return
-    new = ElementTree.SubElement(link, "inertial")
-    center = " ".join(map(repr, inertial.center_of_mass))
+    moments = principal_moments(*vars(link.inertia).values())
+    if not is_possible(moments):
+        shown = ", ".join(f"{moment:.4g}" for moment in moments)
+        raise RobotDescriptionError(
+            f"links.{element.get('name')}: no body has the principal moments {shown} kg m^2: each"
+            " must be above 0, and none above the sum of the others"
+        )
+    new = ElementTree.SubElement(element, "inertial")
+    center = " ".join(map(repr, link.center_of_mass))
     ElementTree.SubElement(new, "origin", xyz=center, rpy="0 0 0")
-    ElementTree.SubElement(new, "mass", value=repr(inertial.mass))
-    names = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
-    values = {name: repr(value) for name, value in zip(names, inertial.inertia, strict=True)}
+    ElementTree.SubElement(new, "mass", value=repr(link.mass))
+    values = {name: repr(value) for name, value in vars(link.inertia).items()}
     ElementTree.SubElement(new, "inertia", values)
 
 
@@ -236,8 +219,8 @@ def review(description: RobotDescription) -> list[Remark]:
 def _joints(description: RobotDescription, robot: ElementTree.Element) -> Iterator[Remark]:
     joints = list(description.joints.values())
     lacks: list[tuple[Callable[[JointDescription], bool], str]] = [
-        (lambda j: not 0.0 < j.effort < float("inf"), "no effort limit"),
-        (lambda j: not 0.0 < j.velocity < float("inf"), "no velocity limit"),
+        (lambda j: not 0.0 < j.effort < math.inf, "no effort limit"),
+        (lambda j: not 0.0 < j.velocity < math.inf, "no velocity limit"),
         (lambda j: j.damping == j.friction == 0.0, "no friction, neither viscous nor Coulomb"),
         (lambda j: j.rotor_inertia == 0.0, "no rotor inertia: behind a gear it often is most"),
     ]
@@ -249,7 +232,7 @@ def _joints(description: RobotDescription, robot: ElementTree.Element) -> Iterat
         values = {joint.name: getattr(joint, limit) for joint in joints}
         if len(joints) >= _ALIKE and len(set(values.values())) == 1:
             value = next(iter(values.values()))
-            if 0.0 < value < float("inf"):
+            if 0.0 < value < math.inf:
                 units = {of_slide(unit) if joint.is_slide else unit: None for joint in joints}
                 text = f"{limit} {value:g} {' or '.join(units)} for every joint: a placeholder?"
                 yield Remark(tuple(values), text)
@@ -295,7 +278,7 @@ def _moments(inertial: ElementTree.Element) -> tuple[float, float, float]:
     )
     if xy == xz == yz == 0.0:  # as written, without the solver's rounding
         return min(xx, yy, zz), sorted([xx, yy, zz])[1], max(xx, yy, zz)
-    return principal_moments((xx, yy, zz, xy, xz, yz))
+    return principal_moments(xx, yy, zz, xy, xz, yz)
 
 
 def _value(element: ElementTree.Element | None, name: str) -> float:
@@ -336,13 +319,7 @@ class Wheels(Record):
 
     def drive(self, description: RobotDescription) -> DifferentialDrive:
         """Return the drive of a robot."""
-        return DifferentialDrive.of(
-            description,
-            self.left_wheel,
-            self.right_wheel,
-            self.wheel_radius,
-            self.wheel_separation,
-        )
+        return DifferentialDrive.of(description, *vars(self).values())
 
 
 @dataclass(frozen=True)
@@ -373,13 +350,6 @@ class LinkAmendment(Record):
             raise SettingError("inertia is missing")
         if self.inertia is not None and not self.mass:
             raise SettingError("inertia must be left out where mass is 0")
-
-    def inertial(self) -> Inertial | None:
-        """Return mass and inertia; None for a mere frame."""
-        if self.inertia is None:
-            return None
-        xx, yy, zz, xy, xz, yz = (getattr(self.inertia, each.name) for each in fields(Moments))
-        return Inertial(self.mass, self.center_of_mass, (xx, yy, zz, xy, xz, yz))
 
 
 @dataclass(frozen=True)
@@ -413,13 +383,7 @@ class RobotSection(Record):
         plain = load(self.description)
         if not (self.joints or self.links or self.held):
             return plain
-        bodies = {}
-        for name, link in self.links.items():
-            try:
-                bodies[name] = link.inertial()
-            except RobotDescriptionError as error:
-                raise RobotDescriptionError(f"robot.links.{name}: {error}") from None
         try:
-            return amended(plain, self.joints, bodies, self.held)
+            return amended(plain, self.joints, self.links, self.held)
         except RobotDescriptionError as error:
             raise RobotDescriptionError(f"robot: {error}") from None

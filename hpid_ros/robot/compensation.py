@@ -17,7 +17,7 @@ import math
 from collections.abc import Collection, Sequence
 from dataclasses import replace
 from functools import lru_cache
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import lapack
@@ -95,11 +95,8 @@ class RobotStates:
         if settings.velocity.in_use != self._settings.velocity.in_use:
             self._velocities = [make_velocity_source(settings.velocity) for _ in self.joints]
             if self._state is not None:
-                seen = zip(
-                    self._velocities, self._state.positions, self._state.velocities, strict=True
-                )
-                for source, position, velocity in seen:
-                    source.take_over(position, velocity)
+                for source, *state in zip(self._velocities, *self._state[:2], strict=True):
+                    source.take_over(*state)
         self._settings, self._timeout = settings, settings.timing.state_timeout
 
     def observe(
@@ -186,28 +183,14 @@ class RobotStates:
 def _are_possible(values: Sequence[float]) -> bool:
     """Return whether all numbers are finite and within bounds."""
     # A sum is finite only if nothing in it is nan, with which min and max would be blind.
-    return (
-        math.isfinite(sum(values))
-        and max(values) <= LARGEST_POSITION
-        and min(values) >= -LARGEST_POSITION
-    )
-
-
-class JointModel(Protocol):
-    """A model of the robot, as one of its joints sees it."""
-
-    @property
-    def needs_efforts(self) -> bool:
-        """Whether it decouples the joint, by the others' efforts."""
-
-    def term(self, state: RobotState) -> tuple[float, float]:
-        """Return gain and effort [N m] at a state; see :class:`ModelTerm`."""
+    is_within = min(values) >= -LARGEST_POSITION and max(values) <= LARGEST_POSITION
+    return is_within and math.isfinite(sum(values))
 
 
 class Compensator:
     """Gives one joint's loop the model's term of each state."""
 
-    def __init__(self, model: JointModel, states: RobotStates) -> None:
+    def __init__(self, model: GravityShare | DecouplingShare, states: RobotStates) -> None:
         self.states = states
         self._model = model
         self._follows = model.needs_efforts
@@ -234,10 +217,7 @@ class Compensator:
         velocity: float | None,
         term: ModelTerm | None,
     ) -> float:
-        """Return the effort that answers a state, in [N m]: ``fallback_effort`` without a term.
-
-        The one rule for a controller's node and for the engine without ROS.
-        """
+        """Return the effort that answers a state, in [N m]: ``fallback_effort`` without a term."""
         if term is None:
             return loop.reject(stamp_ns, f"no model term: {self.states.last_fault}")
         return loop.step(stamp_ns, position, velocity, term)
@@ -283,13 +263,10 @@ class CompensatedLoops:
         velocities: Sequence[float] | None,
         efforts: Sequence[float],
     ) -> list[float]:
-        """Take one state and return the efforts that answer it, in [N m].
+        """Take one measured state, with the efforts that the motors gave in the period before.
 
-        Args:
-            stamp_ns: Its stamp in [ns].
-            positions: Measured positions in [rad].
-            velocities: Measured velocities in [rad/s]; None where the robot measures none.
-            efforts: Efforts that the motors gave in the period before, in [N m].
+        Returns:
+            The efforts that answer it, in [N m].
         """
         seen = {
             names: (
@@ -319,30 +296,6 @@ def _place(joint: str, joints: Sequence[str]) -> int:
     return joints.index(joint)
 
 
-class State(Protocol):
-    """Positions [rad], velocities [rad/s] and efforts [N m] of a robot's joints."""
-
-    @property
-    def positions(self) -> Sequence[float]:
-        """In [rad]."""
-
-    @property
-    def velocities(self) -> Sequence[float]:
-        """In [rad/s]."""
-
-    @property
-    def efforts(self) -> Sequence[float]:
-        """In [N m]."""
-
-
-class _Solved(NamedTuple):
-    """The equations of motion at one state, ready for every joint."""
-
-    factor: Numbers  # Cholesky factor of the mass matrix
-    bias: Numbers  # [N m]
-    efforts: Numbers  # [N m]
-
-
 class GravityShare:
     """Effort that holds one joint against gravity."""
 
@@ -352,7 +305,7 @@ class GravityShare:
         self.space = space
         self._row = space.joints.index(joint)
 
-    def term(self, state: State) -> tuple[float, float]:
+    def term(self, state: RobotState) -> tuple[float, float]:
         """Return gain 1 and the effort in [N m] at one state."""
         return 1.0, float(self.space.gravity(state.positions)[self._row])
 
@@ -362,18 +315,18 @@ class RobotDynamics:
 
     def __init__(self, space: JointSpace) -> None:
         self.space = space
-        self._state: State | None = None
-        self._solved: _Solved | None = None
+        self._state: RobotState | None = None
+        self._solved: tuple[Numbers, Numbers, Numbers]
 
-    def at(self, state: State) -> _Solved:
-        """Return the solved equations at a state."""
-        if state is self._state and self._solved is not None:
+    def at(self, state: RobotState) -> tuple[Numbers, Numbers, Numbers]:
+        """Return the Cholesky factor of the mass matrix, bias and efforts [N m] at a state."""
+        if state is self._state:
             return self._solved
         mass, bias = self.space.equations(state.positions, state.velocities)
         factor, failed = lapack.dpotrf(mass, clean=False)
         if failed:
             raise ArithmeticError("the model's mass matrix is not positive definite")
-        self._solved = _Solved(factor, bias, np.array(state.efforts))
+        self._solved = factor, bias, np.array(state.efforts)
         self._state = state
         return self._solved
 
@@ -390,7 +343,7 @@ class DecouplingShare:
         self._unit = np.zeros(len(self.space.joints))
         self._unit[self._row] = 1.0
 
-    def term(self, state: State) -> tuple[float, float]:
+    def term(self, state: RobotState) -> tuple[float, float]:
         """Return what one unit of acceleration costs, and what the dynamics do, at one state."""
         factor, bias, efforts = self.dynamics.at(state)
         row = self._row

@@ -10,12 +10,8 @@ Source: R. Siegwart and I. Nourbakhsh, *Introduction to Autonomous Mobile Robots
 ``ros2_controllers``, ``diff_drive_controller/src/odometry.cpp``, which changes to another formula
 below a turn of 1e-6 rad, since its difference of sines loses its digits there; this one does not.
 
-Source: the URDF joint and link elements (http://wiki.ros.org/urdf/XML); roll, pitch and yaw are
-rotations about the fixed x, y and z axes in this order.
-
-Source: ``ros2_controllers``, ``diff_drive_controller`` (parameters ``left_wheel_names``,
-``right_wheel_names``, ``wheel_separation``, ``wheel_radius``); R. Siegwart and I. Nourbakhsh,
-*Introduction to Autonomous Mobile Robots*, section 3.2.
+Roll, pitch and yaw of the URDF are rotations about the fixed x, y and z axes in this order
+(http://wiki.ros.org/urdf/XML).
 """
 
 from __future__ import annotations
@@ -132,13 +128,6 @@ class BaseTwist(NamedTuple):
     angular: float  # [rad/s] rate of the heading, counter-clockwise seen from above
 
 
-class WheelRates(NamedTuple):
-    """How fast the wheels turn, forward positive."""
-
-    left: float  # [rad/s]
-    right: float  # [rad/s]
-
-
 @dataclass(frozen=True)
 class DifferentialDrive:
     """Two wheels on one axle through the base's origin, which roll and do not slip.
@@ -216,13 +205,8 @@ class DifferentialDrive:
             self.radius * (right_rate - left_rate) / self.separation,
         )
 
-    def wheel_rates(self, linear: float, angular: float) -> WheelRates:
-        """Return how fast the wheels turn; the inverse of :meth:`twist`."""
-        half = 0.5 * self.separation * angular
-        return WheelRates((linear - half) / self.radius, (linear + half) / self.radius)
 
-
-def _shown(point: tuple[float, float, float]) -> str:
+def _shown(point: Vector) -> str:
     return "(" + ", ".join(f"{value:.6g}" for value in point) + ")"
 
 

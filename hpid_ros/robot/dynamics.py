@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import NamedTuple
 from xml.etree import ElementTree
 
@@ -12,7 +12,7 @@ import pinocchio
 
 from hpid_ros.base.errors import RobotDescriptionError, SettingError, unknown_name
 from hpid_ros.base.units import Numbers
-from hpid_ros.robot.description import MOVING_TYPES, JointDescription, RobotDescription
+from hpid_ros.robot.description import MOVING_TYPES, RobotDescription
 from hpid_ros.robot.differential_drive import DifferentialDrive
 
 PAYLOAD_LINK = "payload"
@@ -205,14 +205,9 @@ class Dynamics:
     def _draw(self, generator: np.random.Generator) -> dict[str, float]:
         """Return a pose within the limits; a joint without limits turns all the way round."""
         return {
-            joint.name: float(generator.uniform(*_bounds(joint)))
+            joint.name: float(generator.uniform(max(joint.lower, -np.pi), min(joint.upper, np.pi)))
             for joint in self.description.joints.values()
         }
-
-
-def _bounds(joint: JointDescription) -> tuple[float, float]:
-    """Return finite bounds of a joint's position, in [rad]."""
-    return max(joint.lower, -np.pi), min(joint.upper, np.pi)
 
 
 _FORWARD, _YAW = 0, 5  # of the twist of the root link, in its own axes
@@ -284,16 +279,9 @@ class InverseDynamics:
 
     def efforts(self, positions: Numbers, velocities: Numbers, accelerations: Numbers) -> Numbers:
         """Return the efforts, (K, R), in [N m]; in [N] where a joint slides."""
-        model, data, rows = self._model, self._data, self._rows
-        neutral = pinocchio.neutral(model)
-        motion, velocity, acceleration = self._rest.copy(), *np.zeros((2, model.nv))
         found = np.empty_like(positions)
-        for k in range(positions.shape[1]):
-            motion[rows] = positions[:, k]
-            velocity[rows] = velocities[:, k]
-            acceleration[rows] = accelerations[:, k]
-            at = pinocchio.integrate(model, neutral, motion)
-            found[:, k] = pinocchio.rnea(model, data, at, velocity, acceleration)[rows]
+        for k, state in enumerate(self._states(positions, velocities, accelerations)):
+            found[:, k] = pinocchio.rnea(self._model, self._data, *state)[self._rows]
         return found
 
     def spin(
@@ -305,21 +293,16 @@ class InverseDynamics:
         the joint, has the angular momentum :math:`h = m/N\,\dot q\,z` in that link. The link must
         turn it, and the joint feels :math:`m/N\,\alpha\cdot z` of the link's acceleration.
         """
-        model, data, rows = self._model, self._data, self._rows
-        neutral = pinocchio.neutral(model)
-        motion, velocity, acceleration = self._rest.copy(), *np.zeros((2, model.nv))
+        model, data = self._model, self._data
         momenta = [
             (each, rotor / each.ratio)
             for each, rotor in zip(self._rotors, rotors, strict=True)
             if each.ratio and rotor
         ]
         found = np.empty_like(positions)
-        for k in range(positions.shape[1]):
-            motion[rows] = positions[:, k]
-            velocity[rows] = velocities[:, k]
-            acceleration[rows] = accelerations[:, k]
-            at = pinocchio.integrate(model, neutral, motion)
-            plain = pinocchio.rnea(model, data, at, velocity, acceleration).copy()
+        for k, state in enumerate(self._states(positions, velocities, accelerations)):
+            _, velocity, acceleration = state
+            plain = pinocchio.rnea(model, data, *state).copy()
             forces = pinocchio.StdVec_Force([pinocchio.Force.Zero()] * model.njoints)
             own = np.zeros(model.nv)
             for each, size in momenta:
@@ -328,9 +311,22 @@ class InverseDynamics:
                 rate, change = velocity[each.row], acceleration[each.row]
                 torque = size * (change * each.axis + rate * np.cross(turn, each.axis))
                 forces[each.parent] -= pinocchio.Force(np.zeros(3), torque)
-            pulled = pinocchio.rnea(model, data, at, velocity, acceleration, forces)
-            found[:, k] = (pulled - plain + own)[rows]
+            pulled = pinocchio.rnea(model, data, *state, forces)
+            found[:, k] = (pulled - plain + own)[self._rows]
         return found
+
+    def _states(
+        self, positions: Numbers, velocities: Numbers, accelerations: Numbers
+    ) -> Iterator[tuple[Numbers, Numbers, Numbers]]:
+        """Yield configuration, velocity and acceleration of the model at each instant."""
+        model, rows = self._model, self._rows
+        neutral = pinocchio.neutral(model)
+        motion, velocity, acceleration = self._rest.copy(), *np.zeros((2, model.nv))
+        for k in range(positions.shape[1]):
+            motion[rows] = positions[:, k]
+            velocity[rows] = velocities[:, k]
+            acceleration[rows] = accelerations[:, k]
+            yield pinocchio.integrate(model, neutral, motion), velocity, acceleration
 
 
 class _Rotor(NamedTuple):

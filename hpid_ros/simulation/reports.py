@@ -1,23 +1,27 @@
-"""Reports of a simulated robot beside its joint states, as serialised messages.
+"""Reports of a simulated robot with its joint states, as serialised messages.
 
-The bridge publishes them and a run in one process writes them into its bag: the same bytes.
+Odometry, true motion and slip of its base, the clock, poses and grips. Odometry and slip are
+added up once a control period, on simulated time alone. The bridge publishes the reports and a
+run in one process writes them into its bag: the same bytes.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Collection, Iterator, Sequence
 from functools import partial
+from typing import NamedTuple
 
+from hpid_ros.base.errors import SettingError
 from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.messages import reports as wire
-from hpid_ros.simulation.base import (
-    ODOM_FRAME,
-    BaseMonitor,
-    OdometryValues,
-    ReportTimes,
-    Slip,
-    true_odometry,
-    wheel_odometry,
+from hpid_ros.robot.differential_drive import (
+    BaseTwist,
+    DifferentialDrive,
+    Odometry,
+    PlanarCovariance,
+    PlanarPose,
+    chord_share,
 )
 from hpid_ros.simulation.gripper import (
     BRICK_POSES,
@@ -28,8 +32,233 @@ from hpid_ros.simulation.gripper import (
     grip_status,
     task_topics,
 )
+from hpid_ros.simulation.physics import Pose, Twist
 from hpid_ros.simulation.settings import WorldSettings
 from hpid_ros.simulation.world import World
+
+
+class Slip(NamedTuple):
+    """Distances that the contacts have slid, there and back both counted."""
+
+    left: float  # [m] of the left wheel along its track
+    right: float  # [m] of the right wheel along its track
+    lateral: float  # [m] of the axle, sideways
+
+
+class SlipMeter:
+    """Compares what the wheels rolled with where the axle's ends truly went.
+
+    In each period the base is taken to move on an arc. A wheel's slip is its travel less that of
+    its end of the axle along the arc; the axle's lateral slip is what the arc does not explain.
+    """
+
+    def __init__(
+        self, drive: DifferentialDrive, wheels: tuple[float, float], pose: PlanarPose
+    ) -> None:
+        self._drive, self._wheels, self._pose = drive, wheels, pose
+        self.slip = Slip(0.0, 0.0, 0.0)
+
+    def update(self, wheels: tuple[float, float], pose: PlanarPose) -> Slip:
+        """Take where wheels and base are one period later, as in the constructor."""
+        drive, before = self._drive, self._pose
+        of_left, of_right = (
+            drive.radius * (now - then) for now, then in zip(wheels, self._wheels, strict=True)
+        )
+        turn = math.remainder(pose.heading - before.heading, math.tau)
+        middle = before.heading + 0.5 * turn
+        dx, dy = pose.x - before.x, pose.y - before.y
+        c, s = math.cos(middle), math.sin(middle)
+        travel = (dx * c + dy * s) / chord_share(turn)
+        side = 0.5 * drive.separation * turn
+        left, right, lateral = self.slip
+        self.slip = Slip(
+            left + abs(of_left - (travel - side)),
+            right + abs(of_right - (travel + side)),
+            lateral + abs(dy * c - dx * s),
+        )
+        self._wheels, self._pose = wheels, pose
+        return self.slip
+
+
+REPORT_RATE = 50.0
+"""How often odometry, truth and slip are told in an experiment, in [Hz]."""
+
+
+class ReportTimes:
+    """Tells which states come with a report: the first, then one a period, and the last of all."""
+
+    def __init__(self, rate: float, end_ns: int | None = None) -> None:
+        self._period_ns = round(NANOSECONDS / rate) if rate > 0.0 else 0
+        self._end_ns = end_ns
+        self._last_ns: int | None = None
+
+    @property
+    def is_off(self) -> bool:
+        """Whether there is never a report."""
+        return not self._period_ns
+
+    def is_due(self, stamp_ns: int) -> bool:
+        """Return whether a state comes with a report; ask once for each state."""
+        if not self._period_ns:
+            return False
+        last_ns = self._last_ns
+        is_soon = last_ns is not None and 0 <= stamp_ns - last_ns < self._period_ns
+        if is_soon and stamp_ns != self._end_ns:
+            return False
+        self._last_ns = stamp_ns
+        return True
+
+
+class BaseReport(NamedTuple):
+    """Odometry of the wheels beside the truth."""
+
+    stamp_ns: int  # [ns] of the state
+    pose: PlanarPose  # where the base is by its wheels, from where it stood at time 0
+    covariance: PlanarCovariance  # of the pose
+    twist: BaseTwist  # by the wheels, its mean since the report before
+    twist_variance: tuple[float, float]  # of the linear [m^2/s^2] and the angular rate [rad^2/s^2]
+    slip: Slip  # of the wheels up to now
+
+
+class BaseMonitor:
+    """Follows the base of a world; starts again when time goes back."""
+
+    def __init__(self, world: World) -> None:
+        settings = world.settings
+        if settings.base is None:
+            raise SettingError("the world has no base: its settings name none")
+        self.drive: DifferentialDrive = settings.base
+        self._world = world
+        self._left, self._right = (settings.joints.index(joint) for joint in self.drive.joints)
+        steps = [math.tau / count for count in self._counts() if count]
+        self._quantum = self.drive.radius * max(steps, default=0.0)  # [m]
+        self._stamp_ns: int | None = None
+        self._odometry: Odometry
+        self._slip: SlipMeter
+
+    @property
+    def slip(self) -> Slip:
+        """Slip up to the last state that was noted."""
+        return Slip(0.0, 0.0, 0.0) if self._stamp_ns is None else self._slip.slip
+
+    @property
+    def distance(self) -> float:
+        """Distance that the wheels have driven so far, there and back both counted, in [m]."""
+        return 0.0 if self._stamp_ns is None else self._driven
+
+    def note(self, positions: Sequence[float]) -> None:
+        """Take the present state of the world, once for each state."""
+        now_ns = self._world.time_ns
+        left, right = positions[self._left], positions[self._right]
+        true = self._world.true_positions()
+        wheels = true[self._left], true[self._right]
+        pose = planar(self._world.base_pose())
+        if self._stamp_ns is None or now_ns < self._stamp_ns:
+            self._odometry = Odometry(self.drive, left, right)
+            self._slip = SlipMeter(self.drive, wheels, pose)
+            self._before = now_ns, 0.0, 0.0
+            self._driven = 0.0
+        else:
+            before = self._odometry.distance
+            self._odometry.update(left, right)
+            self._driven += abs(self._odometry.distance - before)
+            self._slip.update(wheels, pose)
+        self._stamp_ns = now_ns
+
+    def report(self) -> BaseReport:
+        """Return how the base is now; the next twist counts from here."""
+        if self._stamp_ns is None:
+            raise SettingError("a base can be reported when a state has been noted, not before")
+        odometry = self._odometry
+        then_ns, distance, turn = self._before
+        seconds = (self._stamp_ns - then_ns) / NANOSECONDS
+        twist, variance = BaseTwist(0.0, 0.0), (0.0, 0.0)
+        if seconds > 0.0:
+            twist = odometry.twist_between(distance, turn, seconds)
+            variance = self._twist_variance(seconds)
+        self._before = self._stamp_ns, odometry.distance, odometry.turn
+        return BaseReport(
+            self._stamp_ns, odometry.pose, odometry.covariance, twist, variance, self._slip.slip
+        )
+
+    def _counts(self) -> tuple[int, int]:
+        counts = self._world.settings.counts
+        return counts[self._left], counts[self._right]
+
+    def _twist_variance(self, seconds: float) -> tuple[float, float]:
+        """Return what two roundings of each encoder leave of a difference of readings."""
+        of_wheel = self._quantum**2 / 6.0 / seconds**2
+        return 0.5 * of_wheel, 2.0 * of_wheel / self.drive.separation**2
+
+
+def planar(pose: Pose) -> PlanarPose:
+    """Return a pose in the plane: x, y and yaw in (-pi, pi]."""
+    x, y, z, w = pose.orientation
+    heading = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+    return PlanarPose(pose.position[0], pose.position[1], heading)
+
+
+ODOM_FRAME = "odom"
+UNMEASURED = 1e6
+"""Variance of what wheels cannot tell: height, roll, pitch and their rates."""
+
+_X, _Y, _YAW = 0, 1, 5
+_ROW = 6
+
+
+class OdometryValues(NamedTuple):
+    """Pose of a base in its frame ``odom`` and twist in its own frame (REP 105)."""
+
+    pose: Pose  # of the base
+    # of x, y, z and the rotations about them, row by row, 36 numbers, in [m^2], [m rad], [rad^2]
+    pose_covariance: tuple[float, ...]
+    twist: Twist  # of the base
+    twist_covariance: tuple[float, ...]  # likewise, of the twist: the same units per s^2
+
+
+def wheel_odometry(report: BaseReport) -> OdometryValues:
+    """Return what the wheels say."""
+    x, y, heading = report.pose
+    pose = _unmeasured()
+    of_pose = report.covariance
+    pose[_place(_X, _X)] = of_pose.xx
+    pose[_place(_Y, _Y)] = of_pose.yy
+    pose[_place(_YAW, _YAW)] = of_pose.hh
+    for row, column, value in (
+        (_X, _Y, of_pose.xy),
+        (_X, _YAW, of_pose.xh),
+        (_Y, _YAW, of_pose.yh),
+    ):
+        pose[_place(row, column)] = pose[_place(column, row)] = value
+    twist = _unmeasured()
+    linear, angular = report.twist_variance
+    twist[_place(_X, _X)] = twist[_place(_Y, _Y)] = linear
+    twist[_place(_YAW, _YAW)] = angular
+    return OdometryValues(
+        Pose((x, y, 0.0), (0.0, 0.0, math.sin(0.5 * heading), math.cos(0.5 * heading))),
+        tuple(pose),
+        Twist((report.twist.linear, 0.0, 0.0), (0.0, 0.0, report.twist.angular)),
+        tuple(twist),
+    )
+
+
+def true_odometry(world: World) -> OdometryValues:
+    """Return how the root of a world's robot really is; it is certain."""
+    certain = (0.0,) * _ROW**2
+    return OdometryValues(world.base_pose(), certain, world.base_velocity(), certain)
+
+
+def _place(row: int, column: int) -> int:
+    return _ROW * row + column
+
+
+def _unmeasured() -> list[float]:
+    """Return a covariance of which nothing is measured."""
+    covariance = [0.0] * _ROW**2
+    for row in range(_ROW):
+        covariance[_place(row, row)] = UNMEASURED
+    return covariance
+
 
 CLOCK, ODOM, TRUTH, SLIP = "clock", "odom", "base_pose_ground_truth", "wheel_slip"
 KINDS = {

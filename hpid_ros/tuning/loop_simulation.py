@@ -20,7 +20,7 @@ from hpid_ros.control.settings import LoopSettings
 from hpid_ros.messages.series import JointSeries, RunSeries, complete_run
 from hpid_ros.metrics.comparison import Comparison
 from hpid_ros.metrics.results import run_indices
-from hpid_ros.motion.spline import Column, Knot
+from hpid_ros.motion.joint_trajectory import Column, Knot
 from hpid_ros.robot.compensation import compensators
 from hpid_ros.simulation.drives import DriveSettings
 from hpid_ros.simulation.engine import record_run

@@ -13,7 +13,7 @@ from hpid_ros.control.controller_files import settings_from_parameter_file
 from hpid_ros.live.graph_client import running_graph
 from hpid_ros.live.motion import bounds_of, carry_out_relay, relay_findings
 from hpid_ros.messages.run import read_run
-from hpid_ros.motion.relays import RelayWish, planned_relay
+from hpid_ros.motion.excitation import RelayWish, planned_relay
 from hpid_ros.nodes.core.middleware import RARE
 
 MS = 1_000_000

@@ -30,7 +30,7 @@ from hpid_ros.messages.run import read_run
 from hpid_ros.metrics.task import PoseErrors, base_figures, relative
 from hpid_ros.nodes.core.middleware import OFFERED
 from hpid_ros.robot.differential_drive import DifferentialDrive, PlanarPose, integrated
-from hpid_ros.simulation.base import BaseMonitor, ReportTimes, SlipMeter, planar
+from hpid_ros.simulation.reports import BaseMonitor, ReportTimes, SlipMeter, planar
 from hpid_ros.simulation.settings import WorldSettings
 from hpid_ros.simulation.world import World
 
@@ -225,8 +225,9 @@ def test_rolling_is_no_slip(arcs, heading):
     x = y = left = right = 0.0
     meter = SlipMeter(DRIVE, (left, right), PlanarPose(x, y, heading))
     for distance, turn in arcs:
-        rates = DRIVE.wheel_rates(distance, turn)
-        left, right = left + rates.left, right + rates.right
+        half = 0.5 * DRIVE.separation * turn
+        rates = ((distance - half) / DRIVE.radius, (distance + half) / DRIVE.radius)
+        left, right = left + rates[0], right + rates[1]
         chord = distance * np.sinc(turn / 2.0 / math.pi)
         x += chord * math.cos(heading + turn / 2.0)
         y += chord * math.sin(heading + turn / 2.0)

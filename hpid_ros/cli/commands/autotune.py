@@ -20,8 +20,7 @@ if TYPE_CHECKING:
 
     from hpid_ros.live.controllers import Controller, RunningGraph
     from hpid_ros.live.motion import Ending, RelayFindings, Tell
-    from hpid_ros.motion.excitation import JointBounds
-    from hpid_ros.motion.relays import PlannedRelay
+    from hpid_ros.motion.excitation import JointBounds, PlannedRelay
     from hpid_ros.tuning.autotune import Autotuned
 
 
@@ -127,7 +126,7 @@ def _planned(
     options: argparse.Namespace, controller: Controller
 ) -> tuple[JointBounds, PlannedRelay]:
     from hpid_ros.live.motion import bounds_of
-    from hpid_ros.motion.relays import RelayWish, planned_relay
+    from hpid_ros.motion.excitation import RelayWish, planned_relay
 
     settings = controller.settings
     gains = settings.gains

@@ -8,8 +8,12 @@ from trajectory_msgs.msg import JointTrajectoryPoint
 
 from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.messages.joint_trajectory import MixedTrajectory, TrajectoryArrays
-from hpid_ros.motion.joint_trajectory import JointTrajectory, PointArrays, column_from_arrays
-from hpid_ros.motion.spline import Column
+from hpid_ros.motion.joint_trajectory import (
+    Column,
+    JointTrajectory,
+    PointArrays,
+    column_from_arrays,
+)
 
 
 def column_of(decoded: TrajectoryArrays | MixedTrajectory, joint: str) -> Column | None:

@@ -20,9 +20,8 @@ from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.messages import reports as wire
 from hpid_ros.nodes.core.middleware import LATCHED, OFFERED, RARE
 from hpid_ros.nodes.core.process import read_number, read_only
-from hpid_ros.simulation.base import REPORT_RATE
 from hpid_ros.simulation.gripper import GRASPED, LOST, MISSED, GripEvent
-from hpid_ros.simulation.reports import CLOCK, KINDS, Reports, grip_words
+from hpid_ros.simulation.reports import CLOCK, KINDS, REPORT_RATE, Reports, grip_words
 from hpid_ros.simulation.world import World
 
 

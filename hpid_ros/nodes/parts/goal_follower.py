@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 from hpid_ros.base.units import NANOSECONDS, SECONDS_PER_NANOSECOND
 from hpid_ros.messages.joint_state import JointPart
-from hpid_ros.motion.spline import Knot
+from hpid_ros.motion.joint_trajectory import Knot
 from hpid_ros.nodes.parts.goal_joints import (
     AGREES_WITHIN,
     LEAD_NS,

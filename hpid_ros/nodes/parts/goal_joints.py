@@ -25,8 +25,7 @@ from hpid_ros.base.units import NANOSECONDS, SECONDS_PER_NANOSECOND
 from hpid_ros.control.reference import LARGEST_POSITION, Following, whole_turns
 from hpid_ros.control.velocity import MeasuredVelocity, Unwrapper
 from hpid_ros.messages.joint_state import JointPart
-from hpid_ros.motion.joint_trajectory import PointArrays, checked_column
-from hpid_ros.motion.spline import Column, Knot
+from hpid_ros.motion.joint_trajectory import Column, Knot, PointArrays, checked_column
 from hpid_ros.nodes.parts.goals import GoalRequest, GroupSettings, GroupTrajectory
 
 LEAD_NS = NANOSECONDS // 20

@@ -30,13 +30,13 @@ from hpid_ros.control.reference import LARGEST_POSITION
 from hpid_ros.control.settings import StateClock, Value
 from hpid_ros.messages.joint_trajectory import MOST_MIXED_POINTS, MOST_POINTS
 from hpid_ros.motion.joint_trajectory import (
+    Column,
     Integers,
     Point,
     PointArrays,
     checked_column,
     require_arrays,
 )
-from hpid_ros.motion.spline import Column
 
 
 class ResultCode(IntEnum):

@@ -11,9 +11,14 @@ from harness.places import URDF
 
 from hpid_ros.base.errors import SettingError, TrajectoryError
 from hpid_ros.motion.bricks import plan_bricks
-from hpid_ros.motion.plan import BrickGoal, Placement, PlanOptions, TaskRobot
-from hpid_ros.motion.references import planned_reference
-from hpid_ros.motion.spline import SplineReference
+from hpid_ros.motion.joint_trajectory import SplineReference
+from hpid_ros.motion.references import (
+    BrickGoal,
+    Placement,
+    PlanOptions,
+    TaskRobot,
+    planned_reference,
+)
 from hpid_ros.robot.description import RobotDescription
 from hpid_ros.robot.differential_drive import DifferentialDrive, integrated
 from hpid_ros.robot.kinematics import Kinematics, rotation_angles

@@ -6,8 +6,7 @@ from dataclasses import replace
 import pytest
 
 from hpid_ros.base.errors import SettingError
-from hpid_ros.motion.excitation import JointBounds
-from hpid_ros.motion.relays import RelayWish, planned_relay
+from hpid_ros.motion.excitation import JointBounds, RelayWish, planned_relay
 
 ELBOW = JointBounds("elbow", "/elbow_controller", 0.5, 2.0, -1.0, 1.0, 9.0, (-10.0, 8.0), 0.1)
 

@@ -32,12 +32,6 @@ CART = """<robot name="cart">
 </robot>"""
 
 
-@given(LENGTHS, LENGTHS, RATES, RATES)
-def test_wheel_rates_undo_the_twist(radius, separation, left, right):
-    drive = DifferentialDrive("l", "r", radius, separation)
-    assert drive.wheel_rates(*drive.twist(left, right)) == pytest.approx((left, right), abs=1e-9)
-
-
 @given(LENGTHS, LENGTHS, RATES)
 def test_equal_rates_drive_straight_and_opposite_ones_turn_on_the_spot(radius, separation, rate):
     drive = DifferentialDrive("l", "r", radius, separation)
