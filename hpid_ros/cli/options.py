@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from hpid_ros.base.errors import ExperimentError, HpidError, SettingError, unknown_name
-from hpid_ros.base.files import find_resource
+from hpid_ros.base.files import find_resource, write_file
 from hpid_ros.robot.description import GivenRobot
 
 if TYPE_CHECKING:
@@ -360,6 +360,15 @@ def add_robot_options(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help=f"sampled over the joints' ranges, with --urdf ({_POSES})",
     )
+
+
+def write_output(path: Path, content: str | bytes) -> None:
+    """Write a file that an option names."""
+    try:
+        write_file(path, content)
+    except OSError as error:
+        reason = (error.strerror or str(error)).lower()
+        raise SettingError(f"cannot write {path}: {reason}") from None
 
 
 Range = tuple[float, float]

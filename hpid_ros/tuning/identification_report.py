@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import io
 import math
+import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -16,7 +17,7 @@ from rich.text import Text
 
 from hpid_ros.base.text import figure_text, shown
 from hpid_ros.base.units import Numbers
-from hpid_ros.motion.excitation import ExcitationPlan, PlannedJoint
+from hpid_ros.motion.excitation import ExcitationPlan
 from hpid_ros.report.style import (
     DOTS_PER_INCH,
     INK,
@@ -42,7 +43,7 @@ from hpid_ros.tuning.regression import (
     VISCOUS,
     Estimate,
 )
-from hpid_ros.tuning.robot_identification import MovedInertia
+from hpid_ros.tuning.robot_identification import MovedInertia, RobotIdentification
 from hpid_ros.tuning.term_selection import Fit, JointIdentification
 
 _DIGITS = 4
@@ -51,53 +52,46 @@ _RATIO = 100.0
 as heavily on the link that carries it."""
 
 
-class Origin(NamedTuple):
-    """Where a file's robot is from."""
-
-    key: str  # extends for an experiment file, description for a URDF
-    file: str  # as the file names it
-
-
 def experiment_text(
-    found: Sequence[JointIdentification],
-    moved: Mapping[str, MovedInertia],
-    slides: Sequence[str],
+    found: RobotIdentification,
     ratios: Mapping[str, float],
-    origin: Origin | None,
+    origin: tuple[str, str] | None,
     header: Sequence[str],
 ) -> str:
     """Return a file that experiments extend.
 
-    Without a robot there are no amendments of its rotors: the inertia found has the links in it.
+    ``origin`` is the key (extends for an experiment file, description for a URDF) and the file
+    of the robot. Without a robot there are no amendments of its rotors: the inertia found has the
+    links in it.
     """
     lines = [f"# {shown(line)}" for line in header]
-    if origin is not None and origin.key == "extends":
-        lines.append(f"extends: {_quoted(origin.file)}")
+    key, file = origin or ("", "")
+    if key == "extends":
+        lines.append(f"extends: {_quoted(file)}")
     lines.append("robot:")
-    if origin is not None and origin.key == "description":
-        lines += [f"  description: {_quoted(origin.file)}", "  fixed_base: true"]
-    amended = [line for each in found for line in _amendment(each, slides, ratios, origin)]
+    if key == "description":
+        lines += [f"  description: {_quoted(file)}", "  fixed_base: true"]
+    amended, known = list[str](), list[str]()
+    for each in found.joints:
+        is_slide = each.joint in found.slides
+        amended += _amendment(each, is_slide, ratios.get(each.joint, 1.0), origin is not None)
+        known += _inertia(each, found.moved.get(each.joint), is_slide)
     lines += ["  joints:", *amended] if amended else ["  joints: {}"]
-    known = [line for each in found for line in _inertia(each, moved.get(each.joint), slides)]
     lines += ["controllers:", "  joints:", *known] if known else []
     return "\n".join(lines) + "\n"
 
 
 def _amendment(
-    each: JointIdentification,
-    slides: Sequence[str],
-    ratios: Mapping[str, float],
-    origin: Origin | None,
+    each: JointIdentification, is_slide: bool, ratio: float, has_robot: bool
 ) -> Iterator[str]:
-    names = {INERTIA: "rotor_inertia"} if origin is not None else {}
+    names = {INERTIA: "rotor_inertia"} if has_robot else {}
     names |= {VISCOUS: "damping", COULOMB: "friction"}
-    ratio = ratios.get(each.joint, 1.0)
     ratio, whose = (ratio, "as before") if abs(ratio) != 1.0 else (_RATIO, "made up")
     entries, notes = [], []
     for name, key in names.items():
         estimate = each.estimates.get(name)
         if estimate is not None and estimate.is_told:
-            reason = interval(estimate, unit(name, each.joint in slides))
+            reason = interval(estimate, unit(name, is_slide))
             if key == "rotor_inertia":
                 entries.append(f"gear_ratio: {_number(ratio)}  # {whose}; only Jr N^2 is known")
                 reason = f"Jr N^2 {_number(estimate.value)} {reason}"
@@ -115,10 +109,9 @@ def _amendment(
 
 
 def _inertia(
-    each: JointIdentification, moved: MovedInertia | None, slides: Sequence[str]
+    each: JointIdentification, moved: MovedInertia | None, is_slide: bool
 ) -> Iterator[str]:
-    estimate = each.told(INERTIA)
-    kind = unit(INERTIA, each.joint in slides)
+    estimate, kind = each.told(INERTIA), unit(INERTIA, is_slide)
     if moved is not None and estimate is not None:
         value = moved.mean
         reason = (
@@ -133,12 +126,10 @@ def _inertia(
 
 
 def unit(name: str, is_slide: bool) -> str:
-    """Return the unit of a parameter."""
     return PARAMETERS[name][int(is_slide)]
 
 
 def interval(estimate: Estimate, of: str) -> str:
-    """Return an interval in words."""
     return f"[{of}], 95 %: {_number(estimate.low)} to {_number(estimate.high)}"
 
 
@@ -178,17 +169,18 @@ def excitation_figure(plan: ExcitationPlan) -> Figure:
         bounds, at = planned.bounds, plan.positions[:, number]
         left.set_title(figure_text(bounds.joint))
         _draw_planned(left, plan.times, at + bounds.position, (bounds.lower, bounds.upper))
-        _draw_planned(right, plan.times, plan.velocities[:, number], _velocities(planned))
+        stop = planned.velocity_stop
+        _draw_planned(right, plan.times, plan.velocities[:, number], (-stop, stop))
         left.set_ylabel(f"position [{bounds.unit}]")
         right.set_ylabel(f"velocity [{bounds.unit}/s]")
     for panel in grid[-1]:
         panel.set_xlabel("time [s]")
-    add_legend(figure, _plan_handles())
+    handles = [
+        Line2D([], [], color=_REFERENCE, linewidth=1.3, label="reference"),
+        Line2D([], [], color=_LIMIT, linewidth=1.3, dashes=(7.0, 1.8), label="stopped beyond"),
+    ]
+    add_legend(figure, handles)
     return laid_out(figure)
-
-
-def _velocities(planned: PlannedJoint) -> tuple[float, float]:
-    return -planned.velocity_stop, planned.velocity_stop
 
 
 def _draw_planned(
@@ -202,13 +194,6 @@ def _draw_planned(
             panel.axhline(limit, color=_LIMIT, linewidth=1.0, dashes=(7.0, 1.8))
     panel.spines["bottom"].set_color(INK)
     plain_ticks(panel.yaxis, 4)
-
-
-def _plan_handles() -> list[Line2D]:
-    return [
-        Line2D([], [], color=_REFERENCE, linewidth=1.3, label="reference"),
-        Line2D([], [], color=_LIMIT, linewidth=1.3, dashes=(7.0, 1.8), label="stopped beyond"),
-    ]
 
 
 _ROW_HEIGHT_IN = 2.0
@@ -235,7 +220,7 @@ def identification_figure(
             left.set_axis_off()
         else:
             _draw(left, each.fit, unit)
-        _tell(right, each)
+        _write_remarks(right, each)
     drawn = [axes for axes, each in zip(grid[:, 0], found, strict=True) if each.fit is not None]
     if drawn:
         drawn[-1].set_xlabel("time [s]")
@@ -271,7 +256,7 @@ def _packed(time: Numbers) -> Numbers:
     return packed
 
 
-def _tell(panel: Axes, each: JointIdentification) -> None:
+def _write_remarks(panel: Axes, each: JointIdentification) -> None:
     panel.set_axis_off()
     lines = [line for remark in each.remarks for line in _wrapped(remark)]
     lines += [
@@ -279,20 +264,11 @@ def _tell(panel: Axes, each: JointIdentification) -> None:
         for what, reason in each.untold.items()
         for line in _wrapped(reason if what == each.joint else f"{what}: {reason}")
     ]
-    text = "\n".join(lines) if lines else "everything that was asked is told"
-    panel.text(
-        0.0, 1.0, figure_text_lines(text), va="top", fontsize=7.5, transform=panel.transAxes
-    )
-
-
-def figure_text_lines(text: str) -> str:
-    """Return several lines, each as :func:`.figure_text`."""
-    return "\n".join(figure_text(line) for line in text.split("\n"))
+    text = "\n".join(map(figure_text, lines or ["everything that was asked is told"]))
+    panel.text(0.0, 1.0, text, va="top", fontsize=7.5, transform=panel.transAxes)
 
 
 def _wrapped(text: str) -> list[str]:
-    import textwrap
-
     return textwrap.wrap(text, _LINE_LENGTH, subsequent_indent="  ")
 
 
@@ -318,29 +294,23 @@ _NONE = "–"
 _OF_SLIDES = "kg, N s/m and N, where joints that turn have kg m², N m s/rad and N m"
 
 
-def report(
-    found: Sequence[JointIdentification],
-    sources: Mapping[str, str],
-    slides: Sequence[str],
-    moved: Mapping[str, MovedInertia],
-    missing: Sequence[str] = (),
-) -> Iterator[WideTable | Text | str]:
+def report(found: RobotIdentification) -> Iterator[WideTable | Text | str]:
     """Yield what to print."""
-    has_robot = bool(moved) or any(EFFORT_SCALE in each.estimates for each in found)
-    yield _table(found, moved, has_robot)
+    has_robot = bool(found.moved) or any(EFFORT_SCALE in each.estimates for each in found.joints)
+    yield _table(found, has_robot)
     yield Text(_caption(has_robot), style="dim")
-    if slides:
-        yield f"{', '.join(map(shown, slides))}: {_OF_SLIDES}"
-    used = {each.joint: sources.get(each.joint, "") for each in found}
+    if found.slides:
+        yield f"{', '.join(map(shown, found.slides))}: {_OF_SLIDES}"
+    used = {each.joint: found.sources.get(each.joint, "") for each in found.joints}
     for source in dict.fromkeys(used.values()):
         names = [name for name, of in used.items() if of == source]
         whose = "" if len(names) == len(used) else f" of {', '.join(map(shown, names))}"
         yield f"efforts{whose}: {shown(source)}"
-    for line in missing:
+    for line in found.missing:
         yield Text(f"! {shown(line)}", style="yellow")
-    for each in found:
+    for each in found.joints:
         yield ""
-        yield from _of_joint(each, each.joint in slides)
+        yield from _of_joint(each, each.joint in found.slides)
 
 
 def _caption(has_robot: bool) -> str:
@@ -356,21 +326,23 @@ def _caption(has_robot: bool) -> str:
     )
 
 
-def _table(
-    found: Sequence[JointIdentification], moved: Mapping[str, MovedInertia], has_robot: bool
-) -> WideTable:
-    inertia = "rotor" if has_robot else "inertia"
-    columns = [TableColumn(inertia, [_cell(each, INERTIA) for each in found])]
+def _table(found: RobotIdentification, has_robot: bool) -> WideTable:
+    joints, moved = found.joints, found.moved
+
+    def estimates(heading: str, name: str, factor: float = 1.0) -> TableColumn:
+        return TableColumn(heading, [_cell(each, name, factor) for each in joints])
+
+    columns = [estimates("rotor" if has_robot else "inertia", INERTIA)]
     if has_robot:
-        columns.append(TableColumn("moves", [_range(moved.get(each.joint)) for each in found]))
+        columns.append(TableColumn("moves", [_range(moved.get(each.joint)) for each in joints]))
     columns += [
-        TableColumn("viscous", [_cell(each, VISCOUS) for each in found]),
-        TableColumn("Coulomb", [_cell(each, COULOMB) for each in found]),
-        TableColumn("load", [_cell(each, OFFSET) for each in found]),
-        TableColumn("delay", [_cell(each, DELAY, _MILLISECONDS) for each in found]),
-        TableColumn("fit", [_percent(each) for each in found]),
+        estimates("viscous", VISCOUS),
+        estimates("Coulomb", COULOMB),
+        estimates("load", OFFSET),
+        estimates("delay", DELAY, _MILLISECONDS),
+        TableColumn("fit", [_percent(each) for each in joints]),
     ]
-    names = TableColumn("joint", [shown(each.joint) for each in found], is_text=True)
+    names = TableColumn("joint", [shown(each.joint) for each in joints], is_text=True)
     return WideTable([names], columns)
 
 
@@ -384,9 +356,7 @@ def _range(moved: MovedInertia | None) -> str:
 
 def _cell(each: JointIdentification, name: str, factor: float = 1.0) -> str:
     estimate = each.estimates.get(name)
-    if estimate is None:
-        return _NONE
-    return _plain(estimate, factor)
+    return _NONE if estimate is None else _plain(estimate, factor)
 
 
 def with_interval(value: float, half_width: float) -> str:
@@ -401,12 +371,12 @@ def with_interval(value: float, half_width: float) -> str:
 
 
 def _of_joint(each: JointIdentification, is_slide: bool) -> Iterator[str]:
-    name = shown(each.joint)
+    name, length = shown(each.joint), "m" if is_slide else "rad"
     if each.rows:
         yield (
-            f"{name}: {each.time:.1f} s used, {_angle(each.travel, is_slide)} travelled, up to "
-            f"{each.speed:.2g} {_length(is_slide)}/s and {each.acceleration:.2g} "
-            f"{_length(is_slide)}/s²; low pass {each.cutoff:g} Hz; {each.why}"
+            f"{name}: {each.time:.1f} s used, {each.travel:.2g} {length} travelled, up to "
+            f"{each.speed:.2g} {length}/s and {each.acceleration:.2g} {length}/s²; low pass "
+            f"{each.cutoff:g} Hz; {each.why}"
         )
     else:
         yield f"{name}:"
@@ -421,7 +391,7 @@ def _of_joint(each: JointIdentification, is_slide: bool) -> Iterator[str]:
 
 
 def _further(each: JointIdentification, is_slide: bool) -> Iterator[str]:
-    estimates, length = each.estimates, _length(is_slide)
+    estimates = each.estimates
     sine, cosine = estimates.get(GRAVITY_SIN), estimates.get(GRAVITY_COS)
     if sine is not None and cosine is not None:
         yield (
@@ -431,7 +401,7 @@ def _further(each: JointIdentification, is_slide: bool) -> Iterator[str]:
     if STRIBECK in estimates:
         yield (
             f"Stribeck: {_plain(estimates[STRIBECK])} {unit(STRIBECK, is_slide)} more when "
-            f"creeping, gone by 1/e at {each.stribeck_speed:.2g} {length}/s"
+            f"creeping, gone by 1/e at {each.stribeck_speed:.2g} {'m' if is_slide else 'rad'}/s"
         )
     if EFFORT_SCALE in estimates:
         yield f"effort: {_plain(estimates[EFFORT_SCALE])} {unit(COULOMB, is_slide)} a unit"
@@ -451,42 +421,29 @@ def _words(name: str) -> str:
     return {GRAVITY_SIN: "gravity", OFFSET: "load", EFFORT_SCALE: "effort scale"}.get(name, name)
 
 
-def _length(is_slide: bool) -> str:
-    return "m" if is_slide else "rad"
-
-
-def _angle(value: float, is_slide: bool) -> str:
-    return f"{value:.2g} {_length(is_slide)}"
-
-
-def as_mapping(
-    found: Sequence[JointIdentification],
-    sources: Mapping[str, str],
-    slides: Sequence[str],
-    moved: Mapping[str, MovedInertia],
-) -> dict[str, Any]:
+def as_mapping(found: RobotIdentification) -> dict[str, Any]:
     """Return everything as JSON has it, by joint."""
     facts = (
         *("method", "why", "cutoff", "rows", "time", "stribeck_speed", "residual", "explained"),
         *("condition", "travel", "speed", "acceleration"),
     )
     document = {}
-    for each in found:
-        is_slide = each.joint in slides
+    for each in found.joints:
+        is_slide, moved = each.joint in found.slides, found.moved.get(each.joint)
         document[each.joint] = {
             "estimates": {
                 name: {
                     **asdict(estimate),
                     "low": estimate.low,
                     "high": estimate.high,
-                    "unit": PARAMETERS[name][int(is_slide)],
+                    "unit": unit(name, is_slide),
                 }
                 for name, estimate in each.estimates.items()
             },
-            "moved_inertia": moved[each.joint]._asdict() if each.joint in moved else None,
+            "moved_inertia": None if moved is None else moved._asdict(),
             "not_told": dict(each.untold),
             "remarks": list(each.remarks),
-            "effort": sources.get(each.joint, ""),
+            "effort": found.sources.get(each.joint, ""),
             **{name: getattr(each, name) for name in facts},
         }
     return document

@@ -109,7 +109,7 @@ class MovedInertia(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Findings:
+class RobotIdentification:
     """What came of a recording."""
 
     joints: tuple[JointIdentification, ...]  # what was found of each joint
@@ -120,7 +120,7 @@ class Findings:
     missing: tuple[str, ...] = ()
 
 
-def findings_of(
+def identify_robot(
     recording: RunSeries,
     robot: GivenRobot | None,
     method: Method | None = None,
@@ -128,7 +128,7 @@ def findings_of(
     robot_name: str = "the robot",
     bag_name: str = "the recording",
     base: BaseMotion | None = None,
-) -> Findings:
+) -> RobotIdentification:
     """Identify joints."""
     for joint in asked or ():
         if joint not in recording.joint_names:
@@ -141,7 +141,7 @@ def findings_of(
         found = _with_losses(identify(records, method=method, wanted=alone), recording)
         slides = tuple(name for name in recording.joint_names if name in recording.slides)
         every = _in_order([*found, *wheels.values()], records)
-        return Findings(every, _sources(recording), slides, missing=missing)
+        return RobotIdentification(every, _sources(recording), slides, missing=missing)
     joints = robot.description.joints
     records = [each for each in records if each.joint in joints]
     if not records:
@@ -163,7 +163,7 @@ def findings_of(
     found = _in_order([*found, *refused], records)
     slides = tuple(name for name in wanted if joints[name].is_slide)
     moved = _moved(robot, recording, found)
-    return Findings(found, _sources(recording), slides, moved, missing)
+    return RobotIdentification(found, _sources(recording), slides, moved, missing)
 
 
 def _losses(recording: RunSeries) -> Iterator[str]:

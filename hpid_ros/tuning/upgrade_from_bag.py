@@ -1,9 +1,10 @@
-"""From a recording under a PID, and the robot, to a proposal with its prediction."""
+"""From a recording under a PID, and the robot, to a proposal that is simulated."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -34,9 +35,9 @@ from hpid_ros.tuning.recorded_loops import recorded_controllers
 from hpid_ros.tuning.regression import COULOMB, DELAY, INERTIA, OFFSET, STRIBECK, VISCOUS, Estimate
 from hpid_ros.tuning.robot_identification import (
     BaseMotion,
-    Findings,
+    RobotIdentification,
     base_motion,
-    findings_of,
+    identify_robot,
     is_wheel,
     remark_on_base,
     visited_poses,
@@ -61,19 +62,17 @@ _MUCH = 0.05  # of the largest effort: a constant load that is worth a word
 
 
 @dataclass(frozen=True)
-class KnownRobot:
-    """A robot with what a recording tells of it."""
+class RobotModel:
+    """A robot with what was identified of it."""
 
     robot: GivenRobot  # with the rotors and the friction that were found
     facts: Mapping[str, JointFacts]  # delays and noise, by joint
     assumptions: Mapping[str, Sequence[str]]  # what had to be assumed, by joint, a line each
 
 
-def known_robot(
-    robot: GivenRobot,
-    found: Sequence[JointIdentification],
-    recorded: Sequence[JointSeries],
-) -> KnownRobot:
+def robot_model(
+    robot: GivenRobot, found: Sequence[JointIdentification], recorded: Sequence[JointSeries]
+) -> RobotModel:
     """Return a robot with what was found of its joints.
 
     Estimates that the data do not tell are taken, too, where they can be true at all: together
@@ -92,7 +91,7 @@ def known_robot(
         noise = position_noise(own, resolution)
         facts[each.joint] = JointFacts(_delay(each, median_period(own)), noise, resolution)
     description = amended(robot.description, amendments, {}, {})
-    return KnownRobot(
+    return RobotModel(
         replace(robot, source=description.xml, description=description),
         facts,
         {each.joint: tuple(_assumptions(each, series[each.joint])) for each in found},
@@ -120,7 +119,6 @@ def median_period(series: JointSeries) -> float:
 
 
 def _amendment(found: JointIdentification, limit: float) -> JointAmendment:
-    """Return a joint's rotor, friction and limit; what is not known stays as the robot has it."""
     rotor = _possible(found.estimates.get(INERTIA))
     return JointAmendment(
         rotor_inertia=rotor,
@@ -188,7 +186,7 @@ JUDGED = (IVC, ITAE)
 
 _LEAST_DOUBT, _DOUBT_OF_MISFIT = 0.04, 0.55
 """Of the logarithm of a ratio, and of the largest logarithm by which a simulated PID misses an
-index: what the strange plants 16 to 47 need (``python -m benchmarks.road strange``)."""
+index: what the strange plants 16 to 47 need (``python -m benchmarks.upgrades strange``)."""
 _NEAR = 0.03  # of the variation of an effort: the noise is left as it is
 _CLOSE_ENOUGH = 0.1  # of it: a noise that does not bring it as close explains nothing
 _NOISE_TRIALS = 6
@@ -197,46 +195,23 @@ _MOST_COUNTS = 0.5  # of noise: more would be seen in the position
 _MOST_TIMES = 2.0  # what the position shows
 
 
-class Question(NamedTuple):
-    """What is asked."""
+@dataclass(frozen=True)
+class UpgradeReport:
+    """What a recording under a PID led to."""
 
     bag: Path  # recorded under the PID
-    robot: GivenRobot  # the robot; its own rotors and friction do not count
-    urdf: str  # what it was named by
-    goal: str | None = None  # of GOALS
-    parameters: Path | None = None  # file of the controllers' parameters
-    payload: float = 0.0  # [kg] largest payload that inertias are certified for
-
-
-class Telling(NamedTuple):
-    """How the progress is told."""
-
-    phase: Callable[[str], None]  # is called with what begins
-    certifying: Certifying  # shows how many joints are certified
-
-
-class PidCheck(NamedTuple):
-    """One joint's PID as it ran, on the joint as it was identified."""
-
-    inertia: tuple[float, float]  # [kg m^2] least and largest along the recording
-    margins: Margins | None  # the worst of both; None where the loop is unstable on the model
-    reason: str = ""  # why there are none
-
-
-@dataclass(frozen=True)
-class Answer:
-    """Where the road led to."""
-
-    question: Question  # what was asked
-    goal: str  # the one that the proposal is for
+    urdf: str  # what the robot was named by
+    goal: str  # of GOALS: what the proposal is for
     recording: RunSeries  # what was recorded
-    findings: Findings  # what was identified of it
-    known: KnownRobot  # the robot with that
+    identification: RobotIdentification  # what was identified of it
+    model: RobotModel  # the robot with that
     loops: tuple[LoopSettings, ...]  # the controllers as they ran
-    checks: Mapping[str, PidCheck]  # what they are worth, by joint
+    # the worst margins of each PID along the recording, or why there are none
+    margins: Mapping[str, Margins | str]
     proposals: Proposals  # what is proposed instead; the PID where nothing is gained
     # the recording, its simulation, and the proposal's
     runs: tuple[RunSeries, RunSeries, RunSeries]
+    # of goals that were not asked for, by index: what they would bring, over the PID's
     others: Mapping[str, Mapping[str, float]]
     # half of the interval of the logarithm of each joint's ratios, by joint
     doubts: Mapping[str, float]
@@ -244,104 +219,120 @@ class Answer:
 
     @property
     def comparison(self) -> Comparison:
-        """The three runs side by side."""
         return Comparison(tuple(run_indices(each) for each in self.runs))
 
     @property
     def settings(self) -> tuple[LoopSettings, ...]:
-        """What is proposed for each controller."""
         return tuple(_after(self.loops, self.proposals.found))
 
     @property
     def is_kept(self) -> bool:
-        """Whether every joint keeps its PID."""
         return not _changed(self.proposals.found)
 
 
-def answer(question: Question, telling: Telling) -> Answer:
-    """Identify the robot, check the PID, propose another law and predict what it brings."""
-    telling.phase("reading the recording")
-    base = base_motion(question.bag)
-    recording, loops, warnings = _read(question, base)
-    telling.phase("identifying the joints")
-    findings = findings_of(
-        recording, question.robot, robot_name=question.urdf, bag_name=str(question.bag), base=base
+def upgrade_from_bag(
+    bag: Path,
+    robot: GivenRobot,
+    urdf: str,
+    goal: str | None = None,
+    parameters: Path | None = None,
+    payload: float = 0.0,
+    phase: Callable[[str], None] = lambda name: None,
+    certifying: Certifying = lambda count: nullcontext(lambda joints: None),
+) -> UpgradeReport:
+    """Identify the robot, check the PID, propose another law and simulate what it brings.
+
+    The robot's own rotors and friction do not count. ``parameters`` is a file of the controllers'
+    parameters, where the bag has none; ``payload`` [kg] the largest that inertias are certified
+    for. ``phase`` is called with the name of what begins.
+    """
+    phase("reading the recording")
+    base = base_motion(bag)
+    recording, loops, warnings = _read(bag, robot, goal, parameters, base)
+    phase("identifying the joints")
+    identification = identify_robot(
+        recording, robot, robot_name=urdf, bag_name=str(bag), base=base
     )
-    known = known_robot(question.robot, findings.joints, recording.joints)
-    inertias = _inertias(question, known, loops, recording.joints)
+    model = robot_model(robot, identification.joints, recording.joints)
+    inertias = _inertias(model, payload, loops, recording.joints)
     period = median_period(recording.joints[0])
-    checks = {each.joint: pid_check(each, inertias[each.joint], known, period) for each in loops}
-    has_velocities = measures_velocity(question.bag, loops[0].joint)
+    margins = {
+        each.joint: pid_margins(each, inertias[each.joint], model, period) for each in loops
+    }
+    has_velocities = measures_velocity(bag, loops[0].joint)
     if has_velocities and any(each.velocity.is_measured for each in loops):
         warnings.append(
             "velocities are those that the robot measured: they are simulated as differences of "
             "its positions, whose noise may be another"
         )
-    limits = effort_limits(question.robot.description)  # what a recording shows may be a load's
-    trial = _Trial(known, loops, recording, inertias, telling, has_velocities, limits)
-    goal = question.goal or DEFAULT_GOAL
-    proposals, predicted = trial.of(goal)
+    limits = effort_limits(robot.description)  # what a recording shows may be a load's
+    simulations = _Simulations(
+        model, loops, recording, inertias, phase, certifying, has_velocities, limits
+    )
+    wanted = goal or DEFAULT_GOAL
+    proposals, predicted = simulations.of(wanted)
     others: dict[str, dict[str, float]] = {}
-    if question.goal is None and not _changed(proposals.found):
-        others = trial.others(each for each in GOALS if each != goal)
-    return Answer(
-        question,
-        goal,
+    if goal is None and not _changed(proposals.found):
+        others = simulations.others(each for each in GOALS if each != wanted)
+    return UpgradeReport(
+        bag,
+        urdf,
+        wanted,
         recording,
-        findings,
-        trial.known,
+        identification,
+        simulations.model,
         tuple(loops),
-        checks,
+        margins,
         proposals,
-        (recording.narrowed([each.joint for each in loops]), trial.before, predicted),
+        (recording.narrowed([each.joint for each in loops]), simulations.before, predicted),
         others,
-        trial.doubts,
+        simulations.doubts,
         tuple(warnings),
     )
 
 
 def _read(
-    question: Question, base: BaseMotion | None
+    bag: Path,
+    robot: GivenRobot,
+    goal: str | None,
+    parameters: Path | None,
+    base: BaseMotion | None,
 ) -> tuple[RunSeries, list[LoopSettings], list[str]]:
     """Return the recording, the controllers that ran, and what to warn of."""
-    if question.goal is not None and question.goal not in GOALS:
-        raise SettingError(unknown_name("goal", question.goal, GOALS))
-    controllers = recorded_controllers(question.bag, question.parameters)
+    if goal is not None and goal not in GOALS:
+        raise SettingError(unknown_name("goal", goal, GOALS))
+    controllers = recorded_controllers(bag, parameters)
     recording = read_run(
-        question.bag,
+        bag,
         RECORDED,
         selection=BagSelection(separates_runs=True),  # which are no one motion
         progress=lambda share: raise_if_interrupted(),
-    )
-    robot = question.robot.description
-    recording = recording.with_slides(robot.slides)
+    ).with_slides(robot.description.slides)
     loops, warnings = [], []
     for joint, controller in controllers.items():
-        if joint not in recording.joint_names or joint not in robot.joints:
+        if joint not in recording.joint_names or joint not in robot.description.joints:
             who = "the recording" if joint not in recording.joint_names else "the robot"
             warnings.append(f"{joint} is left out: {who} does not have it")
-        elif is_wheel(joint, question.robot, base) and (
-            reason := why_not_wheel(base, is_asked_for=True)
-        ):
+        elif is_wheel(joint, robot, base) and (reason := why_not_wheel(base, is_asked_for=True)):
             warnings.append(f"{joint} is left out: {reason}")
         else:
             loops.append(controller.settings)
     if not loops:
-        raise SettingError(f"{question.bag}: no controller can be upgraded: {'; '.join(warnings)}")
+        raise SettingError(f"{bag}: no controller can be upgraded: {'; '.join(warnings)}")
     others = [f"{each.joint} (mu {each.mu:+g})" for each in loops if each.degree != 0.0]
     if others:
         raise SettingError(
-            f"{question.bag} was not recorded under a PID, but under the homogeneous law: "
+            f"{bag} was not recorded under a PID, but under the homogeneous law: "
             f"{', '.join(others)}; record one with law pid or mu 0, which is the baseline"
         )
-    missing = [each.joint for each in recording.joints if not each.has_reference]
-    missing = [each.joint for each in loops if each.joint in missing]
+    without = {each.joint for each in recording.joints if not each.has_reference}
+    missing = [each.joint for each in loops if each.joint in without]
     if missing:
         raise SettingError(
-            f"{question.bag} has no reference of {', '.join(missing)}: record joint_trajectory, "
+            f"{bag} has no reference of {', '.join(missing)}: record joint_trajectory, "
             "as bag_recorder does"
         )
-    retunes = read_retunes(question.bag)
+    retunes = read_retunes(bag)
     if retunes:
         first = retunes[0]
         warnings.append(
@@ -355,16 +346,15 @@ def _read(
 
 
 def _inertias(
-    question: Question,
-    known: KnownRobot,
+    model: RobotModel,
+    payload: float,
     loops: Sequence[LoopSettings],
     recorded: Sequence[JointSeries],
 ) -> dict[str, tuple[float, float]]:
-    start = known.robot.initial_positions
-    poses = [{**start, **pose} for pose in visited_poses(recorded)]
+    poses = [{**model.robot.initial_positions, **pose} for pose in visited_poses(recorded)]
     joints = [each.joint for each in loops]
     try:
-        return inertia_ranges(known.robot.description, joints, question.payload, poses)
+        return inertia_ranges(model.robot.description, joints, payload, poses)
     except np.linalg.LinAlgError:
         raise RobotDescriptionError(
             "the robot has a joint that moves no mass, and no rotor was found: give its links "
@@ -372,20 +362,20 @@ def _inertias(
         ) from None
 
 
-def pid_check(
-    settings: LoopSettings, inertia: tuple[float, float], known: KnownRobot, period: float
-) -> PidCheck:
-    """Return the margins of a PID on the joint as it was identified, the worst of both ends."""
-    joint = known.robot.description.joints[settings.joint]
-    delay = known.facts[settings.joint].delay if settings.joint in known.facts else 0
+def pid_margins(
+    settings: LoopSettings, inertia: tuple[float, float], model: RobotModel, period: float
+) -> Margins | str:
+    """Return the worst margins of a PID on the joint as it was identified, or why it has none."""
+    joint = settings.joint
+    damping = model.robot.description.joints[joint].damping
+    delay = model.facts[joint].delay if joint in model.facts else 0
     try:
         settings = settings.with_parameters({"control_period": period})
-        inertia = inertia_of(settings, inertia)
-        family = loop_family(settings, inertia, joint.damping, delay * period)
+        family = loop_family(settings, inertia_of(settings, inertia), damping, delay * period)
         ends = [margins_of(family.loop(each)) for each in family.inertia]
     except HpidError as error:
-        return PidCheck(inertia, None, str(error))
-    return PidCheck(inertia, min(ends, key=lambda each: each.disk))
+        return str(error)
+    return min(ends, key=lambda each: each.disk)
 
 
 def _ratio(value: float, other: float) -> float:
@@ -420,7 +410,7 @@ class _NoiseSearch(NamedTuple):
         largest = max(_MOST_COUNTS * (facts.resolution or 0.0), _MOST_TIMES * facts.noise)
         return cls(facts._replace(noise=largest / 4.0), 0.0, largest)
 
-    def told(self, value: float, target: float) -> _NoiseSearch:
+    def after(self, value: float, target: float) -> _NoiseSearch:
         """Return the next step once a simulation has said how much the effort varies."""
         tried, off = self.facts.noise, abs(value / target - 1.0)
         low, high = (tried, self.high) if value < target else (self.low, tried)
@@ -429,23 +419,24 @@ class _NoiseSearch(NamedTuple):
         return _NoiseSearch(self.facts._replace(noise=middle), low, high, best, least)
 
 
-class _Trial:
-    """Proposals for a robot, and their simulations."""
+class _Simulations:
+    """Proposals for a robot, simulated on it."""
 
     def __init__(
         self,
-        known: KnownRobot,
+        model: RobotModel,
         loops: Sequence[LoopSettings],
         recording: RunSeries,
         inertias: Mapping[str, tuple[float, float]],
-        telling: Telling,
+        phase: Callable[[str], None],
+        certifying: Certifying,
         has_velocities: bool,
         limits: Mapping[str, float],
     ) -> None:
+        self.model, self._loops, self._recording = model, loops, recording
+        self._inertias, self._limits = inertias, limits
+        self._phase, self._certifying = phase, certifying
         self._has_velocities = has_velocities
-        self.known, self._loops, self._recording = known, loops, recording
-        self._inertias, self._telling = inertias, telling
-        self._limits = limits
 
     @cached_property
     def _target(self) -> RunIndices:
@@ -487,33 +478,33 @@ class _Trial:
         aims = {each.joint: _quiet_variation(each) for each in self._recording.joints}
         was = {each.joint: _quiet_variation(each) for each in plain.joints}
         search = {
-            name: _NoiseSearch.begun(self.known.facts[name])
+            name: _NoiseSearch.begun(self.model.facts[name])
             for name in names
-            if name in self.known.facts and not abs(_ratio(was[name], aims[name]) - 1.0) <= _NEAR
+            if name in self.model.facts and not abs(_ratio(was[name], aims[name]) - 1.0) <= _NEAR
         }
-        best = plain
         for _ in range(_NOISE_TRIALS if search else 0):
             facts = {name: each.facts for name, each in search.items()}
             (run,) = self._simulated({SIMULATED: self._loops}, facts)
             for each in run.joints:
                 if each.joint in search:
-                    search[each.joint] = search[each.joint].told(
+                    search[each.joint] = search[each.joint].after(
                         _quiet_variation(each), aims[each.joint]
                     )
         found = {name: each.best for name, each in search.items() if each.best is not None}
-        if found:
-            self.known = replace(self.known, facts={**self.known.facts, **found})
-            (best,) = self._simulated({SIMULATED: self._loops})
-        return best
+        if not found:
+            return plain
+        self.model = replace(self.model, facts={**self.model.facts, **found})
+        (fitted,) = self._simulated({SIMULATED: self._loops})
+        return fitted
 
     def of(self, goal: str) -> tuple[Proposals, RunSeries]:
         """Return what is proposed for a goal, and its simulation."""
-        tell, recorded = self._telling, self._recording.joints
-        tell.phase(f"certifying degrees for the goal {goal}")
+        recorded = self._recording.joints
+        self._phase(f"certifying degrees for the goal {goal}")
         proposals = propose(
-            self._loops, self._inertias, recorded, self._limits, goal, tell.certifying
+            self._loops, self._inertias, recorded, self._limits, goal, self._certifying
         )
-        tell.phase("simulating the identified robot")
+        self._phase("simulating the identified robot")
         before = self.before  # first: it fits the noise
         (after,) = self._simulated({PREDICTED: _after(self._loops, proposals.found)})
         both = Comparison((run_indices(before), run_indices(after)))
@@ -543,14 +534,14 @@ class _Trial:
         loops: Mapping[str, Sequence[LoopSettings]],
         facts: Mapping[str, JointFacts] = MappingProxyType({}),
     ) -> list[RunSeries]:
-        robot = self.known.robot
+        robot = self.model.robot
         return simulate(
             robot.source,
             loops,
             self._recording.joints,
             robot.fixed_base,
             robot.initial_positions,
-            facts={**self.known.facts, **facts},
+            facts={**self.model.facts, **facts},
             has_velocities=self._has_velocities,
             period=median_period(self._recording.joints[0]),
             engine=_ENGINE,

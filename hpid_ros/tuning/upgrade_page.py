@@ -1,12 +1,14 @@
-"""The page of a proposal: what was found and assumed, what will change, what to try first."""
+"""What is written of an upgrade: its page, what to try first, and the comments on parameters."""
 
 from __future__ import annotations
 
 import math
 import shlex
+import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
+from hpid_ros import __version__
 from hpid_ros.base.names import controller_name
 from hpid_ros.base.units import of_slide, unit_over
 from hpid_ros.control.settings import LoopSettings
@@ -27,20 +29,22 @@ from hpid_ros.report.blocks import (
 )
 from hpid_ros.report.page import page_figures, render_page
 from hpid_ros.report.table import MARKS, format_ratio, format_values
+from hpid_ros.stability.margins import Margins
 from hpid_ros.tuning.regression import COULOMB, DELAY, INERTIA, VISCOUS
 from hpid_ros.tuning.term_selection import JointIdentification
-from hpid_ros.tuning.upgrade_from_bag import Answer, PidCheck
+from hpid_ros.tuning.upgrade import upgrade_text
+from hpid_ros.tuning.upgrade_from_bag import UpgradeReport
 from hpid_ros.tuning.upgrade_prediction import Expected, Prediction
 
 _HALF = 0.5
 
 
 def first_steps(
-    found: Answer, prediction: Prediction, files: Mapping[str, Path]
+    found: UpgradeReport, prediction: Prediction, files: Mapping[str, Path]
 ) -> list[tuple[str, Sequence[str]]]:
     """Return what to do, each in words and as lines of commands, if there are any."""
+    bag, robot = (shlex.quote(str(each)) for each in (found.bag, found.urdf))
     if not prediction.is_credible:
-        bag, robot = (shlex.quote(str(each)) for each in (found.question.bag, found.question.urdf))
         return [
             (
                 "See which joint's efforts the model does not explain.",
@@ -53,14 +57,19 @@ def first_steps(
         return [
             ("Nothing needs to be tried: keep what you have.", ()),
             *(
-                (f"To see what the goal {goal} proposes, ask for it.", (_again(found, goal),))
+                (
+                    f"To see what the goal {goal} proposes, ask for it.",
+                    (f"hpid upgrade {bag} --urdf {robot} --goal {goal}",),
+                )
                 for goal in found.others
             ),
         ]
-    first = min(changed, key=lambda each: _benefit(each.joint, prediction))
+    first = min(
+        changed,
+        key=lambda each: sum(prediction.joints[each.joint][x.key].ratio for x in (IVC, ITAE)),
+    )
     parameters = shlex.quote(str(files["parameters"]))
     prediction_file = shlex.quote(str(files["prediction"]))
-    bag = shlex.quote(str(found.question.bag))
     return [
         (
             "Start the controllers from the new file with the motors off; where your own file "
@@ -70,7 +79,7 @@ def first_steps(
         (
             f"Begin with {first.joint}, which has most to gain, and with half of its degree; the "
             "others get mu 0, which is the PID that you know. Then switch the motors on.",
-            [_half(each, each is first) for each in changed],
+            [_set(each, _HALF * each.mu if each is first else 0.0) for each in changed],
         ),
         (
             "Move as the robot is going to work. If all is well, give it the whole degree, and "
@@ -91,23 +100,9 @@ def first_steps(
     ]
 
 
-def _benefit(joint: str, prediction: Prediction) -> float:
-    known = prediction.joints[joint]
-    return known[IVC.key].ratio + known[ITAE.key].ratio
-
-
-def _half(settings: LoopSettings, is_first: bool) -> str:
-    return _set(settings, _HALF * settings.mu if is_first else 0.0)
-
-
 def _set(settings: LoopSettings, degree: float) -> str:
     node = shlex.quote(f"/{controller_name(settings.joint)}")
     return f"ros2 param set {node} mu {round(degree, 3)!r}"
-
-
-def _again(found: Answer, goal: str) -> str:
-    bag, robot = (shlex.quote(str(each)) for each in (found.question.bag, found.question.urdf))
-    return f"hpid upgrade {bag} --urdf {robot} --goal {goal}"
 
 
 _DOUBTFUL = 0.1  # of an index, by which a simulated PID may miss the recorded one
@@ -124,7 +119,7 @@ ASSUMED = (
 """What every prediction stands on."""
 
 
-def render(found: Answer, prediction: Prediction, files: Mapping[str, Path]) -> str:
+def render(found: UpgradeReport, prediction: Prediction, files: Mapping[str, Path]) -> str:
     """Return the page as the text of an HTML file."""
     comparison = found.comparison
     labels = [run.label for run in comparison.runs]
@@ -140,7 +135,7 @@ def render(found: Answer, prediction: Prediction, files: Mapping[str, Path]) -> 
         "Provenance": [Properties.of("Provenance", _provenance(found, files))],
     }
     return render_page(
-        f"{found.question.bag.name}: from a PID to a homogeneous PID",
+        f"{found.bag.name}: from a PID to a homogeneous PID",
         summary(found, prediction),
         doubts(found, prediction),
         [expectations(prediction)],
@@ -150,8 +145,8 @@ def render(found: Answer, prediction: Prediction, files: Mapping[str, Path]) -> 
     )
 
 
-def summary(found: Answer, prediction: Prediction) -> str:
-    """Return what came of the road in a sentence or two."""
+def summary(found: UpgradeReport, prediction: Prediction) -> str:
+    """Return what came of it in a sentence or two."""
     if not prediction.is_credible:
         return (
             "Nothing is proposed: the simulation of your PID is far from what was recorded, so "
@@ -161,15 +156,15 @@ def summary(found: Answer, prediction: Prediction) -> str:
     if found.is_kept:
         text = f"Keep your PID: the goal {found.goal} gains nothing on this robot."
         for goal, ratios in found.others.items():
-            told = " and ".join(_change(each, ratios[each.key]) for each in (IVC, ITAE))
-            text += f" The goal {goal} would bring {told}."
+            changes = " and ".join(_change(each, ratios[each.key]) for each in (IVC, ITAE))
+            text += f" The goal {goal} would bring {changes}."
         return text
     laws = [each.law == "hpid" for each in found.settings]
     which = "all joints" if all(laws) else f"{sum(laws)} of {len(laws)} joints"
-    told = " and ".join(_expected(each, prediction.total(each.key)) for each in (IVC, ITAE))
+    expected = " and ".join(_expected(each, prediction.total(each.key)) for each in (IVC, ITAE))
     return (
         f"A homogeneous PID with your gains for {which}, goal {found.goal}: expected over all "
-        f"joints {told}."
+        f"joints {expected}."
     )
 
 
@@ -189,18 +184,15 @@ def _expected(index: Quantity, expected: Expected) -> str:
     return f"{_change(index, expected.ratio)} ({ends[0]:+.0f} to {ends[1]:+.0f} %)"
 
 
-def doubts(found: Answer, prediction: Prediction) -> list[str]:
+def doubts(found: UpgradeReport, prediction: Prediction) -> list[str]:
     """Return what the prediction must be read with, one line each."""
     lines = list(found.warnings)
-    for joint, error in found.proposals.failures.items():
-        lines.append(f"{joint} is not upgraded: {error}")
-    for joint, check in found.checks.items():
-        if check.margins is None:
-            lines.append(
-                f"{joint}: your PID has no margins on the identified joint: {check.reason}"
-            )
-        elif check.margins.phase < _THIN_PHASE:
-            degrees = math.degrees(check.margins.phase)
+    lines += [f"{name} is not upgraded: {why}" for name, why in found.proposals.failures.items()]
+    for joint, margins in found.margins.items():
+        if isinstance(margins, str):
+            lines.append(f"{joint}: your PID has no margins on the identified joint: {margins}")
+        elif margins.phase < _THIN_PHASE:
+            degrees = math.degrees(margins.phase)
             lines.append(f"{joint}: your PID has a phase margin of only {degrees:.0f} degrees")
     for index in (IVC, ITAE):
         total = prediction.total(index.key)
@@ -219,15 +211,16 @@ def expectations(prediction: Prediction) -> IndexTable:
     """Return what was measured and what is expected, joint by joint."""
     joints = list(prediction.joints)
     slides = [name in prediction.slides for name in joints]
-    rows: list[IndexRow] = []
     columns = [
         _cells(
             [*(prediction.joints[name][index.key] for name in joints), prediction.total(index.key)]
         )
         for index in INDICES
     ]
-    for k, name in enumerate([*joints, "all: sum"]):
-        rows.append(IndexRow(name, [column[k] for column in columns]))
+    rows = [
+        IndexRow(name, [column[k] for column in columns])
+        for k, name in enumerate([*joints, "all: sum"])
+    ]
     return IndexTable(
         "What is expected of each joint",
         "joint",
@@ -251,12 +244,12 @@ def _ratio(value: float) -> Cell:
     return Cell(format_ratio(value), MARKS[found], found)
 
 
-def _found(found: Answer, prediction: Prediction) -> Iterator[Block]:
+def _found(found: UpgradeReport, prediction: Prediction) -> Iterator[Block]:
     yield Heading("The joints")
     yield PlainTable(
         "What was identified",
         _identified_headings(found),
-        [_identified(each, found) for each in found.findings.joints],
+        [_identified(each, found) for each in found.identification.joints],
     )
     yield Paragraph(
         "± is half of the 95 % interval; in brackets: not told by the recording. Rotor: reflected "
@@ -277,7 +270,7 @@ def _found(found: Answer, prediction: Prediction) -> Iterator[Block]:
             "delay margin [ms]",
             "Ms",
         ),
-        [_checked(each, found.checks[each.joint]) for each in found.loops],
+        [_checked(each, found.margins[each.joint]) for each in found.loops],
     )
     yield Paragraph(
         "Margins of the sampled loop with the delay and friction that were found, the worst of "
@@ -304,8 +297,8 @@ def _found(found: Answer, prediction: Prediction) -> Iterator[Block]:
     )
 
 
-def _identified_headings(found: Answer) -> tuple[str, ...]:
-    slides = [each.joint in found.findings.slides for each in found.findings.joints]
+def _identified_headings(found: UpgradeReport) -> tuple[str, ...]:
+    slides = [each.joint in found.identification.slides for each in found.identification.joints]
     inertia, friction, effort, angle = (
         unit_over(each, slides).replace("^2", "²")
         for each in ("kg m^2", "N m s/rad", "N m", "rad")
@@ -322,9 +315,9 @@ def _identified_headings(found: Answer) -> tuple[str, ...]:
     )
 
 
-def _identified(each: JointIdentification, found: Answer) -> list[str]:
-    moved = found.findings.moved.get(each.joint)
-    facts = found.known.facts.get(each.joint)
+def _identified(each: JointIdentification, found: UpgradeReport) -> list[str]:
+    moved = found.identification.moved.get(each.joint)
+    facts = found.model.facts.get(each.joint)
     return [
         each.joint,
         _estimate(each, INERTIA),
@@ -345,11 +338,10 @@ def _estimate(found: JointIdentification, name: str, factor: float = 1.0) -> str
     return text if estimate.is_told else f"({text})"
 
 
-def _checked(settings: LoopSettings, check: PidCheck) -> list[str]:
+def _checked(settings: LoopSettings, margins: Margins | str) -> list[str]:
     gains = [f"{value:.4g}" for value in (settings.gains.p, settings.gains.i, settings.gains.d)]
-    if check.margins is None:
+    if isinstance(margins, str):
         return [settings.joint, *gains, *["unstable"] * 4]
-    margins = check.margins
     return [
         settings.joint,
         *gains,
@@ -360,9 +352,9 @@ def _checked(settings: LoopSettings, check: PidCheck) -> list[str]:
     ]
 
 
-def _assumed(found: Answer) -> Iterator[Block]:
+def _assumed(found: UpgradeReport) -> Iterator[Block]:
     yield from (Paragraph(text) for text in ASSUMED)
-    rows = [(joint, line) for joint, lines in found.known.assumptions.items() for line in lines]
+    rows = [(joint, line) for joint, lines in found.model.assumptions.items() for line in lines]
     if rows:
         yield Heading("What the recording did not tell")
         yield PlainTable(
@@ -370,7 +362,7 @@ def _assumed(found: Answer) -> Iterator[Block]:
         )
 
 
-def _changes(found: Answer) -> Iterator[Block]:
+def _changes(found: UpgradeReport) -> Iterator[Block]:
     before = {each.joint: each.to_parameters() for each in found.loops}
     rows = []
     for joint, each in found.proposals.found.items():
@@ -378,7 +370,7 @@ def _changes(found: Answer) -> Iterator[Block]:
             was = before[joint][name]
             if _text(was) != _text(value):
                 reason = each.reasons.get(name, "")
-                reason = of_slide(reason) if joint in found.findings.slides else reason
+                reason = of_slide(reason) if joint in found.identification.slides else reason
                 rows.append((joint, name, _text(was), _text(value), reason))
     yield PlainTable(
         "What will change", ("joint", "parameter", "was", "becomes", "why"), rows, is_prose=True
@@ -390,7 +382,7 @@ def _changes(found: Answer) -> Iterator[Block]:
     ]
     if kept:
         yield Heading("What stays")
-        yield _prose("What stays", ("joint", "why"), kept)
+        yield PlainTable("What stays", ("joint", "why"), kept, is_prose=True)
     if found.others:
         yield Heading("What other goals would bring")
         yield PlainTable(
@@ -404,23 +396,37 @@ def _changes(found: Answer) -> Iterator[Block]:
     yield Paragraph("Gains, limits and everything that is not named stay as they were.")
 
 
-def _prose(name: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> PlainTable:
-    return PlainTable(name, columns, rows, is_prose=True)
-
-
 def _text(value: object) -> str:
     return f"{value:.5g}" if isinstance(value, float) else str(value)
 
 
-def _provenance(found: Answer, files: Mapping[str, Path]) -> dict[str, object]:
-    from hpid_ros import __version__
-
+def _provenance(found: UpgradeReport, files: Mapping[str, Path]) -> dict[str, object]:
     run = found.recording
     return {
         "hpid_ros": __version__,
-        "recording": str(found.question.bag),
+        "recording": str(found.bag),
         "length": f"{run.duration:.4g} s",
-        "robot": found.question.urdf,
+        "robot": found.urdf,
         "goal": found.goal,
         **{name: path.name for name, path in files.items()},
     }
+
+
+def parameter_text(found: UpgradeReport, prediction: Prediction) -> str:
+    """Return the parameter file of what is proposed, with what to know of each joint."""
+    header = [
+        f"From {found.bag}, goal {found.goal}.",
+        *textwrap.wrap(summary(found, prediction), 96),
+        "ros2 run hpid_ros joint_controllers --ros-args --params-file THIS_FILE",
+    ]
+    proposed, failures = found.proposals
+    notes = {}
+    for joint, error in failures.items():
+        notes[joint] = [f"NOT upgraded: {error}."]
+    for joint, each in proposed.items():
+        expected = ((q.symbol, prediction.joints[joint][q.key]) for q in INDICES)
+        ratios = (f"{name} {x.ratio:.3f} ({x.low:.2f} to {x.high:.2f})" for name, x in expected)
+        line = f"Expected over the PID: {', '.join(ratios)}."
+        notes[joint] = [*each.remarks, *found.model.assumptions.get(joint, ()), line]
+    written = [proposed.get(each.joint, each) for each in found.loops]
+    return upgrade_text(written, header, notes, frozenset(found.identification.slides))

@@ -15,9 +15,8 @@ from hpid_ros.messages.selection import BagSelection
 from hpid_ros.metrics.comparison import Comparison, mismatches
 from hpid_ros.metrics.measure import Measured, Measuring, Source, measure_all
 from hpid_ros.metrics.quantities import INDICES, Quantity
-from hpid_ros.metrics.results import RunIndices
 from hpid_ros.tuning.recorded_loops import recorded_controllers
-from hpid_ros.tuning.upgrade_from_bag import JUDGED, PREDICTED, RECORDED, SIMULATED, Answer
+from hpid_ros.tuning.upgrade_from_bag import JUDGED, PREDICTED, RECORDED, SIMULATED, UpgradeReport
 
 KIND = "hpid_ros/prediction"
 """What a file of this kind says it is."""
@@ -38,17 +37,14 @@ class Expected(NamedTuple):
 
     @property
     def after(self) -> float:
-        """What is expected to be measured."""
         return self.before * self.ratio
 
     @property
     def low(self) -> float:
-        """Lower end of the ratio's interval."""
         return self.ratio * math.exp(-self.doubt)
 
     @property
     def high(self) -> float:
-        """Upper end of it."""
         return self.ratio * math.exp(self.doubt)
 
     @property
@@ -108,36 +104,26 @@ class Prediction:
         return json.dumps(document, indent=2) + "\n"
 
 
-def prediction_of(found: Answer) -> Prediction:
-    """Return what an answer predicts of the joints that it is about."""
-    recorded, simulated, proposed = (
-        found.comparison.run(label) for label in (RECORDED, SIMULATED, PREDICTED)
-    )
-    names = [each.joint for each in found.loops]
+def prediction_of(found: UpgradeReport) -> Prediction:
+    """Return what is predicted of the joints that were upgraded."""
+    comparison = found.comparison
+    runs = [comparison.run(label) for label in (RECORDED, SIMULATED, PREDICTED)]
+    joints: dict[str, dict[str, Expected]] = {}
+    for each in found.loops:
+        joints[each.joint] = {}
+        for index in INDICES:
+            before, model, after = (run.value(index, each.joint) for run in runs)
+            joints[each.joint][index.key] = Expected(
+                before, _over(after, model), _over(model, before), found.doubts[each.joint]
+            )
+    slides = found.model.robot.description.slides
     return Prediction(
-        found.question.bag.name,
+        found.bag.name,
         found.goal,
-        {
-            name: _expected(name, recorded, simulated, proposed, found.doubts[name])
-            for name in names
-        },
+        joints,
         {each.joint: dict(each.to_parameters()) for each in found.settings},
-        tuple(name for name in names if name in found.question.robot.description.slides),
+        tuple(name for name in joints if name in slides),
     )
-
-
-def _expected(
-    joint: str,
-    recorded: RunIndices,
-    simulated: RunIndices,
-    proposed: RunIndices,
-    doubt: float,
-) -> dict[str, Expected]:
-    values = {}
-    for index in INDICES:
-        before, model, after = (run.value(index, joint) for run in (recorded, simulated, proposed))
-        values[index.key] = Expected(before, _over(after, model), _over(model, before), doubt)
-    return values
 
 
 def _over(value: float, other: float) -> float:
@@ -151,7 +137,7 @@ def read_prediction(path: Path) -> Prediction:
     except OSError as error:
         reason = (error.strerror or str(error)).lower()
         raise SettingError(
-            f"cannot read the prediction {path}: {reason}; hpid upgrade BAG writes it beside the "
+            f"cannot read the prediction {path}: {reason}; hpid upgrade BAG writes it with the "
             "parameter file, --prediction names it"
         ) from None
     except (ValueError, RecursionError):
@@ -200,7 +186,6 @@ class Held(NamedTuple):
 
     @property
     def is_held(self) -> bool:
-        """Whether that is little."""
         return abs(self.off) <= HOLDS_WITHIN
 
 
@@ -231,25 +216,17 @@ def verify(prediction: Prediction, before: Path, after: Path) -> Verification:
         why = "; ".join(mismatches(runs)) or "an effort or a reference is missing"
         raise SettingError(f"{before} and {after} cannot be compared: {why}")
     others, warnings = _ran(prediction, after)
+
+    def held(index: Quantity, joint: str | None = None) -> Held:
+        known = prediction.joints[joint][index.key] if joint else prediction.total(index.key)
+        return Held(known.ratio, comparison.ratio(_AFTER, index, joint))
+
     return Verification(
-        {
-            name: {each.key: _held(prediction, comparison, each, name) for each in INDICES}
-            for name in joints
-        },
-        {each.key: _held(prediction, comparison, each, None) for each in INDICES},
+        {name: {each.key: held(each, name) for each in INDICES} for name in joints},
+        {each.key: held(each) for each in INDICES},
         (*_warnings(prediction, comparison, measured), *warnings),
         others,
     )
-
-
-def _held(
-    prediction: Prediction, comparison: Comparison, index: Quantity, joint: str | None
-) -> Held:
-    if joint is None:
-        expected = prediction.total(index.key)
-    else:
-        expected = prediction.joints[joint][index.key]
-    return Held(expected.ratio, comparison.ratio(_AFTER, index, joint))
 
 
 def _warnings(
@@ -282,14 +259,14 @@ def _ran(prediction: Prediction, after: Path) -> tuple[tuple[str, ...], tuple[st
         unlike = [
             f"{name} {ran.get(name)!r} for {value!r}"
             for name, value in proposed.items()
-            if name in _TOLD and not _is_same(ran.get(name), value)
+            if name in _CHECKED and not _is_same(ran.get(name), value)
         ]
         if unlike:
             others.append(f"{joint} did not run what was proposed: {', '.join(unlike)}")
     return tuple(others), ()
 
 
-_TOLD = ("law", "gains.p", "gains.i", "gains.d", "mu", "norm.type", "norm.effort_scale")
+_CHECKED = ("law", "gains.p", "gains.i", "gains.d", "mu", "norm.type", "norm.effort_scale")
 
 
 def _is_same(ran: object, proposed: object) -> bool:

@@ -76,7 +76,7 @@ def experiment(folder, name, controllers, seed):
 @pytest.fixture(scope="module")
 def place(tmp_path_factory):
     """Return a folder with a robot and its recording under a PID."""
-    folder = tmp_path_factory.mktemp("road")
+    folder = tmp_path_factory.mktemp("upgrade")
     pid = {name: {"law": "pid", "gains": gains} for name, gains in GAINS.items()}
     run_without_ros(experiment(folder, "pid", pid, 1), "one", folder / "before", NoProgress())
     return folder

@@ -9,18 +9,28 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hpid_ros.base.errors import SettingError
-from hpid_ros.base.files import refuse_outputs, write_file
+from hpid_ros.base.files import find_resource, refuse_outputs
 from hpid_ros.cli.commands import DONE, FAILED
-from hpid_ros.cli.options import add_joints, add_time, add_topics, bag_selection, load_robot
+from hpid_ros.cli.options import (
+    add_joints,
+    add_time,
+    add_topics,
+    bag_selection,
+    load_robot,
+    write_output,
+)
 
 if TYPE_CHECKING:
     from hpid_ros.robot.description import GivenRobot
-    from hpid_ros.tuning.identification_report import Origin
-    from hpid_ros.tuning.robot_identification import Findings
+    from hpid_ros.tuning.robot_identification import RobotIdentification
 
 
 _FORMATS = (".png", ".pdf", ".svg")
 _LABEL = "recording"
+_HEADER = (
+    "An experiment says extends: and this file's name, or has these lines; check-gains and",
+    "upgrade take it as --inertia and, where it names a robot, as --urdf.",
+)
 
 
 def add(commands: Any) -> None:
@@ -82,20 +92,6 @@ def run(options: argparse.Namespace) -> int:
     from hpid_ros.cli.terminal import output_console
     from hpid_ros.tuning.identification_report import report
 
-    _check(options)
-    robot = load_robot(options.urdf) if options.urdf else None
-    found = _found(options, robot)
-    console = output_console()
-    parts = report(found.joints, found.sources, found.slides, found.moved, found.missing)
-    for part in parts:
-        console.print(part, soft_wrap=isinstance(part, str), highlight=False, markup=False)
-    for path in _written(options, robot, found):
-        console.print(f"written: {path}", markup=False, soft_wrap=True, highlight=False)
-    return DONE if any(each.is_found for each in found.joints) else FAILED
-
-
-def _check(options: argparse.Namespace) -> None:
-    """Refuse what cannot be, before anything is read."""
     if options.effort_unit == "any" and not options.urdf:
         raise SettingError("--effort-unit any needs --urdf, whose masses fix the unit")
     if options.plot is not None and options.plot.suffix.lower() not in _FORMATS:
@@ -103,17 +99,27 @@ def _check(options: argparse.Namespace) -> None:
     inputs = [options.bag, *([Path(options.urdf)] if options.urdf else [])]
     outputs = [("-o", options.output), ("--json", options.json), ("--plot", options.plot)]
     refuse_outputs(outputs, force=options.force, inputs=inputs)
+    robot = load_robot(options.urdf) if options.urdf else None
+    found = _identified(options, robot)
+    contents = _contents(options, robot, found)
+    console = output_console()
+    for part in report(found):
+        console.print(part, soft_wrap=isinstance(part, str), highlight=False, markup=False)
+    for path, content in contents.items():
+        write_output(path, content)
+        console.print(f"written: {path}", markup=False, soft_wrap=True, highlight=False)
+    return DONE if any(each.is_found for each in found.joints) else FAILED
 
 
-def _found(options: argparse.Namespace, robot: GivenRobot | None) -> Findings:
+def _identified(options: argparse.Namespace, robot: GivenRobot | None) -> RobotIdentification:
     from hpid_ros.base.processes import raise_if_interrupted
     from hpid_ros.messages.run import read_run
     from hpid_ros.metrics.measure import sliding_joints
     from hpid_ros.tuning.identify import Method
-    from hpid_ros.tuning.robot_identification import base_motion, findings_of
+    from hpid_ros.tuning.robot_identification import base_motion, identify_robot
 
     method = Method(options.cutoff, options.longest_delay, options.effort_unit == "any")
-    # Other joints' motion counts where the robot is known, whoever is asked for.
+    # Other joints' motion counts where the robot is known, whichever are asked for.
     asked = options.joint or None
     selection = bag_selection(options, None if robot else asked, separates_runs=True)
     recording = read_run(
@@ -123,23 +129,31 @@ def _found(options: argparse.Namespace, robot: GivenRobot | None) -> Findings:
         sliding_joints(options.bag, None, selection.namespace).slides
     )
     base = base_motion(options.bag, selection.namespace or "")
-    return findings_of(recording, robot, method, asked, str(options.urdf), str(options.bag), base)
+    return identify_robot(
+        recording, robot, method, asked, str(options.urdf), str(options.bag), base
+    )
 
 
-def _written(options: argparse.Namespace, robot: GivenRobot | None, found: Findings) -> list[Path]:
-    """Write what was asked for, and return it."""
-    from hpid_ros.tuning.identification_report import as_mapping
+def _contents(
+    options: argparse.Namespace, robot: GivenRobot | None, found: RobotIdentification
+) -> dict[Path, str | bytes]:
+    """Return the contents of the files that are asked for."""
+    from hpid_ros.tuning.identification_report import as_mapping, experiment_text
 
     contents: dict[Path, str | bytes] = {}
     if options.output is not None:
-        contents[options.output] = _yaml(options, robot, found)
+        header = [f"Identified from {options.bag.name}."]
+        header += [f"Not whole: {each}." for each in found.missing]
+        header += _HEADER
+        joints = {} if robot is None else robot.description.joints
+        ratios = {name: joint.gear_ratio for name, joint in joints.items()}
+        contents[options.output] = experiment_text(found, ratios, _origin(options), header)
     if options.json is not None:
-        joints = as_mapping(found.joints, found.sources, found.slides, found.moved)
         document = {
             "bag": str(options.bag),
             "urdf": options.urdf,
             "missing": list(found.missing),
-            "joints": joints,
+            "joints": as_mapping(found),
         }
         contents[options.json] = json.dumps(document, indent=2) + "\n"
     if options.plot is not None:
@@ -147,46 +161,18 @@ def _written(options: argparse.Namespace, robot: GivenRobot | None, found: Findi
 
         form = options.plot.suffix.lower()[1:]
         contents[options.plot] = saved(identification_figure(found.joints, found.slides), form)
-    for path, content in contents.items():
-        try:
-            write_file(path, content)
-        except OSError as error:
-            reason = (error.strerror or str(error)).lower()
-            raise SettingError(f"cannot write {path}: {reason}") from None
-    return list(contents)
+    return contents
 
 
-def _yaml(options: argparse.Namespace, robot: GivenRobot | None, found: Findings) -> str:
-    from hpid_ros.tuning.identification_report import experiment_text
-
-    header = [
-        f"Identified from {options.bag.name}.",
-        *(f"Not whole: {each}." for each in found.missing),
-        "An experiment says extends: and this file's name, or has these lines; check-gains and",
-        "upgrade take it as --inertia and, where it names a robot, as --urdf.",
-    ]
-    return experiment_text(
-        found.joints, found.moved, found.slides, _ratios(robot), _origin(options, robot), header
-    )
-
-
-def _ratios(robot: GivenRobot | None) -> dict[str, float]:
-    joints = {} if robot is None else robot.description.joints
-    return {name: joint.gear_ratio for name, joint in joints.items()}
-
-
-def _origin(options: argparse.Namespace, robot: GivenRobot | None) -> Origin | None:
-    from hpid_ros.base.files import find_resource
-    from hpid_ros.tuning.identification_report import Origin
-
-    if robot is None:
+def _origin(options: argparse.Namespace) -> tuple[str, str] | None:
+    """Return the key that names the robot, and its file as the written file names it."""
+    if not options.urdf:
         return None
     file = find_resource(options.urdf)
     key = "extends" if file.suffix in (".yaml", ".yml") else "description"
     if options.urdf.startswith("package://"):
-        return Origin(key, options.urdf)
+        return key, options.urdf
     try:
-        name = os.path.relpath(file.resolve(), options.output.resolve().parent)
+        return key, os.path.relpath(file.resolve(), options.output.resolve().parent)
     except ValueError:  # on another drive
-        name = str(file.resolve())
-    return Origin(key, name)
+        return key, str(file.resolve())

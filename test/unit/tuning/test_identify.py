@@ -13,9 +13,10 @@ from benchmarks.strange_plants import Motion as MovingPlant
 from hpid_ros.base.errors import SettingError
 from hpid_ros.control import JointLoop, LoopSettings
 from hpid_ros.motion.generators import minimum_jerk
-from hpid_ros.tuning.identification_report import Origin, as_mapping, experiment_text, report
+from hpid_ros.tuning.identification_report import as_mapping, experiment_text, report
 from hpid_ros.tuning.identify import Method, identify
 from hpid_ros.tuning.joint_record import JointRecord
+from hpid_ros.tuning.robot_identification import RobotIdentification
 
 PID = {
     **{"joint": "arm", "law": "pid", "u_clamp_max": 21.0, "u_clamp_min": -21.0},
@@ -204,16 +205,16 @@ def test_what_stands_on_a_doubted_scale_is_in_brackets_and_in_no_file():
 
     (right,), (doubted,) = found(one, rigid_body=link), found(weak, rigid_body=link)
     for result, is_told in ((right, True), (doubted, False)):
+        whole = RobotIdentification((result,), {})
         console = Console(width=120, file=StringIO())
-        for part in report([result], {}, (), {}):
+        for part in report(whole):
             console.print(part, markup=False)
         row = next(line for line in console.file.getvalue().splitlines() if "%" in line)
         assert row.count("(") == (0 if is_told else 4)  # rotor, viscous, Coulomb, load
-        origin = Origin("description", "robot.urdf")
-        text = experiment_text([result], {}, (), {}, origin, ())
+        text = experiment_text(whole, {}, ("description", "robot.urdf"), ())
         assert ("      friction: " in text) == is_told
         assert ("efforts' scale, which is doubted" in text) != is_told
-        document = as_mapping([result], {}, (), {})["joint"]
+        document = as_mapping(whole)["joint"]
         assert bool(document["estimates"]["inertia"]["reason"]) != is_told
         assert ("coulomb" in document["not_told"]) != is_told
 

@@ -5,7 +5,7 @@ import pytest
 from harness.motions import Plant, motion, needed
 
 from hpid_ros.messages.series import DataQuality, JointSeries, RecordingQuality, RunSeries
-from hpid_ros.tuning.robot_identification import findings_of
+from hpid_ros.tuning.robot_identification import identify_robot
 
 TIMES = np.arange(0.0, 8.0, 2e-3)
 PLANT = Plant(delay=0.0)
@@ -20,7 +20,7 @@ def found(states=slice(None), commands=slice(None), effort=None, source="/joint_
         *("arm", stamps[states], position[states], nobody, stamps[commands], effort[commands])
     )
     quality = RecordingQuality(joints={"arm": DataQuality(effort=source)})
-    return findings_of(RunSeries("run", (own,), quality=quality), None)
+    return identify_robot(RunSeries("run", (own,), quality=quality), None)
 
 
 def kept(share):

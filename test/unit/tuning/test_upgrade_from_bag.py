@@ -9,7 +9,7 @@ from hpid_ros.robot.description import GivenRobot, RobotDescription
 from hpid_ros.tuning.loop_simulation import JointFacts
 from hpid_ros.tuning.regression import Estimate
 from hpid_ros.tuning.term_selection import JointIdentification
-from hpid_ros.tuning.upgrade_from_bag import _NoiseSearch, known_robot, pid_check, position_noise
+from hpid_ros.tuning.upgrade_from_bag import _NoiseSearch, pid_margins, position_noise, robot_model
 
 PERIOD = 2e-3
 TIMES = np.arange(0.0, 8.0, PERIOD)
@@ -27,7 +27,7 @@ def series(position, effort=1.0):
 
 def known(found):
     description = RobotDescription.load(URDF)
-    return known_robot(GivenRobot(URDF, description), [found], [series(0.4 * np.sin(3.0 * TIMES))])
+    return robot_model(GivenRobot(URDF, description), [found], [series(0.4 * np.sin(3.0 * TIMES))])
 
 
 def estimates(**values):
@@ -93,26 +93,26 @@ def test_a_pid_is_checked_at_the_rate_at_which_it_ran():
     robot = known(JointIdentification("a", estimates(inertia=0.05, delay=2.0 * PERIOD)))
     pid = {"joint": "a", "law": "pid", "gains.p": 4.0, "gains.i": 1.0, "gains.d": 0.8}
     unsaid, said = (
-        pid_check(LoopSettings.from_parameters({**pid, **more}), (0.1, 0.1), robot, 0.02)
+        pid_margins(LoopSettings.from_parameters({**pid, **more}), (0.1, 0.1), robot, 0.02)
         for more in ({}, {"control_period": 0.02})
     )
     assert unsaid == said
-    fast = pid_check(LoopSettings.from_parameters(pid), (0.1, 0.1), robot, 0.001)
-    assert said.margins.phase < 0.9 * fast.margins.phase
+    fast = pid_margins(LoopSettings.from_parameters(pid), (0.1, 0.1), robot, 0.001)
+    assert said.phase < 0.9 * fast.phase
 
 
 @pytest.mark.parametrize("noise", [0.02, 0.1, 0.4])
 def test_noise_below_a_count_is_found_by_how_the_effort_varies(noise):
     search = _NoiseSearch.begun(JointFacts(0, 0.0, 1.0))
     for _ in range(8):
-        search = search.told(3.0 + search.facts.noise, 3.0 + noise)
+        search = search.after(3.0 + search.facts.noise, 3.0 + noise)
     assert search.best.noise == pytest.approx(noise, rel=0.1)
 
 
 def test_noise_that_explains_nothing_is_not_taken():
     search = _NoiseSearch.begun(JointFacts(0, 0.0, 1.0))
     for _ in range(8):
-        search = search.told(1.0, 3.0)
+        search = search.after(1.0, 3.0)
     assert search.best is None
 
 

@@ -1,9 +1,9 @@
-"""Whether predictions of ``hpid upgrade BAG`` come true: ``python -m benchmarks.road``.
+"""Whether predictions of ``hpid upgrade BAG`` come true: ``python -m benchmarks.upgrades``.
 
 Draws robots from those of the example experiments: masses and inertias of every link, rotors,
 friction, delay, encoder noise, the gains of a PID placed by a bandwidth that is drawn, too, a
 motion through random places, smooth or in steps, and the goal. Records a run under the PID in
-process, takes the road from that bag and a URDF without rotors and friction, records what was
+process, upgrades that bag and a URDF without rotors and friction, records what was
 proposed on the drawn robot with other noise, and prints what was predicted beside what was
 measured, in Markdown. ``strange`` instead of a robot draws from :mod:`benchmarks.strange_plants`,
 of which the package's simulators know nothing.
@@ -15,7 +15,6 @@ import argparse
 import sys
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -42,7 +41,7 @@ from hpid_ros.robot.amendments import JointAmendment, amended
 from hpid_ros.robot.description import GivenRobot, RobotDescription
 from hpid_ros.robot.dynamics import Dynamics
 from hpid_ros.tuning.upgrade import GOALS
-from hpid_ros.tuning.upgrade_from_bag import Answer, Question, Telling, answer
+from hpid_ros.tuning.upgrade_from_bag import UpgradeReport, upgrade_from_bag
 from hpid_ros.tuning.upgrade_prediction import (
     HOLDS_WITHIN,
     Prediction,
@@ -98,7 +97,7 @@ class Drawn(NamedTuple):
 
 
 class Travelled(NamedTuple):
-    """The road of one robot.
+    """The upgrade of one robot.
 
     Attributes:
         motion: Its kind.
@@ -108,14 +107,14 @@ class Travelled(NamedTuple):
     """
 
     motion: str
-    found: Answer
+    found: UpgradeReport
     prediction: Prediction
     verification: Verification
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Print the table."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.road", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.upgrades", description=__doc__)
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.add_argument(
         "robots", nargs="*", default=ROBOTS, metavar="ROBOT", help="(all but strange)"
@@ -181,7 +180,7 @@ def _row(robot: str, seed: int, travelled: Travelled) -> str:
 
 
 def travel(drawn: Drawn, seed: int, goal: str | None = None) -> Travelled:
-    """Record a robot, take the road, and record what was proposed.
+    """Record a robot, upgrade it, and record what was proposed.
 
     Args:
         drawn: The robot.
@@ -191,11 +190,10 @@ def travel(drawn: Drawn, seed: int, goal: str | None = None) -> Travelled:
     with tempfile.TemporaryDirectory() as folder:
         before, after = Path(folder) / "before", Path(folder) / "after"
         drawn.record(drawn.controllers, before, seed)
-        telling = Telling(lambda phase: None, lambda count: nullcontext(lambda joints: None))
         goal = goal or drawn.goal
-        found = answer(Question(before, drawn.given, "drawn.urdf", goal), telling)
+        found = upgrade_from_bag(before, drawn.given, "drawn.urdf", goal)
         if found.is_kept and goal == "balanced":
-            found = answer(Question(before, drawn.given, "drawn.urdf", "smooth"), telling)
+            found = upgrade_from_bag(before, drawn.given, "drawn.urdf", "smooth")
         prediction = prediction_of(found)
         new = {each.joint: each for each in found.settings}
         proposed = [new.get(each.joint, each) for each in drawn.controllers]
