@@ -262,7 +262,6 @@ class CertificateSearch:
         self._first_shapes = first_shapes(self._effective, self.norm(first_degree))
 
     def norm(self, degree: float) -> Norm:
-        """Return the law's norm at a degree."""
         norm = self._norm_of_degree(degree)
         require_known_norm(norm)
         if norm.degree != degree:
@@ -414,8 +413,6 @@ def certified_degree_interval(
     degree, seen to hold at the span's ends and middle on a fine grid; it is not necessary for
     stability, so a loop may well be stable outside the interval.
     """
-    # Imported here: a controller that only checks Routh and Hurwitz does not wait for numpy.
-
     if not tolerance > 0.0:
         raise SettingError(f"the tolerance of a degree must be positive, not {tolerance}")
     # From the largest inertia, where the integral weighs most and the interval is narrowest: the

@@ -197,12 +197,10 @@ class CertifiedSpan:
 
     @property
     def lower(self) -> float:
-        """The least degree."""
         return self.norms[0].degree
 
     @property
     def upper(self) -> float:
-        """The largest degree."""
         return self.norms[-1].degree
 
 

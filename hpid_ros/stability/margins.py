@@ -283,7 +283,6 @@ class LoopFamily:
 
     @property
     def is_homogeneous(self) -> bool:
-        """Whether the multiplier moves."""
         return self.settings.degree != 0.0
 
     @cached_property
@@ -306,12 +305,10 @@ class LoopFamily:
         return float(self.norms[0] ** self.settings.degree)
 
     def norm_of(self, multiplier: float) -> float:
-        """Return the norm that has a multiplier."""
         degree = self.settings.degree
         return float(multiplier ** (1.0 / degree)) if degree else 1.0
 
     def loop(self, inertia: float, multiplier: float = 1.0) -> FrozenLoop:
-        """Return one of the loops."""
         period = self.settings.timing.control_period
         joint = SampledJoint(inertia, period, self.friction, self.delay)
         return FrozenLoop(self.settings, joint, multiplier)
@@ -363,12 +360,10 @@ class FamilyMargins:
 
     @property
     def is_stable(self) -> bool:
-        """Whether every loop is stable."""
         return not self.unstable
 
     @property
     def unstable(self) -> tuple[Case, ...]:
-        """The loops that are not."""
         return tuple(each for each in self.cases if each.margins is None)
 
     @cached_property
@@ -395,7 +390,6 @@ class FamilyMargins:
         return Margins(**values)
 
     def of(self, multipliers: tuple[float, ...]) -> FamilyMargins:
-        """Return those of some multipliers alone."""
         return FamilyMargins(tuple(each for each in self.cases if each.multiplier in multipliers))
 
 
@@ -411,22 +405,15 @@ def family_margins(family: LoopFamily) -> FamilyMargins:
     The multiplier 1 is among the cases even where the loop does not reach it: there stands the
     linear PID.
     """
-    wanted = sorted({*family.multipliers, 1.0})
-    return FamilyMargins(
-        tuple(
-            _case(family, inertia, multiplier)
-            for multiplier in wanted
-            for inertia in family.inertias
-        )
-    )
-
-
-def _case(family: LoopFamily, inertia: float, multiplier: float) -> Case:
-    try:
-        margins = margins_of(family.loop(inertia, multiplier))
-    except GainError:
-        margins = None
-    return Case(inertia, multiplier, margins)
+    cases = []
+    for multiplier in sorted({*family.multipliers, 1.0}):
+        for inertia in family.inertias:
+            try:
+                margins = margins_of(family.loop(inertia, multiplier))
+            except GainError:
+                margins = None
+            cases.append(Case(inertia, multiplier, margins))
+    return FamilyMargins(tuple(cases))
 
 
 def _even(low: float, high: float, count: int) -> tuple[float, ...]:

@@ -28,7 +28,7 @@ from hpid_ros.base.units import SECONDS_PER_NANOSECOND, Numbers
 from hpid_ros.messages.series import JointSeries, SeriesError
 from hpid_ros.stability.frequency import Complexes, FrozenLoop
 from hpid_ros.stability.gain_check import GainVerdict
-from hpid_ros.stability.margins import Case, FamilyMargins, LoopFamily, Margins
+from hpid_ros.stability.margins import FamilyMargins, LoopFamily, Margins
 
 LEAST_COHERENCE = 0.95
 _LEAST_POWER = 1e-4  # of the reference's largest density: where it does not excite
@@ -37,6 +37,7 @@ _LEAST_SAMPLES, _FIRST_BIN = 64, 3  # what the window smears from frequency 0 is
 _RESTS = 1e-6  # of a reference's travel: no motion within one sample
 _REST = 1.0  # [s] before and after a motion in which the joint is still at it
 _LONGEST_STEP = 1.5  # of the period; beyond it a sample is missing
+_PERIOD_TOLERANCE = 0.02
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,10 +53,13 @@ class MeasuredJoint:
     duration: float  # [s] of the stretch without a missing sample that was used
 
 
-def measured_joint(series: JointSeries, least_coherence: float = LEAST_COHERENCE) -> MeasuredJoint:
+def measured_joint(
+    series: JointSeries, least_coherence: float = LEAST_COHERENCE, control_period: float = 0.0
+) -> MeasuredJoint:
     """Return a joint's frequency response from its recording.
 
-    By Welch's method: Hann windows, half overlapping, at least eight in the record.
+    By Welch's method: Hann windows, half overlapping, at least eight in the record. A recording
+    of another period than the loop's is refused, where that is given.
     """
     if not 0.0 < least_coherence < 1.0:
         raise SettingError(f"the least coherence must lie in (0, 1), not {least_coherence:g}")
@@ -88,6 +92,11 @@ def measured_joint(series: JointSeries, least_coherence: float = LEAST_COHERENCE
             f"{where}: no frequency has a coherence of {least_coherence:g}: the reference does "
             f"not excite the joint, or something else moves it"
         )
+    if control_period and abs(period - control_period) > _PERIOD_TOLERANCE * control_period:
+        raise SettingError(
+            f"{where}: the bag has a sample each {period:.6g} s, but control_period is "
+            f"{control_period:g} s"
+        )
     coherence = coherence[is_certain]
     windows = 2.0 * r.size / length - 1.0
     return MeasuredJoint(
@@ -104,7 +113,7 @@ def measured_joint(series: JointSeries, least_coherence: float = LEAST_COHERENCE
 def _stretch(series: JointSeries) -> tuple[float, tuple[Numbers, Numbers, Numbers]]:
     """Return the period, and reference, effort and position of one stretch of samples.
 
-    It is the one with most samples and most of the reference's way; of it what is not long
+    It is the one with most samples and most of the reference's travel; of it what is not long
     before or after that, when other joints may move.
     """
     stamps, states, commands = np.intersect1d(
@@ -118,18 +127,15 @@ def _stretch(series: JointSeries) -> tuple[float, tuple[Numbers, Numbers, Number
     edges = np.concatenate([[0], breaks, [stamps.size]])
     reference = series.reference[states]
     parts = [slice(int(a), int(b)) for a, b in pairwise(edges)]
-    part = max(parts, key=lambda each: _weight(reference[each]))
+    travels = [float(np.abs(np.diff(reference[each])).sum()) for each in parts]
+    sizes = [each.stop - each.start for each in parts]
+    part = max(zip(travels, sizes, parts, strict=True), key=lambda t: (t[0] * t[1], t[1]))[2]
     part = _moving(reference, part, math.ceil(_REST / period))
     return period, (
         reference[part],
         series.effort[commands[part]],
         series.position[states[part]],
     )
-
-
-def _weight(reference: Numbers) -> tuple[float, int]:
-    """Return what a stretch is worth: its length times the reference's way, or its length."""
-    return float(np.abs(np.diff(reference)).sum()) * reference.size, reference.size
 
 
 def _moving(reference: Numbers, part: slice, rest: int) -> slice:
@@ -166,6 +172,13 @@ def distance(loop: FrozenLoop, measured: MeasuredJoint) -> Distance:
         float((1.0 / np.abs(1.0 + found)).max()),
         float((1.0 / np.abs(1.0 + computed)).max()),
     )
+
+
+def nearest_distance(family: LoopFamily, measured: MeasuredJoint) -> Distance:
+    """Return the distance to the PID on the inertia of its range nearest to the measured one."""
+    low, high = family.inertia
+    own = distance(family.loop(low), measured).inertia
+    return distance(family.loop(min(max(own, low), high)), measured)
 
 
 def measured_loop(loop: FrozenLoop, measured: MeasuredJoint) -> Complexes:
@@ -220,7 +233,14 @@ class LoopReport:
             "pid": _summary(self.pid),
             "at_rest": _summary(self.at_rest),
             "band": _summary(self.band),
-            "cases": [_case(each) for each in self.found.cases],
+            "cases": [
+                {
+                    "inertia": each.inertia,
+                    "multiplier": each.multiplier,
+                    "margins": None if each.margins is None else _figures(each.margins),
+                }
+                for each in self.found.cases
+            ],
         }
         if self.measured is not None:
             joint, apart = self.measured
@@ -249,11 +269,6 @@ def _summary(found: FamilyMargins) -> dict[str, Any]:
             {"inertia": each.inertia, "multiplier": each.multiplier} for each in found.unstable
         ],
     }
-
-
-def _case(case: Case) -> dict[str, Any]:
-    margins = None if case.margins is None else _figures(case.margins)
-    return {"inertia": case.inertia, "multiplier": case.multiplier, "margins": margins}
 
 
 def _figures(margins: Margins) -> dict[str, Any]:

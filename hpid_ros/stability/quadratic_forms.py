@@ -104,11 +104,6 @@ class SphereGrid:
         self._squares = np.stack([x1 * x1, x1 * x2, x2 * x2, x1 * pull, x2 * pull])
         self._lines = np.stack([x1, x2, pull, draw])
 
-    @property
-    def size(self) -> int:
-        """How many points there are, the pole included."""
-        return int(2 * self._error.size * self._lines.shape[1]) + 1
-
     def rates(self, shapes: Numbers) -> Numbers:
         """Return x'P f(x) at every point of x'P x = 1, in units of ki^(1/3); negative is good."""
         rates = self._away_from_pole(*self._factors(shapes))
@@ -363,16 +358,12 @@ def _best_move(
 
 
 def _spare_monotonicity(grids: Sequence[SphereGrid], shapes: Numbers) -> Numbers:
-    return _growth_rates(grids, shapes)[..., 0] - LEAST_MONOTONICITY
-
-
-def _growth_rates(grids: Sequence[SphereGrid], shapes: Numbers) -> Numbers:
-    return growth_rates(shapes, [grid.degree for grid in grids])
+    return growth_rates(shapes, [grid.degree for grid in grids])[..., 0] - LEAST_MONOTONICITY
 
 
 def _values(grids: Sequence[SphereGrid], shapes: Numbers, relative: bool) -> Numbers:
     """Return the rates at all points of shapes (..., 3, 3); infinite where one is not allowed."""
-    growth = _growth_rates(grids, shapes)
+    growth = growth_rates(shapes, [grid.degree for grid in grids])
     rates = [grid.rates(shapes) for grid in grids]
     if relative:
         rates = [each / growth[..., k, 1, None] for k, each in enumerate(rates)]

@@ -7,28 +7,28 @@ import json
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 from hpid_ros import __version__
 from hpid_ros.base.errors import HpidError, SettingError, unknown_name
-from hpid_ros.base.files import refuse_outputs, write_file
+from hpid_ros.base.files import refuse_outputs
 from hpid_ros.cli.commands import DONE, FAILED
 from hpid_ros.cli.options import (
     LoopFile,
     add_joints,
     add_robot_options,
+    joint_progress,
     judged_loops,
+    load_robot,
     loop_file,
     named_loops,
     shown_name,
     sliding_joints,
+    write_output,
 )
 
 if TYPE_CHECKING:
     from hpid_ros.control.controller_files import ParameterFile
-    from hpid_ros.control.settings import LoopSettings
-    from hpid_ros.robot.description import RobotDescription
-    from hpid_ros.stability.frequency import FrozenLoop
     from hpid_ros.stability.gain_check import Loop
     from hpid_ros.stability.margins import LoopFamily
     from hpid_ros.stability.measured_margins import LoopReport, MeasuredJoint
@@ -105,12 +105,11 @@ def add(commands: Any) -> None:
 def run(options: argparse.Namespace) -> int:
     """Compute, then write, then print."""
     from hpid_ros.base.console import TextConsole
-    from hpid_ros.cli.options import joint_progress
     from hpid_ros.cli.terminal import output_console
-    from hpid_ros.report.margins import MarginTable
+    from hpid_ros.report.margins import MarginTable, margins_figure
     from hpid_ros.stability.gain_check import check_gains
     from hpid_ros.stability.margins import family_margins
-    from hpid_ros.stability.measured_margins import LoopReport, distance
+    from hpid_ros.stability.measured_margins import LoopReport, nearest_distance
 
     found = loop_file(options.file)
     file = _chosen(named_loops(found), found, options)
@@ -118,29 +117,38 @@ def run(options: argparse.Namespace) -> int:
     families = _families(options, found, judged)
     names = [shown_name(name) for name in file.loops]
     charts = _charts(options, dict(zip(names, families, strict=True)))
-    _refuse_in_the_way(options, charts)
+    inputs = [each for each in (options.file, options.bag) if each is not None]
+    outputs = [("--json", options.json), *(("--plot", path) for path in charts.values())]
+    refuse_outputs(outputs, force=options.force, inputs=inputs)
     measured = _measured(options, families)
-    reports: dict[str, LoopReport] = {}
     with joint_progress(TextConsole(stderr=True), "certified", len(judged)) as tell:
         verdicts = check_gains(judged, tell)
     slides = sliding_joints(options, found.experiment)
+    reports: dict[str, LoopReport] = {}
     for name, family, verdict in zip(names, families, verdicts, strict=True):
         joint = measured.get(family.settings.joint)
-        apart = None if joint is None else (joint, distance(_nearest(family, joint), joint))
+        apart = None if joint is None else (joint, nearest_distance(family, joint))
         is_slide = family.settings.joint in slides
         reports[name] = LoopReport(family, family_margins(family), verdict, apart, is_slide)
-    written = _write(options, reports, charts)
+    written: dict[Path, str | bytes] = {}
+    if options.json is not None:
+        document = {
+            "hpid_ros": __version__,
+            "file": str(options.file),
+            "loops": {name: each.as_mapping() for name, each in reports.items()},
+        }
+        written[options.json] = json.dumps(document, indent=2) + "\n"
+    for name, path in charts.items():
+        from hpid_ros.report.plots import render
+
+        figure = margins_figure(name, reports[name])
+        written[path] = render(figure, path.suffix.lower().removeprefix("."))
+    for path, content in written.items():
+        write_output(path, content)
     output_console().print(MarginTable(reports))
     for path in written:
         print(f"written: {path}")
     return DONE if all(each.band.is_stable for each in reports.values()) else FAILED
-
-
-def _refuse_in_the_way(options: argparse.Namespace, charts: Mapping[str, Path]) -> None:
-    """Refuse outputs that would replace something, before any work is done for them."""
-    inputs = [each for each in (options.file, options.bag) if each is not None]
-    wanted = [("--json", options.json), *(("--plot", path) for path in charts.values())]
-    refuse_outputs(wanted, force=options.force, inputs=inputs)
 
 
 def _chosen(file: ParameterFile, found: LoopFile, options: argparse.Namespace) -> ParameterFile:
@@ -166,42 +174,18 @@ def _chosen(file: ParameterFile, found: LoopFile, options: argparse.Namespace) -
     )
 
 
-class _RobotFacts(NamedTuple):
-    """What a robot says of one joint's loop beside its inertia."""
-
-    friction: float = 0.0  # [N m s/rad] viscous friction
-    delay: float = 0.0  # [s] of its drive
-
-
 def _families(
     options: argparse.Namespace, found: LoopFile, judged: Sequence[Loop]
 ) -> list[LoopFamily]:
+    """Return the loops with the friction and the delays of the experiment's robot, or --urdf's."""
+    from hpid_ros.robot.description import RobotDescription
     from hpid_ros.stability.margins import loop_family
 
-    joints = [settings.joint for settings, _ in judged]
-    facts = _robot_facts(options, found, joints)
-    given = _given_friction(options.friction, joints)
-    families = []
-    for settings, inertia in judged:
-        own = facts.get(settings.joint, _RobotFacts())
-        friction = given.get(settings.joint, own.friction)
-        delay = options.delay + own.delay
-        settings = _as_measured(settings, found)
-        families.append(loop_family(settings, inertia, friction, delay, options.norm_max))
-    return families
-
-
-def _robot_facts(
-    options: argparse.Namespace, found: LoopFile, joints: Sequence[str]
-) -> dict[str, _RobotFacts]:
-    """Return what the robot of the experiment, or else of ``--urdf``, says of the joints."""
-    from hpid_ros.cli.options import load_robot
-    from hpid_ros.robot.description import RobotDescription
-
-    description: RobotDescription | None = None
+    friction: dict[str, float] = {}
     delays: dict[str, float] = {}
-    if found.experiment is not None:
-        world = found.experiment.world
+    experiment, description = found.experiment, None
+    if experiment is not None:
+        world = experiment.world
         description = RobotDescription.load(world.robot_description)
         period = world.control_period_ns * 1e-9
         delays = {
@@ -210,21 +194,23 @@ def _robot_facts(
         }
     if options.urdf:
         description = load_robot(options.urdf).description
-    known = {} if description is None else description.joints
-    return {
-        joint: _RobotFacts(known[joint].damping if joint in known else 0.0, delays.get(joint, 0.0))
-        for joint in joints
-    }
-
-
-def _as_measured(settings: LoopSettings, found: LoopFile) -> LoopSettings:
-    """Return settings whose velocity source is the one that the experiment's robot leaves."""
-    experiment = found.experiment
-    if experiment is None or experiment.world.velocity != "none":
-        return settings
-    if not settings.velocity.is_measured:
-        return settings
-    return settings.with_parameters({"velocity_source": "filtered"})
+    if description is not None:
+        friction = {name: joint.damping for name, joint in description.joints.items()}
+    friction |= _given_friction(options.friction, [settings.joint for settings, _ in judged])
+    families = []
+    for settings, inertia in judged:
+        joint = settings.joint
+        if (
+            experiment is not None
+            and experiment.world.velocity == "none"
+            and settings.velocity.is_measured
+        ):  # nothing measures it: the controller filters differences
+            settings = settings.with_parameters({"velocity_source": "filtered"})
+        delay = options.delay + delays.get(joint, 0.0)
+        families.append(
+            loop_family(settings, inertia, friction.get(joint, 0.0), delay, options.norm_max)
+        )
+    return families
 
 
 def _given_friction(texts: Sequence[Sequence[str]], joints: Sequence[str]) -> dict[str, float]:
@@ -261,50 +247,27 @@ def _measured(
     from hpid_ros.stability.measured_margins import measured_joint
 
     loops = {each.settings.joint: each.settings for each in families}
-    decoupled = [joint for joint, each in loops.items() if each.model.is_decoupling]
-    if decoupled:
-        raise SettingError(
-            f"--bag: the effort of {decoupled[0]!r} is the model's and other joints', too: with "
-            f"decoupling it is not the loop's, and cannot be compared"
-        )
+    for joint, settings in loops.items():
+        if settings.model.is_decoupling:
+            raise SettingError(
+                f"--bag: the effort of {joint!r} is the model's and other joints', too: with "
+                f"decoupling it is not the loop's, and cannot be compared"
+            )
     run = read_run(
         options.bag, "bag", joints=list(loops), progress=lambda share: raise_if_interrupted()
     )
     found, reasons = {}, []
     for series in run.joints:
+        period = loops[series.joint].timing.control_period
         try:
-            joint = measured_joint(series, options.coherence)
-            _require_period(loops[series.joint], joint)
+            found[series.joint] = measured_joint(series, options.coherence, period)
         except HpidError as error:
             reasons.append(str(error))
-        else:
-            found[series.joint] = joint
     if not found:
         raise SettingError(f"{options.bag}: {'; '.join(reasons)}")
     for reason in reasons:
         print(f"not measured: {reason}")
     return found
-
-
-_PERIOD_TOLERANCE = 0.02
-
-
-def _require_period(settings: LoopSettings, measured: MeasuredJoint) -> None:
-    period = settings.timing.control_period
-    if abs(measured.period - period) > _PERIOD_TOLERANCE * period:
-        raise SettingError(
-            f"joint {settings.joint!r}: the bag has a sample each {measured.period:.6g} s, but "
-            f"control_period is {period:g} s"
-        )
-
-
-def _nearest(family: LoopFamily, measured: MeasuredJoint) -> FrozenLoop:
-    """Return the PID's loop on the inertia of its range that the measurement is nearest to."""
-    from hpid_ros.stability.measured_margins import distance
-
-    low, high = family.inertia
-    own = distance(family.loop(low), measured).inertia
-    return family.loop(min(max(own, low), high))
 
 
 def _charts(options: argparse.Namespace, families: Mapping[str, LoopFamily]) -> dict[str, Path]:
@@ -326,35 +289,5 @@ def _charts(options: argparse.Namespace, families: Mapping[str, LoopFamily]) -> 
     ]
     if len(names) == 1:
         return {names[0]: path}
-    return {name: path.with_stem(f"{path.stem}-{_in_file_name(name)}") for name in names}
-
-
-def _in_file_name(name: str) -> str:
-    return re.sub(r"[^A-Za-z0-9_.-]+", "-", name)
-
-
-def _write(
-    options: argparse.Namespace, reports: Mapping[str, LoopReport], charts: Mapping[str, Path]
-) -> list[Path]:
-    written = []
-    try:
-        if options.json is not None:
-            document = {
-                "hpid_ros": __version__,
-                "file": str(options.file),
-                "loops": {name: each.as_mapping() for name, each in reports.items()},
-            }
-            write_file(options.json, json.dumps(document, indent=2) + "\n")
-            written.append(options.json)
-        for name, path in charts.items():
-            from hpid_ros.report.margins import margins_figure
-            from hpid_ros.report.plots import render
-
-            each = reports[name]
-            figure = margins_figure(name, each)
-            write_file(path, render(figure, path.suffix.lower().removeprefix(".")))
-            written.append(path)
-    except OSError as error:
-        reason = (error.strerror or str(error)).lower()
-        raise SettingError(f"cannot write {error.filename or 'the output'}: {reason}") from None
-    return written
+    plain = {name: re.sub(r"[^A-Za-z0-9_.-]+", "-", name) for name in names}
+    return {name: path.with_stem(f"{path.stem}-{plain[name]}") for name in names}
