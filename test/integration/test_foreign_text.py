@@ -104,7 +104,6 @@ def test_no_other_name_is_a_label_wherever_it_is_given(experiment_file, tmp_path
     before = sorted(tmp_path.rglob("*"))
     bag = str(tmp_path / "bag")
     for arguments in (
-        ["compare", str(path), "--in-process", "-o", str(tmp_path / "r")],
         ["metrics", f"--labels={label}", "--", bag],
         ["metrics", "--group", label if label[:1] != "-" else ".", bag],
         ["tune", "--law", "pid", f"--label={label}"],

@@ -21,15 +21,9 @@ from hpid_ros.simulation.world import World
 
 @needs_bullet
 def test_amendments_reach_everyone_who_reads_the_robot():
-    arm = amended(
-        robot(IIWA),
-        {
-            "lbr_iiwa_joint_7": JointAmendment(4.54e-5, 160.0, 0.1, 0.2, 40.0, 2.3),
-            "lbr_iiwa_joint_1": JointAmendment(friction=3.0),
-        },
-        {},
-        {},
-    )
+    better = JointAmendment(4.54e-5, 160.0, 0.1, 0.2, 40.0, 2.3)
+    joints = {"lbr_iiwa_joint_7": better, "lbr_iiwa_joint_1": JointAmendment(friction=3.0)}
+    arm = amended(robot(IIWA), joints, {}, {})
     last = arm.joints["lbr_iiwa_joint_7"]
     assert (last.rotor_inertia, last.gear_ratio, last.damping) == (4.54e-5, 160.0, 0.1)
     assert (last.friction, last.effort, last.velocity) == (0.2, 40.0, 2.3)
@@ -100,10 +94,7 @@ def test_an_amended_robot_means_the_same_on_every_machine():
         ({"held": {"panda_finger_joint1": 0.3}}, r"not within its limits \[0.0, 0.04\]"),
         ({"joints": {"panda_joint1": {"rotor": 1.0}}}, "unknown key 'robot.joints.panda_joint1"),
         ({"joints": {"panda_joint1": {"gear_ratio": 0}}}, "gear_ratio must not be 0"),
-        (
-            {"joints": {"panda_joint1": {"friction": -1}}},
-            "friction must be at least 0, not -1",
-        ),
+        ({"joints": {"panda_joint1": {"friction": -1}}}, "friction must be at least 0, not -1"),
         ({"joints": {"panda_joint1": {"effort": 0}}}, "effort must be above 0, not 0"),
         ({"joints": {"panda_joint9": {"effort": 1}}}, "unknown joint 'panda_joint9'"),
         ({"links": {"panda_link9": {"mass": 0}}}, "unknown link 'panda_link9'"),
