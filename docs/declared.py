@@ -8,6 +8,7 @@ from typing import Any
 
 from hpid_ros.base.records import ParameterSpec
 from hpid_ros.base.schema import table
+from hpid_ros.cli.main import COMMANDS
 from hpid_ros.control.settings import LOOP_PARAMETERS, MODEL_PARAMETERS
 from hpid_ros.motion.references import BrickTask, Oscillations, PathSection, Waypoints
 from hpid_ros.nodes.parts.goals import FIXED_PARAMETERS, GOAL_PARAMETERS, joint_parameters
@@ -16,7 +17,7 @@ from hpid_ros.simulation.drives import DriveSettings
 from hpid_ros.simulation.settings import Disturbances, Sensor, Workplace
 from hpid_ros.simulation.world_file import ControlSection, MeasuredSection, PhysicsSection
 
-Row = tuple[str, str, str, str]  # name, default, what is allowed, meaning
+Row = tuple[str, ...]  # name, default, what is allowed, meaning; or name and meaning
 
 
 def parameters(*specs: ParameterSpec) -> Iterator[Row]:
@@ -42,7 +43,14 @@ def keys(*sections: tuple[Any, str]) -> Iterator[Row]:
         yield from map(tuple, table(kind, prefix))
 
 
+def commands() -> Iterator[Row]:
+    """Yield the rows of the subcommands of hpid."""
+    for name, command in COMMANDS.items():
+        yield f"hpid {name}", command.help
+
+
 TABLES: dict[str, Callable[[], Iterable[Row]]] = {
+    "commands": commands,
     "loop": partial(parameters, *LOOP_PARAMETERS.values()),
     "model": partial(parameters, *MODEL_PARAMETERS.values()),
     "goals": partial(parameters, *GOAL_PARAMETERS.values(), *joint_parameters("JOINT").values()),
@@ -62,5 +70,6 @@ TABLES: dict[str, Callable[[], Iterable[Row]]] = {
 
 def markdown(name: str) -> list[str]:
     """Return the lines of a table."""
-    rows = (f"| `{key}` | {' | '.join(rest)} |" for key, *rest in TABLES[name]())
-    return ["| name | default | allowed | meaning |", "|---|---|---|---|", *rows]
+    rows = [f"| `{key}` | {' | '.join(rest)} |" for key, *rest in TABLES[name]()]
+    heads = ["name", "meaning"] if name == "commands" else ["name", "default", "allowed", "meaning"]
+    return [f"| {' | '.join(heads)} |", "|---" * len(heads) + "|", *rows]
