@@ -189,7 +189,7 @@ class LiveSession:
             self._here[node] = each.is_here
 
     def _mark(self, node: str, at: float, values: Values) -> None:
-        text = ", ".join(f"{name} {_shown(value)}" for name, value in values.items())
+        text = shown(values)
         self._marked += 1
         self.marks.append(Mark(self._marked, node, at, text))
         self.say(f"{self.label(node)}: {text}")
@@ -381,8 +381,12 @@ class LiveSession:
         return nodes
 
 
-def _shown(value: object) -> str:
-    return f"{value:g}" if isinstance(value, float) else str(value)
+def shown(values: Values) -> str:
+    """Return parameters with their values in a line."""
+    return ", ".join(
+        f"{name} {value:g}" if isinstance(value, float) else f"{name} {value}"
+        for name, value in values.items()
+    )
 
 
 def _summary(sets: Mapping[str, Values]) -> str:

@@ -78,14 +78,6 @@ class Step:
     after: Mapping[str, Values]  # values that it set, likewise
 
 
-@dataclass(frozen=True)
-class Snapshot:
-    """Values of controllers under a name."""
-
-    name: str  # what a person calls it
-    values: Mapping[str, Values]  # by node, all loop parameters
-
-
 @dataclass
 class Tuning:
     """What a person has staged, done and kept.
@@ -97,7 +89,7 @@ class Tuning:
     first: dict[str, dict[str, Value]] = field(default_factory=dict)
     in_force: dict[str, dict[str, Value]] = field(default_factory=dict)
     staged: dict[str, dict[str, Value]] = field(default_factory=dict)
-    snapshots: dict[str, Snapshot] = field(default_factory=dict)
+    snapshots: dict[str, dict[str, Values]] = field(default_factory=dict)
     done: list[Step] = field(default_factory=list)
 
     def see(self, node: str, values: Values) -> None:
@@ -202,18 +194,17 @@ class Tuning:
         """Return the sets after which controllers are as they were first seen."""
         return self._towards({node: self.first[node] for node in nodes})
 
-    def keep(self, name: str, nodes: Sequence[str]) -> Snapshot:
-        """Keep what is active on controllers."""
+    def keep(self, name: str, nodes: Sequence[str]) -> str:
+        """Keep what is active on controllers under a name, and return that."""
         name = name.strip()
         if not name:
             raise SettingError("a snapshot needs a name")
-        snapshot = Snapshot(name, {node: dict(self.in_force[node]) for node in nodes})
-        self.snapshots[name] = snapshot
-        return snapshot
+        self.snapshots[name] = {node: dict(self.in_force[node]) for node in nodes}
+        return name
 
     def returning(self, name: str) -> dict[str, Values]:
         """Return the sets after which controllers are as in a snapshot."""
-        return self._towards(self.snapshots[name].values)
+        return self._towards(self.snapshots[name])
 
     def _towards(self, values: Mapping[str, Values]) -> dict[str, Values]:
         found: dict[str, Values] = {}

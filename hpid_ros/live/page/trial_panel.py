@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -10,8 +11,8 @@ from nicegui import background_tasks, ui
 
 from hpid_ros.base.errors import HpidError
 from hpid_ros.live.history import extremes
-from hpid_ros.live.session import LiveSession
-from hpid_ros.live.trials import KINDS, MotionWish, Stage, TrialResult, Trials, Variant
+from hpid_ros.live.page.parts import Viewer, button, chart, chart_options, curve, table
+from hpid_ros.live.trials import KINDS, MotionWish, Stage, TrialResult, Variant
 from hpid_ros.metrics.comparison import ratio
 from hpid_ros.metrics.quantities import PAPER
 from hpid_ros.motion.excitation import ExcitationPlan
@@ -24,20 +25,10 @@ _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
 class TrialPanel:
     """A motion, a button to hold, and what came of it."""
 
-    def __init__(
-        self, session: LiveSession, trials: Trials, page: str, chosen: Callable[[], list[str]]
-    ) -> None:
-        self._session, self._trials = session, trials
-        self._page, self._chosen = page, chosen
+    def __init__(self, viewer: Viewer) -> None:
+        self._viewer, self._session, self._trials = viewer, viewer.session, viewer.trials
         self._shown: TrialResult | None = None
         self._planned_of: object = None
-        self._build()
-
-    @property
-    def _may_edit(self) -> bool:
-        return self._session.control_lock.holds(self._page)
-
-    def _build(self) -> None:
         ui.label("Test motion of the joints that are chosen").classes("heading")
         self._kind = ui.select(KINDS, value="minimum_jerk").props(
             'dense outlined options-dense aria-label="kind of motion"'
@@ -48,19 +39,14 @@ class TrialPanel:
             self._duration = _number("lasts [s]", 4.0)
             self._share = _number("share of the limits", 0.5)
         self._plan_text = ui.label().classes("hint")
-        self._preview = (
-            ui.echart(_curves_options([]))
-            .classes("preview")
-            .props('role="img" aria-label="the motion that is planned"')
-        )
+        self._preview = chart("the motion that is planned", "preview")
         with ui.element("div").classes("bar"):
             self._one = _select("first with", [_IN_FORCE], _IN_FORCE)
             self._other = _select("then with", ["nothing", _CHOSEN], _CHOSEN)
         self._is_kept = ui.checkbox("keep the recordings (MCAP), in a folder here")
         with ui.element("div").classes("bar"):
-            self._prepare = ui.button("Get ready", on_click=self._on_prepare).props(
-                "no-caps unelevated"
-            )
+            prepare = viewer.acting(self._on_prepare, self.refresh)
+            self._prepare = button("Get ready", prepare, "unelevated")
             self._hold = (
                 ui.button("Hold to run")
                 .classes("hold")
@@ -72,7 +58,7 @@ class TrialPanel:
             self._hold.on(
                 "pointerdown", js_handler="(event) => window.hpidLive.hold(event.currentTarget)"
             )
-            self._cancel = ui.button("Cancel", on_click=self._on_cancel).props("no-caps flat")
+            self._cancel = button("Cancel", lambda: self._trials.cancel())
         self._said = ui.label().props('aria-live="polite"')
         self._result = ui.element("div").classes("result")
 
@@ -87,7 +73,7 @@ class TrialPanel:
 
     def refresh(self) -> None:
         """Show what is known now."""
-        stage, may = self._trials.stage, self._may_edit
+        stage, may = self._trials.stage, self._viewer.may_edit
         is_idle = stage is Stage.IDLE
         self._offer()
         can_move = self._refresh_plan() if is_idle else True
@@ -123,7 +109,7 @@ class TrialPanel:
 
     def _refresh_plan(self) -> bool:
         """Show the motion that would be carried out, and return whether there is one."""
-        nodes = self._chosen()
+        nodes = self._viewer.chosen()
         states = tuple(self._session.controllers[node].lifecycle for node in nodes)
         about = (tuple(nodes), self._wish, self._stands(nodes), states)
         if about == self._planned_of:
@@ -150,9 +136,7 @@ class TrialPanel:
     # What a person does
 
     def _on_prepare(self) -> None:
-        if not self._may_edit:
-            return
-        nodes = self._chosen()
+        nodes = self._viewer.chosen()
         names = [self._one.value]
         if self._other.value != "nothing":
             names.append(self._other.value)
@@ -162,7 +146,9 @@ class TrialPanel:
             names.pop()
         variants = [self._variant(name, nodes, len(names)) for name in names]
         background_tasks.create(
-            self._trials.run(self._page, nodes, self._wish, variants, is_kept=self._is_kept.value)
+            self._trials.run(
+                self._viewer.page, nodes, self._wish, variants, is_kept=self._is_kept.value
+            )
         )
 
     def _variant(self, name: str, nodes: Sequence[str], count: int) -> Variant:
@@ -172,10 +158,7 @@ class TrialPanel:
             return Variant("in force", values)
         if name == _CHOSEN:
             return Variant("chosen", {node: tuning.chosen(node) for node in nodes})
-        return Variant(name, tuning.snapshots[name].values)
-
-    def _on_cancel(self) -> None:
-        self._trials.cancel()
+        return Variant(name, tuning.snapshots[name])
 
     # What came of it
 
@@ -184,58 +167,41 @@ class TrialPanel:
         result = self._shown
         if result is None:
             return
+        labels = [each.label for each in result.variants]
         with self._result:
-            ui.label(" and ".join(each.label for each in result.variants)).classes("heading")
-            self._show_table(result)
+            ui.label(" and ".join(labels)).classes("heading")
+            _show_table(result, labels)
             ui.label("of each, less is better").classes("hint")
-            for line in self._differences(result):
-                ui.label(line).classes("hint")
-            ui.echart(_curves_options(_error_curves(result))).classes("preview").props(
-                'role="img" aria-label="errors of the motions"'
-            )
+            for label in labels[1:]:
+                for each in result.comparison.differences(label):
+                    ui.label(f"they differ: {each.text}").classes("hint")
+            errors = chart("errors of the motions", "preview")
+            errors.options.update(_curves_options(_error_curves(result)))
             with ui.element("div").classes("bar"):
-                if len(result.variants) > 1:
-                    for variant in result.variants:
-                        ui.button(
-                            f"keep {variant.label}",
-                            on_click=lambda variant=variant: self._keep(variant),
-                        ).props("no-caps unelevated size=sm")
+                for variant in result.variants if len(labels) > 1 else ():
+                    keep = self._viewer.acting(partial(self._keep, variant), self.refresh)
+                    button(f"keep {variant.label}", keep, "unelevated size=sm")
             for bag in result.bags:
                 if bag.exists():
                     ui.label(f"hpid metrics {bag}").classes("command")
 
-    def _differences(self, result: TrialResult) -> list[str]:
-        """Return how two motions differ, beside what controllers were set to."""
-        comparison = result.comparison
-        others = [each.label for each in result.variants[1:]]
-        return [
-            f"they differ: {each.text}" for one in others for each in comparison.differences(one)
-        ]
-
-    def _show_table(self, result: TrialResult) -> None:
-        comparison = result.comparison
-        labels = [each.label for each in result.variants]
-        with ui.element("table").classes("joints"):
-            with ui.element("thead"), ui.element("tr"):
-                last = ["ratio"] if len(labels) > 1 else []
-                for text in ("index", *labels, *last):
-                    with ui.element("th").props('scope="col"'):
-                        ui.label(text)
-            with ui.element("tbody"):
-                for quantity in PAPER:
-                    figures = [comparison.run(each).value(quantity) for each in labels]
-                    texts = [f"{each:.4g}" for each in figures]
-                    if len(labels) > 1:
-                        texts.append(f"{ratio(figures[1], figures[0]):.3f}")
-                    unit = comparison.unit(quantity)
-                    with ui.element("tr"):
-                        for text in (f"{quantity.symbol} [{unit}]", *texts):
-                            with ui.element("td").classes("figure"):
-                                ui.label(text)
-
     async def _keep(self, variant: Variant) -> None:
-        if self._may_edit and self._trials.stage is Stage.IDLE:
+        if self._trials.stage is Stage.IDLE:
             await self._trials.keep(variant)
+
+
+def _show_table(result: TrialResult, labels: Sequence[str]) -> None:
+    comparison = result.comparison
+    with table(["index", *labels, *(["ratio"] if len(labels) > 1 else [])], {})[1]:
+        for quantity in PAPER:
+            figures = [comparison.run(each).value(quantity) for each in labels]
+            texts = [f"{each:.4g}" for each in figures]
+            if len(labels) > 1:
+                texts.append(f"{ratio(figures[1], figures[0]):.3f}")
+            with ui.element("tr"):
+                for text in (f"{quantity.symbol} [{comparison.unit(quantity)}]", *texts):
+                    with ui.element("td").classes("figure"):
+                        ui.label(text)
 
 
 def _number(label: str, value: float) -> Any:
@@ -291,32 +257,8 @@ def _decimated(times: Any, values: Any) -> list[list[float]]:
 
 
 def _curves_options(curves: Sequence[tuple[str, list[list[float]]]]) -> dict[str, Any]:
-    ink, soft = "#7d8791", {"lineStyle": {"color": "#80808050"}}
+    """Return a chart of curves, those of one name up to its comma in one colour."""
     labels = list(dict.fromkeys(name.partition(",")[0] for name, _ in curves))
-    series = []
-    for name, points in curves:
-        colour = _COLOURS[labels.index(name.partition(",")[0]) % len(_COLOURS)]
-        series.append(
-            {
-                "name": name,
-                "type": "line",
-                "data": points,
-                "showSymbol": False,
-                "symbol": "none",
-                "lineStyle": {"width": 1.6, "color": colour},
-                "itemStyle": {"color": colour},
-            }
-        )
-    return {
-        "animation": False,
-        "legend": {"type": "scroll", "top": 0, "left": 0, "textStyle": {"color": ink}},
-        "grid": {"left": 52, "right": 24, "top": 30, "bottom": 24},
-        "xAxis": {
-            "type": "value",
-            "max": "dataMax",
-            "axisLabel": {"color": ink, "formatter": "{value} s"},
-            "splitLine": soft,
-        },
-        "yAxis": {"type": "value", "axisLabel": {"color": ink}, "splitLine": soft},
-        "series": series,
-    }
+    colours = {label: _COLOURS[k % len(_COLOURS)] for k, label in enumerate(labels)}
+    series = [curve(name, points, colours[name.partition(",")[0]]) for name, points in curves]
+    return chart_options(series, type="scroll")

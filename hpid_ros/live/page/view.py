@@ -7,12 +7,14 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from datetime import datetime
+from functools import partial
 
 from nicegui import ui
 
 from hpid_ros.live.controllers import SILENT_AFTER, Controller
 from hpid_ros.live.history import RisingCount
 from hpid_ros.live.page.panel import TuningPanel
+from hpid_ros.live.page.parts import Viewer, button, mark, table
 from hpid_ros.live.session import LiveSession
 from hpid_ros.live.trials import Stage, Trials
 
@@ -34,23 +36,15 @@ class JointTable:
     """A row for every controller."""
 
     def __init__(
-        self, session: LiveSession, select: Callable[[], None], window: Callable[[], float]
+        self, viewer: Viewer, select: Callable[[], None], window: Callable[[], float]
     ) -> None:
-        self._session, self._select, self._window = session, select, window
+        self._viewer, self._select, self._window = viewer, select, window
         self._rows: dict[str, _Row] = {}
-        self._table = ui.element("table").classes("joints")
+        self._table, self._body = table(_COLUMNS, _TIPS)
         self._empty = ui.label(
             "No joint controller is found yet. They appear by themselves: "
             "ros2 launch hpid_ros robot.launch.py, or your own."
         ).classes("hint")
-        with self._table, ui.element("thead"), ui.element("tr"):
-            for name in _COLUMNS:
-                with ui.element("th").props('scope="col"'):
-                    label = ui.label(name)
-                    if name in _TIPS:
-                        label.tooltip(_TIPS[name])
-        with self._table:
-            self._body = ui.element("tbody")
 
     @property
     def chosen(self) -> list[str]:
@@ -64,13 +58,13 @@ class JointTable:
 
     def refresh(self) -> None:
         """Show what is known now."""
-        seen = self._session.controllers
+        seen = self._viewer.session.controllers
         for node in seen:
             if node not in self._rows:
                 with self._body:
-                    self._rows[node] = _Row(
-                        self._session, node, len(self._rows), self._select, self._choose_alone
-                    )
+                    self._rows[node] = row = _Row(self._viewer, node, len(self._rows))
+                row.box.on_value_change(self._select)
+                row.name.on("click", partial(self._choose_alone, node))
                 if len(self._rows) == 1:
                     self._select()
         self._empty.set_visibility(not seen)
@@ -89,24 +83,16 @@ class JointTable:
 
 
 class _Row:
-    def __init__(
-        self,
-        session: LiveSession,
-        node: str,
-        number: int,
-        select: Callable[[], None],
-        choose_alone: Callable[[str], None],
-    ) -> None:
-        self._session, self._node = session, node
-        name = session.label(node)
+    def __init__(self, viewer: Viewer, node: str, number: int) -> None:
+        self._viewer, self._session, self._node = viewer, viewer.session, node
+        name = self._session.label(node)
         with ui.element("tr") as self._row:
             with ui.element("td"):
-                self.box = ui.checkbox(value=number == 0, on_change=lambda: select())
+                self.box = ui.checkbox(value=number == 0)
                 self.box.props(f'dense size="sm" aria-label="choose {name}"')
             with ui.element("td").classes("joint-name"):
                 ui.element("span").classes(f"swatch colour-{number % 8}")
-                label = ui.label(name).tooltip(f"{node}; a click chooses it alone")
-                label.on("click", lambda: choose_alone(node))
+                self.name = ui.label(name).tooltip(f"{node}; a click chooses it alone")
             with ui.element("td"):
                 self._state = ui.label().classes("state")
                 with self._state:
@@ -117,9 +103,7 @@ class _Row:
                 with ui.element("td").classes("figure"):
                     self._figures.append(ui.label())
             with ui.element("td"):
-                self._switch = ui.button(on_click=self._transit).props(
-                    "flat dense no-caps size=sm"
-                )
+                self._switch = button("", self._transit, "flat dense size=sm")
 
     @property
     def is_chosen(self) -> bool:
@@ -131,18 +115,14 @@ class _Row:
         self._state.set_text(state)
         self._state.classes(replace=f"state is-{level}")
         self._tip.set_text(tip)
-        self._row.classes(
-            add="" if seen.is_here else "is-gone", remove="is-gone" if seen.is_here else ""
-        )
+        mark(self._row, "is-gone", is_on=not seen.is_here)
         found = self._session.indices(self._node, window)
         missed = seen.health.values.get("missed samples", "") if seen.health else ""
         if missed.isdecimal():
             rises = self._missed.tell(int(missed), time.monotonic())
             self._figures[-1].classes(replace="is-bad" if rises else "")
-        texts = [_figure(each) for each in (found.itae_rate, found.error, found.ivc_rate)]
-        for label, text in zip(
-            self._figures, [*texts, _figure(found.effort), missed], strict=True
-        ):
+        figures = (found.itae_rate, found.error, found.ivc_rate, found.effort)
+        for label, text in zip(self._figures, [*map(_figure, figures), missed], strict=True):
             label.set_text(text)
         is_active = seen.lifecycle == "active"
         act = "deactivate" if is_active else "activate"
@@ -151,7 +131,7 @@ class _Row:
         self._switch.set_enabled(seen.is_here and seen.lifecycle in ("active", "inactive"))
 
     async def _transit(self) -> None:
-        if not self._session.control_lock.holds(ui.context.client.id):
+        if not self._viewer.may_edit:
             ui.notify("this page looks on: take control first", type="warning")
             return
         seen = self._session.controllers[self._node]
@@ -196,8 +176,8 @@ class PageView:
 
     def __init__(self, session: LiveSession, trials: Trials) -> None:
         self._session, self._trials = session, trials
-        self._client = ui.context.client
-        self._page = self._client.id
+        client = ui.context.client
+        self._viewer = Viewer(session, trials, client.id, lambda: self._table.chosen)
         self._dark = ui.dark_mode(None)
         self._logged = 0
         self._refreshed_at = float("-inf")
@@ -207,16 +187,12 @@ class PageView:
         ui.add_head_html(_HEAD)
         self._build()
         ui.timer(_REFRESH_PERIOD, self._refresh_in_time)
-        begin = f"window.hpidLive.start({json.dumps(self._page)})"
+        begin = f"window.hpidLive.start({json.dumps(client.id)})"
         script = f"""
             if (window.hpidLive) {begin};
             else window.addEventListener("hpid-live", () => {begin}, {{ once: true }});
         """
-        self._client.on_connect(lambda: ui.run_javascript(script))
-
-    @property
-    def _may_edit(self) -> bool:
-        return self._session.control_lock.holds(self._page)
+        client.on_connect(lambda: ui.run_javascript(script))
 
     def _build(self) -> None:
         with ui.element("div").classes("banner lost-banner").props('role="alert"'):
@@ -235,15 +211,12 @@ class PageView:
                     .props('aria-live="polite" aria-label="what happened"')
                 )
             with ui.element("section").classes("right"):
-                self._panel = TuningPanel(
-                    self._session, self._trials, self._page, lambda: self._table.chosen
-                )
+                self._panel = TuningPanel(self._viewer)
 
     def _build_header(self) -> None:
         ui.label("hpid live").classes("title")
         self._control_lock = ui.label().classes("desk")
-        self._take = ui.button("Take control", on_click=self._take_control)
-        self._take.props("outline dense no-caps")
+        self._take = button("Take control", self._take_control, "outline dense")
         ui.space()
         ui.button(icon="contrast", on_click=self._toggle_dark).props(
             'flat dense aria-label="light or dark"'
@@ -261,12 +234,9 @@ class PageView:
     def _build_joints(self) -> None:
         with ui.element("div").classes("bar"):
             ui.label("Joints").classes("heading")
-            ui.button("all", on_click=lambda: self._table.choose(is_all=True)).props(
-                'flat dense no-caps size=sm aria-label="choose all joints"'
-            )
-            ui.button("none", on_click=lambda: self._table.choose(is_all=False)).props(
-                'flat dense no-caps size=sm aria-label="choose no joint"'
-            )
+            for text, label, is_all in (("all", "all joints", True), ("none", "no joint", False)):
+                look = f'flat dense size=sm aria-label="choose {label}"'
+                button(text, partial(self._choose, is_all=is_all), look)
             ui.space()
             self._window = ui.select(
                 {each: f"{each} s" for each in _WINDOWS}, value=10, on_change=self._show
@@ -277,9 +247,11 @@ class PageView:
                     f"window.hpidLive.pause({json.dumps(event.value)})"
                 ),
             ).props("dense size=sm")
-        self._table = JointTable(
-            self._session, self._show, lambda: float(self._window.value or 10.0)
-        )
+        window = self._window
+        self._table = JointTable(self._viewer, self._show, lambda: float(window.value or 10.0))
+
+    def _choose(self, *, is_all: bool) -> None:
+        self._table.choose(is_all=is_all)
 
     def _build_charts(self) -> None:
         names = {
@@ -295,7 +267,7 @@ class PageView:
                 )
 
     def _take_control(self) -> None:
-        self._session.control_lock.take(self._page)
+        self._session.control_lock.take(self._viewer.page)
         self._refresh()
 
     def _toggle_dark(self) -> None:
@@ -318,7 +290,7 @@ class PageView:
         ui.run_javascript(
             f"window.hpidLive?.show({json.dumps(shown)}, {float(self._window.value or 10)})"
         )
-        self._panel.changed()
+        self._panel.refresh()
 
     def _refresh_in_time(self) -> None:
         is_moving = self._trials.stage is Stage.MOVING
@@ -328,14 +300,14 @@ class PageView:
     def _refresh(self) -> None:
         self._refreshed_at = time.monotonic()
         control_lock = self._session.control_lock
-        if self._may_edit:
+        if self._viewer.may_edit:
             others = f", {control_lock.pages - 1} more look on" if control_lock.pages > 1 else ""
             self._control_lock.set_text(f"you have control{others}")
         elif control_lock.holder is None:
             self._control_lock.set_text("nobody has control")
         else:
             self._control_lock.set_text("another page has control: this one looks on")
-        self._take.set_visibility(not self._may_edit)
+        self._take.set_visibility(not self._viewer.may_edit)
         self._table.refresh()
         self._panel.refresh()
         self._refresh_log()

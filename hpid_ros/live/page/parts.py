@@ -1,0 +1,96 @@
+"""What the panels of a page share: whose page it is, how a curve is drawn, small elements."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Awaitable, Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from nicegui import ui
+
+from hpid_ros.live.session import LiveSession
+from hpid_ros.live.trials import Trials
+
+INK = "#7d8791"
+
+
+@dataclass(frozen=True)
+class Viewer:
+    """One open page: which joints are chosen on it, and whether its person has control."""
+
+    session: LiveSession
+    trials: Trials
+    page: str  # id of its client
+    chosen: Callable[[], list[str]]  # returns the nodes of the joints that are chosen
+
+    @property
+    def may_edit(self) -> bool:
+        return self.session.control_lock.holds(self.page)
+
+    def acting(self, act: Callable[[], object], then: Callable[[], None]) -> Callable[[], Any]:
+        """Return a handler that does something, and then something else, with control alone."""
+
+        async def handle() -> None:
+            if self.may_edit:
+                done = act()
+                if inspect.isawaitable(done):
+                    await done
+                then()
+
+        return handle
+
+
+def button(text: str, act: Callable[..., Awaitable[None] | None], look: str = "flat") -> Any:
+    return ui.button(text, on_click=act).props(f"no-caps {look}")
+
+
+def mark(element: Any, name: str, *, is_on: bool) -> None:
+    """Give an element a class, or take it."""
+    element.classes(add=name if is_on else "", remove="" if is_on else name)
+
+
+def table(heads: Sequence[str], tips: dict[str, str]) -> tuple[Any, Any]:
+    """Return a table with a head, and its body."""
+    with ui.element("table").classes("joints") as made:
+        with ui.element("thead"), ui.element("tr"):
+            for text in heads:
+                with ui.element("th").props('scope="col"'):
+                    label = ui.label(text)
+                    if text in tips:
+                        label.tooltip(tips[text])
+        body = ui.element("tbody")
+    return made, body
+
+
+def chart(label: str, kind: str) -> Any:
+    return ui.echart(chart_options([])).classes(kind).props(f'role="img" aria-label="{label}"')
+
+
+def chart_options(
+    series: Sequence[dict[str, Any]], top: int = 30, end: float | str = "dataMax", **legend: Any
+) -> dict[str, Any]:
+    """Return what ECharts draws: curves over time in [s]."""
+    soft = {"lineStyle": {"color": "#80808050"}}
+    axis = {"type": "value", "axisLabel": {"color": INK}, "splitLine": soft}
+    return {
+        "animation": False,
+        "legend": {"top": 0, "left": 0, "textStyle": {"color": INK}, **legend},
+        "grid": {"left": 52, "right": 24, "top": top, "bottom": 24},
+        "xAxis": {**axis, "max": end, "axisLabel": {"color": INK, "formatter": "{value} s"}},
+        "yAxis": {**axis, "scale": True, "splitNumber": 3},
+        "series": list(series),
+    }
+
+
+def curve(name: str, points: Sequence[Sequence[float]], colour: str) -> dict[str, Any]:
+    """Return one curve of a chart, by its points."""
+    return {
+        "name": name,
+        "type": "line",
+        "data": points,
+        "showSymbol": False,
+        "symbol": "none",
+        "lineStyle": {"width": 2, "color": colour},
+        "itemStyle": {"color": colour},
+    }
