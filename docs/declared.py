@@ -71,5 +71,5 @@ TABLES: dict[str, Callable[[], Iterable[Row]]] = {
 def markdown(name: str) -> list[str]:
     """Return the lines of a table."""
     rows = [f"| `{key}` | {' | '.join(rest)} |" for key, *rest in TABLES[name]()]
-    heads = ["name", "meaning"] if name == "commands" else ["name", "default", "allowed", "meaning"]
-    return [f"| {' | '.join(heads)} |", "|---" * len(heads) + "|", *rows]
+    heads = "name | meaning" if name == "commands" else "name | default | allowed | meaning"
+    return [f"| {heads} |", "|---" * len(heads.split("|")) + "|", *rows]
