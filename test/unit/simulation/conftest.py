@@ -7,10 +7,7 @@ from harness.engines import INSTALLED
 
 from hpid_ros.simulation import world
 
-WORLDS = (
-    *("test_world", "test_world_bits", "test_world_refusals"),
-    *("test_drives", "test_disturbances", "test_gripper", "test_sensors"),
-)
+WORLDS = ("test_world", "test_drives", "test_disturbances", "test_gripper", "test_sensors")
 
 
 @pytest.fixture(autouse=True)

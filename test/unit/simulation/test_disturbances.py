@@ -79,23 +79,11 @@ def test_what_falls_between_two_periods_happens_with_the_later():
         assert track(first) == track(second)
 
 
-def test_events_come_in_the_order_of_time():
-    moments = [20, 30, 60]
-    events = SCHEDULE.in_order()
-    assert [getattr(e, "time_ns", None) or e.start_ns for e in events] == [
-        moment * MILLISECOND for moment in moments
-    ]
-
-
 def test_impossible_schedules_are_refused():
-    with pytest.raises(SettingError, match=r"mass must be at least 0, not -1\.0"):
-        PayloadChange(0, -1.0)
-    with pytest.raises(SettingError, match="time must be at least 0"):
+    with pytest.raises(SettingError, match="time must lie in"):
         PayloadChange(-1.0, 1.0)
     with pytest.raises(SettingError, match=r"force\[0\] must be finite"):
         WrenchPulse("tool0", 0.0, 1.0, force=(math.nan, 0.0, 0.0))
-    with pytest.raises(SettingError, match="duration must be above 0"):
-        WrenchPulse("tool0", 0.0, 0.0)
     push = WrenchPulse("tool", 0.0, 1.0)
     with pytest.raises(RobotDescriptionError, match="did you mean 'tool0'"):
         World(replace(SETTINGS, disturbances=Disturbances((), (push,))))

@@ -1,4 +1,4 @@
-"""Drives, alone and in the simulated robot, against what mechanics says."""
+"""Drives, motors and bridges, alone and in the simulated robot, against what mechanics says."""
 
 from __future__ import annotations
 

@@ -251,19 +251,15 @@ def test_a_hand_that_the_robot_lacks_is_refused():
 
 
 @pytest.mark.parametrize(
-    "wrong",
+    ("record", "changes"),
     [
-        lambda: replace(BRICK, mass=0.0),
-        lambda: replace(BRICK, size=(0.0, 1.0, 1.0)),
-        lambda: replace(BRICK, yaw=math.nan),
-        lambda: replace(BRICK, friction=-1.0),
-        lambda: replace(BRICK, name=""),
-        lambda: replace(GRIPPER, opening=0.0),
-        lambda: replace(GRIPPER, angle_tolerance=1.0),
-        lambda: replace(PLACE, bricks=(BRICK, BRICK)),
-        lambda: GripCommand(-1e-9, True),
+        (BRICK, {"size": (0.0, 1.0, 1.0)}),
+        (BRICK, {"name": ""}),
+        (GRIPPER, {"angle_tolerance": 1.0}),
+        (PLACE, {"bricks": (BRICK, BRICK)}),
+        (SCHEDULE[0], {"time": -1e-9}),
     ],
 )
-def test_impossible_settings_are_refused(wrong):
+def test_impossible_settings_are_refused(record, changes):
     with pytest.raises(SettingError):
-        wrong()
+        replace(record, **changes)
