@@ -1,6 +1,8 @@
-"""Animations and stills: camera, frames, page, files (WebP, GIF, APNG; a still also JPEG).
+"""Animations and stills of recorded runs: motion, camera, chart, frames, files.
 
-Pillow writes them all, and is there because matplotlib needs it. MP4 would need ffmpeg.
+Positions are replayed, not simulated: each joint stands where it was measured, the base and bricks
+where the simulation reported them. MuJoCo draws; Pillow, which matplotlib needs, writes WebP, GIF
+and APNG, a still also as JPEG. MP4 would need ffmpeg.
 """
 
 from __future__ import annotations
@@ -11,35 +13,259 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from matplotlib.figure import Figure as Drawing
+from matplotlib.font_manager import FontProperties, findfont
+from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
+from scipy.spatial.transform import Rotation
 
-from hpid_ros.base.errors import SettingError
-from hpid_ros.base.text import shown
-from hpid_ros.base.units import Numbers
-from hpid_ros.messages.series import RunSeries, seconds_since
-from hpid_ros.report.film_chart import FilmChart, film_chart, font_file, run_color
-from hpid_ros.report.film_motion import Motion, Stand, corners, motion_of
-from hpid_ros.report.style import INK, PAPER
+from hpid_ros.base.errors import SettingError, unknown_name
+from hpid_ros.base.text import figure_text, shown
+from hpid_ros.base.units import NANOSECONDS, Numbers
+from hpid_ros.base.yaml_files import load_document
+from hpid_ros.messages.messages import read_planar, read_poses
+from hpid_ros.messages.run import read_run
+from hpid_ros.messages.selection import BagSelection
+from hpid_ros.messages.series import RunSeries, SeriesError, seconds_since
+from hpid_ros.metrics.measure import RESULT, Source, expanded
+from hpid_ros.metrics.quantities import Signal, error_of, norm_of_run, position_of, reference_of
+from hpid_ros.report.figures import NO_RUN, Figure, JointUnits, Line, Panel
+from hpid_ros.report.plots import draw_panel
+from hpid_ros.report.style import INK, PAPER, RUN_STYLES, figure_style
 from hpid_ros.robot.description import RobotDescription
-from hpid_ros.robot.shapes import Body, drawn_shapes
-from hpid_ros.simulation.settings import WorldSettings, default_engine, require_engine
-from hpid_ros.simulation.stage import (
-    FIELD,
-    MESHES,
-    Picture,
-    Pixels,
-    Stage,
-    StageSettings,
-    View,
-    open_stage,
-)
+from hpid_ros.robot.differential_drive import integrated
+from hpid_ros.robot.kinematics import axis_rotations, link_poses
+from hpid_ros.robot.shapes import Shape, drawn_shapes
+from hpid_ros.simulation.gripper import BRICK_POSES
+from hpid_ros.simulation.reports import TRUTH
+from hpid_ros.simulation.settings import ENGINES, WorldSettings
+from hpid_ros.simulation.stage import FIELD, Pixels, Stage, View
+from hpid_ros.simulation.world_file import world_of
+
+Stamps = NDArray[np.int64]
+
+MOST_RUNS = 4
+MOST_FRAMES = 1500
+LONGEST = 10.0
+"""An animation that is longer is shown faster where nobody says how fast, in [s]."""
+_SHORTEST = 1e-3  # [s]
+
+
+@dataclass(frozen=True)
+class FilmSettings:
+    """What an animation shows, and how."""
+
+    width: int = 720  # of the picture, in pixels
+    height: int = 450
+    fps: float = 12.5  # pictures in a second; formats count in hundredths of a second
+    start: float = 0.0  # first instant, seconds since the first state
+    end: float | None = None  # last instant; None for the runs' last state
+    speed: float | None = None  # seconds shown in one of the clock
+    joint: str | None = None  # draw this joint's position below
+    engine: str | None = None  # a name of an engine; whichever it is, MuJoCo draws
+    azimuth: float = -50.0  # [deg] where the camera stands, about z from x
+    elevation: float = 16.0  # [deg] how far above the robot's middle
+
+    def __post_init__(self) -> None:
+        for name, least, most in (
+            ("width", 160, 3840),
+            ("height", 160, 2160),
+            ("fps", 1.0, 50.0),
+            ("speed", 0.01, 1000.0),
+            ("azimuth", -360.0, 360.0),
+            ("elevation", -85.0, 85.0),
+        ):
+            value = getattr(self, name)
+            if value is not None and not least <= value <= most:
+                raise SettingError(f"{name} {value:g} must be from {least:g} to {most:g}")
+        if self.engine is not None and self.engine not in ENGINES:
+            raise SettingError(unknown_name("engine", self.engine, ENGINES))
+
+    @property
+    def period_ms(self) -> int:
+        """Time from one picture to the next, in [ms]."""
+        return 10 * round(100.0 / self.fps)
+
+    def instants(self, duration: float) -> tuple[Numbers, float]:
+        """Return what is shown when, in [s], and seconds shown in one of the clock."""
+        start, end = self.start, duration if self.end is None else self.end
+        if not 0.0 <= start <= end <= duration + _SHORTEST:
+            raise SettingError(
+                f"from {start:g} s to {end:g} s is not within the runs, which take {duration:g} s"
+            )
+        speed = self.speed or max(1.0, float(np.ceil((end - start) / LONGEST)))
+        step = self.period_ms * 1e-3 * speed
+        count = int((end - start) / step + 1e-6) + 1
+        if count > MOST_FRAMES:
+            raise SettingError(
+                f"the animation would have {count} pictures, more than {MOST_FRAMES}: show less "
+                "of the runs, faster, or with fewer pictures in a second"
+            )
+        return np.asarray(start + step * np.arange(count)), speed
+
+
+class Film(NamedTuple):
+    """An animation."""
+
+    frames: list[Image.Image]  # the pictures
+    period_ms: int  # [ms] how long each stands
+    instants: Numbers  # what each shows, seconds since the first state
+
+
+class Recorded(NamedTuple):
+    """Runs and their world."""
+
+    world: WorldSettings
+    runs: tuple[RunSeries, ...]  # the runs, in the result's order
+    bags: dict[str, Path]  # the recording of each, by label
+
+
+def recorded(result: Path, labels: Sequence[str] = ()) -> Recorded:
+    """Return the runs of a result."""
+    if (result / "engines.json").is_file():
+        raise SettingError(f"{result} is of several engines: name one of its folders")
+    if not (result / RESULT).is_file():
+        raise SettingError(f"{result} is no result folder: it has no {RESULT}")
+    sources = expanded(Source(result))
+    if any(each.is_saved for each in sources):
+        raise SettingError(f"{result} has no recordings any more, or other labels than theirs")
+    bags = {each.label or each.path.name: each.path for each in sources}
+    for label in labels:
+        if label not in bags:
+            raise SettingError(f"{result}: {unknown_name('run', label, bags)}")
+    chosen = {label: bags[label] for label in labels or bags}
+    document = load_document(result / "nodes" / next(iter(chosen)) / "world.yaml", SettingError)
+    world = world_of(document.values, document).world
+    selection = BagSelection(joints=world.joints)
+    runs = tuple(read_run(bag, label, selection=selection) for label, bag in chosen.items())
+    return Recorded(world, runs, chosen)
+
+
+def render(
+    world: WorldSettings,
+    runs: Sequence[RunSeries],
+    bags: Mapping[str, Path],
+    settings: FilmSettings,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> Film:
+    """Return the animation of some runs; it calls `progress` with pictures done and all."""
+    if not 1 <= len(runs) <= MOST_RUNS:
+        raise SettingError(
+            f"an animation shows 1 to {MOST_RUNS} runs beside each other, not {len(runs)}: choose "
+            f"some of {', '.join(run.label for run in runs)}"
+        )
+    duration = max(run.duration for run in runs)
+    instants, speed = settings.instants(duration)
+    window = (0.0, duration) if settings.start == settings.end else (instants[0], instants[-1])
+    page = _Page(settings, runs, (window[0], max(window[1], window[0] + _SHORTEST)), speed)
+    description = RobotDescription.load(world.robot_description)
+    shapes = drawn_shapes(description)
+    links = list(dict.fromkeys(each.link for each in shapes))
+    robot = [[each for each in shapes if each.link == link] for link in links]
+    double = [[each._replace(color=_DOUBLE) for each in body] for body in robot]
+    place = world.workplace
+    boxes = [[Shape("", "box", each.size, _SUPPORT)] for each in place.supports]
+    boxes += [[Shape("", "box", each.size, _BRICK)] for each in place.bricks]
+    motions = [
+        _Motion(world, description, links, run, bags[run.label]).placements(instants)
+        for run in runs
+    ]
+    frames: list[Image.Image] = []
+    with closing(Stage([*boxes, *robot, *double], *page.panel)) as stage:
+        azimuth, elevation = np.radians(settings.azimuth), np.radians(settings.elevation)
+        points = np.concatenate([stage.corners(each) for each in motions])
+        view = framed(points, azimuth, elevation, page.panel[0] / page.panel[1])
+        low, high = points.min(axis=0), points.max(axis=0)
+        x, y = (low[:2] + high[:2]) / 2.0
+        radius = float(np.linalg.norm(points[:, :2] - (x, y), axis=1).max())
+        stage.open(view, (x, y, low[2]), radius)
+        for each in motions:  # the double, seen from the camera, is behind what it coincides with
+            far = each[:, len(boxes) + len(robot) :, :3]
+            far += _BEHIND * (far - view.eye)
+        for k, instant in enumerate(instants.tolist()):
+            frames.append(page.frame(instant, [stage.draw(each[k]) for each in motions]))
+            progress(k + 1, len(instants))
+    return Film(frames, settings.period_ms, instants)
+
+
+_SUPPORT, _BRICK = (0.86, 0.87, 0.90, 1.0), (0.70, 0.28, 0.20, 1.0)
+_DOUBLE = (0.10, 0.66, 0.36, 0.25)  # shows where the references are
+_BEHIND = 0.006  # of its distance from the camera
+_UP = np.array([0.0, 0.0, 1.0])
+
+
+class _Motion(NamedTuple):
+    """A run in its world: placements of all that is drawn, at given instants."""
+
+    world: WorldSettings
+    description: RobotDescription
+    links: Sequence[str]  # the links that are drawn
+    run: RunSeries
+    bag: Path
+
+    def placements(self, instants: Numbers) -> Numbers:
+        """Return supports, bricks, links, and links where every joint is at its reference."""
+        robot = self._links("position", self._true_base(instants), instants)
+        wanted = robot.copy()  # which hides it, where not all have a reference
+        if all(series.has_reference for series in self.run.joints):
+            wanted = self._links("reference", self._wanted_base(instants), instants)
+        return np.concatenate([self._boxes(instants), robot, wanted], axis=1)
+
+    def _sampled(self, instants: Numbers, stamps_ns: Stamps, rows: Numbers) -> Numbers:
+        times = seconds_since(stamps_ns, self.run.start_ns)
+        return np.column_stack([np.interp(instants, times, column) for column in rows.T])
+
+    def _links(self, what: str, base: Numbers | None, instants: Numbers) -> Numbers:
+        """Return the links' placements; the base is x [m], y [m] and heading [rad], (N, 3)."""
+        count, still = len(instants), self.world.initial_positions
+        joints = self.description.joints
+        positions = {name: np.full(count, still[name]) for name in still if name in joints}
+        for each in self.run.joints:
+            column = getattr(each, what)[:, None]
+            positions[each.joint] = self._sampled(instants, each.state_stamps_ns, column)[:, 0]
+        poses = link_poses(self.description, positions, count)
+        x, y, heading = np.zeros((3, count)) if base is None else base.T
+        turns, origins = axis_rotations(_UP, heading), np.column_stack([x, y, np.zeros_like(x)])
+        found = []
+        for link in self.links:
+            places = origins + np.einsum("nij,nj->ni", turns, poses[link].positions)
+            turned = Rotation.from_matrix(turns @ poses[link].rotations).as_quat()
+            found.append(np.hstack([places, turned]))
+        return np.stack(found, axis=1)
+
+    def _true_base(self, instants: Numbers) -> Numbers | None:
+        if self.world.base is None or self.world.fixed_base:
+            return None
+        truth = read_planar(self.bag, TRUTH)
+        return self._sampled(instants, truth.stamps_ns, truth.poses)
+
+    def _wanted_base(self, instants: Numbers) -> Numbers | None:
+        """Return where the base would be if its wheels did as their references, without slip."""
+        base, series = self.world.base, {each.joint: each for each in self.run.joints}
+        if base is None or self.world.fixed_base or not set(base.joints) <= set(series):
+            return None
+        left, right = (series[wheel] for wheel in base.joints)
+        paths = (np.concatenate((each.position[:1], each.reference)) for each in (left, right))
+        return self._sampled(instants, left.state_stamps_ns, integrated(base, *paths)[1:])
+
+    def _boxes(self, instants: Numbers) -> Numbers:
+        place, count = self.world.workplace, len(instants)
+        still = [[*box.position, *box.orientation] for box in (*place.supports, *place.bricks)]
+        placements = np.tile(np.reshape(still, (-1, 7)), (count, 1, 1))
+        reported = read_poses(self.bag, BRICK_POSES) if place.bricks else None
+        if reported is not None:
+            when = self.run.start_ns + np.round(instants * NANOSECONDS).astype(np.int64)
+            at = np.searchsorted(reported.stamps_ns, when).clip(0, len(reported.stamps_ns) - 1)
+            bricks = np.concatenate([reported.positions, reported.orientations], axis=2)
+            placements[:, len(place.supports) :] = bricks[at]
+        return placements
+
 
 _ROUNDS = 8
-_AIR = 1.1
-"""How much wider than what is in it a picture is."""
+_AIR = 1.1  # how much wider than what is in it a picture is
 
 
 def framed(points: Numbers, azimuth: float, elevation: float, aspect: float) -> View:
@@ -55,293 +281,121 @@ def framed(points: Numbers, azimuth: float, elevation: float, aspect: float) -> 
         distance = float((reach + near - z).max())
         depth = distance - (near - z)
         # Nearer points weigh more: the middle of what is seen is not that of the points.
-        x += _middle((right - x) / depth) * distance
-        y += _middle((up - y) / depth) * distance
+        seen = (right - x) / depth, (up - y) / depth
+        x += (seen[0].min() + seen[0].max()) / 2.0 * distance
+        y += (seen[1].min() + seen[1].max()) / 2.0 * distance
     tx, ty, tz = (axes.T @ (x, y, z)).tolist()
     return View((tx, ty, tz), distance, azimuth, elevation)
 
 
-def _middle(values: Numbers) -> float:
-    return float(values.min() + values.max()) / 2.0
+_HEADER, _CHART = 0.075, 0.31  # of the height
+_LABEL, _READING = 0.55, 0.45  # of the header's height
+_SOFT, _PALE = "#5b6472", 0.22
+_EDGE = 12  # [pixels]
+_DOTS_PER_INCH = 100
 
 
-_FLOOR, _THICKNESS = (0.93, 0.94, 0.96), 0.004
-_DEEP, _WIDE = 3.6, 12.0
-"""Edges of the floor over half of what the robot needs of it: none but the far one is seen."""
-_DOUBLE, _SHARE = (0.10, 0.66, 0.36), 0.45
-_IN_FRONT = 0.006
-"""How much nearer the double is where it is drawn over the robot, over the camera's distance."""
-_LEAST = 0.1
-"""What moves less is not drawn again, over the height of a pixel; of a body's turn over 1 m."""
+class _Page:
+    """Puts frames together: labels and what is read off, pictures, the chart below.
 
-
-class Studio:
-    """Takes pictures of the motions of one robot, all from the same place."""
+    The chart is there pale and in full; a frame shows the full one up to its instant, so that
+    matplotlib draws twice for a whole animation.
+    """
 
     def __init__(
         self,
-        stand: Stand,
-        motions: Sequence[Motion],
-        engine: str,
-        size: tuple[int, int],
-        side: tuple[float, float],
+        settings: FilmSettings,
+        runs: Sequence[RunSeries],
+        window: tuple[float, float],
+        speed: float,
     ) -> None:
-        self._motions = motions
-        robot = [shape.body for shape in stand.shapes]
-        boxes = stand.boxes
-        points = np.concatenate(
-            [
-                corners([*robot, *boxes], np.concatenate([places, each.boxes], axis=1))
-                for each in motions
-                for places in (each.robot, each.wanted)
-                if places is not None
-            ]
+        self._size = width, height = settings.width, settings.height
+        self._header, chart = round(_HEADER * height), round(_CHART * height)
+        self.panel = width // len(runs), height - self._header - chart
+        self._runs, self._speed = runs, speed
+        self._label, self._plain = (
+            ImageFont.truetype(
+                findfont(FontProperties(family="DejaVu Sans", weight=weight)),
+                round(share * self._header),
+            )
+            for weight, share in (("bold", _LABEL), ("normal", _READING))
         )
-        floor, self._floor = _floor(points, side[0])
-        view = framed(points, *side, size[0] / size[1])
-        self._nearer = _IN_FRONT * view.distance
-        self._least = _LEAST * 2.0 * math.tan(FIELD / 2.0) * view.distance / size[1]
-        self._drawn: dict[tuple[int, int], tuple[Numbers, Picture]] = {}
-        self._stages: list[Stage] = []
-        try:
-            bodies = (floor, *boxes, *robot)
-            self._stages.append(open_stage(engine, StageSettings(bodies, view, *size)))
-            if any(each.wanted is not None for each in motions):
-                double = [body._replace(color=_DOUBLE) for body in robot]
-                settings = StageSettings(double, view, *size, is_lit=False)
-                self._stages.append(open_stage(engine, settings))
-        except BaseException:
-            self.close()
-            raise
+        self._draw_chart(settings.joint, (width, chart), window)
 
-    def close(self) -> None:
-        """Free what draws."""
-        while self._stages:
-            self._stages.pop().close()
-
-    def shoot(self, number: int, k: int) -> Pixels:
-        """Return the picture of one of the motions at its k-th instant."""
-        motion = self._motions[number]
-        places = np.concatenate([self._floor[None], motion.boxes[k], motion.robot[k]])
-        picture = self._draw(0, number, places)
-        if motion.wanted is None:
-            return picture.pixels
-        return self._with_double(picture, self._draw(1, number, motion.wanted[k]))
-
-    def _draw(self, stage: int, number: int, places: Numbers) -> Picture:
-        """Return the picture of bodies, the last one while nothing moves that could be seen."""
-        last = self._drawn.get((stage, number))
-        if last is not None and abs(places - last[0]).max() < self._least:
-            return last[1]
-        picture = self._stages[stage].draw(places)
-        self._drawn[stage, number] = places, picture
-        return picture
-
-    def _with_double(self, picture: Picture, double: Picture) -> Pixels:
-        """Return a picture with the double where it stands before everything else."""
-        shown = double.depth < picture.depth - self._nearer
-        mixed = (1.0 - _SHARE) * picture.pixels[shown] + _SHARE * double.pixels[shown]
-        pixels: Pixels = picture.pixels.copy()
-        pixels[shown] = mixed.round()
-        return pixels
-
-
-def _floor(points: Numbers, azimuth: float) -> tuple[Body, Numbers]:
-    """Return a floor below everything, one edge along the picture, and its placement."""
-    low, high = points.min(axis=0), points.max(axis=0)
-    x, y = (low[:2] + high[:2]) / 2.0
-    radius = float(np.linalg.norm(points[:, :2] - (x, y), axis=1).max())
-    turn = math.sin(azimuth / 2.0), math.cos(azimuth / 2.0)
-    place = np.array([x, y, low[2] - _THICKNESS / 2.0, 0.0, 0.0, *turn])
-    return Body("box", (_DEEP * radius, _WIDE * radius, _THICKNESS), _FLOOR), place
-
-
-_HEADER, _CHART = 0.075, 0.31  # of the height
-_LABEL, _READING = 0.55, 0.45  # of the header's height
-_SOFT = "#5b6472"
-_EDGE = 12  # [pixels]
-
-
-class PageSize(NamedTuple):
-    """Where everything is, in pixels."""
-
-    width: int  # of the frame
-    height: int  # of the frame
-    header: int  # height of the labels
-    panel: tuple[int, int]  # width and height of each picture
-    chart: tuple[int, int]  # width and height of the chart
-
-    @classmethod
-    def of(cls, width: int, height: int, count: int) -> PageSize:
-        """Return the places for so many runs side by side."""
-        header, chart = round(_HEADER * height), round(_CHART * height)
-        panel = width // count, height - header - chart
-        return cls(width, height, header, panel, (width, chart))
-
-
-class Page:
-    """Puts frames together."""
-
-    def __init__(
-        self, size: PageSize, runs: Sequence[RunSeries], chart: FilmChart, speed: float
+    @figure_style()
+    def _draw_chart(
+        self, joint: str | None, size: tuple[int, int], window: tuple[float, float]
     ) -> None:
-        self._size, self._runs, self._chart, self._speed = size, runs, chart, speed
-        self._pale, self._full = (Image.fromarray(each) for each in (chart.pale, chart.full))
-        self._label = ImageFont.truetype(font_file(is_bold=True), round(_LABEL * size.header))
-        self._plain = ImageFont.truetype(font_file(), round(_READING * size.header))
-        self._times = [
-            seconds_since(reading.stamps_ns, run.start_ns)
-            for run, reading in zip(runs, chart.readings, strict=True)
-        ]
+        """Draw the error's norm over all joints, or the position of a joint, within a time."""
+        lines, runs = [], self._runs
+        if joint is None:
+            self._symbol, self._unit = "|e|", JointUnits.of(runs).over_all("rad")
+            title = f"error, norm over all joints [{self._unit}]; green: where the references are"
+            signals = self._readings = [norm_of_run(run, error_of) for run in runs]
+        else:
+            for run in runs:
+                if joint not in run.joint_names:
+                    raise SeriesError(unknown_name("joint", joint, run.joint_names))
+            series = [run.joints[run.joint_names.index(joint)] for run in runs]
+            self._symbol, self._unit = "e", "m" if any(e.is_slide for e in series) else "rad"
+            title = f"{joint} and its reference, grey [{self._unit}]; green: all references"
+            signals = [position_of(each) for each in series]
+            self._readings = [error_of(each) for each in series]
+            lines.append(_within(window, NO_RUN, runs[0], reference_of(series[0])))
+        lines += [_within(window, k, run, signals[k]) for k, run in enumerate(runs)]
+        figure = Figure("film", "time", title, "", "", [Panel(title, lines, 0.0)])
+        width, height = size
+        inches = width / _DOTS_PER_INCH, height / _DOTS_PER_INCH
+        drawing = Drawing(figsize=inches, dpi=_DOTS_PER_INCH)
+        panel = drawing.add_axes((58 / width, 34 / height, 1.0 - 76 / width, 1.0 - 60 / height))
+        draw_panel(panel, figure, figure.panels[0])
+        panel.set_title(figure_text(title), fontsize=8.5, fontweight="normal", pad=5)
+        panel.tick_params(labelsize=8)
+        panel.set_xlabel("time [s]", fontsize=8.5, labelpad=2)
+        panel.set_xlim(*window)
+        self._full = _picture(drawing)
+        for line in panel.lines:
+            line.set_alpha(_PALE)
+        self._pale = _picture(drawing)
+        self._window, self._box = window, panel.get_window_extent()
 
     def frame(self, instant: float, pictures: Sequence[Pixels]) -> Image.Image:
         """Return the frame of an instant."""
-        size = self._size
-        frame = Image.new("RGB", (size.width, size.height), PAPER)
+        frame = Image.new("RGB", self._size, PAPER)
         pen = ImageDraw.Draw(frame)
-        for k, picture in enumerate(pictures):
-            left = k * size.panel[0]
-            frame.paste(Image.fromarray(picture), (left, size.header))
-            self._write(pen, k, left, instant)
-        self._paste_chart(frame, pen, instant)
-        return frame
-
-    def _write(self, pen: ImageDraw.ImageDraw, k: int, left: int, instant: float) -> None:
-        middle, right = self._size.header // 2 + 2, left + self._size.panel[0] - _EDGE
-        label = shown(self._runs[k].label)
-        pen.text((left + _EDGE, middle), label, run_color(k), self._label, anchor="lm")
-        values = self._chart.readings[k].values
-        if values.size:
-            value = float(np.interp(instant, self._times[k], values))
-            text = f"{self._chart.symbol} = {value:.3f} {self._chart.unit}"
-            pen.text((right, middle), text, _SOFT, self._plain, anchor="rm")
-
-    def _paste_chart(self, frame: Image.Image, pen: ImageDraw.ImageDraw, instant: float) -> None:
-        chart, (width, height) = self._chart, self._size.chart
-        top = self._size.height - height
-        share = (instant - chart.first) / (chart.last - chart.first)
-        column = round(chart.left + share * (chart.right - chart.left))
+        middle = self._header // 2 + 2
+        for k, (run, picture) in enumerate(zip(self._runs, pictures, strict=True)):
+            left, right = k * self.panel[0], (k + 1) * self.panel[0]
+            frame.paste(Image.fromarray(picture), (left, self._header))
+            color, label = RUN_STYLES[k % len(RUN_STYLES)].color, shown(run.label)
+            pen.text((left + _EDGE, middle), label, color, self._label, anchor="lm")
+            stamps_ns, values = self._readings[k]
+            if values.size:
+                value = np.interp(instant, seconds_since(stamps_ns, run.start_ns), values)
+                text = f"{self._symbol} = {value:.3f} {self._unit}"
+                pen.text((right - _EDGE, middle), text, _SOFT, self._plain, anchor="rm")
+        height, box = self._full.height, self._box
+        top, (first, last) = self._size[1] - height, self._window
+        column = round(box.x0 + (instant - first) / (last - first) * (box.x1 - box.x0))
         frame.paste(self._pale, (0, top))
         frame.paste(self._full.crop((0, 0, column, height)), (0, top))
-        low, high = top + chart.top, top + chart.bottom
-        pen.line([(column, low), (column, high)], INK, 1)
-        speed = "" if self._speed == 1.0 else f"   {self._speed:g} x"
-        text = f"{instant:.2f} s{speed}"
-        pen.text((width - _EDGE, top + 4), text, INK, self._plain, anchor="ra")
+        ends = [(column, top + round(height - y)) for y in (box.y1, box.y0)]
+        pen.line(ends, INK, 1)
+        text = f"{instant:.2f} s" + ("" if self._speed == 1.0 else f"   {self._speed:g} x")
+        pen.text((self._size[0] - _EDGE, top + 4), text, INK, self._plain, anchor="ra")
+        return frame
 
 
-MOST_RUNS = 4
-MOST_FRAMES = 1500
-LONGEST = 10.0
-"""An animation that is longer is shown faster where nobody says how fast, in [s]."""
-_SHORTEST = 1e-3  # [s]
-_AZIMUTH, _ELEVATION = -50.0, 16.0  # [deg]
+def _within(window: tuple[float, float], k: int, run: RunSeries, signal: Signal) -> Line:
+    times = seconds_since(signal.stamps_ns, run.start_ns)
+    kept = (times >= window[0]) & (times <= window[1])
+    return Line(k, times[kept], signal.values[kept])
 
 
-@dataclass(frozen=True)
-class FilmSettings:
-    """What an animation shows, and how."""
-
-    width: int = 720  # of the picture, in pixels
-    height: int = 450  # of the picture, in pixels
-    fps: float = 12.5  # pictures in a second; formats count in hundredths of a second
-    start: float = 0.0  # first instant, seconds since the first state
-    end: float | None = None  # last instant; None for the runs' last state
-    speed: float | None = None  # seconds shown in one of the clock
-    joint: str | None = None  # draw this joint's position below
-    engine: str | None = None  # who draws, pybullet or mujoco; None for the default
-    azimuth: float = _AZIMUTH  # [deg] where the camera stands, about z from x
-    elevation: float = _ELEVATION  # [deg] how far above the robot's middle
-
-    def __post_init__(self) -> None:
-        for name, least, most in (
-            ("width", 160, 3840),
-            ("height", 160, 2160),
-            ("fps", 1.0, 50.0),
-            ("speed", 0.01, 1000.0),
-            ("azimuth", -360.0, 360.0),
-            ("elevation", -85.0, 85.0),
-        ):
-            value = getattr(self, name)
-            if value is not None and not least <= value <= most:
-                raise SettingError(f"{name} {value:g} must be from {least:g} to {most:g}")
-
-    @property
-    def period_ms(self) -> int:
-        """Time from one picture to the next, in [ms]."""
-        return 10 * round(100.0 / self.fps)
-
-
-class Film(NamedTuple):
-    """An animation."""
-
-    frames: list[Image.Image]  # the pictures
-    period_ms: int  # [ms] how long each stands
-    speed: float  # seconds shown in one of the clock
-    instants: Numbers  # what each shows, seconds since the first state
-
-
-Progress = Callable[[int, int], None]
-"""Is told how many pictures of how many are done."""
-
-
-def render(
-    world: WorldSettings,
-    runs: Sequence[RunSeries],
-    bags: Mapping[str, Path],
-    settings: FilmSettings,
-    progress: Progress = lambda done, total: None,
-) -> Film:
-    """Return the animation of some runs."""
-    if not 1 <= len(runs) <= MOST_RUNS:
-        raise SettingError(
-            f"an animation shows 1 to {MOST_RUNS} runs beside each other, not {len(runs)}: choose "
-            f"some of {', '.join(run.label for run in runs)}"
-        )
-    instants, speed = _instants(settings, max(run.duration for run in runs))
-    engine = settings.engine or default_engine()
-    require_engine(engine)
-    description = RobotDescription.load(world.robot_description)
-    stand = Stand(world, description, drawn_shapes(description, MESHES[engine]))
-    size = PageSize.of(settings.width, settings.height, len(runs))
-    window = _window(settings, instants, max(run.duration for run in runs))
-    page = Page(size, runs, film_chart(runs, settings.joint, size.chart, window), speed)
-    motions = [motion_of(stand, run, bags[run.label], instants) for run in runs]
-    side = np.radians(settings.azimuth), np.radians(settings.elevation)
-    frames: list[Image.Image] = []
-    with closing(Studio(stand, motions, engine, size.panel, side)) as studio:
-        for k, instant in enumerate(instants.tolist()):
-            frames.append(
-                page.frame(instant, [studio.shoot(each, k) for each in range(len(runs))])
-            )
-            progress(k + 1, len(instants))
-    return Film(frames, settings.period_ms, speed, instants)
-
-
-def _window(settings: FilmSettings, instants: Numbers, duration: float) -> tuple[float, float]:
-    """Return what the chart shows: the same as the pictures, or of one picture the whole run."""
-    if settings.start == settings.end:
-        return 0.0, max(duration, _SHORTEST)
-    first, last = float(instants[0]), float(instants[-1])
-    return first, max(last, first + _SHORTEST)
-
-
-def _instants(settings: FilmSettings, duration: float) -> tuple[Numbers, float]:
-    """Return what is shown when, in [s], and seconds shown in one of the clock."""
-    start, end = settings.start, duration if settings.end is None else settings.end
-    if not 0.0 <= start <= end <= duration + _SHORTEST:
-        raise SettingError(
-            f"from {start:g} s to {end:g} s is not within the runs, which take {duration:g} s"
-        )
-    speed = settings.speed or max(1.0, float(np.ceil((end - start) / LONGEST)))
-    step = settings.period_ms * 1e-3 * speed
-    count = int((end - start) / step + 1e-6) + 1
-    if count > MOST_FRAMES:
-        raise SettingError(
-            f"the animation would have {count} pictures, more than {MOST_FRAMES}: show less of "
-            "the runs, faster, or with fewer pictures in a second"
-        )
-    return np.asarray(start + step * np.arange(count)), speed
+def _picture(drawing: Drawing) -> Image.Image:
+    buffer = io.BytesIO()
+    drawing.savefig(buffer, format="png", dpi=_DOTS_PER_INCH)
+    return Image.open(buffer).convert("RGB")
 
 
 ANIMATED = (".webp", ".gif", ".png")
@@ -352,7 +406,7 @@ _QUALITY = 72
 _COARSER = (_QUALITY, 50, 25)
 _LARGEST = 1_500_000  # bytes in a report
 _COLORS = 128
-_SAMPLES = 6
+_PALETTE_FRAMES = 6
 
 
 def require_suffix(path: Path, *, is_still: bool) -> None:
@@ -368,26 +422,23 @@ def require_suffix(path: Path, *, is_still: bool) -> None:
 
 def encoded(film: Film, suffix: str, quality: int = _QUALITY) -> bytes:
     """Return an animation as the bytes of a file; of one frame, a still picture."""
-    suffix, frames = suffix.lower(), film.frames
+    suffix, (first, *rest) = suffix.lower(), film.frames
     buffer = io.BytesIO()
-    if len(frames) == 1:
-        frames[0].save(buffer, "JPEG" if suffix == ".jpg" else suffix[1:], quality=quality)
+    if not rest:
+        first.save(buffer, "JPEG" if suffix == ".jpg" else suffix[1:], quality=quality)
         return buffer.getvalue()
-    times = [film.period_ms] * (len(frames) - 1) + [_LAST_MS]
-    how = {"save_all": True, "duration": times, "loop": 0}
-    if suffix == ".webp":
-        frames[0].save(buffer, "WEBP", append_images=frames[1:], quality=quality, method=4, **how)
-    elif suffix == ".gif":
-        few = _few_colors(frames)
-        few[0].save(buffer, "GIF", append_images=few[1:], optimize=False, **how)
-    else:
-        frames[0].save(buffer, "PNG", append_images=frames[1:], **how)
+    how: dict[str, Any] = {"quality": quality, "method": 4} if suffix == ".webp" else {}
+    if suffix == ".gif":
+        (first, *rest), how = _few_colors(film.frames), {"optimize": False}
+    times = [film.period_ms] * len(rest) + [_LAST_MS]
+    first.save(
+        *(buffer, suffix[1:]), save_all=True, append_images=rest, duration=times, loop=0, **how
+    )
     return buffer.getvalue()
 
 
 def for_report(film: Film) -> bytes:
     """Return an animation as WebP, coarser if it is large: a page is to stay light."""
-    content = b""
     for quality in _COARSER:
         content = encoded(film, ".webp", quality)
         if len(content) <= _LARGEST:
@@ -397,7 +448,7 @@ def for_report(film: Film) -> bytes:
 
 def _few_colors(frames: Sequence[Image.Image]) -> list[Image.Image]:
     """Return frames that share one palette, so that what does not move does not change."""
-    some = frames[:: max(1, len(frames) // _SAMPLES)]
+    some = frames[:: max(1, len(frames) // _PALETTE_FRAMES)]
     width, height = frames[0].size
     together = Image.new("RGB", (width, height * len(some)))
     for k, frame in enumerate(some):

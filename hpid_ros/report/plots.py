@@ -115,7 +115,7 @@ def drawn(figure: Figure, labels: Sequence[str]) -> Drawing:
         rows, columns, sharex=is_time_like, sharey=figure.kind == "points", squeeze=False
     ).flat
     for k, (panel, place) in enumerate(zip(figure.panels, axes[:count], strict=True)):
-        _draw_panel(place, figure, panel)
+        draw_panel(place, figure, panel)
         # The last panel of each column carries the labels, also where the last row has gaps.
         place.tick_params(labelbottom=not is_time_like or k + columns >= count)
     for place in axes[count:]:
@@ -127,7 +127,8 @@ def drawn(figure: Figure, labels: Sequence[str]) -> Drawing:
     return laid_out(drawing)
 
 
-def _draw_panel(place: Axes, figure: Figure, panel: Panel) -> None:
+def draw_panel(place: Axes, figure: Figure, panel: Panel) -> None:
+    """Draw a panel into its place."""
     place.set_title(figure_text(panel.title))
     place.set(xlabel=_with_powers(panel.x), ylabel=_with_powers(panel.y))
     if figure.kind == "frequency":

@@ -8,19 +8,19 @@ from PIL import Image
 
 from hpid_ros.base.errors import LibraryError
 from hpid_ros.cli.main import main
-from hpid_ros.report.film import FilmSettings, render
-from hpid_ros.report.film_motion import recorded
-from hpid_ros.simulation.settings import default_engine
-from hpid_ros.simulation.stage import StageSettings, View, open_stage
+from hpid_ros.report.film import FilmSettings, recorded, render
+from hpid_ros.robot.shapes import Shape
+from hpid_ros.simulation.stage import Stage, View
 
 SMALL = ("--size", "320x200", "--fps", "10")
 
 
 def require_renderer():
-    """Skip where nobody can draw: without PyBullet and without OpenGL."""
-    view = View((0.0, 0.0, 0.0), 1.0, 0.0, 0.0)
+    """Skip where nobody can draw: without OpenGL."""
+    stage = Stage([[Shape("a", "sphere", (0.1,))]], 16, 16)
     try:
-        open_stage(default_engine(), StageSettings((), view, 16, 16)).close()
+        stage.open(View((0.0, 0.0, 0.0), 1.0, 0.0, 0.0), (0.0, 0.0, 0.0), 1.0)
+        stage.close()
     except LibraryError as error:
         pytest.skip(str(error))
 

@@ -81,7 +81,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _animate(console: Console, output: Path) -> None:
-    from hpid_ros.cli.animations import ANIMATION, rendered, save_in_report
+    from hpid_ros.cli.commands.render import ANIMATION, rendered, save_in_report
     from hpid_ros.experiment.result_folder import ResultFolder
     from hpid_ros.report.film import FilmSettings, encoded
 

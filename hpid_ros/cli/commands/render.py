@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 import re
+from collections.abc import Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,9 +14,13 @@ from hpid_ros.base.files import refuse_output, write_file
 from hpid_ros.cli.commands import DONE
 
 if TYPE_CHECKING:
-    from hpid_ros.report.film import FilmSettings
+    from rich.console import Console
 
+    from hpid_ros.experiment.result_folder import ResultFolder
+    from hpid_ros.report.film import Film, FilmSettings
 
+ANIMATION, PICTURE, REPORT = "animation.webp", "picture.png", "report.html"
+"""Names of files in a result folder."""
 _EXAMPLES = """\
 examples:
   hpid render results/mine                      animation.webp in that folder
@@ -85,8 +91,8 @@ def add(commands: Any) -> None:
     parser.add_argument(
         "--engine",
         metavar="ENGINE",
-        help="who draws, pybullet or mujoco, which needs OpenGL but no screen (pybullet where it "
-        "is installed)",
+        help="kept from earlier versions, pybullet or mujoco: MuJoCo draws, which needs OpenGL "
+        "but no screen",
     )
     parser.add_argument(
         "--report", action="store_true", help="put the animation into RESULT's report.html, too"
@@ -97,7 +103,6 @@ def add(commands: Any) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Draw the result and say where it is."""
-    from hpid_ros.cli.animations import ANIMATION, PICTURE, rendered, report_page, save_in_report
     from hpid_ros.cli.terminal import output_console, print_result_places
     from hpid_ros.experiment.result_folder import ResultFolder
     from hpid_ros.report.film import encoded, require_suffix
@@ -132,6 +137,50 @@ def run(options: argparse.Namespace) -> int:
         console, places | ({"report": result / "report.html"} if options.report else {})
     )
     return DONE
+
+
+def rendered(
+    console: Console, result: Path, labels: Sequence[str], settings: FilmSettings
+) -> Film:
+    """Return the animation of a result's runs, and show how far it is meanwhile."""
+    from hpid_ros.cli.options import progress
+    from hpid_ros.report.film import recorded, render
+
+    world, runs, bags = recorded(result, labels)
+    with ExitStack() as stack:
+        advances: list[Any] = []
+
+        def advance(done: int, total: int) -> None:
+            if not advances:  # from the first one on, so that a refusal shows no bar
+                advances.append(stack.enter_context(progress(console, "pictures", total)))
+            advances[0]("")
+
+        return render(world, runs, bags, settings, advance)
+
+
+def report_page(result: Path) -> str:
+    """Return the report of a result, which has a place for an animation."""
+    from hpid_ros.report.page import require_place
+
+    report = result / REPORT
+    try:
+        page = report.read_text(encoding="utf-8")
+    except OSError as error:
+        reason = (error.strerror or str(error)).lower()
+        raise SettingError(f"cannot read {report}: {reason}") from None
+    require_place(page)
+    return page
+
+
+def save_in_report(folder: ResultFolder, film: Film) -> None:
+    """Put an animation into the report of a result, in the place of one that is there."""
+    from hpid_ros.report.film import encoded, for_report
+    from hpid_ros.report.page import with_animation
+
+    page = report_page(folder.path)
+    still = encoded(film._replace(frames=film.frames[:1]), ".webp")
+    text = f"The robot as it moved, from {film.instants[0]:g} s to {film.instants[-1]:g} s"
+    folder.write(REPORT, with_animation(page, for_report(film), still, text))
 
 
 def _settings(options: argparse.Namespace) -> FilmSettings:

@@ -33,9 +33,9 @@ def visual(form, more=""):
 
 def test_a_shape_has_its_place_its_size_and_its_colour():
     origin = '<origin xyz="1 2 3" rpy="0.1 0.2 0.3"/><material name="red"/>'
-    (shape,) = drawn_shapes(robot(visual('<box size="1 2 3"/>', origin)), ())
-    assert (shape.link, shape.body.form, shape.body.size) == ("a", "box", (1.0, 2.0, 3.0))
-    assert shape.body.color == (1.0, 0.0, 0.0)
+    (shape,) = drawn_shapes(robot(visual('<box size="1 2 3"/>', origin)))
+    assert (shape.link, shape.form, shape.size) == ("a", "box", (1.0, 2.0, 3.0))
+    assert shape.color == (1.0, 0.0, 0.0, 1.0)
     assert shape.position.tolist() == [1.0, 2.0, 3.0]
     # About fixed axes, x first: the matrices multiply the other way round.
     turns = [
@@ -46,9 +46,9 @@ def test_a_shape_has_its_place_its_size_and_its_colour():
 
 
 def test_the_robot_of_the_package_is_drawn_whole():
-    shapes = drawn_shapes(ROBOT, ())
+    shapes = drawn_shapes(ROBOT)
     assert len(shapes) == ROBOT.xml.count("<visual>")
-    assert all(shape.body.color != PLAIN for shape in shapes)
+    assert all(shape.color != PLAIN for shape in shapes)
 
 
 @pytest.mark.parametrize("name", ["lost.stl", "there.ply"])
@@ -56,14 +56,14 @@ def test_collision_shapes_stand_in_for_meshes_that_cannot_be_read(name, tmp_path
     (tmp_path / "there.ply").write_text("ply")
     mesh = visual(f'<mesh filename="{tmp_path / name}"/>')
     with caplog.at_level(logging.WARNING):
-        (shape,) = drawn_shapes(robot(mesh + COLLISION), {".stl"})
-    assert (shape.body.form, shape.body.size) == ("sphere", (0.1,))
+        (shape,) = drawn_shapes(robot(mesh + COLLISION))
+    assert (shape.form, shape.size) == ("sphere", (0.1,))
     assert name in caplog.text
     assert len(caplog.messages) == 1
 
 
 def test_a_robot_without_shapes_is_drawn_by_its_bones():
-    bone, ball = drawn_shapes(robot(""), ())
+    bone, ball = drawn_shapes(robot(""))
     ends = [bone.position + bone.rotation @ (0, 0, sign * 0.25) for sign in (-1, 1)]
     assert np.allclose(ends, [(0, 0, 0), (0, 0.3, 0.4)])  # from the link's frame to the joint
     assert np.allclose(ball.position, (0, 0.3, 0.4))
@@ -71,7 +71,7 @@ def test_a_robot_without_shapes_is_drawn_by_its_bones():
 
 def test_a_shape_that_is_no_number_is_one_line():
     with pytest.raises(RobotDescriptionError, match="link 'a' has a shape that cannot be drawn"):
-        drawn_shapes(robot(visual('<sphere radius="big"/>')), ())
+        drawn_shapes(robot(visual('<sphere radius="big"/>')))
 
 
 def test_every_link_is_where_its_own_kinematics_put_it():
