@@ -13,7 +13,7 @@ from hpid_ros.experiment.graph_run import GraphOptions, run_on_graph, run_trial
 from hpid_ros.experiment.in_process import run_without_ros, write_run_files
 from hpid_ros.experiment.progress import NamedProgress, Progress, RunReport
 from hpid_ros.experiment.result import Result, compute, save, save_numbers, save_timing
-from hpid_ros.experiment.result_folder import EXPERIMENT, ResultFolder, ResultPlaces
+from hpid_ros.experiment.result_folder import EXPERIMENT, ResultFolder
 from hpid_ros.metrics.comparison import Comparison
 from hpid_ros.metrics.folding import BySeed, EngineTotal, engine_mapping
 from hpid_ros.metrics.quantities import PAPER, Quantity
@@ -83,7 +83,7 @@ class Compared:
 
     result: Result  # the numbers
     reports: tuple[RunReport, ...]  # how each run went
-    folder: ResultPlaces  # where everything lies
+    folder: ResultFolder  # where everything lies
 
 
 def compare(
@@ -176,7 +176,7 @@ def _engine_totals(results: Mapping[str, Result]) -> tuple[EngineTotal, ...]:
 
 def _compare(
     experiment: Experiment,
-    folder: ResultPlaces,
+    folder: ResultFolder,
     progress: Progress,
     in_process: bool,
     has_figures: bool,

@@ -16,7 +16,7 @@ from hpid_ros.base.text import shown
 from hpid_ros.base.units import Numbers
 from hpid_ros.experiment.description import Experiment
 from hpid_ros.experiment.progress import RunReport
-from hpid_ros.experiment.result_folder import ResultPlaces, versions
+from hpid_ros.experiment.result_folder import ResultFolder, versions
 from hpid_ros.messages.messages import read_planar, read_poses, read_statuses, read_vectors
 from hpid_ros.messages.reports import POSE, Status
 from hpid_ros.messages.selection import BagSelection
@@ -293,7 +293,7 @@ def compute(experiment: Experiment, bags: Mapping[str, Path]) -> Result:
 
 
 def save_numbers(
-    result: Result, folder: ResultPlaces, reports: Sequence[RunReport], how: str
+    result: Result, folder: ResultFolder, reports: Sequence[RunReport], how: str
 ) -> None:
     """Write the numbers of a result: indices and table, and how long everything took."""
     from hpid_ros.report.table import table_text
@@ -304,7 +304,7 @@ def save_numbers(
     save_timing(folder, reports, how)
 
 
-def save_timing(folder: ResultPlaces, reports: Sequence[RunReport], how: str) -> None:
+def save_timing(folder: ResultFolder, reports: Sequence[RunReport], how: str) -> None:
     """Write how long the runs took, as for :func:`save_numbers`."""
     timing = {"ran": how, "runs": {each.label: each.as_mapping() for each in reports}}
     folder.write("timing.json", json.dumps(timing, indent=2) + "\n")
@@ -312,7 +312,7 @@ def save_timing(folder: ResultPlaces, reports: Sequence[RunReport], how: str) ->
 
 def save(
     result: Result,
-    folder: ResultPlaces,
+    folder: ResultFolder,
     reports: Sequence[RunReport],
     how: str,
     *,

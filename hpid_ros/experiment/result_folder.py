@@ -1,9 +1,10 @@
-"""Result folders: made aside, marked, replaced only by themselves.
+"""Result folders: written next to the former result, marked, replaced only by themselves.
 
 A file of its own, the marker, lists what the package wrote. ``--force`` replaces only a folder
-that has one, and removes nothing but the files that it lists. The new result is written aside, in
-a folder inside the old one, and takes its place when it is finished: a run that fails or is
-interrupted leaves the former result as it was, and its own bags where they are.
+that has one, and removes nothing but the files that it lists. The new result is written into a
+folder inside the old one, and each of its files takes its place by ``os.replace`` when all are
+written: a run that fails or is interrupted leaves the former result as it was, and its own bags
+where they are.
 """
 
 from __future__ import annotations
@@ -12,15 +13,13 @@ import json
 import logging
 import os
 import platform
-import stat
-from abc import ABC, abstractmethod
+import tempfile
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
 from datetime import datetime
 from importlib import metadata
 from pathlib import Path, PurePosixPath
-from types import TracebackType
 from typing import TYPE_CHECKING
 
 from hpid_ros import __version__
@@ -30,66 +29,30 @@ from hpid_ros.base.files import write_file
 if TYPE_CHECKING:
     from typing_extensions import Self
 
+MARKER = "hpid_result.json"
+"""Name of the file that makes a folder a result of this package, and lists what it wrote."""
 
-class ResultPlaces(ABC):
-    """Where the parts of one result lie; what is written there is noted as this package's."""
+EXPERIMENT = "experiment.yaml"
+"""Name of the copy of the experiment file."""
 
-    path: Path  # the folder in which they are
-
-    @abstractmethod
-    def file(self, name: str) -> Path:
-        """Return the path of a file that is about to be written, and note that it is ours."""
-
-    @abstractmethod
-    def folder(self, name: str, *, is_made: bool = False) -> Path:
-        """Return a folder of which everything is ours."""
-
-    @property
-    def figures(self) -> Path:
-        """Existing folder of the figures."""
-        return self.folder("figures", is_made=True)
-
-    def bag(self, label: str) -> Path:
-        """Return the folder of a run's bag."""
-        return self.folder(f"bags/{label}")
-
-    def nodes(self, label: str) -> Path:
-        """Return the existing folder of a run's parameter files and logs."""
-        return self.folder(f"nodes/{label}", is_made=True)
-
-    def write(self, name: str, content: str | bytes) -> None:
-        """Write one file of the result as a whole."""
-        path = self.file(name)
-        with told(f"cannot write {path}"):
-            write_file(path, content)
-
-    def part(self, name: str) -> ResultPart:
-        """Return the places of one of several results that lie beside each other."""
-        return ResultPart(self, name)
+_PARTS = ("numpy", "pybullet", "mujoco", "pin", "rosbags", "ros-rclpy", "rclpy", "ros-fastrtps")
+_FORMAT = 1
+_NAMES_SHOWN = 5
+_NOT_OURS = "this package did not write it"
+_log = logging.getLogger(__name__)
 
 
-class ResultPart(ResultPlaces):
-    """A result inside another one, which stands and falls with it."""
-
-    def __init__(self, whole: ResultPlaces, name: str) -> None:
-        self._whole, self._name = whole, name
-
-    @property
-    def path(self) -> Path:  # type: ignore[override]
-        """Its folder, wherever the whole is."""
-        return self._whole.path / self._name
-
-    def file(self, name: str) -> Path:
-        """Return the path of a file that is about to be written, as the whole does."""
-        return self._whole.file(f"{self._name}/{name}")
-
-    def folder(self, name: str, *, is_made: bool = False) -> Path:
-        """Return a folder of which everything is ours, as the whole does."""
-        return self._whole.folder(f"{self._name}/{name}", is_made=is_made)
+def versions() -> dict[str, str]:
+    """Return the versions of this package, of Python and of the libraries that compute."""
+    found = {"hpid_ros": __version__, "python": platform.python_version()}
+    for name in _PARTS:
+        with suppress(metadata.PackageNotFoundError):
+            found[name] = metadata.version(name)
+    return found
 
 
 @contextmanager
-def told(what: str) -> Iterator[None]:
+def system_errors(what: str) -> Iterator[None]:
     """Turn an error of the operating system into one line."""
     try:
         yield
@@ -100,45 +63,19 @@ def told(what: str) -> Iterator[None]:
         raise ExperimentError(f"{what}: {reason}") from None
 
 
-_PARTS = ("numpy", "pybullet", "mujoco", "pin", "rosbags", "ros-rclpy", "rclpy", "ros-fastrtps")
-
-
-def versions() -> dict[str, str]:
-    """Return the versions of this package, of Python and of the libraries that compute."""
-    found = {"hpid_ros": __version__, "python": platform.python_version()}
-    for name in _PARTS:
-        try:
-            found[name] = metadata.version(name)
-        except metadata.PackageNotFoundError:
-            continue
-    return found
-
-
-MARKER = "hpid_result.json"
-"""Name of the file that makes a folder a result of this package, and lists what it wrote."""
-
-EXPERIMENT = "experiment.yaml"
-"""Name of the copy of the experiment file."""
-
-_FORMAT = 1
-_NAMES_SHOWN = 5
-_log = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True)
+@dataclass
 class Marker:
-    """What a result's marker says."""
+    """What a result's marker says; names are relative to the folder, with slashes."""
 
-    # files that the package wrote, relative to the folder, with slashes
-    files: frozenset[str] = frozenset()
-    folders: frozenset[str] = frozenset()  # folders that a run was writing to
+    files: set[str] = field(default_factory=set)  # that the package wrote
+    folders: set[str] = field(default_factory=set)  # that a run was writing to
     is_finished: bool = False  # whether the run came to its end
 
     @classmethod
     def read(cls, folder: Path) -> Marker | None:
         """Return the marker of a folder; None if it has none."""
         file = folder / MARKER
-        if not _is_file(file):
+        if file.is_symlink() or not file.is_file():
             return None
         try:
             saved = json.loads(file.read_text(encoding="utf-8"))
@@ -146,7 +83,7 @@ class Marker:
                 raise ResultExistsError(
                     f"{file} has format {saved['format']!r}; this version knows {_FORMAT}"
                 )
-            files, folders = (frozenset(map(_inside, saved[k])) for k in ("files", "folders"))
+            files, folders = (set(map(_inside, saved[key])) for key in ("files", "folders"))
             return cls(files, folders, saved["state"] == "finished")
         except (ValueError, KeyError, TypeError, RecursionError):
             raise ResultExistsError(
@@ -166,27 +103,26 @@ class Marker:
         }
         write_file(folder / MARKER, json.dumps(document, indent=1) + "\n")
 
-    def expanded(self, folder: Path) -> frozenset[str]:
-        """Return the files, with all that lie in the folders that a run was writing to."""
-        files = {
-            name
-            for name in self.files
-            if _is_file(folder / name) and not _leads_through_link(folder, name)
-        }
+    def all_files(self, folder: Path) -> set[str]:
+        """Return the files that are there, with all in the folders that a run was writing to."""
+        files = {e for e in self.files if (folder / e).is_file() and not _has_link(folder, e)}
         for each in self.folders:
-            if not _leads_through_link(folder, f"{each}/file"):
+            if not _has_link(folder, each):
                 files.update(_files_in(folder, folder / each))
-        return frozenset(files)
+        return files
 
 
-class ResultFolder(ResultPlaces):
+class ResultFolder:
     """Places in the folder of one result; finished when its ``with`` block ends without error."""
+
+    path: Path  # the folder in which they are
 
     def __init__(self, path: Path, output: Path, former: Marker | None = None) -> None:
         self.path = path
         self._output, self._former = output, former
-        known = former if former is not None and path == output else Marker()
-        self._files, self._folders = set(known.files), set(known.folders)
+        self._marker = Marker()
+        if former is not None and path == output:
+            self._marker = Marker(former.files, former.folders)
 
     @classmethod
     def create(
@@ -197,13 +133,18 @@ class ResultFolder(ResultPlaces):
         inputs: Iterable[Path] = (),
         option: str = "--output",
     ) -> Self:
-        """Make the folder."""
+        """Make the folder; within the former result where that is to be replaced."""
         former = check_place(path, force=force, inputs=inputs, option=option)
-        with told(f"cannot make the result folder {path}"):
-            place = path if former is None else _aside(path)
-            place.mkdir(parents=True, exist_ok=former is None)
+        with system_errors(f"cannot make the result folder {path}"):
+            place = path
+            if former is None:
+                place.mkdir(parents=True, exist_ok=True)
+            else:
+                prefix = f"unfinished-{datetime.now():%Y%m%d-%H%M%S}-"
+                place = Path(tempfile.mkdtemp(prefix=prefix, dir=path))
+                place.chmod(path.stat().st_mode & 0o7777)
             folder = cls(place, path, former)
-            folder._mark()
+            folder._marker.write(place)
         return folder
 
     @classmethod
@@ -216,45 +157,59 @@ class ResultFolder(ResultPlaces):
 
     def file(self, name: str) -> Path:
         """Return the path of a file that is about to be written, and note that it is ours."""
-        with told(f"cannot write {self.path / name}"):
-            self._claim(self._files, name)
-            path = self.path / name
+        path = self.path / name
+        with system_errors(f"cannot write {path}"):
+            self._claim(self._marker.files, name)
             path.parent.mkdir(parents=True, exist_ok=True)
         return path
 
     def folder(self, name: str, *, is_made: bool = False) -> Path:
         """Return a folder of which everything is ours."""
-        with told(f"cannot make {self.path / name}"):
-            self._claim(self._folders, name)
-            path = self.path / name
+        path = self.path / name
+        with system_errors(f"cannot make {path}"):
+            self._claim(self._marker.folders, name)
             if is_made:
                 path.mkdir(parents=True, exist_ok=True)
         return path
 
+    def write(self, name: str, content: str | bytes) -> None:
+        """Write one file of the result as a whole."""
+        path = self.file(name)
+        with system_errors(f"cannot write {path}"):
+            write_file(path, content)
+
     def add(self, name: str) -> None:
         """Note a file that was just written into a folder that was empty."""
-        self._files.add(name)
+        self._marker.files.add(name)
 
-    def finish(self) -> None:
-        """Take the place of the former result, if there is one, and say that it is finished."""
-        written = Marker(frozenset(self._files), frozenset(self._folders)).expanded(self.path)
-        with told(f"what was run is in {self.path}, but {self._output} cannot be finished"):
-            if self._former is not None and self.path != self._output:
-                self._take_place(written, self._former.expanded(self._output))
-            Marker(written, is_finished=True).write(self._output)
-        self.path = self._output
+    def part(self, name: str) -> ResultPart:
+        """Return the places of one of several results that lie next to each other."""
+        return ResultPart(self, name)
+
+    @property
+    def figures(self) -> Path:
+        """Existing folder of the figures."""
+        return self.folder("figures", is_made=True)
+
+    def bag(self, label: str) -> Path:
+        """Return the folder of a run's bag."""
+        return self.folder(f"bags/{label}")
+
+    def nodes(self, label: str) -> Path:
+        """Return the existing folder of a run's parameter files and logs."""
+        return self.folder(f"nodes/{label}", is_made=True)
 
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         if error is None:
-            self.finish()
+            with system_errors(f"what was run is in {self.path}, but {self._output} is as it was"):
+                written = self._marker.all_files(self.path)
+                if self.path != self._output:
+                    self._take_place(written)
+                Marker(written, is_finished=True).write(self._output)
+            self.path = self._output
         elif self.path != self._output:
             _log.warning(
                 "the former result in %s is as it was; what was run is in %s",
@@ -262,20 +217,18 @@ class ResultFolder(ResultPlaces):
                 self.path,
             )
 
-    def _claim(self, kind: set[str], name: str) -> None:
-        if name in kind and not _leads_through_link(self.path, f"{name}/itself"):
+    def _claim(self, names: set[str], name: str) -> None:
+        if name in names and not _has_link(self.path, name):
             return
         if _is_in_the_way(self.path, name):
             raise ResultExistsError(f"{self.path / name} is there already: {_NOT_OURS}")
-        kind.add(name)
-        self._mark()
+        names.add(name)
+        self._marker.write(self.path)
 
-    def _mark(self) -> None:
-        Marker(frozenset(self._files), frozenset(self._folders)).write(self.path)
-
-    def _take_place(self, written: frozenset[str], former: frozenset[str]) -> None:
+    def _take_place(self, written: set[str]) -> None:
         """Remove the former result's files and move the new ones to where they were."""
-        output = self._output
+        output, folders = self._output, self._marker.folders
+        former = self._former.all_files(output) if self._former is not None else set()
         for name in sorted(written - former):
             if _is_in_the_way(output, name):
                 raise ResultExistsError(
@@ -284,24 +237,21 @@ class ResultFolder(ResultPlaces):
         self._correct_paths(written)
         # Whatever happens from here on, it stays known which files are ours.
         Marker(former | written).write(output)
-        folders = {parent for name in former for parent in PurePosixPath(name).parents}
         for name in former - written:
-            if not _leads_through_link(output, name):
+            if not _has_link(output, name):
                 (output / name).unlink()
-        _remove_empty(output, folders)
+        _remove_empty(output, former)
         for name in sorted(written):
             (output / name).parent.mkdir(parents=True, exist_ok=True)
             (self.path / name).replace(output / name)
         (self.path / MARKER).unlink()
-        own = {PurePosixPath(each) for each in self._folders | written}
-        _remove_empty(self.path, own.union(*(each.parents for each in own)))
+        _remove_empty(self.path, {MARKER} | written | {f"{each}/file" for each in folders})
         foreign = sorted(set(_files_in(output, output)) - written - {MARKER})
         if foreign:
-            more = (
-                f" and {len(foreign) - _NAMES_SHOWN} more" if len(foreign) > _NAMES_SHOWN else ""
-            )
             names = ", ".join(foreign[:_NAMES_SHOWN])
-            _log.warning("left alone in %s, not being of the result: %s%s", output, names, more)
+            more = len(foreign) - _NAMES_SHOWN
+            names += f" and {more} more" if more > 0 else ""
+            _log.warning("left alone in %s, not being of the result: %s", output, names)
 
     def _correct_paths(self, written: Iterable[str]) -> None:
         """Let the nodes' parameter files name their robots by where these will be."""
@@ -313,7 +263,24 @@ class ResultFolder(ResultPlaces):
                     write_file(self.path / name, text.replace(before, after))
 
 
-_NOT_OURS = "this package did not write it"
+class ResultPart(ResultFolder):
+    """A result inside another one, which stands and falls with it."""
+
+    def __init__(self, whole: ResultFolder, name: str) -> None:
+        self._whole, self._name = whole, name
+
+    @property
+    def path(self) -> Path:  # type: ignore[override]
+        """Its folder, wherever the whole is."""
+        return self._whole.path / self._name
+
+    def file(self, name: str) -> Path:
+        """Return the path of a file that is about to be written, as the whole does."""
+        return self._whole.file(f"{self._name}/{name}")
+
+    def folder(self, name: str, *, is_made: bool = False) -> Path:
+        """Return a folder of which everything is ours, as the whole does."""
+        return self._whole.folder(f"{self._name}/{name}", is_made=is_made)
 
 
 def check_place(path: Path, *, force: bool, inputs: Iterable[Path], option: str) -> Marker | None:
@@ -324,7 +291,7 @@ def check_place(path: Path, *, force: bool, inputs: Iterable[Path], option: str)
         raise ResultExistsError(f"{path} is a symbolic link; name the folder itself")
     if not path.is_dir():
         raise ResultExistsError(f"{path} is no folder; name another with {option}")
-    with told(f"cannot look at {path}"):
+    with system_errors(f"cannot look at {path}"):
         _refuse_precious(path, inputs, option)
         is_empty = not any(path.iterdir())
         former = Marker.read(path)
@@ -352,23 +319,12 @@ def _refuse_precious(path: Path, inputs: Iterable[Path], option: str) -> None:
     places |= {f"the folder of the input {file.name}": file.absolute().parent for file in inputs}
     folder = path.resolve()
     for what, place in places.items():
-        place = place.resolve()
-        if folder == place or folder in place.parents:
-            relation = "is" if folder == place else "holds"
+        if place.resolve().is_relative_to(folder):
+            relation = "is" if folder == place.resolve() else "holds"
             raise ResultExistsError(
                 f"{path} {relation} {what}; a result needs a folder of its own, name one with "
                 f"{option}"
             )
-
-
-def _aside(path: Path) -> Path:
-    """Return a folder that does not exist, on the same file system."""
-    name = f"unfinished-{datetime.now():%Y%m%d-%H%M%S}"
-    number, place = 1, path / name
-    while os.path.lexists(place):
-        number += 1
-        place = path / f"{name}-{number}"
-    return place
 
 
 def _inside(name: object) -> str:
@@ -381,42 +337,35 @@ def _inside(name: object) -> str:
     return name
 
 
-def _is_file(path: Path) -> bool:
-    """Return whether there is a regular file; a symbolic link is none."""
-    try:
-        return stat.S_ISREG(path.lstat().st_mode)
-    except (FileNotFoundError, NotADirectoryError):
-        return False
+def _on_the_way(folder: Path, name: str) -> list[Path]:
+    """Return the folders between a folder and a name in it."""
+    return [folder / parent for parent in list(PurePosixPath(name).parents)[:-1]]
 
 
-def _leads_through_link(folder: Path, name: str) -> bool:
-    """Return whether a folder on the way to a name is a symbolic link."""
-    parents = PurePosixPath(name).parents
-    return any((folder / parent).is_symlink() for parent in parents if str(parent) != ".")
+def _has_link(folder: Path, name: str) -> bool:
+    """Return whether a name, or a folder on the way to it, is a symbolic link."""
+    return any(each.is_symlink() for each in (folder / name, *_on_the_way(folder, name)))
 
 
 def _is_in_the_way(folder: Path, name: str) -> bool:
     """Return whether a name is taken, or cannot be reached by real folders alone."""
-    if os.path.lexists(folder / name):
-        return True
-    above = [folder / parent for parent in PurePosixPath(name).parents]
-    return any(
-        os.path.lexists(each) and (each.is_symlink() or not each.is_dir()) for each in above
+    return os.path.lexists(folder / name) or any(
+        each.is_symlink() or (each.exists() and not each.is_dir())
+        for each in _on_the_way(folder, name)
     )
 
 
 def _files_in(root: Path, folder: Path) -> Iterator[str]:
     """Yield the files in a folder by name relative to the root; links are not followed."""
     for place, _, names in os.walk(folder):
-        for name in names:
-            path = Path(place, name)
-            if _is_file(path):
+        for path in (Path(place, name) for name in names):
+            if path.is_file() and not path.is_symlink():
                 yield path.relative_to(root).as_posix()
 
 
-def _remove_empty(root: Path, folders: Iterable[PurePosixPath]) -> None:
-    """Remove folders that are empty, the innermost first; a link is none."""
+def _remove_empty(root: Path, files: Iterable[str]) -> None:
+    """Remove the folders that held these files and are empty now, the innermost first."""
+    folders = {root / parent for name in files for parent in PurePosixPath(name).parents}
     for folder in sorted(folders, key=lambda each: len(each.parts), reverse=True):
-        path = root / folder
-        if path.is_dir() and not path.is_symlink() and not any(path.iterdir()):
-            path.rmdir()
+        with suppress(OSError):  # which is what a link, or a folder with something in it, gives
+            folder.rmdir()

@@ -17,7 +17,7 @@ from hpid_ros.base.records import Section
 from hpid_ros.base.yaml_files import load_document
 from hpid_ros.experiment.batch import LAST_ERROR, PAPER_QUANTITIES, JudgedTask
 from hpid_ros.experiment.description import Experiment, load_experiment
-from hpid_ros.experiment.result_folder import told, versions
+from hpid_ros.experiment.result_folder import system_errors, versions
 from hpid_ros.metrics.quantities import CHATTER, ERROR_MAX, OVERSHOOT, Quantity
 from hpid_ros.metrics.results import RunIndices
 from hpid_ros.simulation.settings import require_engine
@@ -270,7 +270,7 @@ def read_journal(path: Path) -> list[RunRecord]:
     """Return the records of a journal; a last line that was cut off is left out."""
     if not path.is_file():
         return []
-    with told(f"cannot read {path}"):
+    with system_errors(f"cannot read {path}"):
         lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
     records = []
     for number, line in enumerate(lines, 1):
