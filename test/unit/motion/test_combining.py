@@ -59,21 +59,6 @@ def test_every_reference_is_what_it_was_at_every_nanosecond(parts):
             assert now.velocity == pytest.approx(before.velocity, abs=1e-6 * scale)
 
 
-def test_smooth_motions_are_the_same_in_all_derivatives():
-    parts = [
-        minimum_jerk([0.0, 1.0, 2.5], {"a": [0.0, 1.0, -1.0], "b": [1.0, 1.0, 2.0]}),
-        sine(3.0, {"c": {"amplitude": 0.5, "period": 1.3, "phase": 0.2}}),
-    ]
-    whole = combined(parts)
-    assert whole.joint_names == ("a", "b", "c")
-    for part in parts:
-        for joint in part.joint_names:
-            alone = part.column(joint).start(0, 0.0)
-            merged = whole.column(joint).start(0, 0.0)
-            for time_ns in range(0, 4_000_000_000, 7_654_321):
-                assert merged.sample(time_ns) == pytest.approx(alone.sample(time_ns), abs=1e-8)
-
-
 def test_points_in_common_keep_their_numbers_to_the_last_bit():
     first = minimum_jerk([0.0, 1.0, 2.5], {"a": [0.1, 1.0, -1.0]})
     other = minimum_jerk([0.0, 1.0, 2.5], {"b": [0.3, 1.7, 2.0]})
@@ -120,12 +105,6 @@ def test_what_cannot_be_merged_is_refused(parts, message):
 
 
 PART = {"kind": "minimum_jerk", "times": [0.0, 1.0], "positions": {"a": [0.0, 1.0]}}
-
-
-def test_a_section_of_parts_is_their_combination():
-    other = {"kind": "step", "times": [0.0, 0.5], "positions": {"b": [0.0, 1.0]}}
-    whole = reference_from({"kind": "combined", "parts": [PART, other]})
-    assert whole == combined([reference_from(PART), reference_from(other)])
 
 
 @pytest.mark.parametrize(

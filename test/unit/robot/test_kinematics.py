@@ -5,13 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from harness.places import URDF
-from scipy.spatial.transform import Rotation
 
 from hpid_ros.base.errors import RobotDescriptionError, SettingError
 from hpid_ros.robot.description import RobotDescription
 from hpid_ros.robot.kinematics import Kinematics, LinkPose, ReachError, rotation_angles
-from hpid_ros.simulation.settings import WorldSettings
-from hpid_ros.simulation.world import World
 
 ROBOT = RobotDescription.load(URDF)
 ARM = tuple(f"arm_joint_{number}" for number in range(1, 7))
@@ -49,20 +46,6 @@ def test_the_joints_of_a_link_are_those_between_it_and_the_root(arm):
         Kinematics(ROBOT, "hand")
 
 
-def test_poses_are_those_of_the_simulated_robot(arm):
-    generator = np.random.default_rng(4)
-    for _ in range(5):
-        positions = within(arm, generator)
-        start = dict(zip(ARM, positions.tolist(), strict=True))
-        settings = WorldSettings(URDF, ARM, fixed_base=True, initial_positions=start)
-        with World(settings) as world:
-            there, root = world.link_pose("payload"), world.base_pose()
-        pose = arm.pose(positions)
-        rotation = Rotation.from_quat(there.orientation).as_matrix()
-        assert pose.position == pytest.approx(np.subtract(there.position, root.position), abs=1e-6)
-        assert pose.rotation == pytest.approx(rotation, abs=1e-6)
-
-
 @pytest.mark.parametrize("source", [URDF, SLIDE])
 def test_many_poses_at_once_are_pinocchio_s(source):
     robot = RobotDescription.load(source)
@@ -94,7 +77,7 @@ def test_the_jacobian_is_the_derivative_of_the_pose(arm):
 
 def test_reachable_targets_are_reached_within_the_limits(arm):
     generator = np.random.default_rng(0)
-    for _ in range(100):
+    for _ in range(40):
         target = arm.pose(within(arm, generator))
         positions = arm.solve(target, HOME)
         assert (positions >= arm.lower).all()

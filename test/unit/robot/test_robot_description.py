@@ -56,6 +56,21 @@ def test_only_moving_joints_are_joints_and_all_links_are_links():
     assert list(robot.joints) == ["shoulder", "roll"]
     assert robot.links == ("base", "upper", "lower", "tip")
     assert (robot.root, robot.last_link) == ("base", "tip")
+    chosen = robot.select(["roll", "shoulder"])
+    assert [joint.name for joint in chosen] == ["roll", "shoulder"]
+
+
+@pytest.mark.parametrize(
+    ("ask", "says"),
+    [
+        (lambda robot: robot.select(["sholder"]), "did you mean 'shoulder'.*known: roll, sho"),
+        (lambda robot: robot.select(["roll", "roll"]), "'roll' is given twice"),
+        (lambda robot: robot.link("lowr"), "did you mean 'lower'"),
+    ],
+)
+def test_what_a_robot_lacks_is_answered_with_the_nearest(ask, says):
+    with pytest.raises(RobotDescriptionError, match=says):
+        ask(RobotDescription.load(XML))
 
 
 def test_text_and_file_give_the_same_robot(tmp_path: Path):
@@ -64,30 +79,6 @@ def test_text_and_file_give_the_same_robot(tmp_path: Path):
     from_file, from_text = RobotDescription.load(path), RobotDescription.load("\n " + XML)
     assert from_file.joints == from_text.joints == RobotDescription.load(str(path)).joints
     assert (from_file.folder, from_text.folder) == (tmp_path.resolve(), None)
-
-
-def test_selected_joints_come_in_the_order_asked_for():
-    chosen = RobotDescription.load(XML).select(["roll", "shoulder"])
-    assert [joint.name for joint in chosen] == ["roll", "shoulder"]
-
-
-def test_an_unknown_joint_is_answered_with_the_nearest_and_all_names():
-    with pytest.raises(RobotDescriptionError) as caught:
-        RobotDescription.load(XML).select(["roll", "sholder"])
-    message = str(caught.value)
-    assert "unknown joint 'sholder'" in message
-    assert "did you mean 'shoulder'?" in message
-    assert "known: roll, shoulder" in message
-
-
-def test_a_joint_is_not_selected_twice():
-    with pytest.raises(RobotDescriptionError, match="'roll' is given twice"):
-        RobotDescription.load(XML).select(["roll", "roll"])
-
-
-def test_an_unknown_link_is_answered_with_the_nearest():
-    with pytest.raises(RobotDescriptionError, match="did you mean 'lower'"):
-        RobotDescription.load(XML).link("lowr")
 
 
 def test_the_record_cannot_be_changed():

@@ -1,0 +1,249 @@
+"""Excitations and relays stay within shares of a joint's limits; the watch sees what does not."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.interpolate import BPoly
+
+from hpid_ros.base.errors import SettingError
+from hpid_ros.live.dead_man import Watch, goal_of, group_settings
+from hpid_ros.motion.excitation import (
+    Design,
+    ExcitationPlan,
+    JointBounds,
+    Peaks,
+    RelayWish,
+    Wish,
+    inertia_from_gains,
+    multisine,
+    plan,
+    planned_relay,
+    steps,
+)
+
+LIMITS = Peaks(0.4, 1.5, 12.0)
+COURSES = {
+    "multisine": lambda limits: multisine(10.0, (0.2, 2.5), 1.5, limits),
+    "steps": lambda limits: steps(180.0, limits),
+}
+
+
+def dense(course):
+    """Return position, velocity and acceleration between the knots, too."""
+    spline = BPoly.from_derivatives(course.times, np.stack(course[1:], axis=1))
+    times = np.linspace(0.0, course.times[-1], 2_000 * math.ceil(course.times[-1] / 10.0) + 1)
+    return times, spline(times), spline.derivative()(times), spline.derivative(2)(times)
+
+
+@pytest.mark.parametrize("make", COURSES.values(), ids=COURSES)
+@pytest.mark.parametrize(
+    "limits", [LIMITS, Peaks(0.01, 1.5, 12.0), Peaks(3.0, 0.2, 12.0), Peaks(3.0, 9.0, 2.0)]
+)
+def test_a_course_uses_its_limits_up_and_nowhere_passes_them(make, limits):
+    _, *motion = dense(make(limits))
+    shares = [np.max(np.abs(each)) / limit for each, limit in zip(motion, limits, strict=True)]
+    assert max(shares) <= 1.02  # of the quintics between the knots, too
+    assert max(shares) >= 0.97
+
+
+@pytest.mark.parametrize("make", COURSES.values(), ids=COURSES)
+def test_a_course_begins_and_ends_at_rest_where_the_joint_stood(make):
+    course = make(LIMITS)
+    assert np.all(np.diff(course.times) > 0.0)
+    for numbers in course[1:]:
+        assert numbers[0] == pytest.approx(0.0, abs=1e-12)
+        assert numbers[-1] == pytest.approx(0.0, abs=1e-12)
+
+
+@pytest.mark.parametrize("make", COURSES.values(), ids=COURSES)
+def test_its_derivatives_are_those_of_its_position(make):
+    times, position, velocity, acceleration = dense(make(LIMITS))
+    assert np.gradient(position, times) == pytest.approx(velocity, abs=2e-2)
+    assert np.gradient(velocity, times)[2:-2] == pytest.approx(acceleration[2:-2], abs=1.0)
+
+
+def test_a_multisine_moves_in_its_band_and_starts_softly():
+    course = multisine(20.0, (0.5, 2.0), 2.0, LIMITS)
+    times, _, velocity, _ = dense(course)
+    power = np.abs(np.fft.rfft(velocity)) ** 2
+    hertz = np.fft.rfftfreq(len(velocity), times[1])
+    assert power[(hertz > 0.3) & (hertz < 2.3)].sum() > 0.98 * power.sum()
+    assert np.max(np.abs(velocity[times < 0.4])) < 0.05 * np.max(np.abs(velocity))
+
+
+def test_the_phases_that_are_taken_are_the_best_of_many():
+    """Random phases alone give a crest factor of 3.6 in the median, here."""
+    crests = [multisine(10.0, (0.2, 2.5), 1.5, LIMITS, seed).crest_factor for seed in range(3)]
+    assert max(crests) < 3.2
+    first, second = (multisine(10.0, (0.2, 2.5), 1.5, LIMITS, seed) for seed in (1, 2))
+    assert not np.array_equal(first.position, second.position)
+
+
+@pytest.mark.parametrize(
+    ("duration", "band", "line"),
+    [
+        (1.0, (0.2, 2.5), "from 0.2 Hz on must last 5 s at least, not 1"),
+        (10.0, (2.5, 0.2), "the lower first, not 2.5 and 0.2"),
+        (10.0, (0.0, 0.2), "two positive numbers"),
+        (float("nan"), (0.2, 2.5), "not nan"),
+    ],
+)
+def test_what_is_no_multisine_is_refused(duration, band, line):
+    with pytest.raises(SettingError, match=line):
+        multisine(duration, band, 1.5, LIMITS)
+
+
+def test_steps_that_do_not_fit_are_refused():
+    with pytest.raises(SettingError, match=r"must last .* s at least, not 2"):
+        steps(2.0, LIMITS)
+
+
+MS = 1_000_000
+ELBOW = JointBounds("elbow", "/elbow_controller", 0.5, 2.0, -1.0, 1.0, 2.0, (-10.0, 8.0), 0.1)
+WRIST = replace(ELBOW, joint="wrist", position=-0.2, load=0.0, inertia=0.01)
+SHORT = Design(duration=5.0, band=(0.5, 2.5), fade=1.0)
+
+
+def test_a_plan_takes_shares_of_what_is_left():
+    (found,) = plan([ELBOW], Wish(share=0.5, amplitude=9.0), SHORT).joints
+    assert found.peaks.position <= 0.25 + 1e-9  # half of the way to the nearer stop
+    assert found.peaks.velocity <= 1.0 + 1e-9
+    assert found.effort <= 3.0 + 1e-9  # half of what is left beside the load of 2 N m
+    shares = found.peaks.position / 0.25, found.peaks.velocity, found.effort / 3.0
+    assert max(shares) == pytest.approx(1.0)
+    assert found.velocity_stop <= ELBOW.velocity
+
+
+@pytest.mark.parametrize("are_together", [False, True])
+def test_joints_move_one_by_one_or_together(are_together):
+    made = plan([ELBOW, WRIST], Wish(), SHORT._replace(are_together=are_together))
+    moving = np.abs(made.velocities) > 1e-9
+    assert np.any(moving[:, 0] & moving[:, 1]) == are_together
+    assert np.any(moving, axis=0).all()
+    assert not made.positions[[0, -1]].any()
+    assert not moving[made.times < 0.5].any()
+
+
+def test_a_plan_comes_back_from_json():
+    made = plan([ELBOW, replace(WRIST, upper=math.inf)], Wish(), SHORT)
+    again = ExcitationPlan.from_mapping(json.loads(json.dumps(made.as_mapping())))
+    assert again.joints == made.joints
+    for name in ("times", "positions", "velocities", "accelerations"):
+        assert np.array_equal(getattr(again, name), getattr(made, name))
+    with pytest.raises(SettingError, match="no plan"):
+        ExcitationPlan.from_mapping({"joints": [{}]})
+
+
+@pytest.mark.parametrize(
+    ("change", "wish", "line"),
+    [
+        ({"position": 1.2}, Wish(), "elbow is at 1.2 rad, beyond its limits of -1 and 1 rad"),
+        ({"load": 8.5}, Wish(), "elbow is held by 8.5, its effort limits are -10 and 8"),
+        ({}, Wish(share=1.5), "a share of the limits must be in"),
+        ({}, Wish(amplitude=0.0), "the largest amplitude must be positive"),
+        ({}, Wish(velocity=math.nan), "the largest velocity must be positive, not nan"),
+    ],
+)
+def test_what_cannot_be_moved_is_refused(change, wish, line):
+    with pytest.raises(SettingError, match=line):
+        plan([replace(ELBOW, **change)], wish, SHORT)
+
+
+def test_what_is_not_known_is_assumed_and_said():
+    free = {"velocity": math.inf, "efforts": (-math.inf, math.inf)}
+    (found,) = plan([replace(ELBOW, **free)], Wish(), SHORT).joints
+    assert len(found.notes) == 2
+    assert found.peaks.velocity <= 1.0 + 1e-9
+    (found,) = plan([replace(ELBOW, is_inertia_guessed=True)], Wish(), SHORT).joints
+    assert found.notes == ("its inertia is taken from its gains, 0.1 kg m^2",)
+
+
+def test_the_inertia_of_gains_has_a_damping_ratio_of_one():
+    inertia, p, d = inertia_from_gains(40.0, 4.0), 40.0, 4.0
+    assert d / (2.0 * math.sqrt(p * inertia)) == pytest.approx(1.0)
+    with pytest.raises(SettingError):
+        inertia_from_gains(0.0, 4.0)
+
+
+def test_a_plan_too_long_for_one_trajectory_is_refused():
+    joints = [replace(ELBOW, joint=f"joint_{number}") for number in range(7)]
+    with pytest.raises(SettingError, match="knots, 45000 are allowed"):
+        plan(joints, Wish(), Design(duration=300.0, band=(0.1, 10.0)))
+
+
+def test_the_watch_sees_positions_speeds_and_efforts_beyond_limits():
+    made = plan([ELBOW, WRIST], Wish(), SHORT)
+    rest = [(0.5, 0.0), (-0.2, 0.0)]
+    watch = Watch(made)
+    assert watch.see(0, rest, [2.0, None]) == ""
+    assert "elbow is at 1.1 rad" in watch.see(1 * MS, [(1.1, 0.0), rest[1]], [2.0, 0.0])
+    fast = made.joints[1].velocity_stop + 0.01
+    assert "wrist moves at" in watch.see(2 * MS, [rest[0], (-0.2, -fast)], [2.0, 0.0])
+
+
+def test_a_moment_at_the_effort_limit_is_no_reason_to_stop():
+    watch = Watch(plan([ELBOW], Wish(), SHORT))
+    seen = [watch.see(k * MS, [(0.5, 0.0)], [7.9]) for k in (0, 20, 40)]
+    assert seen == ["", "", ""]
+    assert watch.see(41 * MS, [(0.5, 0.0)], [1.0]) == ""
+    assert watch.see(42 * MS, [(0.5, 0.0)], [-9.9]) == ""
+    assert "elbow needs -9.9 N m, its limits are -10 and 8" in watch.see(
+        100 * MS, [(0.5, 0.0)], [-9.9]
+    )
+
+
+def test_a_goal_begins_where_references_stand():
+    made = plan([ELBOW, WRIST], Wish(), SHORT)
+    goal = goal_of(made, [0.51, -0.19])
+    assert goal.arrays.positions[0] == pytest.approx([0.51, -0.19])
+    settings = group_settings(made, 0.5, 0.5, is_simulated=False)
+    assert settings.joints == ("elbow", "wrist")
+    assert settings.decelerations == tuple(each.peaks.acceleration for each in made.joints)
+    assert settings.tolerances.path["elbow"].position == made.joints[0].tolerance
+
+
+FAST = replace(ELBOW, velocity=9.0)
+
+
+def test_a_relay_takes_shares_of_what_is_left():
+    planned = planned_relay(FAST, 0.1, 0.002, RelayWish(share=0.25))
+    assert planned.request.amplitude == pytest.approx(0.25 * 6.0)
+    assert planned.amplitude == pytest.approx(0.05)
+    assert planned.request.deviation == pytest.approx(0.2)
+    rate = 2.0 * math.pi / planned.period
+    assert 4.0 * 1.5 / (math.pi * 0.1 * rate**2) == pytest.approx(planned.amplitude)
+    # The harmonic balance: the lead's phase is what the hysteresis takes.
+    leading = planned.amplitude * math.hypot(1.0, 0.1 * rate)
+    assert math.asin(planned.request.hysteresis / leading) == pytest.approx(math.atan(0.1 * rate))
+
+
+def test_a_slow_joint_moves_less_and_one_near_its_stop_too():
+    slow = planned_relay(replace(FAST, velocity=1.0), 0.1, 0.002, RelayWish())
+    assert slow.velocity == pytest.approx(0.3)
+    assert slow.amplitude < 0.05
+    near = planned_relay(replace(FAST, position=0.95), 0.1, 0.002, RelayWish())
+    assert near.request.deviation == pytest.approx(0.8 * 0.05)
+    assert near.amplitude == pytest.approx(0.2 * 0.05)
+
+
+@pytest.mark.parametrize(
+    ("changes", "wish", "line"),
+    [
+        ({"efforts": (-math.inf, math.inf)}, RelayWish(), "give --effort"),
+        ({}, RelayWish(effort=7.0), "a relay of 7 does not fit between elbow's load of 2"),
+        ({"position": 1.0}, RelayWish(), "elbow is at a limit"),
+        ({"inertia": 1e-5}, RelayWish(), "fewer than 16 samples"),
+        ({}, RelayWish(share=1.0), "the share of the effort"),
+        ({}, RelayWish(effort=math.nan), "the effort must be positive"),
+        ({}, RelayWish(amplitude=0.0), "the amplitude must be positive"),
+        ({}, RelayWish(cycles=1), "5 to 50 cycles, not 1"),
+    ],
+)
+def test_a_relay_without_room_is_refused(changes, wish, line):
+    with pytest.raises(SettingError, match=line):
+        planned_relay(replace(FAST, **changes), 0.1, 0.002, wish)
