@@ -142,7 +142,7 @@ def test_motors_lift_the_payload_in_any_pose_with_a_third_to_spare():
 def test_the_robot_at_rest_sags_a_little_and_does_not_creep():
     with World(WorldSettings(URDF, JOINTS, initial_positions=HOME)) as world:
         start = world.base_pose().position
-        hold(world, 0.3)
+        hold(world, 0.5)
         settled, joints = world.base_pose().position, world.true_positions()
         hold(world, 0.7)
         assert math.dist(world.base_pose().position, settled) < 1e-5
