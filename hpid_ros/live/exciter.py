@@ -268,12 +268,12 @@ class Exciter(executor.ClosingNode):
         self._status.send("failed", reason=reason)
         self.request_stop(executor.FAILED)
 
-    def wind_down(self) -> Future | None:
+    def begin_stop(self) -> Future | None:
         """Stop the joints, and wait until they rest."""
         self._act(self._follower.leave("it was interrupted"))
         return self._resting
 
-    def leave_at_once(self) -> None:
+    def stop_now(self) -> None:
         """Stop the joints, if that has not been done."""
         self._act(self._follower.leave("it was interrupted"))
 

@@ -57,7 +57,7 @@ class LiveTuner(executor.ClosingNode):
             # A browser that nobody has used yet takes seconds.
             threading.Thread(target=webbrowser.open, args=(url,), daemon=True).start()
 
-    def wind_down(self) -> Future | None:
+    def begin_stop(self) -> Future | None:
         """Cancel a trial that is under way."""
         if not self._served.is_trying:
             return None

@@ -144,7 +144,7 @@ class RelayTester(executor.ClosingNode):
             self._left.set_result(None)
             self.request_stop(self._code)
 
-    def wind_down(self) -> Future | None:
+    def begin_stop(self) -> Future | None:
         """Have the relay give back, wait until it has, and forbid relays again."""
         if self._begun is not None and not self._is_over:
             self._publisher.publish(Float64MultiArray())

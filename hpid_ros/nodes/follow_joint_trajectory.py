@@ -147,12 +147,12 @@ class JointTrajectoryController(executor.ClosingNode):
             },
         )
 
-    def wind_down(self) -> Future | None:
+    def begin_stop(self) -> Future | None:
         """Stop the joints, and give every client its result."""
         self._act(self._follower.leave("the node ends"))
         return self._server.leave()
 
-    def leave_at_once(self) -> None:
+    def stop_now(self) -> None:
         """Stop the joints, if that has not been done."""
         self._act(self._follower.leave("the node ends"))
 

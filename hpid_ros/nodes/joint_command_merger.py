@@ -20,12 +20,11 @@ from hpid_ros.nodes.core.process import schedule
 from hpid_ros.nodes.core.status import StatusPipe
 from hpid_ros.nodes.parts.bridge_commanders import Commanders
 from hpid_ros.nodes.parts.claims import JointClaim, claims_joint
-from hpid_ros.nodes.parts.commands import CommandSink, sender_of
+from hpid_ros.nodes.parts.joint_topics import Sink, sender_of
 from hpid_ros.nodes.parts.lifecycle import ManagedNode
 from hpid_ros.nodes.parts.merger import CommandMerger, Receiver
 from hpid_ros.nodes.parts.merger_settings import GroupOutput, read_parameters
 from hpid_ros.nodes.parts.merger_stream import (
-    MergedCommands,
     MergedStream,
     MergerHealth,
     ReceiverWatch,
@@ -199,9 +198,9 @@ class JointCommandMerger(ManagedNode):
         for name, effort in zip(names, efforts, strict=True):
             self._stream.take(name, stamp_ns, effort, is_signed=bool(sender))
 
-    def sink(self, node: Node, joint: str, sender: str) -> CommandSink:
-        """Return what a controller of this process gives its commands to."""
-        return MergedCommands(self._stream, joint)
+    def sink(self, node: Node, joint: str, sender: str) -> Sink:
+        """Return the sink of a controller of this process."""
+        return self._stream.sink(joint)
 
     def _tell_change(self) -> None:
         """Report at once when it waits for something else than before."""
@@ -254,7 +253,7 @@ class JointCommandMerger(ManagedNode):
             names.remove(own)
         return sorted(names)
 
-    def leave_at_once(self) -> None:
+    def stop_now(self) -> None:
         """Send a zero for every joint, if that has not been done."""
         if self.is_active:
             self.is_active = False
@@ -272,22 +271,18 @@ class JointCommandMerger(ManagedNode):
             self._watch.look()
             self._repeat_zero()
 
-    def look(self) -> float:
-        """Send the fallbacks of joints that have fallen silent, and what else is due."""
-        return min(self._stream.look(), self._claim.keep())
+    def check(self) -> float:
+        """Send the fallbacks of silent joints, and what else is due."""
+        return min(self._stream.check(), self._claim.keep())
 
-    def hold(self) -> None:
-        """Leave all joints without effort while the process is stopped."""
-        self._stream.hold()
-
-    def go_on(self) -> None:
-        """Merge again; the joints come back from zero."""
-        self._stream.go_on()
-
-    def abandon(self) -> bool:
-        """Leave all joints without effort, for ever."""
-        self._stream.abandon()
+    def cut_effort(self) -> bool:
+        """Leave all joints without effort."""
+        self._stream.cut()
         return True
+
+    def restore_effort(self) -> None:
+        """Merge again; the joints come back from zero."""
+        self._stream.restore()
 
 
 USAGE = Usage(

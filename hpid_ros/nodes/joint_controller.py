@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
-from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
+from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.duration import Duration
-from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.task import Future
 
@@ -18,26 +17,31 @@ from hpid_ros.base.errors import ClaimError, MessageError, SettingError
 from hpid_ros.base.names import ALLOW_RELAY
 from hpid_ros.control.joint_loop import JointLoop
 from hpid_ros.control.overrides import RelayRequest
-from hpid_ros.control.reference import Motion
 from hpid_ros.control.settings import PARAMETERS
 from hpid_ros.control.supervision import SupervisedLoop
 from hpid_ros.messages.joint_state import JointReader
 from hpid_ros.nodes.core import executor
 from hpid_ros.nodes.core.executor import Usage
-from hpid_ros.nodes.core.middleware import steady_timer
+from hpid_ros.nodes.core.middleware import NEWEST_STATES, steady_timer, subscribe_raw
 from hpid_ros.nodes.core.process import read_choice, read_only, schedule
 from hpid_ros.nodes.core.status import StatusPipe
 from hpid_ros.nodes.parts.claims import JointClaim, claims_joint
-from hpid_ros.nodes.parts.commands import SINKS, Commands, Sinks, sender_of
 from hpid_ros.nodes.parts.controller_health import Certification, ControllerHealth, LoopTiming
 from hpid_ros.nodes.parts.controller_settings import (
     ControllerSettings,
     concern_the_loop,
     model_compensation,
 )
+from hpid_ros.nodes.parts.joint_topics import (
+    SINKS,
+    STATES,
+    Commands,
+    SharedTopics,
+    Sinks,
+    sender_of,
+)
 from hpid_ros.nodes.parts.lifecycle import ControllerStop, ManagedNode, StateWatchdog
 from hpid_ros.nodes.parts.references import ControllerReferences, Introspection
-from hpid_ros.nodes.parts.states import OwnStates, StateSource
 
 _READINESS_PERIOD = 0.02  # [s]
 _INACTIVE = "the controller is not active"
@@ -46,16 +50,16 @@ _INACTIVE = "the controller is not active"
 class JointController(ManagedNode):
     """The managed shell around one :class:`~hpid_ros.control.JointLoop`.
 
-    An active controller subscribes to the states once its commands have somebody to hear them
-    (and, when asked, once it has a reference): no integral winds up against silence. It begins
-    by holding the joint where it is. While it is active the joint is its own alone.
+    An active controller subscribes to the states once its commands have a subscriber (and, when
+    asked, once it has a reference): no integral winds up without effect. It begins by holding the
+    joint where it is. While it is active no other controller may be.
     """
 
     def __init__(
         self,
         name: str = "joint_controller",
         sinks: Sinks = SINKS,
-        states: Callable[[Node], StateSource] = OwnStates,
+        shared: SharedTopics | None = None,
         **options: Any,
     ) -> None:
         super().__init__(name, **options)
@@ -66,7 +70,7 @@ class JointController(ManagedNode):
         text = f"Message of the commands: {', '.join(sinks)}"
         make_sink = sinks[read_choice(self, "command_interface", "joint_state", text, sinks)]
         self._model = model_compensation(self, self._loop.settings, self._tuning.robot)
-        self._listeners = read_only(
+        self._least_subscribers = read_only(
             self, "wait_for_command_subscribers", 1, "Subscribers that commands must have first"
         )
         self._needs_reference = read_only(
@@ -83,7 +87,9 @@ class JointController(ManagedNode):
         self._status = StatusPipe(self)
         self._certification = Certification(self, self._loop.settings)
         self._timing = LoopTiming()
-        self._supervised = SupervisedLoop(self._loop, self._timed_out, self._cut)
+        self._supervised = SupervisedLoop(
+            self._loop, self._timed_out, lambda: self._stopping.end()
+        )
         self._watchdog = StateWatchdog(self, self._supervised)
         self._stopping = ControllerStop(self, self._supervised, self._commands, self._left)
         self._health = ControllerHealth(
@@ -94,18 +100,21 @@ class JointController(ManagedNode):
             self._model,
             is_slide=self._tuning.is_slide,
         )
-        self._states = states(self)
-        self._is_listening = self._is_silence_told = False
+        self._shared = shared if shared and shared.has_same(self, STATES) else None
+        self._states: Any = None
+        self._is_listening = self._is_timeout_reported = False
         self._readiness: Any = None
         self._references: ControllerReferences | None = None
         steady_timer(self, self._health.period, self._report)
-        self.add_on_set_parameters_callback(self._check)
+        self.add_on_set_parameters_callback(
+            lambda changes: self._tuning.verdict(changes, self._certification.require)
+        )
         self.add_post_set_parameters_callback(self._retune)
         self.start()
         self._health.scheduling = schedule(self)
 
     def prepare(self) -> None:
-        """Configure: listen to references."""
+        """Configure: subscribe to references."""
         self._stopping.end()
         self._loop.release()
         if self._loop.velocity_warning:
@@ -113,7 +122,7 @@ class JointController(ManagedNode):
         self._references = ControllerReferences(
             self,
             self.joint,
-            self._follow,
+            self._loop.follow,
             self._relay,
             self._health.refused_reference,
             lambda: "" if self.is_active or self._needs_reference else _INACTIVE,
@@ -129,12 +138,13 @@ class JointController(ManagedNode):
         self._needs_reference = False
 
     def begin(self) -> None:
-        """Activate: hold the joint where it is as soon as somebody hears the commands."""
+        """Activate: hold the joint where it is as soon as the commands have a subscriber."""
         self._stopping.end()
         self._claim.take()
         self._stop_listening()
         self._supervised.begin()
-        self._states.expect()
+        if self._shared:
+            self._shared.expect(self)
         self._readiness = steady_timer(self, _READINESS_PERIOD, self._start_when_ready)
 
     def leave(self) -> None:
@@ -159,11 +169,15 @@ class JointController(ManagedNode):
         self._report()
 
     def _stop_listening(self) -> None:
-        """Be without states, and without a motion but one that is waited for."""
+        """Drop the states, and any motion but one that is waited for."""
         self._watchdog.stop()
         if self._readiness is not None:
             self.destroy_timer(self._readiness)
-        self._states.leave()
+        if self._shared:
+            self._shared.leave(self)
+        elif self._states is not None:
+            self.destroy_subscription(self._states)
+            self._states = None
         if self._needs_reference:
             self._loop.reset()
         else:
@@ -182,14 +196,17 @@ class JointController(ManagedNode):
         self._readiness.cancel()
         self.is_starting = False
         self._is_listening = True
-        self._states.listen(self._on_state)
+        if self._shared:
+            self._shared.listen(self, self._on_state)
+        else:
+            self._states = subscribe_raw(self, STATES, self._on_state, NEWEST_STATES)
         self._status.send("listening")
 
     def _waits_for(self) -> str:
         """Return what is missing for the states to be listened to; empty if nothing."""
         if not self._claim.is_settled:
             return "waiting for other claims of the joint"
-        if self._commands.publisher.get_subscription_count() < self._listeners:
+        if self._commands.subscribers() < self._least_subscribers:
             return "waiting for a subscriber of the commands"
         if self._needs_reference and not self._loop.has_motion:
             return "waiting for a reference"
@@ -213,12 +230,12 @@ class JointController(ManagedNode):
         effort = self._supervised.answer(*sample, began_ns, by_model)
         self._commands.send(sample.stamp_ns, effort)
         if self._readiness is not None:
-            self._begun()
+            self._note_first_states()
         self._timing.note(began_ns, time.perf_counter_ns())
         self._introspection.sample(sample.stamp_ns, self._loop)
 
-    def _begun(self) -> None:
-        """Look for silences from the first state; the first usable one completes the start."""
+    def _note_first_states(self) -> None:
+        """Watch for a state timeout from the first state; a usable one completes the start."""
         self._watchdog.watch(self._loop.settings.timing.state_timeout)
         if self._loop.stamp_ns is not None:
             self.destroy_timer(self._readiness)
@@ -226,17 +243,11 @@ class JointController(ManagedNode):
             self._health.begun()
 
     def _timed_out(self, silence: float, effort: float) -> None:
-        """Tell of a silence; :meth:`look` gives the effort, whatever this thread does."""
-        self._is_silence_told = True
+        """Report a state timeout; :meth:`check` gives the effort, whatever this thread does."""
+        self._is_timeout_reported = True
         unit = self._health.unit("N m")
         self._health.fault(f"no new state for {silence:.3g} s: the effort is {effort:g} {unit}")
         self._report()
-
-    def _cut(self) -> None:
-        self._stopping.end()
-
-    def _follow(self, motion: Motion) -> None:
-        self._loop.follow(motion)
 
     def _relay(self, request: RelayRequest | None) -> None:
         """Begin with a relay, or end it."""
@@ -250,9 +261,6 @@ class JointController(ManagedNode):
         self._loop.begin_relay(request)
         self._health.relay_begins(request)
         self._report()
-
-    def _check(self, changes: Sequence[Parameter]) -> SetParametersResult:
-        return self._tuning.verdict(changes, self._certification.require)
 
     def _retune(self, changes: Sequence[Parameter]) -> None:
         if any(each.name == ALLOW_RELAY and not each.value for each in changes):
@@ -272,51 +280,47 @@ class JointController(ManagedNode):
         self._health.refused_request(line)
 
     def _report(self) -> None:
-        if self._is_silence_told and not self._watchdog.is_silent():
-            self._is_silence_told = False
+        if self._is_timeout_reported and not self._watchdog.is_silent():
+            self._is_timeout_reported = False
             self.get_logger().info("states come again: the joint is controlled")
         waiting = "" if self._is_listening else self._waits_for()
         self._health.report(self.lifecycle, waiting, self._claim.text, self._claim.refusal)
 
-    def wind_down(self) -> Future | None:
+    def begin_stop(self) -> Future | None:
         """Begin to leave the joint; the process goes on until that is done."""
         if self.is_active:
             self.is_active = False
             self.leave()
         return self._stopping.ended()
 
-    def leave_at_once(self) -> None:
+    def stop_now(self) -> None:
         """Leave the joint without effort, if it has not been left."""
         if self.is_active or self._stopping.is_damping:
             self.is_active = False
             self._stopping.now()
 
-    def look(self) -> float:
-        """Give the effort that states have not come for, and say that the joint is held."""
+    def check(self) -> float:
+        """Give the effort for a state timeout, and publish the claim where it is due."""
         self._commands.fall_back(self._supervised.timeout_effort, self._watchdog.is_silent)
         return min(self._watchdog.within(), self._claim.keep())
 
-    def hold(self) -> None:
-        """Leave the joint without effort while the process is stopped."""
-        self._commands.hold()
-
-    def wait_until_held(self, within: float) -> None:
-        """Wait until the zero has been heard."""
-        self._commands.publisher.wait_for_all_acked(Duration(seconds=within))
-
-    def go_on(self) -> None:
-        """Answer states again."""
-        self._supervised.note_release()
-        self._commands.go_on()
-
-    def abandon(self) -> bool:
-        """Leave the joint without effort, for ever."""
-        self._commands.shut()
+    def cut_effort(self) -> bool:
+        """Leave the joint without effort."""
+        self._commands.cut()
         return True
 
+    def wait_until_cut(self, within: float) -> None:
+        """Wait until the zero has been acknowledged."""
+        self._commands.publisher.wait_for_all_acked(Duration(seconds=within))
+
+    def restore_effort(self) -> None:
+        """Answer states again."""
+        self._supervised.note_release()
+        self._commands.restore()
+
     def close(self) -> None:
-        """Wait until the last command has been heard."""
-        self._stopping.wait_until_heard()
+        """Wait until the last command has been acknowledged."""
+        self._stopping.wait_until_acknowledged()
         counts = {"samples": self._loop.counts.samples, "missed": self._loop.counts.missed}
         self._status.send("timing", joint=self.joint, **counts, **self._timing.whole())
         self._certification.close()

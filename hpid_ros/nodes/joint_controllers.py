@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
-from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.validate_node_name import validate_node_name
 
@@ -16,8 +15,7 @@ from hpid_ros.nodes.core.executor import Usage
 from hpid_ros.nodes.core.process import read_only
 from hpid_ros.nodes.joint_command_merger import JointCommandMerger
 from hpid_ros.nodes.joint_controller import JointController
-from hpid_ros.nodes.parts.commands import JOINT_STATE, SINKS, SharedCommands, Sinks
-from hpid_ros.nodes.parts.states import OwnStates, SharedStates, StateSource
+from hpid_ros.nodes.parts.joint_topics import JOINT_STATE, SINKS, SharedTopics, Sinks
 
 MERGED = "merged"
 """Name of the command interface of controllers whose commands are merged in their process."""
@@ -62,18 +60,16 @@ def make_nodes() -> list[executor.ClosingNode]:
         raise SettingError(f"the parameter joints must name each joint once, not {joints}")
     merger = JointCommandMerger(joints=joints, is_composed=True) if composition.merges else None
     sinks: Sinks = SINKS
-    states: Callable[[Node], StateSource] = OwnStates
-    if composition.shares_messages:
-        commands = SharedCommands(composition)
-        sinks = {**SINKS, JOINT_STATE: commands.sink}
-        states = SharedStates(composition, commands.collecting).of
+    shared = SharedTopics(composition) if composition.shares_messages else None
+    if shared is not None:
+        sinks = {**SINKS, JOINT_STATE: shared.sink}
     if merger is not None:
         sinks = {MERGED: merger.sink}
     controllers = [
         JointController(
             controller_name(joint),
             sinks,
-            states,
+            shared,
             parameter_overrides=[
                 Parameter("joint", value=joint),
                 *([] if merger is None else [Parameter("command_interface", value=MERGED)]),

@@ -134,7 +134,7 @@ class Told(executor.ClosingNode):
         super().__init__(name)
         self.create_timer(0.01, self.request_stop)
 
-    def leave_at_once(self):
+    def stop_now(self):
         print("left", self.get_name(), flush=True)
         if self.get_name() == "first":
             raise RuntimeError("the others leave their joints all the same")

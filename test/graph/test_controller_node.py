@@ -19,7 +19,7 @@ from trajectory_msgs.msg import JointTrajectory
 from hpid_ros.control import LOOP_PARAMETERS
 from hpid_ros.motion import minimum_jerk
 from hpid_ros.nodes.core.middleware import LATCHED, RARE
-from hpid_ros.nodes.core.trajectories import to_message
+from hpid_ros.nodes.parts.references import to_message
 from hpid_ros.robot.description import RobotDescription
 
 MS = 1_000_000

@@ -11,7 +11,7 @@ from hpid_ros.base.errors import TrajectoryError
 from hpid_ros.messages.joint_state import JointStateTemplate
 from hpid_ros.motion import JointTrajectory, TrajectoryPoint, minimum_jerk
 from hpid_ros.nodes.core.middleware import LATCHED
-from hpid_ros.nodes.core.trajectories import to_message
+from hpid_ros.nodes.parts.references import to_message
 
 MS = 1_000_000
 

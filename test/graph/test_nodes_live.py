@@ -12,9 +12,8 @@ from trajectory_msgs.msg import JointTrajectory
 from hpid_ros.messages.joint_state import JointStateTemplate, decode_joint_state
 from hpid_ros.motion import minimum_jerk
 from hpid_ros.nodes.core.middleware import ALL_COMMANDS, LATCHED, OFFERED, RARE
-from hpid_ros.nodes.core.trajectories import to_message
 from hpid_ros.nodes.parts.bridge_commanders import HeldCommands
-from hpid_ros.nodes.parts.references import TrajectorySubscriptions
+from hpid_ros.nodes.parts.references import TrajectorySubscriptions, to_message
 
 MS = 1_000_000
 

@@ -8,7 +8,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from hpid_ros.motion import minimum_jerk
 from hpid_ros.nodes.core.middleware import LATCHED
-from hpid_ros.nodes.core.trajectories import to_message
+from hpid_ros.nodes.parts.references import to_message
 
 MS = 1_000_000
 INERTIA, LOAD, VISCOUS = 0.5, -3.0, 0.8

@@ -9,7 +9,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 
 from hpid_ros.messages.joint_state import JointStateTemplate
-from hpid_ros.nodes.parts.commands import SharedCommands
+from hpid_ros.nodes.parts.joint_topics import SharedTopics
 
 MS = 1_000_000
 JOINTS = ("elbow", "wrist")
@@ -142,14 +142,20 @@ def last(harness):
 
 
 def test_what_another_thread_gives_takes_the_place_of_an_answer_that_waits(harness):
-    commands = SharedCommands(harness.node)
-    elbow, wrist = (commands.sink(harness.node, joint, "/robot#1") for joint in JOINTS)
-    with commands.collecting():
+    shared = SharedTopics(harness.node)
+    elbow, wrist = (shared.sink(harness.node, joint, "/robot#1") for joint in JOINTS)
+
+    def take(raw):
         elbow.send(MS, 3.0)
         supervisor = threading.Thread(target=elbow.send, args=(MS + 1, 0.0))
         supervisor.start()
         supervisor.join()
         wrist.send(MS, 4.0)
+
+    shared.listen(harness.node, take)
+    harness.wait(lambda: listeners(harness) > 0, what="the subscription to match")
+    tell(harness, 0, 0.5)
+    harness.wait(lambda: len(harness.commands) == 2, what="the answers")
     wrist.send(2 * MS, 5.0)
     harness.wait(lambda: len(harness.commands) == 3, what="all that was sent")
     sent = [(each.stamp_ns, tuple(each.names), tuple(each.effort)) for each in harness.commands]

@@ -3,7 +3,7 @@
 from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.messages.joint_trajectory import decode_trajectory
 from hpid_ros.motion import JointTrajectory, TrajectoryPoint
-from hpid_ros.nodes.core.trajectories import column_of
+from hpid_ros.nodes.parts.references import column_of
 
 
 def from_message(message):

@@ -1,10 +1,26 @@
-"""The life of a process of nodes: usage, start, spinning, end.
+"""The life of a process of nodes: usage, start, spinning, supervision, end.
 
 ``EventsExecutor`` is several times faster than the wait-set executors. Two of its traits need
 care: ``spin()`` without a deadline starves callbacks, so it is always given one; and with
 rclpy's own signal handlers the context is dead before a last command could be sent. Signals
 are therefore taken by a :class:`.Supervisor`, and end the spinning; the
 nodes close while the context still lives, and the context is shut down last.
+
+The supervisor's thread reads the signals from a wake-up pipe, which the interpreter writes at
+once, whatever the executor does, and has nodes check what must not wait for the executor. It needs
+Python's lock: a callback that runs long or blocks in the system gives it away, one that computes
+in C without giving it away does not, and nothing in the process helps against that.
+
+========================  ===================================================================
+SIGINT, SIGTERM, SIGHUP   the nodes are left and closed; exit code 0
+SIGTSTP, SIGTTIN, SIGTTOU joints get zero effort, the process is stopped; it goes on at SIGCONT
+any other that would end  as SIGTERM, and then the process ends by the signal
+SIGCHLD, SIGURG, ...      left alone: their default does nothing
+SIGSEGV, SIGABRT, ...     left alone: the process has crashed, and can promise nothing
+========================  ===================================================================
+
+What is ignored when the process begins stays ignored (``nohup``), but for SIGINT and SIGTERM;
+what somebody has a handler for by then, or gets one for later, is theirs.
 """
 
 from __future__ import annotations
@@ -14,15 +30,20 @@ import gc
 import math
 import os
 import re
+import select
 import signal
 import sys
 import textwrap
+import threading
 import time
 import traceback
 from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from functools import partial
+from pathlib import Path
+from types import FrameType
+from typing import Any, ClassVar, TypeVar
 
 import rclpy
 from rcl_interfaces.msg import ParameterValue
@@ -57,9 +78,10 @@ from hpid_ros.nodes.core.services import (
     require_known,
 )
 from hpid_ros.nodes.core.status import flush_events
-from hpid_ros.nodes.core.supervisor import Supervisor
 
-_WIDTH = 96
+T = TypeVar("T")
+U = TypeVar("U")
+
 _HELP = ("-h", "--help")
 
 
@@ -75,8 +97,8 @@ class Usage:
     tells: Sequence[str] = ()  # topics that it publishes
     serves: Sequence[str] = ()  # services beside those of every node
 
-    def tell(self) -> None:
-        """Print all of it; whoever reads it may have read enough after some lines, as head has."""
+    def print(self) -> None:
+        """Print all of it; a reader of the first lines alone (``head``) is no error."""
         try:
             print(self.text(), flush=True)
         except BrokenPipeError:
@@ -91,6 +113,7 @@ class Usage:
             "publishes": self.tells,
             "services": self.serves,
         }
+        paragraphs = [f"{what}: {', '.join(names)}" for what, names in lists.items() if names]
         return "\n".join(
             [
                 f"usage: {self.name} --ros-args{needs} [-p NAME:=VALUE]... "
@@ -98,7 +121,7 @@ class Usage:
                 "",
                 self.about,
                 "",
-                *(_wrapped(what, names) for what, names in lists.items() if names),
+                *(_FILL(text) for text in paragraphs),
                 "",
                 "ros2 param describe tells of a running node what each parameter is; "
                 "docs/interfaces.md has all of them.",
@@ -106,20 +129,9 @@ class Usage:
         )
 
 
-def is_asked_for(arguments: Sequence[str]) -> bool:
-    """Return whether arguments ask for help."""
-    return any(argument in _HELP for argument in arguments)
-
-
-def _wrapped(what: str, names: Sequence[str]) -> str:
-    return textwrap.fill(
-        f"{what}: {', '.join(names)}",
-        _WIDTH,
-        subsequent_indent="  ",
-        break_long_words=False,
-        break_on_hyphens=False,
-    )
-
+_FILL = textwrap.TextWrapper(
+    96, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False
+).fill
 
 BAD_INPUT = 2
 """Exit code of a process whose parameters or arguments cannot be used."""
@@ -127,7 +139,7 @@ BAD_INPUT = 2
 FAILED = 1
 """Exit code of a process that a callback ended, or whose joint another controller holds."""
 
-_WIND_DOWN_WITHIN = 4.5  # [s] from the request to the close of the nodes
+_STOPS_WITHIN = 4.5  # [s] from the request to the close of the nodes
 _EVENTS_WITHIN = 0.5  # [s] for a parent that is slow to read
 _SWITCH_INTERVAL = 5e-4  # [s]; how late a thread beside the loop (a decoder) makes a sample
 _DEADLINE = 86400.0  # [s]; any finite one: spinning goes on when it passes
@@ -195,11 +207,11 @@ class ClosingNode(Node):
         """Create a subscription, as rclpy does; overrides change no profile but its own."""
         return super().create_subscription(kind, topic, callback, copy(qos), **options)
 
-    def wind_down(self) -> Future | None:
+    def begin_stop(self) -> Future | None:
         """Begin what takes time before the end; called once, while spinning goes on."""
         return None
 
-    def leave_at_once(self) -> None:
+    def stop_now(self) -> None:
         """Send what must not be late; called once, on all nodes before any of them is closed."""
 
     def close(self) -> None:
@@ -227,22 +239,22 @@ class ClosingNode(Node):
 
     # What follows is called on the supervisor's thread, also while a callback does not return.
 
-    def look(self) -> float:
-        """Do what must not wait for the executor, and return when to look again, in [s]."""
+    def check(self) -> float:
+        """Do what must not wait for the executor, and return when to check again, in [s]."""
         return math.inf
 
-    def hold(self) -> None:
-        """Leave without effort until :meth:`go_on`: the process is about to be stopped."""
+    def cut_effort(self) -> bool:
+        """Leave joints without effort until :meth:`restore_effort`, if that is ever called.
 
-    def wait_until_held(self, within: float) -> None:
-        """Wait until that has been heard, for at most so many seconds."""
-
-    def go_on(self) -> None:
-        """Go on after :meth:`hold`."""
-
-    def abandon(self) -> bool:
-        """Leave for ever: the executor has not heeded the request to stop."""
+        Returns whether the process may now end without the executor.
+        """
         return False
+
+    def wait_until_cut(self, within: float) -> None:
+        """Wait until that has been acknowledged, for at most so many seconds."""
+
+    def restore_effort(self) -> None:
+        """Go on after :meth:`cut_effort`."""
 
 
 def _type_of(default: object) -> Parameter.Type:
@@ -252,6 +264,177 @@ def _type_of(default: object) -> Parameter.Type:
     if isinstance(default, ParameterValue):
         return Parameter.Type(default.type)
     return Parameter.Type.from_parameter_value(default)
+
+
+_HEEDED_WITHIN = 0.25  # [s] for the executor to begin a stop; then joints are left without it
+_LEFT_WITHIN = 4.75  # [s] for all joints to be left; then the process ends without the executor
+_CUT_WITHIN = 0.5  # [s] for all subscribers to acknowledge, before the process is suspended
+
+_ENDS_WELL = frozenset((signal.SIGINT, signal.SIGTERM, signal.SIGHUP))
+_ALWAYS = frozenset((signal.SIGINT, signal.SIGTERM))  # also where a shell had them ignored
+_STOPS = frozenset((signal.SIGTSTP, signal.SIGTTIN, signal.SIGTTOU))
+_LEFT_ALONE = frozenset(
+    (
+        *(signal.SIGKILL, signal.SIGSTOP),  # nobody can catch them
+        *(signal.SIGCHLD, signal.SIGCONT, signal.SIGURG, signal.SIGWINCH),  # they end nothing
+        # The process has crashed, or a debugger is at it.
+        *(signal.SIGSEGV, signal.SIGABRT, signal.SIGBUS, signal.SIGFPE, signal.SIGILL),
+        *(signal.SIGTRAP, signal.SIGSYS),
+    )
+)
+_CLOSE, _CHECK_AGAIN = 0, 255  # on the pipe, which else has the numbers of signals
+
+
+class Supervisor:
+    """The end of a process, asked for once by a signal or a node, and the thread behind it."""
+
+    def __init__(self) -> None:
+        self.future: Future = Future()
+        self.code = 0
+        self.ends_by: int | None = None
+        self.failure: Exception | None = None
+        self.is_heeded = self.are_left = self.has_cut_effort = False
+        self._nodes: Sequence[ClosingNode] = ()
+        self._lock = threading.Lock()
+        self._asked_at = math.inf
+        self._reader, self._writer = os.pipe()
+        os.set_blocking(self._writer, False)
+        self._taken: set[int] = set()
+        self._thread = threading.Thread(target=self._supervise, name="supervisor", daemon=True)
+
+    def __enter__(self) -> Supervisor:
+        """Take the signals; to be called on the main thread."""
+        for number in sorted(set(signal.valid_signals()) - _LEFT_ALONE - _taken_elsewhere()):
+            signal.signal(number, _ignore)
+            self._taken.add(number)
+        self._before = signal.set_wakeup_fd(self._writer, warn_on_full_buffer=False)
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Take no more: the process ends, and a second signal must not spoil that."""
+        signal.set_wakeup_fd(self._before)
+        for number in self._taken:
+            if signal.getsignal(number) is _ignore:
+                signal.signal(number, signal.SIG_IGN)
+        self._wake(_CLOSE)
+        self._thread.join()
+        os.close(self._reader)
+        os.close(self._writer)
+
+    def supervise(self, nodes: Sequence[ClosingNode]) -> None:
+        """Look after these nodes from now on; the executor's time begins now."""
+        self._nodes = nodes
+        if self.future.done():
+            self._asked_at = time.monotonic()
+        self.check_again()
+
+    def check_again(self) -> None:
+        """Ask the nodes again when to check: something has changed."""
+        self._wake(_CHECK_AGAIN)
+
+    def request(self, code: int = 0, ends_by: int | None = None) -> None:
+        """Ask for the end."""
+        with self._lock:
+            self.code = self.code or code
+            if not self.future.done():
+                self.ends_by, self._asked_at = ends_by, time.monotonic()
+                self.future.set_result(None)
+
+    def fail(self, error: Exception, code: int) -> None:
+        """Ask for the end because of something that was raised; nobody winds down before."""
+        self.failure = error
+        self.request(code)
+
+    def _wake(self, byte: int) -> None:
+        with contextlib.suppress(BlockingIOError):  # so full of signals that it wakes anyway
+            os.write(self._writer, bytes((byte,)))
+
+    def _supervise(self) -> None:
+        while True:
+            checks = [_attempt(node.check, math.inf) for node in self._nodes]
+            within = min(*checks, self._end(), math.inf)
+            timeout = None if within == math.inf else max(within, 0.0)
+            if not select.select([self._reader], [], [], timeout)[0]:
+                continue
+            for number in os.read(self._reader, 4096):
+                if number == _CLOSE:
+                    return
+                if number in _STOPS:
+                    self._suspend()
+                elif number in _ENDS_WELL:
+                    self.request(0)
+                elif number in self._taken:
+                    self.request(128 + number, ends_by=number)
+
+    def _end(self) -> float:
+        """Do what the executor should have done, and return until when it has time, in [s]."""
+        passed = time.monotonic() - self._asked_at
+        if passed < 0.0 or self.are_left:
+            return math.inf
+        if not self.is_heeded and not self.has_cut_effort:
+            if passed < _HEEDED_WITHIN:
+                return _HEEDED_WITHIN - passed
+            self._cut_effort()
+        if passed < _LEFT_WITHIN:
+            return _LEFT_WITHIN - passed
+        if self._cut_effort():
+            self._end_without_executor()
+        return math.inf
+
+    def _cut_effort(self) -> bool:
+        """Leave all joints for ever, and tell whether a node lets the process end like this."""
+        self.has_cut_effort = bool(self._nodes)
+        may_end = [_attempt(node.cut_effort, False) for node in self._nodes]  # all of them
+        return any(may_end)
+
+    def _end_without_executor(self) -> None:
+        frame = sys._current_frames().get(threading.main_thread().ident or 0)
+        where = f" at {frame.f_code.co_filename}:{frame.f_lineno}" if frame is not None else ""
+        print(
+            f"a callback has not returned for {_LEFT_WITHIN:g} s{where}: "
+            "joints were left without effort, the process ends without it",
+            file=sys.stderr,
+            flush=True,
+        )
+        os._exit(1 if self.ends_by is None else 128 + self.ends_by)
+
+    def _suspend(self) -> None:
+        """Stop the process as the signal would have, with all joints left meanwhile."""
+        for node in self._nodes:
+            _attempt(node.cut_effort, False)
+        deadline = time.monotonic() + _CUT_WITHIN
+        for node in self._nodes:
+            within = max(0.0, deadline - time.monotonic())
+            _attempt(partial(node.wait_until_cut, within), None)
+        # To this thread: it does nothing more before the whole process stands still.
+        signal.pthread_kill(threading.get_ident(), signal.SIGSTOP)
+        if not self.has_cut_effort:
+            for node in self._nodes:
+                _attempt(node.restore_effort, None)
+
+
+def _attempt(step: Callable[[], T], otherwise: U) -> T | U:
+    """Take one node's step; whatever it raises, the other nodes have their turn."""
+    try:
+        return step()
+    except Exception as error:
+        _fail(error)
+        return otherwise
+
+
+def _ignore(number: int, frame: FrameType | None) -> None:
+    """Python must have a handler for the wake-up pipe to be written."""
+
+
+def _taken_elsewhere() -> set[int]:
+    """Return the signals that are ignored, or that something else than Python's default has."""
+    masks = 0
+    for line in Path("/proc/self/status").read_text().splitlines():
+        name, _, value = line.partition(":")
+        if name in ("SigIgn", "SigCgt"):
+            masks |= int(value, 16)
+    return {number for number in range(1, 65) if masks >> (number - 1) & 1} - _ALWAYS
 
 
 def run(
@@ -264,8 +447,8 @@ def run(
     command_line = list(sys.argv if args is None else args)
     try:
         surplus = remove_ros_args(command_line)[1:]
-        if usage is not None and is_asked_for(surplus):
-            usage.tell()
+        if usage is not None and any(argument in _HELP for argument in surplus):
+            usage.print()
             return 0
         end_with_the_launch()
         load_profile()
@@ -336,8 +519,8 @@ def _run_in_context(
             executor.spin_until_future_complete(supervisor.future, _DEADLINE)
         if supervisor.failure is not None:
             raise supervisor.failure
-        if not supervisor.has_abandoned:
-            _wind_down(executor, nodes, supervisor)
+        if not supervisor.has_cut_effort:
+            _stop(executor, nodes, supervisor)
     except HpidError as error:  # what only the graph shows, for instance a topic's type
         supervisor.request(_refuse(str(error), _exit_code(error)))
     except Exception as error:  # whatever it was, the nodes are closed and their joints left
@@ -345,18 +528,18 @@ def _run_in_context(
     finally:
         supervisor.is_heeded = True
         # No node waits in its close for what another one still has to send.
-        is_closed = [_done(node.leave_at_once) for node in nodes]
+        failed = [_attempt(node.stop_now, FAILED) for node in nodes]
         supervisor.are_left = True
-        is_closed += [_done(node.close) for node in nodes]
+        failed += [_attempt(node.close, FAILED) for node in nodes]
         end_in_time()  # what is left is the middleware's
-        _done(executor.shutdown)
-    return supervisor.code or int(not all(is_closed))
+        _attempt(executor.shutdown, None)
+    return supervisor.code or int(any(failed))
 
 
-def _wind_down(executor: Executor, nodes: Sequence[ClosingNode], supervisor: Supervisor) -> None:
+def _stop(executor: Executor, nodes: Sequence[ClosingNode], supervisor: Supervisor) -> None:
     """Go on spinning until all nodes may be closed, or have had long enough."""
-    deadline = time.monotonic() + _WIND_DOWN_WITHIN
-    waits = [node.wind_down() for node in nodes]
+    deadline = time.monotonic() + _STOPS_WITHIN
+    waits = [node.begin_stop() for node in nodes]
     supervisor.is_heeded = True
     for waited in waits:
         if waited is not None:
@@ -371,16 +554,6 @@ def _destroy(node: Node) -> None:
     """
     with contextlib.suppress(AttributeError, InvalidHandle):  # half made, or destroyed already
         node.destroy_node()
-
-
-def _done(step: Callable[[], None]) -> bool:
-    """Take one step of a node's end; whatever that raises, the other nodes end, too."""
-    try:
-        step()
-    except Exception as error:
-        _fail(error)
-        return False
-    return True
 
 
 def _fail(error: Exception) -> int:

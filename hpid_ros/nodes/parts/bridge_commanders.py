@@ -11,7 +11,7 @@ from typing import Any, Protocol
 from rclpy.node import Node
 
 from hpid_ros.base.names import controller_name
-from hpid_ros.nodes.parts.commands import node_of
+from hpid_ros.nodes.parts.joint_topics import node_of
 from hpid_ros.simulation.lockstep import AnswerCounts, FollowedSender
 
 

@@ -28,7 +28,6 @@ from hpid_ros.nodes.core.middleware import (
 )
 from hpid_ros.nodes.core.process import declare, read_only
 from hpid_ros.nodes.core.status import ERROR, OK, WARN, Diagnostics
-from hpid_ros.nodes.core.trajectories import column_of
 from hpid_ros.nodes.parts.goal_follower import CANCELLED, GoalFollower, Outcome
 from hpid_ros.nodes.parts.goals import (
     FIXED_PARAMETERS,
@@ -41,7 +40,12 @@ from hpid_ros.nodes.parts.goals import (
     joint_parameters,
     require_joints,
 )
-from hpid_ros.nodes.parts.references import Decoded, TrajectorySubscriptions, reference_decoder
+from hpid_ros.nodes.parts.references import (
+    Decoded,
+    TrajectorySubscriptions,
+    column_of,
+    reference_decoder,
+)
 from hpid_ros.robot.description import RobotDescription
 
 

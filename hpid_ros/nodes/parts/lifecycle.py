@@ -19,7 +19,7 @@ from hpid_ros.nodes.core.executor import ClosingNode
 from hpid_ros.nodes.core.middleware import steady_timer
 from hpid_ros.nodes.core.process import read_choice, read_number, read_only
 from hpid_ros.nodes.core.rclpy_internals import destroy_lifecycle, lifecycle_state
-from hpid_ros.nodes.parts.commands import Commands
+from hpid_ros.nodes.parts.joint_topics import Commands
 
 
 class ManagedNode(LifecycleNode, executor.ClosingNode):
@@ -144,7 +144,7 @@ class ControllerStop:
         self._timer: Timer | None = None
         self._ended: Future | None = None
         self._stamp_ns: int | None = None
-        self._is_unheard = False
+        self._is_unacknowledged = False
 
     @property
     def is_damping(self) -> bool:
@@ -179,16 +179,16 @@ class ControllerStop:
         self._stamp_ns = None
         if stamp_ns is not None:
             self._commands.leave(stamp_ns)
-            self._is_unheard = True
+            self._is_unacknowledged = True
         self._finish()
         if self._ended is not None and not self._ended.done():
             self._ended.set_result(None)
 
-    def wait_until_heard(self) -> None:
+    def wait_until_acknowledged(self) -> None:
         """Wait until every reliable subscriber has acknowledged the last zero, for a while."""
-        if not self._is_unheard:
+        if not self._is_unacknowledged:
             return
-        self._is_unheard = False
+        self._is_unacknowledged = False
         if not self._commands.publisher.wait_for_all_acked(_LAST_COMMAND_WITHIN):
             self._node.get_logger().warning(
                 "the last command, of zero effort, was not acknowledged by every subscriber "
@@ -197,10 +197,10 @@ class ControllerStop:
 
 
 class StateWatchdog:
-    """Lets a loop look at the silence, beside the states: without them it is never called.
+    """Checks for a state timeout without states, on two threads.
 
-    Two threads look: that of the supervisor gives the effort, which no callback may delay; that of
-    the executor tells the loop.
+    That of the supervisor gives the effort, which no callback may delay; that of the executor
+    tells the loop.
     """
 
     def __init__(self, node: ClosingNode, joint: SupervisedLoop) -> None:
@@ -216,30 +216,31 @@ class StateWatchdog:
         self._timer: Timer | None = None
 
     def watch(self, timeout: float) -> None:
-        """Look from now on, or with another timeout."""
+        """Check from now on, or with another timeout."""
         if not self._is_on or timeout == self._watchdog.timeout:
             return
         self._destroy_timer()
         self._watchdog.timeout = timeout
-        self._timer = steady_timer(self._node, self._watchdog.period, self._look)
+        self._timer = steady_timer(
+            self._node,
+            self._watchdog.period,
+            lambda: self._joint.look(time.perf_counter_ns()),
+        )
         if self._node.supervisor is not None:
             self._node.supervisor.check_again()
 
     def stop(self) -> None:
-        """Look no more, and forget what came."""
+        """Check no more, and forget what came."""
         self._watchdog.forget()
         self._destroy_timer()
 
     def is_silent(self) -> bool:
-        """Tell whether states are missing, and an effort is given; for the supervisor's thread."""
+        """Return whether states are missing, and an effort is given; on any thread."""
         return self._watchdog.is_silent(time.perf_counter_ns())
 
     def within(self) -> float:
-        """Return the time in [s] until there may be a silence; for the supervisor's thread."""
+        """Return the time in [s] until there may be a timeout; on any thread."""
         return self._watchdog.within(time.perf_counter_ns())
-
-    def _look(self) -> None:
-        self._joint.look(time.perf_counter_ns())
 
     def _destroy_timer(self) -> None:
         if self._timer is not None:

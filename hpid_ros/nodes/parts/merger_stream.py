@@ -12,7 +12,6 @@ from typing import Any, NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.srv import GetParameters
-from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.parameter import parameter_value_to_python
 from rclpy.task import Future
@@ -23,6 +22,7 @@ from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.nodes.core.executor import ClosingNode
 from hpid_ros.nodes.core.middleware import LATCHED, RARE, steady_timer
 from hpid_ros.nodes.core.status import ERROR, OK, WARN, Diagnostics
+from hpid_ros.nodes.parts.joint_topics import Sink
 from hpid_ros.nodes.parts.merger import CommandMerger, Merged, MergerSettings, Receiver
 from hpid_ros.nodes.parts.merger_settings import GroupOutput
 
@@ -203,7 +203,7 @@ class MergedStream:
         self.output = output
         self._node, self._note_delay, self._changed = node, note_delay, changed
         self._lock = threading.Lock()  # of the merger, and of the order of what is sent
-        self._is_held = self._is_shut = False
+        self._is_cut = False
         self._timer = steady_timer(node, 1.0, self._on_deadline)
         self._timer.cancel()
         self._timer_ns = NANOSECONDS
@@ -225,6 +225,28 @@ class MergedStream:
             self.merger = None
         self._disarm()
 
+    def sink(self, joint: str) -> Sink:
+        """Return the sink of one joint's controller in the same process."""
+        publisher = self.output.publisher
+        return Sink(
+            publisher,
+            # Nobody hears it before the merger has a receiver.
+            lambda: publisher.get_subscription_count() if self.merger is not None else 0,
+            partial(self._take_on_any_thread, joint),
+        )
+
+    def _take_on_any_thread(self, joint: str, stamp_ns: int, effort: float) -> None:
+        if threading.current_thread() is threading.main_thread():  # the executor's
+            self.take(joint, stamp_ns, effort)
+            return
+        merger = self.merger  # the supervisor's thread: the executor may be stuck
+        if merger is None:
+            return
+        now_ns = time.perf_counter_ns()
+        with self._sending():
+            merged = merger.take(joint, stamp_ns, effort, now_ns) or merger.flush(now_ns)
+            self._send(merged, merger, now_ns)
+
     def take(self, joint: str, stamp_ns: int, effort: float, *, is_signed: bool = True) -> None:
         """Take a command, on the executor's thread."""
         merger = self.merger
@@ -240,16 +262,6 @@ class MergedStream:
         if has_returned:
             self._changed(merger)
 
-    def take_at_once(self, joint: str, stamp_ns: int, effort: float) -> None:
-        """Take a command that nothing may delay, on any thread."""
-        merger = self.merger
-        if merger is None:
-            return
-        now_ns = time.perf_counter_ns()
-        with self._sending():
-            merged = merger.take(joint, stamp_ns, effort, now_ns) or merger.flush(now_ns)
-            self._send(merged, merger, now_ns)
-
     def zero(self) -> None:
         """Send a zero for every joint, if anything has been sent before."""
         with self._sending():
@@ -257,7 +269,7 @@ class MergedStream:
 
     def _send(self, merged: Merged | None, merger: CommandMerger, now_ns: int) -> None:
         """Publish what is to be sent; only to be called by who has the lock."""
-        if merged is None or merger is not self.merger or self._is_held or self._is_shut:
+        if merged is None or merger is not self.merger or self._is_cut:
             return
         self.output.send(merged)
         self._note_delay(now_ns - merger.rounds.began_ns)
@@ -303,7 +315,7 @@ class MergedStream:
 
     # What follows is called on the supervisor's thread, also while a callback does not return.
 
-    def look(self) -> float:
+    def check(self) -> float:
         """Send the fallbacks of joints that have fallen silent, and what else is due."""
         merger = self.merger
         if merger is None:
@@ -318,68 +330,20 @@ class MergedStream:
             self._node.hand_over(self._changed, merger)
         return min(within, merger.shortest_timeout)  # a joint may come back at any time
 
-    def hold(self) -> None:
-        """Leave all joints without effort while the process is stopped."""
-        self._is_held = True
-        self._burst()
+    def cut(self) -> None:
+        """Leave all joints without effort."""
+        if not self._is_cut:
+            self._is_cut = True
+            for _ in range(_BURST):
+                self.zero()
 
-    def go_on(self) -> None:
+    def restore(self) -> None:
         """Merge again; the joints come back from zero."""
         merger = self.merger
         if merger is not None:
             with self._sending():
                 merger.supersede(0.0, time.perf_counter_ns())
-        self._is_held = False
-
-    def abandon(self) -> None:
-        """Leave all joints without effort, for ever."""
-        if not self._is_shut:
-            self._is_shut = True
-            self._burst()
-
-    def _burst(self) -> None:
-        for _ in range(_BURST):
-            self.zero()
-
-
-class MergedCommands:
-    """One joint's commands, handed to a merger of the same process; a ``CommandSink``."""
-
-    def __init__(self, stream: MergedStream, joint: str) -> None:
-        self.publisher = MergedTopic(stream)
-        self._joint, self._stream = joint, stream
-
-    def send(self, stamp_ns: int, effort: float) -> None:
-        """Give an effort in [N m] or [N]."""
-        if threading.current_thread() is threading.main_thread():  # the executor's
-            self._stream.take(self._joint, stamp_ns, effort)
-        else:  # the supervisor's: the executor may be stuck
-            self._stream.take_at_once(self._joint, stamp_ns, effort)
-
-
-class MergedTopic:
-    """The topic of merged commands, as a controller of the same process sees it.
-
-    Nobody hears it before the merger has a receiver.
-    """
-
-    def __init__(self, stream: MergedStream) -> None:
-        self._stream = stream
-
-    @property
-    def topic_name(self) -> str:
-        """Full name of the topic."""
-        return str(self._stream.output.publisher.topic_name)
-
-    def get_subscription_count(self) -> int:
-        """Return how many hear what is sent."""
-        if self._stream.merger is None:
-            return 0
-        return int(self._stream.output.publisher.get_subscription_count())
-
-    def wait_for_all_acked(self, timeout: Duration) -> bool:
-        """Wait until all who acknowledge anything have done so, and tell whether they have."""
-        return bool(self._stream.output.publisher.wait_for_all_acked(timeout))
+        self._is_cut = False
 
 
 _OFTEN_LATE = 0.1  # of the messages of a report

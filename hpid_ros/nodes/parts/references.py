@@ -1,4 +1,4 @@
-"""The references that a controller takes, and introspection: ~/reference, ~/terms, ~/estimate."""
+"""References that a controller takes, trajectories as messages, and introspection topics."""
 
 from __future__ import annotations
 
@@ -7,11 +7,13 @@ from collections.abc import Callable
 from functools import cache, partial
 from typing import Any
 
+from builtin_interfaces.msg import Duration, Time
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64, Float64MultiArray
-from trajectory_msgs.msg import JointTrajectory
+from trajectory_msgs.msg import JointTrajectory as JointTrajectoryMessage
+from trajectory_msgs.msg import JointTrajectoryPoint
 
 from hpid_ros.base.errors import HpidError, MessageError
 from hpid_ros.base.units import NANOSECONDS
@@ -26,10 +28,45 @@ from hpid_ros.messages.joint_trajectory import (
     decode_trajectory,
 )
 from hpid_ros.messages.reports import decode_numbers
+from hpid_ros.motion.joint_trajectory import Column, JointTrajectory, PointArrays, column_from_arrays
+
 from hpid_ros.nodes.core.executor import ClosingNode
 from hpid_ros.nodes.core.middleware import LATCHED, OFFERED, RARE, overridable
 from hpid_ros.nodes.core.process import read_number
-from hpid_ros.nodes.core.trajectories import column_of
+
+
+def column_of(decoded: TrajectoryArrays | MixedTrajectory, joint: str) -> Column | None:
+    """Check a decoded message and return one joint's column."""
+    if joint not in decoded.names:
+        return None
+    return column_from_arrays(
+        joint,
+        decoded.names,
+        decoded.stamp_ns,
+        decoded.times_ns,
+        PointArrays(*decoded[3:7]),
+        decoded.lengths,
+        decoded.point,
+    )
+
+
+def to_message(trajectory: JointTrajectory) -> JointTrajectoryMessage:
+    """Return the message of a trajectory."""
+    seconds, nanoseconds = divmod(trajectory.stamp_ns, NANOSECONDS)
+    message = JointTrajectoryMessage(joint_names=list(trajectory.joint_names))
+    message.header.stamp = Time(sec=seconds, nanosec=nanoseconds)
+    for point in trajectory.points:
+        seconds, nanoseconds = divmod(point.time_from_start_ns, NANOSECONDS)
+        message.points.append(
+            JointTrajectoryPoint(
+                positions=point.positions,
+                velocities=point.velocities,
+                accelerations=point.accelerations,
+                effort=point.efforts,
+                time_from_start=Duration(sec=seconds, nanosec=nanoseconds),
+            )
+        )
+    return message
 
 
 class TrajectorySubscriptions:
@@ -48,7 +85,7 @@ class TrajectorySubscriptions:
         """Both, for whoever ends them."""
         # Only the contract's profile may be overridden: both would have the same parameters.
         latched = node.create_subscription(
-            JointTrajectory,
+            JointTrajectoryMessage,
             "joint_trajectory",
             partial(self._on_message, True),
             LATCHED,
@@ -58,7 +95,7 @@ class TrajectorySubscriptions:
             qos_overriding_options=overridable(),
         )
         volatile = node.create_subscription(
-            JointTrajectory,
+            JointTrajectoryMessage,
             "joint_trajectory",
             partial(self._on_message, False),
             RARE,  # not a depth of 1: one message of zero bytes would end what a reader gets

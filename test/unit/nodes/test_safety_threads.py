@@ -10,7 +10,7 @@ from hpid_ros.base.errors import MessageError
 from hpid_ros.control.reference import Setpoint
 from hpid_ros.messages.joint_trajectory import decode_trajectory
 from hpid_ros.nodes.parts import references as controller_references
-from hpid_ros.nodes.parts.commands import Commands
+from hpid_ros.nodes.parts.joint_topics import Commands, Sink
 from hpid_ros.nodes.parts.references import ControllerReferences, ReferenceDecoder
 
 MS = 1_000_000
@@ -26,39 +26,31 @@ def setpoint(position):
     return bytes(serialize_message(Float64(data=position)))
 
 
-class Sink:
-    """Takes efforts in the place of a publisher."""
-
-    publisher = None
-
-    def __init__(self):
-        self.sent = []
-
-    def send(self, stamp_ns, effort):
-        self.sent.append((stamp_ns, effort))
+def recorded_commands():
+    """Return commands, and the list of what they publish."""
+    sent = []
+    return Commands(Sink(None, None, lambda *command: sent.append(command))), sent
 
 
 def test_nothing_follows_the_last_zero_of_another_thread():
-    sink = Sink()
-    commands = Commands(sink)
+    commands, sent = recorded_commands()
     commands.fall_back(1.5, lambda: True)
-    commands.shut()
-    assert sink.sent == []  # the joint was never driven: another controller may have it
-    sink = Sink()
-    commands = Commands(sink)
+    commands.cut()
+    assert sent == []  # the joint was never driven: another controller may have it
+    commands, sent = recorded_commands()
     commands.send(MS, 5.0)
     commands.fall_back(1.5, lambda: False)
     commands.fall_back(1.5, lambda: True)
-    commands.hold()
+    commands.cut()
     commands.send(2 * MS, 6.0)
-    commands.go_on()
+    commands.restore()
     commands.send(3 * MS, 7.0)
-    commands.shut()
+    commands.cut()
     commands.send(4 * MS, 8.0)
     commands.fall_back(1.5, lambda: True)
     commands.leave(4 * MS)
-    commands.shut()
-    assert sink.sent == [
+    commands.cut()
+    assert sent == [
         (MS, 5.0),
         (MS + 1, 1.5),
         (MS + 1, 0.0),
@@ -68,14 +60,12 @@ def test_nothing_follows_the_last_zero_of_another_thread():
 
 
 def test_a_joint_that_was_left_is_not_commanded_by_another_thread():
-    sink = Sink()
-    commands = Commands(sink)
+    commands, sent = recorded_commands()
     commands.send(MS, 5.0)
     commands.leave(MS)
     commands.fall_back(1.5, lambda: True)
-    commands.hold()
-    commands.shut()
-    assert sink.sent == [(MS, 5.0), (MS, 0.0)]
+    commands.cut()
+    assert sent == [(MS, 5.0), (MS, 0.0)]
 
 
 def test_of_a_flood_the_newest_is_decoded_and_what_all_have_got_is_decoded_once(monkeypatch):

@@ -1,0 +1,286 @@
+"""What a controller subscribes to and publishes: states in, efforts out."""
+
+from __future__ import annotations
+
+import os
+import socket
+import threading
+import time
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from hashlib import sha256
+from typing import NamedTuple
+
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.subscription import Subscription
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64, Float64MultiArray
+
+from hpid_ros.base.units import NANOSECONDS
+from hpid_ros.messages.joint_state import JointStateTemplate
+from hpid_ros.nodes.core.middleware import (
+    NEWEST_COMMAND,
+    NEWEST_STATES,
+    OFFERED,
+    overridable,
+    subscribe_raw,
+)
+
+STATES = "joint_states"
+_COMMANDS = "joint_commands"
+_LOCK_WITHIN = 0.2  # [s]; whoever holds it longer is stuck in the middleware, as we would be
+
+TakeState = Callable[[bytes], None]
+"""Is called with each state as it came, in CDR."""
+
+
+class Sink(NamedTuple):
+    """Where one joint's efforts go."""
+
+    publisher: Publisher
+    subscribers: Callable[[], int]  # counts those that receive what is sent
+    send: Callable[[int, float], None]  # publishes an effort [N m] with the stamp [ns] it answers
+
+
+Sinks = Mapping[str, Callable[[Node, str, str], Sink]]
+"""By the names of ``command_interface``: what makes a sink of a node, its joint and its sender."""
+
+
+def _publisher(node: Node, kind: type, topic: str, profile: object) -> Publisher:
+    return node.create_publisher(kind, topic, profile, qos_overriding_options=overridable())
+
+
+def _joint_state_sink(node: Node, joint: str, sender: str) -> Sink:
+    """One name and one effort in a JointState, stamped with the state that it answers.
+
+    The convention of Isaac Sim and of ``topic_based_ros2_control``. Efforts have no frame: in its
+    place stands who sends them.
+    """
+    publisher = _publisher(node, JointState, _COMMANDS, OFFERED)
+    publish, encode = publisher.publish, JointStateTemplate([joint], sender, effort=True).encode
+    return Sink(
+        publisher,
+        publisher.get_subscription_count,
+        lambda stamp_ns, effort: publish(encode(stamp_ns, effort=(effort,))),
+    )
+
+
+def _array_sink(node: Node, joint: str, sender: str) -> Sink:
+    """An array of one, without a stamp, for the effort group controllers of ros2_control."""
+    publisher = _publisher(node, Float64MultiArray, "~/commands", NEWEST_COMMAND)
+    message = Float64MultiArray(data=[0.0])
+
+    def send(stamp_ns: int, effort: float) -> None:
+        message.data[0] = effort
+        publisher.publish(message)
+
+    return Sink(publisher, publisher.get_subscription_count, send)
+
+
+def _number_sink(node: Node, joint: str, sender: str) -> Sink:
+    """A bare number, without a stamp, for Gazebo's joint force topics."""
+    publisher = _publisher(node, Float64, "~/command", NEWEST_COMMAND)
+    message = Float64()
+
+    def send(stamp_ns: int, effort: float) -> None:
+        message.data = effort
+        publisher.publish(message)
+
+    return Sink(publisher, publisher.get_subscription_count, send)
+
+
+JOINT_STATE = "joint_state"
+
+SINKS: Sinks = {
+    JOINT_STATE: _joint_state_sink,
+    "float64_multi_array": _array_sink,
+    "float64": _number_sink,
+}
+"""The sinks of a controller that has its commands for itself."""
+
+
+class SharedTopics:
+    """One subscription to the states for the controllers of a process, and one answer to each.
+
+    The subscription begins when all that are going to listen are ready, so that a robot in
+    lock-step, which publishes once somebody listens, is answered for every joint from its first
+    state on. A controller that is ready later joins it. Each state is given to all controllers,
+    and what they send meanwhile goes out in one message at the end. What one sends at any other
+    time, or from another thread, goes out at once, and takes the place of an answer that still
+    waits for the others. Controllers of other topics have their own.
+    """
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        self._expected: set[Node] = set()
+        self._takes: dict[Node, TakeState] = {}
+        self._subscription: Subscription | None = None
+        self._publisher: Publisher | None = None
+        self._sender = ""
+        self._joints: list[str] = []
+        self._templates: dict[tuple[str, ...], JointStateTemplate] = {}
+        self._answers: dict[str, tuple[int, float]] = {}
+        self._collector: int | None = None  # the thread that gives a state to all
+        self._lock = threading.Lock()
+
+    def has_same(self, controller: Node, topic: str) -> bool:
+        """Return whether a controller's topic is the shared one."""
+        return controller.resolve_topic_name(topic) == self._node.resolve_topic_name(topic)
+
+    def expect(self, controller: Node) -> None:
+        """Wait for a controller before the states are subscribed to."""
+        self._expected.add(controller)
+
+    def listen(self, controller: Node, take: TakeState) -> None:
+        """Give a controller states, with all others; on the executor's thread, as all of these."""
+        self._expected.discard(controller)
+        self._takes = {**self._takes, controller: take}
+        self._settle()
+
+    def leave(self, controller: Node) -> None:
+        """Give a controller no states, and wait for it no more."""
+        self._expected.discard(controller)
+        self._takes = {node: take for node, take in self._takes.items() if node != controller}
+        self._settle()
+
+    def _settle(self) -> None:
+        """Subscribe once all are ready, and until all have left."""
+        if self._subscription is None:
+            if self._takes and not self._expected:
+                self._subscription = subscribe_raw(self._node, STATES, self._give, NEWEST_STATES)
+        elif not self._takes:
+            self._node.destroy_subscription(self._subscription)
+            self._subscription = None
+
+    def _give(self, raw: bytes) -> None:
+        takes = self._takes  # one of them may leave, or make another leave
+        self._collector = threading.get_ident()
+        try:
+            for node, take in takes.items():
+                if node in self._takes:
+                    take(raw)
+        finally:
+            self._collector = None
+            with self._lock:
+                self._publish_answers()
+
+    def sink(self, controller: Node, joint: str, sender: str) -> Sink:
+        """Return the sink of one controller."""
+        if not self.has_same(controller, _COMMANDS):
+            return _joint_state_sink(controller, joint, sender)
+        if self._publisher is None:
+            self._publisher = _publisher(self._node, JointState, _COMMANDS, OFFERED)
+            own = self._node.get_fully_qualified_name()
+            self._sender = own + sender.removeprefix(node_of(sender))
+        self._joints.append(joint)
+        count = self._publisher.get_subscription_count
+        return Sink(self._publisher, count, partial(self._send, joint))
+
+    def _send(self, joint: str, stamp_ns: int, effort: float) -> None:
+        if self._collector == threading.get_ident():
+            with self._lock:
+                self._answers[joint] = stamp_ns, effort
+        elif self._lock.acquire(timeout=_LOCK_WITHIN):
+            try:
+                self._answers.pop(joint, None)
+                self._publish((joint,), stamp_ns, (effort,))
+            finally:
+                self._lock.release()
+
+    def _publish_answers(self) -> None:
+        """Publish what was collected, in the order of the sinks, whoever answered first."""
+        by_stamp: dict[int, dict[str, float]] = {}
+        for joint in self._joints:
+            if joint in self._answers:
+                stamp_ns, effort = self._answers[joint]
+                by_stamp.setdefault(stamp_ns, {})[joint] = effort
+        for stamp_ns, efforts in by_stamp.items():
+            self._publish(tuple(efforts), stamp_ns, list(efforts.values()))
+        self._answers.clear()
+
+    def _publish(self, joints: tuple[str, ...], stamp_ns: int, efforts: Sequence[float]) -> None:
+        template = self._templates.get(joints)
+        if template is None:
+            template = JointStateTemplate(joints, self._sender, effort=True)
+            self._templates[joints] = template
+        if self._publisher is not None:
+            self._publisher.publish(template.encode(stamp_ns, effort=efforts))
+
+
+def sender_of(node: Node, is_alone: bool) -> str:
+    """Return what tells a node's commands from those of all others."""
+    name = str(node.get_fully_qualified_name())
+    if is_alone:
+        return name
+    process = f"{socket.gethostname()} {os.getpid()} {time.monotonic_ns()}"
+    return f"{name}#{sha256(process.encode()).hexdigest()[:6]}"
+
+
+def node_of(sender: str) -> str:
+    """Return the full name of the node that a sender is."""
+    return sender.partition("#")[0]
+
+
+def unsolicited_stamp(stamp_ns: int) -> int:
+    """Return a stamp next to one that was answered, of a command that answers no state.
+
+    A bridge in lock-step passes it over, so that a simulation that was paused goes on as if
+    nothing had been; a robot, or a bridge in realtime, acts on it.
+    """
+    return stamp_ns + 1 if (stamp_ns + 1) % NANOSECONDS else stamp_ns - 1
+
+
+class Commands:
+    """One joint's commands, from the thread of the executor and from its supervisor's.
+
+    They never overtake each other, each is whole, and after :meth:`cut` neither thread sends
+    anything before :meth:`restore`, whatever the other was about to send.
+    """
+
+    def __init__(self, sink: Sink) -> None:
+        self.publisher, self.subscribers, self._send = sink
+        self._lock = threading.Lock()
+        self._stamp_ns: int | None = None  # of the last answer; None once the joint is left
+        self._is_cut = False
+
+    def send(self, stamp_ns: int, effort: float) -> None:
+        """Publish the effort that answers a state."""
+        with self._lock:
+            if not self._is_cut:
+                self._stamp_ns = stamp_ns
+                self._send(stamp_ns, effort)
+
+    def leave(self, stamp_ns: int) -> None:
+        """Publish a zero, the last command until the next state is answered."""
+        with self._lock:
+            self._stamp_ns = None
+            if not self._is_cut:
+                self._send(stamp_ns, 0.0)
+
+    def fall_back(self, effort: float, is_due: Callable[[], bool]) -> None:
+        """Publish an effort that answers no state."""
+        if not self._lock.acquire(timeout=_LOCK_WITHIN):
+            return
+        try:
+            if self._stamp_ns is not None and not self._is_cut and is_due():
+                self._send(unsolicited_stamp(self._stamp_ns), effort)
+        finally:
+            self._lock.release()
+
+    def cut(self) -> None:
+        """Publish a zero, after a command that is under way, and nothing else."""
+        if self._is_cut:
+            return
+        self._is_cut = True
+        if not self._lock.acquire(timeout=_LOCK_WITHIN):
+            return
+        try:
+            if self._stamp_ns is not None:
+                self._send(unsolicited_stamp(self._stamp_ns), 0.0)
+        finally:
+            self._lock.release()
+
+    def restore(self) -> None:
+        """Publish again what is sent."""
+        self._is_cut = False
