@@ -57,7 +57,7 @@ class Exciter(executor.ClosingNode):
             )
         )
         self._watch = Watch(plan)
-        self._told = GroupTrajectoryPublisher(
+        self._trajectories = GroupTrajectoryPublisher(
             self, plan.names, lambda: self._follower.is_active, self._give_way
         )
         self._listen([each.bounds.controller for each in plan.joints])
@@ -123,12 +123,12 @@ class Exciter(executor.ClosingNode):
             return
         if outcome is None:
             return
-        if outcome.told is not None:
-            self._told.tell(outcome.told)
+        if outcome.trajectory is not None:
+            self._trajectories.publish(outcome.trajectory)
             self._is_untold = False
         if outcome.result is not None and not self._resting:
             is_done = outcome.result.code == ResultCode.SUCCESSFUL
-            self._is_untold = not is_done and outcome.told is None
+            self._is_untold = not is_done and outcome.trajectory is None
             self._rest("" if is_done else outcome.result.text)
 
     def _look_at_limits(self) -> None:
@@ -209,7 +209,7 @@ class Exciter(executor.ClosingNode):
             self._fail(str(error))
             return
         self._has_begun = True
-        self._told.tell(begun.told)
+        self._act(begun)
         self._status.send("begun")
 
     def _is_pressed(self, button: DeadMan) -> bool:
@@ -240,7 +240,7 @@ class Exciter(executor.ClosingNode):
                     f"{planned.bounds.controller} tells no ~/reference: it must be active, with "
                     f"an introspection_rate other than 0"
                 )
-        deaf = self._controllers - self._told.listeners()
+        deaf = self._controllers - self._trajectories.subscribers()
         if deaf:
             return f"{', '.join(sorted(deaf))} do not hear joint_trajectory as it is named here"
         if self._recorder and self._recorder not in self._who_hears_states():
@@ -279,7 +279,7 @@ class Exciter(executor.ClosingNode):
 
     def close(self) -> None:
         """Wait until the last trajectory has been heard, and say how it ended if nobody has."""
-        self._told.wait_until_heard()
+        self._trajectories.wait_until_acknowledged()
         if self._resting is None or not self._resting.done():
             is_at_rest = not self._has_begun or self._is_at_rest()
             self._status.send("stopped", reason=self._reason, is_at_rest=is_at_rest)

@@ -3,42 +3,174 @@
 from __future__ import annotations
 
 import sys
+from collections import Counter
 from collections.abc import Sequence
 
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.task import Future
 
+from hpid_ros.base.errors import HpidError, SettingError
+from hpid_ros.base.files import find_resource
 from hpid_ros.base.names import controller_name
 from hpid_ros.nodes.core import executor
 from hpid_ros.nodes.core.executor import Usage
 from hpid_ros.nodes.core.middleware import steady_timer
-from hpid_ros.nodes.core.status import StatusPipe
-from hpid_ros.nodes.parts.goal_follower import GoalFollower, Outcome
-from hpid_ros.nodes.parts.goal_graph import (
-    FollowerInputs,
-    GoalHealth,
-    GroupParameters,
-    GroupTrajectoryPublisher,
-)
+from hpid_ros.nodes.core.process import declare, read_only
+from hpid_ros.nodes.core.status import ERROR, OK, WARN, Diagnostics, StatusPipe
+from hpid_ros.nodes.parts.goal_follower import CANCELLED, GoalFollower, Outcome
+from hpid_ros.nodes.parts.goal_graph import FollowerInputs, GroupTrajectoryPublisher
 from hpid_ros.nodes.parts.goal_server import GoalServer, action_type
 from hpid_ros.nodes.parts.goals import (
     FIXED_PARAMETERS,
     GOAL_PARAMETERS,
     GoalError,
     GoalRequest,
+    GroupSettings,
+    JointFacts,
     Result,
+    ResultCode,
     joint_parameters,
+    require_joints,
 )
+from hpid_ros.robot.description import RobotDescription
 
 _READINESS_PERIOD = 0.05  # [s]
 _UNHEARD = "no controller listens to joint_trajectory"
 
 
+class GroupParameters:
+    """Makes of a node's parameters the settings of its group."""
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        names = Parameter.Type.STRING_ARRAY
+        self.joints = tuple(
+            read_only(node, "joints", names, "Joints that follow goals, in the order of feedback")
+            or ()
+        )
+        require_joints(self.joints)
+        wrapping = read_only(
+            node, "angle_wraparound", names, "Joints whose controllers have angle_wraparound"
+        )
+        counting = read_only(node, "multi_turn", names, "Joints whose controllers have multi_turn")
+        self.state_topics = tuple(
+            read_only(node, "state_topics", names, "Topics that hold the states of the joints")
+            or ("joint_states",)
+        )
+        if len(set(self.state_topics)) < len(self.state_topics) or "" in self.state_topics:
+            raise SettingError(
+                f"the parameter state_topics must name each topic once, not "
+                f"{list(self.state_topics)}"
+            )
+        source = read_only(
+            node,
+            "robot_description",
+            "",
+            "URDF of the robot, XML text or path: positions in which joints stop, and which of "
+            "them turn without end",
+        )
+        self._facts = joint_facts(self.joints, str(source), wrapping or (), counting or ())
+        specs = {**FIXED_PARAMETERS, **GOAL_PARAMETERS}
+        for joint in self.joints:
+            specs |= joint_parameters(joint)
+        self._names = tuple(specs)
+        declare(node, specs.values(), read_only=FIXED_PARAMETERS)
+        self.settings()
+
+    def settings(self, changes: Sequence[Parameter] = ()) -> GroupSettings:
+        """Return the settings that would be active after a change."""
+        values = {name: self._node.get_parameter(name).value for name in self._names}
+        values.update({each.name: each.value for each in changes if each.name in values})
+        return GroupSettings.from_parameters(self.joints, self._facts, values)
+
+    def verdict(self, changes: Sequence[Parameter]) -> SetParametersResult:
+        """Say whether a change can be applied."""
+        try:
+            self.settings(changes)
+        except HpidError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+
+def joint_facts(
+    joints: Sequence[str], source: str, wrapping: Sequence[str], counting: Sequence[str]
+) -> dict[str, JointFacts]:
+    """Return what is known of joints."""
+    require_joints(joints, wrapping, counting)
+    facts = {joint: JointFacts() for joint in joints}
+    if source:
+        path = source if source.lstrip().startswith("<") else str(find_resource(source))
+        for joint in RobotDescription.load(path).select(joints):
+            is_endless = joint.type == "continuous"
+            facts[joint.name] = JointFacts(
+                joint.lower,
+                joint.upper,
+                is_endless,
+                takes_shorter_way=is_endless and joint.name not in counting,
+                unit="m" if joint.type == "prismatic" else "rad",
+            )
+    for name in wrapping:
+        facts[name] = facts[name]._replace(is_endless=True, takes_shorter_way=True)
+    return facts
+
+
+class GoalHealth(Diagnostics):
+    """Counts goals and what could not be used, and publishes the status."""
+
+    def __init__(self, node: Node, joints: Sequence[str]) -> None:
+        super().__init__(node, ", ".join(joints))
+        self._logger = node.get_logger()
+        self._counts: Counter[str] = Counter()
+        self.misread = self.stood_still = 0
+        self._last_result = ""
+
+    def note(self, result: Result) -> None:
+        """Note how a goal ended, and log it where it did not succeed."""
+        self._counts["cancelled" if result is CANCELLED else result.code.name.lower()] += 1
+        self._last_result = result.text
+        if result.code is ResultCode.SUCCESSFUL:
+            self._logger.info(f"goal ended: {result.text}")
+            return
+        self._last_result = f"{result.code.name.lower()}: {result.text}"
+        self._logger.warning(f"goal ended: {self._last_result}", throttle_duration_sec=0.1)
+
+    def misread_message(self, line: str) -> None:
+        """Note bytes that could not be read."""
+        self.misread += 1
+        self.fault(line)
+
+    def report(
+        self, course: str, against: str, warnings: Sequence[str], values: dict[str, object]
+    ) -> None:
+        """Publish the status now."""
+        level = ERROR if against else WARN if warnings else OK
+        self.publish(
+            level,
+            "; ".join([f"no goal can be followed: {against}" if against else course, *warnings]),
+            {
+                "goals reached": self._counts["successful"],
+                "goals cancelled": self._counts["cancelled"],
+                **{
+                    f"goals ended by {code.name.lower()}": self._counts[code.name.lower()]
+                    for code in ResultCode
+                    if code is not ResultCode.SUCCESSFUL
+                },
+                "last goal": self._last_result or "none",
+                "refused messages": self.misread,
+                "times stood still": self.stood_still,
+                **values,
+                "last fault": self.last_fault,
+            },
+        )
+
+
 class JointTrajectoryController(executor.ClosingNode):
     """The shell around one :class:`~hpid_ros.nodes.parts.goal_follower.GoalFollower`.
 
-    Controllers follow trajectories by themselves: this node tells them, watches, and tells them to
-    stop. Without it they go on to the last point of what they were told, and hold there.
+    Controllers follow trajectories by themselves: this node publishes them, watches, and publishes
+    a stop. Without it they go on to the last point of their trajectory, and hold there.
     """
 
     def __init__(self, name: str = "joint_trajectory_controller") -> None:
@@ -48,8 +180,11 @@ class JointTrajectoryController(executor.ClosingNode):
         self._follower = GoalFollower(self._group.settings())
         joints = self._group.joints
         self._health = GoalHealth(self, joints)
-        self._told = GroupTrajectoryPublisher(
-            self, joints, lambda: self._follower.is_active, self._give_way
+        self._trajectories = GroupTrajectoryPublisher(
+            self,
+            joints,
+            lambda: self._follower.is_active,
+            lambda others: self._act(self._follower.yield_joints(others)),
         )
         self._inputs = FollowerInputs(
             self,
@@ -60,35 +195,29 @@ class JointTrajectoryController(executor.ClosingNode):
             self._health.misread_message,
             self._stood_still,
         )
-        self._server = GoalServer(self, self._begin, self._cancel, self._health.note)
+        self._server = GoalServer(
+            self, self._begin, lambda: self._act(self._follower.cancel()), self._health.note
+        )
         self._is_ready = False
-        steady_timer(self, _READINESS_PERIOD, self._say_when_ready)
+        steady_timer(self, _READINESS_PERIOD, self._log_when_ready)
         rate = float(self.get_parameter("action_monitor_rate").value)
-        steady_timer(self, 1.0 / rate, self._tell_feedback)
-        steady_timer(self, self._health.period, self._report)
+        steady_timer(self, 1.0 / rate, self._send_feedback)
+        steady_timer(self, 1.0, self._report)
         self.add_on_set_parameters_callback(self._group.verdict)
         self.add_post_set_parameters_callback(self._change)
         StatusPipe(self).send("listening")
 
-    def _begin(self, request: GoalRequest) -> Result | None:
-        if not self._told.listeners():
+    def _begin(self, request: GoalRequest) -> None:
+        if not self._trajectories.subscribers():
             raise GoalError(_UNHEARD)
-        begun = self._follower.begin(request)
-        self._told.tell(begun.told)
-        return begun.replaced
-
-    def _cancel(self) -> None:
-        self._act(self._follower.cancel())
-
-    def _give_way(self, joints: Sequence[str]) -> None:
-        self._act(self._follower.yield_joints(joints))
+        self._act(self._follower.begin(request))
 
     def _act(self, outcome: Outcome | None) -> None:
-        """Tell controllers and the client what follows from something."""
+        """Publish and answer what follows from something."""
         if outcome is None:
             return
-        if outcome.told is not None:
-            self._told.tell(outcome.told)
+        if outcome.trajectory is not None:
+            self._trajectories.publish(outcome.trajectory)
         if outcome.result is not None:
             self._server.end(outcome.result)
 
@@ -98,11 +227,10 @@ class JointTrajectoryController(executor.ClosingNode):
 
     def _against(self) -> str:
         """Return why no goal can be followed now; empty if one can be."""
-        if not self._told.listeners():
-            return self._follower.reason_against() or _UNHEARD
-        return self._follower.reason_against()
+        against = self._follower.reason_against()
+        return against or ("" if self._trajectories.subscribers() else _UNHEARD)
 
-    def _say_when_ready(self) -> None:
+    def _log_when_ready(self) -> None:
         """Log once that goals can be followed, with the joints."""
         if self._is_ready or self._against():
             return
@@ -110,39 +238,36 @@ class JointTrajectoryController(executor.ClosingNode):
         joints = ", ".join(self._group.joints)
         self.get_logger().info(f"ready for goals on {self._server.name}: {joints}")
 
-    def _tell_feedback(self) -> None:
+    def _send_feedback(self) -> None:
         feedback = self._follower.feedback()
         if feedback is not None:
-            self._server.tell(feedback, self._group.joints)
+            self._server.send_feedback(feedback, self._group.joints)
 
     def _change(self, changes: Sequence[Parameter]) -> None:
         self._follower.settings = self._group.settings()
 
     def _report(self) -> None:
-        follower, told = self._follower, self._told
         warnings = []
-        rivals = told.rivals()
-        if rivals:
+        if rivals := self._trajectories.rivals():
             warnings.append(f"{', '.join(sorted(rivals))} may send trajectories, too")
         silent = [
             joint
-            for joint, has_told in zip(self._group.joints, self._inputs.has_told, strict=True)
-            if not has_told
+            for joint, has in zip(self._group.joints, self._inputs.has_reference, strict=True)
+            if not has
         ]
-        against = self._against()
-        if told.listeners() and silent:
+        if silent and self._trajectories.subscribers():
             names = ", ".join(f"{controller_name(joint)}/reference" for joint in silent)
             warnings.append(f"nothing has come on {names}: whether they follow is not seen")
-        feedback = follower.feedback()
+        feedback = self._follower.feedback()
         course = "no goal"
         if feedback is not None:
             course = f"following a goal for {feedback.since_start_ns * 1e-9:.3g} s"
         self._health.report(
             course,
-            against,
+            self._against(),
             warnings,
             {
-                "states that were not finite": follower.unusable,
+                "states that were not finite": self._follower.unusable,
                 "goals rejected in a flood": self._server.rejected,
             },
         )
@@ -157,9 +282,9 @@ class JointTrajectoryController(executor.ClosingNode):
         self._act(self._follower.leave("the node ends"))
 
     def close(self) -> None:
-        """Wait until the last trajectory has been heard."""
+        """Wait until the last trajectory has been acknowledged."""
         self._server.close()
-        self._told.wait_until_heard()
+        self._trajectories.wait_until_acknowledged()
 
 
 USAGE = Usage(

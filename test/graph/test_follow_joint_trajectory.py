@@ -251,7 +251,7 @@ def test_a_controller_that_dies_aborts_the_goal_and_the_others_stop(joints):
     os.kill(processes.elbow.process.pid, signal.SIGKILL)
     status, code, text = client.result(handle)
     assert (status, code) == (ABORTED, INVALID_GOAL)
-    assert text.startswith("the controller of elbow has told no reference for ")
+    assert text.startswith("the controller of elbow has published no reference for ")
     joints.run(lambda: joints.references["shoulder"][-1][2] == 0.0, what="the shoulder to stop")
     assert joints.references["shoulder"][-1][1] < 0.9
 

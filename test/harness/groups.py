@@ -96,13 +96,11 @@ class SimulatedGroup:
         if outcome is not None:
             if outcome.result is not None:
                 self.results.append(outcome.result)
-            self.tell(outcome.told)
+            self.tell(outcome.trajectory)
 
     def begin(self, request):
         begun = self.follower.begin(request)
-        if begun.replaced is not None:
-            self.results.append(begun.replaced)
-        self.tell(begun.told)
+        self.note(begun)
         return begun
 
     def cancel(self):

@@ -1,5 +1,10 @@
 """A goal from its start to success, abort or stop, one at a time.
 
+The controllers are asked for nothing: the code that follows a trajectory in each of them
+(:class:`~hpid_ros.control.reference.Following`) runs here once more, fed with the same
+trajectories and stamps. They differ by when exactly a controller took a trajectory up, which fades
+with the glide. What controllers publish of their references is used where they were sent nothing.
+
 All time enters with the stamps of the states. Source of the rules: ``ros2_controllers``,
 ``joint_trajectory_controller/src/joint_trajectory_controller.cpp``, functions ``update``,
 ``goal_cancelled_callback`` and ``goal_accepted_callback``.
@@ -9,22 +14,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
+from copy import copy
+from dataclasses import replace
 from typing import NamedTuple
 
 from hpid_ros.base.units import NANOSECONDS, SECONDS_PER_NANOSECOND
+from hpid_ros.control.reference import LARGEST_POSITION, Following, whole_turns
+from hpid_ros.control.velocity import MeasuredVelocity, Unwrapper
 from hpid_ros.messages.joint_state import JointPart
-from hpid_ros.motion.joint_trajectory import Knot
-from hpid_ros.nodes.parts.goal_joints import (
-    AGREES_WITHIN,
+from hpid_ros.motion.joint_trajectory import Knot, checked_column
+from hpid_ros.nodes.parts.goals import (
     LEAD_NS,
     Braking,
-    GroupReferences,
-    GroupStates,
-    coast_down,
-    return_to,
-    stop_together,
-)
-from hpid_ros.nodes.parts.goals import (
     GoalError,
     GoalRequest,
     GroupSettings,
@@ -33,8 +34,140 @@ from hpid_ros.nodes.parts.goals import (
     ResultCode,
     Tolerance,
     Tolerances,
+    coast_down,
     for_all_joints,
+    return_to,
+    stop_together,
 )
+
+_AGREES_WITHIN = 0.01  # [rad]; a controller whose reference is further off follows something else
+
+_VELOCITY_FILTER = 0.05  # [s], for states without velocities: one count of an encoder is no motion
+
+
+class GroupStates:
+    """The newest state of each joint."""
+
+    def __init__(self, settings: GroupSettings) -> None:
+        self._joints = settings.joints
+        self._timeout = settings.state_timeout
+        self._sources = [MeasuredVelocity(_VELOCITY_FILTER) for _ in settings.joints]
+        self._unwrappers = [
+            Unwrapper(math.tau) if facts.is_endless else None for facts in settings.facts
+        ]
+        self.unusable = 0
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget everything: the next state is the first one."""
+        count = len(self._joints)
+        self.now_ns: int | None = None
+        self.stamps_ns: list[int | None] = [None] * count
+        self.positions, self.velocities = [0.0] * count, [0.0] * count
+        for source in self._sources:
+            source.reset()
+        for unwrapper in self._unwrappers:
+            if unwrapper is not None:
+                unwrapper.reset()
+
+    def take(self, stamp_ns: int, parts: Sequence[JointPart]) -> list[int] | None:
+        """Take the joints of one message."""
+        for part in parts:
+            before_ns = self.stamps_ns[part.joint]
+            if before_ns is not None and stamp_ns < before_ns:
+                return None
+        taken = []
+        for joint, position, velocity in parts:
+            before_ns = self.stamps_ns[joint]
+            if stamp_ns == before_ns:
+                continue  # a repeat
+            if not -LARGEST_POSITION <= position <= LARGEST_POSITION:
+                self.unusable += 1
+                continue
+            since = 0.0 if before_ns is None else (stamp_ns - before_ns) * SECONDS_PER_NANOSECOND
+            unwrapper = self._unwrappers[joint]
+            steady = position if unwrapper is None else unwrapper.update(position)
+            if velocity is not None and not -LARGEST_POSITION <= velocity <= LARGEST_POSITION:
+                velocity = None  # drivers fill in NaN for what they do not measure
+            self.stamps_ns[joint] = stamp_ns
+            self.positions[joint] = position
+            self.velocities[joint] = self._sources[joint].update(steady, velocity, since)
+            taken.append(joint)
+        if taken and (self.now_ns is None or stamp_ns > self.now_ns):
+            self.now_ns = stamp_ns
+        return taken
+
+    def lack(self) -> str:
+        """Return which joint has no state, or an old one; empty if all are there."""
+        for joint, stamp_ns in zip(self._joints, self.stamps_ns, strict=True):
+            if stamp_ns is None or self.now_ns is None:
+                return f"there is no state of {joint} yet"
+            age = (self.now_ns - stamp_ns) / NANOSECONDS
+            if age > self._timeout:
+                return f"{joint} has had no state for {age:.3g} s"
+        return ""
+
+
+class GroupReferences:
+    """The references of all joints of a group."""
+
+    def __init__(self, settings: GroupSettings) -> None:
+        self._joints, self._takeover_time = settings.joints, settings.takeover_time
+        self._following = [Following() for _ in settings.joints]
+        for following, facts in zip(self._following, settings.facts, strict=True):
+            following.turn = math.tau if facts.takes_shorter_way else 0.0
+
+    def restart(self) -> None:
+        """Forget where they are."""
+        for following in self._following:
+            following.follow(None)
+            following.restart()
+
+    def rest(self, joint: int, position: float) -> None:
+        """Let a joint's reference be at a position, at rest."""
+        self._following[joint].follow(None)
+        self._following[joint].stand(position)
+
+    def is_known(self, joint: int) -> bool:
+        """Return whether it is known where a joint's reference is."""
+        return self._following[joint].is_standing
+
+    def nearest(self, request: GoalRequest, start_ns: int, now_ns: int) -> GoalRequest:
+        """Return a goal as whole turns away as its joints are that take the shorter way to it.
+
+        Its points keep their differences: turns within it are turns that are meant.
+        """
+        away = [self._turns_to(at, request, start_ns, now_ns) for at in range(len(request.names))]
+        if not any(away):
+            return request
+        arrays = request.arrays
+        return replace(request, arrays=arrays._replace(positions=arrays.positions + away))
+
+    def _turns_to(self, at: int, request: GoalRequest, start_ns: int, now_ns: int) -> float:
+        """Return the turns between a joint of a goal and where its reference is, in [rad]."""
+        joint = self._joints.index(request.names[at])
+        turn = self._following[joint].turn
+        if not turn:
+            return 0.0
+        column = checked_column(request.names[at], at, start_ns, request.times_ns, request.arrays)
+        return whole_turns(self.peek(joint, now_ns)[0] - column.target(now_ns), turn)
+
+    def follow(self, trajectory: GroupTrajectory, now_ns: int) -> None:
+        """Let the joints of a trajectory follow it from now on; they must be standing."""
+        for at, name in enumerate(trajectory.names):
+            following = self._following[self._joints.index(name)]
+            following.sample(now_ns, self._takeover_time, None)
+            following.follow(trajectory.column(at))
+            following.sample(now_ns, self._takeover_time, None)
+
+    def sample(self, joint: int, stamp_ns: int) -> Sequence[float]:
+        """Return a joint's reference (position, velocity, acceleration), and go on from there."""
+        return self._following[joint].sample(stamp_ns, self._takeover_time, None)
+
+    def peek(self, joint: int, stamp_ns: int) -> Sequence[float]:
+        """Return the same of any instant, and leave everything as it is."""
+        return copy(self._following[joint]).sample(stamp_ns, self._takeover_time, None)
+
 
 Error = tuple[float, float]
 """Reference minus measurement: of the position in [rad] or [m], of the velocity per second."""
@@ -56,36 +189,25 @@ class ActiveGoal:
 
     def __init__(
         self,
-        told: GroupTrajectory,
+        trajectory: GroupTrajectory,
         tolerances: Tolerances,
         settings: GroupSettings,
         desired: list[Sequence[float]],
         errors: list[Error],
     ) -> None:
-        self.start_ns, self.end_ns = told.stamp_ns, told.end_ns
+        self.start_ns, self.end_ns = trajectory.stamp_ns, trajectory.end_ns
         self.desired, self.errors = desired, errors
-        self._names = told.names
+        self._names = trajectory.names
         self._units = [facts.unit for facts in settings.facts]
-        self._path = [tolerances.path[name] for name in told.names]
-        self._goal = [tolerances.goal[name] for name in told.names]
+        self._path = [tolerances.path[name] for name in trajectory.names]
+        self._goal = [tolerances.goal[name] for name in trajectory.names]
         late_ns = round(tolerances.goal_time * NANOSECONDS)
         self._deadline_ns = self.end_ns + late_ns if late_ns else None
-        self._has_ended = [False] * len(told.names)  # by each joint's own state
-        self._outside_since_ns: list[int | None] = [None] * len(told.names)
+        self._has_ended = [False] * len(trajectory.names)  # by each joint's own state
+        self._outside_since_ns: list[int | None] = [None] * len(trajectory.names)
 
     def compare(self, joint: int, stamp_ns: int, desired: Sequence[float], error: Error) -> str:
-        """Take a joint's newest state.
-
-        Args:
-            joint: Its place in the group.
-            stamp_ns: Of the state in [ns].
-            desired: Position, velocity and acceleration of its reference.
-            error: Of the joint.
-
-        Returns:
-            What of its path tolerance is violated; empty if it is within, and after
-            the last point.
-        """
+        """Take a joint's newest state, and return what it violates of its path tolerance."""
         self.desired[joint], self.errors[joint] = desired, error
         self._has_ended[joint] = has_ended = stamp_ns >= self.end_ns
         return "" if has_ended else self._violation(self._path[joint], joint)
@@ -124,7 +246,7 @@ class ActiveGoal:
         return f"{self._names[joint]} is {line}" if line else ""
 
 
-_SETTLES_WITHIN = 0.5  # [s] beside takeover_time, for a controller to follow what it was told
+_SETTLES_WITHIN = 0.5  # [s] after takeover_time, for a controller to follow what it was sent
 _CROSSES_WITHIN_NS = NANOSECONDS // 10  # for messages of two senders to arrive in either order
 
 CANCELLED = Result(ResultCode.SUCCESSFUL, "cancelled: the joints stop and hold")
@@ -134,33 +256,26 @@ CANCELLED = Result(ResultCode.SUCCESSFUL, "cancelled: the joints stop and hold")
 class Outcome(NamedTuple):
     """What follows from something that happened."""
 
-    result: Result | None  # how the active goal has ended
-    told: GroupTrajectory | None  # what joints are to be told now; None for nothing
-
-
-class StartedGoal(NamedTuple):
-    """A goal that has begun."""
-
-    told: GroupTrajectory  # what all joints are to be told now
-    replaced: Result | None  # how the goal before it has ended; None if there was none
+    result: Result | None  # how the goal that was active has ended
+    trajectory: GroupTrajectory | None  # what is to be published to the controllers now
 
 
 class GoalFollower:
     """Follows one goal at a time with all joints of a group.
 
-    Every input returns what follows from it; the caller tells the joints and the client.
+    Every input returns what follows from it, for the caller to publish and to answer.
     """
 
     def __init__(self, settings: GroupSettings) -> None:
         self.settings = settings
         self._states = GroupStates(settings)
         self._references = GroupReferences(settings)
-        self._heard_ns: list[int | None] = [None] * len(settings.joints)
+        self._references_ns: list[int | None] = [None] * len(settings.joints)
         self._active: ActiveGoal | None = None
         self._began_ns = 0
         self._silence = 0.0  # [s] of the wall clock; 0 while states come
         self._late_by = 0.0  # [s]; 0 while nothing is to be excused
-        self._has_told = self._is_hold_due = False
+        self._has_published = self._is_hold_due = False
         self._late_until_ns = 0
 
     @property
@@ -182,9 +297,9 @@ class GoalFollower:
         """Return why no goal can be followed now; empty if one can be."""
         if self._silence:
             return f"there has been no new state for {self._silence:.3g} s"
-        return self._states.lack() or self._silent_controller()
+        return self._states.lack() or self._lost_controller()
 
-    def begin(self, request: GoalRequest) -> StartedGoal:
+    def begin(self, request: GoalRequest) -> Outcome:
         """Begin with a goal, in place of the one that is followed."""
         settings = self.settings
         tolerances = request.require_group(settings)
@@ -196,35 +311,34 @@ class GoalFollower:
         start_ns = request.start(now_ns)
         joints = range(len(settings.joints))
         for joint in joints:
-            if not self._references.is_standing(joint):
-                self._references.stand(joint, self._states.positions[joint])
-        standing = [self._references.look(joint, now_ns) for joint in joints]
+            if not self._references.is_known(joint):
+                self._references.rest(joint, self._states.positions[joint])
+        standing = [self._references.peek(joint, now_ns) for joint in joints]
         rest = [self._rest(joint, *standing[joint][:2]) for joint in joints]
         nearest = self._references.nearest(request, start_ns, now_ns)
-        told = for_all_joints(nearest, settings.joints, start_ns, now_ns, standing, rest)
-        replaced = None
-        if self._active is not None:
-            replaced = Result(ResultCode.INVALID_GOAL, "replaced by a new goal")
-        self._tell(told, now_ns)
+        trajectory = for_all_joints(nearest, settings.joints, start_ns, now_ns, standing, rest)
+        is_replaced = self._active is not None
+        self._follow(trajectory, now_ns)
         self._began_ns = now_ns
         errors = [self._error(joint, standing[joint]) for joint in joints]
-        self._active = ActiveGoal(told, tolerances, settings, standing, errors)
-        return StartedGoal(told, replaced)
+        self._active = ActiveGoal(trajectory, tolerances, settings, standing, errors)
+        replaced = Result(ResultCode.INVALID_GOAL, "replaced by a new goal")
+        return Outcome(replaced if is_replaced else None, trajectory)
 
     def cancel(self) -> Outcome:
         """End the active goal, and stop."""
         return self._end(CANCELLED)
 
     def leave(self, reason: str) -> Outcome:
-        """End the active goal because nobody will look after it any more, and stop."""
+        """End the active goal because its follower ends, and stop."""
         return self._end(Result(ResultCode.INVALID_GOAL, reason))
 
     def yield_joints(self, joints: Collection[str]) -> Outcome:
-        """End the active goal because somebody else has told its joints something; stop the rest.
+        """End the active goal because another node has sent its joints a trajectory.
 
-        A joint follows what it was told last. So that is left alone, and the joints that were not
-        told anything do not go on by themselves. Where both were told at once, each controller may
-        have heard them in another order: all joints of this group stop.
+        A joint follows the newest trajectory. So those joints are left alone, and the others stop.
+        Where two trajectories were sent at once, each controller may have received them in
+        another order: all joints of this group stop.
         """
         others = [joint for joint in self.settings.joints if joint in joints]
         if self._active is None or not others:
@@ -235,8 +349,8 @@ class GoalFollower:
             return self._end(Result(ResultCode.INVALID_GOAL, line))
         left = {self.settings.joints.index(joint) for joint in others}
         for joint in left:
-            position = self._references.look(joint, self._now())[0]
-            self._references.stand(joint, position)  # until its controller tells where it is
+            position = self._references.peek(joint, self._now())[0]
+            self._references.rest(joint, position)  # until its controller publishes its own
         return self._end(Result(ResultCode.INVALID_GOAL, line), left_alone=left)
 
     def note_timeout(self, silence: float) -> Outcome | None:
@@ -244,13 +358,13 @@ class GoalFollower:
         self._silence = silence
         if self._active is None or self.settings.is_simulated:
             return None
-        # Where the joints are is not known: they are told to hold when states come again.
+        # Where the joints are is not known: they stop when states come again.
         self._active, self._is_hold_due = None, True
         line = f"there was no new state for {silence:.3g} s"
         return Outcome(Result(ResultCode.INVALID_GOAL, line), None)
 
     def allow_late(self, stood: float) -> None:
-        """Note that nobody called for a while: what came meanwhile comes late, and not in order.
+        """Note that this process stood still: what came meanwhile comes late, and not in order.
 
         Until states and references had time to come, none of them is missed. The first state that
         comes may still be one from before.
@@ -276,21 +390,21 @@ class GoalFollower:
         return self._look(self._active, stamp_ns, taken)
 
     def take_reference(self, joint: int, stamp_ns: int, position: float) -> Outcome | None:
-        """Take what a controller tells of its reference."""
-        before_ns = self._heard_ns[joint]
-        self._heard_ns[joint] = stamp_ns
+        """Take a reference that a controller has published."""
+        before_ns = self._references_ns[joint]
+        self._references_ns[joint] = stamp_ns
         if before_ns is not None and stamp_ns < before_ns:
-            return None  # the clock has gone back; the states will tell
-        if not self._references.is_standing(joint):
-            self._references.stand(joint, position)
+            return None  # the clock has gone back, which the states show, too
+        if not self._references.is_known(joint):
+            self._references.rest(joint, position)
             return None
-        there, velocity, _ = self._references.look(joint, stamp_ns)
+        there, velocity, _ = self._references.peek(joint, stamp_ns)
         if self._active is not None:
             off = self._difference(joint, position, there)
             return self._watch(self._active, joint, stamp_ns, position, off)
         off = position - there  # whole turns count: the next goal begins where references are
-        if abs(off) > AGREES_WITHIN or (off and velocity == 0.0):
-            self._references.stand(joint, position)
+        if abs(off) > _AGREES_WITHIN or (off and velocity == 0.0):
+            self._references.rest(joint, position)
         return None
 
     def speed(self, joint: int) -> float:
@@ -335,7 +449,7 @@ class GoalFollower:
                 return self._violate(ResultCode.GOAL_TOLERANCE_VIOLATED, active, violated)
         if stamp_ns < self._late_until_ns:
             return None
-        against = self._states.lack() or self._silent_controller()
+        against = self._states.lack() or self._lost_controller()
         return self._end(Result(ResultCode.INVALID_GOAL, against)) if against else None
 
     def _violate(self, code: ResultCode, active: ActiveGoal, violated: dict[int, str]) -> Outcome:
@@ -346,7 +460,7 @@ class GoalFollower:
         self, active: ActiveGoal, joint: int, stamp_ns: int, position: float, off: float
     ) -> Outcome | None:
         """Abort if a controller follows something else for longer than a glide takes."""
-        outside = active.outside(joint, stamp_ns, abs(off) > AGREES_WITHIN)
+        outside = active.outside(joint, stamp_ns, abs(off) > _AGREES_WITHIN)
         if outside <= self.settings.takeover_time + _SETTLES_WITHIN:
             return None
         name, unit = self.settings.joints[joint], self.settings.facts[joint].unit
@@ -354,36 +468,36 @@ class GoalFollower:
             f"the reference of {name}'s controller is at {position:.6g} {unit}, "
             f"{abs(off):.4g} {unit} from this goal: it follows something else, or ends at a stop"
         )
-        self._references.stand(joint, position)
+        self._references.rest(joint, position)
         return self._end(Result(ResultCode.INVALID_GOAL, line))
 
-    def _silent_controller(self) -> str:
-        """Return whose controller tells its reference no more."""
+    def _lost_controller(self) -> str:
+        """Return whose controller publishes its reference no more; empty if all do."""
         timeout_ns = round(self.settings.reference_timeout * NANOSECONDS)
         now_ns = self._states.now_ns
         if not timeout_ns or now_ns is None:
             return ""
-        for joint, heard_ns in zip(self.settings.joints, self._heard_ns, strict=True):
-            if heard_ns is not None and now_ns - heard_ns > timeout_ns:
-                silence = (now_ns - heard_ns) / NANOSECONDS
-                return f"the controller of {joint} has told no reference for {silence:.3g} s"
+        for joint, reference_ns in zip(self.settings.joints, self._references_ns, strict=True):
+            if reference_ns is not None and now_ns - reference_ns > timeout_ns:
+                age = (now_ns - reference_ns) / NANOSECONDS
+                return f"the controller of {joint} has published no reference for {age:.3g} s"
         return ""
 
     def _restart(self, stamp_ns: int, parts: Sequence[JointPart]) -> Outcome | None:
-        """Abort because the clock went back; what controllers were told starts again there."""
+        """Abort because the clock went back; what controllers follow starts again there."""
         back = (self._now() - stamp_ns) / NANOSECONDS
         self._states.restart()
         self._references.restart()
-        self._heard_ns, self._late_until_ns = [None] * len(self._heard_ns), 0
+        self._references_ns, self._late_until_ns = [None] * len(self._references_ns), 0
         was_active, self._active = self._active, None
-        self._is_hold_due = self._has_told
+        self._is_hold_due = self._has_published
         self._states.take(stamp_ns, parts)
         outcome = self._hold() if self._is_hold_due else None
         if was_active is None:
             return outcome
         line = f"the clock of the states went back by {back:.3g} s"
-        told = outcome.told if outcome is not None else None
-        return Outcome(Result(ResultCode.INVALID_GOAL, line), told)
+        trajectory = outcome.trajectory if outcome is not None else None
+        return Outcome(Result(ResultCode.INVALID_GOAL, line), trajectory)
 
     def _hold(self) -> Outcome | None:
         """Stop all joints from where they are measured, once that is known of all of them."""
@@ -394,7 +508,7 @@ class GoalFollower:
         knots = {}
         for joint, braking in enumerate(self._brakings()):
             position, velocity = self._measured(joint, now_ns), states.velocities[joint]
-            self._references.stand(joint, position)
+            self._references.rest(joint, position)
             ahead = position + velocity * LEAD_NS * SECONDS_PER_NANOSECOND
             knots[joint] = coast_down(position, velocity, (ahead, velocity), braking)
         return Outcome(None, self._stop(knots))
@@ -403,9 +517,9 @@ class GoalFollower:
         """Return where a joint is, in the turn in which its reference is if that is known."""
         position = self._states.positions[joint]
         is_endless = self.settings.facts[joint].is_endless
-        if not is_endless or not self._references.is_standing(joint):
+        if not is_endless or not self._references.is_known(joint):
             return position
-        there = self._references.look(joint, now_ns)[0]
+        there = self._references.peek(joint, now_ns)[0]
         return there - self._difference(joint, there, position)
 
     def _end(
@@ -423,25 +537,25 @@ class GoalFollower:
         for joint, braking in enumerate(self._brakings()):
             if joint in left_alone:
                 continue
-            position, velocity, _ = self._references.look(joint, now_ns)
+            position, velocity, _ = self._references.peek(joint, now_ns)
             if joint in blocked:
                 target = position - active.errors[joint][0]
                 knots[joint] = return_to(target, position, velocity, braking)
             else:
-                later = self._references.look(joint, now_ns + LEAD_NS)
+                later = self._references.peek(joint, now_ns + LEAD_NS)
                 knots[joint] = coast_down(position, velocity, (later[0], later[1]), braking)
         return Outcome(result, self._stop(knots) if knots else None)
 
     def _stop(self, knots: Mapping[int, Sequence[Knot]]) -> GroupTrajectory:
         now_ns = self._now()
         names = [self.settings.joints[joint] for joint in knots]
-        told = stop_together(names, list(knots.values()), now_ns)
-        self._tell(told, now_ns)
-        return told
+        trajectory = stop_together(names, list(knots.values()), now_ns)
+        self._follow(trajectory, now_ns)
+        return trajectory
 
-    def _tell(self, told: GroupTrajectory, now_ns: int) -> None:
-        self._has_told = True
-        self._references.follow(told, now_ns)
+    def _follow(self, trajectory: GroupTrajectory, now_ns: int) -> None:
+        self._has_published = True
+        self._references.follow(trajectory, now_ns)
 
     def _brakings(self) -> list[Braking]:
         settings = self.settings
@@ -451,7 +565,7 @@ class GoalFollower:
         ]
 
     def _rest(self, joint: int, position: float, velocity: float) -> float:
-        """Return where a joint comes to rest that is told to hold and glides there."""
+        """Return where a joint comes to rest that is to hold and glides there."""
         # The glide's velocity then falls steadily: 1 - 3 s^2 + 2 s^3 of what it was.
         facts = self.settings.facts[joint]
         rest = position + 0.5 * velocity * self.settings.takeover_time

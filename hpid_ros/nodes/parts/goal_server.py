@@ -193,7 +193,7 @@ def action_type() -> Any:
 
 
 class GoalServer:
-    """Takes goals from clients, one at a time, the newest first, and tells how they end.
+    """Takes goals from clients, one at a time, the newest first, and answers how they end.
 
     Goals are read on a thread. All else is called on the executor's, and calls back there.
     """
@@ -201,7 +201,7 @@ class GoalServer:
     def __init__(
         self,
         node: ClosingNode,
-        begin: Callable[[GoalRequest], Result | None],
+        begin: Callable[[GoalRequest], None],
         cancel: Callable[[], None],
         note: Callable[[Result], None],
     ) -> None:
@@ -229,7 +229,7 @@ class GoalServer:
             result_timeout=_RESULTS_KEPT,
         )
 
-    def tell(self, feedback: Feedback, names: tuple[str, ...]) -> None:
+    def send_feedback(self, feedback: Feedback, names: tuple[str, ...]) -> None:
         """Send feedback to the client of the goal that is followed."""
         if self._active is not None:
             message = fill_feedback(self._type.Feedback(), names, feedback)
@@ -289,12 +289,10 @@ class GoalServer:
         try:
             if isinstance(found, Exception):
                 raise found
-            replaced = self._begin(found)
+            self._begin(found)  # which ends the one before
         except GoalError as error:
             self._finish(handle, error.result)
             return
-        if replaced is not None:
-            self.end(replaced)
         self._active = handle
 
     def _answer_cancel(self, handle: ServerGoalHandle) -> CancelResponse:
@@ -328,10 +326,10 @@ class GoalServer:
         finally:
             self._ending -= 1
             if self._left is not None and not self._ending:
-                steady_timer(self._node, _HEARD_WITHIN, self._tell_left)
+                steady_timer(self._node, _HEARD_WITHIN, self._note_left)
         return self._type.Result(error_code=int(result.code), error_string=result.text)
 
-    def _tell_left(self) -> None:
-        """Tell whoever waits for it that clients have had time for their results."""
+    def _note_left(self) -> None:
+        """Note that clients have had time for their results."""
         if self._left is not None and not self._ending and not self._left.done():
             self._left.set_result(None)

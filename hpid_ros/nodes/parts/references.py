@@ -28,8 +28,12 @@ from hpid_ros.messages.joint_trajectory import (
     decode_trajectory,
 )
 from hpid_ros.messages.reports import decode_numbers
-from hpid_ros.motion.joint_trajectory import Column, JointTrajectory, PointArrays, column_from_arrays
-
+from hpid_ros.motion.joint_trajectory import (
+    Column,
+    JointTrajectory,
+    PointArrays,
+    column_from_arrays,
+)
 from hpid_ros.nodes.core.executor import ClosingNode
 from hpid_ros.nodes.core.middleware import LATCHED, OFFERED, RARE, overridable
 from hpid_ros.nodes.core.process import read_number

@@ -223,7 +223,7 @@ def test_who_is_left_is_set_back_where_the_controller_of_another_joint_ends_in_t
         bench.graph.refusals[OTHER] = "no answer within 2 s: it may have been taken"
         bench.motions[0].press()
 
-    bench = Bench(f"the controller of {OTHER} has told no reference for 0.5 s")
+    bench = Bench(f"the controller of {OTHER} has published no reference for 0.5 s")
     before = bench.graph.joints[NODE].settings.gains.p
     both = Variant("chosen", {NODE: {"gains.p": 99.0}, OTHER: {"gains.p": 49.0}})
     said = bench.run(end_one, (both, IN_FORCE), [NODE, OTHER])

@@ -134,7 +134,7 @@ def test_joints_that_a_goal_does_not_name_rest_and_never_swing_back():
     group.run(0.5)
     only = {"elbow": [0.0]}
     begun = group.begin(goal(only, [10.0], at_rest(only)))
-    assert begun.told.names == ("shoulder", "elbow")
+    assert begun.trajectory.names == ("shoulder", "elbow")
     before = group.loops[0].reference
     group.run(1.0)
     path = group.logged(0)[1]

@@ -26,7 +26,7 @@ def test_states_that_stop_abort_the_goal_and_the_joints_hold_where_they_are_foun
     outcome = group.follower.note_timeout(0.7)
     assert outcome.result.code is ResultCode.INVALID_GOAL
     assert "no new state for 0.7 s" in outcome.result.text
-    assert outcome.told is None
+    assert outcome.trajectory is None
     group.position = [-0.3, 0.2]  # somebody has moved the arm meanwhile
     group.velocity = [0.0, 0.0]
     group.stamp_ns += SECOND
@@ -83,8 +83,8 @@ def test_a_controller_that_tells_its_reference_no_more_aborts_the_goal():
     group.run(0.3)
     group.mute = {1}
     group.run(2.0, until=lambda: group.results)
-    assert "the controller of elbow has told no reference for 0.5" in group.results[0].text
-    with pytest.raises(GoalError, match="controller of elbow has told no reference"):
+    assert "the controller of elbow has published no reference for 0.5" in group.results[0].text
+    with pytest.raises(GoalError, match="controller of elbow has published no reference"):
         group.begin(moving())
     group.mute = set()
     group.run(0.1)

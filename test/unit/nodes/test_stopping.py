@@ -6,7 +6,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from hpid_ros.motion import Column
-from hpid_ros.nodes.parts.goal_joints import LEAD_NS, Braking, coast_down, return_to, stop_together
+from hpid_ros.nodes.parts.goals import LEAD_NS, Braking, coast_down, return_to, stop_together
 
 MS = 1_000_000
 SECOND = 1_000_000_000
