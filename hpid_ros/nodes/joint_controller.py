@@ -17,6 +17,7 @@ from hpid_ros.base.errors import ClaimError, MessageError, SettingError
 from hpid_ros.base.names import ALLOW_RELAY
 from hpid_ros.control.joint_loop import JointLoop
 from hpid_ros.control.overrides import RelayRequest
+from hpid_ros.control.reference import Motion
 from hpid_ros.control.settings import PARAMETERS
 from hpid_ros.control.supervision import SupervisedLoop
 from hpid_ros.messages.joint_state import JointReader
@@ -122,7 +123,7 @@ class JointController(ManagedNode):
         self._references = ControllerReferences(
             self,
             self.joint,
-            self._loop.follow,
+            self._follow,
             self._relay,
             self._health.refused_reference,
             lambda: "" if self.is_active or self._needs_reference else _INACTIVE,
@@ -248,6 +249,9 @@ class JointController(ManagedNode):
         unit = self._health.unit("N m")
         self._health.fault(f"no new state for {silence:.3g} s: the effort is {effort:g} {unit}")
         self._report()
+
+    def _follow(self, motion: Motion) -> None:
+        self._loop.follow(motion)
 
     def _relay(self, request: RelayRequest | None) -> None:
         """Begin with a relay, or end it."""
