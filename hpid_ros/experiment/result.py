@@ -22,16 +22,18 @@ from hpid_ros.messages.reports import POSE, Status
 from hpid_ros.messages.selection import BagSelection
 from hpid_ros.messages.series import RunSeries
 from hpid_ros.metrics.comparison import Comparison
-from hpid_ros.metrics.end_effector import EndEffector, TaskFrame, moving_joints
 from hpid_ros.metrics.folding import unfollowed_lines, unfollowed_mapping
 from hpid_ros.metrics.measure import Measuring, measure
 from hpid_ros.metrics.quantities import GainSignals
 from hpid_ros.metrics.task import (
     BaseFigures,
     BrickFigures,
+    EndEffector,
     EndEffectorFigures,
     EndEffectorPath,
+    TaskFrame,
     base_figures,
+    moving_joints,
     task_notes,
 )
 from hpid_ros.motion.references import BrickGoal
@@ -357,7 +359,7 @@ def save(
 
 def _gain_signals(result: Result) -> dict[str, dict[str, GainSignals]]:
     """Return norm and gain multiplier over time, by run and joint."""
-    from hpid_ros.metrics.measure import gain_signals
+    from hpid_ros.metrics.laws import gain_signals
 
     found = {}
     for run in result.runs:

@@ -25,9 +25,8 @@ from hpid_ros.live.session import LiveSession
 from hpid_ros.live.tuning import Values, differences, same
 from hpid_ros.messages.selection import BagSelection
 from hpid_ros.messages.series import JointSeries
-from hpid_ros.metrics.compare import compare
 from hpid_ros.metrics.comparison import Comparison
-from hpid_ros.metrics.measure import Measured, Measuring, measure
+from hpid_ros.metrics.measure import Measured, Measuring, compare, measure
 from hpid_ros.motion.excitation import Design, ExcitationPlan, Wish, plan
 
 _AFTER = 0.3  # [s] of a recording behind the motion that are measured

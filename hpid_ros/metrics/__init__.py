@@ -5,9 +5,16 @@
 """
 
 from hpid_ros.messages.series import JointSeries, Losses, RunSeries, SeriesError
-from hpid_ros.metrics.compare import Summary, compare, summary
 from hpid_ros.metrics.comparison import Comparison, answer
-from hpid_ros.metrics.measure import Measured, Measuring, measure, measure_all
+from hpid_ros.metrics.measure import (
+    Measured,
+    Measuring,
+    Summary,
+    compare,
+    measure,
+    measure_all,
+    summary,
+)
 from hpid_ros.metrics.results import JointIndices, RunIndices, joint_indices, run_indices
 
 __all__ = [

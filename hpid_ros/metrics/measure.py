@@ -1,154 +1,231 @@
-"""The numbers of recordings: sources, retunes, sliding joints, one window for all."""
+"""The numbers of recordings: bags in, one window for all, a comparison out.
+
+:func:`compare` reads as the others are called: sources and their labels, each one's arrays and
+numbers, repeats folded, all beside the baseline.
+"""
 
 from __future__ import annotations
 
 import json
 import re
-import struct
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-import numpy as np
-
-from hpid_ros.base.errors import HpidError, RobotDescriptionError, SettingError
+from hpid_ros.base.errors import HpidError, RobotDescriptionError, SettingError, unknown_name
 from hpid_ros.base.names import is_label
-from hpid_ros.base.units import NANOSECONDS, Numbers
-from hpid_ros.control.assembly import make_law, make_norm
-from hpid_ros.control.homogeneous_pid import HomogeneousPid
-from hpid_ros.control.settings import LOOP_PARAMETERS, LoopSettings
-from hpid_ros.messages.columns import JOINT_STATE
-from hpid_ros.messages.messages import ParameterChange, parameter_changes, read_robot_descriptions
+from hpid_ros.messages.messages import read_robot_descriptions
 from hpid_ros.messages.run import read_run
 from hpid_ros.messages.selection import BagSelection
-from hpid_ros.messages.series import JointSeries, Retune, RunSeries
-from hpid_ros.messages.storage import Storage, custom_data, recorded_slides
-from hpid_ros.metrics.comparison import Cut, common_cuts
-from hpid_ros.metrics.folding import quality_lines
-from hpid_ros.metrics.quantities import GainSignals, Signal
-from hpid_ros.metrics.results import DEFAULT_CUTOFF, IndexSettings, RunIndices, run_indices
-from hpid_ros.metrics.saved import runs_from_mapping
-from hpid_ros.metrics.task import EndEffectorFigures, EndEffectorPath
+from hpid_ros.messages.series import RunSeries
+from hpid_ros.messages.storage import custom_data, recorded_slides
+from hpid_ros.metrics.comparison import Comparison, Cut, common_cuts, mismatches
+from hpid_ros.metrics.folding import fold_repeats, quality_lines
+from hpid_ros.metrics.laws import read_retunes
+from hpid_ros.metrics.quantities import INDICES, NORMS, Data, find_quantities
+from hpid_ros.metrics.results import (
+    DEFAULT_CUTOFF,
+    RunIndices,
+    in_units,
+    run_indices,
+    runs_from_mapping,
+)
 from hpid_ros.robot.description import RobotDescription
-from hpid_ros.stability.closed_loop import norm_values
 
 if TYPE_CHECKING:
-    from hpid_ros.metrics.end_effector import EndEffector, TaskFrame
+    from hpid_ros.metrics.task import EndEffector, EndEffectorFigures, EndEffectorPath, TaskFrame
 
 
-_HEADER = 12
-"""Bytes of an encapsulation header and a stamp."""
+Parameters = Mapping[str, Mapping[str, Mapping[str, object]]]
+"""Settings by parameter name, of each joint, of each run's label."""
+
+ALL_JOINTS = ""
+"""The name under which :attr:`Measuring.effort_limits` holds what is of no joint in particular."""
+_PATH_POINTS = 4000
+
+Tell = Callable[[str, float], None]
+"""Is told what is being read and which share of everything has been, in [0, 1]."""
 
 
-def read_retunes(path: Path) -> tuple[Retune, ...]:
-    """Return what was set at the controllers of a bag, each with the state before it.
+@dataclass(frozen=True)
+class Measuring:
+    """How recordings are read, and what is computed of them.
 
-    Parameters that a node declares when it starts are no changes.
+    Attributes:
+        selection: What is read: topics, joints, reference, clock, window.
+        cutoff: Effort above this frequency is chatter, in [Hz].
+        effort_limits: Effort at which a joint saturates in [N m], by joint; of all others under
+            :data:`ALL_JOINTS`. Found in the efforts where none is given.
+        robot: The robot whose end effector is followed; None for none.
+        description: Of the robot, for which of its joints slide; that of ``robot``, or what the
+            bag tells, if None.
+        keeps_series: Whether the recordings stay in memory after their numbers are known, as
+            figures and reports need them.
     """
-    with Storage(path) as bag:
-        topics = bag.topics()
-        states = [name for name, topic in topics.items() if topic.type == JOINT_STATE]
-        states = [name for name in states if name.endswith("joint_states")]
-        told = parameter_changes(bag) if states else []
-        if not told:
-            return ()
-        stamps = _stamps_before([each.place for each in told], bag, states[0])
-    pairs = zip(told, stamps, strict=True)
-    return tuple(
-        retune
-        for each, stamp_ns in pairs
-        if stamp_ns is not None
-        for retune in _retunes(each, stamp_ns)
-    )
+
+    selection: BagSelection = field(default_factory=BagSelection)
+    cutoff: float = DEFAULT_CUTOFF
+    effort_limits: Mapping[str, float] = field(default_factory=dict)
+    robot: TaskFrame | None = None
+    description: RobotDescription | None = None
+    keeps_series: bool = True
 
 
-def _unreported(share: float) -> None:
-    """Take no note of the progress."""
+@dataclass(frozen=True)
+class Measured:
+    """What one source gave.
 
-
-def _stamps_before(places: Sequence[int], bag: Storage, states: str) -> list[int | None]:
-    """Return for each place the stamp of the last state before it, None if there is none."""
-    stamps: list[int | None] = [None] * len(places)
-    last: list[int] = [-1] * len(places)
-    for batch in bag.batches(frozenset((states,)), _unreported):
-        before = np.searchsorted(batch.places, places) - 1
-        for number, index in enumerate(before.tolist()):
-            if index >= 0 and batch.places[index] > last[number] and batch.sizes[index] >= _HEADER:
-                last[number] = int(batch.places[index])
-                stamps[number] = _header_stamp_ns(batch.raw(index))
-    return stamps
-
-
-def _header_stamp_ns(raw: bytes) -> int:
-    """Return the stamp of a message that begins with a header: its first eight bytes."""
-    seconds, nanoseconds = struct.unpack_from("<iI" if raw[1] & 1 else ">iI", raw, 4)
-    return int(seconds) * NANOSECONDS + int(nanoseconds)
-
-
-def _retunes(told: ParameterChange, stamp_ns: int) -> Iterator[Retune]:
-    changes = [
-        f"{name} = {_shown(value)}"
-        for name, value in told.changed.items()
-        if name in LOOP_PARAMETERS
-    ]
-    if changes:
-        yield Retune(stamp_ns, told.node, ", ".join(changes))
-
-
-def _shown(value: Any) -> str:
-    if value is None:
-        return "unset"
-    return f"{value:g}" if isinstance(value, float) else str(value)
-
-
-def gain_signals(
-    run: RunSeries, settings: Mapping[str, LoopSettings]
-) -> dict[str, GainSignals] | None:
-    """Return norm and multiplier of each joint over time.
-
-    The error's rate is computed as the loop does it: the reference's own rate minus the filtered
-    difference of the positions.
+    Attributes:
+        runs: The numbers: one run of a bag, one or more of saved numbers.
+        series: The recording that they are of, if there is one and it was kept.
+        path: Where they come from.
+        parameters: What the controllers were set to, by joint and parameter, as far as is known.
+        defects: What the numbers must be read with, one line each.
+        end_effector: Its deviations, where a robot was named.
+        end_effector_path: Its path, likewise.
     """
-    if any(each.joint not in settings or not each.has_reference for each in run.joints):
-        return None
-    return {series.joint: _signals(series, settings[series.joint]) for series in run.joints}
+
+    runs: tuple[RunIndices, ...]
+    series: RunSeries | None
+    path: Path
+    parameters: Mapping[str, Mapping[str, object]] = field(default_factory=dict)
+    defects: tuple[str, ...] = ()
+    end_effector: EndEffectorFigures | None = None
+    end_effector_path: EndEffectorPath | None = None
+
+    @property
+    def run(self) -> RunIndices:
+        """The numbers of the first run, of a bag the only one."""
+        return self.runs[0]
 
 
-def _signals(series: JointSeries, settings: LoopSettings) -> GainSignals:
-    law, norm = make_law(settings), make_norm(settings)
-    values = norm_values(norm, series.error, _error_rate(series, settings))
-    if not isinstance(law, HomogeneousPid):
-        multiplier = np.ones_like(values)
+def measure(
+    bag: Path | str,
+    label: str | None = None,
+    how: Measuring | None = None,
+    *,
+    tell: Tell | None = None,
+) -> Measured:
+    """Return the numbers of one recording.
+
+    Args:
+        bag: A bag folder or file, or a ``.json`` file of saved numbers.
+        label: What it is called; that of its metadata or its name if None.
+        how: How it is read; as ``hpid metrics`` without options if None.
+        tell: Is told how far the reading is.
+
+    Raises:
+        HpidError: It cannot be read.
+    """
+    (source,) = labelled([Source(Path(bag), label)])
+    (found,) = _measured([source], how or Measuring(), tell or (lambda what, share: None), ())
+    return found
+
+
+def measure_all(
+    bags: Sequence[Source | Path | str],
+    how: Measuring | None = None,
+    *,
+    tell: Tell | None = None,
+) -> list[Measured]:
+    """Return the numbers of several recordings, read one after the other.
+
+    Recordings of unlike length are cut to the time that all of them have, unless a window was
+    asked for. A result folder stands for its bags.
+    """
+    how, tell = how or Measuring(), tell or (lambda what, share: None)
+    named = [each if isinstance(each, Source) else Source(Path(each)) for each in bags]
+    sources = labelled([each for one in named for each in expanded(one)])
+    measured = list(_measured(sources, how, tell, ()))
+    if how.selection.start is not None or how.selection.end is not None:
+        return measured
+    if any(each.is_saved for each in sources):
+        return measured
+    cuts = common_cuts([run for each in measured for run in each.runs])
+    return list(_measured(sources, how, tell, cuts)) if cuts else measured
+
+
+@dataclass(frozen=True)
+class Summary:
+    """A comparison with what a table, figures and a report need beside its numbers."""
+
+    comparison: Comparison  # the numbers; repeats under one label are medians
+    repeats: tuple[RunIndices, ...] = ()  # the single runs of its medians
+    # the first recording of each label, as far as there are recordings
+    series: tuple[RunSeries, ...] = ()
+    parameters: Parameters = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()  # what keeps the runs from being compared fairly, one line each
+    sources: tuple[Path, ...] = ()  # where the numbers come from
+    end_effectors: Mapping[str, EndEffectorFigures] = field(default_factory=dict)
+    paths: tuple[EndEffectorPath, ...] = ()
+
+
+def compare(
+    bags: Sequence[Measured | Path | str],
+    *,
+    baseline: str | None = None,
+    indices: Sequence[str] = ("paper",),
+    units: str = "rad",
+    how: Measuring | None = None,
+) -> Comparison:
+    """Return recordings side by side, with ratios to the baseline.
+
+    Args:
+        bags: What was measured, or bags, result folders and saved numbers to be measured.
+        baseline: The label that ratios are taken of; that of the first if None.
+        indices: Keys of quantities, or the groups ``paper``, ``step`` and ``all``.
+        units: Of angles: ``rad`` or ``deg``.
+        how: How bags are read that have not been measured.
+
+    Raises:
+        HpidError: A bag cannot be read, the runs' joints differ, or a name is unknown.
+    """
+    if any(isinstance(each, Measured) for each in bags):
+        found: list[Measured] = []
+        for each in bags:
+            found += [each] if isinstance(each, Measured) else measure_all([each], how)
     else:
-        limited = np.clip(values, law.norm_floor, law.norm_cap)
-        at_zero = 1.0 if norm.degree == 0.0 else 0.0
-        positive = np.where(limited > 0.0, limited, 1.0)
-        multiplier = np.where(limited > 0.0, positive**norm.degree, at_zero)
-    stamps = series.state_stamps_ns
-    return GainSignals(Signal(stamps, values), Signal(stamps, multiplier))
+        found = measure_all(bags, how)  # type: ignore[arg-type]  # all are paths
+    return summary(found, baseline=baseline, indices=indices, units=units).comparison
 
 
-def _error_rate(series: JointSeries, settings: LoopSettings) -> Numbers:
-    t = series.time
-    if t.size < 2:
-        return np.zeros_like(t)
-    from scipy.signal import lfilter  # slow to import, and only needed here
-
-    steps = np.diff(t)
-    period = float(np.median(steps))
-    share = period / (settings.velocity.filter_time_constant + period)
-    difference = np.append(0.0, np.diff(series.position) / steps)
-    velocity: Numbers = lfilter([share], [1.0, share - 1.0], difference)
-    return _reference_rate(series.reference, steps) - velocity
-
-
-def _reference_rate(reference: Numbers, steps: Numbers) -> Numbers:
-    """Return the rate of a reference; a jump from rest to rest has none."""
-    moves = np.diff(reference)
-    before, after = np.append(0.0, moves[:-1]), np.append(moves[1:], 0.0)
-    is_jump = (moves != 0.0) & (before == 0.0) & (after == 0.0)
-    return np.append(0.0, np.where(is_jump, 0.0, moves / steps))
+def summary(
+    measured: Sequence[Measured],
+    *,
+    baseline: str | None = None,
+    indices: Sequence[str] = ("paper",),
+    units: str = "rad",
+    is_overall: bool = False,
+    names_commands: bool = False,
+) -> Summary:
+    """Return measured recordings side by side, with all that belongs beside the numbers."""
+    single = [run for each in measured for run in each.runs]
+    if baseline is not None:
+        if baseline not in (known := {run.label for run in single}):
+            raise SettingError(unknown_name("baseline", baseline, known))
+        single.sort(key=lambda run: run.label != baseline)
+    warnings = (
+        *(line for each in measured for line in each.defects),
+        *_advice(single, is_measured_a_choice=not names_commands),
+        *mismatches(single),
+    )
+    single = in_units(single, units)
+    comparison = _selected(fold_repeats(single), indices, is_overall)
+    _require_a_number(comparison)
+    labels = [run.label for run in comparison.runs]
+    first_of = {each.run.label: each for each in reversed(measured)}
+    first = [first_of[label] for label in labels if label in first_of]
+    return Summary(
+        comparison=comparison,
+        repeats=tuple(run for run in single if comparison.run(run.label).spread),
+        series=tuple(each.series.with_slides(comparison.slides) for each in first if each.series),
+        parameters={each.run.label: each.parameters for each in first if each.parameters},
+        warnings=warnings,
+        sources=tuple(each.path for each in measured),
+        end_effectors={each.run.label: each.end_effector for each in first if each.end_effector},
+        paths=tuple(each.end_effector_path for each in first if each.end_effector_path),
+    )
 
 
 RESULT = "result.json"
@@ -266,131 +343,6 @@ def sliding_joints(
     return SlidingJoints(frozenset(slides - turning), tuple(doubts))
 
 
-ALL_JOINTS = ""
-"""The name under which :attr:`Measuring.effort_limits` holds what is of no joint in particular."""
-_PATH_POINTS = 4000
-
-Tell = Callable[[str, float], None]
-"""Is told what is being read and which share of everything has been, in [0, 1]."""
-
-
-@dataclass(frozen=True)
-class Measuring:
-    """How recordings are read, and what is computed of them.
-
-    Attributes:
-        selection: What is read: topics, joints, reference, clock, window.
-        cutoff: Effort above this frequency is chatter, in [Hz].
-        effort_limits: Effort at which a joint saturates in [N m], by joint; of all others under
-            :data:`ALL_JOINTS`. Found in the efforts where none is given.
-        robot: The robot whose end effector is followed; None for none.
-        description: Of the robot, for which of its joints slide; that of ``robot``, or what the
-            bag tells, if None.
-        keeps_series: Whether the recordings stay in memory after their numbers are known, as
-            figures and reports need them.
-    """
-
-    selection: BagSelection = field(default_factory=BagSelection)
-    cutoff: float = DEFAULT_CUTOFF
-    effort_limits: Mapping[str, float] = field(default_factory=dict)
-    robot: TaskFrame | None = None
-    description: RobotDescription | None = None
-    keeps_series: bool = True
-
-    @property
-    def described(self) -> RobotDescription | None:
-        """The robot, if one was named."""
-        return self.description or (None if self.robot is None else self.robot.description)
-
-    def index_settings(self, joints: Sequence[str]) -> IndexSettings:
-        """Return the settings of the indices of a run with these joints.
-
-        Args:
-            joints: Their names.
-
-        Raises:
-            SeriesError: A value is not positive, or names a joint that is not there.
-        """
-        limits = dict(self.effort_limits)
-        if ALL_JOINTS in limits:
-            limits = dict.fromkeys(joints, limits.pop(ALL_JOINTS)) | limits
-        return IndexSettings(cutoff=self.cutoff, effort_limits=limits)
-
-
-@dataclass(frozen=True)
-class Measured:
-    """What one source gave.
-
-    Attributes:
-        runs: The numbers: one run of a bag, one or more of saved numbers.
-        series: The recording that they are of, if there is one and it was kept.
-        path: Where they come from.
-        parameters: What the controllers were set to, by joint and parameter, as far as is known.
-        defects: What the numbers must be read with, one line each.
-        end_effector: Its deviations, where a robot was named.
-        end_effector_path: Its path, likewise.
-    """
-
-    runs: tuple[RunIndices, ...]
-    series: RunSeries | None
-    path: Path
-    parameters: Mapping[str, Mapping[str, object]] = field(default_factory=dict)
-    defects: tuple[str, ...] = ()
-    end_effector: EndEffectorFigures | None = None
-    end_effector_path: EndEffectorPath | None = None
-
-    @property
-    def run(self) -> RunIndices:
-        """The numbers of the first run, of a bag the only one."""
-        return self.runs[0]
-
-
-def measure(
-    bag: Path | str,
-    label: str | None = None,
-    how: Measuring | None = None,
-    *,
-    tell: Tell | None = None,
-) -> Measured:
-    """Return the numbers of one recording.
-
-    Args:
-        bag: A bag folder or file, or a ``.json`` file of saved numbers.
-        label: What it is called; that of its metadata or its name if None.
-        how: How it is read; as ``hpid metrics`` without options if None.
-        tell: Is told how far the reading is.
-
-    Raises:
-        HpidError: It cannot be read.
-    """
-    (source,) = labelled([Source(Path(bag), label)])
-    (found,) = _measured([source], how or Measuring(), tell or _untold, ())
-    return found
-
-
-def measure_all(
-    bags: Sequence[Source | Path | str],
-    how: Measuring | None = None,
-    *,
-    tell: Tell | None = None,
-) -> list[Measured]:
-    """Return the numbers of several recordings, read one after the other.
-
-    Recordings of unlike length are cut to the time that all of them have, unless a window was
-    asked for. A result folder stands for its bags.
-    """
-    how, tell = how or Measuring(), tell or _untold
-    named = [each if isinstance(each, Source) else Source(Path(each)) for each in bags]
-    sources = labelled([each for one in named for each in expanded(one)])
-    measured = list(_measured(sources, how, tell, ()))
-    if how.selection.start is not None or how.selection.end is not None:
-        return measured
-    if any(each.is_saved for each in sources):
-        return measured
-    cuts = common_cuts([run for each in measured for run in each.runs])
-    return list(_measured(sources, how, tell, cuts)) if cuts else measured
-
-
 def _measured(
     sources: Sequence[Source], how: Measuring, tell: Tell, cuts: Sequence[Cut]
 ) -> Iterator[Measured]:
@@ -417,11 +369,15 @@ def _of_bag(
     if cut is not None:
         selection = replace(selection, start=cut.start, end=cut.end)
     series = read_run(source.path, str(source.label), selection=selection, progress=told)
-    known = sliding_joints(source.path, how.described, selection.namespace)
+    robot = how.description or (how.robot.description if how.robot else None)
+    known = sliding_joints(source.path, robot, selection.namespace)
     series = series.with_slides(known.slides)
     if how.keeps_series:
         series = replace(series, retunes=read_retunes(source.path))
-    numbers = run_indices(series, how.index_settings(series.joint_names))
+    limits = dict(how.effort_limits)
+    if ALL_JOINTS in limits:
+        limits = dict.fromkeys(series.joint_names, limits.pop(ALL_JOINTS)) | limits
+    numbers = run_indices(series, how.cutoff, limits)
     if cut is not None:
         numbers = replace(numbers, cut=cut.text)
     hand, unfollowed = _end_effector(how.robot, series)
@@ -453,7 +409,7 @@ def _end_effector(
     if robot is None:
         return None, ()
     try:
-        from hpid_ros.metrics.end_effector import EndEffector
+        from hpid_ros.metrics.task import EndEffector
 
         return EndEffector(robot, series), ()
     except HpidError as error:
@@ -471,5 +427,54 @@ def _relabelled(source: Source, runs: Sequence[RunIndices]) -> RunIndices:
     return replace(runs[0], label=str(source.label))
 
 
-def _untold(what: str, share: float) -> None:
-    """Take no note of the progress."""
+_REMEDIES = {
+    "effort": "--commands TOPIC, --commands effort or --command-topic JOINT=TOPIC[INDEX]",
+    "reference": "--reference TOPIC, FILE or hold",
+}
+
+
+def _selected(runs: Sequence[RunIndices], indices: Sequence[str], is_overall: bool) -> Comparison:
+    """Return the runs with the indices that were asked for."""
+    chosen = find_quantities(indices)
+    if is_overall:
+        return Comparison(tuple(runs), indices=(), norms=chosen)
+    if chosen == (*INDICES, *NORMS):
+        return Comparison(tuple(runs))
+    return Comparison(tuple(runs), indices=chosen, norms=())
+
+
+def _advice(runs: Sequence[RunIndices], *, is_measured_a_choice: bool) -> list[str]:
+    """Return one line for each set of runs that lack something, with the options that give it."""
+    labels: dict[str, list[str]] = {}
+    for run in runs:
+        parts = []
+        if Data.EFFORT in run.assumed and is_measured_a_choice:
+            parts.append(
+                f"efforts are {run.assumed[Data.EFFORT]}, as nothing else carries any "
+                "(--commands TOPIC or --command-topic JOINT=TOPIC[INDEX] names commands)"
+            )
+        for data, remedy in _REMEDIES.items():
+            reasons: dict[str, list[str]] = {}
+            for joint, lacking in run.lacking.items():
+                for each, reason in lacking.items():
+                    if each.value == data:
+                        reasons.setdefault(reason, []).append(joint)
+            for reason, joints in reasons.items():
+                where = "" if len(joints) == len(run.joints) else f" for {', '.join(joints)}"
+                parts.append(f"{reason}{where}: {remedy}")
+        if parts:
+            labels.setdefault("; ".join(parts), []).append(repr(run.label))
+    return [
+        f"run{'s' if len(names) > 1 else ''} {', '.join(dict.fromkeys(names))}: {text}"
+        for text, names in labels.items()
+    ]
+
+
+def _require_a_number(comparison: Comparison) -> None:
+    """Raise SettingError if no run has what any of the numbers asked for needs."""
+    for run in comparison.runs:
+        for quantity in (*comparison.indices, *comparison.norms):
+            if any(quantity.needs not in run.lacking.get(joint, {}) for joint in run.joints):
+                return
+    lines = "; ".join(_advice(comparison.runs, is_measured_a_choice=True))
+    raise SettingError(f"none of the indices asked for can be computed: {lines}")

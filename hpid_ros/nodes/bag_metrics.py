@@ -16,8 +16,7 @@ from hpid_ros.messages.selection import BagSelection, parse_command_topics
 from hpid_ros.metrics.comparison import Comparison
 from hpid_ros.metrics.measure import Measured, Measuring, Source, measure, measure_all
 from hpid_ros.metrics.quantities import ANGLE_UNITS, Quantity, find_quantities
-from hpid_ros.metrics.results import RunIndices
-from hpid_ros.metrics.saved import in_units
+from hpid_ros.metrics.results import RunIndices, in_units
 from hpid_ros.nodes.core import executor
 from hpid_ros.nodes.core.executor import Usage
 from hpid_ros.nodes.core.middleware import LATCHED, steady_timer

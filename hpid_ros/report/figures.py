@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -33,8 +33,10 @@ from hpid_ros.metrics.quantities import (
     reference_of,
 )
 from hpid_ros.metrics.results import DEFAULT_CUTOFF, RunIndices, run_indices
-from hpid_ros.metrics.task import EndEffectorPath
 from hpid_ros.report.table import heading_of
+
+if TYPE_CHECKING:
+    from hpid_ros.metrics.task import EndEffectorPath
 
 NO_RUN = -1
 """Stands for a run where a line is the reference, or a mark is of no run."""

@@ -15,7 +15,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jinja2 import Environment, FileSystemLoader, StrictUndefined, Template
@@ -26,7 +26,6 @@ from hpid_ros.messages.series import RunSeries, SeriesError
 from hpid_ros.metrics.comparison import Comparison, answer
 from hpid_ros.metrics.quantities import Gains
 from hpid_ros.metrics.results import RunIndices
-from hpid_ros.metrics.task import EndEffectorPath
 from hpid_ros.report.blocks import (
     Block,
     Heading,
@@ -44,6 +43,9 @@ from hpid_ros.report.blocks import (
 )
 from hpid_ros.report.figures import Figure, Line, figures_of
 from hpid_ros.report.style import GRID, INK, REFERENCE, RUN_STYLES
+
+if TYPE_CHECKING:
+    from hpid_ros.metrics.task import EndEffectorPath
 
 # The same hues as on paper, light enough for a dark page: line and tint of each run.
 DARK_RUNS = (

@@ -11,7 +11,7 @@ import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Drawing
@@ -24,7 +24,6 @@ from hpid_ros.metrics.comparison import Comparison
 from hpid_ros.metrics.indices import total_variation
 from hpid_ros.metrics.quantities import ERROR_L2, IAVC, ITAE, IVC, Gains, Quantity
 from hpid_ros.metrics.results import RunIndices
-from hpid_ros.metrics.task import EndEffectorPath
 from hpid_ros.report.figures import NO_RUN, Figure, Line, Panel, figures_of
 from hpid_ros.report.style import (
     DOTS_PER_INCH,
@@ -45,6 +44,9 @@ from hpid_ros.report.style import (
     run_styles,
     styled_line,
 )
+
+if TYPE_CHECKING:
+    from hpid_ros.metrics.task import EndEffectorPath
 
 FORMATS = ("png", "pdf", "svg")
 SAMPLES = 8000

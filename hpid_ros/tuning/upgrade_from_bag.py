@@ -21,7 +21,7 @@ from hpid_ros.messages.run import measures_velocity, read_run
 from hpid_ros.messages.selection import BagSelection
 from hpid_ros.messages.series import JointSeries, RunSeries
 from hpid_ros.metrics.comparison import Comparison
-from hpid_ros.metrics.measure import read_retunes
+from hpid_ros.metrics.laws import read_retunes
 from hpid_ros.metrics.quantities import INDICES, ITAE, IVC
 from hpid_ros.metrics.results import RunIndices, run_indices
 from hpid_ros.robot.amendments import JointAmendment, amended

@@ -25,7 +25,7 @@ from hpid_ros.messages.messages import PoseColumns, read_poses, read_statuses
 from hpid_ros.messages.reports import POSE, POSES, Stamp, Status, encode_pose, encode_status
 from hpid_ros.messages.series import JointSeries, RunSeries
 from hpid_ros.messages.writer import BagWriter
-from hpid_ros.metrics.end_effector import EndEffector, TaskFrame, moving_joints
+from hpid_ros.metrics.task import EndEffector, TaskFrame, moving_joints
 from hpid_ros.robot.description import RobotDescription
 from hpid_ros.robot.differential_drive import DifferentialDrive
 from hpid_ros.robot.kinematics import Kinematics

@@ -22,12 +22,10 @@ from hpid_ros.cli.options import add_time, add_topics, bag_selection
 if TYPE_CHECKING:
     from hpid_ros.control.settings import LoopSettings
     from hpid_ros.messages.selection import Reference
-    from hpid_ros.metrics.compare import Parameters, Summary
     from hpid_ros.metrics.comparison import Comparison
-    from hpid_ros.metrics.end_effector import TaskFrame
-    from hpid_ros.metrics.measure import Measuring, Source
+    from hpid_ros.metrics.measure import Measuring, Parameters, Source, Summary
     from hpid_ros.metrics.quantities import Gains
-    from hpid_ros.metrics.task import EndEffectorFigures
+    from hpid_ros.metrics.task import EndEffectorFigures, TaskFrame
 
 
 EXAMPLES = """\
@@ -257,7 +255,7 @@ def _task_frame(options: argparse.Namespace) -> TaskFrame | None:
         return None
     from hpid_ros.base.files import find_resource
     from hpid_ros.experiment.description import load_experiment
-    from hpid_ros.metrics.end_effector import TaskFrame
+    from hpid_ros.metrics.task import TaskFrame
     from hpid_ros.robot.description import RobotDescription
     from hpid_ros.robot.differential_drive import DifferentialDrive
 
@@ -378,7 +376,7 @@ def _report_text(found: Summary, gains: Gains) -> str:
 
 def _gains(found: Summary) -> Gains:
     """Return what the laws did to their gains, of each run whose parameters are known."""
-    from hpid_ros.metrics.measure import gain_signals
+    from hpid_ros.metrics.laws import gain_signals
 
     gains = {}
     for run in found.series:
@@ -418,8 +416,7 @@ def add(commands: Any) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Read, compute, compare, and leave what was asked for."""
-    from hpid_ros.metrics.compare import summary
-    from hpid_ros.metrics.measure import measure_all
+    from hpid_ros.metrics.measure import measure_all, summary
     from hpid_ros.metrics.quantities import ANGLE_UNITS, find_quantities
 
     if options.units not in ANGLE_UNITS:

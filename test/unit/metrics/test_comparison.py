@@ -41,8 +41,7 @@ from hpid_ros.metrics.quantities import (
     NORMS,
     Data,
 )
-from hpid_ros.metrics.results import IndexSettings, run_indices
-from hpid_ros.metrics.saved import runs_from_mapping
+from hpid_ros.metrics.results import run_indices, runs_from_mapping
 from hpid_ros.report.export import CSV_COLUMNS, table_csv, table_latex
 from hpid_ros.report.table import ComparisonTable, format_ratio, format_values, table_text
 
@@ -284,7 +283,7 @@ def test_runs_of_unlike_length_or_rate_get_no_verdict_but_their_numbers(other, r
 
 def test_an_unlike_cutoff_spoils_the_chatter_alone():
     series = recording("hPID")
-    other = run_indices(series, IndexSettings(cutoff=50.0))
+    other = run_indices(series, 50.0)
     comparison = Comparison((lacking("PID"), other))
     assert math.isnan(comparison.ratio("hPID", CHATTER))
     assert comparison.ratio("hPID", IVC) == 1.0

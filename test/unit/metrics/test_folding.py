@@ -22,8 +22,7 @@ from hpid_ros.metrics.quantities import (
     RISE_TIME,
     RMSE,
 )
-from hpid_ros.metrics.results import IndexSettings, run_indices
-from hpid_ros.metrics.saved import runs_from_mapping, with_angles_in
+from hpid_ros.metrics.results import run_indices, runs_from_mapping, with_angles_in
 from hpid_ros.report.export import table_csv, table_latex
 from hpid_ros.report.table import table_text
 
@@ -197,7 +196,7 @@ def test_runs_under_the_same_conditions_are_compared_in_silence():
         (numbers("hPID", shift=0.3), "references differ: b"),
         (numbers("hPID", period=2e-3), "state rates differ: 1000 Hz and 500 Hz"),
         (
-            run_indices(recording("hPID"), IndexSettings(cutoff=50.0)),
+            run_indices(recording("hPID"), 50.0),
             "chatter cut-offs differ: 20 Hz and 50 Hz",
         ),
         (with_angles_in(numbers("hPID"), "deg"), "units differ: rad and deg"),

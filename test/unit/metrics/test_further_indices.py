@@ -35,7 +35,7 @@ from hpid_ros.metrics.quantities import (
     STEP_QUANTITIES,
     find_quantities,
 )
-from hpid_ros.metrics.results import IndexSettings, joint_indices, run_indices
+from hpid_ros.metrics.results import joint_indices, run_indices
 
 MS = 1_000_000
 
@@ -320,14 +320,14 @@ def test_a_joint_without_a_step_does_not_hide_the_one_that_has():
 def test_limits_and_cutoff_are_used_and_checked():
     series = joint(effort=np.tile([1.0, -1.0], 500))
     run = RunSeries("x", (series,))
-    limited = run_indices(run, IndexSettings(effort_limits={"a": 1.0}))
+    limited = run_indices(run, effort_limits={"a": 1.0})
     assert (limited.value(SATURATION), run_indices(run).value(SATURATION)) == (100.0, 0.0)
-    assert run_indices(run, IndexSettings(cutoff=30.0)).conditions.cutoff == 30.0
+    assert run_indices(run, cutoff=30.0).conditions.cutoff == 30.0
     with pytest.raises(SeriesError, match="unknown joint 'b'; known: a"):
-        run_indices(run, IndexSettings(effort_limits={"b": 1.0}))
+        run_indices(run, effort_limits={"b": 1.0})
     for wrong in ({"cutoff": 0.0}, {"cutoff": math.nan}, {"effort_limits": {"a": -1.0}}):
         with pytest.raises(SeriesError, match="must be positive and finite"):
-            IndexSettings(**wrong)
+            run_indices(run, **wrong)
 
 
 def test_quantities_are_found_by_key_symbol_or_group_once_each():

@@ -8,7 +8,7 @@ from hpid_ros.cli.main import main
 from hpid_ros.messages.joint_state import JointStateTemplate
 from hpid_ros.messages.messages import PARAMETER_EVENTS
 from hpid_ros.messages.writer import BagWriter, jazzy_types
-from hpid_ros.metrics.measure import read_retunes
+from hpid_ros.metrics.laws import read_retunes
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 MS = 1_000_000

@@ -23,7 +23,7 @@ from hpid_ros.messages.series import JointSeries, Retune, RunSeries, SeriesError
 from hpid_ros.metrics.comparison import Comparison
 from hpid_ros.metrics.folding import fold_repeats
 from hpid_ros.metrics.indices import chatter, l2_norm
-from hpid_ros.metrics.measure import gain_signals
+from hpid_ros.metrics.laws import gain_signals
 from hpid_ros.metrics.quantities import ITAE, IVC, Signal, envelope, norm_over_joints
 from hpid_ros.metrics.results import run_indices
 from hpid_ros.report.figures import NO_RUN, figures_of, phase_curve
