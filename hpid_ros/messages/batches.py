@@ -60,9 +60,9 @@ def batch_of(
     return TopicBatch(topic, buffer, SLACK + np.cumsum(sizes) - sizes, sizes, log_times_ns, places)
 
 
-def count_difference(told: Mapping[str, int], found: Mapping[str, int]) -> str:
-    """Return in words where two counts of messages differ; empty if nowhere."""
-    unequal = [(name, told[name], found.get(name, 0)) for name in sorted(told)]
+def count_difference(counted: Mapping[str, int], found: Mapping[str, int]) -> str:
+    """Return a text of where two counts of messages differ; empty if nowhere."""
+    unequal = [(name, counted[name], found.get(name, 0)) for name in sorted(counted)]
     return "; ".join(
         f"{count} messages on {name}, not {seen}" for name, count, seen in unequal if count != seen
     )

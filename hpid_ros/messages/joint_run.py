@@ -166,7 +166,7 @@ class ReferenceEvent(NamedTuple):
 
     log_time_ns: int  # [ns] when it was recorded
     place: int  # its place in the files
-    column: Column  # what the joint was told
+    column: Column  # what the joint follows
 
 
 class LoggedStates(NamedTuple):
@@ -233,7 +233,7 @@ def sample_events(
     stamps_ns: Integers,
     first_position: float,
 ) -> Numbers:
-    """Sample what a joint was told to follow at each of its states.
+    """Sample the reference of a joint at each of its states.
 
     As in :class:`hpid_ros.control.JointLoop`, a trajectory takes over with the next state (the
     first that was logged after it) from where the reference stood at the state before, also when
@@ -520,13 +520,13 @@ class JointRun:
             kind, positions = setpoints
             kinds[kind] = None
             count += len(positions.values)
-            told = sorted(setpoint_events(self._joint, positions), key=lambda each: each[:2])
             if not events:
                 values = sample_setpoints(positions, logged, stamps_ns, first)
-            events = sorted([*events, *told], key=lambda each: each[:2])
-        # Where setpoints could be sampled at once, they are heard in the order of the log.
-        heard = events if values is None else events[:1]
-        begin = min(first_state(each, logged, stamps_ns) for each in heard)
+            events += setpoint_events(self._joint, positions)
+            events.sort(key=lambda each: each[:2])
+        # Where setpoints could be sampled at once, they take effect in the order of the log.
+        taken = events if values is None else events[:1]
+        begin = min(first_state(each, logged, stamps_ns) for each in taken)
         begin_ns = int(stamps_ns[begin]) if begin < len(stamps_ns) else None
         if values is None:
             values = sample_events(events, logged, stamps_ns, first)
@@ -575,7 +575,7 @@ class JointRun:
         following = min(following, len(header) - 1)
         start_ns = column.stamp_ns + int(self._stamps_ns[following] - header[following])
         if not header.any() or start_ns <= 0:
-            start_ns = 0  # the states' headers do not tell when it began
+            start_ns = 0  # the states' headers do not say when it began
         return event._replace(column=dataclasses.replace(column, stamp_ns=start_ns))
 
 

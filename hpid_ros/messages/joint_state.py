@@ -126,6 +126,12 @@ class Writer:
         self._align(struct.calcsize(code))
         self._raw += struct.pack(f"<{code}", value)
 
+    def time(self, time_ns: int) -> None:
+        """Append a Time or a Duration of so many nanoseconds."""
+        seconds, nanoseconds = divmod(time_ns, NANOSECONDS)
+        self.scalar("i", seconds)
+        self.scalar("I", nanoseconds)
+
     def string(self, text: str) -> None:
         """Append a text."""
         raw = text.encode() + b"\x00"
@@ -160,6 +166,31 @@ class JointStateFields(NamedTuple):
     position: tuple[float, ...]  # [rad] or [m]; empty when the message has none
     velocity: tuple[float, ...]  # [rad/s] or [m/s]; empty when the message has none
     effort: tuple[float, ...]  # [N m] or [N]; empty when the message has none
+
+    def place_of(self, joint: str) -> int:
+        """Return where a joint is; MessageError unless the message names it once."""
+        count = self.names.count(joint)
+        if count != 1:
+            raise MessageError(
+                f"a JointState must name each joint once, not {joint!r} {count} times"
+            )
+        return self.names.index(joint)
+
+    def require_lengths(self, *others: str) -> None:
+        """Raise MessageError unless each name has a position, and all or none have the others."""
+        count = len(self.names)
+        lengths = [len(getattr(self, field)) for field in ("position", *others)]
+        if lengths[0] != count or not {0, count}.issuperset(lengths[1:]):
+            raise MessageError(
+                f"a JointState of {count} names must have {count} positions and 0 or {count} of "
+                f"{' and '.join(others)}, not {', '.join(map(str, lengths))}"
+            )
+
+    def layout(self, raw: bytes) -> JointStateLayout | None:
+        """Return the layout of the message; None if big-endian or oddly padded."""
+        lengths = len(self.position), len(self.velocity), len(self.effort)
+        layout = JointStateLayout.for_fields(self.names, self.frame_id, lengths)
+        return layout if layout.matches(raw) else None
 
 
 def decode_joint_state(raw: bytes) -> JointStateFields:
@@ -197,18 +228,6 @@ class JointStateLayout:
     lengths: tuple[int, int, int]  # numbers of positions, velocities and efforts
     # (offset, bytes) of everything that is neither stamp nor double
     fixed: tuple[tuple[int, bytes], ...]
-
-    @classmethod
-    def of(cls, raw: bytes) -> JointStateLayout:
-        """Learn the layout of one message."""
-        fields = decode_joint_state(raw)
-        if raw[1] != _LITTLE_ENDIAN[1]:
-            raise MessageError("only little-endian JointStates have a fixed layout here")
-        lengths = (len(fields.position), len(fields.velocity), len(fields.effort))
-        layout = cls.for_fields(fields.names, fields.frame_id, lengths)
-        if not layout.matches(raw):
-            raise MessageError("a JointState with unusual padding has no fixed layout here")
-        return layout
 
     @classmethod
     def for_fields(
@@ -347,32 +366,18 @@ class JointReader:
         fields = decode_joint_state(raw)
         if self.joint not in fields.names:
             return None
-        index = fields.names.index(self.joint)
-        if self.joint in fields.names[index + 1 :]:
-            raise MessageError(f"a JointState must name each joint once, not {self.joint!r} twice")
-        count = len(fields.names)
-        if len(fields.position) != count or len(fields.velocity) not in (0, count):
-            raise MessageError(
-                f"a JointState of {count} names must have {count} positions and 0 or {count} "
-                f"velocities, not {len(fields.position)} and {len(fields.velocity)}"
-            )
+        index = fields.place_of(self.joint)
+        fields.require_lengths("velocity")
+        self._layout = layout = fields.layout(raw)
+        if layout is not None:
+            position = layout.position + 8 * index
+            numbers = f"<iI{position - NAMES_OFFSET}xd"
+            self._has_velocity = layout.velocity > 0
+            if self._has_velocity:
+                numbers += f"{layout.velocity + 8 * index - position - 8}xd"
+            self._numbers = struct.Struct(numbers)
         velocity = fields.velocity[index] if fields.velocity else None
-        self._remember(raw, fields, index)
         return JointSample(fields.stamp_ns, fields.position[index], velocity)
-
-    def _remember(self, raw: bytes, fields: JointStateFields, index: int) -> None:
-        lengths = len(fields.position), len(fields.velocity), len(fields.effort)
-        layout = JointStateLayout.for_fields(fields.names, fields.frame_id, lengths)
-        if not layout.matches(raw):  # big-endian or oddly padded: not at fixed offsets
-            self._layout = None
-            return
-        position = layout.position + 8 * index
-        numbers = f"<iI{position - NAMES_OFFSET}xd"
-        self._has_velocity = layout.velocity > 0
-        if self._has_velocity:
-            numbers += f"{layout.velocity + 8 * index - position - 8}xd"
-        self._numbers = struct.Struct(numbers)
-        self._layout = layout
 
 
 class EffortReader:
@@ -380,7 +385,7 @@ class EffortReader:
 
     A command with one name and one effort is recognised by everything between its stamp and
     its last eight bytes; that key is remembered with the name it stands for, and with the sender.
-    So many are remembered, and none that is long, that strangers' cost less than a megabyte.
+    As many are remembered, and none that is long, as cost less than a megabyte.
     """
 
     _KEYS_AT_MOST, _KEY_BYTES_AT_MOST = 1024, 512
@@ -412,10 +417,9 @@ class EffortReader:
                 f"efforts for {len(fields.names)} names"
             )
         if len(fields.names) == 1 and not fields.position and not fields.velocity:
-            expected = JointStateLayout.for_fields(fields.names, fields.frame_id, (0, 0, 1))
             key = raw[NAMES_OFFSET:-8]
             has_room = len(self._known) < self._KEYS_AT_MOST
-            if has_room and len(key) <= self._KEY_BYTES_AT_MOST and expected.matches(raw):
+            if has_room and len(key) <= self._KEY_BYTES_AT_MOST and fields.layout(raw):
                 self._known[key] = fields.names, fields.frame_id
         self.sender = fields.frame_id
         return fields.stamp_ns, fields.names, fields.effort
@@ -459,46 +463,26 @@ class RobotReader:
 
     def _learn(self, raw: bytes) -> RobotSample:
         fields = decode_joint_state(raw)
-        count = len(fields.names)
-        for joint in self.joints:
-            if fields.names.count(joint) != 1:
-                raise MessageError(
-                    f"a JointState must name each joint of the model once, "
-                    f"not {joint!r} {fields.names.count(joint)} times"
-                )
-        arrays = (fields.position, fields.velocity, fields.effort)
-        lengths = tuple(len(array) for array in arrays)
-        if lengths[0] != count or not {lengths[1], lengths[2]} <= {0, count}:
-            raise MessageError(
-                f"a JointState of {count} names must have {count} positions and 0 or {count} "
-                f"velocities and efforts, not {lengths[0]}, {lengths[1]} and {lengths[2]}"
-            )
-        indices = [fields.names.index(joint) for joint in self.joints]
-        self._remember(raw, fields, indices)
+        indices = [fields.place_of(joint) for joint in self.joints]
+        fields.require_lengths("velocity", "effort")
+        arrays = fields.position, fields.velocity, fields.effort
+        self._layout = layout = fields.layout(raw)
+        if layout is not None:
+            numbers, at, first = "<", layout.position, 0
+            picks: list[_Pick | None] = []
+            starts = layout.position, layout.velocity, layout.effort
+            for start, length in zip(starts, layout.lengths, strict=True):
+                if not length:
+                    picks.append(None)
+                    continue
+                numbers += f"{start - at}x{length}d"
+                at = start + _DOUBLE * length
+                picks.append(_picking([first + index for index in indices]))
+                first += length
+            self._numbers = struct.Struct(numbers)
+            self._picks = tuple(picks)
         found = [tuple(array[k] for k in indices) if array else None for array in arrays]
         return RobotSample(found[0] or (), found[1], found[2])
-
-    def _remember(self, raw: bytes, fields: JointStateFields, indices: Sequence[int]) -> None:
-        lengths = len(fields.position), len(fields.velocity), len(fields.effort)
-        layout = JointStateLayout.for_fields(fields.names, fields.frame_id, lengths)
-        if not layout.matches(raw):  # big-endian or oddly padded: not at fixed offsets
-            self._layout = None
-            return
-        numbers, at, first = "<", layout.position, 0
-        picks: list[_Pick | None] = []
-        for start, length in zip(
-            (layout.position, layout.velocity, layout.effort), lengths, strict=True
-        ):
-            if not length:
-                picks.append(None)
-                continue
-            numbers += f"{start - at}x{length}d"
-            at = start + _DOUBLE * length
-            picks.append(_picking([first + index for index in indices]))
-            first += length
-        self._numbers = struct.Struct(numbers)
-        self._picks = tuple(picks)
-        self._layout = layout
 
 
 class JointPart(NamedTuple):
@@ -509,31 +493,24 @@ class JointPart(NamedTuple):
     velocity: float | None  # [rad/s] or [m/s]; None when the message has no velocities
 
 
-class _Known(NamedTuple):
-    """A layout, and where its joints are."""
-
-    layout: JointStateLayout
-    numbers: struct.Struct
-    places: tuple[tuple[int, int], ...]  # (place among the joints asked for, place in the message)
-
-
 class GroupReader:
     """Finds whichever of several joints serialised JointStates have.
 
-    As in :class:`JointReader` offsets are learned, here of several layouts:
-    the joints of a robot may be told by several publishers.
+    As in :class:`JointReader` offsets are learned, here of several layouts: the joints of a robot
+    may have several publishers.
     """
 
     _LAYOUTS_AT_MOST = 16
 
     def __init__(self, joints: Sequence[str]) -> None:
         self.joints = tuple(joints)
-        self._known: list[_Known] = []
+        # layouts, their doubles, and (place among the joints asked for, place in the message)
+        self._known: list[tuple[JointStateLayout, struct.Struct, tuple[tuple[int, int], ...]]] = []
         self._stamp = struct.Struct("<iI")
 
     def read(self, raw: bytes) -> tuple[int, Sequence[JointPart]]:
         """Return the stamp in [ns], and those of the joints that the message has."""
-        known = next((each for each in self._known if each.layout.matches(raw)), None)
+        known = next((each for each in self._known if each[0].matches(raw)), None)
         if known is None:
             return self._learn(raw)
         layout, numbers, places = known
@@ -551,24 +528,17 @@ class GroupReader:
 
     def _learn(self, raw: bytes) -> tuple[int, Sequence[JointPart]]:
         fields = decode_joint_state(raw)
-        count = len(fields.names)
-        found = [(j, joint) for j, joint in enumerate(self.joints) if joint in fields.names]
-        for _, joint in found:
-            if fields.names.count(joint) != 1:
-                raise MessageError(
-                    f"a JointState must name each joint once, not {joint!r} "
-                    f"{fields.names.count(joint)} times"
-                )
-        if found and (len(fields.position) != count or len(fields.velocity) not in (0, count)):
-            raise MessageError(
-                f"a JointState of {count} names must have {count} positions and 0 or {count} "
-                f"velocities, not {len(fields.position)} and {len(fields.velocity)}"
-            )
-        places = tuple((j, fields.names.index(joint)) for j, joint in found)
-        lengths = len(fields.position), len(fields.velocity), len(fields.effort)
-        layout = JointStateLayout.for_fields(fields.names, fields.frame_id, lengths)
-        if layout.matches(raw) and len(self._known) < self._LAYOUTS_AT_MOST:
-            self._known.append(_Known(layout, struct.Struct(f"<{count}d"), places))
+        places = tuple(
+            (j, fields.place_of(joint))
+            for j, joint in enumerate(self.joints)
+            if joint in fields.names
+        )
+        if places:
+            fields.require_lengths("velocity")
+        layout = fields.layout(raw)
+        if layout is not None and len(self._known) < self._LAYOUTS_AT_MOST:
+            numbers = struct.Struct(f"<{len(fields.names)}d")
+            self._known.append((layout, numbers, places))
         return fields.stamp_ns, [
             JointPart(j, fields.position[k], fields.velocity[k] if fields.velocity else None)
             for j, k in places

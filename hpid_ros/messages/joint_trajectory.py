@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from hpid_ros.base.errors import MessageError
 from hpid_ros.base.units import NANOSECONDS, Numbers
 from hpid_ros.messages.joint_state import ENCAPSULATION, Cursor, Writer, require_nanoseconds
-from hpid_ros.motion.joint_trajectory import JointTrajectory
+from hpid_ros.motion.joint_trajectory import JointTrajectory, Point
 
 MOST_POINTS = 50_000
 """Points of one layout that a message may have."""
@@ -31,9 +31,6 @@ MOST_MIXED_POINTS = 5_000
 
 _ARRAYS = 4  # of a point: positions, velocities, accelerations, effort
 _LEAST_POINT = 4 * _ARRAYS + 8  # [bytes]
-
-Point = tuple[int, tuple[float, ...], tuple[float, ...], tuple[float, ...], tuple[float, ...]]
-"""Time from start [ns], positions [rad], velocities [rad/s], accelerations and efforts [N m]."""
 
 
 class TrajectoryArrays(NamedTuple):
@@ -260,9 +257,7 @@ def encode_trajectory(
 ) -> bytes:
     """Serialise a JointTrajectory, little endian."""
     writer = Writer()
-    seconds, nanoseconds = divmod(stamp_ns, NANOSECONDS)
-    writer.scalar("i", seconds)
-    writer.scalar("I", nanoseconds)
+    writer.time(stamp_ns)
     writer.string("")
     writer.scalar("I", len(names))
     for name in names:
@@ -271,14 +266,12 @@ def encode_trajectory(
     lengths = np.stack([np.where(np.isnan(each[:, 0]), 0, len(names)) for each in arrays], axis=1)
     if np.all(lengths == lengths[0]):
         return _as_records(writer.raw, times_ns, arrays, tuple(lengths[0].tolist()))
-    seconds_of, nanoseconds_of = np.divmod(times_ns, NANOSECONDS)
     for index, row in enumerate(lengths.tolist()):
         for k, length in enumerate(row):
             writer.scalar("I", length)
             if length:
                 writer.doubles(arrays[k][index].tolist())
-        writer.scalar("i", int(seconds_of[index]))
-        writer.scalar("I", int(nanoseconds_of[index]))
+        writer.time(int(times_ns[index]))
     return writer.raw
 
 

@@ -223,7 +223,7 @@ def _by_index(buffer: Bytes, chunks: Sequence[Chunk]) -> tuple[list[bool], Messa
 def _heads(
     buffer: Bytes, starts: Integers, is_inside: Any, ends: Integers
 ) -> tuple[Any, Messages]:
-    """Read the heads of records and tell which are messages that end in time."""
+    """Read the heads of records; return which are messages that end in time, and what they say."""
     words = gather_words(buffer, starts - _BEFORE, _WORDS)
     lengths = words[:, 1].view(np.int64)
     channels = (words[:, 2] & np.uint64(0xFFFF)).view(np.int64)
@@ -658,13 +658,13 @@ class McapFile:
         """Report where the file holds another number of messages than its statistics count."""
         if self._counts is None:
             return
-        told: Counter[str] = Counter()
+        counted: Counter[str] = Counter()
         seen: Counter[str] = Counter()
         for number in numbers:
             topic = self._catalogue.channels[number].topic
-            told[topic] += self._counts.get(number, 0)
+            counted[topic] += self._counts.get(number, 0)
             seen[topic] += found.get(number, 0)
-        line = count_difference(told, seen)
+        line = count_difference(counted, seen)
         if line:
             report(f"its statistics count {line}")
 

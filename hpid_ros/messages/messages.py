@@ -58,7 +58,7 @@ def messages_on(bag: Path, topic: str, kind: str) -> list[Any]:
 
 
 class PlanarColumns(NamedTuple):
-    """Poses of a base in the plane, as one topic tells them."""
+    """Poses of a base in the plane, as one topic has them."""
 
     stamps_ns: NDArray[np.int64]  # [ns] ascending, (N,)
     poses: Numbers  # x [m], y [m], heading [rad] (not wrapped), (N, 3)
@@ -112,7 +112,7 @@ def _ordered(stamps: list[int]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
 
 
 class PoseColumns(NamedTuple):
-    """K poses at N times, as one topic tells them."""
+    """K poses at N times, as one topic has them."""
 
     stamps_ns: NDArray[np.int64]  # [ns] ascending, (N,)
     positions: Numbers  # [m] (N, K, 3)
@@ -183,7 +183,7 @@ PARAMETER_EVENTS = "rcl_interfaces/msg/ParameterEvent"
 
 
 class ParameterChange(NamedTuple):
-    """What one node told of its parameters at once."""
+    """Parameters of one node that it declared or that were set at once."""
 
     place: int  # place of the message in the log
     log_time_ns: int  # [ns] when it was recorded
@@ -193,7 +193,7 @@ class ParameterChange(NamedTuple):
 
 
 def parameter_changes(bag: Storage) -> list[ParameterChange]:
-    """Return what all nodes of a bag told of their parameters, in the order of the log."""
+    """Return the parameter events of all nodes of a bag, in the order of the log."""
     topics = bag.topics()
     names = frozenset(name for name, each in topics.items() if each.type == PARAMETER_EVENTS)
     return sorted(_changes(bag, names), key=lambda each: each.place) if names else []
@@ -202,14 +202,14 @@ def parameter_changes(bag: Storage) -> list[ParameterChange]:
 def _changes(bag: Storage, names: frozenset[str]) -> Iterator[ParameterChange]:
     for batch in bag.batches(names, lambda share: None):
         for index in range(len(batch.starts)):
-            told = read_event(batch.raw(index))
-            if told is not None:
+            event = read_event(batch.raw(index))
+            if event is not None:
                 place, log_time_ns = int(batch.places[index]), int(batch.log_times_ns[index])
-                yield ParameterChange(place, log_time_ns, *told)
+                yield ParameterChange(place, log_time_ns, *event)
 
 
 def read_event(raw: bytes) -> ParameterEvent | None:
-    """Return what one serialised message tells; None for bytes that are none."""
+    """Return a serialised event; None for bytes that are none."""
     try:
         return decode_parameter_event(raw)
     except MessageError:

@@ -1,14 +1,11 @@
-"""CDR of reports beside the states: clock, odometry, poses, parameters, group commands.
+"""CDR of other messages than the states: clock, odometry, poses, parameters, group commands.
 
 ``std_msgs/msg/Float64MultiArray`` as the group controllers of ros2_control take it, numbers in
 their order and nothing else; ``control_msgs/msg/DynamicJointState`` with an interface by name. All
 but the stamp and the numbers is written once.
 
-Source: the definitions of the two messages; for the wire format see
+Source: the definitions of the messages; for the wire format see
 :mod:`hpid_ros.messages.joint_state`.
-
-Source: ``std_msgs/msg/String``, ``rcl_interfaces/msg/ParameterEvent``, ``ParameterValue`` and
-``ParameterType``.
 """
 
 from __future__ import annotations
@@ -45,14 +42,14 @@ class Status(NamedTuple):
     stamp_ns: int  # [ns]
     level: int  # 0 good, 1 a warning, 2 an error
     name: str
-    message: str  # in words
+    message: str
     values: Mapping[str, str]  # figures as texts, by name
 
 
 def encode_clock(stamp_ns: int) -> bytes:
     """Return a serialised ``rosgraph_msgs/msg/Clock`` of a time in [ns]."""
     writer = Writer()
-    _time(writer, stamp_ns)
+    writer.time(stamp_ns)
     return writer.raw
 
 
@@ -114,15 +111,9 @@ def encode_status(status: Status) -> bytes:
 
 def _begun(header: Stamp) -> Writer:
     writer = Writer()
-    _time(writer, header.stamp_ns)
+    writer.time(header.stamp_ns)
     writer.string(header.frame)
     return writer
-
-
-def _time(writer: Writer, stamp_ns: int) -> None:
-    seconds, rest = divmod(stamp_ns, NANOSECONDS)
-    writer.scalar("i", seconds)
-    writer.scalar("I", rest)
 
 
 ParameterContent = bool | int | float | str | list[int] | list[bool] | list[float] | list[str]
@@ -133,7 +124,7 @@ _LEAST_PARAMETER = 4 + 1
 
 
 class ParameterEvent(NamedTuple):
-    """What one node told of its parameters at once."""
+    """Parameters of one node that it declared or that were set, in one message."""
 
     node: str  # its full name
     declared: Mapping[str, ParameterContent | None]  # values of parameters that are new, by name
@@ -146,7 +137,7 @@ def decode_text(raw: bytes) -> str:
 
 
 def decode_parameter_event(raw: bytes) -> ParameterEvent:
-    """Return what a serialised ``rcl_interfaces/msg/ParameterEvent`` tells."""
+    """Return what a serialised ``rcl_interfaces/msg/ParameterEvent``."""
     cursor = Cursor(raw, _EVENT)
     cursor.scalar("i")
     cursor.scalar("I")  # the stamp is that of the sender's clock
@@ -229,8 +220,7 @@ class DynamicJointStateTemplate:
 
     def __init__(self, names: Sequence[str], frame_id: str = "") -> None:
         writer = Writer()
-        writer.scalar("i", 0)
-        writer.scalar("I", 0)
+        writer.time(0)
         writer.string(frame_id)
         writer.scalar("I", len(names))
         for name in names:

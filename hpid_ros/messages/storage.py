@@ -183,7 +183,7 @@ class SqliteFile:
     """An open ``.db3`` file."""
 
     def __init__(self, path: Path, report: Report) -> None:
-        path = path.resolve()  # a log lies beside the file, not beside a link to it
+        path = path.resolve()  # a log lies next to the file, not next to a link to it
         if not path.is_file():
             raise BagError("no such file")
         self._size, self._steps = path.stat().st_size, 0
@@ -375,8 +375,8 @@ def _whole_pages(path: Path, stack: ExitStack, report: Report) -> tuple[Path, bo
 
 
 def _is_filled(path: Path, suffix: str) -> bool:
-    beside = path.with_name(f"{path.name}{suffix}")
-    return beside.is_file() and beside.stat().st_size > 0
+    file = path.with_name(f"{path.name}{suffix}")
+    return file.is_file() and file.stat().st_size > 0
 
 
 def _connected(path: Path, is_cut_off: bool, report: Report) -> sqlite3.Connection:
@@ -555,8 +555,8 @@ class Storage:
             before += size
         progress(1.0)
         known = self.topics()
-        told = {n: count for n, count in self._counts.items() if n in topics or n not in known}
-        line = count_difference(told, found)
+        counts = {n: count for n, count in self._counts.items() if n in topics or n not in known}
+        line = count_difference(counts, found)
         if line:
             self._report(f"metadata.yaml counts {line}")
 

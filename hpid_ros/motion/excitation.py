@@ -28,7 +28,7 @@ from hpid_ros.base.errors import SettingError
 from hpid_ros.base.units import NANOSECONDS, Numbers
 from hpid_ros.control.overrides import LONGEST, RAMP, RelayRequest
 
-_DRAWS = 48  # of phases, beside Schroeder's
+_DRAWS = 48  # of phases, besides Schroeder's
 _LINES = 8  # sines in a sum
 _SHORTEST_MOVE = 0.1  # [s]
 _MOVE_KNOTS = 12  # in each step
@@ -51,7 +51,7 @@ class Peaks(NamedTuple):
 
 
 class Course(NamedTuple):
-    """Where a joint is told to be, from where it stood; knots of a quintic spline."""
+    """Reference of a joint, from where it stood; knots of a quintic spline."""
 
     times: Numbers  # [s] since its start, shape (knots,)
     position: Numbers  # [rad]
@@ -223,7 +223,7 @@ class JointBounds:
 
 
 class Wish(NamedTuple):
-    """What an excitation shall not exceed, beside shares of the limits."""
+    """What an excitation shall not exceed, besides shares of the limits."""
 
     # of each limit, of what is left of it where the joint is and how it is loaded
     share: float = 0.5
@@ -363,13 +363,13 @@ class Design(NamedTuple):
 
 @dataclass(frozen=True)
 class PlannedJoint:
-    """What one joint is told; "rad" reads "m" where it slides."""
+    """Excitation of one joint; "rad" reads "m" where it slides."""
 
     bounds: JointBounds  # its limits
     begin: float  # [s] when it begins to move
     end: float  # [s] when it has stopped
     peaks: Peaks  # what its reference reaches
-    effort: float  # [N m] what that needs beside the load, by its inertia
+    effort: float  # [N m] what that needs besides the load, by its inertia
     crest_factor: float  # of its velocity
     tolerance: float  # [rad] how far it may be from its reference
     velocity_stop: float  # [rad/s] above which it is stopped
@@ -378,7 +378,7 @@ class PlannedJoint:
 
 @dataclass(frozen=True, eq=False)
 class ExcitationPlan:
-    """A plan; the reference begins and ends where the joints are told to stand."""
+    """A plan; the reference begins and ends where the references stand."""
 
     joints: tuple[PlannedJoint, ...]  # in the order of the columns
     times: Numbers  # [s] of the knots since the start, shape (knots,)
@@ -507,7 +507,7 @@ class RelayWish(NamedTuple):
     """What a relay shall be like."""
 
     effort: float = 0.0  # [N m] its amplitude; 0 chooses a share
-    share: float = 0.2  # of what is left of the effort limits beside the load
+    share: float = 0.2  # of what is left of the effort limits besides the load
     amplitude: float = 0.05  # [rad] of the position
     cycles: int = 8  # whole cycles
 

@@ -233,9 +233,9 @@ class JointTrajectory:
         require_trajectory(self.joint_names, self.points, self.stamp_ns)
 
     def started(self, start_ns: int) -> JointTrajectory:
-        """Return the same motion as one that is under way, for whoever comes later.
+        """Return the same motion as one that is under way, for a follower that comes later.
 
-        A stamp of 0 means "with the next state", so a start at instant 0 is told as a stamp of
+        A stamp of 0 means "with the next state", so a start at instant 0 is sent as a stamp of
         1 ns and times that are 1 ns shorter. Whoever follows the motion already and takes this
         one over after its first point keeps the same reference, to the last bit.
 

@@ -287,7 +287,7 @@ class InverseDynamics:
     def spin(
         self, positions: Numbers, velocities: Numbers, accelerations: Numbers, rotors: Numbers
     ) -> Numbers:
-        r"""Return the efforts, (K, R), that rotors need beside their reflected inertia, in [N m].
+        r"""Return the efforts, (K, R), that rotors need besides their reflected inertia, in [N m].
 
         A rotor behind a gear of ratio N that spins about its joint's axis z, on the link before
         the joint, has the angular momentum :math:`h = m/N\,\dot q\,z` in that link. The link must

@@ -26,7 +26,7 @@ LARGEST_BITS = 32
 
 @dataclass(frozen=True)
 class Pwm(Record):
-    """A duty register of a number of bits beside a direction pin, taken over at a rate.
+    """A duty register of a number of bits with a direction pin, taken over at a rate.
 
     The ripple of one PWM period is not simulated: the mean voltage acts.
     """
@@ -208,7 +208,7 @@ class Drive:
         return self._ratio * motor.torque(self._bridge(time_ns, duty), speed)
 
     def brake(self, torque: float, velocity: float) -> float:
-        """Return all Coulomb friction at the joint beside a motor's torque, in [N m]."""
+        """Return all Coulomb friction at the joint that acts with a motor's torque, in [N m]."""
         motor = self.settings.motor
         loss = 0.0 if motor is None else motor.gear_loss(torque, velocity)
         return self.friction + loss

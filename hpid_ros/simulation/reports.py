@@ -81,7 +81,7 @@ class SlipMeter:
 
 
 REPORT_RATE = 50.0
-"""How often odometry, truth and slip are told in an experiment, in [Hz]."""
+"""How often odometry, truth and slip are published in an experiment, in [Hz]."""
 
 
 class ReportTimes:
@@ -110,7 +110,7 @@ class ReportTimes:
 
 
 class BaseReport(NamedTuple):
-    """Odometry of the wheels beside the truth."""
+    """Odometry of the wheels, with how far they slid."""
 
     stamp_ns: int  # [ns] of the state
     pose: PlanarPose  # where the base is by its wheels, from where it stood at time 0
@@ -200,7 +200,7 @@ def planar(pose: Pose) -> PlanarPose:
 
 ODOM_FRAME = "odom"
 UNMEASURED = 1e6
-"""Variance of what wheels cannot tell: height, roll, pitch and their rates."""
+"""Variance of what wheels do not measure: height, roll, pitch and their rates."""
 
 _X, _Y, _YAW = 0, 1, 5
 _ROW = 6
@@ -321,7 +321,7 @@ class Reports:
             self._monitor.note(positions)
         if not self._times.is_off and self._times.is_due(stamp_ns):
             for topic, encode in self._due(stamp_ns):
-                yield from self._told(topic, encode)
+                yield from self._counted(topic, encode)
 
     def events(self) -> Iterator[tuple[str, bytes]]:
         """Yield topic and bytes of what the gripper did since the last call."""
@@ -334,7 +334,7 @@ class Reports:
             self._noticed += 1
             if self._notice is not None:
                 self._notice(event)
-            yield from self._told(GRIP_EVENTS, partial(_encoded, event))
+            yield from self._counted(GRIP_EVENTS, partial(_encoded, event))
 
     def figures(self) -> dict[str, object]:
         """Return figures for ``/diagnostics``, with their units; slip also since the last call."""
@@ -355,14 +355,14 @@ class Reports:
             figures["last grip"] = grip_words(last[0]) if last else "none"
         return figures
 
-    def _told(self, topic: str, encode: Callable[[], bytes]) -> Iterator[tuple[str, bytes]]:
+    def _counted(self, topic: str, encode: Callable[[], bytes]) -> Iterator[tuple[str, bytes]]:
         """Yield a message where somebody takes it, and count it."""
         if topic in self.counts:
             self.counts[topic] += 1
             yield topic, encode()
 
     def _due(self, stamp_ns: int) -> Iterator[tuple[str, Callable[[], bytes]]]:
-        """Yield each topic that is told at a rate, and what makes its message."""
+        """Yield each topic that is published at a rate, and what makes its message."""
         world, header = self._world, wire.Stamp(stamp_ns, self._odom)
         yield CLOCK, partial(wire.encode_clock, stamp_ns)
         if self._monitor is None:
@@ -394,6 +394,6 @@ def _encoded(event: GripEvent) -> bytes:
 
 
 def grip_words(event: GripEvent) -> str:
-    """Return an event in words."""
+    """Return an event as a text."""
     reason = f": {event.reason}" if event.reason else ""
     return f"{event.brick} {event.outcome} at {event.stamp_ns / NANOSECONDS:.3f} s{reason}"

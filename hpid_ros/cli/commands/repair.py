@@ -4,14 +4,10 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.cli.commands import DONE
-
-if TYPE_CHECKING:
-    from hpid_ros.messages.writer import Repair
-
 
 _EXAMPLES = """\
 examples:
@@ -38,7 +34,7 @@ def add(commands: Any) -> None:
         "--output",
         type=Path,
         metavar="FOLDER",
-        help="the new bag, which must not exist; BAG_repaired beside BAG if not given",
+        help="the new bag, which must not exist; BAG_repaired next to BAG if not given",
     )
     parser.set_defaults(command=run)
 
@@ -51,16 +47,12 @@ def run(options: argparse.Namespace) -> int:
     bag: Path = options.bag
     target = options.output or bag.resolve().with_name(f"{bag.resolve().stem}_repaired")
     repair = repair_bag(bag, target, lambda share: raise_if_interrupted())
-    for line in _told(repair):
-        print(line)
-    return DONE
-
-
-def _told(repair: Repair) -> list[str]:
-    """Return what a person wants to know of a repair, a line each."""
-    lines = [f"saved: {count} messages on {name}" for name, count in sorted(repair.saved.items())]
+    for name, count in sorted(repair.saved.items()):
+        print(f"saved: {count} messages on {name}")
     if repair.span_ns is not None:
         first, last = (time_ns / NANOSECONDS for time_ns in repair.span_ns)
-        lines.append(f"saved: {last - first:.3f} s, from {first:.3f} s to {last:.3f} s")
-    lines += [f"lost: {line}" for line in repair.unreadable] or ["lost: nothing"]
-    return [*lines, f"written: {repair.target}"]
+        print(f"saved: {last - first:.3f} s, from {first:.3f} s to {last:.3f} s")
+    for line in repair.unreadable or ["nothing"]:
+        print(f"lost: {line}")
+    print(f"written: {repair.target}")
+    return DONE
