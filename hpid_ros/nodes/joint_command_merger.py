@@ -5,32 +5,240 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.timer import Timer
 
+from hpid_ros.base.durations import Durations
 from hpid_ros.base.errors import ClaimError, MessageError, SettingError
 from hpid_ros.base.names import ALL_JOINTS
 from hpid_ros.messages.joint_state import EffortReader
 from hpid_ros.nodes.core import executor
 from hpid_ros.nodes.core.executor import Usage
 from hpid_ros.nodes.core.middleware import ALL_COMMANDS, steady_timer, subscribe_raw
-from hpid_ros.nodes.core.process import schedule
-from hpid_ros.nodes.core.status import StatusPipe
+from hpid_ros.nodes.core.process import read_choice, read_number, read_only, schedule
+from hpid_ros.nodes.core.rclpy_internals import given_parameters
+from hpid_ros.nodes.core.status import ERROR, OK, WARN, Diagnostics, StatusPipe
 from hpid_ros.nodes.parts.bridge_commanders import Commanders
 from hpid_ros.nodes.parts.claims import JointClaim, claims_joint
 from hpid_ros.nodes.parts.joint_topics import Sink, sender_of
 from hpid_ros.nodes.parts.lifecycle import ManagedNode
-from hpid_ros.nodes.parts.merger import CommandMerger, Receiver
-from hpid_ros.nodes.parts.merger_settings import GroupOutput, read_parameters
-from hpid_ros.nodes.parts.merger_stream import (
-    MergedStream,
-    MergerHealth,
-    ReceiverWatch,
-    Standing,
-    shown_silent,
+from hpid_ros.nodes.parts.merger import (
+    LARGEST_EFFORT,
+    LONGEST_TIMEOUT,
+    CommandMerger,
+    MergerSettings,
+    Receiver,
+    joints_of,
 )
+from hpid_ros.nodes.parts.merger_output import (
+    ARRAY,
+    INTERFACES,
+    GroupOutput,
+    MergedStream,
+    ReceiverWatch,
+)
+
+_LEAST_TIMEOUT = 1e-3  # [s]
+_LONGEST_FADE_IN = 100.0  # [s]
+_LEAST_SHARE = 0.01
+
+
+@dataclass(frozen=True)
+class MergerParameters:
+    """What the parameters say."""
+
+    joints: tuple[str, ...]  # the order that was given; empty to take the controller's
+    controller: str  # full name of the controller that gets the commands
+    manager: str  # full name of that controller's manager
+    interface: str  # message of the merged commands
+    straggler_wait: float  # see MergerSettings
+    fade_in_time: float  # [s] likewise
+    timeout: float  # [s] of joints that have none of their own
+    timeouts: dict[str, float]  # [s] by joint
+    fallbacks: dict[str, float]  # [N m] or [N], by joint
+
+    def settings(self, order: Sequence[str]) -> MergerSettings:
+        """Return the settings of a merger."""
+        joints = joints_of(order, self.timeout, self.timeouts, self.fallbacks)
+        return MergerSettings(joints, self.straggler_wait, self.fade_in_time)
+
+
+def read_parameters(node: Node, joints: Sequence[str]) -> MergerParameters:
+    """Declare the parameters of a merger and return what they say."""
+    given = read_only(
+        node,
+        "joints",
+        Parameter.Type.STRING_ARRAY,
+        "Order of the merged command; left out it is that of the controller's own parameter",
+    )
+    controller = _full_name(
+        node,
+        str(
+            read_only(
+                node,
+                "controller",
+                "",
+                "Group controller of ros2_control that gets the commands on its topic commands; "
+                "it is asked for its joints, and nothing is sent while it is not active",
+            )
+        ),
+    )
+    manager = str(
+        read_only(
+            node,
+            "controller_manager",
+            "",
+            "Manager of that controller; controller_manager in its namespace if empty",
+        )
+    )
+    order = tuple(given or joints)
+    if controller and order == tuple(joints):  # "-p joints:=..." is for every node of the process
+        order = ()
+    parameters = MergerParameters(
+        joints=order,
+        controller=controller,
+        manager=_full_name(node, manager) or f"{controller.rpartition('/')[0]}/controller_manager",
+        interface=read_choice(
+            node,
+            "command_interface",
+            ARRAY,
+            f"Message of the merged commands: {', '.join(INTERFACES)}",
+            INTERFACES,
+        ),
+        straggler_wait=read_number(
+            node,
+            "straggler_wait",
+            0.5,
+            "How long answers wait for those to the same state, as part of the states' period",
+            (_LEAST_SHARE, 1.0),
+        ),
+        fade_in_time=read_number(
+            node,
+            "fade_in_time",
+            0.1,
+            "A joint that comes back is faded in from its fallback for so long [s]; 0 jumps",
+            (0.0, _LONGEST_FADE_IN),
+        ),
+        timeout=_timeout(node, "command_timeout", "A joint is silent after so long [s]"),
+        timeouts={
+            joint: _timeout(node, name, f"{joint} is silent after so long [s]")
+            for name, joint in _given_below(node, "command_timeouts")
+        },
+        fallbacks={
+            joint: read_number(
+                node,
+                name,
+                0.0,
+                f"Effort of {joint} while it is silent [N m or N]",
+                (-LARGEST_EFFORT, LARGEST_EFFORT),
+            )
+            for name, joint in _given_below(node, "fallback_efforts")
+        },
+    )
+    _require_usable(parameters)
+    return parameters
+
+
+def _require_usable(parameters: MergerParameters) -> None:
+    if parameters.controller and parameters.interface != ARRAY:
+        raise SettingError(
+            f"controller is for command_interface {ARRAY}, not for {parameters.interface}"
+        )
+    if parameters.joints:
+        parameters.settings(parameters.joints)
+    elif not parameters.controller:
+        raise SettingError(
+            "the parameter joints must name the joints in their order, or controller a group "
+            "controller that has them; both are empty"
+        )
+
+
+def _timeout(node: Node, name: str, description: str) -> float:
+    return read_number(node, name, 0.1, description, (_LEAST_TIMEOUT, LONGEST_TIMEOUT))
+
+
+def _given_below(node: Node, group: str) -> list[tuple[str, str]]:
+    """Return the parameters of a group that were given, with the joints that they are for."""
+    prefix = f"{group}."
+    names = sorted(name for name in given_parameters(node) if name.startswith(prefix))
+    return [(name, name.removeprefix(prefix)) for name in names]
+
+
+def _full_name(node: Node, name: str) -> str:
+    """Return a node's full name; one without a slash is in this node's namespace."""
+    if not name or name.startswith("/"):
+        return name.rstrip("/")
+    return f"{node.get_namespace().rstrip('/')}/{name}"
+
+
+_OFTEN_LATE = 0.1  # of the messages of a report
+_MICROSECOND = 1e3  # [ns]
+
+
+class MergerHealth(Diagnostics):
+    """Counts what came of commands."""
+
+    def __init__(self, node: Node, topic: str) -> None:
+        super().__init__(node, topic)
+        self.misread = 0
+        self.delays = Durations()
+        self.restart()
+
+    def restart(self) -> None:
+        """Note that what a merger counts is counted from zero."""
+        self._before: dict[str, tuple[int, int]] = {}  # late and invalid, by joint
+        self._sent_before = 0
+
+    def irregular(self, merger: CommandMerger) -> list[str]:
+        """Return warnings of joints that were often late since the last report, or not finite."""
+        messages, self._sent_before = merger.sent - self._sent_before, merger.sent
+        lines = []
+        for name, counts in merger.counts.items():
+            late, invalid = self._before.get(name, (0, 0))
+            self._before[name] = counts.late, counts.invalid
+            if counts.invalid > invalid:
+                lines.append(f"{name} commands what is not finite")
+            elif counts.late - late > _OFTEN_LATE * max(messages, 1):
+                lines.append(f"{name} is late")
+        return lines
+
+
+def _shown_silent(merger: CommandMerger) -> str:
+    """Return one line about the joints that are silent."""
+    joints = ", ".join(f"{joint.name} (sent {joint.fallback:g})" for joint in merger.silent)
+    return f"silent: {joints}"
+
+
+def _readings(merger: CommandMerger) -> dict[str, object]:
+    """Return what a merger counted, by name, for ``/diagnostics``."""
+    counts = merger.counts.values()
+    by_joint = {
+        "late": {name: each.late for name, each in merger.counts.items()},
+        "silences": {name: each.silences for name, each in merger.counts.items()},
+        "returns": {name: each.returns for name, each in merger.counts.items()},
+        "commands not finite": {name: each.invalid for name, each in merger.counts.items()},
+    }
+    return {
+        "joints": ", ".join(merger.settings.names),
+        "silent": ", ".join(joint.name for joint in merger.silent) or "none",
+        "period of the states [us]": merger.rounds.period_ns / _MICROSECOND,
+        "wait for stragglers [us]": merger.rounds.wait_ns / _MICROSECOND,
+        "messages": merger.sent,
+        "messages with every answer": merger.sent_whole,
+        "commands": sum(each.commands for each in counts),
+        "commands for other joints": merger.foreign,
+        **{what: _named(values) for what, values in by_joint.items()},
+    }
+
+
+def _named(values: dict[str, int]) -> str:
+    """Return the counts that are not zero, with their joints."""
+    return ", ".join(f"{name} {count}" for name, count in values.items() if count) or "none"
+
 
 _ZEROS = 10  # with which it leaves: nobody acknowledges a best-effort message
 _BETWEEN_ZEROS = 0.01  # [s]
@@ -73,18 +281,19 @@ class JointCommandMerger(ManagedNode):
         self._claim = JointClaim(self, is_claiming, ALL_JOINTS, topic, self._lose, what)
         self._health = MergerHealth(self, topic)
         self._stream = MergedStream(
-            self, self._output, self._health.delays.note, self._tell_silences
+            self, self._output, self._health.delays.note, self._report_silences
         )
         self._status = StatusPipe(self)
         self._reader = EffortReader()
         self._commanders: Commanders | None = None
         self._commands: Any = None
-        self._refusal = self._told = ""
+        self._refusal = self._reported = ""
         self._zeros_left = 0
         self._repeating: Timer | None = None
-        steady_timer(self, self._health.period, self._report)
+        self._scheduling = ""
+        steady_timer(self, 1.0, self._report)
         self.start()
-        self._health.scheduling = schedule(self)
+        self._scheduling = schedule(self)
 
     def begin(self) -> None:
         """Activate: merge as soon as there is somebody to hear it, and somebody to be heard."""
@@ -158,7 +367,7 @@ class JointCommandMerger(ManagedNode):
         merger = self._stream.merger
         if merger is not None and self._commands is None and not self._is_composed:
             self._listen_when_all_are_there(merger)
-        self._tell_change()
+        self._report_change()
 
     def _start_merging(self) -> None:
         order = self._receiver.joints
@@ -189,7 +398,8 @@ class JointCommandMerger(ManagedNode):
         try:
             stamp_ns, names, efforts = self._reader.read(raw)
         except MessageError as error:
-            self._health.misread_command(str(error))
+            self._health.misread += 1
+            self._health.fault(f"command refused: {error}")
             return
         commanders, sender = self._commanders, self._reader.sender
         if commanders is None:
@@ -202,47 +412,78 @@ class JointCommandMerger(ManagedNode):
         """Return the sink of a controller of this process."""
         return self._stream.sink(joint)
 
-    def _tell_change(self) -> None:
+    def _report_change(self) -> None:
         """Report at once when it waits for something else than before."""
-        if self._waiting == self._told:
+        if self._waiting == self._reported:
             return
-        self._told = self._waiting
-        if self._is_unheard:
-            self._health.fault(self._told)
+        self._reported = self._waiting
+        if self._is_unusable:
+            self._health.fault(self._reported)
         else:
-            self.get_logger().info(self._told or f"merging: {', '.join(self._receiver.joints)}")
+            self.get_logger().info(
+                self._reported or f"merging: {', '.join(self._receiver.joints)}"
+            )
         self._report()
 
-    def _tell_silences(self, merger: CommandMerger) -> None:
+    def _report_silences(self, merger: CommandMerger) -> None:
         """Report at once who has fallen silent, or has come back."""
         if merger.has_begun and merger.silent:
-            self._health.fault(shown_silent(merger))
+            self._health.fault(_shown_silent(merger))
         self._report()
 
     def refuse(self, line: str) -> None:
         """Take note of a request or a transition that failed."""
-        self._health.refused_request(line)
+        self._health.refuse(line)
 
     @property
-    def _is_unheard(self) -> bool:
-        """Whether there is a receiver for which nothing can be done from here."""
+    def _is_unusable(self) -> bool:
+        """Whether the receiver does not act, or cannot be used."""
         return bool(self._refusal or self._receiver.is_refused or self._receiver.is_deactivated)
 
     def _report(self) -> None:
-        self._health.report(
-            Standing(
-                self.lifecycle,
-                self._waiting if self.is_active else "",
-                self.is_active and self._is_unheard,
-                self._claim.text,
-                self._claim.refusal,
-                self._watch.told_by,
-                self._rivals() if self.is_active else (),
-                self._output.withheld,
-            ),
-            self._stream.merger,
-            self._commanders.conflict() if self._commanders is not None else "",
+        """Publish the status now."""
+        lifecycle, merger, health = self.lifecycle, self._stream.merger, self._health
+        level, message = self._verdict(lifecycle, merger)
+        spread = health.delays.recent()
+        health.publish(
+            level,
+            message,
+            {
+                "lifecycle": lifecycle,
+                "claim": self._claim.text,
+                "topic": self._output.publisher.topic_name,
+                "activity told by": self._watch.activity_topic,
+                **(_readings(merger) if merger is not None else {}),
+                "messages withheld": self._output.withheld,
+                "first answer to message, median [us]": spread.median,
+                "first answer to message, 99th percentile [us]": spread.p99,
+                "first answer to message, largest [us]": spread.maximum,
+                "misread commands": health.misread,
+                "refused requests": health.refused_requests,
+                "scheduling": self._scheduling,
+                "last fault": health.last_fault,
+            },
         )
+
+    def _verdict(self, lifecycle: str, merger: CommandMerger | None) -> tuple[bytes, str]:
+        # Counted since the last report, so it is read with each.
+        conflict = self._commanders.conflict() if self._commanders is not None else ""
+        if lifecycle != "active":
+            refusal = self._claim.refusal
+            return (WARN, f"{lifecycle}: {refusal}") if refusal else (OK, lifecycle)
+        waiting, is_unusable = self._waiting, self._is_unusable
+        errors = [waiting] if is_unusable else []
+        errors += [conflict] if conflict else []
+        if rivals := self._rivals():
+            topic = self._output.publisher.topic_name
+            errors.append(f"{', '.join(rivals)} also publishes on {topic}")
+        if merger is not None and merger.has_begun and merger.silent:
+            errors.append(_shown_silent(merger))
+        warnings = [waiting] if waiting and not is_unusable else []
+        warnings += self._health.irregular(merger) if merger is not None else []
+        if errors or warnings:
+            return ERROR if errors else WARN, "; ".join(errors + warnings)
+        return OK, "merging"
 
     def _rivals(self) -> list[str]:
         """Return the nodes that publish beside this one."""

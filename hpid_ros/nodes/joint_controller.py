@@ -281,7 +281,7 @@ class JointController(ManagedNode):
 
     def refuse(self, line: str) -> None:
         """Take note of a request or a transition that failed."""
-        self._health.refused_request(line)
+        self._health.refuse(line)
 
     def _report(self) -> None:
         if self._is_timeout_reported and not self._watchdog.is_silent():

@@ -23,7 +23,7 @@ from hpid_ros.nodes.core.middleware import RARE
 from hpid_ros.nodes.core.process import read_only
 
 
-def _pipes() -> frozenset[int]:
+def _fifos() -> frozenset[int]:
     found = set()
     for descriptor in range(_HIGHEST):
         try:
@@ -35,12 +35,12 @@ def _pipes() -> frozenset[int]:
 
 
 _HIGHEST = 1024  # the usual limit
-_HANDED_DOWN = _pipes()  # before this process has opened any of its own
+_INHERITED = _fifos()  # before this process has opened any of its own
 _WAITING = 1000  # lines, for a parent that does not read
 
 
 class _EventPipe:
-    """The way to a parent, which all nodes of a process share and which makes none of them wait.
+    """Lines for a parent, from all nodes of a process, none of which it makes wait.
 
     What a full pipe does not take waits for the next line, the last thousand lines of it.
     """
@@ -76,13 +76,13 @@ class _EventPipe:
             self._begun = self._begun[written:]
 
 
-_OUTLETS: dict[int, _EventPipe] = {}
+_PIPES: dict[int, _EventPipe] = {}
 
 
 def flush_events(within: float) -> None:
     """Give a parent that is slow to read this long to take what waits for it."""
-    for outlet in _OUTLETS.values():
-        outlet.flush(within)
+    for pipe in _PIPES.values():
+        pipe.flush(within)
 
 
 class StatusPipe:
@@ -93,14 +93,14 @@ class StatusPipe:
             node, "status_fd", -1, "File descriptor for one JSON line per event; -1 for none"
         )
         # The parameters of a node that had a parent may have been dumped and given to this one.
-        self._outlet = None
-        if fd in _HANDED_DOWN:
-            self._outlet = _OUTLETS[fd] = _OUTLETS.get(fd) or _EventPipe(fd)
+        self._pipe = None
+        if fd in _INHERITED:
+            self._pipe = _PIPES[fd] = _PIPES.get(fd) or _EventPipe(fd)
 
     def send(self, event: str, **values: object) -> None:
         """Write one event."""
-        if self._outlet is not None:
-            self._outlet.put((json.dumps({"event": event, **values}) + "\n").encode())
+        if self._pipe is not None:
+            self._pipe.put((json.dumps({"event": event, **values}) + "\n").encode())
 
 
 OK = DiagnosticStatus.OK
@@ -116,6 +116,12 @@ class Diagnostics:
         self._hardware_id = hardware_id
         self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", RARE)
         self.last_fault = "none"
+        self.refused_requests = 0
+
+    def refuse(self, line: str) -> None:
+        """Note a service request, or a transition, that failed."""
+        self.refused_requests += 1
+        self.fault(line)
 
     def fault(self, line: str) -> None:
         """Note one line for something that could not be used, or has gone wrong; it is logged."""

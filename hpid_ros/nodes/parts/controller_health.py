@@ -141,10 +141,10 @@ _MANY_MISSED = 0.5  # of the states of a report
 _ON_FALLBACK = (LoopState.SILENT, LoopState.FAULT)
 
 
-class ControllerHealth:
+class ControllerHealth(Diagnostics):
     """Counts what a controller refused, and publishes its status."""
 
-    period = 1.0
+    period = 1.0  # [s] between two reports
 
     def __init__(
         self,
@@ -156,13 +156,12 @@ class ControllerHealth:
         *,
         is_slide: bool = False,
     ) -> None:
+        super().__init__(node, loop.settings.joint)
         self._node, self._loop, self._model = node, loop, model
         self._is_slide = is_slide
         self._certification, self._timing = certification, timing
-        self._diagnostics = Diagnostics(node, loop.settings.joint)
-        self.fault = self._diagnostics.fault
         self.foreign = self.misread = 0
-        self._references = self._requests = 0
+        self._references = 0
         self._missed = self._held = 0
         self.scheduling = ""
 
@@ -201,11 +200,6 @@ class ControllerHealth:
         self._references += 1
         self.fault(f"reference refused: {line}")
 
-    def refused_request(self, line: str) -> None:
-        """Note a service request, or a transition, that failed."""
-        self._requests += 1
-        self.fault(line)
-
     def relay_begins(self, request: RelayRequest) -> None:
         """Say that a relay drives the joint from now on."""
         self._node.get_logger().info(
@@ -237,7 +231,7 @@ class ControllerHealth:
             message, level = f"{message}; {warning}" if warning else message, ERROR
         elif loop.state is LoopState.WAITING or waiting or warning:
             message, level = waiting or warning or message, WARN
-        self._diagnostics.publish(
+        self.publish(
             level,
             message,
             {
@@ -260,7 +254,7 @@ class ControllerHealth:
                 "rejected samples": counts.rejected + self.misread,
                 "states of other joints": self.foreign,
                 "refused references": self._references,
-                "refused requests": self._requests,
+                "refused requests": self.refused_requests,
                 self.unit("effort [N m]"): loop.effort,
                 self.unit("integral term [N m]"): loop.integral,
                 self.unit("feedforward [N m]"): loop.feedforward_effort,
@@ -270,7 +264,7 @@ class ControllerHealth:
                 "relay": self._relay(),
                 "relays allowed": self._node.get_parameter(ALLOW_RELAY).value,
                 "scheduling": self.scheduling,
-                "last fault": self._diagnostics.last_fault,
+                "last fault": self.last_fault,
                 "last irregular state": self.unit(loop.last_fault) or "none",
             },
         )

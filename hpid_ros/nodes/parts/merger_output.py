@@ -1,4 +1,4 @@
-"""A merger's streams of commands, who receives its own, and its health."""
+"""A merger's output: messages for several joints, their receiver, and the stream that it gets."""
 
 from __future__ import annotations
 
@@ -12,19 +12,140 @@ from typing import Any, NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.srv import GetParameters
+from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.node import Node
 from rclpy.parameter import parameter_value_to_python
 from rclpy.task import Future
 from rclpy.timer import Timer
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
 
-from hpid_ros.base.durations import Durations
+from hpid_ros.base.errors import SettingError
 from hpid_ros.base.units import NANOSECONDS
+from hpid_ros.messages.joint_state import JointStateTemplate
+from hpid_ros.messages.reports import DynamicJointStateTemplate, MultiArrayTemplate
 from hpid_ros.nodes.core.executor import ClosingNode
-from hpid_ros.nodes.core.middleware import LATCHED, RARE, steady_timer
-from hpid_ros.nodes.core.status import ERROR, OK, WARN, Diagnostics
+from hpid_ros.nodes.core.middleware import LATCHED, NEWEST_COMMAND, RARE, overridable, steady_timer
+from hpid_ros.nodes.core.rclpy_internals import MatchCounter
 from hpid_ros.nodes.parts.joint_topics import Sink
 from hpid_ros.nodes.parts.merger import CommandMerger, Merged, MergerSettings, Receiver
-from hpid_ros.nodes.parts.merger_settings import GroupOutput
+
+
+class Interface(NamedTuple):
+    """A message for the efforts of several joints."""
+
+    topic: str  # where it goes by default
+    message: Callable[[], Any]  # returns its type, or raises SettingError
+    template: Callable[[Sequence[str], str], Any]  # by joint names and sender; with encode()
+
+
+def _dynamic_joint_state() -> Any:
+    try:
+        from control_msgs.msg import DynamicJointState
+    except ImportError as error:
+        raise SettingError(
+            "command_interface dynamic_joint_state needs the package control_msgs, which is not "
+            f"there ({error}); float64_multi_array and joint_state need nothing more"
+        ) from None
+    return DynamicJointState
+
+
+ARRAY = "float64_multi_array"
+"""The interface of ros2_control's group controllers."""
+
+INTERFACES = {
+    ARRAY: Interface(
+        "~/commands", lambda: Float64MultiArray, lambda names, _: MultiArrayTemplate(len(names))
+    ),
+    "joint_state": Interface(
+        "joint_command",
+        lambda: JointState,
+        lambda names, sender: JointStateTemplate(names, sender, effort=True),
+    ),
+    "dynamic_joint_state": Interface(
+        "dynamic_joint_commands", _dynamic_joint_state, DynamicJointStateTemplate
+    ),
+}
+"""By the names that the parameter ``command_interface`` may have."""
+
+
+class GroupOutput:
+    """Publishes merged commands of the joints that were set last.
+
+    One that is guarded publishes nothing from the moment in which the middleware has matched a
+    subscription that has not been looked at yet: it may be a controller with other joints.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        interface: str,
+        topic: str,
+        sender: str,
+        is_guarded: bool,
+        matched: Callable[[], None],
+    ) -> None:
+        self._interface, self._sender = INTERFACES[interface], sender
+        self._template: Any = None
+        self._count = 0
+        self._last_ns = 0
+        self.has_sent = False
+        self.withheld = 0
+        self.publisher = node.create_publisher(
+            self._interface.message(),
+            topic or self._interface.topic,
+            NEWEST_COMMAND,
+            qos_overriding_options=overridable(),
+            event_callbacks=PublisherEventCallbacks(matched=lambda _: matched()),
+        )
+        self._counter = MatchCounter(self.publisher) if is_guarded else None
+        self._settled = 0
+
+    @property
+    def matches(self) -> int:
+        """How many subscriptions it has ever been matched with; 0 if it is not guarded."""
+        return self._counter() if self._counter else 0
+
+    @property
+    def is_settled(self) -> bool:
+        """Whether all subscriptions have been looked at."""
+        return self.matches == self._settled
+
+    def settle(self, matches: int) -> None:
+        """Note that so many subscriptions have been looked at, of all that there have been."""
+        self._settled = matches
+
+    def set_joints(self, joints: Sequence[str]) -> None:
+        """Send these joints from now on, in this order."""
+        self._template = self._interface.template(joints, self._sender)
+        self._count = len(joints)
+
+    def send(self, merged: Merged) -> None:
+        """Publish a merged command, unless there is a subscription that was not looked at."""
+        if self._template is None:
+            return
+        raw = self._template.encode(merged.stamp_ns, effort=merged.efforts)
+        if self.is_settled:  # asked last: a subscription may still match before the next line
+            self.publisher.publish(raw)
+            self._last_ns = merged.stamp_ns
+            self.has_sent = True
+        else:
+            self.withheld += 1
+
+    def zero(self) -> None:
+        """Publish a zero for every joint, if anything has been published before."""
+        if self.has_sent:
+            self.send(Merged(self._last_ns, (0.0,) * self._count))
+
+    def destroy(self) -> None:
+        """Let the middleware forget the publisher."""
+        if self._counter:
+            self._counter.destroy()
+
+    def forget(self) -> None:
+        """Start again: there is nothing that a zero would have to end."""
+        self.has_sent = False
+
 
 _LOOK_EVERY = 0.05  # [s]
 _LOOK_AGAIN = 0.002  # [s], while nobody knows whose a subscription is
@@ -55,11 +176,11 @@ class ReceiverWatch:
         self._is_asking = False
         self._asked_at = 0.0
         self._client: Any = None
-        self.told_by = "nobody"
-        """Who says whether the controller is active."""
+        self.activity_topic = "nobody"
+        """Where it is published whether the controller is active."""
         if receiver.name:
             self._client = node.create_client(GetParameters, f"{receiver.name}/get_parameters")
-            self.told_by = _hear_activity(node, manager, self._hear)
+            self.activity_topic = _subscribe_to_activity(node, manager, self._note_states)
 
     def start(self) -> None:
         """Look from now on."""
@@ -132,13 +253,15 @@ class ReceiverWatch:
         self._receiver.note_joints(joints, interface)
         self._changed()
 
-    def _hear(self, states: Mapping[str, str]) -> None:
+    def _note_states(self, states: Mapping[str, str]) -> None:
         self._receiver.note_state(states.get(self._receiver.name.rpartition("/")[2]))
         self._changed()
 
 
-def _hear_activity(node: Node, manager: str, hear: Callable[[Mapping[str, str]], None]) -> str:
-    """Listen to what a manager says of its controllers.
+def _subscribe_to_activity(
+    node: Node, manager: str, note: Callable[[Mapping[str, str]], None]
+) -> str:
+    """Subscribe to the states of a manager's controllers, and return the topic.
 
     Its topic of activity says so at once; where the package of that message is not installed, its
     diagnostics do, once a second.
@@ -152,7 +275,7 @@ def _hear_activity(node: Node, manager: str, hear: Callable[[Mapping[str, str]],
         node.create_subscription(
             DiagnosticArray,
             "/diagnostics",
-            lambda message: _from_diagnostics(message, names, hear),
+            lambda message: _from_diagnostics(message, names, note),
             RARE,
         )
         return "/diagnostics"
@@ -160,18 +283,18 @@ def _hear_activity(node: Node, manager: str, hear: Callable[[Mapping[str, str]],
     node.create_subscription(
         ControllerManagerActivity,
         topic,
-        lambda message: hear({each.name: each.state.label for each in message.controllers}),
+        lambda message: note({each.name: each.state.label for each in message.controllers}),
         LATCHED,
     )
     return topic
 
 
 def _from_diagnostics(
-    message: DiagnosticArray, names: set[str], hear: Callable[[Mapping[str, str]], None]
+    message: DiagnosticArray, names: set[str], note: Callable[[Mapping[str, str]], None]
 ) -> None:
     for status in message.status:
         if status.name in names:
-            hear(
+            note(
                 {
                     pair.key.removesuffix(_STATE): pair.value
                     for pair in status.values
@@ -213,7 +336,7 @@ class MergedStream:
         """Merge from now on."""
         merger = CommandMerger(settings)
         with self._lock:
-            self.output.agree(settings.names)
+            self.output.set_joints(settings.names)
             self.merger = merger
         if self._node.supervisor is not None:
             self._node.supervisor.check_again()
@@ -344,146 +467,3 @@ class MergedStream:
             with self._sending():
                 merger.supersede(0.0, time.perf_counter_ns())
         self._is_cut = False
-
-
-_OFTEN_LATE = 0.1  # of the messages of a report
-_MICROSECOND = 1e3  # [ns]
-
-
-class Standing(NamedTuple):
-    """How a merger stands at its surroundings."""
-
-    lifecycle: str  # the managed node's state
-    waiting: str  # what it waits for before it sends anything; empty if nothing
-    is_unheard: bool  # whether that is a controller that does not act, or cannot be used
-    claim: str  # how its claim of the topic stands
-    refusal: str  # whose the topic is if not its own; empty if nobody has said so
-    told_by: str  # who says whether the receiver is active
-    rivals: Sequence[str]  # nodes that publish beside it
-    withheld: int  # messages that were not sent while it was not known to whom they would go
-
-
-class MergerHealth:
-    """Counts what came, and publishes the merger's status."""
-
-    period = 1.0
-
-    def __init__(self, node: Node, topic: str) -> None:
-        self._topic = topic
-        self._diagnostics = Diagnostics(node, topic)
-        self.fault = self._diagnostics.fault
-        self.misread = 0
-        self.delays = Durations()
-        self._requests = 0
-        self._before: dict[str, tuple[int, int]] = {}  # late and invalid, by joint
-        self._sent_before = 0
-        self.scheduling = ""
-
-    def misread_command(self, line: str) -> None:
-        """Note bytes that were no command."""
-        self.misread += 1
-        self.fault(f"command refused: {line}")
-
-    def refused_request(self, line: str) -> None:
-        """Note a service request, or a transition, that failed."""
-        self._requests += 1
-        self.fault(line)
-
-    def report(self, standing: Standing, merger: CommandMerger | None, conflict: str) -> None:
-        """Publish the status now."""
-        level, message = self._verdict(standing, merger, conflict)
-        self._diagnostics.publish(
-            level,
-            message,
-            {
-                "lifecycle": standing.lifecycle,
-                "claim": standing.claim,
-                "topic": self._topic,
-                "activity told by": standing.told_by,
-                **(_readings(merger) if merger is not None else {}),
-                "messages withheld": standing.withheld,
-                **self._delays(),
-                "misread commands": self.misread,
-                "refused requests": self._requests,
-                "scheduling": self.scheduling,
-                "last fault": self._diagnostics.last_fault,
-            },
-        )
-
-    def _verdict(
-        self, standing: Standing, merger: CommandMerger | None, conflict: str
-    ) -> tuple[bytes, str]:
-        if standing.lifecycle != "active":
-            if standing.refusal:
-                return WARN, f"{standing.lifecycle}: {standing.refusal}"
-            return OK, standing.lifecycle
-        errors = [conflict] if conflict else []
-        if standing.rivals:
-            errors.append(f"{', '.join(standing.rivals)} also publishes on {self._topic}")
-        if standing.is_unheard:
-            errors.insert(0, standing.waiting)
-        if merger is not None and merger.has_begun and merger.silent:
-            errors.append(shown_silent(merger))
-        warnings = [standing.waiting] if standing.waiting and not standing.is_unheard else []
-        warnings += self._irregular(merger) if merger is not None else []
-        if errors or warnings:
-            return ERROR if errors else WARN, "; ".join(errors + warnings)
-        return OK, "merging"
-
-    def _irregular(self, merger: CommandMerger) -> list[str]:
-        """Return warnings of joints that were often late since the last report, or not finite."""
-        messages, self._sent_before = merger.sent - self._sent_before, merger.sent
-        lines = []
-        for name, counts in merger.counts.items():
-            late, invalid = self._before.get(name, (0, 0))
-            self._before[name] = counts.late, counts.invalid
-            if counts.invalid > invalid:
-                lines.append(f"{name} commands what is not finite")
-            elif counts.late - late > _OFTEN_LATE * max(messages, 1):
-                lines.append(f"{name} is late")
-        return lines
-
-    def restart(self) -> None:
-        """Note that what was counted is counted from zero."""
-        self._before, self._sent_before = {}, 0
-
-    def _delays(self) -> dict[str, float]:
-        spread = self.delays.recent()
-        return {
-            "first answer to message, median [us]": spread.median,
-            "first answer to message, 99th percentile [us]": spread.p99,
-            "first answer to message, largest [us]": spread.maximum,
-        }
-
-
-def shown_silent(merger: CommandMerger) -> str:
-    """Return one line about the joints that are silent."""
-    joints = ", ".join(f"{joint.name} (sent {joint.fallback:g})" for joint in merger.silent)
-    return f"silent: {joints}"
-
-
-def _readings(merger: CommandMerger) -> dict[str, object]:
-    """Return what a merger counted, by name, for ``/diagnostics``."""
-    counts = merger.counts.values()
-    by_joint = {
-        "late": {name: each.late for name, each in merger.counts.items()},
-        "silences": {name: each.silences for name, each in merger.counts.items()},
-        "returns": {name: each.returns for name, each in merger.counts.items()},
-        "commands not finite": {name: each.invalid for name, each in merger.counts.items()},
-    }
-    return {
-        "joints": ", ".join(merger.settings.names),
-        "silent": ", ".join(joint.name for joint in merger.silent) or "none",
-        "period of the states [us]": merger.rounds.period_ns / _MICROSECOND,
-        "wait for stragglers [us]": merger.rounds.wait_ns / _MICROSECOND,
-        "messages": merger.sent,
-        "messages with every answer": merger.sent_whole,
-        "commands": sum(each.commands for each in counts),
-        "commands for other joints": merger.foreign,
-        **{what: _named(values) for what, values in by_joint.items()},
-    }
-
-
-def _named(values: dict[str, int]) -> str:
-    """Return the counts that are not zero, with their joints."""
-    return ", ".join(f"{name} {count}" for name, count in values.items() if count) or "none"
