@@ -189,7 +189,7 @@ def test_a_joint_that_another_host_holds_is_refused_for_as_long_as_it_says_so(ha
     assert change(harness, "deactivate", "standby")
     far.tell()
     assert refused()
-    far.tell(far.claim.become(ClaimState.RELEASED))
+    far.tell(replace(far.claim, state=ClaimState.RELEASED))
     harness.wait(
         lambda: change(harness, "activate", "standby"), within=LEASE - 0.5, what="the release"
     )

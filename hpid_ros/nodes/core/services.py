@@ -76,11 +76,6 @@ def as_declared(given: Parameter, kind: Parameter.Type) -> Parameter:
     )
 
 
-def is_same(present: Parameter, change: Parameter) -> bool:
-    """Return whether a change would change nothing."""
-    return bool(present.get_parameter_value() == change.get_parameter_value())
-
-
 def require_known(nodes: Sequence[tuple[str, Collection[str], Collection[str]]]) -> None:
     """Refuse parameters that were given to nodes of which none has them.
 
@@ -133,7 +128,7 @@ def _shown(value: object) -> str:
 
 
 class _Names(yaml.SafeLoader):
-    """Reads the names in files of launch, which tags its arrays as tuples of Python."""
+    """Reads files of launch, which tags its arrays as tuples of Python."""
 
 
 _Names.add_multi_constructor("tag:yaml.org,2002:python/", lambda loader, suffix, node: None)
@@ -239,7 +234,7 @@ def guard_services(node: Node, fault: Callable[[str], None]) -> None:
     valid set to another there would be sets that are refused, and of a set with one bad gain the
     others would be active. What comes in one request is therefore set or refused as a whole. And
     where one parameter has no value, rclpy answers a request
-    for many with nothing at all; here it is told as not set, as the service's definition says.
+    for many with nothing at all; here it is answered as not set, as the service's definition says.
 
     What is set to the value that it has is taken, also where it is fixed: so what was dumped can
     be loaded. Whatever is refused is refused with a reason.
@@ -290,7 +285,7 @@ def _whole_sets(node: Node, fault: Callable[[str], None]) -> ServiceCallback:
         for index, change in changes:
             results[index] = whole if change in free else _set(node, [change])
         response.results = results
-        _tell_refusal(results, fault)
+        _report_refusal(results, fault)
         return response
 
     return call
@@ -302,7 +297,7 @@ def _atomic_sets(node: Node, fault: Callable[[str], None]) -> ServiceCallback:
             response.result = _set(node, _changes(node, request.parameters))
         except (ValueError, TypeError) as error:
             response.result = _refused(str(error))
-        _tell_refusal([response.result], fault)
+        _report_refusal([response.result], fault)
         return response
 
     return call
@@ -316,7 +311,8 @@ def _changes(node: Node, messages: Sequence[ParameterMessage]) -> list[Parameter
             raise SettingError(unknown_name("parameter", message.name, declared_names(node)))
         kind = Parameter.Type(node.describe_parameter(message.name).type)
         change = as_declared(Parameter.from_parameter_msg(message), kind)
-        if not is_same(node.get_parameter_or(message.name), change):
+        present = node.get_parameter_or(message.name)
+        if present.get_parameter_value() != change.get_parameter_value():
             changes.append(change)
     return changes
 
@@ -330,8 +326,8 @@ def _all_values(node: Node) -> ServiceCallback:
     return call
 
 
-def _tell_refusal(results: Sequence[SetParametersResult], fault: Callable[[str], None]) -> None:
-    """Tell once of a request of which something was refused."""
+def _report_refusal(results: Sequence[SetParametersResult], fault: Callable[[str], None]) -> None:
+    """Report once a request of which something was refused."""
     reasons = dict.fromkeys(each.reason for each in results if not each.successful)
     if reasons:
         fault(f"set of parameters refused: {'; '.join(reasons)}")

@@ -30,8 +30,12 @@ from hpid_ros.nodes.core.middleware import (
 from hpid_ros.nodes.core.process import read_choice, read_number, read_only, schedule
 from hpid_ros.nodes.core.status import ERROR, OK, WARN, Diagnostics, StatusPipe
 from hpid_ros.nodes.parts.bridge_commanders import Commanders, HeldCommands
-from hpid_ros.nodes.parts.bridge_services import BridgeReports, BridgeServices, BridgeTiming
-from hpid_ros.nodes.parts.standard_services import offer_standard_services
+from hpid_ros.nodes.parts.bridge_services import (
+    BridgeReports,
+    BridgeServices,
+    BridgeTiming,
+    offer_standard_services,
+)
 from hpid_ros.simulation.lockstep import AnswerCounts, Barrier
 from hpid_ros.simulation.world import World
 from hpid_ros.simulation.world_file import WorldFile, world_of
@@ -259,7 +263,7 @@ class RobotBridge(executor.ClosingNode):
         self._reports = BridgeReports(self, self._world, prefix, pace.end_ns)
         self._simulation = BridgeServices(self, self._world, prefix, self._reset, self._resume)
         offer_standard_services(self, self._simulation, self._world)
-        self._told = ""
+        self._reported = ""
         self._diagnostics = Diagnostics(self, self._world.description.name)
         self._misread = self._obeyed = 0
         self._is_done = False
@@ -373,12 +377,12 @@ class RobotBridge(executor.ClosingNode):
 
     def _finish(self) -> None:
         self._is_done = True
-        self._tell_end("finished")
+        self._send_summary("finished")
         if self._pace.exits:
             self.request_stop()
 
-    def _tell_end(self, event: str) -> None:
-        """Tell a parent what the whole run was like."""
+    def _send_summary(self, event: str) -> None:
+        """Send a parent the figures of the whole run."""
         self._status.send(
             event,
             states=self._world.time_ns // self._world.settings.control_period_ns + 1,
@@ -397,8 +401,8 @@ class RobotBridge(executor.ClosingNode):
             message = "paused"
         if not self._is_started:
             message = "waiting for controllers"
-        if message != self._told:
-            self._told = message
+        if message != self._reported:
+            self._reported = message
             if silent and self._is_started:  # rclpy wants a line of its own for each severity
                 self.get_logger().warning(message)
             else:
@@ -418,9 +422,9 @@ class RobotBridge(executor.ClosingNode):
         self._diagnostics.publish(level, conflict or message, values)
 
     def close(self) -> None:
-        """Leave the engine, and tell how it was if nobody has been told."""
+        """Leave the engine, and send a summary if none has been sent."""
         if self._is_started and not self._is_done:
-            self._tell_end("stopped")
+            self._send_summary("stopped")
         self._world.close()
 
 

@@ -6,17 +6,18 @@ import math
 import time
 from collections.abc import Mapping, Sequence
 from itertools import compress
-from typing import Any, Protocol
+from typing import Any
 
 from rclpy.node import Node
 
 from hpid_ros.base.names import controller_name
 from hpid_ros.nodes.parts.joint_topics import node_of
+from hpid_ros.nodes.parts.merger import JointCounts
 from hpid_ros.simulation.lockstep import AnswerCounts, FollowedSender
 
 
 class HeldCommands:
-    """Takes commands as they come and waits for nobody; else it has the face of a ``Barrier``.
+    """Takes commands as they come and waits for nobody; else it is used as a ``Barrier`` is.
 
     A command stands until the joint's next one, whichever state it answers, so that a late
     controller costs delay and not effort. A joint whose last command came too long ago gets no
@@ -98,26 +99,20 @@ class HeldCommands:
         return effort if self._stamp_ns - came_ns <= self._timeout_ns else None
 
 
-class Conflicts(Protocol):
-    """Counts a joint's conflicting commands."""
-
-    conflicting: int  # commands that cannot come from one sender alone
-
-
 class Commanders:
     """Follows one sender a joint, and reports joints that have more than one.
 
-    A joint follows who commanded it first, until that one is silent. Our controllers say in each
-    command who they are (:func:`.sender_of`); the middleware does not, in
-    rclpy of Jazzy. All who say nothing are one sender: two of them are both obeyed, give
-    themselves away by answers that differ, and are named as far as the graph knows them.
+    A joint follows who commanded it first, until that one is silent. Our controllers name
+    themselves in each command (:func:`.sender_of`); the middleware, in rclpy of Jazzy, does not.
+    All without a name are one sender: two of them are both obeyed, differ in their answers, and
+    are named as far as the graph knows them.
     """
 
     def __init__(
         self,
         node: Node,
         joints: Sequence[str],
-        counts: Mapping[str, Conflicts],
+        counts: Mapping[str, AnswerCounts] | Mapping[str, JointCounts],
         patience: float,
     ) -> None:
         self._node = node

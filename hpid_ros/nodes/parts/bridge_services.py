@@ -18,6 +18,7 @@ from hpid_ros.base.durations import Durations
 from hpid_ros.base.errors import HpidError
 from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.messages import reports as wire
+from hpid_ros.nodes.core.executor import ClosingNode
 from hpid_ros.nodes.core.middleware import LATCHED, OFFERED, RARE
 from hpid_ros.nodes.core.process import read_number, read_only
 from hpid_ros.simulation.gripper import GRASPED, LOST, MISSED, GripEvent
@@ -39,9 +40,9 @@ class BridgeServices:
         self._node = node
         self._world = world
         self._prefix = prefix
-        self._reset = reset
+        self.reset = reset
         self._resume = resume
-        self._is_paused = False
+        self.is_paused = False  # time stands still but for single steps
         self._steps = 0
         duration = read_number(
             node,
@@ -56,31 +57,22 @@ class BridgeServices:
         node.create_service(Trigger, "~/reset", self._on_reset)
         node.create_subscription(WrenchStamped, "~/wrench", self._on_wrench, RARE)
 
-    @property
-    def is_paused(self) -> bool:
-        """Whether time stands still but for single steps."""
-        return self._is_paused
-
     def pause(self, is_paused: bool) -> None:
         """Let time stand still from now on, or go on."""
-        self._is_paused, self._steps = is_paused, 0
+        self.is_paused, self._steps = is_paused, 0
         if not is_paused:
             self._resume()
 
     def step(self) -> bool:
         """Let a paused simulation go on by one control period, and tell whether it is paused."""
-        if self._is_paused:
+        if self.is_paused:
             self._steps += 1
             self._resume()
-        return self._is_paused
-
-    def reset(self) -> None:
-        """Go back to time zero."""
-        self._reset()
+        return self.is_paused
 
     def may_advance(self) -> bool:
         """Return whether one more control period may be simulated, and use up a single step."""
-        if not self._is_paused:
+        if not self.is_paused:
             return True
         if self._steps == 0:
             return False
@@ -89,14 +81,14 @@ class BridgeServices:
 
     def _on_pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         response.success = True
-        response.message = self._told("paused" if request.data else "running")
+        response.message = self._at_now("paused" if request.data else "running")
         self.pause(request.data)
         return response
 
     def _on_step(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         response.success = self.step()
         response.message = (
-            self._told("one control period")
+            self._at_now("one control period")
             if response.success
             else "not paused: call ~/pause with data: true first"
         )
@@ -104,7 +96,7 @@ class BridgeServices:
 
     def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self.reset()
-        response.success, response.message = True, self._told("reset")
+        response.success, response.message = True, self._at_now("reset")
         return response
 
     def _on_wrench(self, message: WrenchStamped) -> None:
@@ -119,8 +111,98 @@ class BridgeServices:
         except HpidError as error:
             self._node.get_logger().warning(f"wrench refused: {error}")
 
-    def _told(self, what: str) -> str:
+    def _at_now(self, what: str) -> str:
         return f"{what} at {self._world.time_ns / NANOSECONDS:.3f} s"
+
+
+def offer_standard_services(node: ClosingNode, simulation: BridgeServices, world: World) -> None:
+    """Offer the services of ``simulation_interfaces`` where their package is installed.
+
+    Source: the definitions of ``simulation_interfaces``, 2.1.0; run with 1.5.1, Jazzy's, too.
+    """
+    try:
+        from simulation_interfaces import msg, srv
+    except ImportError:
+        return
+    states, results, features = msg.SimulationState, msg.Result, msg.SimulatorFeatures
+    already = srv.SetSimulationState.Response.ALREADY_IN_TARGET_STATE
+    scopes = srv.ResetSimulation.Request
+    both = scopes.SCOPE_TIME | scopes.SCOPE_STATE
+
+    def answered(response: Any, result: int = results.RESULT_OK, line: str = "") -> Any:
+        response.result.result, response.result.error_message = int(result), line
+        return response
+
+    def unsupported(response: Any, line: str) -> Any:
+        return answered(response, results.RESULT_FEATURE_UNSUPPORTED, line)
+
+    def present() -> int:
+        if not simulation.is_paused:
+            return int(states.STATE_PLAYING)
+        return int(states.STATE_STOPPED if world.time_ns == 0 else states.STATE_PAUSED)
+
+    def get_features(request: Any, response: Any) -> Any:
+        response.features.features = [
+            *(features.SIMULATION_RESET, features.SIMULATION_RESET_TIME),
+            *(features.SIMULATION_RESET_STATE, features.SIMULATION_STATE_GETTING),
+            *(features.SIMULATION_STATE_SETTING, features.SIMULATION_STATE_PAUSE),
+            features.STEP_SIMULATION_SINGLE,
+        ]
+        response.features.custom_info = (
+            "one step is one control period; a reset is of time and state"
+        )
+        return response
+
+    def get_state(request: Any, response: Any) -> Any:
+        response.state.state = present()
+        return answered(response)
+
+    def set_state(request: Any, response: Any) -> Any:
+        """Stopped is paused at time zero."""
+        wanted = request.state.state
+        if wanted == present():
+            return answered(response, already)
+        if wanted == states.STATE_PLAYING:
+            simulation.pause(False)
+        elif wanted in (states.STATE_PAUSED, states.STATE_STOPPED):
+            simulation.pause(True)
+            if wanted == states.STATE_STOPPED:
+                simulation.reset()
+        elif wanted == states.STATE_QUITTING:
+            node.request_stop()
+        else:
+            return unsupported(
+                response,
+                f"the state may be stopped (0), playing (1), paused (2) or quitting (3), "
+                f"not {wanted}",
+            )
+        return answered(response)
+
+    def reset(request: Any, response: Any) -> Any:
+        if request.scope != scopes.SCOPE_DEFAULT and request.scope & both != both:
+            return unsupported(
+                response,
+                f"time and state are reset together, by scope 0, {both} or 255, "
+                f"not {request.scope}",
+            )
+        simulation.reset()
+        return answered(response)
+
+    def step(request: Any, response: Any) -> Any:
+        """In lock-step a control period waits for the answers."""
+        if request.steps != 1:
+            return unsupported(response, f"one step at a time, not {request.steps}")
+        if not simulation.step():
+            return answered(
+                response, results.RESULT_OPERATION_FAILED, "the simulation is not paused"
+            )
+        return answered(response)
+
+    node.create_service(srv.GetSimulatorFeatures, "~/get_simulator_features", get_features)
+    node.create_service(srv.GetSimulationState, "~/get_simulation_state", get_state)
+    node.create_service(srv.SetSimulationState, "~/set_simulation_state", set_state)
+    node.create_service(srv.ResetSimulation, "~/reset_simulation", reset)
+    node.create_service(srv.StepSimulation, "~/step_simulation", step)
 
 
 _MESSAGES: dict[str, Any] = {
@@ -134,7 +216,7 @@ _MESSAGES: dict[str, Any] = {
 
 
 class BridgeReports:
-    """Publishes what is told of base and task, at a rate of simulated time.
+    """Publishes reports of base and task, at a rate of simulated time.
 
     The URDF is latched on ``robot_description``, where RViz and Foxglove look for it.
     Among bricks the service ``~/grip`` closes or opens the gripper.

@@ -1,17 +1,13 @@
-"""One controller a joint: who is active claims it, and who would be second is refused.
+"""One controller a joint: an active controller claims it, and a second one is refused.
 
-On one host the kernel decides, at once. Between hosts the graph does: a claim is told on a topic
-of the joint's own beside its commands, again and again, and others listen to it before they move
-the joint. Neither does anything when a state comes.
+On one host the kernel decides, at once: by the name of an abstract unix socket, which is taken
+atomically and freed when the process ends, however that ends. A second socket of the holder has
+its owner in its name, which can be read in the kernel's table even while the holder is frozen.
 
-The name is that of an abstract unix socket. To take it is atomic, the kernel frees it when the
-process ends, however that ends, and it costs nothing in between. A second socket of the holder
-bears who it is in its name: that can be read in the table of the kernel even while the holder is
-frozen, and nobody can send anything to either.
-
-A claim is told again and again by who makes it, and ends when it has not been heard for a lease.
-First it is a wish, for as long as others need to answer, and then it is held. Who wishes yields
-to who holds; among equals the order is that of the records, so that both sides decide alike.
+Between hosts the graph decides: a claim is published again and again on a topic of the joint's
+own, and ends when none has come for a lease. First it is a wish, for as long as others need to
+answer, and then it is held. A wish yields to a held claim; among equals the order is that of the
+records, so that both sides decide alike. Neither does anything when a state comes.
 """
 
 from __future__ import annotations
@@ -113,7 +109,7 @@ LEASE = 1.5
 
 
 class ClaimState(Enum):
-    """How far a claim has come."""
+    """How far a claim has come; the values are on the graph."""
 
     WISHED = "wished"
     HELD = "held"
@@ -131,11 +127,10 @@ class Claim:
     pid: int  # its process
     since_ns: int  # [ns] when its process began, or came back to life, by its host's clock
     realm: str
-    state: ClaimState = ClaimState.WISHED  # how far it has come
+    state: ClaimState = ClaimState.WISHED
 
     @property
     def owner(self) -> tuple[str, str, int, str]:
-        """Who claims."""
         return self.realm, self.host, self.pid, self.node
 
     def yields_to(self, other: Claim) -> bool:
@@ -147,32 +142,28 @@ class Claim:
             return self.state is ClaimState.WISHED
         return (other.since_ns, *other.owner) < (self.since_ns, *self.owner)
 
-    def become(self, state: ClaimState) -> Claim:
-        """Return it in another state."""
-        return replace(self, state=state)
-
 
 class ReceivedClaims:
-    """The claims of others, as far as they have been heard of late."""
+    """The claims of others that have not ended."""
 
     def __init__(self) -> None:
-        self._heard: dict[tuple[str, str, int, str], tuple[float, Claim]] = {}
+        self._received: dict[tuple[str, str, int, str], tuple[float, Claim]] = {}
 
     def receive(self, claim: Claim, now: float) -> None:
-        """Take a claim that was told."""
+        """Take a claim that was published."""
         if claim.state is ClaimState.RELEASED:
-            self._heard.pop(claim.owner, None)
+            self._received.pop(claim.owner, None)
         else:
-            self._heard[claim.owner] = now, claim
+            self._received[claim.owner] = now, claim
 
     def standing(self, now: float) -> Claim | None:
         """Return the claim that stands, the strongest of several; None if there is none."""
-        self._heard = {
-            owner: (heard, claim)
-            for owner, (heard, claim) in self._heard.items()
-            if now - heard <= LEASE
+        self._received = {
+            owner: (at, claim)
+            for owner, (at, claim) in self._received.items()
+            if now - at <= LEASE
         }
-        claims = [claim for _, claim in self._heard.values()]
+        claims = [claim for _, claim in self._received.values()]
         for claim in claims:
             if not any(claim.yields_to(other) for other in claims if other is not claim):
                 return claim
@@ -182,7 +173,7 @@ class ReceivedClaims:
 SCOPES = ("joint", "none")
 
 _BEAT = 0.25  # [s]; six of them are a lease
-_OVERDUE = 0.75  # [s] since the claim was last told, after which the supervisor's thread tells it
+_OVERDUE = 0.75  # [s] since the last message, after which the supervisor's thread publishes
 _LOCK_WITHIN = 0.2  # [s]; whoever holds it longer is stuck in the middleware, as we would be
 _SETTLES_WITHIN = 0.5  # [s]; a holder on a network that is found at all has answered by then
 _CLOCK = getattr(time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC)  # goes on while a host sleeps
@@ -190,7 +181,7 @@ _STARTED_NS = time.time_ns()  # one for all joints of a process: all of them win
 
 
 def claims_joint(node: Node) -> bool:
-    """Declare the parameter ``claim`` and tell whether it asks for a joint of the node's own."""
+    """Declare the parameter ``claim`` and return whether a joint is claimed."""
     scope = read_choice(
         node,
         "claim",
@@ -238,15 +229,15 @@ class JointClaim:
         self._claim = Claim(joint, commands, name, host, pid, _STARTED_NS, f"{realm} {graph}")
         self._others = ReceivedClaims()
         self._listening_since: float | None = None
-        self._told = 0.0
-        self._telling = threading.Lock()
+        self._published_at = 0.0
+        self._publishing = threading.Lock()
         topic = claim_topic(commands, joint)
         self._publisher = node.create_publisher(DiagnosticStatus, topic, LATCHED)
         node.create_subscription(DiagnosticStatus, topic, self._on_claim, LATCHED)
 
     @property
     def text(self) -> str:
-        """How it stands, for ``/diagnostics``."""
+        """Its state, for ``/diagnostics``."""
         if not self._is_claiming:
             return "none"
         return "none yet" if self._mine is None else self._mine.state.value
@@ -271,14 +262,14 @@ class JointClaim:
             raise self._refused(holder)
         self.refusal = ""
         self._listening_since = None
-        # In the closed mode nobody else is there to be listened to.
+        # In the closed mode there is nobody else.
         state = ClaimState.HELD if self._is_closed else ClaimState.WISHED
         self._mine = self._claim
         self._timer = steady_timer(self._node, _BEAT, self._beat)
         self._become(state)
 
     def settle(self) -> bool:
-        """Hold the joint once others have had the time to say that it is theirs."""
+        """Hold the joint once others have had the time to answer that it is theirs."""
         if self._mine is not None and self._mine.state is ClaimState.WISHED:
             now = _now()
             if self._listening_since is None:  # the first call while messages are taken
@@ -304,14 +295,14 @@ class JointClaim:
     def _beat(self) -> None:
         if self._mine is None:
             return
-        self._begin_anew_if_lapsed()
+        self._begin_again_after_lease()
         self.settle()
-        with self._telling:
-            self._tell()
+        with self._publishing:
+            self._publish()
 
-    def _begin_anew_if_lapsed(self) -> None:
+    def _begin_again_after_lease(self) -> None:
         """Wish again after having stood still: for the others the claim has ended."""
-        if self._mine is None or _now() - self._told <= LEASE:
+        if self._mine is None or _now() - self._published_at <= LEASE:
             return
         self._listening_since = None
         if self._mine.state is ClaimState.HELD:
@@ -335,44 +326,44 @@ class JointClaim:
         self._others.receive(claim, _now())
         if claim.state is ClaimState.RELEASED or self._mine is None:
             return
-        self._begin_anew_if_lapsed()
+        self._begin_again_after_lease()
         if self._mine.yields_to(claim):
             was_held = self._mine.state is ClaimState.HELD
             self._lose(self._refused(_named(claim)), was_held)
 
     def keep(self) -> float:
-        """Tell a held claim where the executor does not, and return when to look again, in [s].
+        """Publish a held claim where the executor does not, and return when to check again [s].
 
         On any thread: whoever gives efforts while the executor is busy or stuck holds its joint.
         """
-        if not self._is_claiming or not self._telling.acquire(timeout=_LOCK_WITHIN):
+        if not self._is_claiming or not self._publishing.acquire(timeout=_LOCK_WITHIN):
             return _OVERDUE if self._is_claiming else math.inf
         try:
-            mine, silence = self._mine, _now() - self._told
+            mine, silence = self._mine, _now() - self._published_at
             if mine is None or mine.state is not ClaimState.HELD or silence > LEASE:
                 return math.inf  # not held, or held no more: the executor starts again
             if silence < _OVERDUE:
                 return _OVERDUE - silence
-            self._tell()
+            self._publish()
             return _OVERDUE
         finally:
-            self._telling.release()
+            self._publishing.release()
 
     def _become(self, state: ClaimState) -> None:
-        """Go over to another state, and tell it."""
-        with self._telling:
-            self._mine = self._claim.become(state)
-            self._tell()
+        """Go over to another state, and publish it."""
+        with self._publishing:
+            self._mine = replace(self._claim, state=state)
+            self._publish()
             if state is ClaimState.RELEASED:
                 self._mine = None
         if state is ClaimState.HELD and self._node.supervisor is not None:
             self._node.supervisor.check_again()
 
-    def _tell(self) -> None:
-        """Tell how it stands; only to be called by who has the lock."""
+    def _publish(self) -> None:
+        """Publish how it stands; with the lock held."""
         assert self._mine is not None
         self._publisher.publish(to_message(self._mine))
-        self._told = _now()
+        self._published_at = _now()
 
     def _refused(self, holder: str) -> ClaimError:
         self.refusal = f"{self._what} is commanded by {holder}"
@@ -391,7 +382,7 @@ def _named(claim: Claim) -> str:
 
 
 def to_message(claim: Claim) -> DiagnosticStatus:
-    """Return the message that tells a claim."""
+    """Return the message of a claim."""
     values = {
         "commands": claim.commands,
         "host": claim.host,

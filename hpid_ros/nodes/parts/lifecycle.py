@@ -70,20 +70,16 @@ class ManagedNode(LifecycleNode, executor.ClosingNode):
         return lifecycle_state(self)
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Configure."""
         return self._do(self.prepare)
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Activate."""
         self.is_active = True
         return self._do(self.begin)
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Deactivate."""
         return self._do(self._leave)
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Clean up."""
         return self._do(self.dispose)
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:

@@ -4,6 +4,7 @@ import math
 import os
 import random
 import socket
+from dataclasses import replace
 
 import pytest
 from hypothesis import given
@@ -43,7 +44,7 @@ class Side:
 
     def settle(self):
         if self.claim is not None and self.claim.state is ClaimState.WISHED:
-            self.claim = self.claim.become(ClaimState.HELD)
+            self.claim = replace(self.claim, state=ClaimState.HELD)
             self.told.append(self.claim)
 
     def receive(self, claim):
@@ -87,7 +88,7 @@ def test_a_claim_stands_for_its_lease_or_until_it_is_released():
     assert heard.standing(10.0 + LEASE) == claim
     assert heard.standing(10.1 + LEASE) is None
     heard.receive(claim, 20.0)
-    heard.receive(claim.become(ClaimState.RELEASED), 20.1)
+    heard.receive(replace(claim, state=ClaimState.RELEASED), 20.1)
     assert heard.standing(20.1) is None
 
 
