@@ -2,13 +2,14 @@
 #   make compare   set up .venv and run the paper's comparison
 #   make test      set up .venv with the test extras and run the suite
 # PYTHON=python3.12 chooses the interpreter; make install sets .venv up and runs nothing.
-#   make busy      tests of nodes once more, beside two busy loops; tools/repeat_tests.sh repeats all
+# What CI runs with it (.ci/run); tools/repeat_tests.sh repeats all of them:
+#   make faults    break things on purpose, and a table of what was done and what came of it
+#   make repository  packaging, documentation, layout, examples and benchmarks; make lint runs it, too
+#   make busy      tests of nodes and faults once more, beside two busy loops
 # For every save:
 #   make quick     the unit tests alone
 # Before a release:
 #   make thorough  the suite with twenty times the examples of every property
-# And for whoever must trust it on an arm:
-#   make faults    break things on purpose and count what came of it
 # The documentation as a site:
 #   make docs      build/site/index.html
 # Options for hpid compare: make compare ARGS="FILE --output FOLDER --in-process"
@@ -17,7 +18,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: install compare test busy quick thorough faults bench lint docs clean
+.PHONY: install compare test faults repository busy quick thorough bench lint docs clean
 
 $(BIN)/python:
 	$(PYTHON) -m venv $(VENV)
@@ -48,43 +49,50 @@ compare: $(VENV)/.installed
 # Each file on one of so many processes, the long ones first; graphs have domains of their own.
 JOBS ?= 2
 SPREAD := -n $(JOBS) --dist loadfile --no-loadscope-reorder --max-worker-restart 0
+PYTEST = $(BIN)/python -m pytest $(PROFILE)
 
 thorough: PROFILE := --hypothesis-profile thorough
-thorough: test
+thorough: test faults
+
+# Files with a marker: to import all the others to collect few takes longer than to run some.
+with = $(shell grep -rl '$(1)' test --include='test_*.py')
 
 # In three parts, each of which runs whatever became of the others: what keeps the time of the wall
 # has the machine to itself, and the closed mode its own process.
+parts = @failed=; \
+	$(PYTEST) $(SPREAD) -m "$(1) and not alone and not closed" $(2) || failed="$$failed main"; \
+	$(PYTEST) -m "$(1) and closed" test/closed $(call with,mark.closed) || failed="$$failed closed"; \
+	$(PYTEST) -m "$(1) and alone and not closed" $(call with,mark.alone) || failed="$$failed alone"; \
+	test -z "$$failed" || { echo "failed:$$failed"; exit 1; }
+
 test: $(VENV)/.test-installed
 ifeq ($(strip $(ARGS)),)
-	@failed=; \
-	$(BIN)/python -m pytest $(PROFILE) $(SPREAD) -m "not alone and not closed" || failed="$$failed main"; \
-	$(BIN)/python -m pytest $(PROFILE) -m closed || failed="$$failed closed"; \
-	$(BIN)/python -m pytest $(PROFILE) -m "alone and not closed" || failed="$$failed alone"; \
-	test -z "$$failed" || { echo "failed:$$failed"; exit 1; }
+	$(call parts,not faults and not repository)
 else
-	$(BIN)/python -m pytest $(ARGS)
+	$(PYTEST) $(ARGS)
 endif
 
-# Nodes on graphs and faults, beside two busy loops.
+# Longer: HPID_SOAK_MINUTES=60, python -m benchmarks.faults --minutes 10
+faults: $(VENV)/.test-installed
+	$(call parts,faults,test/faults $(call with, faults))
+
+repository: $(VENV)/.test-installed
+	$(PYTEST) $(SPREAD) -m repository -q $(call with,mark.repository) $(ARGS)
+
 busy: $(VENV)/.test-installed
 	@(while :; do :; done) & first=$$!; (while :; do :; done) & second=$$!; \
 	trap "kill $$first $$second" EXIT; trap "exit 1" INT TERM; failed=0; \
-	$(BIN)/python -m pytest $(SPREAD) -m "(graph or faults) and not alone" $(ARGS) || failed=1; \
-	$(BIN)/python -m pytest -m "closed and not alone" $(ARGS) || failed=1; \
+	$(PYTEST) $(SPREAD) -m "not alone and not closed" test/graph test/faults $(ARGS) || failed=1; \
+	$(PYTEST) -m "not alone" test/closed $(ARGS) || failed=1; \
 	exit $$failed
 
 quick: $(VENV)/.test-installed
-	$(BIN)/python -m pytest $(SPREAD) -m "unit and not slow" -q $(ARGS)
-
-# The tests that break things on purpose, and a table of what they did and what came of it.
-# Longer: python -m benchmarks.faults --minutes 10, python -m benchmarks.soak --minutes 60
-faults: $(VENV)/.test-installed
-	HPID_SOAK_MINUTES=$${HPID_SOAK_MINUTES:-2} $(BIN)/python -m pytest --faults $(ARGS)
+	$(PYTEST) $(SPREAD) -m "not slow and not repository" -q test/unit $(ARGS)
 
 bench: $(VENV)/.bench-installed
 	$(BIN)/python -m benchmarks $(ARGS)
 
-lint: $(VENV)/.test-installed
+lint: repository
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy

@@ -26,7 +26,7 @@ for number in (signal.SIGHUP, signal.SIGQUIT):  # nodes ignore what nohup or a s
     signal.signal(number, signal.SIG_DFL)
 NodeProcess.popen = ForkedPopen  # of the suite's processes: nodes that it starts are forked
 
-FAULTS = pytest.StashKey()
+FAULT = "fault"  # a property of a test: what is counted, and how many more
 HUNG = 300.0  # [s] beyond a test's timeout: what that could not end waits outside of Python
 TESTS = Path(__file__).parent
 
@@ -62,44 +62,30 @@ def harness(tmp_path, environment_of):
 class Faults:
     """Counts what a test did to the package and what came of it, for ``make faults``."""
 
-    def __init__(self, counts):
-        self._counts = counts
+    def __init__(self, note):
+        self._note = note
 
     def count(self, name, number=1):
-        """Add to a count.
-
-        Args:
-            name: What is counted, in a few words, for instance ``messages fuzzed: live node``.
-            number: How many more.
-        """
-        self._counts[name] += int(number)
+        """Add to a count, for instance of ``messages fuzzed: live node``."""
+        self._note(FAULT, (name, int(number)))
 
 
-@pytest.fixture(scope="session")
-def faults(request):
-    """Return the counts of this session; they are printed at its end."""
-    return Faults(request.config.stash.setdefault(FAULTS, Counter()))
-
-
-def pytest_addoption(parser):
-    parser.addoption(
-        "--faults",
-        action="store_true",
-        help="run only the tests that inject faults and count them",
-    )
+@pytest.fixture
+def faults(record_property):
+    """Return the counts of a test; their sums are printed at the end of the session."""
+    return Faults(record_property)
 
 
 def pytest_configure(config):
     control_msgs.provide(config.cache.mkdir("control_msgs"))  # modules ask for it when imported
 
 
-def pytest_collection_modifyitems(config, items):
+@pytest.hookimpl(tryfirst=True)  # before -m looks
+def pytest_collection_modifyitems(items):
     for item in items:
         item.add_marker(item.path.relative_to(TESTS).parts[0])
-    if config.getoption("--faults"):
-        others = [item for item in items if "faults" not in item.fixturenames]
-        items[:] = [item for item in items if "faults" in item.fixturenames]
-        config.hook.pytest_deselected(items=others)
+        if "faults" in item.fixturenames:
+            item.add_marker("faults")
 
 
 @pytest.hookimpl(wrapper=True, trylast=True)
@@ -115,11 +101,14 @@ def pytest_runtest_protocol(item):
         faulthandler.cancel_dump_traceback_later()
 
 
-def pytest_terminal_summary(terminalreporter, config):
-    counts = config.stash.get(FAULTS, {})
-    if not counts:
-        return
-    terminalreporter.section("faults injected, and what came of them")
-    width = max(map(len, counts))
-    for name, number in sorted(counts.items()):
-        terminalreporter.write_line(f"{name:<{width}}  {number:>10}")
+def pytest_terminal_summary(terminalreporter):
+    counts = Counter()
+    for report in terminalreporter.getreports("passed"):
+        for name, value in report.user_properties:
+            if name == FAULT:
+                counts.update({value[0]: value[1]})
+    if counts:
+        terminalreporter.section("faults injected, and what came of them")
+        width = max(map(len, counts))
+        for name, number in sorted(counts.items()):
+            terminalreporter.write_line(f"{name:<{width}}  {number:>10}")

@@ -25,6 +25,8 @@ from benchmarks.merging import FORMS, Load, measure
 from benchmarks.pendulums import LABEL, pendulum_experiment
 from hpid_ros.base.errors import RunError
 
+pytestmark = pytest.mark.repository
+
 DEMANDED = {
     *("loop.processes", "loop.composed", "loop.single_process", "law.hpid", "law.pid"),
     *("joint_loop.step", "in_process.period.mujoco", "bridge.step.mujoco", "recorder.rate"),

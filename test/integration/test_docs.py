@@ -12,6 +12,8 @@ from harness.places import ROOT
 
 from hpid_ros.nodes.parts.bridge import OVER_THE_FILE
 
+pytestmark = pytest.mark.repository
+
 
 def module_at(path):
     spec = importlib.util.spec_from_file_location(path.stem, path)

@@ -13,6 +13,8 @@ from harness.places import ROOT
 
 from hpid_ros.control import LOOP_PARAMETERS
 
+pytestmark = pytest.mark.repository
+
 EXAMPLES = ROOT / "examples"
 SAYS = {
     "law/double_integrator.py": r"hPID, mu -0\.2 settles in 0\.\d+ s",

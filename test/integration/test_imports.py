@@ -8,6 +8,8 @@ from harness.bags import small_log, write_bag
 
 from hpid_ros.cli.main import COMMANDS, main
 
+pytestmark = pytest.mark.repository
+
 SLOW = {"matplotlib", "mujoco", "pinocchio", "pybullet", "scipy"}
 NODES = (
     *("joint_controller", "joint_controllers", "single_process", "pybullet_bridge"),

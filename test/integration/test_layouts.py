@@ -12,6 +12,8 @@ from hpid_ros.base.files import share_folder
 from hpid_ros.base.names import controller_name
 from hpid_ros.experiment.description import load_experiment
 
+pytestmark = pytest.mark.repository
+
 CONFIG = share_folder() / "config"
 JOINTS = load_experiment(CONFIG / "experiments" / "paper.yaml").world.joints
 SCRIPT = ROOT / "tools" / "make_layouts.py"

@@ -3,9 +3,7 @@
 import ast
 import importlib.util
 import re
-import subprocess
 import sys
-from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
@@ -16,6 +14,8 @@ from harness.places import ROOT
 import hpid_ros
 from hpid_ros.base.processes import OPTIONAL
 
+pytestmark = pytest.mark.repository
+
 PACKAGE = ROOT / "package.xml"
 KEY_OF = {
     **{name: f"python3-{name}" for name in ("jinja2", "joblib", "matplotlib", "numpy", "rich")},
@@ -24,7 +24,9 @@ KEY_OF = {
 }
 """Keys of Python modules; those of ROS packages have the module's name."""
 
-WITHOUT_KEY = {*OPTIONAL, "compression", "simulation_interfaces", "controller_manager_msgs"}
+WITHOUT_KEY = {*OPTIONAL} - {"rclpy"} | {
+    *("compression", "simulation_interfaces", "controller_manager_msgs")
+}
 """Imported where they are installed; the last two add services, and nothing is missed without."""
 
 
@@ -155,13 +157,3 @@ def test_python_versions_are_said_alike():
     tools = (ROOT / "pyproject.toml").read_text()
     assert f'python_version = "{least}"' in tools
     assert f'target-version = "py{least.replace(".", "")}"' in tools
-
-
-@pytest.mark.parametrize("command", [["check"], ["format", "--check"]], ids=lambda each: each[0])
-def test_the_linter_finds_nothing(command):
-    """Ruff stands for ament_flake8 and ament_pep257 (QUALITY_DECLARATION.md)."""
-    ruff = Path(sys.executable).parent / "ruff"
-    ended = subprocess.run(
-        [ruff, *command, "--no-cache", ROOT], capture_output=True, text=True, check=False
-    )
-    assert ended.returncode == 0, ended.stdout + ended.stderr

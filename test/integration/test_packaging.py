@@ -10,6 +10,8 @@ from xml.etree import ElementTree
 import pytest
 from harness.places import ROOT
 
+pytestmark = pytest.mark.repository
+
 EXECUTABLES = {
     *("joint_controller", "joint_controllers", "joint_command_merger"),
     *("pybullet_bridge", "mujoco_bridge"),

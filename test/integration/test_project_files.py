@@ -8,6 +8,8 @@ from harness.places import ROOT
 
 import hpid_ros
 
+pytestmark = pytest.mark.repository
+
 WORKFLOWS = sorted((ROOT / ".github" / "workflows").glob("*.yml"))
 FORMS = sorted((ROOT / ".github" / "ISSUE_TEMPLATE").glob("*.yml"))
 PYTHONS = ["3.10", "3.11", "3.12", "3.13"]

@@ -8,6 +8,8 @@ from harness.places import ROOT
 
 from hpid_ros.cli.main import main
 
+pytestmark = pytest.mark.repository
+
 PAGE = (ROOT / "docs" / "tutorial.md").read_text()
 FILES = dict(re.findall(r"```yaml\n# (\S+)\n(.*?)```", PAGE, re.DOTALL))
 COMMANDS = re.findall(r"^\$ (.+)$", PAGE, re.MULTILINE)

@@ -14,6 +14,8 @@ import pytest
 
 import hpid_ros
 
+pytestmark = pytest.mark.repository
+
 ROOT = Path(hpid_ros.__file__).parent
 ARCHITECTURE = ROOT.parent / "docs" / "architecture.md"
 ENTRIES = 24  # in one folder, at most
