@@ -209,29 +209,23 @@ def _bare_bullet(
     stack: ExitStack, description: RobotDescription, world: WorldSettings, torques: Efforts
 ) -> tuple[Callable[[], None], Callable[[], Sequence[float]]]:
     """Return what steps PyBullet through all efforts, and what tells where the joints are."""
-    from hpid_ros.simulation.bullet_scene import build_scene, bullet_urdf, captured, pybullet
+    from hpid_ros.simulation.bullet_scene import Client, build_scene, bullet_urdf, pybullet
 
-    with captured():
-        client = pybullet.connect(pybullet.DIRECT)
-
-    def disconnect() -> None:
-        with captured():
-            pybullet.disconnect(physicsClientId=client)
-
-    stack.callback(disconnect)
+    client = Client()
+    stack.callback(client.close)
     scene = build_scene(client, bullet_urdf(description), description, world)
     body, driven, steps = scene.body, scene.driven, range(world.physics_steps)
-    set_torques, mode = pybullet.setJointMotorControlArray, pybullet.TORQUE_CONTROL
-    step, read = pybullet.stepSimulation, pybullet.getJointStates
+    set_torques, mode = client.setJointMotorControlArray, pybullet.TORQUE_CONTROL
+    step, read = client.stepSimulation, client.getJointStates
 
     def run() -> None:
         for each in torques:
             for _ in steps:
-                set_torques(body, driven, mode, forces=each, physicsClientId=client)
-                step(physicsClientId=client)
-            read(body, driven, physicsClientId=client)
+                set_torques(body, driven, mode, forces=each)
+                step()
+            read(body, driven)
 
-    return run, lambda: [state[0] for state in read(body, driven, physicsClientId=client)]
+    return run, lambda: [state[0] for state in read(body, driven)]
 
 
 def _bare_mujoco(

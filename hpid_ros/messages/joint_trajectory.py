@@ -250,10 +250,7 @@ def _merged(points: tuple[_Records, _Records], field: str) -> NDArray[Any]:
 
 
 def encode_trajectory(
-    stamp_ns: int,
-    names: Sequence[str],
-    times_ns: NDArray[np.int64],
-    arrays: Sequence[Numbers],
+    stamp_ns: int, names: Sequence[str], times_ns: NDArray[np.int64], arrays: Sequence[Numbers]
 ) -> bytes:
     """Serialise a JointTrajectory, little endian."""
     writer = Writer()
@@ -286,10 +283,7 @@ def encode_joint_trajectory(trajectory: JointTrajectory) -> bytes:
 
 
 def _as_records(
-    head: bytes,
-    times_ns: NDArray[np.int64],
-    arrays: Sequence[Numbers],
-    lengths: tuple[int, ...],
+    head: bytes, times_ns: NDArray[np.int64], arrays: Sequence[Numbers], lengths: tuple[int, ...]
 ) -> bytes:
     """Return a message whose points have one layout, behind what stands before them."""
     count, start = len(times_ns), len(head) + -len(head) % 4

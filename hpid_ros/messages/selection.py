@@ -220,11 +220,7 @@ class TopicChoice:
     def measured(self) -> TopicChoice:
         """Return the same with the efforts that the states measured, and no others."""
         return replace(
-            self,
-            commands=self.states,
-            command_topics={},
-            is_measured=True,
-            may_be_measured=False,
+            self, commands=self.states, command_topics={}, is_measured=True, may_be_measured=False
         )
 
     @property

@@ -278,11 +278,7 @@ class SqliteFile:
         return (smallest if isinstance(smallest, int) else 1), _LARGEST_ID
 
     def _batches_of_rows(
-        self,
-        wanted: Mapping[str, Sequence[int]],
-        following: int,
-        largest: int,
-        report: Report,
+        self, wanted: Mapping[str, Sequence[int]], following: int, largest: int, report: Report
     ) -> Iterator[list[Row]]:
         """Yield rows in the order of their ids, passing over pages that cannot be read."""
         numbers = itertools.chain.from_iterable(wanted.values())
@@ -316,11 +312,7 @@ class SqliteFile:
             report(f"rows from {damaged_from} on are left out: {reason}")
 
     def _of_rows(
-        self,
-        rows: Sequence[Row],
-        wanted: Mapping[str, Sequence[int]],
-        place: int,
-        report: Report,
+        self, rows: Sequence[Row], wanted: Mapping[str, Sequence[int]], place: int, report: Report
     ) -> Iterator[TopicBatch]:
         kept = [row for row in rows if tuple(map(type, row)) == (int, int, int, bytes)]
         if len(kept) < len(rows):  # a damaged row holds anything

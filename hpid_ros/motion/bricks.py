@@ -111,10 +111,7 @@ class ArmMotion:
     def trajectory(self) -> JointTrajectory:
         """Return the motion."""
         points = tuple(
-            TrajectoryPoint(
-                row.time_ns,
-                *(tuple(values.tolist()) for values in row[1:]),
-            )
+            TrajectoryPoint(row.time_ns, *(tuple(values.tolist()) for values in row[1:]))
             for row in self._rows
         )
         return JointTrajectory(self._arm.joints, points)
@@ -350,10 +347,7 @@ class _Planner:
             base.drive(-self._options.back_off)
         # In line with what is approached before the last, straight piece.
         ahead = self._options.back_off if where.approach is not None else 0.0
-        for at_x, at_y in (
-            (x - ahead * math.cos(heading), y - ahead * math.sin(heading)),
-            (x, y),
-        ):
+        for at_x, at_y in ((x - ahead * math.cos(heading), y - ahead * math.sin(heading)), (x, y)):
             way_x, way_y = at_x - base.pose[0], at_y - base.pose[1]
             distance = math.hypot(way_x, way_y)
             if distance > 1e-6:

@@ -64,9 +64,7 @@ def step(times: Sequence[float], positions: Mapping[str, Sequence[float]]) -> Jo
 
 
 def sine(
-    duration: float,
-    positions: Mapping[str, Mapping[str, float]],
-    knots_per_period: int = 64,
+    duration: float, positions: Mapping[str, Mapping[str, float]], knots_per_period: int = 64
 ) -> JointTrajectory:
     """Follow ``offset + amplitude sin(2 pi t / period + phase)`` in each joint.
 

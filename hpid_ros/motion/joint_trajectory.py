@@ -417,11 +417,7 @@ def require_arrays(
 
 
 def checked_column(
-    joint: str,
-    at: int,
-    stamp_ns: int,
-    times_ns: Integers,
-    arrays: PointArrays,
+    joint: str, at: int, stamp_ns: int, times_ns: Integers, arrays: PointArrays
 ) -> Column:
     """Return one joint's column of a trajectory that :func:`require_arrays` let pass."""
     none = np.full(len(times_ns), np.nan)
@@ -430,10 +426,7 @@ def checked_column(
 
 
 def _suspects(
-    joints: int,
-    times_ns: Integers,
-    arrays: PointArrays,
-    lengths: Integers,
+    joints: int, times_ns: Integers, arrays: PointArrays, lengths: Integers
 ) -> list[int]:
     """Return the first points of each kind of fault, in their order."""
     if len(times_ns) == 0:

@@ -238,11 +238,7 @@ def reference_schema(*others: dict[str, Any]) -> dict[str, Any]:
 def of_kind(name: str, schema: dict[str, Any]) -> dict[str, Any]:
     """Return the schema of a section with its ``kind``."""
     properties = {"kind": {"const": name}, **schema["properties"]}
-    return {
-        **schema,
-        "properties": properties,
-        "required": ["kind", *schema.get("required", ())],
-    }
+    return {**schema, "properties": properties, "required": ["kind", *schema.get("required", ())]}
 
 
 def _trajectory(kind: str, record: Record) -> JointTrajectory:

@@ -98,9 +98,7 @@ class JointDescription:
 
 
 def read_joint(
-    element: ElementTree.Element,
-    rotors: Mapping[str, tuple[float, float]],
-    origin: str,
+    element: ElementTree.Element, rotors: Mapping[str, tuple[float, float]], origin: str
 ) -> JointDescription | None:
     """Read one joint."""
     name, joint_type = element.get("name", ""), element.get("type", "")

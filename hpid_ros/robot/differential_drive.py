@@ -237,11 +237,7 @@ class Odometry:
     """Adds up arcs, and how uncertain they are; starts at the origin, certain of it."""
 
     def __init__(
-        self,
-        drive: DifferentialDrive,
-        left: float,
-        right: float,
-        wheel_error: float = WHEEL_ERROR,
+        self, drive: DifferentialDrive, left: float, right: float, wheel_error: float = WHEEL_ERROR
     ) -> None:
         self.drive = drive
         self._left, self._right = left, right

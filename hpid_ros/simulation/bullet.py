@@ -7,12 +7,12 @@ from collections.abc import Sequence
 from hpid_ros.base.units import Vector
 from hpid_ros.robot.description import RobotDescription
 from hpid_ros.simulation.bullet_scene import (
+    Client,
     Scene,
     box_pose,
+    brake_joints,
     build_scene,
     bullet_urdf,
-    connected,
-    disconnect,
     pybullet,
 )
 from hpid_ros.simulation.physics import Pose, Twist
@@ -32,7 +32,7 @@ class BulletPhysics:
             is_touched=not settings.fixed_base or bool(settings.workplace),
             is_shown=settings.gui,
         )
-        self._client = connected(settings.gui)
+        self._client = Client(settings.gui)
         self._damping: Sequence[float] | None = None
         self._brakes: Sequence[float] | None = None
         try:
@@ -49,8 +49,8 @@ class BulletPhysics:
 
     def joint_states(self) -> Sequence[tuple[float, float]]:
         """Return position and velocity of each driven joint."""
-        states: Sequence[tuple[float, float]] = pybullet.getJointStates(
-            self._scene.body, self._scene.driven, physicsClientId=self._client
+        states: Sequence[tuple[float, float]] = self._client.getJointStates(
+            self._scene.body, self._scene.driven
         )
         return states
 
@@ -58,22 +58,16 @@ class BulletPhysics:
         """Take physics steps."""
         for _ in range(steps):
             # Bullet forgets applied torques after every step.
-            pybullet.setJointMotorControlArray(
-                self._scene.body,
-                self._scene.driven,
-                pybullet.TORQUE_CONTROL,
-                forces=torques,
-                physicsClientId=self._client,
+            self._client.setJointMotorControlArray(
+                self._scene.body, self._scene.driven, pybullet.TORQUE_CONTROL, forces=torques
             )
-            pybullet.stepSimulation(physicsClientId=self._client)
+            self._client.stepSimulation()
 
     def set_damping(self, damping: Sequence[float]) -> None:
         """Set the viscous friction of each driven joint: Bullet's joint damping."""
         self._damping = damping
         for index, value in zip(self._scene.driven, damping, strict=True):
-            pybullet.changeDynamics(
-                self._scene.body, index, jointDamping=value, physicsClientId=self._client
-            )
+            self._client.changeDynamics(self._scene.body, index, jointDamping=value)
 
     def brake(self, forces: Sequence[float]) -> None:
         """Set the Coulomb friction of each driven joint.
@@ -82,14 +76,7 @@ class BulletPhysics:
         about zero speed.
         """
         self._brakes = forces
-        pybullet.setJointMotorControlArray(
-            self._scene.body,
-            self._scene.driven,
-            pybullet.VELOCITY_CONTROL,
-            targetVelocities=[0.0] * len(forces),
-            forces=forces,
-            physicsClientId=self._client,
-        )
+        brake_joints(self._client, self._scene.body, self._scene.driven, forces)
 
     def push(self, link: str, force: Vector, torque: Vector) -> None:
         """Push a link in the next step."""
@@ -99,15 +86,12 @@ class BulletPhysics:
         x, y, z = (a - b for a, b in zip(origin, centre, strict=True))
         fx, fy, fz = force
         tx, ty, tz = torque
-        pybullet.applyExternalForce(
-            body, index, force, centre, pybullet.WORLD_FRAME, physicsClientId=client
-        )
-        pybullet.applyExternalTorque(
+        client.applyExternalForce(body, index, force, centre, pybullet.WORLD_FRAME)
+        client.applyExternalTorque(
             body,
             index,
             (tx + y * fz - z * fy, ty + z * fx - x * fz, tz + x * fy - y * fx),
             pybullet.WORLD_FRAME,
-            physicsClientId=client,
         )
 
     def load(self, mass: float) -> None:
@@ -135,13 +119,13 @@ class BulletPhysics:
         robot, body, client = self._scene.body, self._scene.bricks[index], self._client
         link = self._scene.links[self._settings.workplace.gripper.link]
         # Bullet wants the frame as the link's centre of mass sees it.
-        state = pybullet.getLinkState(robot, link, physicsClientId=client)
-        inverse = pybullet.invertTransform(state[0], state[1], physicsClientId=client)
+        state = client.getLinkState(robot, link)
+        inverse = client.invertTransform(state[0], state[1])
         brick = box_pose(client, body)
-        position, orientation = pybullet.multiplyTransforms(
-            *inverse, brick.position, brick.orientation, physicsClientId=client
+        position, orientation = client.multiplyTransforms(
+            *inverse, brick.position, brick.orientation
         )
-        self._held = pybullet.createConstraint(
+        self._held = client.createConstraint(
             robot,
             link,
             body,
@@ -151,31 +135,30 @@ class BulletPhysics:
             position,
             (0.0, 0.0, 0.0),
             orientation,
-            physicsClientId=client,
         )
-        pybullet.changeConstraint(self._held, maxForce=_UNYIELDING, physicsClientId=client)
+        client.changeConstraint(self._held, maxForce=_UNYIELDING)
 
     def release(self) -> None:
         """Let go of the brick that is held."""
         if self._held is not None:
-            pybullet.removeConstraint(self._held, physicsClientId=self._client)
+            self._client.removeConstraint(self._held)
         self._held = None
 
     def grip_force(self) -> Vector:
         """Return the force between hand and held brick in the last step."""
-        state = pybullet.getConstraintState(self._held, physicsClientId=self._client)
+        state = self._client.getConstraintState(self._held)
         return state[0], state[1], state[2]
 
     def keep(self) -> None:
         """Take the present state as the one at time 0."""
-        self._at_start: int = pybullet.saveState(physicsClientId=self._client)
+        self._at_start: int = self._client.saveState()
 
     def restart(self) -> None:
         """Go back to time 0."""
         if self._scene.bricks:
             # Of bricks that were moved Bullet keeps contacts that are not in the saved state.
-            pybullet.removeState(self._at_start, physicsClientId=self._client)
-            pybullet.resetSimulation(physicsClientId=self._client)
+            self._client.removeState(self._at_start)
+            self._client.resetSimulation()
             self._build()
             if self._damping is not None and self._brakes is not None:
                 self.set_damping(self._damping)
@@ -184,43 +167,39 @@ class BulletPhysics:
             return
         if self._scene.payload is not None:
             self.load(self._settings.payload_mass)
-        pybullet.restoreState(self._at_start, physicsClientId=self._client)
+        self._client.restoreState(self._at_start)
 
     def close(self) -> None:
         """Disconnect from PyBullet."""
-        client, self._client = self._client, -1
-        disconnect(client)
+        self._client.close()
 
 
-def _link_pose(client: int, body: int, index: int) -> Pose:
+def _link_pose(client: Client, body: int, index: int) -> Pose:
     """Return the pose of a link's URDF frame."""
     if index != _ROOT:
-        state = pybullet.getLinkState(body, index, physicsClientId=client)
+        state = client.getLinkState(body, index)
         return Pose(state[4], state[5])
     # Of the root Bullet gives the principal frame at the centre of mass.
-    centre = pybullet.getBasePositionAndOrientation(body, physicsClientId=client)
-    inertial = pybullet.getDynamicsInfo(body, _ROOT, physicsClientId=client)[3:5]
-    frame = pybullet.invertTransform(*inertial, physicsClientId=client)
-    return Pose(*pybullet.multiplyTransforms(*centre, *frame, physicsClientId=client))
+    centre = client.getBasePositionAndOrientation(body)
+    inertial = client.getDynamicsInfo(body, _ROOT)[3:5]
+    frame = client.invertTransform(*inertial)
+    return Pose(*client.multiplyTransforms(*centre, *frame))
 
 
-def _centre_of_mass(client: int, body: int, index: int) -> tuple[float, float, float]:
+def _centre_of_mass(client: Client, body: int, index: int) -> tuple[float, float, float]:
     """Return a link's centre of mass in the world, in [m]."""
     if index == _ROOT:
-        return pybullet.getBasePositionAndOrientation(body, physicsClientId=client)[0]
-    return pybullet.getLinkState(body, index, physicsClientId=client)[0]
+        return client.getBasePositionAndOrientation(body)[0]
+    return client.getLinkState(body, index)[0]
 
 
-def _root_twist(client: int, body: int) -> Twist:
+def _root_twist(client: Client, body: int) -> Twist:
     """Return the velocity of the root link's frame."""
     origin, orientation = _link_pose(client, body, _ROOT)
     centre = _centre_of_mass(client, body, _ROOT)
-    (vx, vy, vz), angular = pybullet.getBaseVelocity(body, physicsClientId=client)
+    (vx, vy, vz), angular = client.getBaseVelocity(body)
     wx, wy, wz = angular
     x, y, z = (a - b for a, b in zip(origin, centre, strict=True))
     linear = (vx + wy * z - wz * y, vy + wz * x - wx * z, vz + wx * y - wy * x)
-    _, inverse = pybullet.invertTransform((0.0, 0.0, 0.0), orientation, physicsClientId=client)
-    return Twist(
-        pybullet.rotateVector(inverse, linear, physicsClientId=client),
-        pybullet.rotateVector(inverse, angular, physicsClientId=client),
-    )
+    _, inverse = client.invertTransform((0.0, 0.0, 0.0), orientation)
+    return Twist(client.rotateVector(inverse, linear), client.rotateVector(inverse, angular))

@@ -25,7 +25,9 @@ import tempfile
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
 from hpid_ros.base.errors import RobotDescriptionError, SettingError
@@ -33,7 +35,7 @@ from hpid_ros.robot.description import JointDescription, RobotDescription, find_
 from hpid_ros.simulation.physics import PAYLOAD_EDGE, SETTLING_TIME, STAYING, Pose
 from hpid_ros.simulation.settings import Brick, Support, Workplace, WorldSettings
 
-__all__ = ["captured", "connected", "disconnect", "pybullet"]
+__all__ = ["Client", "captured", "pybullet"]
 
 _logger = logging.getLogger(__name__)
 _STANDARD_STREAMS = (1, 2)
@@ -78,75 +80,70 @@ with captured():
     import pybullet  # prints its build time
 
 
-def connected(gui: bool) -> int:
-    """Return the client of a new, empty simulation."""
-    with captured():
-        client: int = pybullet.connect(pybullet.GUI if gui else pybullet.DIRECT)
-    return client
+class Client:
+    """PyBullet's functions for one simulation of its own."""
 
-
-def disconnect(client: int) -> None:
-    """Free the simulation of a client; one below 0 is none."""
-    if client >= 0:
+    def __init__(self, gui: bool = False) -> None:
         with captured():
-            pybullet.disconnect(physicsClientId=client)
+            self.number: int = pybullet.connect(pybullet.GUI if gui else pybullet.DIRECT)
+
+    def __getattr__(self, name: str) -> Any:
+        function = partial(getattr(pybullet, name), physicsClientId=self.number)
+        setattr(self, name, function)
+        return function
+
+    def close(self) -> None:
+        """Free the simulation; a second call does nothing."""
+        number = self.number
+        vars(self).clear()  # PyBullet gives the number to the next one
+        self.number = -1
+        if number >= 0:
+            with captured():
+                pybullet.disconnect(physicsClientId=number)
 
 
-def put_boxes(client: int, boxes: Iterable[Support]) -> tuple[int, ...]:
+def put_boxes(client: Client, boxes: Iterable[Support]) -> tuple[int, ...]:
     """Put boxes into a simulation."""
     bodies = []
     for box in boxes:
-        shape = pybullet.createCollisionShape(
-            pybullet.GEOM_BOX,
-            halfExtents=[edge / 2.0 for edge in box.size],
-            physicsClientId=client,
+        shape = client.createCollisionShape(
+            pybullet.GEOM_BOX, halfExtents=[edge / 2.0 for edge in box.size]
         )
-        body = pybullet.createMultiBody(
+        body = client.createMultiBody(
             box.mass if isinstance(box, Brick) else 0.0,
             shape,
             basePosition=box.position,
             baseOrientation=box.orientation,
-            physicsClientId=client,
         )
-        pybullet.changeDynamics(
-            body,
-            -1,
-            lateralFriction=box.friction,
-            linearDamping=0.0,
-            angularDamping=0.0,
-            physicsClientId=client,
+        client.changeDynamics(
+            body, -1, lateralFriction=box.friction, linearDamping=0.0, angularDamping=0.0
         )
         bodies.append(body)
     return tuple(bodies)
 
 
-def let_hand_pass(client: int, robot: int, link: int, bricks: Iterable[int]) -> None:
+def let_hand_pass(client: Client, robot: int, link: int, bricks: Iterable[int]) -> None:
     """Let a hand pass through bricks: it has no joint to put its fingers around them."""
     for index in _hand_links(client, robot, link):
         for brick in bricks:
-            pybullet.setCollisionFilterPair(
-                robot, brick, index, -1, enableCollision=0, physicsClientId=client
-            )
+            client.setCollisionFilterPair(robot, brick, index, -1, enableCollision=0)
 
 
-def still(client: int, bodies: Iterable[int]) -> None:
+def still(client: Client, bodies: Iterable[int]) -> None:
     """Take away the speed of bodies."""
     nothing = (0.0, 0.0, 0.0)
     for body in bodies:
-        pybullet.resetBaseVelocity(body, nothing, nothing, physicsClientId=client)
+        client.resetBaseVelocity(body, nothing, nothing)
 
 
-def box_pose(client: int, body: int) -> Pose:
+def box_pose(client: Client, body: int) -> Pose:
     """Return where a box's centre is."""
-    return Pose(*pybullet.getBasePositionAndOrientation(body, physicsClientId=client))
+    return Pose(*client.getBasePositionAndOrientation(body))
 
 
-def _hand_links(client: int, robot: int, link: int) -> list[int]:
+def _hand_links(client: Client, robot: int, link: int) -> list[int]:
     """Return the links that are rigidly connected with a link, itself included."""
-    infos = [
-        pybullet.getJointInfo(robot, index, physicsClientId=client)
-        for index in range(pybullet.getNumJoints(robot, physicsClientId=client))
-    ]
+    infos = [client.getJointInfo(robot, index) for index in range(client.getNumJoints(robot))]
     is_fixed = [info[2] == pybullet.JOINT_FIXED for info in infos]
     root = link
     while root >= 0 and is_fixed[root]:
@@ -192,7 +189,7 @@ def add_rotors(robot: ElementTree.Element, joints: Iterable[JointDescription]) -
 
 
 def couple_rotors(
-    client: int, body: int, indices: Mapping[str, int], joints: Iterable[JointDescription]
+    client: Client, body: int, indices: Mapping[str, int], joints: Iterable[JointDescription]
 ) -> None:
     """Gear each rotor to its joint.
 
@@ -200,7 +197,7 @@ def couple_rotors(
     drift against the joint's, some 1e-6 rad in half a second, means nothing.
     """
     for joint in geared(joints):
-        gear = pybullet.createConstraint(
+        gear = client.createConstraint(
             body,
             indices[joint.name],
             body,
@@ -209,15 +206,10 @@ def couple_rotors(
             jointAxis=joint.axis,
             parentFramePosition=(0.0, 0.0, 0.0),
             childFramePosition=(0.0, 0.0, 0.0),
-            physicsClientId=client,
         )
         # Bullet's row reads: joint velocity + gearRatio * rotor velocity = 0.
-        pybullet.changeConstraint(
-            gear,
-            gearRatio=-1.0 / joint.gear_ratio,
-            maxForce=GEAR_FORCE,
-            erp=0.0,
-            physicsClientId=client,
+        client.changeConstraint(
+            gear, gearRatio=-1.0 / joint.gear_ratio, maxForce=GEAR_FORCE, erp=0.0
         )
 
 
@@ -289,18 +281,18 @@ def _add_negligible_inertia(link: ElementTree.Element) -> None:
 
 
 def place_joints(
-    client: int, body: int, joints: Mapping[str, int], start: Mapping[str, float]
+    client: Client, body: int, joints: Mapping[str, int], start: Mapping[str, float]
 ) -> None:
     """Put every joint at its starting position, at rest, and its rotor at rest."""
     for name, position in start.items():
-        pybullet.resetJointState(body, joints[name], position, 0.0, physicsClientId=client)
+        client.resetJointState(body, joints[name], position, 0.0)
         rotor = joints.get(name + ROTOR_SUFFIX)
         if rotor is not None:
-            pybullet.resetJointState(body, rotor, 0.0, 0.0, physicsClientId=client)
+            client.resetJointState(body, rotor, 0.0, 0.0)
 
 
 def release_joints(
-    client: int, body: int, joints: Mapping[str, int], description: RobotDescription
+    client: Client, body: int, joints: Mapping[str, int], description: RobotDescription
 ) -> None:
     """Free every joint of Bullet's default motor and leave it with its own friction.
 
@@ -313,20 +305,19 @@ def release_joints(
     indices = [joints[name] for name in friction]
     brake_joints(client, body, indices, list(friction.values()))
     for joint in moving:
-        pybullet.changeDynamics(
-            body, joints[joint.name], jointDamping=joint.damping, physicsClientId=client
-        )
+        client.changeDynamics(body, joints[joint.name], jointDamping=joint.damping)
 
 
-def brake_joints(client: int, body: int, indices: Sequence[int], forces: Sequence[float]) -> None:
+def brake_joints(
+    client: Client, body: int, indices: Sequence[int], forces: Sequence[float]
+) -> None:
     """Hold joints where they are, each with at most its force, in [N m]."""
-    pybullet.setJointMotorControlArray(
+    client.setJointMotorControlArray(
         body,
         indices,
         pybullet.VELOCITY_CONTROL,
         targetVelocities=[0.0] * len(indices),
         forces=forces,
-        physicsClientId=client,
     )
 
 
@@ -335,30 +326,30 @@ LOCK_FORCE = 1e6  # [N m]
 NEARBY = 1e3  # [m], how far the robot may be from the ground before it is put down
 
 
-def put_on_ground(client: int, body: int) -> None:
+def put_on_ground(client: Client, body: int) -> None:
     """Make the ground, and set the robot down so that its lowest point touches it."""
-    plane = pybullet.createCollisionShape(pybullet.GEOM_PLANE, physicsClientId=client)
-    ground = pybullet.createMultiBody(0.0, plane, physicsClientId=client)
-    pybullet.changeDynamics(ground, -1, lateralFriction=GROUND_FRICTION, physicsClientId=client)
-    near = pybullet.getClosestPoints(body, ground, NEARBY, physicsClientId=client)
+    plane = client.createCollisionShape(pybullet.GEOM_PLANE)
+    ground = client.createMultiBody(0.0, plane)
+    client.changeDynamics(ground, -1, lateralFriction=GROUND_FRICTION)
+    near = client.getClosestPoints(body, ground, NEARBY)
     if not near:
         return  # a robot without collision shapes falls, wherever it starts
     gap = min(point[8] for point in near)
-    position, orientation = pybullet.getBasePositionAndOrientation(body, physicsClientId=client)
+    position, orientation = client.getBasePositionAndOrientation(body)
     lowered = (position[0], position[1], position[2] - gap)
-    pybullet.resetBasePositionAndOrientation(body, lowered, orientation, physicsClientId=client)
+    client.resetBasePositionAndOrientation(body, lowered, orientation)
 
 
-def settle(client: int, body: int, joints: Collection[int], physics_period: float) -> None:
+def settle(client: Client, body: int, joints: Collection[int], physics_period: float) -> None:
     """Let the robot sink into its tyres with every joint locked, then take away all speed."""
     brake_joints(client, body, list(joints), [LOCK_FORCE] * len(joints))
     for _ in range(max(1, round(SETTLING_TIME / physics_period))):
-        pybullet.stepSimulation(physicsClientId=client)
+        client.stepSimulation()
     rest = (0.0, 0.0, 0.0)
-    pybullet.resetBaseVelocity(body, rest, rest, physicsClientId=client)
+    client.resetBaseVelocity(body, rest, rest)
 
 
-def settle_bricks(client: int, bricks: tuple[int, ...], workplace: Workplace) -> None:
+def settle_bricks(client: Client, bricks: tuple[int, ...], workplace: Workplace) -> None:
     """Take away what speed the bricks have left, and refuse those that fell or were pushed."""
     still(client, bricks)
     for body, brick in zip(bricks, workplace.bricks, strict=True):
@@ -390,31 +381,29 @@ class Scene:
     payload_own: tuple[float, tuple[float, float, float]]
     bricks: tuple[int, ...] = ()  # the bricks, in the settings' order
 
-    def load_payload(self, client: int, mass: float) -> None:
+    def load_payload(self, client: Client, mass: float) -> None:
         """Put a solid cube at the payload link's centre of mass."""
         own_mass, own_moments = self.payload_own
         moment = mass * PAYLOAD_EDGE**2 / 6.0
-        pybullet.changeDynamics(
+        client.changeDynamics(
             self.body,
             self.payload,
             mass=own_mass + mass,
             localInertiaDiagonal=[own + moment for own in own_moments],
-            physicsClientId=client,
         )
 
 
 def build_scene(
-    client: int, urdf: str, description: RobotDescription, settings: WorldSettings
+    client: Client, urdf: str, description: RobotDescription, settings: WorldSettings
 ) -> Scene:
     """Build everything again in an empty simulation."""
-    pybullet.setGravity(0.0, 0.0, -settings.gravity, physicsClientId=client)
-    pybullet.setTimeStep(settings.physics_period, physicsClientId=client)
-    pybullet.setPhysicsEngineParameter(
+    client.setGravity(0.0, 0.0, -settings.gravity)
+    client.setTimeStep(settings.physics_period)
+    client.setPhysicsEngineParameter(
         numSolverIterations=SOLVER_ITERATIONS,
         solverResidualThreshold=SOLVER_RESIDUAL,
         deterministicOverlappingPairs=1,
         enableFileCaching=0,
-        physicsClientId=client,
     )
     body = _load(client, urdf, settings.fixed_base)
     joints, links = _indices(client, body)
@@ -440,7 +429,7 @@ def build_scene(
     return scene
 
 
-def _load(client: int, urdf: str, fixed_base: bool) -> int:
+def _load(client: Client, urdf: str, fixed_base: bool) -> int:
     """Load URDF text through a file that is gone again afterwards."""
     handle, path = tempfile.mkstemp(prefix="hpid_ros_", suffix=".urdf")
     try:
@@ -448,12 +437,11 @@ def _load(client: int, urdf: str, fixed_base: bool) -> int:
             file.write(urdf)
         with captured() as lines:
             try:
-                return pybullet.loadURDF(
+                return client.loadURDF(
                     path,
                     useFixedBase=fixed_base,
                     # Without this flag Bullet computes inertias of its own from the shapes.
                     flags=pybullet.URDF_USE_INERTIA_FROM_FILE,
-                    physicsClientId=client,
                 )
             except pybullet.error as error:
                 failure = error
@@ -463,20 +451,20 @@ def _load(client: int, urdf: str, fixed_base: bool) -> int:
         Path(path).unlink(missing_ok=True)
 
 
-def _indices(client: int, body: int) -> tuple[dict[str, int], dict[str, int]]:
+def _indices(client: Client, body: int) -> tuple[dict[str, int], dict[str, int]]:
     """Return Bullet's indices of joints and of links, by name."""
-    root = pybullet.getBodyInfo(body, physicsClientId=client)[0].decode()
+    root = client.getBodyInfo(body)[0].decode()
     joints: dict[str, int] = {}
     links = {root: -1}
-    for index in range(pybullet.getNumJoints(body, physicsClientId=client)):
-        info = pybullet.getJointInfo(body, index, physicsClientId=client)
+    for index in range(client.getNumJoints(body)):
+        info = client.getJointInfo(body, index)
         joints[info[1].decode()] = index
         links[info[12].decode()] = index
     return joints, links
 
 
 def _scene(
-    client: int,
+    client: Client,
     body: int,
     joints: Mapping[str, int],
     links: Mapping[str, int],
@@ -486,20 +474,19 @@ def _scene(
     payload = links.get(settings.payload_link)
     own = (0.0, (0.0, 0.0, 0.0))
     if payload is not None:
-        info = pybullet.getDynamicsInfo(body, payload, physicsClientId=client)
+        info = client.getDynamicsInfo(body, payload)
         own = (info[0], info[2])
     driven = tuple(joints[name] for name in settings.joints)
     return Scene(body, driven, links, payload, own)
 
 
-def _prepare_links(client: int, scene: Scene) -> None:
+def _prepare_links(client: Client, scene: Scene) -> None:
     """Take away the damping and the speed limit that Bullet gives every link."""
     for index in scene.links.values():
-        pybullet.changeDynamics(
+        client.changeDynamics(
             scene.body,
             index,
             linearDamping=0.0,
             angularDamping=0.0,
             maxJointVelocity=NO_SPEED_LIMIT,
-            physicsClientId=client,
         )

@@ -198,12 +198,7 @@ class _Robot:
         name = f"{link}__shape{number}"
         position, turn = _origin(collision)
         geom = body.add_geom(
-            name=name,
-            pos=position,
-            quat=turn,
-            contype=0,
-            conaffinity=0,
-            mass=0.0,
+            name=name, pos=position, quat=turn, contype=0, conaffinity=0, mass=0.0
         )
         geometry = collision.find("geometry")
         if geometry is None or not len(geometry):
@@ -434,9 +429,7 @@ def _origin(element: ElementTree.Element) -> tuple[tuple[float, ...], Numbers]:
     return position, turn
 
 
-def _inertial(
-    element: ElementTree.Element,
-) -> tuple[float, tuple[float, ...], tuple[float, ...]]:
+def _inertial(element: ElementTree.Element) -> tuple[float, tuple[float, ...], tuple[float, ...]]:
     """Return mass, centre of mass, and moments xx, yy, zz, xy, xz, yz in the link's axes."""
     centre, turn = _origin(element)
     inertia = element.find("inertia")

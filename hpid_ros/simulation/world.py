@@ -55,10 +55,7 @@ class Drivetrain:
     """
 
     def __init__(
-        self,
-        physics: Physics,
-        settings: WorldSettings,
-        joints: Sequence[JointDescription],
+        self, physics: Physics, settings: WorldSettings, joints: Sequence[JointDescription]
     ) -> None:
         self._physics = physics
         self._period_ns, self._steps = settings.control_period_ns, settings.physics_steps

@@ -161,9 +161,7 @@ def test_kill_minus_nine_costs_nothing_that_was_acknowledged(harness, tmp_path, 
     """The recorder's parent hears a count only when the file holds as many."""
     publish = harness.states
     recorder = harness.processes.start(
-        "recorder",
-        "bag_recorder",
-        ros_arguments(bag=tmp_path / "bag", topics="[joint_states]"),
+        "recorder", "bag_recorder", ros_arguments(bag=tmp_path / "bag", topics="[joint_states]")
     )
     harness.wait(lambda: publish.get_subscription_count() == 1, what="the recorder")
 

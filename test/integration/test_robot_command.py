@@ -63,10 +63,7 @@ def test_hpid_robot_saves_a_robot_that_loads_from_anywhere(tmp_path: Path, capsy
 
 @pytest.mark.parametrize(
     ("urdf", "says"),
-    [
-        ("<robot", "not readable XML"),
-        (box("none.obj"), "mass matrix of 'box' cannot be inverted"),
-    ],
+    [("<robot", "not readable XML"), (box("none.obj"), "mass matrix of 'box' cannot be inverted")],
 )
 def test_hpid_robot_refuses_in_one_line(urdf: str, says: str, tmp_path: Path, capsys):
     path = tmp_path / "bad.urdf"

@@ -345,8 +345,7 @@ def test_commands_without_efforts_leave_the_measured_ones(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("kind", "name", "encode"),
-    [(FLOAT64, "command", float64), (FLOATS, "commands", floats)],
+    ("kind", "name", "encode"), [(FLOAT64, "command", float64), (FLOATS, "commands", floats)]
 )
 def test_commands_without_stamps_have_their_receive_time(tmp_path, kind, name, encode):
     types = {"/joint_states": JOINT_STATE} | {f"/{j}_controller/{name}": kind for j in "abc"}

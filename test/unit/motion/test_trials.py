@@ -21,12 +21,7 @@ from hpid_ros.motion.excitation import (
     there_and_back,
 )
 
-LIMITS = st.builds(
-    Peaks,
-    st.floats(1e-3, 2.0),
-    st.floats(0.05, 10.0),
-    st.floats(0.1, 100.0),
-)
+LIMITS = st.builds(Peaks, st.floats(1e-3, 2.0), st.floats(0.05, 10.0), st.floats(0.1, 100.0))
 
 
 def dense(course):

@@ -129,10 +129,7 @@ def test_the_iteration_of_the_eight_nodes_does_not_ring():
     """Nothing alternates from sample to sample once the step is under way."""
     loops = [settings(joint, **UNIT, compensation="decoupling") for joint in JOINTS]
     world_settings = WorldSettings(
-        robot_description=SMOOTH,
-        joints=JOINTS,
-        initial_positions=START,
-        fixed_base=True,
+        robot_description=SMOOTH, joints=JOINTS, initial_positions=START, fixed_base=True
     )
     started = [JointLoop(each) for each in loops]
     for loop in started:

@@ -148,7 +148,7 @@ def pull_at(world, brick, force):
 
     pybullet.applyExternalForce(
         *(physics._scene.bricks[0], -1, force, brick.position, pybullet.WORLD_FRAME),
-        physicsClientId=physics._client,
+        physicsClientId=physics._client.number,
     )
 
 
