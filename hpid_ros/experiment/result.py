@@ -6,7 +6,7 @@ import json
 import logging
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -111,7 +111,7 @@ class TaskResult:
         mapping: dict[str, object] = {}
         if self.end_effectors:
             mapping["end_effector"] = {
-                label: each.as_mapping() for label, each in self.end_effectors.items()
+                label: asdict(each) for label, each in self.end_effectors.items()
             }
         if self.bricks:
             mapping["bricks"] = {
@@ -263,7 +263,7 @@ class Result:
     def _of_the_base(self) -> dict[str, object]:
         if not self.base:
             return {}
-        return {"base": {label: each.as_mapping() for label, each in self.base.items()}}
+        return {"base": {label: asdict(each) for label, each in self.base.items()}}
 
     @property
     def notes(self) -> tuple[str, ...]:

@@ -74,10 +74,6 @@ class BaseFigures:
         slip = max(self.slip_left, self.slip_right, self.slip_lateral)
         return slip > max(SLIP_FLOOR, SLIP_SHARE * self.path_length)
 
-    def as_mapping(self) -> dict[str, object]:
-        """Return all figures by name, with those of the errors nested."""
-        return asdict(self)
-
     def line(self, label: str) -> str:
         """Return one line that says what the slip did."""
         return (
@@ -150,10 +146,6 @@ class EndEffectorFigures:
     # by the measured joints and the wheels' odometry, against the reference
     tracking: PoseDeviation
     truth: PoseDeviation | None = None  # by its true pose, against the reference
-
-    def as_mapping(self) -> dict[str, object]:
-        """Return all figures by name, with those of the deviations nested."""
-        return asdict(self)
 
     def line(self, label: str) -> str:
         """Return one line for people."""

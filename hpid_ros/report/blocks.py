@@ -10,27 +10,27 @@ from dataclasses import dataclass
 from typing import ClassVar, TypeAlias
 
 from hpid_ros.messages.series import RunSeries
-from hpid_ros.metrics.comparison import THRESHOLD, Comparison, Verdict, verdict
+from hpid_ros.metrics.comparison import THRESHOLD, Comparison, Verdict
 from hpid_ros.metrics.folding import COLUMNS, quality_rows
 from hpid_ros.metrics.quantities import QUANTITIES, Quantity
 from hpid_ros.report.table import (
     MARKS,
+    Cell,
+    cells_of,
     footnotes,
-    format_ratio,
-    format_values,
-    heading_of,
-    quartiles_of,
+    headings_of,
     total_name,
 )
 
 _PRINTED_COLUMNS = (10, 14, 18, 26)  # the style sheet has a size of type for each of these
 
-_SPOKEN = {
+SPOKEN = {
     Verdict.BETTER: "lower",
     Verdict.WORSE: "higher",
     Verdict.EQUAL: "equal",
     Verdict.UNKNOWN: "not defined",
 }
+"""Verdicts in a word, for screen readers."""
 
 NOTHING = "–"
 """What stands in the place of a value that there is not."""
@@ -120,25 +120,6 @@ class Title:
 
 
 @dataclass(frozen=True)
-class Cell:
-    """A number, or a ratio with its verdict."""
-
-    text: str  # as it is printed
-    mark: str = ""  # the verdict's sign; empty for a number
-    verdict: Verdict | None = None  # which one; None for a number
-
-    @property
-    def style(self) -> str:
-        """The verdict's class in the style sheet; empty for a number."""
-        return "" if self.verdict is None else self.verdict.name.lower()
-
-    @property
-    def spoken(self) -> str:
-        """The verdict in a word, for screen readers; empty for a number."""
-        return "" if self.verdict is None else _SPOKEN[self.verdict]
-
-
-@dataclass(frozen=True)
 class IndexRow:
     """A row of an index table."""
 
@@ -218,9 +199,9 @@ Parameters = Mapping[str, Mapping[str, Mapping[str, object]]]
 
 def index_table(comparison: Comparison) -> IndexTable:
     """Return the paper's Table I: joints by indices, runs and ratios, a total line."""
-    headings = _run_headings(comparison)
+    headings = headings_of(comparison)
     joints = (*comparison.joint_names, None)
-    cells = [_index_cells(comparison, quantity, joints) for quantity in comparison.indices]
+    cells = [cells_of(comparison, quantity, joints) for quantity in comparison.indices]
     total = total_name(comparison.indices)
     rows = [
         IndexRow(joint or total, [column[k] for column in cells]) for k, joint in enumerate(joints)
@@ -347,11 +328,11 @@ def data_quality(runs: Sequence[RunSeries]) -> Iterator[Block]:
 def _overall_table(
     comparison: Comparison, quantities: Sequence[Quantity], name: str
 ) -> IndexTable:
-    headings = _run_headings(comparison)
+    headings = headings_of(comparison)
     rows = [
         IndexRow(
             _title(comparison, quantity, quantity.meaning),
-            _index_cells(comparison, quantity, (None,)),
+            cells_of(comparison, quantity, (None,)),
         )
         for quantity in quantities
     ]
@@ -360,11 +341,11 @@ def _overall_table(
 
 def _joint_table(comparison: Comparison, quantity: Quantity) -> IndexTable:
     joints = (*comparison.joint_names, None)
-    headings = _run_headings(comparison)
+    headings = headings_of(comparison)
     last = f"all: {quantity.fold.value}"
     *rows, total = (
         IndexRow(joint or last, [cells])
-        for joint, cells in zip(joints, _index_cells(comparison, quantity, joints), strict=True)
+        for joint, cells in zip(joints, cells_of(comparison, quantity, joints), strict=True)
     )
     name = f"{quantity.meaning} of each joint"
     return IndexTable(name, "joint", headings, rows, total, columns=len(headings))
@@ -372,35 +353,3 @@ def _joint_table(comparison: Comparison, quantity: Quantity) -> IndexTable:
 
 def _title(comparison: Comparison, quantity: Quantity, meaning: str = "") -> Title:
     return Title(quantity.symbol, comparison.unit(quantity), meaning)
-
-
-def _run_headings(comparison: Comparison) -> list[str]:
-    headings: list[str] = []
-    for run in comparison.runs:
-        headings.append(heading_of(run))
-        headings += [] if run.spread is None else ["quartiles"]
-        headings += [] if run is comparison.baseline else ["ratio"]
-    return headings
-
-
-def _index_cells(
-    comparison: Comparison, quantity: Quantity, joints: Sequence[str | None]
-) -> list[list[Cell]]:
-    """Return for each joint the cells of all runs and ratios of one quantity."""
-    values = [run.value(quantity, joint) for joint in joints for run in comparison.runs]
-    texts = iter(format_values(values))
-    rows = []
-    for joint in joints:
-        cells: list[Cell] = []
-        for run in comparison.runs:
-            cells.append(Cell(next(texts)))
-            cells += [] if run.spread is None else [Cell(quartiles_of(run, quantity, joint))]
-            if run is not comparison.baseline:
-                cells.append(_ratio(comparison.ratio(run.label, quantity, joint)))
-        rows.append(cells)
-    return rows
-
-
-def _ratio(ratio: float) -> Cell:
-    found = verdict(ratio)
-    return Cell(format_ratio(ratio), MARKS[found], found)

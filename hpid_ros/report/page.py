@@ -27,6 +27,7 @@ from hpid_ros.metrics.comparison import Comparison, answer
 from hpid_ros.metrics.quantities import Gains
 from hpid_ros.metrics.results import RunIndices
 from hpid_ros.report.blocks import (
+    SPOKEN,
     Block,
     Heading,
     Paragraph,
@@ -232,6 +233,7 @@ def _templates() -> Environment:
         keep_trailing_newline=True,
     )
     environment.filters["superscripts"] = _superscripts
+    environment.globals["spoken"] = SPOKEN
     environment.policies["json.dumps_kwargs"] = {"separators": (",", ":")}
     return environment
 

@@ -331,6 +331,52 @@ STYLES = {
 LAYOUTS = ((3, 5), (2, 5), (1, 5), (1, 4))
 
 
+class Cell(NamedTuple):
+    """A number, or a ratio with its verdict."""
+
+    text: str
+    verdict: Verdict | None = None  # of a ratio
+
+    @property
+    def mark(self) -> str:
+        """The verdict's sign; empty for a number."""
+        return "" if self.verdict is None else MARKS[self.verdict]
+
+
+def headings_of(comparison: Comparison) -> list[str]:
+    """Return the headings of what :func:`cells_of` gives of a joint."""
+    headings: list[str] = []
+    for run in comparison.runs:
+        headings.append(heading_of(run))
+        headings += [] if run.spread is None else ["quartiles"]
+        headings += [] if run is comparison.baseline else ["ratio"]
+    return headings
+
+
+def cells_of(
+    comparison: Comparison,
+    quantity: Quantity,
+    joints: Sequence[str | None],
+    digits: int = SIGNIFICANT_DIGITS,
+) -> list[list[Cell]]:
+    """Return for each joint the cells of all runs and ratios; the joint None stands for all."""
+    values = [run.value(quantity, joint) for joint in joints for run in comparison.runs]
+    texts = iter(format_values(values, digits))
+    rows = []
+    for joint in joints:
+        row: list[Cell] = []
+        for run in comparison.runs:
+            row.append(Cell(next(texts)))
+            if run.spread is not None:
+                quartiles = run.spread.quartiles[joint].get(quantity.key)
+                row.append(Cell(format_quartiles(quartiles)))
+            if run is not comparison.baseline:
+                ratio = comparison.ratio(run.label, quantity, joint)
+                row.append(Cell(format_ratio(ratio), verdict(ratio)))
+        rows.append(row)
+    return rows
+
+
 class ComparisonTable:
     """The table as a rich renderable that suits itself to the width it gets."""
 
@@ -420,10 +466,10 @@ class _Blocks:
             [self._title(quantity) for quantity in norms],
             is_text=True,
         )
-        headings: list[str] = []
-        for k, run in enumerate(self._comparison.runs):
-            headings += [heading_of(run), *_quartiles_heading(run), *(["ratio"] if k else [])]
-        rows = [self._norm_row(quantity) for quantity in norms]
+        headings = headings_of(self._comparison)
+        rows = [
+            map(self._text, cells_of(self._comparison, quantity, (None,))[0]) for quantity in norms
+        ]
         cells = zip(*rows, strict=True)
         columns = [TableColumn(each, cell) for each, cell in zip(headings, cells, strict=True)]
         return WideTable([names], columns, box=SIMPLE, header_style="table.header")
@@ -462,35 +508,17 @@ class _Blocks:
 
     def _columns(self, quantity: Quantity, digits: int) -> list[_RunColumn]:
         joints = (*self._comparison.joint_names, None)
-        runs = self._comparison.runs
-        values = [run.value(quantity, joint) for run in runs for joint in joints]
-        texts = [Text(text) for text in format_values(values, digits)]
-        columns: list[_RunColumn] = []
-        for k, run in enumerate(runs):
-            cells = texts[k * len(joints) : (k + 1) * len(joints)]
-            columns.append(_RunColumn(heading_of(run), cells))
-            for heading in _quartiles_heading(run):
-                spreads = [Text(quartiles_of(run, quantity, joint)) for joint in joints]
-                columns.append(_RunColumn(heading, spreads))
-            if k:
-                ratios = (self._comparison.ratio(run.label, quantity, joint) for joint in joints)
-                columns.append(_RunColumn("ratio", [self._ratio(ratio) for ratio in ratios]))
-        return columns
+        columns = zip(*cells_of(self._comparison, quantity, joints, digits), strict=True)
+        headings = headings_of(self._comparison)
+        return [
+            _RunColumn(heading, [self._text(cell) for cell in column])
+            for heading, column in zip(headings, columns, strict=True)
+        ]
 
-    def _norm_row(self, quantity: Quantity) -> list[Text]:
-        runs = self._comparison.runs
-        texts = format_values(run.value(quantity) for run in runs)
-        row: list[Text] = []
-        for k, (run, text) in enumerate(zip(runs, texts, strict=True)):
-            row.append(Text(text))
-            row += [Text(quartiles_of(run, quantity, None)) for _ in _quartiles_heading(run)]
-            if k:
-                row.append(self._ratio(self._comparison.ratio(run.label, quantity)))
-        return row
-
-    def _ratio(self, ratio: float) -> Text:
-        kind = verdict(ratio)
-        return Text(f"{format_ratio(ratio)}{self._marks[kind]}", style=STYLES[kind])
+    def _text(self, cell: Cell) -> Text:
+        if cell.verdict is None:
+            return Text(cell.text)
+        return Text(f"{cell.text}{self._marks[cell.verdict]}", style=STYLES[cell.verdict])
 
 
 class _RunColumn(NamedTuple):
@@ -505,19 +533,9 @@ def heading_of(run: RunIndices) -> str:
     return label if run.spread is None else f"{label} ({run.spread.repeats})"
 
 
-def quartiles_of(run: RunIndices, quantity: Quantity, joint: str | None) -> str:
-    """Return the quartiles of a number of a run of repeats, as a text."""
-    quartiles = {} if run.spread is None else run.spread.quartiles[joint]
-    return format_quartiles(quartiles.get(quantity.key))
-
-
 def total_name(quantities: Sequence[Quantity]) -> str:
     """Return what the last line of a table is called."""
     return "total" if all(quantity.fold is Fold.SUM for quantity in quantities) else "all"
-
-
-def _quartiles_heading(run: RunIndices) -> list[str]:
-    return [] if run.spread is None else ["quartiles"]
 
 
 def _block(title: str, columns: Sequence[_RunColumn]) -> Table:

@@ -17,7 +17,6 @@ from hpid_ros.metrics.quantities import INDICES, ITAE, IVC, Quantity
 from hpid_ros.report.blocks import (
     NOTHING,
     Block,
-    Cell,
     Heading,
     IndexRow,
     IndexTable,
@@ -28,7 +27,7 @@ from hpid_ros.report.blocks import (
     Title,
 )
 from hpid_ros.report.page import page_figures, render_page
-from hpid_ros.report.table import MARKS, format_ratio, format_values
+from hpid_ros.report.table import Cell, format_ratio, format_values
 from hpid_ros.stability.margins import Margins
 from hpid_ros.tuning.regression import COULOMB, DELAY, INERTIA, VISCOUS
 from hpid_ros.tuning.term_selection import JointIdentification
@@ -236,12 +235,13 @@ def _cells(expected: Sequence[Expected]) -> list[list[Cell]]:
     texts = iter(
         format_values([value for each in expected for value in (each.before, each.after)])
     )
-    return [[Cell(next(texts)), Cell(next(texts)), _ratio(each.ratio)] for each in expected]
-
-
-def _ratio(value: float) -> Cell:
-    found = verdict(value)
-    return Cell(format_ratio(value), MARKS[found], found)
+    return [
+        [
+            *(Cell(next(texts)), Cell(next(texts))),
+            Cell(format_ratio(each.ratio), verdict(each.ratio)),
+        ]
+        for each in expected
+    ]
 
 
 def _found(found: UpgradeReport, prediction: Prediction) -> Iterator[Block]:

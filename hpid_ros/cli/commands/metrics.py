@@ -7,9 +7,9 @@ import json
 import os
 import shlex
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,12 +20,10 @@ from hpid_ros.cli.commands import DONE
 from hpid_ros.cli.options import add_time, add_topics, bag_selection
 
 if TYPE_CHECKING:
-    from hpid_ros.control.settings import LoopSettings
     from hpid_ros.messages.selection import Reference
-    from hpid_ros.metrics.comparison import Comparison
-    from hpid_ros.metrics.measure import Measuring, Parameters, Source, Summary
+    from hpid_ros.metrics.measure import Measuring, Source, Summary
     from hpid_ros.metrics.quantities import Gains
-    from hpid_ros.metrics.task import EndEffectorFigures, TaskFrame
+    from hpid_ros.metrics.task import TaskFrame
 
 
 EXAMPLES = """\
@@ -40,15 +38,6 @@ examples:
   hpid metrics my_bag --robot my_robot.urdf            how far off its hand was
   hpid metrics ab.json results/mine/result.json        saved numbers, no bags
 """
-
-
-def add_options(parser: Any) -> None:
-    """Add all options to the parser of the command."""
-    _add_inputs(parser)
-    _add_selection(parser.add_argument_group("what is read from the bags"))
-    _add_numbers(parser.add_argument_group("numbers"))
-    _add_robot(parser.add_argument_group("the robot"))
-    _add_outputs(parser.add_argument_group("output"))
 
 
 def _add_inputs(parser: Any) -> None:
@@ -185,28 +174,19 @@ def sources_of(options: argparse.Namespace) -> list[Source]:
         require_label(label, "--group", SettingError)
         named += [Source(Path(path), label) for path in paths]
     sources = [each for one in named for each in expanded(one)]
-    if options.baseline is not None and Path(options.baseline).exists():
-        sources = _with_baseline_first(sources, Path(options.baseline))
+    if is_path(options.baseline):
+        named_first = Path(options.baseline)
+        first = [each for each in sources if each.path.resolve() == named_first.resolve()]
+        others = [each for each in sources if each not in first]
+        sources = [*(first or expanded(Source(named_first))), *others]
     if not sources:
         raise SettingError("name at least one bag, result folder or file of saved indices")
     return sources
 
 
-def _with_baseline_first(sources: Sequence[Source], baseline: Path) -> list[Source]:
-    from hpid_ros.metrics.measure import Source, expanded
-
-    def is_baseline(each: Source) -> bool:
-        return each.path.resolve() == baseline.resolve()
-
-    first = [each for each in sources if is_baseline(each)] or expanded(Source(baseline))
-    return [*first, *(each for each in sources if not is_baseline(each))]
-
-
-def baseline_label(options: argparse.Namespace) -> str | None:
-    """Return the label of the baseline; None if it was named by its path, or not at all."""
-    if options.baseline is None or Path(options.baseline).exists():
-        return None
-    return str(options.baseline)
+def is_path(baseline: str | None) -> bool:
+    """Say whether a baseline is named by its path, and not by a label."""
+    return baseline is not None and Path(baseline).exists()
 
 
 def measuring(options: argparse.Namespace) -> Measuring:
@@ -376,29 +356,17 @@ def _report_text(found: Summary, gains: Gains) -> str:
 
 def _gains(found: Summary) -> Gains:
     """Return what the laws did to their gains, of each run whose parameters are known."""
+    from hpid_ros.control.settings import LoopSettings
     from hpid_ros.metrics.laws import gain_signals
 
     gains = {}
     for run in found.series:
-        signals = gain_signals(run, _settings(found.parameters.get(run.label, {})))
+        parameters = found.parameters.get(run.label, {})
+        settings = {j: LoopSettings.from_parameters(each) for j, each in parameters.items()}
+        signals = gain_signals(run, settings)
         if signals is not None:
             gains[run.label] = signals
     return gains
-
-
-def _settings(parameters: Mapping[str, Mapping[str, object]]) -> dict[str, LoopSettings]:
-    from hpid_ros.control.settings import LoopSettings
-
-    return {joint: LoopSettings.from_parameters(values) for joint, values in parameters.items()}
-
-
-def parameters_from_file(path: Path, labels: Sequence[str]) -> Parameters:
-    """Return what a parameter file says, for each label."""
-    from hpid_ros.control.controller_files import settings_from_parameter_file
-
-    settings = settings_from_parameter_file(path).values()
-    by_joint = {each.joint: dict(each.to_parameters()) for each in settings}
-    return dict.fromkeys(labels, by_joint)
 
 
 def add(commands: Any) -> None:
@@ -410,7 +378,11 @@ def add(commands: Any) -> None:
         epilog=EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    add_options(parser)
+    _add_inputs(parser)
+    _add_selection(parser.add_argument_group("what is read from the bags"))
+    _add_numbers(parser.add_argument_group("numbers"))
+    _add_robot(parser.add_argument_group("the robot"))
+    _add_outputs(parser.add_argument_group("output"))
     parser.set_defaults(command=run)
 
 
@@ -428,7 +400,7 @@ def run(options: argparse.Namespace) -> int:
     with _progress() as tell:
         found = summary(
             measure_all(sources, how, tell=tell),
-            baseline=baseline_label(options),
+            baseline=None if is_path(options.baseline) else options.baseline,
             indices=indices,
             units=options.units,
             is_overall=options.overall,
@@ -436,7 +408,11 @@ def run(options: argparse.Namespace) -> int:
         )
         labels = [run.label for run in found.comparison.runs]
         if options.parameters is not None:
-            found = replace(found, parameters=parameters_from_file(options.parameters, labels))
+            from hpid_ros.control.controller_files import settings_from_parameter_file
+
+            settings = settings_from_parameter_file(options.parameters).values()
+            by_joint = {each.joint: dict(each.to_parameters()) for each in settings}
+            found = replace(found, parameters=dict.fromkeys(labels, by_joint))
         for line in found.warnings:
             print(f"hpid: warning: {line}", file=sys.stderr)
         if how.keeps_series and len(found.series) < len(labels):
@@ -455,50 +431,26 @@ def run(options: argparse.Namespace) -> int:
 def _print(options: argparse.Namespace, found: Summary) -> None:
     from hpid_ros.report.export import FORMATS
 
+    # As lines below a table, as ``end_effector`` in JSON; CSV and LaTeX are tables of joints.
+    lines = "".join(f"{each.line(label)}\n" for label, each in found.end_effectors.items())
     try:
-        _print_to_output(options, found, FORMATS)
+        if options.format == "table" and sys.stdout.isatty():
+            from hpid_ros.cli.terminal import output_console
+            from hpid_ros.report.table import ComparisonTable
+
+            output_console().print(ComparisonTable(found.comparison))
+            print(lines, end="", flush=True)
+            return
+        text = FORMATS[options.format](found.comparison)
+        if options.format == "json" and found.end_effectors:
+            figures = {label: asdict(each) for label, each in found.end_effectors.items()}
+            text = json.dumps(json.loads(text) | {"end_effector": figures}, indent=2) + "\n"
+        print(text + (lines if options.format == "table" else ""), end="", flush=True)
     except BrokenPipeError:  # whoever reads has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     except OSError as error:
         reason = (error.strerror or str(error)).lower()
         raise SettingError(f"cannot write the output: {reason}") from None
-
-
-def _print_to_output(
-    options: argparse.Namespace,
-    found: Summary,
-    formats: Mapping[str, Callable[[Comparison], str]],
-) -> None:
-    if options.format == "table" and sys.stdout.isatty():
-        from hpid_ros.cli.terminal import output_console
-        from hpid_ros.report.table import ComparisonTable
-
-        output_console().print(ComparisonTable(found.comparison))
-        print(*_end_effector_lines(found.end_effectors), sep="", end="", flush=True)
-    else:
-        text = formats[options.format](found.comparison)
-        text = _with_end_effectors(text, options.format, found.end_effectors)
-        print(text, end="", flush=True)
-
-
-def _with_end_effectors(text: str, form: str, figures: Mapping[str, EndEffectorFigures]) -> str:
-    """Return a printed comparison together with the end effectors of its runs.
-
-    As lines below a table, as ``end_effector`` in JSON; CSV and LaTeX are tables of joints and
-    stay as they are.
-    """
-    if not figures:
-        return text
-    if form == "json":
-        document = json.loads(text)
-        document["end_effector"] = {label: each.as_mapping() for label, each in figures.items()}
-        return json.dumps(document, indent=2) + "\n"
-    return text + "".join(_end_effector_lines(figures)) if form == "table" else text
-
-
-def _end_effector_lines(figures: Mapping[str, EndEffectorFigures]) -> list[str]:
-    """Return one line a run, with its end."""
-    return [f"{each.line(label)}\n" for label, each in figures.items()]
 
 
 @contextmanager
