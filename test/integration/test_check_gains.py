@@ -9,7 +9,6 @@ from harness.graph import ros_arguments
 from hpid_ros.base.files import share_folder
 from hpid_ros.cli.commands import BAD_INPUT, DONE, FAILED
 from hpid_ros.cli.main import main
-from hpid_ros.control.controller_files import settings_from_parameters
 from hpid_ros.live import graph_client
 from hpid_ros.stability.certification import verify_certificate
 from hpid_ros.stability.closed_loop import Certificate
@@ -30,6 +29,8 @@ def test_a_well_tuned_pid_is_certified_for_nearly_every_degree(capsys):
     assert lower <= -0.49
     assert upper >= 0.49
     assert verdicts["joint"]["settling_bound"] > 0.0
+    certificate = Certificate.from_mapping(verdicts["joint"]["certificate"])
+    assert verify_certificate(certificate).rate > 0.0
 
 
 @pytest.mark.parametrize(("degree", "code"), [("0.05", DONE), ("0.4", FAILED), ("-0.2", FAILED)])
@@ -37,12 +38,6 @@ def test_exit_code_says_whether_the_configured_degree_is_certified(capsys, degre
     found, verdicts = checked([*NEAR_THE_LIMIT, "--mu", degree], capsys)
     assert found == code
     assert verdicts["joint"]["is_certified"] == (code == DONE)
-
-
-def test_the_saved_certificate_can_be_verified_again(capsys):
-    _, verdicts = checked(WELL_TUNED, capsys)
-    certificate = Certificate.from_mapping(verdicts["joint"]["certificate"])
-    assert verify_certificate(certificate).rate > 0.0
 
 
 def test_an_unstable_pid_is_shown_with_its_numbers(capsys):
@@ -91,40 +86,18 @@ def test_bad_input_is_one_line_and_exit_code_two(capsys, arguments, words):
     assert words in line
 
 
-def test_a_parameter_file_may_name_everything_for_all_nodes():
-    document = {
-        "/**": {"ros__parameters": {"gains": {"p": 2.0, "d": 3.0}, "use_sim_time": False}},
-        "other": {"ros__parameters": {"rate": 5}},
-        "elbow_controller": {"ros__parameters": {"joint": "elbow", "mu": 0.1}},
-    }
-    (settings,) = settings_from_parameters(document, "file").values()
-    assert (settings.joint, settings.gains.p, settings.mu) == ("elbow", 2.0, 0.1)
-
-
 def test_running_controllers_are_found_and_checked(harness, capsys):
+    gains = {"gains__p": 5.0, "gains__i": 9.0, "gains__d": 2.0, "norm__rate_weight": 3.0}
     for joint, mu in (("elbow", 0.05), ("wrist", 0.4)):
-        harness.processes.start(
-            f"{joint}_controller",
-            "joint_controller",
-            ros_arguments(
-                joint=joint,
-                mu=mu,
-                gains__p=5.0,
-                gains__i=9.0,
-                gains__d=2.0,
-                norm__rate_weight=3.0,
-                inertia=1.0,
-            ),
-        )
+        own = ros_arguments(joint=joint, mu=mu, inertia=1.0, **gains)
+        harness.processes.start(f"{joint}_controller", "joint_controller", own)
     harness.wait(
         lambda: harness.states.get_subscription_count() == 2, what="both controllers to listen"
     )
     code, verdicts = checked(["--live"], capsys)
     assert code == FAILED
-    assert {name: each["is_certified"] for name, each in verdicts.items()} == {
-        "elbow": True,
-        "wrist": False,
-    }
+    certified = {name: each["is_certified"] for name, each in verdicts.items()}
+    assert certified == {"elbow": True, "wrist": False}
 
 
 def test_an_empty_graph_is_said(harness, monkeypatch, capsys):

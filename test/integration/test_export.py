@@ -108,27 +108,24 @@ def test_an_experiment_has_a_controller_of_whom_it_is(experiment_file, tmp_path,
         ({"compensation": "gravity"}, [], "wrist: compensation = gravity cannot be exported"),
         ({"mu": 0.7}, [], "mu must lie in"),
         ({"mu": 0.49999999999}, ["--precision", "single"], "wrist: in single precision"),
-        ({"joint": "El-bow"}, ["--joint", "El-bow", "--joint", "elbow"], None),
     ],
 )
 def test_what_cannot_be_exported_is_one_line_and_no_file(
     controllers, tmp_path, capsys, wrist, more, line
 ):
     folder = tmp_path / "firmware"
-    code = main(["export", "--c", str(controllers(**wrist)), "-o", str(folder), *more])
-    told = capsys.readouterr().err
-    if line is None:  # hpid_El_bow is none of hpid_elbow
-        assert code == DONE
-        return
-    assert code == BAD_INPUT
-    assert line in told
-    assert told.count("\n") == 1
+    file = str(controllers(**wrist))
+    assert main(["export", "--c", file, "-o", str(folder), *more]) == BAD_INPUT
+    (text,) = capsys.readouterr().err.strip().splitlines()
+    assert line in text
     assert not folder.exists()
 
 
 def test_a_missing_file_and_a_folder_that_is_none_are_refused(controllers, tmp_path, capsys):
-    assert main(["export", "--c", str(tmp_path / "no.yaml"), "-o", str(tmp_path)]) == BAD_INPUT
-    assert "no.yaml: no such file" in capsys.readouterr().err
     file = controllers()
-    assert main(["export", "--c", str(file), "-o", str(file)]) == BAD_INPUT
-    assert "is no folder" in capsys.readouterr().err
+    for source, folder, words in (
+        (tmp_path / "no.yaml", tmp_path, "no.yaml: no such file"),
+        (file, file, "is no folder"),
+    ):
+        assert main(["export", "--c", str(source), "-o", str(folder)]) == BAD_INPUT
+        assert words in capsys.readouterr().err

@@ -18,7 +18,7 @@ from hpid_ros.stability.gain_check import decay_time
 pytestmark = pytest.mark.slow
 
 GAINS = Gains(p=3.0, i=1.0, d=3.0)
-DIRECTIONS = ((1.0, 0.0, 0.0), (0.3, -1.0, 0.5), (0.0, 0.0, 1.0))
+DIRECTIONS = ((0.3, -1.0, 0.5), (0.0, 0.0, 1.0))
 
 
 def norms(degree):
@@ -98,18 +98,3 @@ def test_positive_degrees_come_close_in_a_time_that_no_start_exceeds(norm, direc
     added = times[3:] - times[:-3]
     assert np.all(added[1:] < 0.75 * added[:-1])
     assert times[-1] < 1.1 * times[-2]
-
-
-@pytest.mark.parametrize("norm", norms(0.0), ids=["weighted", "canonical"])
-def test_a_pid_needs_longer_for_every_decade_of_the_start(norm):
-    transient = Transient(norm)
-    starts = 10.0 ** np.arange(0.5, 6.5)
-    times = [transient.times(DIRECTIONS[0], start, [1.0])[0] for start in starts]
-    slowest_pole = 1.0  # [1/s], a triple one
-    assert np.all(np.diff(times)[1:] > 0.99 * math.log(10.0) / slowest_pole)
-
-
-@pytest.mark.parametrize("norm", norms(0.3), ids=["weighted", "canonical"])
-def test_positive_degrees_slow_down_close_to_the_target(norm):
-    gaps = np.diff(Transient(norm).times(DIRECTIONS[1], 1.0, 10.0 ** -np.arange(1.0, 5.0)))
-    assert np.all(gaps[1:] > 1.3 * gaps[:-1])

@@ -80,9 +80,8 @@ def test_the_norm_reaches_from_its_floor_to_its_cap(others, norms):
 
 
 def test_a_model_that_decouples_leaves_no_friction():
-    gains = Gains(200.0, 500.0, 20.0)
-    settings = loop_settings(gains=gains, law="pid", compensation="decoupling", inertia=0.1)
-    assert loop_family(settings, (1.0, 1.0), friction=0.5).friction == 0.0
+    model = {"gains": Gains(200.0, 500.0, 20.0), "compensation": "decoupling", "inertia": 0.1}
+    assert loop_family(loop_settings(law="pid", **model), (1.0, 1.0), friction=0.5).friction == 0.0
 
 
 @pytest.mark.parametrize(

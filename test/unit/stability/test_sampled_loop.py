@@ -178,15 +178,6 @@ def test_without_friction_the_joint_is_the_double_integrator():
     assert little.position == pytest.approx(expected, rel=1e-6)
 
 
-def test_pushed_far_the_differentiator_is_no_difference_any_more():
-    """Levant's bound: within it the twin is exact, which is why it is said so."""
-    joint = SampledJoint(INERTIA, PERIOD, 0.5)
-    settings = settings_of("levant", acceleration_bound=0.05)
-    positions, _ = run_loop(settings, joint, (0.5, 0.0), 100)
-    expected, _ = run_matrix(FrozenLoop(settings, joint), (0.5, 0.0), 100)
-    assert positions != pytest.approx(expected, rel=1e-2)
-
-
 @pytest.mark.parametrize(
     ("numbers", "words"),
     [

@@ -9,7 +9,7 @@ from harness.loops import loop_settings
 
 from hpid_ros.base.errors import SettingError
 from hpid_ros.control import LOOP_PARAMETERS
-from hpid_ros.tuning.c_export import FIELDS, c_files, c_name, golden_vectors, require_distinct
+from hpid_ros.tuning.c_export import FIELDS, c_files, golden_vectors, require_distinct
 
 EVERYTHING = {
     "gains__p": 39.6,
@@ -54,14 +54,8 @@ def test_the_sanitizers_find_nothing_in_either_precision(exported):
     needs_compiler()
     folder, name = exported
     sanitized = ("-fsanitize=address,undefined,float-cast-overflow", "-fno-sanitize-recover")
-    probe = subprocess.run(
-        [COMPILER, *sanitized, "-x", "c", "-", "-o", folder / "probe"],
-        input="int main(void) { return 0; }",
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    if probe.returncode:
+    probe = [COMPILER, *sanitized, "-x", "c", "-", "-o", folder / "probe"]
+    if subprocess.run(probe, input=b"int main(void) { return 0; }", check=False).returncode:
         pytest.skip("the C compiler has no sanitizers")
     single = f"-D{name.upper()}_SINGLE=1"
     for options, word in ((sanitized, "double"), ((*sanitized, single), "single")):
@@ -98,7 +92,8 @@ def test_two_joints_are_in_one_firmware_and_a_header_in_c_plus_plus_guards(tmp_p
     second = write_c(tmp_path, settings(joint="wrist/1"), "single")
     assert (first, second) == ("hpid_elbow", "hpid_wrist_1")
     (tmp_path / "firmware.c").write_text(
-        f"""#include "{first}.h"
+        f"""#include <stddef.h>
+#include "{first}.h"
 #include "{second}.h"
 int main(void)
 {{
@@ -110,7 +105,7 @@ int main(void)
     {second}_step(&wrist, 0, 0.0f, 0.0f, 0.0f, NULL);
     return are_ready && sizeof({second}_real) == 4 ? 0 : 1;
 }}
-""".replace("#include", "#include <stddef.h>\n#include", 1)
+"""
     )
     program = compile_c(tmp_path, ["firmware.c", f"{first}.c", f"{second}.c"])
     assert subprocess.run([program], check=False).returncode == 0
@@ -128,45 +123,30 @@ def test_a_name_that_somebody_else_wrote_stays_in_its_comment(tmp_path):
     compile_c(tmp_path, [f"{name}.c", f"{name}_test.c"])
 
 
-def test_a_joint_without_a_letter_has_no_name():
-    with pytest.raises(SettingError, match=r"cannot have a name in C"):
-        c_name("関節")
-
-
-def test_joints_of_one_name_in_c_are_refused():
-    require_distinct(["a_1", "a_2"])
-    with pytest.raises(SettingError, match=r"'a-1' and 'A_1' would both be hpid_A_1"):
-        require_distinct(["a-1", "A_1"])
-
-
-@pytest.mark.parametrize("joints", [("arm", "arm_test"), ("arm_golden", "arm")])
-def test_joints_that_would_write_one_file_are_refused(joints):
-    require_distinct(["arm", "arm_2", "arm_golden_2"])
-    with pytest.raises(SettingError, match=r"would both be hpid_arm_(golden\.h|test\.c) in C"):
+@pytest.mark.parametrize(
+    "joints", [("a-1", "A_1"), ("arm", "arm_test"), ("arm_golden", "arm"), ("関節",)]
+)
+def test_joints_without_a_name_of_their_own_in_c_are_refused(joints):
+    require_distinct(["a_1", "a_2", "arm", "arm_2", "arm_golden_2"])
+    with pytest.raises(SettingError, match="in C"):
         require_distinct(joints)
 
 
 @pytest.mark.parametrize(
-    ("changes", "line"),
+    ("changes", "precision", "words"),
     [
-        ({"compensation": "gravity"}, "elbow: compensation = gravity cannot be exported"),
-        ({"compensation": "decoupling", "inertia": 0.1, "gains__i": 1.0}, "compensation = dec"),
+        ({"compensation": "gravity"}, "double", "elbow: compensation = gravity cannot"),
+        ({"compensation": "decoupling", "inertia": 0.1, "gains__i": 1.0}, "double", "tion = dec"),
+        ({"mu": 0.49999999999}, "single", "in single precision.* mu"),
+        ({"gains__i": 1e-60}, "single", "is 0 in single"),
     ],
 )
-def test_what_the_c_code_cannot_do_is_refused(changes, line):
-    with pytest.raises(SettingError, match=line) as refused:
+def test_what_the_c_code_cannot_do_is_refused(changes, precision, words):
+    if precision == "single":
         c_files(settings(**changes), "double", "a test")
+    with pytest.raises(SettingError, match=words) as refused:
+        c_files(settings(**changes), precision, "a test")
     assert "\n" not in str(refused.value)
-
-
-@pytest.mark.parametrize(
-    ("changes", "line"),
-    [({"mu": 0.49999999999}, "in single precision.* mu"), ({"gains__i": 1e-60}, "is 0 in single")],
-)
-def test_what_single_precision_cannot_hold_is_refused_there_alone(changes, line):
-    c_files(settings(**changes), "double", "a test")
-    with pytest.raises(SettingError, match=line):
-        c_files(settings(**changes), "single", "a test")
 
 
 def test_every_parameter_of_a_loop_is_in_c_or_is_the_nodes_or_of_an_extra():

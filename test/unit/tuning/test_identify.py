@@ -29,6 +29,11 @@ def found(*records, **options):
     return identify(records, **options)
 
 
+def like(one, **changes):
+    """Return a record with other values of some fields."""
+    return replace(one, **changes)
+
+
 def values(result):
     return {name: each.value for name, each in result.estimates.items()}
 
@@ -42,53 +47,54 @@ def test_without_noise_the_truth_is_found(seed):
     assert not [name for name in result.untold if name != "gravity_sin"]
 
 
+def test_a_delay_beyond_what_is_looked_through_is_not_told():
+    (result,) = found(record(Plant(delay=0.05)), method=Method(longest_delay=0.03))
+    assert result.untold["delay"] == "the best is at the end of what was looked through, 30 ms"
+
+
 @pytest.mark.parametrize("delay", [-0.0005, 0.0, 0.0004, 0.0037, 0.05])
 def test_a_delay_is_found_between_samples(delay):
     (result,) = found(record(Plant(delay=delay)))
     assert result.estimates["delay"].value == pytest.approx(delay, abs=2e-5)
 
 
-def test_a_delay_beyond_what_is_looked_through_is_not_told():
-    (result,) = found(record(Plant(delay=0.05)), method=Method(longest_delay=0.03))
-    assert result.untold["delay"] == "the best is at the end of what was looked through, 30 ms"
-
-
 def test_a_held_command_acts_half_a_period_later_than_a_sample():
     sampled = record(Plant(delay=0.002), np.arange(0.0, 15.0, 0.004))
-    held = JointRecord("joint", sampled.time, sampled.position, sampled.time, sampled.effort)
-    (as_sample,), (as_command,) = found(sampled), found(held)
+    as_sample, as_command = (found(each)[0] for each in (sampled, like(sampled, is_held=True)))
     difference = as_sample.estimates["delay"].value - as_command.estimates["delay"].value
     assert difference == pytest.approx(0.002, abs=1e-4)
 
 
-def test_everything_but_the_delay_scales_with_the_efforts():
+def test_everything_but_the_delay_scales_with_the_efforts_and_nothing_with_the_time():
     one = record(Plant(), noise=1e-4)
-    seven = JointRecord("joint", one.time, one.position, one.time, 7.0 * one.effort, is_held=False)
-    (first,), (second,) = found(one), found(seven)
+    first, second, third = (
+        found(each)[0]
+        for each in (
+            one,
+            like(one, effort=7.0 * one.effort),
+            like(one, time=one.time + 4096.0, effort_time=one.effort_time + 4096.0),
+        )
+    )
     for name, each in first.estimates.items():
         factor = 1.0 if name == "delay" else 7.0
-        assert second.estimates[name].value == pytest.approx(factor * each.value, rel=1e-6)
-        assert second.estimates[name].half_width == pytest.approx(
-            factor * each.half_width, rel=1e-4
-        )
+        scaled = second.estimates[name]
+        assert scaled.value == pytest.approx(factor * each.value, rel=1e-6)
+        assert scaled.half_width == pytest.approx(factor * each.half_width, rel=1e-4)
+    assert values(third) == pytest.approx(values(first), rel=1e-5)
 
 
-def test_when_it_was_does_not_matter():
-    one = record(Plant(), noise=1e-4)
-    later = JointRecord(
-        "joint", one.time + 4096.0, one.position, one.time + 4096.0, one.effort, is_held=False
-    )
-    (first,), (second,) = found(one), found(later)
-    assert values(second) == pytest.approx(values(first), rel=1e-5)
+def drag(q, v, a):
+    return 0.01 * a[::-1]  # each joint drags the other
 
 
-def test_the_order_of_joints_does_not_matter():
+@pytest.mark.parametrize("body", [None, drag])
+def test_the_order_of_joints_does_not_matter(body):
     one, two = record(Plant(), name="a"), record(Plant(inertia=0.1), name="b", seed=4)
-    forward, backward = found(one, two), found(two, one)
+    forward, backward = found(one, two, rigid_body=body), found(two, one, rigid_body=body)
     assert [each.joint for each in forward] == ["a", "b"]
-    assert values(forward[0]) == values(backward[1])
-    assert values(forward[1]) == values(backward[0])
-    (only,) = found(one, two, wanted=["b"])
+    for k in (0, 1):
+        assert values(forward[k]) == pytest.approx(values(backward[1 - k]), rel=1e-9)
+    (only,) = found(one, two, rigid_body=body, wanted=["b"])
     assert values(only) == values(forward[1])
 
 
@@ -105,43 +111,20 @@ def test_who_moves_at_the_same_time_is_named():
 
 def test_years_between_two_samples_are_not_looked_through():
     """A clock that begins in 1970 is set when the network comes."""
-    one, two = (record(Plant(), name=name, seed=seed) for name, seed in (("a", 1), ("b", 4)))
+    both = [record(Plant(), name=name, seed=seed) for name, seed in (("a", 1), ("b", 4))]
     late = [
-        JointRecord(
-            each.joint,
-            np.append(each.time, 1e11),
-            np.append(each.position, each.position[-1]),
-            np.append(each.effort_time, 1e11),
-            np.append(each.effort, 0.0),
-            is_held=each.is_held,
+        like(
+            each,
+            time=np.append(each.time, 1e11),
+            position=np.append(each.position, each.position[-1]),
+            effort_time=np.append(each.effort_time, 1e11),
+            effort=np.append(each.effort, 0.0),
         )
-        for each in (one, two)
+        for each in both
     ]
-    known, jumped = found(one, two), found(*late)
+    known, jumped = found(*both), found(*late)
     assert [each.remarks for each in jumped] == [each.remarks for each in known]
     assert values(jumped[0]) == pytest.approx(values(known[0]), rel=1e-3)
-
-
-def test_with_rigid_bodies_the_order_of_joints_does_not_matter():
-    one, two = record(Plant(), name="a"), record(Plant(inertia=0.1), name="b", seed=4)
-
-    def light(q, v, a):
-        return 0.01 * a[::-1]  # each joint drags the other
-
-    forward, backward = found(one, two, rigid_body=light), found(two, one, rigid_body=light)
-    assert values(forward[0]) == pytest.approx(values(backward[1]), rel=1e-9)
-
-
-def test_rigid_bodies_are_taken_off_and_fix_the_efforts_scale():
-    plant = Plant()
-    one = record(plant)
-
-    def link(q, v, a):
-        return 0.2 * a + 0.3  # which leaves a rotor of 0.3 and no load
-
-    (result,) = found(one, rigid_body=link)
-    assert result.estimates["inertia"].value == pytest.approx(0.3, rel=2e-3)
-    assert result.estimates["offset"].value == pytest.approx(0.0, abs=1e-3)
 
 
 @pytest.mark.parametrize("share", [1.0, -1.0, 0.0])
@@ -160,9 +143,7 @@ def test_what_spinning_rotors_pull_is_found_whichever_way_they_turn(share):
         own = record(plant, seed=seed, name=str(seed), noise=2e-5)
         other = motion(own.time + plant.delay, 5 - seed)[2]
         pulled = own.effort + share * pull * plant.inertia * other
-        records.append(
-            JointRecord(own.joint, own.time, own.position, own.time, pulled, is_held=False)
-        )
+        records.append(like(own, effort=pulled))
     with_spin = found(*records, rigid_body=no_links, spin=spin)
     without = found(*records, rigid_body=no_links)
     for one, before in zip(with_spin, without, strict=True):
@@ -179,12 +160,10 @@ def test_what_spinning_rotors_pull_is_found_whichever_way_they_turn(share):
 def test_efforts_in_a_unit_of_their_own_are_scaled_by_the_masses(scale):
     plant = Plant(gravity_sin=3.0, gravity_cos=1.0)
     one = record(plant, amplitude=0.5)
-    currents = JointRecord(
-        "joint", one.time, one.position, one.time, one.effort / scale, is_held=False
-    )
+    currents = like(one, effort=one.effort / scale)
 
     def link(q, v, a):
-        return 0.2 * a + 3.0 * np.sin(q) + 1.0 * np.cos(q)
+        return 0.2 * a + 3.0 * np.sin(q) + 1.0 * np.cos(q)  # which leaves a rotor of 0.3
 
     (result,) = found(currents, rigid_body=link, method=Method(has_scale=True))
     assert result.estimates["effort_scale"].value == pytest.approx(scale, rel=5e-3)
@@ -198,7 +177,7 @@ def test_efforts_in_a_unit_of_their_own_are_scaled_by_the_masses(scale):
 
 def test_what_stands_on_a_doubted_scale_is_in_brackets_and_in_no_file():
     one = record(Plant(gravity_sin=3.0), amplitude=0.5)
-    weak = JointRecord("joint", one.time, one.position, one.time, 0.8 * one.effort, is_held=False)
+    weak = like(one, effort=0.8 * one.effort)
 
     def link(q, v, a):
         return 0.2 * a + 3.0 * np.sin(q)
@@ -222,8 +201,7 @@ def test_what_stands_on_a_doubted_scale_is_in_brackets_and_in_no_file():
 def scale_of(seed):
     """Return the effort's scale, which is 1, by a link's inertia and noisy positions."""
     one = record(Plant(gravity_sin=3.0), seed=seed, noise=2e-3, amplitude=0.5)
-    aim = motion(one.time, seed, 0.5)[0]
-    own = JointRecord("joint", one.time, one.position, one.time, one.effort, aim, is_held=False)
+    own = like(one, reference=motion(one.time, seed, 0.5)[0])
 
     def link(q, v, a):
         return 0.4 * a + 3.0 * np.sin(q)
@@ -265,37 +243,28 @@ def test_noise_that_a_controller_feeds_back_does_not_bias_viscous_friction_and_d
         assert result.estimates[name].low <= value <= result.estimates[name].high
 
 
-def test_a_joint_that_stands_still_gets_a_reason_and_no_number():
+def test_what_says_nothing_of_a_joint_gives_a_reason_and_no_number():
     moving, times = record(Plant(), name="a"), np.arange(0.0, 12.0, 2e-3)
-    jitter = 1e-5 * np.random.default_rng(1).standard_normal(len(times))
-    still = JointRecord("b", times, 0.7 + jitter, times, np.full(len(times), 2.0))
-    frozen = JointRecord("c", times, np.full(len(times), 0.7), times, np.full(len(times), 2.0))
-    for result in found(moving, still, frozen)[1:]:
+    chance, constant = np.random.default_rng(1), np.full(len(times), 2.0)
+    jitter = chance.standard_normal(len(times))
+    still = JointRecord("b", times, 0.7 + 1e-5 * jitter, times, constant)
+    frozen = JointRecord("c", times, np.full(len(times), 0.7), times, constant)
+    noise = JointRecord("d", times, 1e-4 * jitter, times, chance.normal(size=len(times)))
+    of_another = like(moving, effort=record(Plant(), seed=9).effort)
+    short = record(Plant(), np.arange(0.0, 0.5, 1e-3))
+    empty = JointRecord("joint", *(np.empty(0) for _ in range(4)))
+    for records, words in (
+        ([still, moving], "did not move"),
+        ([frozen, moving], "did not move"),
+        ([noise], ""),
+        ([of_another], "explains only"),
+        ([short], "longer than"),
+        ([empty], ""),
+    ):
+        result = found(*records)[0]
         assert not result.is_found
-        assert "did not move" in result.untold[result.joint]
-
-
-def test_noise_alone_is_no_motion():
-    times = np.arange(0.0, 12.0, 2e-3)
-    chance = np.random.default_rng(2)
-    record_ = JointRecord(
-        "a",
-        times,
-        1e-4 * chance.standard_normal(len(times)),
-        times,
-        chance.normal(size=len(times)),
-    )
-    (result,) = found(record_)
-    assert not result.is_found
-    assert result.untold["a"]
-
-
-def test_efforts_that_have_nothing_to_do_with_the_motion_give_no_number():
-    one, other = record(Plant()), record(Plant(), seed=9)
-    mixed = JointRecord("a", one.time, one.position, one.time, other.effort, is_held=False)
-    (result,) = found(mixed)
-    assert not result.is_found
-    assert "explains only" in result.untold["a"]
+        assert words in result.untold[result.joint]
+        assert result.untold[result.joint]
 
 
 def test_coulomb_friction_needs_both_directions():
@@ -331,12 +300,10 @@ def test_stribeck_friction_is_found_where_it_is_and_only_there():
 
 def test_a_drive_that_gives_less_than_it_is_asked_for_is_found():
     plant = Plant()
-    true = record(plant, np.arange(0.0, 15.0, 0.004))
-    acting = JointRecord("joint", true.time, true.position, true.time, true.effort)
-    limit = 0.8 * float(np.abs(true.effort).max())
-    asked = np.where(np.abs(true.effort) > limit, 2.5 * true.effort, true.effort)
-    weak = JointRecord("joint", true.time, true.position, true.time, asked)
-    (plain,), (saturated,) = found(acting), found(weak)
+    acting = like(record(plant, np.arange(0.0, 15.0, 0.004)), is_held=True)
+    limit = 0.8 * float(np.abs(acting.effort).max())
+    asked = np.where(np.abs(acting.effort) > limit, 2.5 * acting.effort, acting.effort)
+    (plain,), (saturated,) = found(acting), found(like(acting, effort=asked))
     assert plain.effort_limit == np.inf
     assert saturated.effort_limit == pytest.approx(limit, rel=0.1)
     assert values(saturated)["inertia"] == pytest.approx(plant.inertia, rel=0.1)
@@ -351,13 +318,6 @@ def test_gaps_uneven_stamps_and_stamps_too_close_do_little():
     truth = {n: getattr(Plant(), n) for n in NAMES}
     assert values(result) == pytest.approx(truth, rel=2e-2)
     assert result.time < 30.0
-
-
-def test_a_record_that_is_too_short_says_what_it_lacks():
-    (result,) = found(record(Plant(), np.arange(0.0, 0.5, 1e-3)))
-    assert "longer than" in result.untold["joint"]
-    (empty,) = found(JointRecord("joint", *(np.empty(0) for _ in range(4))))
-    assert empty.untold["joint"]
 
 
 def test_intervals_contain_the_truth_as_often_as_they_say():
@@ -377,11 +337,12 @@ def test_intervals_contain_the_truth_as_often_as_they_say():
 
 def test_a_record_says_what_is_wrong_with_it():
     times, ones = np.arange(3.0), np.ones(3)
-    with pytest.raises(SettingError, match="'a': effort has shape"):
-        JointRecord("a", times, ones, times, np.ones(4))
-    with pytest.raises(SettingError, match="must be finite"):
-        JointRecord("a", times, np.array([1.0, np.nan, 1.0]), times, ones)
-    with pytest.raises(SettingError, match="must increase strictly"):
-        JointRecord("a", times[::-1], ones, times, ones)
+    for fields, words in (
+        ((times, ones, times, np.ones(4)), "'a': effort has shape"),
+        ((times, np.array([1.0, np.nan, 1.0]), times, ones), "must be finite"),
+        ((times[::-1], ones, times, ones), "must increase strictly"),
+    ):
+        with pytest.raises(SettingError, match=words):
+            JointRecord("a", *fields)
     with pytest.raises(SettingError, match="cutoff must be above 0"):
         Method(cutoff=-1.0)

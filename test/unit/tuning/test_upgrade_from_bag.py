@@ -34,16 +34,17 @@ def estimates(**values):
     return {name: Estimate(value, 0.1 * abs(value)) for name, value in values.items()}
 
 
-def test_what_was_found_is_laid_over_the_description():
-    found = known(
-        JointIdentification("a", estimates(inertia=0.05, viscous=0.2, coulomb=-0.01, delay=0.0031))
-    )
+@pytest.mark.parametrize(("limit", "effort"), [(np.inf, 9.0), (40.0, 9.0), (4.0, 4.0)])
+def test_what_was_found_is_laid_over_the_description(limit, effort):
+    numbers = estimates(inertia=0.05, viscous=0.2, coulomb=-0.01, delay=0.0031)
+    found = known(JointIdentification("a", numbers, effort_limit=limit))
     joint = found.robot.description.joints["a"]
     assert joint.reflected_inertia == pytest.approx(0.05)
     assert joint.damping == 0.2
     assert joint.friction == 0.0  # below zero nothing can be
+    assert joint.effort == effort
     assert RobotDescription.load(found.robot.source).joints["a"] == joint
-    assert not found.assumptions["a"]
+    assert bool(found.assumptions["a"]) == np.isfinite(limit)
 
 
 @pytest.mark.parametrize(
@@ -72,20 +73,14 @@ def test_guesses_and_what_is_not_simulated_are_told():
 
 @pytest.mark.parametrize("noise", [0.0, 3e-6, 1e-4])
 @pytest.mark.parametrize("resolution", [0.0, 2e-5])
-def test_noise_is_told_from_motion_and_from_rounding(noise, resolution):
+def test_noise_is_told_from_motion_rounding_and_jumps(noise, resolution):
     chance = np.random.default_rng(5)
     position = 0.4 * np.sin(3.0 * TIMES) + noise * chance.standard_normal(len(TIMES))
+    position[1000:] += 0.5
     if resolution:
         position = np.round(position / resolution) * resolution
     found = position_noise(series(position), resolution)
     assert found == pytest.approx(noise, rel=0.1, abs=max(0.25 * resolution, 1e-7))
-
-
-def test_jumps_and_gaps_are_no_noise():
-    chance = np.random.default_rng(5)
-    position = 1e-4 * chance.standard_normal(len(TIMES))
-    position[1000:] += 0.5
-    assert position_noise(series(position), 0.0) == pytest.approx(1e-4, rel=0.1)
 
 
 def test_a_pid_is_checked_at_the_rate_at_which_it_ran():
@@ -101,23 +96,13 @@ def test_a_pid_is_checked_at_the_rate_at_which_it_ran():
     assert said.phase < 0.9 * fast.phase
 
 
-@pytest.mark.parametrize("noise", [0.02, 0.1, 0.4])
+@pytest.mark.parametrize("noise", [0.02, 0.1, 0.4, None])
 def test_noise_below_a_count_is_found_by_how_the_effort_varies(noise):
+    """And none is taken where the effort varies whatever the noise is."""
     search = _NoiseSearch.begun(JointFacts(0, 0.0, 1.0))
     for _ in range(8):
-        search = search.after(3.0 + search.facts.noise, 3.0 + noise)
-    assert search.best.noise == pytest.approx(noise, rel=0.1)
-
-
-def test_noise_that_explains_nothing_is_not_taken():
-    search = _NoiseSearch.begun(JointFacts(0, 0.0, 1.0))
-    for _ in range(8):
-        search = search.after(1.0, 3.0)
-    assert search.best is None
-
-
-def test_a_drive_that_saturates_is_simulated_with_its_limit():
-    weak = JointIdentification("a", estimates(inertia=0.05), effort_limit=4.0)
-    assert known(weak).robot.description.joints["a"].effort == 4.0
-    strong = JointIdentification("a", estimates(inertia=0.05), effort_limit=40.0)
-    assert known(strong).robot.description.joints["a"].effort == 9.0
+        if noise is None:
+            search = search.after(1.0, 3.0)
+        else:
+            search = search.after(3.0 + search.facts.noise, 3.0 + noise)
+    assert noise == (search.best and pytest.approx(search.best.noise, rel=0.1))
