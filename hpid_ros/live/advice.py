@@ -61,21 +61,14 @@ class Advice:
     response: Response | None = None  # to a step; None where the inertia is not known
     is_pending: bool = False  # whether the certificate is still being looked for
 
-    def as_mapping(self) -> dict[str, Any]:
-        """Return it as what JSON can hold."""
-        return asdict(self)
-
     @classmethod
     def from_mapping(cls, values: Mapping[str, Any]) -> Advice:
-        """Return the advice of :meth:`as_mapping`."""
-        kept = dict(values)
-        if kept["interval"] is not None:
-            kept["interval"] = tuple(kept["interval"])
-        if kept["response"] is not None:
-            response = {**kept["response"]}
-            response |= {name: tuple(response[name]) for name in ("times", "errors")}
-            kept["response"] = Response(**response)
-        return cls(**kept)
+        """Return the advice that came as JSON."""
+        interval, response = values["interval"], values["response"]
+        if response is not None:
+            times, errors = (tuple(response[name]) for name in ("times", "errors"))
+            response = Response(**{**response, "times": times, "errors": errors})
+        return cls(**{**values, "interval": interval and tuple(interval), "response": response})
 
 
 UNKNOWN_INERTIA = "the inertia is not known: set the parameter inertia, hpid identify finds it"
@@ -291,7 +284,7 @@ def main() -> int:
 
 
 def _tell(advice: Advice) -> None:
-    print(json.dumps(advice.as_mapping()), flush=True)
+    print(json.dumps(asdict(advice)), flush=True)
 
 
 if __name__ == "__main__":

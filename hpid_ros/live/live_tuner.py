@@ -7,7 +7,6 @@ import sys
 import threading
 import webbrowser
 from collections.abc import Sequence
-from typing import Any
 
 from rclpy.task import Future
 
@@ -44,12 +43,11 @@ class LiveTuner(executor.ClosingNode):
             raise SettingError(f"port must lie in [0, {_LARGEST_PORT}], not {port}")
         self._status = StatusPipe(self)
         self._graph = GraphClient(self)
-        self._served = _serve(
-            self._graph, host=host, port=port, token=token, rate=rate, button_timeout=within
-        )
-        self._tell(opens)
+        # Its library, which no other node needs, is imported here.
+        from hpid_ros.live.page.server import ServerSettings, serve
 
-    def _tell(self, opens: bool) -> None:
+        settings = ServerSettings(host, port, token, rate, button_timeout=within)
+        self._served = serve(self._graph, settings)
         url = self._served.url
         print(f"hpid live: {url}", flush=True)
         self._status.send("serving", url=url)
@@ -80,13 +78,6 @@ class LiveTuner(executor.ClosingNode):
                 file=sys.stderr,
             )
         self._graph.close()
-
-
-def _serve(graph: GraphClient, **settings: Any) -> Any:
-    """Serve the page; its library, which no other node needs, is imported here."""
-    from hpid_ros.live.page.server import ServerSettings, serve
-
-    return serve(graph, ServerSettings(**settings))
 
 
 USAGE = Usage(

@@ -5,7 +5,6 @@ What moves joints is a process of its own, which stops them when its parent or i
 
 from __future__ import annotations
 
-import contextlib
 import json
 import math
 import os
@@ -64,7 +63,7 @@ class Button:
         with self._lock:
             if self._process is None or self._process.stdin is None or self.is_released:
                 return
-            with contextlib.suppress(BlockingIOError, BrokenPipeError):
+            with suppress(BlockingIOError, BrokenPipeError):
                 os.write(self._process.stdin.fileno(), b".")
 
     def release(self) -> None:
@@ -79,7 +78,7 @@ class Button:
         released_at = self._released_at
         return released_at is not None and time.monotonic() - released_at > _ENDS_WITHIN
 
-    @contextlib.contextmanager
+    @contextmanager
     def held_for(self, process: subprocess.Popen[bytes]) -> Iterator[None]:
         """Tell this process while the block runs."""
         assert process.stdin is not None
@@ -96,7 +95,7 @@ class Button:
 
     def _close(self) -> None:
         if self._process is not None and self._process.stdin is not None:
-            with contextlib.suppress(OSError):
+            with suppress(OSError):
                 self._process.stdin.close()
             self._process = None
 
@@ -337,21 +336,17 @@ def carry_out(
     button: Button | None = None,
 ) -> Ending:
     """Excite joints and record them; however it ends, the joints have come to rest before."""
-    order = _order(plan, controllers)
-    space = controllers[0].namespace
-    return carried_out(_EXCITER, order, graph, space, bag, states, tell, button)
-
-
-def _order(plan: ExcitationPlan, controllers: Sequence[Controller]) -> dict[str, Any]:
     timings = [each.settings.timing for each in controllers]
     rates = [each.introspection_rate for each in controllers if each.introspection_rate > 0.0]
     slowest = max((_REFERENCE_PERIODS / rate for rate in rates), default=0.0)
-    return {
+    order = {
         "plan": plan.as_mapping(),
         "takeover_time": max(each.takeover_time for each in timings),
         "reference_timeout": max(_LEAST_REFERENCE_TIMEOUT, slowest),
         "is_simulated": all(each.is_simulated for each in timings),
     }
+    space = controllers[0].namespace
+    return carried_out(_EXCITER, order, graph, space, bag, states, tell, button)
 
 
 HeldStage = Literal["preparing", "ready", "moving", "ended"]
@@ -460,7 +455,15 @@ class RelayFindings(NamedTuple):
 def relay_findings(bag: Path, controller: Controller, planned: PlannedRelay) -> RelayFindings:
     """Return what a bag tells."""
     joint = controller.joint
-    record = _record(bag, joint)
+    recording = read_run(bag, "relay", joints=[joint], progress=lambda share: None)
+    (series,) = recording.joints
+    record = JointRecord(
+        joint,
+        seconds_since(series.state_stamps_ns, recording.start_ns),
+        series.position,
+        seconds_since(series.command_stamps_ns, recording.start_ns),
+        series.effort,
+    )
     gains, request = controller.settings.gains, planned.request
     cycle = relay_cycle(record, request.amplitude, request.hysteresis, gains.d / gains.p)
     identified = identify([record])[0]
@@ -480,17 +483,4 @@ def relay_findings(bag: Path, controller: Controller, planned: PlannedRelay) -> 
         bounds,
         max(delay.value, 0.0) if delay is not None else 0.0,
         inertia is None,
-    )
-
-
-def _record(bag: Path, joint: str) -> JointRecord:
-    """Return a joint's positions and commands."""
-    recording = read_run(bag, "relay", joints=[joint], progress=lambda share: None)
-    (series,) = recording.joints
-    return JointRecord(
-        joint,
-        seconds_since(series.state_stamps_ns, recording.start_ns),
-        series.position,
-        seconds_since(series.command_stamps_ns, recording.start_ns),
-        series.effort,
     )

@@ -14,7 +14,7 @@ from std_msgs.msg import Float64MultiArray
 
 from hpid_ros.base.names import ALLOW_RELAY
 from hpid_ros.control.overrides import DONE
-from hpid_ros.live.dead_man import read_order
+from hpid_ros.live.exciter import read_order
 from hpid_ros.nodes.core import executor
 from hpid_ros.nodes.core.middleware import NEWEST_STATES, RARE, steady_timer, subscribe_raw
 from hpid_ros.nodes.core.status import StatusPipe

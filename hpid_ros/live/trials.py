@@ -378,7 +378,8 @@ class Trials:
             self._require_wanted()
             planned, controllers, graph = self._planned(nodes, wish)
             label = variant.label if attempt == 1 else f"{variant.label}, attempt {attempt}"
-            bag = self._folder / f"{number + 1}_{_as_file(label)}"
+            name = "_".join(re.findall(r"\w+", label)) or "run"
+            bag = self._folder / f"{number + 1}_{name}"
             motion = self._start(planned, controllers, graph, bag, states)
             ending = await self._ending(motion, nodes, label, planned.duration)
             if not ending.reason:
@@ -480,10 +481,6 @@ class Trials:
         """Stop what is under way, and remove what nobody wanted to keep."""
         self.cancel()
         self._forget()
-
-
-def _as_file(label: str) -> str:
-    return "_".join(re.findall(r"\w+", label)) or "run"
 
 
 def _new_folder(*, is_kept: bool) -> Path:

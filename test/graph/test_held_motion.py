@@ -15,7 +15,7 @@ from harness.turntable import GAINS, INERTIA, URDF, positions, start_turntable, 
 
 from hpid_ros.control.settings import PARAMETERS
 from hpid_ros.live.controllers import Controller, RunningGraph
-from hpid_ros.live.dead_man import DeadMan
+from hpid_ros.live.exciter import DeadMan
 from hpid_ros.live.motion import HELD_WITHIN, Button, HeldMotion, bounds_of, chosen
 from hpid_ros.motion.excitation import Design, Wish, plan
 

@@ -3,23 +3,20 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
-from contextlib import contextmanager
-from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hpid_ros.base.errors import ResultExistsError, SettingError
+from hpid_ros.base.errors import SettingError
 from hpid_ros.base.files import refuse_output, write_file
 from hpid_ros.base.units import of_slide
 from hpid_ros.cli.commands import DONE, FAILED, INTERRUPTED
-from hpid_ros.cli.commands.excite import agreed
+from hpid_ros.cli.commands.excite import add_graph_options, agreed, new_bag
 
 if TYPE_CHECKING:
     from rich.console import Console
 
     from hpid_ros.live.controllers import Controller, RunningGraph
-    from hpid_ros.live.motion import Ending, RelayFindings, Tell
+    from hpid_ros.live.motion import RelayFindings
     from hpid_ros.motion.excitation import JointBounds, PlannedRelay
     from hpid_ros.tuning.autotune import Autotuned
 
@@ -60,10 +57,7 @@ def add(commands: Any) -> None:
         "--closed-loop-time", type=float, metavar="S", help="of SIMC (four effective delays)"
     )
     parser.add_argument("--goal", choices=_GOALS, default="fast", help="of the upgrade (fast)")
-    parser.add_argument("--namespace", metavar="NS", help="only controllers below this namespace")
-    parser.add_argument(
-        "--states", default="joint_states", metavar="TOPIC", help="of the states (joint_states)"
-    )
+    add_graph_options(parser)
     parser.add_argument("--bag", type=Path, metavar="BAG", help="new folder (autotune-TIME)")
     parser.add_argument("-o", "--output", type=Path, metavar="FILE", help="controller file")
     parser.add_argument("--force", action="store_true", help="replace the file of -o")
@@ -76,6 +70,7 @@ def run(options: argparse.Namespace) -> int:
     """Plan, ask, test, propose, ask, write."""
     from hpid_ros.cli.terminal import output_console
     from hpid_ros.live.graph_client import running_graph
+    from hpid_ros.live.motion import carry_out_relay
 
     bag = _checked(options)
     graph = running_graph(options.states, options.namespace)
@@ -89,7 +84,12 @@ def run(options: argparse.Namespace) -> int:
     if not agreed(question, is_given=options.yes):
         console.print("nothing was moved")
         return FAILED
-    ending = _test(console, planned, controller, graph, bag, options.states)
+    with console.status("getting ready") as status:
+
+        def tell(event: str, seconds: float) -> None:
+            status.update(f"the relay drives the joint: {seconds:.1f} s, Ctrl-C ends it")
+
+        ending = carry_out_relay(planned, controller, graph, bag, options.states, tell)
     console.print(f"recorded: {bag}", soft_wrap=True)
     if ending.reason:
         line = f"the relay has ended: {ending.reason}; the controller holds the joint"
@@ -104,10 +104,7 @@ def _checked(options: argparse.Namespace) -> Path:
         raise SettingError("autotune moves a robot that runs: say --live")
     if options.output is not None:
         refuse_output(options.output, force=options.force, inputs=(), option="-o")
-    bag: Path = options.bag or Path(f"autotune-{datetime.now():%Y%m%d-%H%M%S}")
-    if bag.exists() and not options.dry_run:
-        raise ResultExistsError(f"{bag} exists; name a new folder with --bag")
-    return bag
+    return new_bag(options.bag, "autotune", "--bag", is_dry=options.dry_run)
 
 
 def _controller(graph: RunningGraph, joint: str | None) -> Controller:
@@ -160,30 +157,6 @@ def _show(console: Console, bounds: JointBounds, planned: PlannedRelay) -> None:
     ]
     for line in lines:
         console.print(of_slide(line) if bounds.is_slide else line, soft_wrap=True)
-
-
-def _test(
-    console: Console,
-    planned: PlannedRelay,
-    controller: Controller,
-    graph: RunningGraph,
-    bag: Path,
-    states: str,
-) -> Ending:
-    from hpid_ros.live.motion import carry_out_relay
-
-    with _progress(console) as tell:
-        return carry_out_relay(planned, controller, graph, bag, states, tell)
-
-
-@contextmanager
-def _progress(console: Console) -> Iterator[Tell]:
-    with console.status("getting ready") as status:
-
-        def told(event: str, seconds: float) -> None:
-            status.update(f"the relay drives the joint: {seconds:.1f} s, Ctrl-C ends it")
-
-        yield told
 
 
 def _propose(

@@ -18,7 +18,7 @@ from hpid_ros.cli.options import add_joints, add_robot_options, inertias_from
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from hpid_ros.live.controllers import Controller, RunningGraph
+    from hpid_ros.live.controllers import Controller
     from hpid_ros.live.motion import Ending, Tell
     from hpid_ros.motion.excitation import ExcitationPlan
 
@@ -31,6 +31,22 @@ def agreed(question: str, *, is_given: bool, option: str = "--yes") -> bool:
         raise SettingError(f"there is no terminal to ask at: {option} answers yes")
     print(f"{question}? [y/N] ", end="", flush=True)
     return sys.stdin.readline().strip().lower() in ("y", "yes")
+
+
+def add_graph_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options that say which controllers of the running graph are meant."""
+    parser.add_argument("--namespace", metavar="NS", help="only controllers below this namespace")
+    parser.add_argument(
+        "--states", default="joint_states", metavar="TOPIC", help="of the states (joint_states)"
+    )
+
+
+def new_bag(given: Path | None, kind: str, option: str, *, is_dry: bool) -> Path:
+    """Return where to record: nothing is written over."""
+    bag = given or Path(f"{kind}-{datetime.now():%Y%m%d-%H%M%S}")
+    if bag.exists() and not is_dry:
+        raise ResultExistsError(f"{bag} exists; name a new folder with {option}")
+    return bag
 
 
 _FORMATS = (".png", ".pdf", ".svg")
@@ -87,10 +103,7 @@ def add(commands: Any) -> None:
     )
     parser.add_argument("--seed", type=int, default=0, help="of the sines' phases (0)")
     add_robot_options(parser)
-    parser.add_argument("--namespace", metavar="NS", help="only controllers below this namespace")
-    parser.add_argument(
-        "--states", default="joint_states", metavar="TOPIC", help="of the states (joint_states)"
-    )
+    add_graph_options(parser)
     parser.add_argument(
         "-o", "--output", type=Path, metavar="BAG", help="new folder (excitation-TIME)"
     )
@@ -109,7 +122,7 @@ def run(options: argparse.Namespace) -> int:
     """Plan, show, ask, excite."""
     from hpid_ros.cli.terminal import output_console
     from hpid_ros.live.graph_client import running_graph
-    from hpid_ros.live.motion import chosen
+    from hpid_ros.live.motion import carry_out, chosen
 
     bag = _bag(options)
     graph = running_graph(options.states, options.namespace)
@@ -127,7 +140,8 @@ def run(options: argparse.Namespace) -> int:
     if not agreed(f"Move {noun} for {planned.duration:.0f} s now", is_given=options.yes):
         console.print("nothing was moved")
         return FAILED
-    ending = _excite(console, planned, controllers, graph, bag, options.states)
+    with _progress(console, planned) as tell:
+        ending = carry_out(planned, controllers, graph, bag, options.states, tell)
     code = _told(console, bag, ending)
     if code == DONE:
         _advise(console, bag, planned, options)
@@ -141,10 +155,7 @@ def _bag(options: argparse.Namespace) -> Path:
             names = ", ".join(_FORMATS)
             raise SettingError(f"--plot must end in {names}, not {options.plot.name!r}")
         refuse_output(options.plot, force=options.force, inputs=(), option="--plot")
-    bag: Path = options.output or Path(f"excitation-{datetime.now():%Y%m%d-%H%M%S}")
-    if bag.exists() and not options.dry_run:
-        raise ResultExistsError(f"{bag} exists; name a new folder with -o")
-    return bag
+    return new_bag(options.output, "excitation", "-o", is_dry=options.dry_run)
 
 
 def _plan(options: argparse.Namespace, controllers: Sequence[Controller]) -> ExcitationPlan:
@@ -223,20 +234,6 @@ def _draw(path: Path, planned: ExcitationPlan) -> None:
         write_file(path, saved(excitation_figure(planned), path.suffix.lower()[1:]))
     except OSError as error:
         raise SettingError(f"cannot write {path}: {error.strerror}") from None
-
-
-def _excite(
-    console: Console,
-    planned: ExcitationPlan,
-    controllers: Sequence[Controller],
-    graph: RunningGraph,
-    bag: Path,
-    states: str,
-) -> Ending:
-    from hpid_ros.live.motion import carry_out
-
-    with _progress(console, planned) as tell:
-        return carry_out(planned, controllers, graph, bag, states, tell)
 
 
 @contextmanager

@@ -11,7 +11,7 @@ import pytest
 from scipy.interpolate import BPoly
 
 from hpid_ros.base.errors import SettingError
-from hpid_ros.live.dead_man import Watch, goal_of, group_settings
+from hpid_ros.live.exciter import Watch, goal_of, group_settings
 from hpid_ros.motion.excitation import (
     Design,
     ExcitationPlan,
