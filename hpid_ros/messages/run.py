@@ -98,47 +98,36 @@ def _recording(
     """Read the messages that are asked for."""
     topics = storage.topics()
     types = {name: info.type for name, info in topics.items()}
-    choice = choose_topics(where, types, selection)
-    for topic in sorted(choice.all):
-        if topics[topic].encoding != "cdr":
-            raise BagError(
-                f"{where}: messages on {topic} are {topics[topic].encoding or 'of no encoding'}, "
-                "but must be cdr"
-            )
-    recording = _collected(storage, where, selection, choice, types, progress)
-    if choice.may_be_measured and not recording.has_efforts():
-        choice = choice.measured()
-        recording = _collected(storage, where, selection, choice, types, progress)
-    _require_messages(where, recording)
-    if choice.in_doubt and not (selection.commands or selection.command_topics):
-        recording.notes.append(
-            f"{', '.join(choice.in_doubt)}: efforts, positions or velocities, which nothing "
-            "tells: not read; --commands effort takes them for efforts"
-        )
-    return recording
-
-
-def _collected(
-    storage: Storage,
-    where: str,
-    selection: BagSelection,
-    choice: TopicChoice,
-    types: Mapping[str, str],
-    progress: Progress,
-) -> RecordedRun:
-    """Read the messages of some topics."""
     joints = None if selection.joints is None else frozenset(selection.joints)
-    has_order = selection.clock == "receive"
-    while True:
+
+    def collected(choice: TopicChoice, has_order: bool) -> RecordedRun:
         recording = RecordedRun(choice, types, joints, has_order)
         try:
             for batch in storage.batches(choice.all, progress):
                 recording.add(batch)
-            return recording
         except OrderNeededError:
-            has_order = True
+            return collected(choice, True)
         except BagError as error:
             raise BagError(f"{where}: {error}") from error
+        return recording
+
+    choice = choose_topics(where, types, selection)
+    for topic in sorted(choice.all):
+        encoding = topics[topic].encoding
+        if encoding != "cdr":
+            raise BagError(
+                f"{where}: messages on {topic} are {encoding or 'of no encoding'}, but must be cdr"
+            )
+    recording = collected(choice, selection.clock == "receive")
+    if choice.may_be_measured and not recording.has_efforts():
+        recording = collected(choice.measured(), selection.clock == "receive")
+    _require_messages(where, recording)
+    if choice.in_doubt and not (selection.commands or selection.command_topics):
+        recording.notes.append(
+            f"{', '.join(choice.in_doubt)}: efforts, positions or velocities, their types do not "
+            "say which: not read; --commands effort takes them for efforts"
+        )
+    return recording
 
 
 def _require_messages(where: str, recording: RecordedRun) -> None:

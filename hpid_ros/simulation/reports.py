@@ -12,6 +12,9 @@ from collections.abc import Callable, Collection, Iterator, Sequence
 from functools import partial
 from typing import NamedTuple
 
+import numpy as np
+from numpy.typing import ArrayLike
+
 from hpid_ros.base.errors import SettingError
 from hpid_ros.base.units import NANOSECONDS
 from hpid_ros.messages import reports as wire
@@ -202,62 +205,38 @@ ODOM_FRAME = "odom"
 UNMEASURED = 1e6
 """Variance of what wheels do not measure: height, roll, pitch and their rates."""
 
-_X, _Y, _YAW = 0, 1, 5
-_ROW = 6
+OdometryValues = tuple[Pose, Sequence[float], Twist, Sequence[float]]
+"""Pose of a base in ``odom``, twist in its own frame (REP 105), each with its covariance.
 
-
-class OdometryValues(NamedTuple):
-    """Pose of a base in its frame ``odom`` and twist in its own frame (REP 105)."""
-
-    pose: Pose  # of the base
-    # of x, y, z and the rotations about them, row by row, 36 numbers, in [m^2], [m rad], [rad^2]
-    pose_covariance: tuple[float, ...]
-    twist: Twist  # of the base
-    twist_covariance: tuple[float, ...]  # likewise, of the twist: the same units per s^2
+Of x, y, z and the rotations about them, row by row, 36 numbers, in [m^2], [m rad], [rad^2], and
+the same units per s^2 of the twist.
+"""
 
 
 def wheel_odometry(report: BaseReport) -> OdometryValues:
     """Return what the wheels say."""
     x, y, heading = report.pose
-    pose = _unmeasured()
-    of_pose = report.covariance
-    pose[_place(_X, _X)] = of_pose.xx
-    pose[_place(_Y, _Y)] = of_pose.yy
-    pose[_place(_YAW, _YAW)] = of_pose.hh
-    for row, column, value in (
-        (_X, _Y, of_pose.xy),
-        (_X, _YAW, of_pose.xh),
-        (_Y, _YAW, of_pose.yh),
-    ):
-        pose[_place(row, column)] = pose[_place(column, row)] = value
-    twist = _unmeasured()
-    linear, angular = report.twist_variance
-    twist[_place(_X, _X)] = twist[_place(_Y, _Y)] = linear
-    twist[_place(_YAW, _YAW)] = angular
-    return OdometryValues(
+    (xx, xy, xh, yy, yh, hh), (linear, angular) = report.covariance, report.twist_variance
+    return (
         Pose((x, y, 0.0), (0.0, 0.0, math.sin(0.5 * heading), math.cos(0.5 * heading))),
-        tuple(pose),
+        _planar_covariance([[xx, xy, xh], [xy, yy, yh], [xh, yh, hh]]),
         Twist((report.twist.linear, 0.0, 0.0), (0.0, 0.0, report.twist.angular)),
-        tuple(twist),
+        _planar_covariance(np.diag([linear, linear, angular])),
     )
 
 
 def true_odometry(world: World) -> OdometryValues:
     """Return how the root of a world's robot really is; it is certain."""
-    certain = (0.0,) * _ROW**2
-    return OdometryValues(world.base_pose(), certain, world.base_velocity(), certain)
+    certain = (0.0,) * 36
+    return world.base_pose(), certain, world.base_velocity(), certain
 
 
-def _place(row: int, column: int) -> int:
-    return _ROW * row + column
-
-
-def _unmeasured() -> list[float]:
-    """Return a covariance of which nothing is measured."""
-    covariance = [0.0] * _ROW**2
-    for row in range(_ROW):
-        covariance[_place(row, row)] = UNMEASURED
-    return covariance
+def _planar_covariance(covariance: ArrayLike) -> list[float]:
+    """Return the whole covariance, row by row, for that of x, y and yaw."""
+    whole = UNMEASURED * np.eye(6)
+    whole[np.ix_([0, 1, 5], [0, 1, 5])] = covariance
+    numbers: list[float] = whole.ravel().tolist()
+    return numbers
 
 
 CLOCK, ODOM, TRUTH, SLIP = "clock", "odom", "base_pose_ground_truth", "wheel_slip"
@@ -334,7 +313,7 @@ class Reports:
             self._noticed += 1
             if self._notice is not None:
                 self._notice(event)
-            yield from self._counted(GRIP_EVENTS, partial(_encoded, event))
+            yield from self._counted(GRIP_EVENTS, partial(wire.encode_status, grip_status(event)))
 
     def figures(self) -> dict[str, object]:
         """Return figures for ``/diagnostics``, with their units; slip also since the last call."""
@@ -379,18 +358,7 @@ class Reports:
             yield BRICK_POSES, lambda: wire.encode_poses(header, gripper.poses())
 
     def _odometry(self, header: wire.Stamp, values: OdometryValues) -> bytes:
-        return wire.encode_odometry(
-            header,
-            self._root,
-            values.pose,
-            values.pose_covariance,
-            values.twist,
-            values.twist_covariance,
-        )
-
-
-def _encoded(event: GripEvent) -> bytes:
-    return wire.encode_status(grip_status(event))
+        return wire.encode_odometry(header, self._root, *values)
 
 
 def grip_words(event: GripEvent) -> str:
