@@ -25,8 +25,7 @@ from pathlib import Path
 
 from hpid_ros.base.files import find_resource
 from hpid_ros.experiment.batch import Runner, RunTask, in_processes
-from hpid_ros.experiment.cluster import Cluster
-from hpid_ros.experiment.cluster_worker import pack
+from hpid_ros.experiment.cluster import Cluster, pack
 from hpid_ros.experiment.description import load_experiment
 
 
@@ -91,7 +90,8 @@ def main() -> None:
         path = find_resource(f"config/experiments/{name}.yaml")
         experiment = load_experiment(path, "mujoco")
         (task,), parcel = pack([RunTask.of(experiment, "hPID")])
-        print(f"{name}: a task {len(pickle.dumps(task))} bytes, once {parcel.size} bytes of files")
+        size = sum(map(len, parcel.files.values()))
+        print(f"{name}: a task {len(pickle.dumps(task))} bytes, once {size} bytes of files")
     experiment = load_experiment(find_resource("config/experiments/paper.yaml"), "mujoco")
     task = RunTask.of(experiment, "hPID")
     tasks = [

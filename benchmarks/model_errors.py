@@ -20,7 +20,6 @@ from hpid_ros.base.files import share_folder
 from hpid_ros.control import LoopSettings
 from hpid_ros.experiment.batch import (
     LAST_ERROR,
-    JudgedTask,
     RunTask,
     WorldKeeper,
     simulated_indices,
@@ -106,7 +105,7 @@ def with_wrong_masses(xml: str, seed: int) -> str:
 
 def task(experiment: Experiment, label: str, case: Case) -> RunTask:
     """Return the run of one controller in one case."""
-    whole = JudgedTask.of(experiment, label)
+    whole = RunTask.of(experiment, label)
     return replace(
         whole,
         world=replace(whole.world, payload_mass=case.payload),

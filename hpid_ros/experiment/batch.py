@@ -1,12 +1,12 @@
-"""Runs of a batch on every core, each as an experiment's numbers."""
+"""Runs of a batch on every core, each as an experiment's numbers; a table of such runs."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
-from types import TracebackType
 from typing import NamedTuple
 
 import numpy as np
@@ -17,6 +17,7 @@ from hpid_ros.control.joint_loop import JointLoop
 from hpid_ros.control.settings import LoopSettings
 from hpid_ros.experiment.description import Experiment
 from hpid_ros.messages.series import RunSeries, complete_run
+from hpid_ros.metrics.comparison import ratio
 from hpid_ros.metrics.quantities import EFFORT_L2, ERROR_L2, IAVC, ITAE, IVC, Fold, Quantity
 from hpid_ros.metrics.results import JointIndices, RunIndices, run_indices
 from hpid_ros.motion.joint_trajectory import JointTrajectory
@@ -24,6 +25,16 @@ from hpid_ros.robot.compensation import compensators
 from hpid_ros.simulation.engine import record_run
 from hpid_ros.simulation.settings import WorldSettings
 from hpid_ros.simulation.world import World
+
+PAPER_QUANTITIES = (IVC, IAVC, ITAE, EFFORT_L2, ERROR_L2)
+"""The indices of the paper's Table I."""
+
+LAST = 1.0
+"""How much of the end of a run is looked at, in [s]; all of a shorter one."""
+
+LAST_ERROR = Quantity(
+    "last_error", "last |e|", "rad", "largest error of the last second", Fold.WORST, 1
+)
 
 
 @dataclass(frozen=True)
@@ -40,20 +51,49 @@ class RunTask:
     @classmethod
     def of(cls, experiment: Experiment, label: str) -> RunTask:
         """Return the run of one of an experiment's controllers, as ``hpid compare`` makes it."""
+        loops = experiment.controllers[label]
+        return cls(label, experiment.world, loops, experiment.trajectory, experiment.periods)
+
+    @classmethod
+    def seeded(
+        cls,
+        experiment: Experiment,
+        name: str,
+        seed: int,
+        loops: tuple[LoopSettings, ...],
+        joints: tuple[str, ...] = (),
+        world: WorldSettings | None = None,
+    ) -> RunTask:
+        """Return a run of an experiment with another seed, other loops, and perhaps robot."""
         return cls(
-            label,
-            experiment.world,
-            experiment.controllers[label],
+            f"{name} seed={seed}",
+            replace(world or experiment.world, seed=seed),
+            loops,
             experiment.trajectory,
             experiment.periods,
+            joints,
         )
 
     def numbers(self, run: RunSeries) -> RunIndices:
-        """Return the numbers of the run that this task made."""
+        """Return the indices of the run that this task made, and :data:`LAST_ERROR`."""
         if self.joints:
             chosen = tuple(series for series in run.joints if series.joint in self.joints)
             run = RunSeries(run.label, chosen)
-        return run_indices(run)
+        indices = run_indices(run)
+        last = {}
+        for series in run.joints:
+            is_last = series.time >= series.time[-1] - LAST
+            last[series.joint] = float(np.abs(series.error[is_last]).max())
+        return replace(
+            indices,
+            joints={joint: _with(each, last[joint]) for joint, each in indices.joints.items()},
+            totals=_with(indices.totals, max(last.values())),
+            quantities=(*indices.quantities, LAST_ERROR),
+        )
+
+
+def _with(indices: JointIndices, last: float) -> JointIndices:
+    return replace(indices, further={**indices.further, LAST_ERROR.key: last})
 
 
 class WorldKeeper:
@@ -69,12 +109,7 @@ class WorldKeeper:
     def __enter__(self) -> WorldKeeper:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.close()
 
     def at_start(self, settings: WorldSettings) -> World:
@@ -118,42 +153,6 @@ def simulated_indices(task: RunTask, keeper: WorldKeeper) -> RunIndices:
     return task.numbers(simulate(task, keeper))
 
 
-PAPER_QUANTITIES = (IVC, IAVC, ITAE, EFFORT_L2, ERROR_L2)
-"""The indices of the paper's Table I."""
-
-LAST = 1.0
-"""How much of the end of a run is looked at, in [s]; all of a shorter one."""
-
-LAST_ERROR = Quantity(
-    "last_error", "last |e|", "rad", "largest error of the last second", Fold.WORST, 1
-)
-
-
-@dataclass(frozen=True)
-class JudgedTask(RunTask):
-    """A run whose numbers have :data:`LAST_ERROR` beside the indices."""
-
-    def numbers(self, run: RunSeries) -> RunIndices:
-        """Return the indices and the largest error of the last second."""
-        indices = super().numbers(run)
-        errors = {series.joint: series for series in run.joints if series.joint in indices.joints}
-        last = {}
-        for joint, series in errors.items():
-            is_last = series.time >= series.time[-1] - LAST
-            last[joint] = float(np.abs(series.error[is_last]).max())
-        return replace(
-            indices,
-            joints={joint: _with(each, last[joint]) for joint, each in indices.joints.items()},
-            totals=_with(indices.totals, max(last.values())),
-            quantities=(*indices.quantities, LAST_ERROR),
-        )
-
-
-def _with(indices: JointIndices, last: float) -> JointIndices:
-    further: Mapping[str, float] = {**indices.further, LAST_ERROR.key: last}
-    return replace(indices, further=further)
-
-
 _keeper = WorldKeeper()
 """Of a worker process, which runs one task after the other."""
 
@@ -188,17 +187,12 @@ def run_batch(tasks: Sequence[RunTask], jobs: int | None = None) -> Outcomes:
     all processes at once; close the generator when leaving it early.
     """
     jobs = processors() if jobs is None else jobs
-    return _one_by_one(tasks) if min(jobs, len(tasks)) <= 1 else _side_by_side(tasks, jobs)
-
-
-def _one_by_one(tasks: Sequence[RunTask]) -> Outcomes:
-    with WorldKeeper() as keeper:
-        for place, task in enumerate(tasks):
-            raise_if_interrupted()
-            yield outcome_of(place, task, keeper)
-
-
-def _side_by_side(tasks: Sequence[RunTask], jobs: int) -> Outcomes:
+    if min(jobs, len(tasks)) <= 1:
+        with WorldKeeper() as keeper:
+            for place, task in enumerate(tasks):
+                raise_if_interrupted()
+                yield outcome_of(place, task, keeper)
+        return
     numbered = list(enumerate(tasks))
     work = side_by_side(_work, numbered, jobs, name=lambda each: each[1].label)
     with closing(work):
@@ -220,3 +214,104 @@ def outcome_of(place: int, task: RunTask, keeper: WorldKeeper) -> Outcome:
     except Exception as error:  # one bad run of a thousand is named; the others are wanted
         line = " ".join(f"{type(error).__name__}: {error}".split())
         return Outcome(place, None, line)
+
+
+TOTAL = ""
+"""Stands for all judged joints where a joint's name would be."""
+
+JointNumbers = Mapping[str, Mapping[str, float]]
+"""Of each joint, and of all under :data:`TOTAL`, by the quantity's key."""
+
+
+def joint_numbers(
+    indices: RunIndices | None, quantities: Sequence[Quantity] = PAPER_QUANTITIES
+) -> JointNumbers:
+    """Return the numbers of a run without those that are not defined; none of one that failed."""
+    if indices is None:
+        return {}
+    found = {}
+    for joint in (*indices.joints, None):
+        values = {q.key: indices.value(q, joint) for q in quantities}
+        found[TOTAL if joint is None else joint] = {k: v for k, v in values.items() if v == v}
+    return found
+
+
+class Quartiles(NamedTuple):
+    """Where the runs of several seeds lie."""
+
+    first: float  # a quarter of them is below
+    median: float  # half of them is below
+    third: float  # three quarters are below
+
+    @classmethod
+    def of(cls, values: Sequence[float]) -> Quartiles | None:
+        """Return those of some numbers, linear between neighbours; None of none."""
+        if not values:
+            return None
+        if not all(math.isfinite(value) for value in values):
+            return cls(math.inf, math.inf, math.inf)  # a ratio to a baseline of zero
+        return cls(*(float(each) for each in np.quantile(values, (0.25, 0.5, 0.75))))
+
+    def as_mapping(self) -> dict[str, float | None]:
+        """Return them for JSON, which knows no infinity."""
+        return {k: v if math.isfinite(v) else None for k, v in self._asdict().items()}
+
+
+class RunRecord(NamedTuple):
+    """What is kept of one run."""
+
+    numbers: JointNumbers
+    failure: str = ""  # why it failed, in one line; empty if it did not
+
+
+RowKey = tuple[object, ...]
+"""Names a row: what is run once with every seed."""
+
+
+@dataclass(frozen=True)
+class RunTable:
+    """Runs by row and seed, and their numbers over the seeds."""
+
+    seeds: Mapping[RowKey, Sequence[int]]  # of each row
+    baselines: Mapping[RowKey, RowKey]  # the row that a row is measured against
+    # of each run by its row's key with the seed after it; those that were not made are missing
+    records: Mapping[tuple[object, ...], RunRecord] = field(default_factory=dict)
+
+    def of_row(self, row: RowKey) -> dict[int, RunRecord]:
+        """Return the runs of a row that were made, by seed."""
+        found = {seed: self.records.get((*row, seed)) for seed in self.seeds[row]}
+        return {seed: each for seed, each in found.items() if each is not None}
+
+    def numbers(self, row: RowKey, quantity: Quantity, joint: str = TOTAL) -> dict[int, float]:
+        """Return one number of a row's runs by seed; failed runs have none."""
+        found = {s: each.numbers.get(joint, {}) for s, each in self.of_row(row).items()}
+        return {s: each[quantity.key] for s, each in found.items() if quantity.key in each}
+
+    def quartiles(self, row: RowKey, quantity: Quantity, joint: str = TOTAL) -> Quartiles | None:
+        """Return one number of a row over its seeds; None if no run gave it."""
+        return Quartiles.of(list(self.numbers(row, quantity, joint).values()))
+
+    def seed_ratios(self, row: RowKey, quantity: Quantity, joint: str = TOTAL) -> dict[int, float]:
+        """Return a row's ratio to its baseline with the same seed, by seed; none of a baseline."""
+        if row not in self.baselines:
+            return {}
+        against = self.numbers(self.baselines[row], quantity, joint)
+        own = self.numbers(row, quantity, joint)
+        return {seed: ratio(own[seed], against[seed]) for seed in own if seed in against}
+
+    def ratios(self, row: RowKey, quantity: Quantity, joint: str = TOTAL) -> Quartiles | None:
+        """Return a row's ratio to its baseline, taken seed by seed before the median."""
+        return Quartiles.of(list(self.seed_ratios(row, quantity, joint).values()))
+
+    def note(self, row: RowKey) -> str:
+        """Return in one line what did not run of a row; empty if everything did."""
+        of, found = f"of {len(self.seeds[row])} runs", self.of_row(row).values()
+        failures = [each.failure for each in found if each.failure]
+        notes = [f"{len(failures)} {of} failed: {failures[0]}"] if failures else []
+        missing = len(self.seeds[row]) - len(found)
+        return "; ".join([*notes, f"{missing} {of} were not made"] if missing else notes)
+
+    @property
+    def failures(self) -> int:
+        """Number of runs that failed."""
+        return sum(bool(record.failure) for record in self.records.values())

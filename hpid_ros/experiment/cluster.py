@@ -1,20 +1,167 @@
-"""Batches on the workers of a Dask scheduler: tasks out, outcomes as they come."""
+"""Batches on the workers of a Dask scheduler: tasks out, outcomes as they come.
+
+A task travels with the files of its robots, and a worker checks that it computes as the client
+would before it runs one. joblib's backend for Dask is not used: what it scatters is gone with the
+worker that held it, and a run that is lost has no name there.
+"""
 
 from __future__ import annotations
 
 import asyncio
+import atexit
+import hashlib
 import queue
 import re
+import shutil
+import tempfile
+import threading
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import CancelledError
-from types import TracebackType
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
+import hpid_ros
 from hpid_ros.base.errors import RunError, SettingError
 from hpid_ros.base.processes import raise_if_interrupted
-from hpid_ros.experiment.batch import Outcomes, RunTask
-from hpid_ros.experiment.cluster_worker import Parcel, differences, pack, traits, work
+from hpid_ros.control.settings import LoopSettings
+from hpid_ros.experiment.batch import Outcome, Outcomes, RunTask, WorldKeeper, outcome_of
+from hpid_ros.experiment.result_folder import versions
+from hpid_ros.robot.description import RobotDescription, find_mesh
+
+_PARCEL = "parcel:"
+
+Naming = Callable[[str | Path], str]
+
+
+@dataclass(frozen=True)
+class Parcel:
+    """Files that runs need."""
+
+    files: Mapping[str, bytes]  # contents by name; a name tells its content
+
+    @property
+    def name(self) -> str:
+        """A name that tells what is in it."""
+        return _digest(" ".join(sorted(self.files)).encode())
+
+
+def pack(tasks: Sequence[RunTask]) -> tuple[list[RunTask], Parcel]:
+    """Put the robots of runs into a parcel."""
+    files: dict[str, bytes] = {}
+    known: dict[str, str] = {"": ""}
+
+    def name(robot: str | Path) -> str:
+        key = str(robot)
+        if key not in known:
+            known[key] = _PARCEL + _put(RobotDescription.load(robot), files)
+        return known[key]
+
+    packed = [_with_robots(task, name) for task in tasks]
+    return packed, Parcel(files)
+
+
+def _put(robot: RobotDescription, files: dict[str, bytes]) -> str:
+    """Add a robot and its collision meshes to files, and return its name there."""
+    root = ElementTree.fromstring(robot.xml)
+    for mesh in root.findall("link/collision/geometry/mesh"):
+        found = find_mesh(mesh.get("filename", ""), robot.folder)
+        if found is not None:
+            content = found.read_bytes()
+            place = f"{_digest(content)}{found.suffix.lower()}"
+            files[place] = content
+            mesh.set("filename", place)
+    text = ElementTree.tostring(root, encoding="utf-8")
+    place = f"{_digest(text)}.urdf"
+    files[place] = text
+    return place
+
+
+class Depot:
+    """Where this process puts down what parcels hold, until it ends."""
+
+    def __init__(self) -> None:
+        self._folder: Path | None = None
+        self._lock = threading.Lock()
+
+    def unpack(self, parcel: Parcel, task: RunTask) -> RunTask:
+        """Return a run whose robots are files of this machine."""
+        with self._lock:
+            folder = self._folder or self._begin()
+            for name, content in parcel.files.items():
+                path = folder / Path(name).name
+                if not path.exists():
+                    path.write_bytes(content)
+        return _with_robots(
+            task,
+            lambda robot: str(folder / str(robot).removeprefix(_PARCEL)) if robot else "",
+        )
+
+    def _begin(self) -> Path:
+        self._folder = Path(tempfile.mkdtemp(prefix="hpid-"))
+        atexit.register(shutil.rmtree, self._folder, ignore_errors=True)
+        return self._folder
+
+
+def _with_robots(task: RunTask, name: Naming) -> RunTask:
+    world = replace(task.world, robot_description=name(task.world.robot_description))
+    return replace(task, world=world, loops=tuple(_with_robot(each, name) for each in task.loops))
+
+
+def _with_robot(settings: LoopSettings, name: Naming) -> LoopSettings:
+    model = settings.model
+    if not model.description:
+        return settings
+    return replace(settings, model=replace(model, description=name(model.description)))
+
+
+def _digest(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()[:32]
+
+
+_COMPUTING = ("hpid_ros", "python", "numpy", "pin")
+_SOURCES = "sources of hpid_ros"
+_depot = Depot()
+_of_thread = threading.local()  # a world is one thread's own
+
+
+@cache
+def traits(engines: tuple[str, ...]) -> Mapping[str, str]:
+    """Return what decides numbers beside a task: versions, and a digest of our own sources.
+
+    Python counts by its minor version, which also decides whether tasks can be read.
+    """
+    counted = {*_COMPUTING, *engines}
+    found = {name: version for name, version in versions().items() if name in counted}
+    found["python"] = found["python"].rpartition(".")[0]
+    root = Path(hpid_ros.__file__).parent
+    sources = hashlib.sha256()
+    for path in sorted(root.rglob("*.py")):
+        sources.update(str(path.relative_to(root)).encode() + b"\0" + path.read_bytes())
+    return found | {_SOURCES: sources.hexdigest()[:12]}
+
+
+def differences(own: Mapping[str, str], others: Mapping[str, str]) -> str:
+    """Say what of a client a worker has not, or in another version."""
+    return ", ".join(
+        f"{name} {others[name]} instead of {version}" if name in others else f"no {name}"
+        for name, version in own.items()
+        if others.get(name) != version
+    )
+
+
+def work(parcel: Parcel, wanted: Mapping[str, str], place: int, task: RunTask) -> Outcome:
+    """Run a task on this worker."""
+    found = differences(wanted, traits((task.world.engine,)))
+    if found:
+        raise RunError(f"it has {found}")
+    if not hasattr(_of_thread, "keeper"):
+        _of_thread.keeper = WorldKeeper()
+    return outcome_of(place, _depot.unpack(parcel, task), _of_thread.keeper)
+
 
 _ADDRESS = re.compile(
     r"(?:(?:tcp|tls)://)?(?P<host>\[[0-9A-Fa-f:.]+\]|[^\s:/\[\]]+):(?P<port>\d{1,5})"
@@ -42,16 +189,11 @@ class Cluster:
     def __enter__(self) -> Cluster:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.close()
 
     def __str__(self) -> str:
-        workers = self._workers()
+        workers = dict(self._client.scheduler_info(n_workers=-1)["workers"])
         threads = sum(each["nthreads"] for each in workers.values())
         count = f"{len(workers)} worker{'s' * (len(workers) != 1)}" if workers else "no worker yet"
         at_once = f", {threads} runs at once" if workers else ""
@@ -75,13 +217,15 @@ class Cluster:
                 try:
                     future = ended.get(timeout=_LOOKS_EVERY)
                 except queue.Empty:
-                    self._require_scheduler(left)
+                    if self._client.status not in ("running", "connecting"):
+                        raise self._lost(left) from None
                     continue
                 left -= 1
                 yield self._outcome(future, tasks[futures[future]], left)
                 future.release()
         finally:
-            self._cancel(list(futures))
+            if self._client.status == "running":
+                self._client.cancel(list(futures))
 
     def _submit(self, tasks: Sequence[RunTask], parcel: Parcel) -> dict[Any, int]:
         # A task of its own, so that a worker that has lost the parcel is given it again.
@@ -109,10 +253,6 @@ class Cluster:
         except (CancelledError, asyncio.CancelledError):
             raise self._lost(left + 1) from None
 
-    def _require_scheduler(self, left: int) -> None:
-        if self._client.status not in ("running", "connecting"):
-            raise self._lost(left)
-
     def _lost(self, left: int) -> RunError:
         return RunError(
             f"the scheduler at {self._address} is lost, and {left} runs with it; --resume carries "
@@ -125,13 +265,6 @@ class Cluster:
             unlike = differences(traits(()), found)
             if unlike:
                 raise RunError(f"the worker at {address} cannot take part: it has {unlike}")
-
-    def _workers(self) -> dict[str, Any]:
-        return dict(self._client.scheduler_info(n_workers=-1)["workers"])
-
-    def _cancel(self, futures: list[Any]) -> None:
-        if self._client.status == "running":
-            self._client.cancel(futures)
 
     def close(self) -> None:
         """Let go of the scheduler; runs that workers have begun end by themselves."""

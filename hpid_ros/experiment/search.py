@@ -1,4 +1,8 @@
-"""A search of parameters for one cost: its run, table, front, and a snippet for the experiment."""
+"""A search of parameters for one cost: cost, space, run, table, and a snippet for the experiment.
+
+Both laws have a few numbers for all joints: the PID scales of its gains and how its bandwidth is
+distributed over the joints, the homogeneous PID its degree and its norm, with the gains untouched.
+"""
 
 from __future__ import annotations
 
@@ -7,29 +11,325 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, replace
-from typing import Any
+from functools import partial
+from statistics import geometric_mean
+from typing import Any, get_args
 
 import numpy as np
 import yaml
 
-from hpid_ros.base.errors import HpidError, RunError, SettingError
+from hpid_ros.base.errors import HpidError, RunError, SettingError, unknown_name
 from hpid_ros.base.text import csv_text
 from hpid_ros.base.units import Numbers, unit_over
-from hpid_ros.control.settings import LoopSettings
+from hpid_ros.control.homogeneous_pid import Gains
+from hpid_ros.control.settings import LawName, LoopSettings
 from hpid_ros.experiment.batch import (
     LAST_ERROR,
     PAPER_QUANTITIES,
-    JudgedTask,
     Outcome,
     Runner,
+    RunTask,
     run_batch,
 )
 from hpid_ros.experiment.description import Experiment
 from hpid_ros.experiment.result_folder import ResultFolder, versions
-from hpid_ros.experiment.search_space import SearchCost, SearchSpace, mean_ratios, source_label
+from hpid_ros.metrics.comparison import ratio
+from hpid_ros.metrics.quantities import Quantity
 from hpid_ros.metrics.results import RunIndices
 from hpid_ros.report.table import format_ratio
 from hpid_ros.stability.gain_check import DegreeChecker
+
+
+@dataclass(frozen=True)
+class Cost:
+    r"""A weighted geometric mean of ratios to the baseline.
+
+    .. math:: J = \exp\Big(\sum_q w_q \ln r_q \Big/ \sum_q w_q\Big)
+
+    with :math:`r_q` the geometric mean over the seeds of an index over the baseline's with the
+    same seed. The baseline costs 1, and no index counts more for having a larger unit.
+    """
+
+    weights: Mapping[str, float]  # of each index by key; those that are left out do not count
+
+    def __post_init__(self) -> None:
+        _require_known(self.weights)
+        for key, weight in self.weights.items():
+            if not (math.isfinite(weight) and weight >= 0.0):
+                raise SettingError(
+                    f"the weight of {key} must be finite and not negative, not {weight}"
+                )
+        if not math.fsum(self.weights.values()) > 0.0:
+            raise SettingError("at least one index must have a positive weight")
+
+    @classmethod
+    def even(cls) -> Cost:
+        """Return the cost in which all indices of the paper count the same."""
+        return cls({quantity.key: 1.0 for quantity in PAPER_QUANTITIES})
+
+    def as_mapping(self) -> dict[str, object]:
+        """Return what it is, for a file."""
+        return {"weights": dict(self.weights)}
+
+    def of(self, ratios: Mapping[str, float]) -> float:
+        """Return the cost."""
+        counted = {key: weight for key, weight in self.weights.items() if weight > 0.0}
+        if any(not math.isfinite(ratios[key]) for key in counted):
+            return math.inf
+        if any(ratios[key] == 0.0 for key in counted):
+            return 0.0
+        logarithm = math.fsum(weight * math.log(ratios[key]) for key, weight in counted.items())
+        return math.exp(logarithm / math.fsum(counted.values()))
+
+
+@dataclass(frozen=True)
+class WorstExcess:
+    r"""How far the worst index is from what is wanted of it.
+
+    .. math:: J = \max_q r_q / l_q
+
+    with the ratios :math:`r_q` of :class:`Cost`. At 1 or less all limits are kept together.
+    """
+
+    limits: Mapping[str, float]  # the largest ratio wanted of each index by key
+
+    def __post_init__(self) -> None:
+        _require_known(self.limits)
+        for key, limit in self.limits.items():
+            if not (math.isfinite(limit) and limit > 0.0):
+                raise SettingError(f"the limit of {key} must be finite and positive, not {limit}")
+        if not self.limits:
+            raise SettingError("at least one index must have a limit")
+
+    def of(self, ratios: Mapping[str, float]) -> float:
+        """Return the cost; infinite where an index is not finite."""
+        excesses = [ratios[key] / limit for key, limit in self.limits.items()]
+        return max(excesses) if all(map(math.isfinite, excesses)) else math.inf
+
+    def as_mapping(self) -> dict[str, object]:
+        """Return what it is, for a file."""
+        return {"limits": dict(self.limits)}
+
+
+def _require_known(names: Mapping[str, float]) -> None:
+    known = [quantity.key for quantity in PAPER_QUANTITIES]
+    for key in names:
+        if key not in known:
+            raise SettingError(unknown_name("index", key, known))
+
+
+def mean_ratios(
+    runs: Sequence[RunIndices],
+    baseline: Sequence[RunIndices],
+    quantities: Sequence[Quantity] = PAPER_QUANTITIES,
+) -> dict[str, float]:
+    """Return for each index the geometric mean over the seeds of its ratio to the baseline."""
+    found = {}
+    for quantity in quantities:
+        each = [
+            ratio(own.value(quantity), other.value(quantity))
+            for own, other in zip(runs, baseline, strict=True)
+        ]
+        is_plain = all(math.isfinite(value) and value > 0.0 for value in each)
+        mean = math.fsum(map(math.log, each)) / len(each) if is_plain else math.nan
+        found[quantity.key] = math.exp(mean) if is_plain else max(each)
+    return found
+
+
+_DIGITS = 6
+
+
+@dataclass(frozen=True)
+class FreeParameter:
+    """One direction of a search."""
+
+    name: str  # what a person calls it
+    low: float  # least value
+    high: float  # largest value
+    start: float  # where the search begins: at the baseline
+    meaning: str  # in a few words
+    is_logarithmic: bool = True  # whether the search sees its logarithm
+
+    def __post_init__(self) -> None:
+        least = 0.0 if self.is_logarithmic else -math.inf
+        if not least < self.low < self.high < math.inf:
+            raise SettingError(
+                f"the bounds of {self.name} must be finite, the first below the second"
+                f"{' and positive' if self.is_logarithmic else ''}, not {self.low}:{self.high}"
+            )
+
+    def value(self, share: float) -> float:
+        """Return the value at a share of the way from the least to the largest.
+
+        Rounded to six digits, so that what is printed is what was run.
+        """
+        low, high = (self._seen(end) for end in (self.low, self.high))
+        seen = low + min(max(share, 0.0), 1.0) * (high - low)
+        return float(f"{math.exp(seen) if self.is_logarithmic else seen:.{_DIGITS}g}")
+
+    def share(self, value: float) -> float:
+        """Return the inverse of :meth:`value`, within [0, 1]."""
+        low, high, seen = (self._seen(each) for each in (self.low, self.high, value))
+        return min(max((seen - low) / (high - low), 0.0), 1.0)
+
+    def _seen(self, value: float) -> float:
+        return math.log(value) if self.is_logarithmic else value
+
+
+PID_PARAMETERS = (
+    FreeParameter("bandwidth", 0.2, 5.0, 1.0, "p, i and d times its square, cube and itself"),
+    FreeParameter("damping", 0.3, 3.0, 1.0, "factor of d"),
+    FreeParameter("integral", 0.05, 5.0, 1.0, "factor of i"),
+    FreeParameter(
+        "distribution",
+        -0.4,
+        0.4,
+        0.0,
+        "exponent of a joint's p over the geometric mean of all p; the power is a factor of its "
+        "bandwidth",
+        is_logarithmic=False,
+    ),
+)
+"""Of a linear controller; the last one only where there is more than one joint."""
+
+_DEGREE = FreeParameter("mu", -0.45, 0.45, 0.0, "degree", is_logarithmic=False)
+HPID_PARAMETERS = (
+    _DEGREE,
+    FreeParameter("error_scale", 0.05, 20.0, 1.0, "factor of norm.error_scale"),
+    FreeParameter("rate_weight", 1e-3, 10.0, 0.1, "norm.rate_weight [s/rad]"),
+)
+"""Of a homogeneous controller whose joints have scales of their own."""
+
+EFFORT_PARAMETERS = (
+    _DEGREE,
+    FreeParameter("effort_scale", 0.05, 20.0, 1.0, "factor of norm.effort_scale"),
+    FreeParameter("floor", 0.01, 1.0, 0.1, "norm.floor"),
+)
+"""Of a homogeneous controller whose norm is in units of effort."""
+
+
+def source_label(experiment: Experiment, law: LawName) -> str:
+    """Return the label of the controller whose other settings a search keeps."""
+    baseline, *others = experiment.controllers
+    for label in others if law == "hpid" else ():
+        if any(loop.law == "hpid" for loop in experiment.controllers[label]):
+            return label
+    return baseline
+
+
+@dataclass(frozen=True)
+class SearchSpace:
+    """All that a search may choose from."""
+
+    law: LawName  # pid or hpid
+    parameters: tuple[FreeParameter, ...]  # the free parameters
+    # takes settings and the values by name, and returns other settings
+    apply: Callable[..., LoopSettings]
+    changed: tuple[str, ...]  # the names of the settings that it changes
+    # the controller that is changed, joint by joint, at the start of the search
+    start: tuple[LoopSettings, ...]
+    joints: tuple[str, ...]  # the joints that are changed
+
+    @classmethod
+    def of(
+        cls,
+        experiment: Experiment,
+        law: LawName,
+        bounds: Mapping[str, tuple[float, float]] | None = None,
+    ) -> SearchSpace:
+        """Return the space around an experiment's baseline, over all its joints.
+
+        A homogeneous search has the baseline's gains; everything else is that of
+        :func:`source_label`.
+        """
+        if law not in get_args(LawName):
+            raise SettingError(unknown_name("law", law, get_args(LawName)))
+        baseline = next(iter(experiment.controllers.values()))
+        source = experiment.controllers[source_label(experiment, law)]
+        start = tuple(
+            replace(each, law=law, mu=0.0, gains=known.gains)
+            for each, known in zip(source, baseline, strict=True)
+        )
+        joints = experiment.world.joints
+        if law == "pid":
+            mean = geometric_mean(each.gains.p for each in start)
+            free = PID_PARAMETERS[: len(PID_PARAMETERS) - (len(start) == 1)]
+            gains = ("gains.p", "gains.i", "gains.d")
+            apply: Callable[..., LoopSettings] = partial(_scaled_gains, mean)
+            space = cls(law, free, apply, gains, start, joints)
+        else:
+            in_effort = all(each.norm.effort_scale for each in start)
+            degree, scale, other = EFFORT_PARAMETERS if in_effort else HPID_PARAMETERS
+            first = getattr(start[0].norm, other.name)
+            if not in_effort or other.low <= first <= other.high:
+                other = replace(other, start=first)
+            changed = ("mu", f"norm.{scale.name}", f"norm.{other.name}")
+            apply = partial(_homogeneous, scale.name)
+            space = cls(law, (degree, scale, other), apply, changed, start, joints)
+        return space._bounded(bounds or {})
+
+    def _bounded(self, bounds: Mapping[str, tuple[float, float]]) -> SearchSpace:
+        names = [each.name for each in self.parameters]
+        for name in bounds:
+            if name not in names:
+                raise SettingError(unknown_name("free parameter", name, names))
+        limits = [bounds.get(each.name, (each.low, each.high)) for each in self.parameters]
+        parameters = tuple(
+            replace(each, low=low, high=high)
+            for each, (low, high) in zip(self.parameters, limits, strict=True)
+        )
+        return replace(self, parameters=parameters)
+
+    def controller(self, values: Sequence[float]) -> tuple[LoopSettings, ...]:
+        """Return the controller at a point."""
+        found = {each.name: value for each, value in zip(self.parameters, values, strict=True)}
+        loops = []
+        for each in self.start:
+            try:
+                loops.append(self.apply(each, **found) if each.joint in self.joints else each)
+            except HpidError as error:
+                raise type(error)(f"{each.joint}: {error}") from None
+        return tuple(loops)
+
+    def narrowed(self, joint: str, start: Sequence[LoopSettings]) -> SearchSpace:
+        """Return the space of the same directions of one joint, from another start."""
+        (own,) = [each for each in start if each.joint == joint]
+        norm = own.norm
+        at = {"mu": own.mu, "rate_weight": norm.rate_weight, "floor": norm.floor}
+        parameters = tuple(
+            replace(each, start=at.get(each.name, 1.0))
+            for each in self.parameters
+            if each.name != "distribution"  # one joint's bandwidth is said already
+        )
+        return replace(self, parameters=parameters, start=tuple(start), joints=(joint,))
+
+
+def _scaled_gains(
+    mean: float,
+    settings: LoopSettings,
+    bandwidth: float,
+    damping: float,
+    integral: float,
+    distribution: float = 0.0,
+) -> LoopSettings:
+    gains = settings.gains
+    own = bandwidth * (gains.p / mean) ** distribution
+    scaled = Gains(
+        p=_rounded(gains.p * own**2),
+        i=_rounded(gains.i * own**3 * integral),
+        d=_rounded(gains.d * own * damping),
+    )
+    return replace(settings, gains=scaled)
+
+
+def _homogeneous(scale: str, settings: LoopSettings, mu: float, **norm: float) -> LoopSettings:
+    norm[scale] = _rounded(getattr(settings.norm, scale) * norm[scale])
+    return settings.with_parameters({"mu": mu, **{f"norm.{k}": x for k, x in norm.items()}})
+
+
+def _rounded(value: float) -> float:
+    return float(f"{value:.{_DIGITS}g}")
+
 
 LEAST_EVALUATIONS = 10
 _TRAINING = 1000
@@ -58,7 +358,7 @@ class SearchPlan:
 
     experiment: Experiment  # gives the robot, the reference and the baseline, its first controller
     space: SearchSpace  # what may be changed
-    cost: SearchCost  # what is made small
+    cost: Cost | WorstExcess  # what is made small
     joints: tuple[str, ...]  # the joints that are judged
     evaluations: int = 150  # points of the search over all joints, and of each refinement of one
     seeds: int = 3  # how many training seeds each point is run with
@@ -97,18 +397,10 @@ class SearchPlan:
         """Points of the whole search."""
         return self.evaluations * (1 + len(self.joints) * self.per_joint)
 
-    def tasks(self, name: str, loops: Loops) -> list[JudgedTask]:
+    def tasks(self, name: str, loops: Loops) -> list[RunTask]:
         """Return the runs of one controller, one for each training seed."""
-        experiment = self.experiment
         return [
-            JudgedTask(
-                f"{name} seed={seed}",
-                replace(experiment.world, seed=seed),
-                loops,
-                experiment.trajectory,
-                experiment.periods,
-                self.joints,
-            )
+            RunTask.seeded(self.experiment, name, seed, loops, self.joints)
             for seed in self.training_seeds
         ]
 
@@ -188,7 +480,12 @@ class Search:
         """Return the evaluations of points, given as shares of the way along each direction."""
         points = [self._point(space, stage, k, row) for k, row in enumerate(shares)]
         judged = {k: point for k, point in enumerate(points) if not point.loops}
-        tasks = [(k, task) for k, point in enumerate(points) for task in self._tasks(point)]
+        tasks = [
+            (k, task)
+            for k, point in enumerate(points)
+            if point.loops
+            for task in self.plan.tasks(f"point {point.number}", point.loops)
+        ]
         own: dict[int, list[Outcome]] = {}
         try:
             for refused in judged.values():
@@ -221,9 +518,6 @@ class Search:
             if reason:
                 return Evaluation(number, stage, values, (), note=f"refused: {reason}")
         return Evaluation(number, stage, values, loops)
-
-    def _tasks(self, point: Evaluation) -> list[JudgedTask]:
-        return self.plan.tasks(f"point {point.number}", point.loops) if point.loops else []
 
     def _judged(self, point: Evaluation, outcomes: Sequence[Outcome]) -> Evaluation:
         """Return a point with its cost."""
@@ -262,7 +556,7 @@ def compare_entry(
     common = _flat({key: value for key, value in written.items() if key != _JOINTS})
     each = {joint: _flat(entry) for joint, entry in written.get(_JOINTS, {}).items()}
     common["law"] = space.law
-    for name in space.directions.changed:
+    for name in space.changed:
         values = {loop.joint: loop.to_parameters()[name] for loop in loops}
         for parameters in (common, *each.values()):
             parameters.pop(name, None)
@@ -346,7 +640,16 @@ class SearchResult:
             **plan.cost.as_mapping(),
             "bounds": {each.name: [each.low, each.high] for each in plan.space.parameters},
             "evaluations": {"planned": plan.total, "made": len(self._search.evaluations)},
-            "best": None if best is None else _mapping(best),
+            "best": None
+            if best is None
+            else {
+                "point": best.number,
+                "stage": best.stage,
+                "values": dict(best.values),
+                "cost": best.cost,
+                "ratios": dict(best.ratios),
+                LAST_ERROR.key: best.last_error,
+            },
             "parameters": {
                 each.joint: dict(each.to_parameters()) for each in (best.loops if best else ())
             },
@@ -380,27 +683,12 @@ class SearchResult:
         folder.write("tune.json", json.dumps(self.as_mapping(), indent=2) + "\n")
         folder.write("table.txt", self.table())
         folder.write("best.yaml", self.snippet())
-        if any(each.ratios for each in self._search.evaluations):
-            self._draw(folder)
-
-    def _draw(self, folder: ResultFolder) -> None:
-        from hpid_ros.report.plots import SearchPoints, front_figure
-
         run = [each for each in self._search.evaluations if each.ratios]
-        best = self._search.best
-        points = SearchPoints(
-            self.label, [each.ratios for each in run], None if best is None else run.index(best)
-        )
-        baseline = next(iter(self._plan.experiment.controllers))
-        front_figure([points], baseline).savefig(folder.file("trade_off.png"))
+        if run:
+            from hpid_ros.report.plots import SearchPoints, front_figure
 
-
-def _mapping(best: Evaluation) -> Mapping[str, Any]:
-    return {
-        "point": best.number,
-        "stage": best.stage,
-        "values": dict(best.values),
-        "cost": best.cost,
-        "ratios": dict(best.ratios),
-        LAST_ERROR.key: best.last_error,
-    }
+            best = self._search.best
+            place = None if best is None else run.index(best)
+            points = SearchPoints(self.label, [each.ratios for each in run], place)
+            baseline = next(iter(self._plan.experiment.controllers))
+            front_figure([points], baseline).savefig(folder.file("trade_off.png"))

@@ -6,8 +6,8 @@ import hashlib
 import itertools
 import json
 import zlib
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
@@ -15,11 +15,10 @@ from hpid_ros.base.errors import ExperimentError, SettingError, unknown_name
 from hpid_ros.base.files import ResourceError, find_resource, share_folder
 from hpid_ros.base.records import Section
 from hpid_ros.base.yaml_files import load_document
-from hpid_ros.experiment.batch import LAST_ERROR, PAPER_QUANTITIES, JudgedTask
+from hpid_ros.experiment.batch import LAST_ERROR, PAPER_QUANTITIES, RunRecord, RunTask
 from hpid_ros.experiment.description import Experiment, load_experiment
 from hpid_ros.experiment.result_folder import system_errors, versions
 from hpid_ros.metrics.quantities import CHATTER, ERROR_MAX, OVERSHOOT, Quantity
-from hpid_ros.metrics.results import RunIndices
 from hpid_ros.simulation.settings import require_engine
 
 SLOW = ("bricks",)
@@ -59,9 +58,9 @@ class StudyEntry:
         """Of each judged joint whether it slides."""
         return self.experiment.are_slides(self.joints)
 
-    def key(self, label: str, seed: int) -> RunKey:
-        """Return the name of one of its runs."""
-        return RunKey(self.experiment.name, self.engine, label, seed)
+    def row(self, label: str) -> tuple[str, str, str]:
+        """Return the name of one of its rows: that of its runs without the seed."""
+        return self.experiment.name, self.engine, label
 
     @property
     def digest(self) -> str:
@@ -126,7 +125,7 @@ class StudyPlan:
         """Return the seeds of an experiment's runs."""
         return tuple(entry.experiment.seed + k for k in range(self.count))
 
-    def tasks(self) -> dict[RunKey, JudgedTask]:
+    def tasks(self) -> dict[RunKey, RunTask]:
         """Return all runs of the shard; those on one robot are side by side."""
         runs = (
             (entry, label, seed)
@@ -135,12 +134,11 @@ class StudyPlan:
             for seed in self.seeds(entry)
         )
         return {
-            entry.key(label, seed): JudgedTask(
-                f"{entry.name} {label} seed={seed}",
-                replace(entry.experiment.world, seed=seed),
+            RunKey(*entry.row(label), seed): RunTask.seeded(
+                entry.experiment,
+                f"{entry.name} {label}",
+                seed,
                 entry.experiment.controllers[label],
-                entry.experiment.trajectory,
-                entry.experiment.periods,
                 entry.joints,
             )
             for place, (entry, label, seed) in enumerate(runs)
@@ -211,45 +209,23 @@ QUANTITIES: tuple[Quantity, ...] = (
 )
 """What a study keeps of a run."""
 
-TOTAL = ""
-"""Stands for all judged joints where a joint's name would be."""
-
 
 @dataclass(frozen=True)
-class RunRecord:
-    """What is kept of one run."""
+class JournalEntry:
+    """What is kept of one run, and of what it was."""
 
     key: RunKey  # which run
     digest: str  # SHA-256 of all that decides its numbers but the seed
-    # of each joint, and of all under TOTAL, by the quantity's key
-    numbers: Mapping[str, Mapping[str, float]]
-    failure: str = ""  # why it failed, in one line; empty if it did not
-
-    @classmethod
-    def of(
-        cls,
-        key: RunKey,
-        digest: str,
-        indices: RunIndices | None,
-        failure: str,
-    ) -> RunRecord:
-        """Return the record of a run that has ended."""
-        numbers = {} if indices is None else _numbers(indices)
-        return cls(key, digest, numbers, failure)
+    record: RunRecord
 
     def line(self) -> str:
-        """Return the record as one line of JSON, with a checksum of all else in it."""
-        saved = {
-            **self.key._asdict(),
-            "sha256": self.digest,
-            "numbers": self.numbers,
-            "failure": self.failure,
-        }
+        """Return the entry as one line of JSON, with a checksum of all else in it."""
+        saved = {**self.key._asdict(), "sha256": self.digest, **self.record._asdict()}
         return json.dumps({**saved, "crc32": zlib.crc32(json.dumps(saved).encode())})
 
     @classmethod
-    def parse(cls, line: str) -> RunRecord:
-        """Return the record that :meth:`line` wrote."""
+    def parse(cls, line: str) -> JournalEntry:
+        """Return the entry that :meth:`line` wrote."""
         try:
             saved = json.loads(line)
             experiment, engine, controller = (str(saved[each]) for each in RunKey._fields[:3])
@@ -258,24 +234,24 @@ class RunRecord:
                 for joint, each in saved["numbers"].items()
             }
             key = RunKey(experiment, engine, controller, int(saved["seed"]))
-            record = cls(key, str(saved["sha256"]), numbers, str(saved["failure"]))
+            entry = cls(key, str(saved["sha256"]), RunRecord(numbers, str(saved["failure"])))
         except (AttributeError, KeyError, TypeError, OverflowError, RecursionError) as error:
             raise ValueError(f"no record of a run: {error}") from None
-        if record.line() != line:  # which no other kind of value, missing or further key passes
+        if entry.line() != line:  # which no other kind of value, missing or further key passes
             raise ValueError("not what was written")
-        return record
+        return entry
 
 
-def read_journal(path: Path) -> list[RunRecord]:
-    """Return the records of a journal; a last line that was cut off is left out."""
+def read_journal(path: Path) -> list[JournalEntry]:
+    """Return the entries of a journal; a last line that was cut off is left out."""
     if not path.is_file():
         return []
     with system_errors(f"cannot read {path}"):
         lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
-    records = []
+    entries = []
     for number, line in enumerate(lines, 1):
         try:
-            records.append(RunRecord.parse(line))
+            entries.append(JournalEntry.parse(line))
         except ValueError:
             if number == len(lines):
                 break
@@ -283,14 +259,4 @@ def read_journal(path: Path) -> list[RunRecord]:
                 f"{path}: line {number} is damaged, or of an earlier version; without this line "
                 "its run is made again"
             ) from None
-    return records
-
-
-def _numbers(indices: RunIndices) -> dict[str, dict[str, float]]:
-    """Return the numbers to keep; nan, what is not defined, is left out."""
-    found = {}
-    for joint in (*indices.joints, None):
-        values = {q.key: indices.value(q, joint) for q in QUANTITIES}
-        known = {key: value for key, value in values.items() if value == value}
-        found[TOTAL if joint is None else joint] = known
-    return found
+    return entries

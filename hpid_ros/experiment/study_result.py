@@ -13,20 +13,12 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
+from functools import cached_property
 
 from hpid_ros.base.units import unit_over
-from hpid_ros.experiment.batch import LAST_ERROR
+from hpid_ros.experiment.batch import LAST_ERROR, TOTAL, RunRecord, RunTable
 from hpid_ros.experiment.result_folder import versions
-from hpid_ros.experiment.study_plan import (
-    QUANTITIES,
-    TOTAL,
-    RunKey,
-    RunRecord,
-    StudyEntry,
-    StudyPlan,
-)
-from hpid_ros.experiment.sweep_run import Quartiles, plain_quartiles
-from hpid_ros.metrics.comparison import ratio
+from hpid_ros.experiment.study_plan import QUANTITIES, StudyEntry, StudyPlan
 from hpid_ros.metrics.folding import EngineTotal, engine_mapping
 from hpid_ros.metrics.quantities import EFFORT_L2, ERROR_L2, IAVC, ITAE, IVC, OVERSHOOT, Quantity
 from hpid_ros.report.table import format_ratio
@@ -83,6 +75,9 @@ def _figures(quantities: Sequence[Quantity]) -> Callable[[Evidence], str]:
     return figure
 
 
+_BELOW_ONE = math.nextafter(1.0, 0.0)
+
+
 def _at_most(limits: Mapping[Quantity, float]) -> Callable[[Evidence], bool | None]:
     def holds(evidence: Evidence) -> bool | None:
         if any(quantity.key not in evidence.ratios for quantity in limits):
@@ -92,18 +87,13 @@ def _at_most(limits: Mapping[Quantity, float]) -> Callable[[Evidence], bool | No
     return holds
 
 
-def _below_one(quantities: Sequence[Quantity]) -> Callable[[Evidence], bool | None]:
-    def holds(evidence: Evidence) -> bool | None:
-        if any(quantity.key not in evidence.ratios for quantity in quantities):
-            return None
-        return all(evidence.ratios[quantity.key] < 1.0 for quantity in quantities)
-
-    return holds
+def _limits_claim(key: str, text: str, limits: Mapping[Quantity, float]) -> PaperClaim:
+    return PaperClaim(key, text, _at_most(limits), _figures(list(limits)))
 
 
 def _ratio_claim(key: str, quantity: Quantity, limit: float) -> PaperClaim:
     text = f"{quantity.symbol}, {quantity.meaning}: at most {limit:g} of the PID's"
-    return PaperClaim(key, text, _at_most({quantity: limit}), _figures([quantity]))
+    return _limits_claim(key, text, {quantity: limit})
 
 
 def _enough_joints(evidence: Evidence) -> bool | None:
@@ -134,30 +124,21 @@ def _count(evidence: Evidence) -> str:
     return f"{held} of {len(NUMERIC_CLAIMS)}"
 
 
-_ACCURACY = {ITAE: 1.05, ERROR_L2: 1.05}
-
 CLAIMS = (
     *NUMERIC_CLAIMS,
     PaperClaim("together", "all of these together", _all_hold, _count),
-    PaperClaim("smoother", "smoother: a lower IVC", _below_one([IVC]), _figures([IVC])),
-    PaperClaim(
+    _limits_claim("smoother", "smoother: a lower IVC", {IVC: _BELOW_ONE}),
+    _limits_claim(
         "less_effort",
         "less effort: a lower IAVC and ||u||",
-        _below_one([IAVC, EFFORT_L2]),
-        _figures([IAVC, EFFORT_L2]),
+        dict.fromkeys((IAVC, EFFORT_L2), _BELOW_ONE),
     ),
-    PaperClaim(
+    _limits_claim(
         "accuracy",
         "the same accuracy: ITAE and ||e|| up to 1.05",
-        _at_most(_ACCURACY),
-        _figures(list(_ACCURACY)),
+        dict.fromkeys((ITAE, ERROR_L2), 1.05),
     ),
-    PaperClaim(
-        "overshoot",
-        "less overshoot: the largest of a step",
-        _below_one([OVERSHOOT]),
-        _figures([OVERSHOOT]),
-    ),
+    _limits_claim("overshoot", "less overshoot: the largest of a step", {OVERSHOOT: _BELOW_ONE}),
 )
 
 
@@ -184,75 +165,55 @@ class StudyResult:
     """What a study gave."""
 
     plan: StudyPlan  # what was run
-    records: Mapping[RunKey, RunRecord]  # of each run; an interrupted study lacks some
+    records: Mapping[tuple[object, ...], RunRecord]  # of each run; an interrupted study lacks some
     _checker: DegreeChecker = field(default_factory=DegreeChecker, repr=False, compare=False)
 
-    def numbers(
-        self, entry: StudyEntry, label: str, quantity: Quantity, joint: str = TOTAL
-    ) -> dict[int, float]:
-        """Return one number of a controller's runs by seed; failed runs have none."""
-        found = {}
-        for seed in self.plan.seeds(entry):
-            record = self.records.get(entry.key(label, seed))
-            values = record.numbers.get(joint, {}) if record is not None else {}
-            if quantity.key in values:
-                found[seed] = values[quantity.key]
-        return found
-
-    def quartiles(
-        self, entry: StudyEntry, label: str, quantity: Quantity, joint: str = TOTAL
-    ) -> Quartiles | None:
-        """Return one number over the seeds; None if no run gave it."""
-        return Quartiles.of(list(self.numbers(entry, label, quantity, joint).values()))
-
-    def ratios(
-        self, entry: StudyEntry, label: str, quantity: Quantity, joint: str = TOTAL
-    ) -> Quartiles | None:
-        """Return a controller's ratio to the baseline over the seeds, taken seed by seed."""
-        return Quartiles.of(list(self.seed_ratios(entry, label, quantity, joint).values()))
-
-    def seed_ratios(
-        self, entry: StudyEntry, label: str, quantity: Quantity, joint: str = TOTAL
-    ) -> dict[int, float]:
-        """Return a controller's ratio to the baseline with the same seed, by seed."""
-        against = self.numbers(entry, entry.baseline, quantity, joint)
-        own = self.numbers(entry, label, quantity, joint)
-        return {seed: ratio(own[seed], against[seed]) for seed in own if seed in against}
+    @cached_property
+    def table(self) -> RunTable:
+        """The numbers over the seeds, by ``entry.row(label)``."""
+        entries = self.plan.entries
+        return RunTable(
+            {e.row(k): self.plan.seeds(e) for e in entries for k in (e.baseline, *e.others)},
+            {e.row(label): e.row(e.baseline) for e in entries for label in e.others},
+            self.records,
+        )
 
     def engine_totals(self) -> list[EngineTotal]:
         """Return the totals of what was run in both engines; empty if nothing was."""
+        table = self.table
         return [
             EngineTotal(
                 first.experiment.name,
                 label,
                 quantity,
-                {each.engine: self.numbers(each, label, quantity) for each in (first, second)},
+                {e.engine: table.numbers(e.row(label), quantity) for e in (first, second)},
                 {}
                 if label == first.baseline
                 else {
-                    each.engine: self.seed_ratios(each, label, quantity)
-                    for each in (first, second)
+                    e.engine: table.seed_ratios(e.row(label), quantity) for e in (first, second)
                 },
                 unit_over(quantity.unit, first.are_slides),
             )
             for first, second in self.plan.pairs
             for label in first.experiment.controllers
             for quantity in QUANTITIES
-            if self.numbers(first, label, quantity) or self.numbers(second, label, quantity)
+            if any(table.numbers(each.row(label), quantity) for each in (first, second))
         ]
 
     def evidence(self, entry: StudyEntry, label: str) -> Evidence:
         """Return what an experiment says of a controller, by medians."""
-        all_ratios = {q.key: self.ratios(entry, label, q) for q in QUANTITIES}
-        itae = {joint: self.ratios(entry, label, ITAE, joint) for joint in entry.joints}
+        row, table = entry.row(label), self.table
+        all_ratios = {q.key: table.ratios(row, q) for q in QUANTITIES}
+        itae = {joint: table.ratios(row, ITAE, joint) for joint in entry.joints}
         return Evidence(
             {key: each.median for key, each in all_ratios.items() if each is not None},
             {joint: each.median for joint, each in itae.items() if each is not None},
         )
 
-    def worst_last_error(self, entry: StudyEntry, label: str) -> float | None:
+    def worst_last_error(self, entry: StudyEntry, label: str, joint: str = TOTAL) -> float | None:
         """Return the largest error of the last second over joints and seeds, in [rad]."""
-        return max(self.numbers(entry, label, LAST_ERROR).values(), default=None)
+        found = self.table.numbers(entry.row(label), LAST_ERROR, joint)
+        return max(found.values(), default=None)
 
     def claimed_labels(self) -> list[str]:
         """Return the controllers of the claims: homogeneous, with the baseline's gains."""
@@ -271,7 +232,7 @@ class StudyResult:
         return {
             entry.name: self.evidence(entry, label)
             for entry in self.plan.entries
-            if label in entry.others and self.ratios(entry, label, ITAE) is not None
+            if label in entry.others and self.table.seed_ratios(entry.row(label), ITAE)
         }
 
     def refusals(self, entry: StudyEntry, label: str) -> dict[str, str]:
@@ -287,41 +248,23 @@ class StudyResult:
                 reasons |= {each.joint: reason} if reason else {}
         return reasons
 
-    def note(self, entry: StudyEntry, label: str) -> str:
-        """Return in one line what did not run; empty if everything did."""
-        seeds = self.plan.seeds(entry)
-        found = [self.records.get(entry.key(label, seed)) for seed in seeds]
-        failures = [each.failure for each in found if each is not None and each.failure]
-        missing = sum(each is None for each in found)
-        notes = [f"{len(failures)} of {len(seeds)} runs failed: {failures[0]}"] if failures else []
-        notes += [f"{missing} of {len(seeds)} runs were not made"] if missing else []
-        return "; ".join(notes)
-
-    @property
-    def failures(self) -> int:
-        """Number of runs that failed."""
-        return sum(bool(record.failure) for record in self.records.values())
-
     def as_mapping(self) -> dict[str, object]:
         """Return everything that the plan determines, ready for JSON."""
+        totals = self.engine_totals()
         return {
             "versions": versions(),
             "seeds": self.plan.count,
             "runs": {
                 "planned": len(self.plan.tasks()),
                 "made": len(self.records),
-                "failed": self.failures,
+                "failed": self.table.failures,
             },
             "units": {quantity.key: quantity.unit for quantity in QUANTITIES},
             "settled_below": SETTLED,
             "experiments": {entry.name: self._entry(entry) for entry in self.plan.entries},
             "claims": {label: self._claims(label) for label in self.claimed_labels()},
-            **self._engines(),
+            **({"engines": engine_mapping(totals)} if totals else {}),
         }
-
-    def _engines(self) -> dict[str, object]:
-        totals = self.engine_totals()
-        return {"engines": engine_mapping(totals)} if totals else {}
 
     def _entry(self, entry: StudyEntry) -> dict[str, object]:
         experiment = entry.experiment
@@ -348,48 +291,36 @@ class StudyResult:
         return {"slides": slides, "units": units}
 
     def _controller(self, entry: StudyEntry, label: str) -> dict[str, object]:
-        is_baseline = label == entry.baseline
         last = self.worst_last_error(entry, label)
         refusals = self.refusals(entry, label)
-        evidence = self.evidence(entry, label)
+        joints = {joint: self._numbers(entry, label, joint) for joint in entry.joints}
+        values, ratios = self._numbers(entry, label, TOTAL).values()
+        better = self.evidence(entry, label).joints_better
         return {
-            "note": self.note(entry, label),
-            "totals": self._quartiles(entry, label, TOTAL),
-            "ratios": {} if is_baseline else self._ratios(entry, label, TOTAL),
-            "joints": {
-                joint: {
-                    "values": self._quartiles(entry, label, joint),
-                    "ratios": {} if is_baseline else self._ratios(entry, label, joint),
-                }
-                for joint in entry.joints
-            },
-            "itae_better": None if is_baseline else evidence.joints_better,
+            "note": self.table.note(entry.row(label)),
+            "totals": values,
+            "ratios": ratios,
+            "joints": joints,
+            "itae_better": None if label == entry.baseline else better,
             "worst_last_error": last,
             "is_settled": None if last is None else last < SETTLED,
             "is_certified": not refusals,
             "refusals": refusals,
         }
 
-    def _quartiles(self, entry: StudyEntry, label: str, joint: str) -> dict[str, object]:
-        found = {q.key: self.quartiles(entry, label, q, joint) for q in QUANTITIES}
-        return {key: plain_quartiles(each) for key, each in found.items() if each is not None}
-
-    def _ratios(self, entry: StudyEntry, label: str, joint: str) -> dict[str, object]:
-        found = {q.key: self.ratios(entry, label, q, joint) for q in QUANTITIES}
-        return {key: plain_quartiles(each) for key, each in found.items() if each is not None}
+    def _numbers(self, entry: StudyEntry, label: str, joint: str) -> dict[str, object]:
+        return {
+            name: {q.key: each.as_mapping() for q in QUANTITIES if (each := of(row, q, joint))}
+            for name, of in (("values", self.table.quartiles), ("ratios", self.table.ratios))
+            for row in (entry.row(label),)
+        }
 
     def _claims(self, label: str) -> list[dict[str, object]]:
         evidence = self.all_evidence(label)
         rows: list[dict[str, object]] = []
         for claim in CLAIMS:
             kind, held = verdict(claim, evidence)
-            rows.append(
-                {
-                    "key": claim.key,
-                    "claim": claim.text,
-                    "verdict": kind.value,
-                    "holds_in": list(held),
-                    "figures": {name: claim.figure(each) for name, each in evidence.items()},
-                }
-            )
+            figures = {name: claim.figure(each) for name, each in evidence.items()}
+            row = {"key": claim.key, "claim": claim.text, "verdict": kind.value}
+            rows.append({**row, "holds_in": list(held), "figures": figures})
         return rows

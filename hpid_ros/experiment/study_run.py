@@ -3,26 +3,32 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import closing
 from pathlib import Path
 
 from hpid_ros.base.errors import ResultExistsError, SettingError
 from hpid_ros.base.text import csv_text
 from hpid_ros.base.units import unit_over
-from hpid_ros.experiment.batch import LAST_ERROR, PAPER_QUANTITIES, Outcome, Runner
+from hpid_ros.experiment.batch import (
+    PAPER_QUANTITIES,
+    TOTAL,
+    Outcome,
+    Quartiles,
+    Runner,
+    RunRecord,
+    joint_numbers,
+)
 from hpid_ros.experiment.result_folder import ResultFolder
 from hpid_ros.experiment.study_plan import (
     QUANTITIES,
-    TOTAL,
+    JournalEntry,
     RunKey,
-    RunRecord,
     StudyEntry,
     StudyPlan,
     read_journal,
 )
 from hpid_ros.experiment.study_result import CLAIMS, SETTLED, ClaimVerdict, StudyResult, verdict
-from hpid_ros.experiment.sweep_run import Quartiles
 from hpid_ros.metrics.quantities import ITAE, OVERSHOOT, Quantity
 from hpid_ros.report.export import engine_grids, engines_csv
 from hpid_ros.report.table import (
@@ -91,9 +97,8 @@ def _loops(result: StudyResult) -> Grid:
         for label in (entry.baseline, *entry.others):
             last = result.worst_last_error(entry, label)
             refusals = result.refusals(entry, label)
-            worst = NOTHING if last is None else f"{last:.4f}"
-            settled = NOTHING if last is None else _yes(last < SETTLED)
-            rows.append((entry.name, label, worst, settled, _certified(refusals)))
+            settled = NOTHING if last is None else "yes" if last < SETTLED else "no"
+            rows.append((entry.name, label, _error(last), settled, _certified(refusals)))
     return Grid(
         "loops",
         "Settled and certified",
@@ -112,17 +117,18 @@ def _totals(result: StudyResult, entry: StudyEntry) -> Grid:
     rows = []
     for quantity in _SHOWN:
         own = [
-            result.quartiles(entry, label, quantity) for label in (entry.baseline, *entry.others)
+            result.table.quartiles(entry.row(label), quantity)
+            for label in (entry.baseline, *entry.others)
         ]
         if any(own):
             baseline, *values = _values(own)
             cells = [f"{quantity.symbol} [{unit_over(quantity.unit, entry.are_slides)}]", baseline]
             for label, value in zip(entry.others, values, strict=True):
-                cells += [value, _ratio(result.ratios(entry, label, quantity))]
+                cells += [value, _ratio(result.table.ratios(entry.row(label), quantity))]
             rows.append(tuple(cells))
     wins = [_wins(result, entry, label) for label in entry.others]
     rows.append(("ITAE lower in", NOTHING, *(cell for each in wins for cell in (each, NOTHING))))
-    notes = [result.note(entry, label) for label in (entry.baseline, *entry.others)]
+    notes = [result.table.note(entry.row(label)) for label in (entry.baseline, *entry.others)]
     if any(notes):
         rows.append(("note", notes[0], *(cell for each in notes[1:] for cell in (each, ""))))
     return Grid(
@@ -143,8 +149,8 @@ def _joints(result: StudyResult, entry: StudyEntry) -> Grid:
         (
             label,
             joint,
-            *(_median(result.ratios(entry, label, q, joint)) for q in quantities),
-            _last(result, entry, label, joint),
+            *(_median(result.table.ratios(entry.row(label), q, joint)) for q in quantities),
+            _error(result.worst_last_error(entry, label, joint)),
         )
         for label in entry.others
         for joint in entry.joints
@@ -164,9 +170,8 @@ def _slides(entry: StudyEntry) -> str:
     return f" {note}" if note else ""
 
 
-def _last(result: StudyResult, entry: StudyEntry, label: str, joint: str) -> str:
-    values = result.numbers(entry, label, LAST_ERROR, joint).values()
-    return f"{max(values):.4f}" if values else NOTHING
+def _error(value: float | None) -> str:
+    return NOTHING if value is None else f"{value:.4f}"
 
 
 def _values(quartiles: Sequence[Quartiles | None]) -> list[str]:
@@ -192,7 +197,7 @@ def _spread(low: str, middle: str, high: str) -> str:
 
 
 def _wins(result: StudyResult, entry: StudyEntry, label: str) -> str:
-    if label == entry.baseline or result.ratios(entry, label, ITAE) is None:
+    if not result.table.seed_ratios(entry.row(label), ITAE):
         return NOTHING
     return f"{result.evidence(entry, label).joints_better} of {len(entry.joints)}"
 
@@ -214,10 +219,6 @@ def _enumerated(entry: StudyEntry) -> str:
 def _seeds(result: StudyResult) -> str:
     count = result.plan.count
     return f"{count} seed{'s' * (count > 1)}"
-
-
-def _yes(answer: bool) -> str:
-    return "yes" if answer else "no"
 
 
 JOURNAL = "runs.jsonl"
@@ -246,13 +247,13 @@ def run_study(
     files are the same wherever the runs are made.
     """
     digests = _digests(plan)
+    wanted = plan.tasks()
     records = kept_records(plan, folder.path)
-    tasks = {key: task for key, task in plan.tasks().items() if key not in records}
+    tasks = {key: task for key, task in wanted.items() if key not in records}
     keys = tuple(tasks)
     result = StudyResult(plan, records)
-    wanted = plan.tasks().keys()
     others = [each for each in read_journal(folder.path / JOURNAL) if each.key not in wanted]
-    _begin(plan, folder, records, others)
+    _begin(result, folder, others)
     try:
         with (
             folder.file(JOURNAL).open("a", encoding="utf-8") as lines,
@@ -260,10 +261,11 @@ def run_study(
         ):
             for outcome in batch:
                 key = keys[outcome.place]
-                digest = digests[key.experiment, key.engine]
-                record = RunRecord.of(key, digest, outcome.indices, outcome.failure)
+                numbers = joint_numbers(outcome.indices, QUANTITIES)
+                record = RunRecord(numbers, outcome.failure)
                 records[key] = record
-                lines.write(record.line() + "\n")
+                digest = digests[key.experiment, key.engine]
+                lines.write(JournalEntry(key, digest, record).line() + "\n")
                 lines.flush()
                 advanced(outcome)
     finally:
@@ -288,17 +290,17 @@ def merged(plan: StudyPlan, parts: Sequence[Path]) -> StudyResult:
     return StudyResult(plan, records)
 
 
-def kept_records(plan: StudyPlan, *folders: Path) -> dict[RunKey, RunRecord]:
+def kept_records(plan: StudyPlan, *folders: Path) -> dict[tuple[object, ...], RunRecord]:
     """Return the runs in folders that are still those of the plan and did not fail."""
     digests = _digests(plan)
     wanted = set(plan.tasks())
-    records: dict[RunKey, RunRecord] = {}
+    records: dict[tuple[object, ...], RunRecord] = {}
     for journal in (folder / JOURNAL for folder in folders):
-        for record in read_journal(journal):
-            key = record.key
+        for entry in read_journal(journal):
+            key, record = entry.key, entry.record
             if key not in wanted or record.failure:
                 continue
-            if record.digest != digests[key.experiment, key.engine]:
+            if entry.digest != digests[key.experiment, key.engine]:
                 continue
             if records.setdefault(key, record) != record:
                 raise SettingError(
@@ -309,9 +311,9 @@ def kept_records(plan: StudyPlan, *folders: Path) -> dict[RunKey, RunRecord]:
     return records
 
 
-def save(result: StudyResult, folder: ResultFolder, others: Iterable[RunRecord] = ()) -> None:
+def save(result: StudyResult, folder: ResultFolder, others: Iterable[JournalEntry] = ()) -> None:
     """Write the experiments, the numbers of all runs, the summary and the tables."""
-    _begin(result.plan, folder, result.records, others)
+    _begin(result, folder, others)
     folder.write("runs.csv", runs_csv(result))
     folder.write("study.json", json.dumps(result.as_mapping(), indent=2) + "\n")
     folder.write("tables.txt", study_text(result))
@@ -342,14 +344,14 @@ def _digests(plan: StudyPlan) -> dict[tuple[str, str], str]:
     return {(each.experiment.name, each.engine): each.digest for each in plan.entries}
 
 
-def _begin(
-    plan: StudyPlan,
-    folder: ResultFolder,
-    records: Mapping[RunKey, RunRecord],
-    others: Iterable[RunRecord],
-) -> None:
+def _begin(result: StudyResult, folder: ResultFolder, others: Iterable[JournalEntry]) -> None:
     """Write the experiments, and the journal in the plan's order, however the runs ended."""
+    plan, records, digests = result.plan, result.records, _digests(result.plan)
     for entry in plan.entries:
         folder.write(f"experiments/{entry.experiment.name}.yaml", entry.experiment.text)
-    kept = [records[key] for key in plan.tasks() if key in records]
-    folder.write(JOURNAL, "".join(f"{each.line()}\n" for each in (*kept, *others)))
+    made = [
+        JournalEntry(key, digests[key.experiment, key.engine], records[key])
+        for key in plan.tasks()
+        if key in records
+    ]
+    folder.write(JOURNAL, "".join(f"{each.line()}\n" for each in (*made, *others)))

@@ -1,18 +1,52 @@
-"""A grid over a controller's parameters and over seeds: its axes, its rows, its runs."""
+"""A grid over a controller's parameters and over seeds: axes, rows, runs, result and table."""
 
 from __future__ import annotations
 
 import itertools
+import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
+from functools import cached_property
 from typing import Any
 
+from rich.box import SIMPLE
+from rich.console import Console, ConsoleOptions, RenderResult
+from rich.text import Text
+
+from hpid_ros.base.console import plain_console
 from hpid_ros.base.errors import HpidError, SettingError, unknown_name
+from hpid_ros.base.text import csv_text
+from hpid_ros.base.units import unit_over
 from hpid_ros.control.settings import PARAMETERS, LoopSettings
-from hpid_ros.experiment.batch import RunTask
+from hpid_ros.experiment.batch import (
+    PAPER_QUANTITIES,
+    TOTAL,
+    Outcome,
+    Quartiles,
+    Runner,
+    RunRecord,
+    RunTable,
+    RunTask,
+    joint_numbers,
+)
 from hpid_ros.experiment.description import Experiment, with_robot
+from hpid_ros.experiment.result_folder import EXPERIMENT, ResultFolder, versions
+from hpid_ros.metrics.comparison import verdict
+from hpid_ros.metrics.quantities import Quantity
+from hpid_ros.report.table import (
+    ASCII_MARKS,
+    MARKS,
+    STYLES,
+    UNLIMITED_WIDTH,
+    TableColumn,
+    WideTable,
+    format_ratio,
+    format_values,
+    slides_note,
+)
 from hpid_ros.robot.description import RobotDescription
 from hpid_ros.simulation.settings import WorldSettings
 
@@ -35,11 +69,6 @@ class Axis:
 
     name: str  # a loop's parameter or one of WORLD_SETTINGS
     values: tuple[Value, ...]  # its values, each once, in the order given
-
-    @property
-    def is_of_the_world(self) -> bool:
-        """Whether the values are the robot's and not the controller's."""
-        return self.name in WORLD_SETTINGS
 
     @classmethod
     def parse(cls, text: str) -> Axis:
@@ -123,7 +152,7 @@ def rows_of(
     experiment: Experiment, axes: Sequence[Axis], controller: str, joints: Sequence[str]
 ) -> tuple[Row, ...]:
     """Return a baseline for each robot of a grid, then the grid's points."""
-    of_world = [axis for axis in axes if axis.is_of_the_world]
+    of_world = [axis for axis in axes if axis.name in WORLD_SETTINGS]
     robots = [_assigned(of_world, values) for values in _product(of_world)]
     baselines = [_baseline(experiment, robot) for robot in robots]
     places = {tuple(robot.values()): place for place, robot in enumerate(robots)}
@@ -237,15 +266,9 @@ class Sweep:
 
     def tasks(self) -> dict[tuple[int, int], RunTask]:
         """Return the runs by place of the row and seed; those on one robot side by side."""
-        experiment = self.experiment
         tasks = {
-            (place, seed): RunTask(
-                f"{row.name} seed={seed}",
-                replace(row.world, seed=seed),
-                row.loops,
-                experiment.trajectory,
-                experiment.periods,
-                self.joints,
+            (place, seed): RunTask.seeded(
+                self.experiment, row.name, seed, row.loops, self.joints, row.world
             )
             for place, row in enumerate(self.rows)
             if not row.refusal
@@ -312,3 +335,202 @@ def _require_effect(loops: Sequence[LoopSettings], label: str, names: Sequence[s
     for name in names:
         if name == "mu" or name.startswith("norm."):
             raise SettingError(f"{name} has no effect on controller {label!r}, whose law is pid")
+
+
+@dataclass(frozen=True)
+class SweepResult:
+    """What a sweep gave."""
+
+    sweep: Sweep  # what was run
+    records: Mapping[tuple[object, ...], RunRecord]  # of each run, by place of the row and seed
+
+    @cached_property
+    def table(self) -> RunTable:
+        """The numbers over the seeds, by ``(place,)`` of the row."""
+        rows = self.sweep.rows
+        return RunTable(
+            {(place,): self.sweep.seeds for place in range(len(rows))},
+            {(k,): (row.baseline,) for k, row in enumerate(rows) if row.baseline is not None},
+            self.records,
+        )
+
+    def note(self, place: int) -> str:
+        """Return in one line what did not run of a row; empty if everything did."""
+        refusal = self.sweep.rows[place].refusal
+        return f"refused: {refusal}" if refusal else self.table.note((place,))
+
+    def runs_csv(self) -> str:
+        """Return every run, one a row: row's place, controller, parameters, seed, numbers."""
+        names = [axis.name for axis in self.sweep.axes]
+        keys = [q.key for q in PAPER_QUANTITIES]
+        rows: list[list[object]] = [["row", "controller", *names, "seed", *keys, "failure"]]
+        for place, row in enumerate(self.sweep.rows):
+            lead: list[object] = [place, row.label, *(row.values.get(name, "") for name in names)]
+            if row.refusal:
+                rows.append([*lead, "", *[""] * len(keys), f"refused: {row.refusal}"])
+            for seed, record in self.table.of_row((place,)).items():
+                numbers = record.numbers.get(TOTAL, {})
+                rows.append([*lead, seed, *(numbers.get(k, "") for k in keys), record.failure])
+        return csv_text(rows)
+
+    def summary_csv(self) -> str:
+        """Return every row with medians, quartiles and ratios, at full precision."""
+        names = [axis.name for axis in self.sweep.axes]
+        parts = ("median", "first_quartile", "third_quartile", "ratio")
+        numbers = [f"{q.key}_{part}" for q in PAPER_QUANTITIES for part in parts]
+        rows: list[list[object]] = [["controller", *names, *numbers, "note"]]
+        for place, row in enumerate(self.sweep.rows):
+            cells: list[object] = [row.label, *(row.values.get(name, "") for name in names)]
+            for quantity in PAPER_QUANTITIES:
+                own = self.table.quartiles((place,), quantity)
+                ratios = self.table.ratios((place,), quantity)
+                cells += ["", "", ""] if own is None else [own.median, own.first, own.third]
+                cells.append("" if ratios is None else ratios.median)
+            rows.append([*cells, self.note(place)])
+        return csv_text(rows)
+
+    def as_mapping(self) -> dict[str, object]:
+        """Return everything that the experiment and the grid determine, ready for JSON."""
+        sweep, experiment = self.sweep, self.sweep.experiment
+        return {
+            "experiment": experiment.name,
+            "sha256": experiment.digest,
+            "duration": experiment.duration,
+            "control_period": experiment.world.control_period_ns * 1e-9,
+            "versions": versions(),
+            "baseline": sweep.baseline,
+            "controller": sweep.controller,
+            "joints": list(sweep.judged),
+            "seeds": list(sweep.seeds),
+            "vary": {axis.name: list(axis.values) for axis in sweep.axes},
+            "runs": {"planned": len(sweep.tasks()), "made": len(self.records)},
+            "units": {q.key: unit_over(q.unit, sweep.are_slides) for q in PAPER_QUANTITIES},
+            "rows": [self._row(place, row) for place, row in enumerate(sweep.rows)],
+            "parameters": {
+                label: {each.joint: dict(each.to_parameters()) for each in settings}
+                for label, settings in experiment.controllers.items()
+                if label in (sweep.baseline, sweep.controller)
+            },
+        }
+
+    def _row(self, place: int, row: Row) -> dict[str, object]:
+        own = {q.key: self.table.quartiles((place,), q) for q in PAPER_QUANTITIES}
+        ratios = {q.key: self.table.ratios((place,), q) for q in PAPER_QUANTITIES}
+        return {
+            "controller": row.label,
+            "values": dict(row.values),
+            "baseline": row.baseline,
+            "note": self.note(place),
+            "indices": {key: each and each.as_mapping() for key, each in own.items()},
+            "ratios": {key: each and each.as_mapping() for key, each in ratios.items()},
+        }
+
+    def json(self) -> str:
+        """Return :meth:`as_mapping` as JSON text."""
+        return json.dumps(self.as_mapping(), indent=2) + "\n"
+
+
+_NOTHING = "-"
+
+
+class SweepTable:
+    """Rows are points; columns are parameters, then median, quartiles and ratio of each index.
+
+    Indices stand side by side as far as the width allows.
+    """
+
+    def __init__(self, result: SweepResult) -> None:
+        self.result = result
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        sweep, is_ascii = self.result.sweep, options.ascii_only
+        names = [TableColumn("controller", [_label(row) for row in sweep.rows], is_text=True)]
+        for axis in sweep.axes:
+            values = [row.values.get(axis.name) for row in sweep.rows]
+            texts = [Text(_NOTHING if each is None else shown(each)) for each in values]
+            names.append(TableColumn(axis.name, texts))
+        columns = [
+            TableColumn(*each)
+            for quantity in PAPER_QUANTITIES
+            for each in self._columns(quantity, is_ascii)
+        ]
+        notes = [Text(self.result.note(place)) for place in range(len(sweep.rows))]
+        if any(notes):
+            columns.append(TableColumn("note", notes, is_text=True))
+        yield WideTable(names, columns, box=SIMPLE)
+        yield self._legend()
+
+    def _columns(self, quantity: Quantity, is_ascii: bool) -> list[tuple[str, list[Text]]]:
+        places = range(len(self.result.sweep.rows))
+        own = [self.result.table.quartiles((place,), quantity) for place in places]
+        ratios = [self.result.table.ratios((place,), quantity) for place in places]
+        numbers = iter(format_values([x for each in own if each for x in each]))
+        texts = [None if each is None else [next(numbers) for _ in each] for each in own]
+        dash = "-" if is_ascii else "–"
+        return [
+            (self._heading(quantity), _cells(t[1] if t else None for t in texts)),
+            ("quartiles", _cells(f"{t[0]}{dash}{t[2]}" if t else None for t in texts)),
+            ("ratio", [_ratio(each, is_ascii) for each in ratios]),
+        ]
+
+    def _heading(self, quantity: Quantity) -> str:
+        return f"{quantity.symbol} [{unit_over(quantity.unit, self.result.sweep.are_slides)}]"
+
+    def _legend(self) -> Text:
+        sweep = self.result.sweep
+        count = len(sweep.seeds)
+        joints = ", ".join(sweep.joints) or f"all {len(sweep.experiment.world.joints)} joints"
+        note = slides_note(sweep.judged, sweep.experiment.slides)
+        lines = [
+            f"Medians and quartiles over {count} seed{'s' * (count > 1)}, totals over {joints}.",
+            f"Ratio: run / {sweep.baseline} with the same seed on the same robot; median.",
+            note,
+        ]
+        return Text("\n".join(filter(None, lines)), style="dim")
+
+
+def sweep_text(result: SweepResult) -> str:
+    """Return the table as plain text, one line a row however long it is."""
+    console = plain_console(UNLIMITED_WIDTH)
+    with console.capture() as capture:
+        console.print(SweepTable(result))
+    lines = (line.rstrip() for line in capture.get().splitlines())
+    return "\n".join(lines).strip("\n") + "\n"
+
+
+def _label(row: Row) -> Text:
+    return Text(row.label if row.baseline is not None else f"{row.label} (baseline)")
+
+
+def _cells(texts: Iterable[str | None]) -> list[Text]:
+    return [Text(_NOTHING if each is None else each) for each in texts]
+
+
+def _ratio(ratios: Quartiles | None, is_ascii: bool) -> Text:
+    if ratios is None:
+        return Text(_NOTHING)
+    kind = verdict(ratios.median)
+    marks = ASCII_MARKS if is_ascii else MARKS
+    return Text(f"{format_ratio(ratios.median)}{marks[kind]}", style=STYLES[kind])
+
+
+def run_sweep(
+    sweep: Sweep, folder: ResultFolder, run: Runner, advanced: Callable[[Outcome], None]
+) -> SweepResult:
+    """Run every row with every seed, and save what was run, also when interrupted."""
+    folder.write(EXPERIMENT, sweep.experiment.text)
+    tasks = sweep.tasks()
+    keys = tuple(tasks)
+    records: dict[tuple[object, ...], RunRecord] = {}
+    result = SweepResult(sweep, records)
+    try:
+        with closing(run(tuple(tasks.values()))) as batch:
+            for outcome in batch:
+                numbers = joint_numbers(outcome.indices)
+                records[keys[outcome.place]] = RunRecord(numbers, outcome.failure)
+                advanced(outcome)
+    finally:
+        folder.write("sweep.csv", result.runs_csv())
+        folder.write("sweep.json", result.json())
+        folder.write("table.txt", sweep_text(result))
+    return result

@@ -18,8 +18,7 @@ from hpid_ros.cli.commands import BAD_INPUT, DONE, FAILED
 from hpid_ros.cli.main import main
 from hpid_ros.experiment import cluster as client
 from hpid_ros.experiment.batch import RunTask, WorldKeeper, run_batch, simulate
-from hpid_ros.experiment.cluster import Cluster
-from hpid_ros.experiment.cluster_worker import Depot, differences, pack, traits, work
+from hpid_ros.experiment.cluster import Cluster, Depot, differences, pack, traits, work
 from hpid_ros.experiment.description import load_experiment
 
 WRITTEN = ("runs.csv", "runs.jsonl", "study.json", "tables.txt")
@@ -151,7 +150,7 @@ def test_a_worker_with_other_sources_is_refused_by_name(
     (other / "hpid_ros").symlink_to(Path(sys.modules["hpid_ros"].__file__).parent)
     # What python runs first: there the sources are others.
     (other / "sitecustomize.py").write_text(
-        "import hpid_ros.experiment.cluster_worker as worker\n"
+        "import hpid_ros.experiment.cluster as worker\n"
         "found = dict(worker.traits(()), numpy='1.0')\n"
         "worker.traits = lambda engines: found\n"
     )

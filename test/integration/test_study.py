@@ -19,7 +19,8 @@ from hpid_ros.cli.main import main
 from hpid_ros.experiment import batch
 from hpid_ros.experiment.batch import (
     LAST_ERROR,
-    JudgedTask,
+    RunRecord,
+    RunTask,
     WorldKeeper,
     simulate,
     simulated_indices,
@@ -29,8 +30,8 @@ from hpid_ros.experiment.in_process import run_without_ros
 from hpid_ros.experiment.progress import NoProgress
 from hpid_ros.experiment.result import compute
 from hpid_ros.experiment.study_plan import (
+    JournalEntry,
     RunKey,
-    RunRecord,
     default_files,
     plan_study,
     read_journal,
@@ -79,7 +80,7 @@ def test_only_judged_joints_count(study_files, tmp_path):
 
 def test_the_last_second_is_the_last_second(study_files):
     experiment = load_experiment(study_files[0])
-    task = replace(JudgedTask.of(experiment, "PID"), periods=1500, joints=("arm_joint_1",))
+    task = replace(RunTask.of(experiment, "PID"), periods=1500, joints=("arm_joint_1",))
     with WorldKeeper() as keeper:
         found = simulated_indices(task, keeper)
         run = simulate(task, keeper)
@@ -104,7 +105,7 @@ def test_every_experiment_runs_and_no_two_seeds_are_alike(path):
 
 def short_task(entry):
     """Return a fifth of a second of an experiment's baseline."""
-    task = JudgedTask.of(entry.experiment, entry.baseline)
+    task = RunTask.of(entry.experiment, entry.baseline)
     world = replace(task.world, engine="mujoco")
     return replace(task, world=world, periods=200, joints=entry.joints)
 
@@ -191,7 +192,8 @@ def of_one_run(tmp_path):
     """Write a journal of two runs, and return it with the first run's entries."""
     journal = tmp_path / "runs.jsonl"
     numbers = {"": {"ivc": 1.5, "itae": 2.0}, "a": {"ivc": 1.5}}
-    records = [RunRecord(RunKey("e", "mujoco", "PID", seed), "0", numbers) for seed in (1, 2)]
+    keys = [RunKey("e", "mujoco", "PID", seed) for seed in (1, 2)]
+    records = [JournalEntry(key, "0", RunRecord(numbers)) for key in keys]
     journal.write_text("".join(each.line() + "\n" for each in records))
     assert read_journal(journal) == records
     return journal, json.loads(records[0].line())
@@ -234,8 +236,8 @@ def test_numbers_that_contradict_each_other_are_not_merged(study_files, tmp_path
         assert study(study_files[:1], tmp_path / name, seeds=1) == DONE
     journal = tmp_path / "b" / "runs.jsonl"
     first, *others = read_journal(journal)
-    numbers = {joint: dict(each, ivc=1.0) for joint, each in first.numbers.items()}
-    records = [replace(first, numbers=numbers), *others]
+    numbers = {joint: dict(each, ivc=1.0) for joint, each in first.record.numbers.items()}
+    records = [replace(first, record=RunRecord(numbers)), *others]
     journal.write_text("".join(each.line() + "\n" for each in records))
     parts = ("--merge", tmp_path / "a", "--merge", tmp_path / "b")
     assert study(study_files[:1], tmp_path / "c", *parts, seeds=1) == BAD_INPUT

@@ -20,12 +20,18 @@ from hpid_ros.cli.commands import BAD_INPUT, DONE, FAILED, INTERRUPTED
 from hpid_ros.cli.main import main
 from hpid_ros.control import JointLoop
 from hpid_ros.experiment import batch
-from hpid_ros.experiment.batch import RunTask, WorldKeeper, run_batch, simulate, simulated_indices
+from hpid_ros.experiment.batch import (
+    PAPER_QUANTITIES,
+    RunTask,
+    WorldKeeper,
+    run_batch,
+    simulate,
+    simulated_indices,
+)
 from hpid_ros.experiment.description import load_experiment
 from hpid_ros.experiment.in_process import run_without_ros
 from hpid_ros.experiment.progress import NoProgress
 from hpid_ros.experiment.result import compute
-from hpid_ros.experiment.sweep_run import QUANTITIES
 from hpid_ros.metrics.quantities import INDICES
 from hpid_ros.motion import JointTrajectory, TrajectoryPoint
 from hpid_ros.simulation.engine import run_in_process
@@ -43,7 +49,7 @@ def seeded(experiment, label, count):
 def numbers(indices):
     """Return every number of a run."""
     joints = {j: [indices.value(q, j) for q in INDICES] for j in indices.joints}
-    return joints, [indices.value(quantity) for quantity in QUANTITIES]
+    return joints, [indices.value(quantity) for quantity in PAPER_QUANTITIES]
 
 
 def test_numbers_are_those_of_the_comparison_to_the_last_bit(experiment_file, tmp_path):
@@ -241,7 +247,7 @@ def test_a_point_that_is_the_baseline_has_ratio_one(experiment_file, tmp_path, c
     code, out, _ = run_cli([*options, "-o", tmp_path / "s", "--format", "csv"], capsys)
     assert code == DONE
     _, same, other = csv.DictReader(io.StringIO(out))
-    for quantity in QUANTITIES:
+    for quantity in PAPER_QUANTITIES:
         assert float(same[f"{quantity.key}_ratio"]) == 1.0
     assert float(other["itae_ratio"]) != 1.0
 

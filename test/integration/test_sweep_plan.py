@@ -4,11 +4,9 @@ import numpy as np
 import pytest
 
 from hpid_ros.base.errors import SettingError
-from hpid_ros.experiment.batch import Outcome, run_batch
-from hpid_ros.experiment.sweep import Axis, plan_sweep
-from hpid_ros.experiment.sweep_run import SweepResult
+from hpid_ros.experiment.batch import TOTAL, RunRecord, run_batch
+from hpid_ros.experiment.sweep import Axis, SweepResult, plan_sweep
 from hpid_ros.metrics.quantities import IVC
-from hpid_ros.metrics.results import JointIndices, RunIndices
 
 
 @pytest.mark.parametrize(
@@ -132,14 +130,10 @@ def test_gains_that_a_loop_refuses_stay_in_the_table_with_the_reason(experiment)
 def made_up(sweep, values):
     """Return a result whose IVCs are given by row."""
 
-    def indices(ivc):
-        totals = JointIndices(ivc, 1.0, 1.0)
-        return RunIndices("run", {"j": totals}, totals, 1.0, 1.0)
-
     return SweepResult(
         sweep,
         {
-            (place, seed): Outcome(0, indices(ivc))
+            (place, seed): RunRecord({TOTAL: {IVC.key: ivc}})
             for place, row in enumerate(values)
             for seed, ivc in zip(sweep.seeds, row, strict=True)
             if ivc is not None
@@ -150,8 +144,8 @@ def made_up(sweep, values):
 def test_ratios_are_taken_seed_by_seed_before_the_median(experiment):
     sweep = planned(experiment, "mu=0.1", seeds=5)
     result = made_up(sweep, [(1.0, 10.0, 100.0, 4.0, 5.0), (2.0, 10.0, 50.0, 12.0, None)])
-    assert result.quartiles(0, IVC) == (4.0, 5.0, 10.0)
-    assert result.quartiles(1, IVC) == (8.0, 11.0, 21.5)
-    assert result.ratios(0, IVC) is None
-    assert result.ratios(1, IVC) == (0.875, 1.5, 2.25)
+    assert result.table.quartiles((0,), IVC) == (4.0, 5.0, 10.0)
+    assert result.table.quartiles((1,), IVC) == (8.0, 11.0, 21.5)
+    assert result.table.ratios((0,), IVC) is None
+    assert result.table.ratios((1,), IVC) == (0.875, 1.5, 2.25)
     assert "1 of 5 runs were not made" in result.note(1)

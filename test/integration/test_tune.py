@@ -16,8 +16,15 @@ from hpid_ros.control.homogeneous_pid import is_hurwitz
 from hpid_ros.experiment import batch
 from hpid_ros.experiment.batch import in_processes, run_batch, simulated_indices
 from hpid_ros.experiment.description import load_experiment
-from hpid_ros.experiment.search import Evaluation, Search, SearchPlan, SearchResult, compare_entry
-from hpid_ros.experiment.search_space import Cost, SearchSpace
+from hpid_ros.experiment.search import (
+    Cost,
+    Evaluation,
+    Search,
+    SearchPlan,
+    SearchResult,
+    SearchSpace,
+    compare_entry,
+)
 from hpid_ros.stability import gain_check as degree_check
 
 ARM = ["arm_joint_1", "arm_joint_2"]

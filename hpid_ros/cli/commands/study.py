@@ -99,7 +99,7 @@ def run(options: argparse.Namespace) -> int:
             with folder, run_progress(told, runs) as ended:
                 result = run_study(plan, folder, runner, ended)
             _print(result, options.table)
-    return FAILED if result.failures else DONE
+    return FAILED if result.table.failures else DONE
 
 
 def _plan(options: argparse.Namespace) -> StudyPlan:

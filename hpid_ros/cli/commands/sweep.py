@@ -22,7 +22,7 @@ from hpid_ros.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from hpid_ros.experiment.sweep_run import SweepResult
+    from hpid_ros.experiment.sweep import SweepResult
 
 
 def add(commands: Any) -> None:
@@ -66,8 +66,7 @@ def run(options: argparse.Namespace) -> int:
     """Run the sweep and print its table."""
     from hpid_ros.base.console import TextConsole
     from hpid_ros.experiment.result_folder import ResultFolder
-    from hpid_ros.experiment.sweep import Axis, plan_sweep
-    from hpid_ros.experiment.sweep_run import run_sweep
+    from hpid_ros.experiment.sweep import Axis, plan_sweep, run_sweep
 
     axes = [Axis.parse(text) for text in options.vary]
     experiment = experiment_to_run(options)
@@ -87,12 +86,12 @@ def run(options: argparse.Namespace) -> int:
             with folder, run_progress(told, len(sweep.tasks())) as ended:
                 result = run_sweep(sweep, folder, runner, ended)
             _print(result, options.format)
-    return FAILED if result.failures else DONE
+    return FAILED if result.table.failures else DONE
 
 
 def _print(result: SweepResult, form: str) -> None:
     from hpid_ros.cli.terminal import output_console
-    from hpid_ros.experiment.sweep_run import SweepTable, sweep_text
+    from hpid_ros.experiment.sweep import SweepTable, sweep_text
 
     if form == "table" and sys.stdout.isatty():
         output_console().print(SweepTable(result))

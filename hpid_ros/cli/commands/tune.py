@@ -25,8 +25,7 @@ from hpid_ros.cli.options import (
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from hpid_ros.experiment.search import Evaluation, SearchPlan
-    from hpid_ros.experiment.search_space import SearchCost
+    from hpid_ros.experiment.search import Cost, Evaluation, SearchPlan, WorstExcess
 
 
 _LABELS = {"pid": "best PID", "hpid": "best hPID"}
@@ -147,8 +146,7 @@ def _plan(options: argparse.Namespace) -> SearchPlan:
     import math
 
     from hpid_ros.base.errors import unknown_name
-    from hpid_ros.experiment.search import SearchPlan
-    from hpid_ros.experiment.search_space import SearchSpace
+    from hpid_ros.experiment.search import SearchPlan, SearchSpace
 
     experiment = experiment_to_run(options)
     for joint in options.joint:
@@ -172,8 +170,8 @@ def _plan(options: argparse.Namespace) -> SearchPlan:
     )
 
 
-def _cost(options: argparse.Namespace) -> SearchCost:
-    from hpid_ros.experiment.search_space import Cost, WorstExcess
+def _cost(options: argparse.Namespace) -> Cost | WorstExcess:
+    from hpid_ros.experiment.search import Cost, WorstExcess
 
     weights = {key: weight for key, (weight,) in _pairs(options.weight, "weight")}
     limits = {key: limit for key, (limit,) in _pairs(options.limit, "limit")}

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hpid_ros.base.errors import SettingError
-from hpid_ros.experiment.search_space import (
+from hpid_ros.experiment.search import (
     EFFORT_PARAMETERS,
     HPID_PARAMETERS,
     PID_PARAMETERS,
