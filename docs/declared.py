@@ -1,9 +1,12 @@
-"""Tables of parameters and keys for the site, from where the package declares them."""
+"""Tables of the site, from where the package, its experiments and benchmarks have the values."""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterable, Iterator
 from functools import partial
+from itertools import takewhile
+from pathlib import Path
 from typing import Any
 
 from hpid_ros.base.records import ParameterSpec
@@ -17,7 +20,9 @@ from hpid_ros.simulation.drives import DriveSettings
 from hpid_ros.simulation.settings import Disturbances, Sensor, Workplace
 from hpid_ros.simulation.world_file import ControlSection, MeasuredSection, PhysicsSection
 
-Row = tuple[str, ...]  # name, default, what is allowed, meaning; or name and meaning
+ROOT = Path(__file__).parents[1]
+MEASURED = ROOT / "benchmarks" / "results" / "amd_epyc_2_cores.json"
+Row = tuple[str, ...]
 
 
 def parameters(*specs: ParameterSpec) -> Iterator[Row]:
@@ -49,8 +54,35 @@ def commands() -> Iterator[Row]:
         yield f"hpid {name}", command.help
 
 
+def experiments() -> Iterator[Row]:
+    """Yield what the head of each experiment file says of it."""
+    for path in sorted((ROOT / "config" / "experiments").glob("*.yaml")):
+        head = takewhile(lambda line: line.startswith("#"), path.read_text().splitlines())
+        yield path.stem, " ".join(line.lstrip("# ") for line in head)
+
+
+def benchmarks() -> Iterator[Row]:
+    """Yield the figures of ``make bench``."""
+    for name, each in json.loads(MEASURED.read_text())["figures"].items():
+        least, most = each["spread"]["ratio"]
+        reference = f"{each['reference']:.4g}, {each['against']}"
+        missed = "" if each["met"] in (True, None) else ", **missed**"
+        yield (
+            *(name, f"{each['ours']:.4g}", reference, each["unit"]),
+            f"{each['ratio']:.3g} ({least:.3g} to {most:.3g})",
+            (", ".join(each["target"]) or "none") + missed,
+        )
+
+
+HEADS = {
+    "commands": "command | meaning",
+    "experiments": "experiment | what it is",
+    "benchmarks": "figure | ours | reference | unit | ratio (lowest to highest) | target",
+}
 TABLES: dict[str, Callable[[], Iterable[Row]]] = {
     "commands": commands,
+    "experiments": experiments,
+    "benchmarks": benchmarks,
     "loop": partial(parameters, *LOOP_PARAMETERS.values()),
     "model": partial(parameters, *MODEL_PARAMETERS.values()),
     "goals": partial(parameters, *GOAL_PARAMETERS.values(), *joint_parameters("JOINT").values()),
@@ -71,5 +103,5 @@ TABLES: dict[str, Callable[[], Iterable[Row]]] = {
 def markdown(name: str) -> list[str]:
     """Return the lines of a table."""
     rows = [f"| `{key}` | {' | '.join(rest)} |" for key, *rest in TABLES[name]()]
-    heads = "name | meaning" if name == "commands" else "name | default | allowed | meaning"
+    heads = HEADS.get(name, "name | default | allowed | meaning")
     return [f"| {heads} |", "|---" * len(heads.split("|")) + "|", *rows]
