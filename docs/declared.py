@@ -50,8 +50,8 @@ def keys(*sections: tuple[Any, str]) -> Iterator[Row]:
 
 def commands() -> Iterator[Row]:
     """Yield the rows of the subcommands of hpid."""
-    for name, command in COMMANDS.items():
-        yield f"hpid {name}", command.help
+    for name, text in COMMANDS.items():
+        yield f"hpid {name}", text
 
 
 def experiments() -> Iterator[Row]:

@@ -7,68 +7,35 @@ import os
 import sys
 from collections.abc import Callable, Sequence
 from importlib import import_module
-from typing import NamedTuple
 
 from hpid_ros import __version__
 from hpid_ros.base.errors import HpidError, RunError
 from hpid_ros.base.processes import heed_interrupts, optional_libraries
 from hpid_ros.cli.commands import BAD_INPUT, FAILED, INTERRUPTED, UNREAD
 
-
-class _Command(NamedTuple):
-    """A subcommand: its module below ``hpid_ros.cli.commands``, and what it is for."""
-
-    module: str
-    help: str
-
-
 COMMANDS = {
-    "compare": _Command(
-        "compare", "run the controllers of an experiment, one process per joint, and compare them"
-    ),
-    "run": _Command("run", "run one controller of an experiment and show how its time was spent"),
-    "sweep": _Command(
-        "sweep", "run a controller over a grid of its parameters, without ROS, on every core"
-    ),
-    "study": _Command(
-        "study", "run experiments over many seeds and hold the paper's claims to them"
-    ),
-    "metrics": _Command("metrics", "compute the indices of recorded bags and compare them"),
-    "excite": _Command(
-        "excite", "move joints of a running robot so that a recording tells what they are"
-    ),
-    "identify": _Command("identify", "find inertia, friction, load and delay of joints in a bag"),
-    "replay": _Command(
-        "replay",
-        "compute every command of a recording anew, and compare to the last bit",
-    ),
-    "repair": _Command("repair", "save what can be read of a bag that was cut off or damaged"),
-    "render": _Command("render", "draw the robot of a result as it moved, side by side, animated"),
-    "gains": _Command("gains", "compute gains by a published tuning rule"),
-    "check-gains": _Command("check_gains", "say for which degrees gains are certified stable"),
-    "margins": _Command(
-        "margins", "say how far loops are from instability: gain, phase, delay, disk"
-    ),
-    "tune": _Command(
-        "tune", "search the best gains of a PID, or the best degree and norm, for one cost"
-    ),
-    "autotune": _Command(
-        "autotune", "find a running joint's gains by relay feedback, and its homogeneous PID"
-    ),
-    "live": _Command(
-        "page", "open a page on which running controllers are seen, retuned and stopped"
-    ),
-    "upgrade": _Command(
-        "upgrade",
-        "turn a PID into a homogeneous PID: from its parameter file, or from a bag of it",
-    ),
-    "export": _Command("export", "write joints' loops as C for a microcontroller"),
-    "robot": _Command(
-        "robot", "show a robot: its joints, their inertias, and what its URDF lacks"
-    ),
-    "schema": _Command("schema", "print the JSON Schema of experiment files, for editors"),
+    "compare": "run the controllers of an experiment, one process per joint, and compare them",
+    "run": "run one controller of an experiment and show how its time was spent",
+    "sweep": "run a controller over a grid of its parameters, without ROS, on every core",
+    "study": "run experiments over many seeds and hold the paper's claims to them",
+    "metrics": "compute the indices of recorded bags and compare them",
+    "excite": "move joints of a running robot so that a recording tells what they are",
+    "identify": "find inertia, friction, load and delay of joints in a bag",
+    "replay": "compute every command of a recording anew, and compare to the last bit",
+    "repair": "save what can be read of a bag that was cut off or damaged",
+    "render": "draw the robot of a result as it moved, side by side, animated",
+    "gains": "compute gains by a published tuning rule",
+    "check-gains": "say for which degrees gains are certified stable",
+    "margins": "say how far loops are from instability: gain, phase, delay, disk",
+    "tune": "search the best gains of a PID, or the best degree and norm, for one cost",
+    "autotune": "find a running joint's gains by relay feedback, and its homogeneous PID",
+    "live": "open a page on which running controllers are seen, retuned and stopped",
+    "upgrade": "turn a PID into a homogeneous PID: from its parameter file, or from a bag of it",
+    "export": "write joints' loops as C for a microcontroller",
+    "robot": "show a robot: its joints, their inertias, and what its URDF lacks",
+    "schema": "print the JSON Schema of experiment files, for editors",
 }
-"""The subcommands in the order of the help; a module is imported when its command is asked for."""
+"""The subcommands in the order of the help, each with what it is for."""
 
 
 def main(args: Sequence[str] | None = None) -> int:
@@ -113,11 +80,11 @@ def _parser(args: Sequence[str]) -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"hpid_ros {__version__}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    for name, each in COMMANDS.items():
-        if name in args[:1]:
-            import_module(f"hpid_ros.cli.commands.{each.module}").add(commands)
+    for name, text in COMMANDS.items():
+        if name in args[:1]:  # its module alone is imported
+            import_module(f"hpid_ros.cli.commands.{name.replace('-', '_')}").add(commands)
         else:
-            commands.add_parser(name, help=each.help)
+            commands.add_parser(name, help=text)
     return parser
 
 

@@ -64,15 +64,15 @@ def chosen_engines(options: argparse.Namespace) -> tuple[str | None, ...]:
     return engines
 
 
-def tell_engine(experiments: Iterable[Experiment]) -> None:
-    """Say who computes the physics where nobody chose and PyBullet is not installed."""
+def print_engine_note(experiments: Iterable[Experiment]) -> None:
+    """Say which engine computes where none was chosen and PyBullet is not installed."""
     for note in dict.fromkeys(each.engine_note for each in experiments):
         if note:
             print(f"hpid: {note}", file=sys.stderr)
 
 
-def tell_uncontrolled(experiments: Iterable[Experiment]) -> None:
-    """Say on stderr which joints have no gains: they are driven, and nothing holds them."""
+def warn_uncontrolled(experiments: Iterable[Experiment]) -> None:
+    """Warn of joints without gains: they are driven, and nothing holds them."""
     uncontrolled = dict.fromkeys(
         settings.joint
         for experiment in experiments
@@ -107,7 +107,7 @@ def experiment_to_run(options: argparse.Namespace) -> Experiment:
     (engine,) = chosen_engines(options)
     experiment = named_experiment(options.experiment, engine)
     require_engine(experiment.world.engine)
-    tell_uncontrolled([experiment])
+    warn_uncontrolled([experiment])
     return experiment
 
 
@@ -160,7 +160,7 @@ def chosen_runner(options: argparse.Namespace, console: Console) -> Iterator[Run
 
 
 @contextmanager
-def telling_where(console: Console, folder: ResultFolder, interrupted: str) -> Iterator[None]:
+def result_announced(console: Console, folder: ResultFolder, interrupted: str) -> Iterator[None]:
     """Say at the end where the result is, or after an interrupt where the rest of it is."""
     try:
         yield
@@ -209,7 +209,7 @@ def joint_progress(
     with progress(console, "joints", joints) as advanced:
         done = 0
 
-        def told(names: Sequence[str]) -> None:
+        def note(names: Sequence[str]) -> None:
             nonlocal done
             for name in names:
                 done += 1
@@ -218,7 +218,7 @@ def joint_progress(
                     line = f"{what}: {name} ({done} of {joints})"
                     console.print(line, markup=False, highlight=False, soft_wrap=True)
 
-        yield told
+        yield note
 
 
 @contextmanager

@@ -5,12 +5,12 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from types import TracebackType
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TaskProgressColumn, TextColumn
 
 from hpid_ros.base.console import TextConsole
+from hpid_ros.experiment.description import Experiment
 from hpid_ros.experiment.progress import RunReport
 from hpid_ros.report.table import UNLIMITED_WIDTH, TableColumn, WideTable
 
@@ -24,10 +24,9 @@ def output_console() -> TextConsole:
 class RunProgress:
     """A progress bar for each run, with simulated time, rate and real-time factor."""
 
-    def __init__(
-        self, console: Console, duration: float, labels: Sequence[str], period: float
-    ) -> None:
-        self._duration, self._labels, self._period = duration, tuple(labels), period
+    def __init__(self, console: Console, experiment: Experiment, labels: Sequence[str]) -> None:
+        self._duration, self._labels = experiment.duration, tuple(labels)
+        self._period = experiment.world.control_period_ns * 1e-9
         self._progress = Progress(
             TextColumn("{task.description}", style="bold", markup=False),
             BarColumn(bar_width=24),
@@ -44,12 +43,7 @@ class RunProgress:
         self._progress.start()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, kind: object, error: object, trace: object) -> None:
         for task in self._tasks.values() if error is None else ():
             self._progress.update(task, phase="")
         self._progress.stop()
@@ -83,14 +77,6 @@ class RunProgress:
             self._progress.update(self._tasks[label], completed=simulated, phase="")
 
 
-def print_reports(
-    console: Console, reports: Sequence[RunReport], duration: float, folder: Path
-) -> None:
-    """Print how the runs of a comparison went, and where the result lies."""
-    _print_runs(console, reports, duration)
-    print_result_places(console, {"result": folder, "report": folder / "report.html"})
-
-
 def print_notes(console: Console, notes: Sequence[str]) -> None:
     """Print what a reader must know of the runs, below their table."""
     for note in notes:
@@ -99,7 +85,7 @@ def print_notes(console: Console, notes: Sequence[str]) -> None:
 
 def print_timing(console: Console, report: RunReport, duration: float) -> None:
     """Print how one run went, and where the time of its nodes went."""
-    _print_runs(console, [report], duration)
+    print_runs(console, [report], duration)
     if report.timing is None:
         return
     headings = ["period", "p99", "compute", "p99", "latency", "p99", "missed", "silent"]
@@ -121,7 +107,8 @@ def print_result_places(console: Console, places: Mapping[str, Path]) -> None:
         console.print(f"{what}: {path}", soft_wrap=True, highlight=False)
 
 
-def _print_runs(console: Console, reports: Sequence[RunReport], duration: float) -> None:
+def print_runs(console: Console, reports: Sequence[RunReport], duration: float) -> None:
+    """Print how runs went."""
     headings = ["states", "processes", "wall time", "rate", "real time"]
     rows = [
         (
@@ -136,9 +123,8 @@ def _print_runs(console: Console, reports: Sequence[RunReport], duration: float)
         )
         for report in reports
     ]
-    table = _table("run", headings, rows)
     console.print()
-    console.print(table)
+    console.print(_table("run", headings, rows))
     for report in reports:
         for warning in report.warnings:
             console.print(f"{report.label}: {warning}", style="yellow", highlight=False)

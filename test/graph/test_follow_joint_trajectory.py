@@ -455,7 +455,7 @@ def test_parameters_have_descriptions_and_a_bad_set_leaves_no_trace(joints):
     is_set, reason = harness.set_parameters(
         ACTION, constraints__elbow__goal=0.001, constraints__shoulder__goal=-1.0
     )
-    assert (is_set, "constraints.shoulder.goal must lie in" in reason) == (False, True)
+    assert (is_set, "constraints.shoulder.goal must be" in reason) == (False, True)
     is_set, reason = harness.set_parameters(ACTION, state_timeout=0.3)
     assert (is_set, "read-only" in reason) == (False, True)
     assert harness.set_parameters(

@@ -11,7 +11,7 @@ from harness.engines import needs_bullet, shipped
 
 from hpid_ros.base.files import share_folder
 from hpid_ros.cli.commands import BAD_INPUT, DONE, UNREAD
-from hpid_ros.cli.main import main
+from hpid_ros.cli.main import COMMANDS, main
 from hpid_ros.experiment.description import load_experiment
 from hpid_ros.experiment.in_process import run_without_ros
 from hpid_ros.experiment.progress import NoProgress
@@ -19,9 +19,10 @@ from hpid_ros.experiment.result import compute
 from hpid_ros.simulation.settings import ENGINES
 
 
-def test_in_process_comparison_prints_the_table_and_leaves_the_result(
-    experiment_file, tmp_path, capsys
+def test_in_process_comparison_needs_no_ros_prints_the_table_and_leaves_the_result(
+    experiment_file, tmp_path, monkeypatch, capsys
 ):
+    monkeypatch.setitem(sys.modules, "rclpy", None)  # as if it were not installed
     folder = tmp_path / "result"
     options = ["--in-process", "--no-figures", "-o", str(folder)]
     assert main(["compare", str(experiment_file()), *options]) == DONE
@@ -112,15 +113,6 @@ def test_without_pybullet_one_line_says_who_computes(
     assert len(capsys.readouterr().err.splitlines()) == 1
 
 
-def test_the_default_experiment_is_the_papers():
-    from hpid_ros.cli.options import DEFAULT_EXPERIMENT
-    from hpid_ros.experiment.description import load_experiment
-
-    experiment = load_experiment(share_folder() / DEFAULT_EXPERIMENT)
-    assert (experiment.name, experiment.duration) == ("paper", 9.0)
-    assert experiment.world.control_period_ns == 1_000_000
-
-
 def refused(arguments, capsys):
     assert main(arguments) == BAD_INPUT
     streams = capsys.readouterr()
@@ -128,10 +120,6 @@ def refused(arguments, capsys):
     assert len(lines) == 1
     assert lines[0].startswith("hpid: ")
     return lines[0]
-
-
-def test_a_missing_file_is_one_line(capsys):
-    assert "cannot read none.yaml" in refused(["compare", "none.yaml"], capsys)
 
 
 @pytest.mark.parametrize(
@@ -153,46 +141,16 @@ def test_a_bad_experiment_is_one_line_and_leaves_no_folder(
     assert not folder.exists()
 
 
-def test_nothing_is_overwritten_without_force(experiment_file, tmp_path, capsys):
-    folder = tmp_path / "result"
-    options = ["--in-process", "--no-figures", "-o", str(folder)]
-    command = ["compare", str(experiment_file(duration=0.05)), *options]
-    assert main(command) == DONE
-    before = (folder / "result.json").read_bytes()
-    (folder / "note.txt").write_text("mine")
-    capsys.readouterr()
-    assert "--force" in refused(command, capsys)
-    assert (folder / "note.txt").exists()
-    assert main([*command, "--force"]) == DONE
-    assert (folder / "result.json").read_bytes() == before
-    assert (folder / "note.txt").read_text() == "mine"
-
-
-def test_force_never_replaces_what_is_no_result(experiment_file, tmp_path, capsys):
-    folder = tmp_path / "thesis"
-    folder.mkdir()
-    (folder / "chapter.tex").write_text("years of work")
-    command = ["compare", str(experiment_file()), "--in-process", "-o", str(folder), "--force"]
-    assert "is not a result" in refused(command, capsys)
-    assert (folder / "chapter.tex").exists()
-
-
-@pytest.mark.parametrize("content", [None, b"", b"not a bag", b"\x89MCAP0\r\n" + b"\0" * 40])
-def test_an_unreadable_bag_is_one_line(tmp_path, capsys, content):
-    bag = tmp_path / "run.mcap"
-    if content is not None:
-        bag.write_bytes(content)
-    assert "run.mcap" in refused(["metrics", str(bag)], capsys)
-
-
-def test_labels_must_fit_the_bags(tmp_path, capsys):
-    command = ["metrics", str(tmp_path), "--labels", "a", "b"]
-    assert "one label for each of 1 bags, not 2" in refused(command, capsys)
-
-
-def test_an_unwritable_place_is_one_line(experiment_file, capsys):
-    command = ["compare", str(experiment_file()), "--in-process", "-o", "/proc/result"]
-    assert "cannot make the result folder /proc/result" in refused(command, capsys)
+@pytest.mark.parametrize(
+    ("command", "words"),
+    [
+        (["compare", "none.yaml"], "cannot read none.yaml"),
+        (["compare", "--in-process", "-o", "/proc/result"], "the result folder /proc/result"),
+        (["metrics", "none.mcap"], "none.mcap"),
+    ],
+)
+def test_what_cannot_be_read_or_written_is_one_line(command, words, capsys):
+    assert words in refused(command, capsys)
 
 
 def test_usage_errors_end_with_two():
@@ -200,17 +158,6 @@ def test_usage_errors_end_with_two():
         with pytest.raises(SystemExit) as end:
             main(arguments)
         assert end.value.code == BAD_INPUT
-
-
-def test_in_process_needs_no_ros(experiment_file, tmp_path):
-    """People without ROS, and sweeps, run the same experiment file."""
-    code = (
-        "import sys; sys.modules['rclpy'] = None; from hpid_ros.cli.main import main; "
-        f"sys.exit(main(['compare', {str(experiment_file())!r}, '--in-process', '--no-figures', "
-        f"'-o', {str(tmp_path / 'result')!r}]))"
-    )
-    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, check=False)
-    assert ended.returncode == DONE, ended.stderr.decode()
 
 
 @pytest.mark.parametrize(
@@ -236,29 +183,22 @@ def test_a_reader_that_has_read_enough_is_no_error():
         command.communicate()
 
 
-@pytest.mark.parametrize(
-    "command",
-    [
-        *("", "compare", "run", "sweep", "study", "metrics", "replay", "repair", "gains"),
-        *("check-gains", "tune", "upgrade", "export", "robot", "schema", "identify", "margins"),
-    ],
-)
-def test_help_fits_a_terminal_of_80_columns(command, capsys, monkeypatch):
+@pytest.mark.parametrize("command", ["", *COMMANDS])
+def test_help_names_the_command_and_fits_a_terminal_of_80_columns(command, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
-    with pytest.raises(SystemExit):
+    with pytest.raises(SystemExit) as ended:
         main([*command.split(), "--help"])
-    assert max(map(len, capsys.readouterr().out.splitlines())) <= 80
+    assert ended.value.code == DONE
+    printed = capsys.readouterr().out
+    assert printed.startswith(f"usage: hpid {command}".rstrip())
+    assert max(map(len, printed.splitlines())) <= 80
 
 
 def test_joints_without_gains_are_named(experiment_file, tmp_path, capsys):
     bare = {"joints": {"arm_joint_6": {"gains": {"p": 1.0, "d": 0.1}}}}
     file = experiment_file(duration=0.05, controllers=bare)
-    assert (
-        main(
-            ["compare", str(file), "--in-process", "--no-figures", "-o", str(tmp_path / "result")]
-        )
-        == 0
-    )
+    options = ["--in-process", "--no-figures", "-o", str(tmp_path / "result")]
+    assert main(["compare", str(file), *options]) == DONE
     line = next(line for line in capsys.readouterr().err.splitlines() if "p, i and d" in line)
     assert "arm_joint_5: gains" in line
     assert "arm_joint_6" not in line

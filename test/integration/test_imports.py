@@ -6,8 +6,6 @@ import sys
 import pytest
 from harness.bags import small_log, write_bag
 
-from hpid_ros.cli.main import COMMANDS, main
-
 pytestmark = pytest.mark.repository
 
 SLOW = {"matplotlib", "mujoco", "pinocchio", "pybullet", "scipy"}
@@ -38,14 +36,6 @@ def test_the_help_waits_for_no_library():
     command = [sys.executable, "-c", program]
     imported = subprocess.run(command, capture_output=True, text=True, check=True).stdout.split()
     assert not {"numpy", "rich", "yaml", "rosbags"} & set(imported)
-
-
-@pytest.mark.parametrize("name", COMMANDS)
-def test_every_command_is_found_by_its_name(name, capsys):
-    with pytest.raises(SystemExit) as ended:
-        main([name, "--help"])
-    assert ended.value.code == 0
-    assert capsys.readouterr().out.startswith(f"usage: hpid {name} ")
 
 
 def test_the_recording_of_a_robot_is_measured_without_the_simulated_one(tmp_path):

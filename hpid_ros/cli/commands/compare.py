@@ -17,7 +17,7 @@ from hpid_ros.cli.options import (
     experiment_to_run,
     named_experiment,
     output_folder,
-    tell_uncontrolled,
+    warn_uncontrolled,
 )
 
 if TYPE_CHECKING:
@@ -63,9 +63,7 @@ def run(options: argparse.Namespace) -> int:
     experiment = experiment_to_run(options)
     output = output_folder(options, experiment.name)
     console = output_console()
-    period = experiment.world.control_period_ns * 1e-9
-    labels = tuple(experiment.controllers)
-    with RunProgress(console, experiment.duration, labels, period) as progress:
+    with RunProgress(console, experiment, tuple(experiment.controllers)) as progress:
         compared = compare(
             experiment,
             output,
@@ -99,13 +97,12 @@ def _run_in_both(options: argparse.Namespace) -> int:
 
     engines = chosen_engines(options)
     experiments = [named_experiment(options.experiment, engine) for engine in engines]
-    tell_uncontrolled(experiments)
+    warn_uncontrolled(experiments)
     first = experiments[0]
     output = output_folder(options, first.name)
     console = output_console()
     labels = [named(label, str(engine)) for engine in engines for label in first.controllers]
-    period = first.world.control_period_ns * 1e-9
-    with RunProgress(console, first.duration, labels, period) as progress:
+    with RunProgress(console, first, labels) as progress:
         both = compare_engines(
             *(experiments, output, progress),
             in_process=options.in_process,
@@ -123,11 +120,12 @@ def _run_in_both(options: argparse.Namespace) -> int:
 
 
 def _print(console: Console, compared: Compared) -> None:
-    from hpid_ros.cli.terminal import print_notes, print_reports
+    from hpid_ros.cli.terminal import print_notes, print_result_places, print_runs
     from hpid_ros.report.table import ComparisonTable
 
     result = compared.result
     console.print(ComparisonTable(result.comparison))
     print_notes(console, result.notes)
-    duration = result.experiment.duration
-    print_reports(console, compared.reports, duration, compared.folder.path)
+    print_runs(console, compared.reports, result.experiment.duration)
+    folder = compared.folder.path
+    print_result_places(console, {"result": folder, "report": folder / "report.html"})

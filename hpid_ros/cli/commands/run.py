@@ -28,12 +28,13 @@ def add(commands: Any) -> None:
         "--controller", metavar="LABEL", help="which of its controllers (the last one)"
     )
     spread = parser.add_mutually_exclusive_group()
-    spread.add_argument(
-        "--composed", action="store_true", help="all controllers in one process, not one each"
-    )
-    spread.add_argument(
-        "--single-process", action="store_true", help="controllers and robot in one process"
-    )
+    for option, processes, text in (
+        ("--composed", "composed", "all controllers in one process, not one each"),
+        ("--single-process", "single", "controllers and robot in one process"),
+    ):
+        spread.add_argument(
+            option, dest="processes", action="store_const", const=processes, help=text
+        )
     parser.add_argument(
         "--realtime", action="store_true", help="paced by the wall clock, not in lock-step"
     )
@@ -52,7 +53,7 @@ def add(commands: Any) -> None:
     )
     parser.add_argument("--no-record", action="store_true", help="leave no bag and no indices")
     add_output(parser, "NAME")
-    parser.set_defaults(command=run)
+    parser.set_defaults(command=run, processes="each")
 
 
 def run(options: argparse.Namespace) -> int:
@@ -69,7 +70,7 @@ def run(options: argparse.Namespace) -> int:
     from hpid_ros.report.table import ComparisonTable
 
     graph = GraphOptions(
-        processes=_processes(options),
+        processes=options.processes,
         is_recorded=not options.no_record,
         is_realtime=options.realtime,
         realtime_priority=options.realtime_priority,
@@ -78,8 +79,7 @@ def run(options: argparse.Namespace) -> int:
     label = options.controller or list(experiment.controllers)[-1]
     output = output_folder(options, experiment.name)
     console = output_console()
-    period = experiment.world.control_period_ns * 1e-9
-    with RunProgress(console, experiment.duration, [label], period) as progress:
+    with RunProgress(console, experiment, [label]) as progress:
         ran = run_controller(
             *(experiment, label, output, progress, graph),
             force=options.force,
@@ -91,9 +91,3 @@ def run(options: argparse.Namespace) -> int:
     print_timing(console, ran.report, experiment.duration)
     print_result_places(console, {"result": ran.folder.path})
     return DONE
-
-
-def _processes(options: argparse.Namespace) -> str:
-    if options.single_process:
-        return "single"
-    return "composed" if options.composed else "each"

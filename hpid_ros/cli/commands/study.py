@@ -17,9 +17,9 @@ from hpid_ros.cli.options import (
     chosen_engines,
     chosen_runner,
     output_folder,
+    print_engine_note,
+    result_announced,
     run_progress,
-    tell_engine,
-    telling_where,
 )
 
 if TYPE_CHECKING:
@@ -93,8 +93,8 @@ def run(options: argparse.Namespace) -> int:
             resume=options.resume,
             inputs=plan.inputs,
         )
-        tell_engine(entry.experiment for entry in plan.entries)
-        with telling_where(told, folder, "what was run"):
+        print_engine_note(entry.experiment for entry in plan.entries)
+        with result_announced(told, folder, "what was run"):
             runs = len(plan.tasks()) - len(kept_records(plan, folder.path))
             with folder, run_progress(told, runs) as ended:
                 result = run_study(plan, folder, runner, ended)

@@ -16,9 +16,9 @@ from hpid_ros.cli.options import (
     chosen_runner,
     experiment_to_run,
     output_folder,
+    print_engine_note,
+    result_announced,
     run_progress,
-    tell_engine,
-    telling_where,
 )
 
 if TYPE_CHECKING:
@@ -81,8 +81,8 @@ def run(options: argparse.Namespace) -> int:
     with chosen_runner(options, told) as runner:
         path = output_folder(options, f"{experiment.name}-sweep")
         folder = ResultFolder.create(path, force=options.force, inputs=experiment.inputs)
-        tell_engine([experiment])
-        with telling_where(told, folder, "what was run"):
+        print_engine_note([experiment])
+        with result_announced(told, folder, "what was run"):
             with folder, run_progress(told, len(sweep.tasks())) as ended:
                 result = run_sweep(sweep, folder, runner, ended)
             _print(result, options.format)

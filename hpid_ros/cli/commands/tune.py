@@ -17,9 +17,9 @@ from hpid_ros.cli.options import (
     chosen_runner,
     experiment_to_run,
     output_folder,
+    print_engine_note,
     progress,
-    tell_engine,
-    telling_where,
+    result_announced,
 )
 
 if TYPE_CHECKING:
@@ -114,8 +114,8 @@ def run(options: argparse.Namespace) -> int:
     with chosen_runner(options, told) as runner:
         path = output_folder(options, f"{plan.experiment.name}-tune-{options.law}")
         folder = ResultFolder.create(path, force=options.force, inputs=plan.experiment.inputs)
-        tell_engine([plan.experiment])
-        with telling_where(told, folder, "what was found"):
+        print_engine_note([plan.experiment])
+        with result_announced(told, folder, "what was found"):
             with folder, progress(told, "points", plan.total) as advanced:
                 folder.write(EXPERIMENT, plan.experiment.text)
                 search = Search(plan, runner, _least_cost(advanced))
