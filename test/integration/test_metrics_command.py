@@ -11,11 +11,6 @@ from harness.bags import (
     JOINT_STATE,
     MS,
     TYPES,
-    S,
-    command,
-    ramp,
-    state,
-    trajectory,
     write_bag,
 )
 
@@ -29,18 +24,12 @@ from hpid_ros.messages.writer import BagWriter
 @pytest.fixture(scope="module")
 def result(tmp_path_factory):
     """Return the folder of a short comparison."""
-    import yaml
-
-    from hpid_ros.base.files import share_folder
-
     folder = tmp_path_factory.mktemp("metrics")
-    document = yaml.safe_load(
-        (share_folder() / "config" / "experiments" / "tracking.yaml").read_text()
-    )
-    document |= {"name": "short", "duration": 0.3}
-    document["simulation"] = {"engine": "mujoco", "physics_steps": 2}
     file = folder / "short.yaml"
-    file.write_text(yaml.safe_dump(document, sort_keys=False))
+    file.write_text(
+        "extends: config/experiments/tracking.yaml\nname: short\nduration: 0.3\n"
+        "simulation: {engine: mujoco, physics_steps: 2}\n"
+    )
     options = ["--in-process", "--no-figures", "-o", str(folder / "result")]
     assert main(["compare", str(file), *options]) == DONE
     return folder / "result"
@@ -150,19 +139,6 @@ def states_bag(path, effort=True, count=400):
     return log
 
 
-def loop_bag(path, duration, lead=0.0, gain=5.0):
-    """Write a joint that follows a ramp, told to it some time after the recorder started."""
-    begin_ns = round(lead * S)
-    log = [trajectory(begin_ns, ramp("elbow", t0=0.0, t2=1.0))]
-    for k in range(1, round(duration / 0.005)):
-        stamp = k * 5 * MS
-        t = max(0.0, (stamp - begin_ns) / S)
-        position = 0.5 * t * (1.0 - np.exp(-gain * t)) if t < 2.0 else 1.0
-        log.append(state(stamp, elbow=position))
-        log.append(command(stamp, elbow=gain * np.exp(-gain * t)))
-    return write_bag(path, sorted(log, key=lambda message: message[1]))
-
-
 def test_a_bag_of_states_alone_gives_its_effort_indices_and_one_line_for_the_rest(run, tmp_path):
     bag = write_bag(tmp_path / "states", states_bag(tmp_path))
     code, printed, errors = run(bag)
@@ -212,23 +188,6 @@ def test_a_reference_is_held_or_given_only_if_asked_for_and_then_it_is_said(run,
     for bad in (tmp_path / "none.yaml", "nowhere"):
         code, printed, errors = run(bag, "--reference", bad)
         assert (code, printed, errors.count("\n")) == (BAD_INPUT, "", 1)
-
-
-def test_recordings_of_unlike_length_are_cut_to_what_both_have_and_it_is_said(run, tmp_path):
-    long = loop_bag(tmp_path / "PID", 17.7, lead=1.0)
-    short = loop_bag(tmp_path / "hPID", 4.0, gain=8.0)
-    code, printed, errors = run(long, short)
-    assert code == DONE
-    assert "differ" not in errors
-    assert "PID: cut to 3.99 s of 17.69 s, from 0.995 s on, where its reference begins." in printed
-    assert "hPID against PID: " in printed
-    document = json.loads(run(long, short, "--json")[1])
-    whole = json.loads(run(short, "--json")[1])["runs"]["hPID"]
-    assert document["runs"]["hPID"]["totals"] == whole["totals"]
-    assert document["runs"]["PID"]["conditions"]["duration"] == pytest.approx(3.99, abs=0.006)
-    code, printed, errors = run(long, short, "--start", "0")
-    assert "hPID against PID: not comparable: durations differ: 17.69 s and 3.99 s" in printed
-    assert "▼" not in printed.split("Ratio:")[0]
 
 
 def test_commands_that_may_be_positions_are_efforts_only_if_that_is_said(run, tmp_path):
@@ -295,15 +254,8 @@ def test_figures_and_report_are_drawn_with_the_gains_of_the_result(run, result, 
 
 def test_saved_numbers_alone_draw_the_trade_off_and_say_what_is_missing(run, result, tmp_path):
     folder = tmp_path / "figures"
-    code, _, errors = run(
-        result / "result.json",
-        "--figures",
-        folder,
-        "--formats",
-        "png",
-        "--report",
-        tmp_path / "r.html",
-    )
+    outputs = ("--figures", folder, "--formats", "png", "--report", tmp_path / "r.html")
+    code, _, errors = run(result / "result.json", *outputs)
     assert code == DONE
     assert {path.name for path in folder.iterdir()} == {"trade_off.png", MARKER}
     assert "only runs from bags are drawn" in errors
@@ -329,12 +281,6 @@ def test_figures_replace_figures_of_ours_and_nothing_else(run, result, tmp_path)
     assert run(*command)[0] == BAD_INPUT
     assert run(*command, "--force")[0] == DONE
     assert (folder / "photo.png").read_text() == "mine"
-    other = tmp_path / "photos"
-    other.mkdir()
-    (other / "trade_off.png").write_text("mine")
-    code, _, errors = run(numbers, "--figures", other, "--formats", "png", "--force")
-    assert (code, (other / "trade_off.png").read_text()) == (BAD_INPUT, "mine")
-    assert "has no hpid_result.json" in errors
 
 
 @pytest.mark.parametrize("option", ["--save", "--report"])

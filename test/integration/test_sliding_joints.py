@@ -19,6 +19,7 @@ from hpid_ros.messages.storage import SLIDES, recorded_slides, slides_entry
 from hpid_ros.messages.writer import BagWriter
 from hpid_ros.metrics import measure
 from hpid_ros.metrics.comparison import Comparison, answer
+from hpid_ros.metrics.quantities import find_quantities
 from hpid_ros.metrics.results import run_indices
 from hpid_ros.report.export import FORMATS
 from hpid_ros.report.figures import figures_of
@@ -96,67 +97,46 @@ def units_of(text):
 # Tables ----------------------------------------------------------------------------------------
 
 
-def test_a_table_names_both_units_and_which_joints_slide(run, result):
+def test_every_format_names_both_units_and_which_joints_slide(run, result):
     _, table, _ = run("metrics", result)
     for heading in ("IVC [N m, N]", "IAVC [N m s, N s]", "ITAE [rad s^2, m s^2]"):
         assert heading in table
     assert "||u|| [N m s^0.5, N s^0.5]" in table
     assert table.count(NOTE) == 1
     assert max(map(len, table.splitlines())) <= 80
-    assert table.startswith((result / "table.txt").read_text().split("\nRatio")[0][:200])
     _, overall, _ = run("metrics", result, "--overall", "--indices", "all", "--units", "deg")
     for heading in ("RMSE [deg, m]", "ISE [deg^2 s, m^2 s]", "energy [J]", "rise [s]"):
         assert heading in overall
     assert NOTE.replace("rad", "deg") in overall
+    runs = tuple(measure(result / "bags" / label).run for label in ("PID", "hPID"))
+    units = units_of(FORMATS["csv"](Comparison(runs, find_quantities(["all"]), ())))
+    for joint, ivc, rmse in (("lift", "N", "m"), ("turn", "N m", "rad"), ("", "N m, N", "rad, m")):
+        assert (units[joint, "ivc"], units[joint, "rmse"], units[joint, "energy"]) == (
+            *(ivc, rmse),
+            "J",
+        )
+    latex = FORMATS["latex"](Comparison(runs))
+    for text in (r"IVC [N\,m, N]", r"ITAE [rad\,s$^2$, m\,s$^2$]", NOTE):
+        assert text in latex
+    found = json.loads((result / "result.json").read_text())["indices"]["runs"]["hPID"]
+    assert (found["slides"], found["units"]["ivc"]) == (["lift"], "N m, N")
+    chatter = [found["joint_units"][joint]["chatter"] for joint in ("lift", "turn")]
+    assert chatter == ["N", "N m"]
+    assert re.search(r"\(IVC\) [\d.]+ \[N m, N\]", answer(Comparison(runs[:1])))
 
 
-def test_where_all_joints_slide_there_is_one_unit_and_no_note(run, result):
-    _, table, _ = run("metrics", result, "--joints", "lift")
-    assert "IVC [N] " in table
-    assert "ITAE [m s^2]" in table
-    assert not re.search(r"\brad\b|N m|slides", table)
-    _, table, _ = run("metrics", result, "--joints", "turn")
-    assert "ITAE [rad s^2]" in table
-    assert "slides" not in table
-    _, table, _ = run("metrics", result, "--indices", "rise_time,energy")
-    assert "slides" not in table  # no unit of it is another one
-
-
-def test_every_row_of_csv_has_its_own_unit(run, result):
-    _, text, _ = run("metrics", result, "--csv", "--indices", "all")
-    units = units_of(text)
-    assert units["lift", "ivc"] == "N"
-    assert units["turn", "ivc"] == "N m"
-    assert units["", "ivc"] == "N m, N"
-    assert (units["lift", "rmse"], units["turn", "rmse"]) == ("m", "rad")
-    assert units["lift", "energy"] == units["turn", "energy"] == units["", "energy"] == "J"
-    assert units_of((result / "table.csv").read_text())["lift", "itae"] == "m s^2"
-
-
-def test_latex_has_the_units_and_the_note(run, result):
-    _, text, _ = run("metrics", result, "--latex")
-    assert r"IVC [N\,m, N]" in text
-    assert r"ITAE [rad\,s$^2$, m\,s$^2$]" in text
-    assert NOTE in text
-
-
-def test_json_says_which_joints_slide_and_the_unit_of_each(run, result):
-    _, text, _ = run("metrics", result, "--json")
-    for document in (
-        json.loads(text),
-        json.loads((result / "result.json").read_text())["indices"],
-    ):
-        found = document["runs"]["hPID"]
-        assert found["slides"] == ["lift"]
-        assert found["units"]["ivc"] == "N m, N"
-        assert found["joint_units"]["lift"]["chatter"] == "N"
-        assert found["joint_units"]["turn"]["chatter"] == "N m"
-
-
-def test_a_single_run_in_words_names_both_units(result):
-    numbers = measure(result / "bags" / "PID").run
-    text = answer(Comparison((numbers,)))
-    assert re.search(r"\(IVC\) [\d.]+ \[N m, N\]", text)
+@pytest.mark.parametrize(
+    ("options", "there", "absent"),
+    [
+        (("--joints", "lift"), "ITAE [m s^2]", r"\brad\b|N m|slides"),
+        (("--joints", "turn"), "ITAE [rad s^2]", "slides"),
+        (("--indices", "rise_time,energy"), "energy [J]", "slides"),  # no unit is another one
+    ],
+)
+def test_where_there_is_one_unit_there_is_no_note(run, result, options, there, absent):
+    _, table, _ = run("metrics", result, *options)
+    assert there in table
+    assert not re.search(absent, table)
 
 
 # Numbers ---------------------------------------------------------------------------------------
@@ -288,17 +268,17 @@ def test_a_bag_of_this_package_says_it_wherever_it_lies(run, result, tmp_path):
     assert units_of(text)["lift", "ivc"] == "N"
 
 
-def test_a_latched_description_in_the_bag_says_it(run, tmp_path):
-    _, text, errors = run("metrics", foreign_bag(tmp_path / "bag", ROBOT), "--csv")
-    assert units_of(text)["lift", "ivc"] == "N"
-    assert units_of(text)["turn", "ivc"] == "N m"
+@pytest.mark.parametrize(
+    ("description", "namespace", "unit"),
+    [(ROBOT, "/", "N"), (ROBOT, "/left/", "N"), (None, "/", "N m")],
+    ids=["said", "in a namespace", "not said"],
+)
+def test_a_latched_description_in_the_bag_says_it(run, tmp_path, description, namespace, unit):
+    bag = foreign_bag(tmp_path / "bag", description, namespace=namespace)
+    options = () if namespace == "/" else ("--namespace", "left")
+    _, text, errors = run("metrics", bag, "--csv", *options)
+    assert (units_of(text)["lift", "ivc"], units_of(text)["turn", "ivc"]) == (unit, "N m")
     assert "robot_description" not in errors
-
-
-def test_of_two_robots_that_of_the_namespace_says_it(run, tmp_path):
-    bag = foreign_bag(tmp_path / "bag", ROBOT, namespace="/left/")
-    _, text, _ = run("metrics", bag, "--csv", "--namespace", "left")
-    assert units_of(text)["lift", "ivc"] == "N"
 
 
 @pytest.mark.parametrize("text", ["<robot", "not a robot", "<sdf/>"])
@@ -309,28 +289,14 @@ def test_a_description_that_cannot_be_used_is_told_and_passed_over(run, tmp_path
     assert "/robot_description does not tell which joints slide" in " ".join(errors.split())
 
 
-def test_without_any_description_units_are_those_of_joints_that_turn(run, tmp_path):
-    code, table, errors = run("metrics", foreign_bag(tmp_path / "bag"))
-    assert code == DONE
-    assert "IVC [N m]" in table
-    assert "slide" not in table + errors
-
-
-def test_a_named_robot_says_it(run, experiment, tmp_path):
-    for robot in (experiment.with_name("lift.urdf"), experiment):
-        _, table, _ = run("metrics", foreign_bag(tmp_path / robot.suffix), "--robot", robot)
-        assert "IVC [N m, N]" in table
-        assert NOTE in table
-
-
-def test_a_named_robot_says_it_where_its_end_effector_cannot_be_followed(
+def test_a_named_robot_says_it_also_where_its_end_effector_cannot_be_followed(
     run, experiment, tmp_path
 ):
     bag = foreign_bag(tmp_path / "bag", has_reference=False)
     urdf = experiment.with_name("lift.urdf")
-    code, table, errors = run("metrics", bag, "--robot", urdf)
-    assert code == DONE
-    assert "IVC [N m, N]" in table
+    for robot in (urdf, experiment):
+        _, table, errors = run("metrics", bag, "--robot", robot)
+        assert "IVC [N m, N]" in table
     assert "the end effector is not followed" in errors
     code, _, errors = run("metrics", bag, "--robot", urdf, "--end-effector", "arm")
     assert code == BAD_INPUT

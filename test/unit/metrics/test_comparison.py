@@ -281,18 +281,13 @@ def test_runs_of_unlike_length_or_rate_get_no_verdict_but_their_numbers(other, r
         assert row["note"] == ("" if row["run"] == "PID" else f"not compared: {reason}")
 
 
-def test_an_unlike_cutoff_spoils_the_chatter_alone():
-    series = recording("hPID")
-    other = run_indices(series, 50.0)
-    comparison = Comparison((lacking("PID"), other))
+def test_an_unlike_cutoff_spoils_the_chatter_alone_and_a_few_lost_states_nothing():
+    comparison = Comparison((lacking("PID"), run_indices(recording("hPID"), 50.0)))
     assert math.isnan(comparison.ratio("hPID", CHATTER))
     assert comparison.ratio("hPID", IVC) == 1.0
     assert comparison.judgement("hPID") is Judgement.EQUAL
-
-
-def test_a_few_lost_states_are_no_other_rate():
-    comparison = Comparison((lacking("PID"), lacking("hPID", period=1.02e-3)))
-    assert comparison.judgement("hPID") is not Judgement.INCOMPARABLE
+    fewer = Comparison((lacking("PID"), lacking("hPID", period=1.02e-3)))
+    assert fewer.judgement("hPID") is not Judgement.INCOMPARABLE
 
 
 def test_recordings_are_cut_to_the_time_that_all_have_from_where_their_references_begin():
@@ -339,12 +334,6 @@ def test_no_number_is_cut_off_at_any_width(three, width):
     ]
     for number in {n[:4] for column in numbers for n in column}:
         assert number in text
-
-
-def test_a_table_too_narrow_folds_its_numbers_and_drops_no_digit(paper):
-    text = table_text(paper, 24)
-    assert "…" not in text
-    assert max(map(len, text.splitlines())) <= 24
 
 
 def test_better_and_worse_read_without_colour_and_without_unicode(paper):

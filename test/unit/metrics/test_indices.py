@@ -81,17 +81,6 @@ def test_quadrature_is_wrong_by_the_leading_term_of_its_order_and_no_more(
     assert measure(t, signal(t)) - exact == pytest.approx(leading, abs=h**4 + 5 * TEN_DIGITS)
 
 
-def test_reference_values_hold_for_a_joint_of_a_run():
-    t = on_grid(9001)
-    run = RunSeries("PID", (series("a", np.sin(t), np.exp(-t)),))
-    numbers = run_indices(run)
-    assert numbers.totals.ivc == pytest.approx(IVC_OF_SINE, abs=1e-6)
-    assert numbers.totals.iavc == pytest.approx(IAVC_OF_SINE, abs=1e-6)
-    assert numbers.totals.itae == pytest.approx(ITAE_OF_DECAY, abs=1e-6)
-    assert numbers.effort_l2 == pytest.approx(L2_OF_SINE, abs=1e-6)
-    assert numbers.error_l2 == pytest.approx(L2_OF_DECAY, abs=1e-6)
-
-
 def test_uneven_stamps_weigh_each_interval_by_its_own_length():
     assert integral_of_absolute([0.0, 1.0, 4.0], [2.0, 2.0, -2.0]) == 8.0
     assert itae([0.0, 1.0, 4.0], [1.0, 1.0, 1.0]) == 8.0
