@@ -60,18 +60,13 @@ def test_a_peak_of_one_sample_is_drawn():
     assert history.drawn()["effort"] == []  # nothing is drawn twice
 
 
-def test_the_error_is_the_reference_less_the_position():
-    history = JointHistory(loop_settings("elbow"))
-    history.append(samples(0, 2, position=lambda t: 0.1 * np.sin(t), reference=0.3))
-    rows = history._errors.rows
-    assert rows[:, 1] == pytest.approx(0.3 - 0.1 * np.sin(rows[:, 0]))
-    assert rows[-1, 0] == pytest.approx(1.95)  # up to the newest reference
-
-
 def test_in_pieces_or_at_once_the_numbers_are_the_same():
     whole, pieces = (JointHistory(loop_settings("elbow")) for _ in range(2))
     course = {"position": lambda t: 0.1 * np.sin(3 * t), "effort": lambda t: np.cos(5 * t)}
     whole.append(samples(0, 3, **course))
+    rows = whole._errors.rows  # of a reference at 0, up to the newest one
+    assert rows[:, 1] == pytest.approx(-0.1 * np.sin(3 * rows[:, 0]))
+    assert rows[-1, 0] == pytest.approx(2.95)
     for begin in np.arange(0, 3, 0.1):
         pieces.append(samples(begin, begin + 0.1, **course))
     assert pieces.indices(2.0) == pytest.approx(whole.indices(2.0), rel=1e-9)
@@ -80,6 +75,7 @@ def test_in_pieces_or_at_once_the_numbers_are_the_same():
 def test_indices_are_those_of_the_metrics():
     history = JointHistory(loop_settings("elbow"))
     history.append(samples(0, 4.001, lambda t: 0.1 * np.sin(3 * t), lambda t: np.cos(5 * t)))
+    assert all(math.isnan(each) for each in JointHistory(loop_settings("elbow")).indices(5.0))
     found = history.indices(1.9999)  # stamps are no decimals
     t = np.arange(2001, 4001) / 1000
     assert found.ivc_rate == pytest.approx(total_variation(np.cos(5 * t)) / 1.999)
@@ -87,10 +83,6 @@ def test_indices_are_those_of_the_metrics():
         itae(t - 2.001, -0.1 * np.sin(3 * t)) / (0.5 * 1.999**2)
     )
     assert found.error == pytest.approx(np.max(np.abs(0.1 * np.sin(3 * t))))
-
-
-def test_without_samples_there_are_no_indices():
-    assert all(math.isnan(each) for each in JointHistory(loop_settings("elbow")).indices(5.0))
 
 
 def test_a_clock_that_goes_back_begins_anew():
@@ -113,14 +105,11 @@ def test_norm_and_multiplier_are_those_of_the_law():
     history = JointHistory(settings)
     history.append(samples(0, 1, position=lambda t: 0.0 * t, reference=3.0 / settings.gains.p))
     drawn = history.drawn()
-    assert drawn["norm"][1::2] == pytest.approx([1.0] * (len(drawn["norm"]) // 2), rel=1e-6)
-    assert drawn["multiplier"][1::2] == pytest.approx([1.0] * (len(drawn["norm"]) // 2), rel=1e-6)
-
-
-def test_a_pid_has_no_norm_that_is_drawn():
-    history = JointHistory(loop_settings("elbow", law="pid"))
-    history.append(samples(0, 1, reference=0.1))
-    assert history.drawn()["norm"] == []
+    for name in ("norm", "multiplier"):
+        assert set(np.round(drawn[name][1::2], 6)) == {1.0}
+    linear = JointHistory(loop_settings("elbow", law="pid"))
+    linear.append(samples(0, 1, reference=0.1))
+    assert linear.drawn()["norm"] == []
 
 
 def test_a_count_rises_for_as_long_as_it_has_grown_lately():

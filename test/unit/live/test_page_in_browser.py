@@ -163,20 +163,6 @@ def test_one_joint_is_retuned_and_the_step_is_undone(open_page, server):
     assert server.next() == {"set": [NODES[0], faster]}
 
 
-def test_the_degree_is_dragged_and_the_certified_interval_is_on_its_slider(open_page, server):
-    page = open_page()
-    choose(page, 1)
-    page.get_by_text("certified stable for μ from -0.495 to +0.495").wait_for()
-    place = page.locator(".interval-certified").bounding_box()
-    whole = page.locator(".interval").bounding_box()
-    assert place["width"] == pytest.approx(0.99 * whole["width"], rel=0.02)
-    drag(page, "homogeneity degree", 0.3, 0.1)
-    page.mouse.up()
-    page.get_by_text(re.compile("chosen, not sent: arm_joint_1: mu -0.4")).wait_for()
-    assert server.nothing_more()  # dragging sends nothing
-    discard(page)
-
-
 def test_three_joints_at_once_and_one_that_refuses(open_page, server):
     page = open_page()
     choose(page, 1, 2, 3)
@@ -195,7 +181,7 @@ def test_three_joints_at_once_and_one_that_refuses(open_page, server):
     assert [server.next()["set"][1] for _ in NODES] == [{"mu": -0.2}] * 3
 
 
-def test_a_snapshot_is_kept_and_come_back_to(open_page, server):
+def test_snapshots_and_files_are_kept_and_come_back_to(open_page, server, tmp_path):
     page = open_page()
     page.get_by_role("tab", name="Save").click()
     page.get_by_role("textbox", name="name of the snapshot").fill("before")
@@ -208,11 +194,6 @@ def test_a_snapshot_is_kept_and_come_back_to(open_page, server):
     page.get_by_role("tab", name="Save").click()
     page.get_by_role("button", name="go back to it").first.click()
     assert server.next() == {"set": [NODES[1], {"gains.i": 100.0}]}
-
-
-def test_a_file_is_saved_and_loaded_and_a_broken_one_is_one_line(open_page, server, tmp_path):
-    page = open_page()
-    page.get_by_role("tab", name="Save").click()
     with page.expect_download() as download:
         page.get_by_role("button", name="Save controllers.yaml").click()
     saved = tmp_path / "controllers.yaml"
@@ -230,6 +211,13 @@ def test_a_file_is_saved_and_loaded_and_a_broken_one_is_one_line(open_page, serv
     assert server.nothing_more()
 
 
+def activate(page, server):
+    page.get_by_text("inactive").first.wait_for()
+    for number, node in enumerate(NODES, 1):
+        page.get_by_role("button", name=f"activate arm_joint_{number}", exact=True).click()
+        assert server.next() == {"transition": [node, "activate"]}
+
+
 def test_escape_stops_every_controller_also_out_of_a_field(open_page, server):
     page = open_page()
     choose(page, 1)
@@ -237,10 +225,7 @@ def test_escape_stops_every_controller_also_out_of_a_field(open_page, server):
     page.keyboard.press("Escape")
     stopped = sorted(server.next()["transition"] for _ in NODES)
     assert stopped == [[node, "deactivate"] for node in NODES]
-    page.get_by_text("inactive").first.wait_for()
-    for number in (1, 2, 3):
-        page.get_by_role("button", name=f"activate arm_joint_{number}", exact=True).click()
-        assert server.next() == {"transition": [NODES[number - 1], "activate"]}
+    activate(page, server)
 
 
 def test_a_second_page_looks_on_until_its_person_takes_control_but_may_stop(open_page, server):
@@ -259,17 +244,18 @@ def test_a_second_page_looks_on_until_its_person_takes_control_but_may_stop(open
     assert server.nothing_more()
     first.keyboard.press("Escape")
     assert [server.next()["transition"][1] for _ in NODES] == ["deactivate"] * 3
-    second.get_by_text("inactive").first.wait_for()
-    for number in (1, 2, 3):
-        second.get_by_role("button", name=f"activate arm_joint_{number}", exact=True).click()
-        assert server.next()["transition"][1] == "activate"
+    activate(second, server)
 
 
 def test_a_page_that_is_closed_in_the_middle_of_a_drag_changes_nothing(open_page, server):
     page = open_page()
     choose(page, 1)
-    drag(page, "bandwidth", 0.5, 0.9)
-    page.get_by_text(re.compile("chosen, not sent")).wait_for()
+    page.get_by_text("certified stable for μ from -0.495 to +0.495").wait_for()
+    place = page.locator(".interval-certified").bounding_box()
+    whole = page.locator(".interval").bounding_box()
+    assert place["width"] == pytest.approx(0.99 * whole["width"], rel=0.02)
+    drag(page, "homogeneity degree", 0.3, 0.1)
+    page.get_by_text(re.compile("chosen, not sent: arm_joint_1: mu -0.4")).wait_for()
     page.close()
     other = open_page()
     other.get_by_text("you have control").wait_for()
@@ -278,7 +264,7 @@ def test_a_page_that_is_closed_in_the_middle_of_a_drag_changes_nothing(open_page
 
 
 def test_curves_are_drawn_from_frames_and_each_change_is_marked(open_page, server):
-    page = open_page(scheme="dark")
+    page = open_page(width=800, scheme="dark")  # a tablet
     choose(page, 1, 2)
     page.wait_for_function(
         """() => {
@@ -289,6 +275,7 @@ def test_curves_are_drawn_from_frames_and_each_change_is_marked(open_page, serve
             });
         }"""
     )
+    assert page.evaluate("document.documentElement.scrollWidth") <= 800
     type_into(page, "homogeneity degree", -0.25)
     apply(page)
     assert [server.next()["set"][1] for _ in range(2)] == [{"mu": -0.25}] * 2
@@ -340,10 +327,3 @@ def test_when_the_server_is_gone_the_page_says_so(browser):
     server.end()
     page.locator(".lost-banner").wait_for(state="visible")
     context.close()
-
-
-def test_it_is_whole_on_a_tablet(open_page):
-    page = open_page(width=800)
-    choose(page, 1)
-    page.wait_for_function("window.hpidLive.frames > 5")
-    assert page.evaluate("document.documentElement.scrollWidth") <= 800

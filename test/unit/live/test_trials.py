@@ -33,7 +33,7 @@ class Motion:
 
     def __init__(self, bag, reason=None):
         self.bag, self.stage, self.ending = bag, "preparing", None
-        self._reason = reason
+        self._reason, self.presses = reason, 0
         asyncio.get_running_loop().call_later(0.1, self._be_ready)
 
     def _be_ready(self):
@@ -41,6 +41,7 @@ class Motion:
             self.stage = "ready"
 
     def press(self):
+        self.presses += 1
         if self.stage == "ready":
             self.stage = "moving"
         elif self._reason is not None:
@@ -105,18 +106,6 @@ def test_a_motion_whose_button_was_let_go_is_prepared_once_more_until_it_is_canc
     assert bench.run(let_go_and_cancel) == "cancelled"
     assert len({each.bag for each in bench.motions}) == 2
     assert any(RELEASED in each.text for each in bench.session.log)
-
-
-def test_a_motion_that_a_limit_stopped_is_not_tried_again():
-    async def hold(bench):
-        await bench.reach(Stage.READY)
-        while bench.trials.stage is not Stage.IDLE:
-            bench.trials.press(PAGE)
-            await asyncio.sleep(0.02)
-
-    bench = Bench("joint 1 is too fast")
-    assert bench.run(hold) == "stopped: joint 1 is too fast"
-    assert len(bench.motions) == 1
 
 
 @pytest.mark.parametrize("variants", [(CHOSEN, IN_FORCE), (CHOSEN,)])
@@ -192,7 +181,7 @@ def test_a_trial_ends_where_another_page_has_control_or_its_own_is_gone(is_taken
     assert Bench().run(leave) == "cancelled"
 
 
-def test_it_is_told_for_how_long_the_button_has_to_be_held():
+def test_a_motion_that_a_limit_stopped_is_not_tried_again():
     left = []
 
     async def hold(bench):
@@ -203,15 +192,15 @@ def test_it_is_told_for_how_long_the_button_has_to_be_held():
         left.append(bench.trials.seconds_left)
         await asyncio.sleep(0.1)
         left.append(bench.trials.seconds_left)
-        bench.trials.cancel()
+        bench.trials.press(PAGE)
 
-    bench = Bench()
-    bench.run(hold)
-    duration = bench.trials.plan([NODE], MotionWish()).duration
-    before, begun, later = left
+    bench = Bench("joint 1 is too fast")
+    assert bench.run(hold) == "stopped: joint 1 is too fast"
+    assert len(bench.motions) == 1
+    before, begun, later = left  # for how long the button has to be held
     assert before is bench.trials.seconds_left is None
     assert 0.0 < later <= begun - 0.1
-    assert begun <= duration
+    assert begun <= bench.trials.plan([NODE], MotionWish()).duration
 
 
 def test_who_is_left_is_set_back_where_the_controller_of_another_joint_ends_in_the_motion():
@@ -261,21 +250,15 @@ def test_what_a_trial_sets_for_its_next_motion_is_only_what_its_motions_differ_i
 class Tapped(Motion):
     """Has not said yet that it moves when the button is let go."""
 
-    was_pressed = False
-
     def press(self):
-        self.was_pressed = True
-
-    def release(self):
-        if self.stage != "ended":
-            self._end(f"{RELEASED} before anything moved")
+        self.presses += 1
 
 
 def test_who_lets_go_before_anything_is_seen_to_move_has_let_go():
     async def tap(bench):
         await bench.reach(Stage.READY)
         bench.trials.press(PAGE)
-        assert bench.motions[0].was_pressed
+        assert bench.motions[0].presses == 1
         bench.trials.release(PAGE)
         assert bench.motions[0].stage == "ended"
         await bench.reach(Stage.READY, motions=2)
@@ -307,7 +290,10 @@ def test_stop_ends_a_trial_at_once_and_no_press_moves_anything_afterwards(stage)
             assert motion.presses == (stage is Stage.MOVING)
         assert await stopping
 
-    bench = Bench(motion=Counted)
+    bench = Bench()
+    assert asyncio.run(bench.trials.stop())  # of nothing: nothing is said
+    assert (bench.trials.stage, bench.trials.said) == (Stage.IDLE, "")
+    asyncio.run(bench.session.transit([NODE], "activate"))
     assert bench.run(stop).startswith("ended by Stop: activate the joints")
     assert len(bench.motions) == 1
     assert not any(each.is_active for each in bench.graph.joints.values())
@@ -315,22 +301,6 @@ def test_stop_ends_a_trial_at_once_and_no_press_moves_anything_afterwards(stage)
     assert bench.trials.said.startswith("ended by Stop")
     with pytest.raises(HpidError, match="is inactive: activate it first"):
         bench.trials.plan([NODE], MotionWish())
-
-
-class Counted(Motion):
-    """Counts presses, those in vain, too."""
-
-    presses = 0
-
-    def press(self):
-        self.presses += 1
-        super().press()
-
-
-def test_stop_without_a_trial_says_nothing_of_one():
-    bench = Bench()
-    assert asyncio.run(bench.trials.stop())
-    assert (bench.trials.stage, bench.trials.said) == (Stage.IDLE, "")
 
 
 def test_a_motion_of_a_joint_that_somebody_else_deactivates_ends_before_it_is_pressed():
@@ -343,19 +313,24 @@ def test_a_motion_of_a_joint_that_somebody_else_deactivates_ends_before_it_is_pr
     assert bench.run(deactivate) == f"{label} is inactive: activate it first"
 
 
-def test_a_press_that_is_too_early_is_answered_and_does_not_count_until_it_is_let_go():
+@pytest.mark.parametrize("is_held_on", [True, False])
+def test_a_press_that_is_too_early_is_answered_and_does_not_count_until_it_is_let_go(is_held_on):
     async def press_early(bench):
         trials = bench.trials
         await bench.reach(Stage.PREPARING, motions=1)
         trials.press(PAGE)
         assert trials.said.startswith("not ready yet: let go, and press again")
+        if not is_held_on:
+            trials.release(PAGE)
         while trials.stage is not Stage.READY:
-            trials.press(PAGE)
+            if is_held_on:
+                trials.press(PAGE)
             await asyncio.sleep(0.02)
-        assert trials.said == "in force: ready: let go, then hold the button"
-        trials.press(PAGE)
-        assert bench.motions[0].stage == "ready"
-        trials.release(PAGE)
+        if is_held_on:
+            assert trials.said == "in force: ready: let go, then hold the button"
+            trials.press(PAGE)
+            assert bench.motions[0].stage == "ready"
+            trials.release(PAGE)
         assert trials.said.startswith("in force: hold the button")
         trials.press(PAGE)
         await bench.reach(Stage.MOVING)
@@ -365,16 +340,3 @@ def test_a_press_that_is_too_early_is_answered_and_does_not_count_until_it_is_le
     bench.run(press_early)
     early = [each for each in bench.session.log if "not ready yet" in each.text]
     assert len(early) == 1  # however long it is held
-
-
-def test_a_press_that_is_too_early_and_let_go_is_followed_by_a_call_to_hold():
-    async def tap(bench):
-        await bench.reach(Stage.PREPARING, motions=1)
-        bench.trials.press(PAGE)
-        bench.trials.release(PAGE)
-        assert bench.motions[0].stage == "preparing"
-        await bench.reach(Stage.READY)
-        assert bench.trials.said.startswith("in force: hold the button")
-        bench.trials.cancel()
-
-    Bench().run(tap)

@@ -28,22 +28,15 @@ def take(tuning, sets, what="a step"):
 
 
 def test_what_is_in_force_already_is_not_staged(tuning):
-    tuning.stage(NODES, "mu", -0.2)
-    assert tuning.staged_sets(NODES) == {}
+    for mu, staged in ((-0.2, {}), (-0.1, {NODES[0]: {"mu": -0.1}}), (-0.2, {})):
+        tuning.stage(NODES[:1], "mu", mu)
+        assert tuning.staged_sets(NODES) == staged
     tuning.stage(NODES[:1], "mu", -0.1)
-    assert tuning.staged_sets(NODES) == {NODES[0]: {"mu": -0.1}}
-    tuning.stage(NODES[:1], "mu", -0.2)
+    tuning.see(NODES[0], {**tuning.in_force[NODES[0]], "mu": -0.1})  # by somebody else
     assert tuning.staged_sets(NODES) == {}
 
 
 def test_a_factor_is_of_what_each_has_in_force_however_often_it_is_turned(tuning):
-    for factor in (3.0, 0.5, 1.5):
-        tuning.stage_factor(NODES, "gains.p", factor)
-    for node in NODES:
-        assert tuning.value(node, "gains.p") == 1.5 * tuning.in_force[node]["gains.p"]
-
-
-def test_the_bandwidth_turns_three_gains_and_is_told_of_them(tuning):
     assert [tuning.factor(node, BANDWIDTH) for node in NODES] == pytest.approx([1.0] * len(NODES))
     for factor in (3.0, 0.7, 1.5):
         tuning.stage_factor(NODES, BANDWIDTH, factor)
@@ -56,17 +49,17 @@ def test_the_bandwidth_turns_three_gains_and_is_told_of_them(tuning):
     assert tuning.factor(NODES[0], BANDWIDTH) is None
 
 
-@pytest.mark.parametrize("factor", [0.0, -1.0, float("nan"), float("inf"), 1e200])
-def test_a_bandwidth_that_no_gains_have_stages_nothing(tuning, factor):
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        *((BANDWIDTH, each) for each in (0.0, -1.0, float("nan"), float("inf"), 1e200)),
+        *(("mu", each) for each in (0.6, float("nan"), "fast", None, True)),
+    ],
+)
+def test_a_value_that_cannot_be_stages_nothing(tuning, name, value):
+    stage = tuning.stage_factor if name == BANDWIDTH else tuning.stage
     with pytest.raises(SettingError):
-        tuning.stage_factor(NODES, BANDWIDTH, factor)
-    assert tuning.staged_sets(NODES) == {}
-
-
-@pytest.mark.parametrize("value", [0.6, float("nan"), "fast", None, True])
-def test_a_value_that_a_parameter_does_not_take_stages_nothing(tuning, value):
-    with pytest.raises(SettingError, match="mu"):
-        tuning.stage(NODES, "mu", value)
+        stage(NODES, name, value)
     assert tuning.staged_sets(NODES) == {}
 
 
@@ -79,12 +72,6 @@ def test_unstable_gains_are_objected_to_before_they_are_sent(tuning):
     tuning.stage(NODES[:1], "gains.i", 1e5)
     assert "unstable" in tuning.objection(NODES[0]) or "p d" in tuning.objection(NODES[0])
     assert tuning.objection(NODES[1]) == ""
-
-
-def test_what_somebody_else_sets_to_the_same_is_staged_no_more(tuning):
-    tuning.stage(NODES[:1], "mu", -0.1)
-    tuning.see(NODES[0], {**tuning.in_force[NODES[0]], "mu": -0.1})
-    assert tuning.staged_sets(NODES) == {}
 
 
 @given(st.lists(st.tuples(st.integers(0, 2), st.floats(-0.45, 0.45)), min_size=1, max_size=8))
