@@ -144,7 +144,6 @@ class BagMetrics(executor.ClosingNode):
         self._indices = find_quantities(names.split(","))
 
     def _look(self) -> None:
-        """Report the bags that were finished since the last look."""
         assert self._bags is not None
         for bag in self._bags.new():
             try:
@@ -218,7 +217,6 @@ USAGE = Usage(
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Run the metrics."""
     return executor.run(lambda: [BagMetrics()], args, USAGE)
 
 

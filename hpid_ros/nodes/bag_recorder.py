@@ -295,7 +295,6 @@ USAGE = Usage(
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Run the recorder."""
     return executor.run(lambda: [BagRecorder()], args, USAGE)
 
 

@@ -86,7 +86,6 @@ class GroupParameters:
         return GroupSettings.from_parameters(self.joints, self._facts, values)
 
     def verdict(self, changes: Sequence[Parameter]) -> SetParametersResult:
-        """Say whether a change can be applied."""
         try:
             self.settings(changes)
         except HpidError as error:
@@ -97,7 +96,6 @@ class GroupParameters:
 def joint_facts(
     joints: Sequence[str], source: str, wrapping: Sequence[str], counting: Sequence[str]
 ) -> dict[str, JointFacts]:
-    """Return what is known of joints."""
     require_joints(joints, wrapping, counting)
     facts = {joint: JointFacts() for joint in joints}
     if source:
@@ -137,14 +135,12 @@ class GoalHealth(Diagnostics):
         self._logger.warning(f"goal ended: {self._last_result}", throttle_duration_sec=0.1)
 
     def misread_message(self, line: str) -> None:
-        """Note bytes that could not be read."""
         self.misread += 1
         self.fault(line)
 
     def report(
         self, course: str, against: str, warnings: Sequence[str], values: dict[str, object]
     ) -> None:
-        """Publish the status now."""
         level = ERROR if against else WARN if warnings else OK
         self.publish(
             level,
@@ -309,7 +305,6 @@ USAGE = Usage(
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Run the action server."""
     return executor.run(lambda: [JointTrajectoryController()], args, USAGE)
 
 

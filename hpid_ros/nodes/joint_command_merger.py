@@ -62,13 +62,11 @@ class MergerParameters:
     fallbacks: dict[str, float]  # [N m] or [N], by joint
 
     def settings(self, order: Sequence[str]) -> MergerSettings:
-        """Return the settings of a merger."""
         joints = joints_of(order, self.timeout, self.timeouts, self.fallbacks)
         return MergerSettings(joints, self.straggler_wait, self.fade_in_time)
 
 
 def read_parameters(node: Node, joints: Sequence[str]) -> MergerParameters:
-    """Declare the parameters of a merger and return what they say."""
     given = read_only(
         node,
         "joints",
@@ -208,7 +206,6 @@ class MergerHealth(Diagnostics):
 
 
 def _shown_silent(merger: CommandMerger) -> str:
-    """Return one line about the joints that are silent."""
     joints = ", ".join(f"{joint.name} (sent {joint.fallback:g})" for joint in merger.silent)
     return f"silent: {joints}"
 
@@ -236,7 +233,6 @@ def _readings(merger: CommandMerger) -> dict[str, object]:
 
 
 def _named(values: dict[str, int]) -> str:
-    """Return the counts that are not zero, with their joints."""
     return ", ".join(f"{name} {count}" for name, count in values.items() if count) or "none"
 
 
@@ -296,7 +292,6 @@ class JointCommandMerger(ManagedNode):
         self._scheduling = schedule(self)
 
     def begin(self) -> None:
-        """Activate: merge as soon as there is somebody to hear it, and somebody to be heard."""
         self._stop_repeating()
         self._claim.take()
         self._watch.start()
@@ -409,7 +404,6 @@ class JointCommandMerger(ManagedNode):
             self._stream.take(name, stamp_ns, effort, is_signed=bool(sender))
 
     def sink(self, node: Node, joint: str, sender: str) -> Sink:
-        """Return the sink of a controller of this process."""
         return self._stream.sink(joint)
 
     def _report_change(self) -> None:
@@ -432,7 +426,6 @@ class JointCommandMerger(ManagedNode):
         self._report()
 
     def refuse(self, line: str) -> None:
-        """Take note of a request or a transition that failed."""
         self._health.refuse(line)
 
     @property
@@ -441,7 +434,6 @@ class JointCommandMerger(ManagedNode):
         return bool(self._refusal or self._receiver.is_refused or self._receiver.is_deactivated)
 
     def _report(self) -> None:
-        """Publish the status now."""
         lifecycle, merger, health = self.lifecycle, self._stream.merger, self._health
         level, message = self._verdict(lifecycle, merger)
         spread = health.delays.recent()
@@ -517,7 +509,6 @@ class JointCommandMerger(ManagedNode):
         return min(self._stream.check(), self._claim.keep())
 
     def cut_effort(self) -> bool:
-        """Leave all joints without effort."""
         self._stream.cut()
         return True
 
@@ -542,7 +533,6 @@ USAGE = Usage(
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Run one merger."""
     return executor.run(lambda: [JointCommandMerger()], args, USAGE)
 
 

@@ -254,7 +254,6 @@ class JointController(ManagedNode):
         self._loop.follow(motion)
 
     def _relay(self, request: RelayRequest | None) -> None:
-        """Begin with a relay, or end it."""
         if request is None:
             self._loop.end_relay("it was told to end")
             return
@@ -280,7 +279,6 @@ class JointController(ManagedNode):
         self._certification.accept(settings)
 
     def refuse(self, line: str) -> None:
-        """Take note of a request or a transition that failed."""
         self._health.refuse(line)
 
     def _report(self) -> None:
@@ -309,7 +307,6 @@ class JointController(ManagedNode):
         return min(self._watchdog.within(), self._claim.keep())
 
     def cut_effort(self) -> bool:
-        """Leave the joint without effort."""
         self._commands.cut()
         return True
 
@@ -318,7 +315,6 @@ class JointController(ManagedNode):
         self._commands.publisher.wait_for_all_acked(Duration(seconds=within))
 
     def restore_effort(self) -> None:
-        """Answer states again."""
         self._supervised.note_release()
         self._commands.restore()
 
@@ -354,7 +350,6 @@ USAGE = Usage(
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Run one controller."""
     return executor.run(lambda: [JointController()], args, USAGE)
 
 

@@ -92,7 +92,6 @@ USAGE = Usage(
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Run the controllers."""
     return executor.run(make_nodes, args, USAGE)
 
 

@@ -12,7 +12,6 @@ USAGE = usage("mujoco_bridge", "MuJoCo")
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Run the bridge."""
     return executor.run(lambda: [RobotBridge("mujoco")], args, USAGE)
 
 

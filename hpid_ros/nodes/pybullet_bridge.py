@@ -12,7 +12,6 @@ USAGE = usage("pybullet_bridge", "PyBullet")
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Run the bridge."""
     return executor.run(lambda: [RobotBridge("pybullet")], args, USAGE)
 
 

@@ -44,7 +44,6 @@ USAGE = Usage(
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Run the bridge, the controllers and the recorder."""
     return executor.run(make_nodes, args, USAGE)
 
 

@@ -96,7 +96,6 @@ USAGE = Usage(
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Run the publisher."""
     return executor.run(lambda: [TrajectoryPublisher()], args, USAGE)
 
 

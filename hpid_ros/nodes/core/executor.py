@@ -105,7 +105,6 @@ class Usage:
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
     def text(self) -> str:
-        """Return all of it."""
         needs = f" {self.needs}" if self.needs else ""
         lists = {
             "parameters": self.parameters,
@@ -218,7 +217,6 @@ class ClosingNode(Node):
         """Send or write what must not be lost; called once, while the context is alive."""
 
     def request_stop(self, code: int = 0) -> None:
-        """End this node's process."""
         if self.supervisor is not None:
             self.supervisor.request(code)
 
@@ -334,7 +332,6 @@ class Supervisor:
         self._wake(_CHECK_AGAIN)
 
     def request(self, code: int = 0, ends_by: int | None = None) -> None:
-        """Ask for the end."""
         with self._lock:
             self.code = self.code or code
             if not self.future.done():

@@ -32,7 +32,6 @@ from hpid_ros.base.units import of_slide
 
 
 def descriptor(spec: ParameterSpec, description: str, *, read_only: bool) -> ParameterDescriptor:
-    """Return what ROS tools show of a parameter."""
     shown = ParameterDescriptor(
         description=description,
         read_only=read_only,

@@ -97,7 +97,6 @@ class MatchCounter:
         self.destroy = self._handle.destroy_when_not_in_use
 
     def __call__(self) -> int:
-        """Return the number."""
         with self._handle:
             return int(self._handle.take_event().total_count)
 

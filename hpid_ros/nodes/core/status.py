@@ -98,7 +98,6 @@ class StatusPipe:
             self._pipe = _PIPES[fd] = _PIPES.get(fd) or _EventPipe(fd)
 
     def send(self, event: str, **values: object) -> None:
-        """Write one event."""
         if self._pipe is not None:
             self._pipe.put((json.dumps({"event": event, **values}) + "\n").encode())
 
@@ -119,7 +118,6 @@ class Diagnostics:
         self.refused_requests = 0
 
     def refuse(self, line: str) -> None:
-        """Note a service request, or a transition, that failed."""
         self.refused_requests += 1
         self.fault(line)
 
@@ -129,7 +127,6 @@ class Diagnostics:
         self._node.get_logger().warning(line, throttle_duration_sec=1.0)
 
     def publish(self, level: bytes, message: str, values: Mapping[str, object]) -> None:
-        """Publish one status."""
         status = DiagnosticStatus(
             level=level,
             name=self._node.get_fully_qualified_name(),

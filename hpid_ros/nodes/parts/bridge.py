@@ -79,7 +79,6 @@ OVER_THE_FILE = {
 
 
 def read_world_file(node: Node, engine: str) -> WorldFile:
-    """Declare the parameters of a world and return what they say."""
     file = str(
         read_only(
             node,
@@ -183,7 +182,6 @@ class Pace:
 
 
 def read_pace(node: Node, joints: int, answer_timeout: float) -> Pace:
-    """Declare the parameters of time and return what they say."""
     mode = read_choice(node, "mode", "lockstep", f"Pace of the states: {', '.join(MODES)}", MODES)
     everyone = joints if mode == "lockstep" else 0
 
@@ -429,7 +427,6 @@ class RobotBridge(executor.ClosingNode):
 
 
 def _totals(counts: Iterable[AnswerCounts]) -> dict[str, int]:
-    """Return what the controllers of all joints did, for ``/diagnostics``."""
     each = list(counts)
     return {
         "unanswered": sum(count.unanswered for count in each),
@@ -440,7 +437,6 @@ def _totals(counts: Iterable[AnswerCounts]) -> dict[str, int]:
 
 
 def usage(name: str, engine: str) -> Usage:
-    """Return how a bridge is used."""
     return Usage(
         name,
         f"Simulates a robot in {engine} behind the topics of a real one.",

@@ -55,7 +55,6 @@ class HeldCommands:
         self._stamp_ns = stamp_ns
 
     def answer(self, stamp_ns: int, names: Sequence[str], efforts: Sequence[float]) -> bool:
-        """Take a command."""
         for name, effort in zip(names, efforts, strict=True):
             counts = self.counts.get(name)
             if counts is None:
@@ -162,7 +161,6 @@ class Commanders:
         return f"commanded twice: {'; '.join(lines)}" if lines else ""
 
     def values(self) -> dict[str, Any]:
-        """Return the counts of conflicts of all joints for ``/diagnostics``."""
         counts, followed = self._counts.values(), self._followed.values()
         return {
             "conflicting commands": sum(count.conflicting for count in counts),

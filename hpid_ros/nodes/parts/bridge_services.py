@@ -297,7 +297,6 @@ class BridgeTiming:
         self._reported = time.perf_counter_ns(), 0
 
     def published(self) -> None:
-        """Note that a state is about to be published."""
         now = time.perf_counter_ns()
         if self.published_ns:
             self._cycles.note(now - self.published_ns)
@@ -315,7 +314,6 @@ class BridgeTiming:
 
     @property
     def elapsed(self) -> float:
-        """Time since the first state was published, in [s]."""
         return (time.perf_counter_ns() - self._first_ns) / NANOSECONDS
 
     def recent(self, simulated_ns: int) -> dict[str, float]:

@@ -150,7 +150,6 @@ class ReceivedClaims:
         self._received: dict[tuple[str, str, int, str], tuple[float, Claim]] = {}
 
     def receive(self, claim: Claim, now: float) -> None:
-        """Take a claim that was published."""
         if claim.state is ClaimState.RELEASED:
             self._received.pop(claim.owner, None)
         else:
@@ -237,20 +236,17 @@ class JointClaim:
 
     @property
     def text(self) -> str:
-        """Its state, for ``/diagnostics``."""
         if not self._is_claiming:
             return "none"
         return "none yet" if self._mine is None else self._mine.state.value
 
     @property
     def is_settled(self) -> bool:
-        """Whether the joint may be commanded."""
         return not self._is_claiming or (
             self._mine is not None and self._mine.state is ClaimState.HELD
         )
 
     def take(self) -> None:
-        """Claim the joint."""
         if not self._is_claiming or self._mine is not None:
             return
         holder = self._lock.take() if self._lock else ""
@@ -382,7 +378,6 @@ def _named(claim: Claim) -> str:
 
 
 def to_message(claim: Claim) -> DiagnosticStatus:
-    """Return the message of a claim."""
     values = {
         "commands": claim.commands,
         "host": claim.host,

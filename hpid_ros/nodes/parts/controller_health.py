@@ -57,14 +57,12 @@ class Certification:
             raise GainError(_refusal(settings, found.text))
 
     def accept(self, settings: LoopSettings) -> None:
-        """Take note of the active settings."""
         self._settings = settings
         if self._is_on:
             self._certifier.want(settings)
 
     @property
     def degrees(self) -> str:
-        """The certified degrees."""
         if not self._is_on and not self._is_required:
             return "not asked for"
         return self._certifier.finding(self._settings).text
@@ -79,7 +77,6 @@ class Certification:
         return ""
 
     def close(self) -> None:
-        """End what is being computed."""
         self._certifier.close()
 
 
@@ -104,7 +101,6 @@ class LoopTiming:
         """When the last sample began on a steady clock, in [ns]."""
 
     def note(self, began_ns: int, ended_ns: int) -> None:
-        """Note one sample."""
         if self.last_ns is not None:
             self._note_period(began_ns - self.last_ns)
         self.last_ns = began_ns
@@ -166,7 +162,6 @@ class ControllerHealth(Diagnostics):
         self.scheduling = ""
 
     def unit(self, text: str) -> str:
-        """Return a text with the units of the joint in place of a turning one's."""
         return of_slide(text) if self._is_slide else text
 
     def begun(self) -> None:
@@ -196,12 +191,10 @@ class ControllerHealth(Diagnostics):
         self.fault(f"state refused: {line}")
 
     def refused_reference(self, line: str) -> None:
-        """Note a trajectory or setpoint that was not taken."""
         self._references += 1
         self.fault(f"reference refused: {line}")
 
     def relay_begins(self, request: RelayRequest) -> None:
-        """Say that a relay drives the joint from now on."""
         self._node.get_logger().info(
             f"a relay of {request.amplitude:g} {self.unit('N m')} drives the joint for "
             f"{request.cycles:g} cycles, {request.duration:g} s at most"
@@ -215,7 +208,6 @@ class ControllerHealth(Diagnostics):
         return f"{course}; {relay.cycles} cycles" + ("" if relay.is_over else "; in force")
 
     def report(self, lifecycle: str, waiting: str, claim: str, refusal: str) -> None:
-        """Publish the status now."""
         loop, counts = self._loop, self._loop.counts
         is_active = lifecycle == "active"
         message, level = loop.state.value, OK

@@ -82,7 +82,6 @@ class ControllerSettings:
     def verdict(
         self, changes: Sequence[Parameter], require: Callable[[LoopSettings], None]
     ) -> SetParametersResult:
-        """Say whether a change can be applied."""
         if concern_the_loop(changes):
             try:
                 require(self.with_changes(changes))

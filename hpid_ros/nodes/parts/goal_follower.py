@@ -118,7 +118,6 @@ class GroupReferences:
             following.turn = math.tau if facts.takes_shorter_way else 0.0
 
     def restart(self) -> None:
-        """Forget where they are."""
         for following in self._following:
             following.follow(None)
             following.restart()
@@ -280,7 +279,6 @@ class GoalFollower:
 
     @property
     def is_active(self) -> bool:
-        """Whether a goal is followed."""
         return self._active is not None
 
     @property
@@ -290,7 +288,6 @@ class GoalFollower:
 
     @property
     def unusable(self) -> int:
-        """States of joints that were not finite."""
         return self._states.unusable
 
     def reason_against(self) -> str:
@@ -326,7 +323,6 @@ class GoalFollower:
         return Outcome(replaced if is_replaced else None, trajectory)
 
     def cancel(self) -> Outcome:
-        """End the active goal, and stop."""
         return self._end(CANCELLED)
 
     def leave(self, reason: str) -> Outcome:
@@ -412,7 +408,6 @@ class GoalFollower:
         return abs(self._states.velocities[joint])
 
     def feedback(self) -> Feedback | None:
-        """Return how the active goal is doing; None without one."""
         active, states = self._active, self._states
         if active is None or states.now_ns is None:
             return None

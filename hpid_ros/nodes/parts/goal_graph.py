@@ -128,7 +128,6 @@ class GroupTrajectoryPublisher:
         TrajectorySubscriptions(node, self._on_trajectory)
 
     def publish(self, trajectory: GroupTrajectory) -> None:
-        """Publish a trajectory, latched."""
         raw = encode_trajectory(
             trajectory.stamp_ns, trajectory.names, trajectory.times_ns, trajectory.arrays
         )

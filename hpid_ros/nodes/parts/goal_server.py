@@ -161,7 +161,6 @@ def _tolerances(messages: Iterable[Any]) -> tuple[AskedTolerance, ...]:
 
 
 def fill_feedback(message: Any, names: Sequence[str], feedback: Feedback) -> Any:
-    """Write feedback into a message and return it."""
     seconds, nanoseconds = divmod(feedback.stamp_ns, NANOSECONDS)
     message.header.stamp = Time(sec=seconds, nanosec=nanoseconds)
     message.joint_names = list(names)
@@ -172,7 +171,6 @@ def fill_feedback(message: Any, names: Sequence[str], feedback: Feedback) -> Any
 
 
 def _point(joints: Sequence[Sequence[float]], since_start_ns: int) -> JointTrajectoryPoint:
-    """Return a point with as many derivatives as the joints have."""
     seconds, nanoseconds = divmod(since_start_ns, NANOSECONDS)
     arrays = dict(zip(_ARRAYS, map(list, zip(*joints, strict=True)), strict=False))
     return JointTrajectoryPoint(
@@ -181,7 +179,6 @@ def _point(joints: Sequence[Sequence[float]], since_start_ns: int) -> JointTraje
 
 
 def action_type() -> Any:
-    """Return ``control_msgs/action/FollowJointTrajectory``."""
     try:
         from control_msgs.action import FollowJointTrajectory
     except ImportError:
@@ -230,13 +227,11 @@ class GoalServer:
         )
 
     def send_feedback(self, feedback: Feedback, names: tuple[str, ...]) -> None:
-        """Send feedback to the client of the goal that is followed."""
         if self._active is not None:
             message = fill_feedback(self._type.Feedback(), names, feedback)
             self._active.publish_feedback(message)
 
     def end(self, result: Result) -> None:
-        """End the goal that is followed."""
         handle, self._active = self._active, None
         if handle is not None:
             self._finish(handle, result)

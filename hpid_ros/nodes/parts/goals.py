@@ -67,7 +67,6 @@ class GoalError(TrajectoryError):
 
     @property
     def result(self) -> Result:
-        """The result that its client gets."""
         return Result(self.code, str(self))
 
 
@@ -245,7 +244,6 @@ FIXED_PARAMETERS = parameters_of(FixedParameters)
 
 
 def joint_parameters(joint: str) -> Mapping[str, ParameterSpec]:
-    """Return the parameters of one joint of a group by name."""
     own = parameters_of(JointParameters).items()
     specs = [spec._replace(name=f"constraints.{joint}.{name}") for name, spec in own]
     return {spec.name: spec for spec in specs}
@@ -265,7 +263,6 @@ class JointFacts(NamedTuple):
 def require_joints(
     joints: Sequence[str], wrapping: Sequence[str] = (), counting: Sequence[str] = ()
 ) -> None:
-    """Refuse names that make no group."""
     if not joints or len(set(joints)) != len(joints) or "" in joints:
         raise SettingError(f"the parameter joints must name each joint once, not {list(joints)}")
     for parameter, named in (("angle_wraparound", wrapping), ("multi_turn", counting)):
@@ -298,7 +295,6 @@ class GroupSettings:
     def from_parameters(
         cls, joints: Sequence[str], facts: Mapping[str, JointFacts], values: Mapping[str, Value]
     ) -> GroupSettings:
-        """Return the settings that parameters say."""
         require_joints(joints)
         goals = from_parameters(GoalParameters, _among(GOAL_PARAMETERS, values))
         fixed = from_parameters(FixedParameters, _among(FIXED_PARAMETERS, values))
@@ -457,11 +453,9 @@ class GroupTrajectory:
 
     @property
     def end_ns(self) -> int:
-        """The instant of the last point in [ns]."""
         return self.stamp_ns + int(self.times_ns[-1])
 
     def column(self, joint: int) -> Column:
-        """Return one joint's part."""
         name = self.names[joint]
         return checked_column(name, joint, self.stamp_ns, self.times_ns, self.arrays)
 

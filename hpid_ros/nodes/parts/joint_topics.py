@@ -125,7 +125,6 @@ class SharedTopics:
         self._lock = threading.Lock()
 
     def has_same(self, controller: Node, topic: str) -> bool:
-        """Return whether a controller's topic is the shared one."""
         return controller.resolve_topic_name(topic) == self._node.resolve_topic_name(topic)
 
     def expect(self, controller: Node) -> None:
@@ -166,7 +165,6 @@ class SharedTopics:
                 self._publish_answers()
 
     def sink(self, controller: Node, joint: str, sender: str) -> Sink:
-        """Return the sink of one controller."""
         if not self.has_same(controller, _COMMANDS):
             return _joint_state_sink(controller, joint, sender)
         if self._publisher is None:
@@ -245,7 +243,6 @@ class Commands:
         self._is_cut = False
 
     def send(self, stamp_ns: int, effort: float) -> None:
-        """Publish the effort that answers a state."""
         with self._lock:
             if not self._is_cut:
                 self._stamp_ns = stamp_ns
@@ -259,7 +256,6 @@ class Commands:
                 self._send(stamp_ns, 0.0)
 
     def fall_back(self, effort: float, is_due: Callable[[], bool]) -> None:
-        """Publish an effort that answers no state."""
         if not self._lock.acquire(timeout=_LOCK_WITHIN):
             return
         try:
@@ -282,5 +278,4 @@ class Commands:
             self._lock.release()
 
     def restore(self) -> None:
-        """Publish again what is sent."""
         self._is_cut = False

@@ -144,7 +144,6 @@ class ControllerStop:
 
     @property
     def is_damping(self) -> bool:
-        """Whether the ramp is on."""
         return self._timer is not None
 
     def begin(self) -> None:

@@ -71,12 +71,10 @@ class MergerSettings:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The joints' names, in their order."""
         return tuple(joint.name for joint in self.joints)
 
 
 def require_order(names: Iterable[str]) -> tuple[str, ...]:
-    """Return the order of a merged command."""
     order = tuple(names)
     if not order or len(set(order)) != len(order):
         raise SettingError(
@@ -92,7 +90,6 @@ def joints_of(
     timeouts: Mapping[str, float],
     fallbacks: Mapping[str, float],
 ) -> tuple[MergedJoint, ...]:
-    """Return the joints of a merged command."""
     names = require_order(order)
     for what, values in (("timeout", timeouts), ("fallback", fallbacks)):
         for name in values:
@@ -174,7 +171,6 @@ class Receiver:
         return is_new
 
     def note_state(self, state: str | None) -> None:
-        """Take note of what its manager says of it."""
         self._state = state
 
     def note_joints(self, joints: Sequence[str] | None, interface: str | None) -> None:
@@ -252,7 +248,6 @@ class Rounds:
         return self._stamps[joint]
 
     def answer(self, joint: int, stamp_ns: int, now_ns: int) -> None:
-        """Take note of a command."""
         before, self._stamps[joint] = self._stamps[joint], stamp_ns
         if self._is_another(joint, stamp_ns, before):
             self._begin(stamp_ns, now_ns)
@@ -377,7 +372,6 @@ class CommandMerger:
 
     @property
     def shortest_timeout(self) -> float:
-        """The shortest timeout of a joint in [s]."""
         return min(joint.timeout for joint in self._joints)
 
     @property
@@ -390,7 +384,6 @@ class CommandMerger:
     def take(
         self, joint: str, stamp_ns: int, effort: float, now_ns: int, *, is_signed: bool = True
     ) -> Merged | None:
-        """Take a command."""
         index = self._index.get(joint)
         if index is None:
             self.foreign += 1

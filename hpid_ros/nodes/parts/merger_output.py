@@ -133,7 +133,6 @@ class GroupOutput:
             self.withheld += 1
 
     def zero(self) -> None:
-        """Publish a zero for every joint, if anything has been published before."""
         if self.has_sent:
             self.send(Merged(self._last_ns, (0.0,) * self._count))
 
@@ -183,7 +182,6 @@ class ReceiverWatch:
             self.activity_topic = _subscribe_to_activity(node, manager, self._note_states)
 
     def start(self) -> None:
-        """Look from now on."""
         if not self._timers:
             self._timers = [
                 steady_timer(self._node, every, self.look) for every in (_LOOK_EVERY, _LOOK_AGAIN)
@@ -191,7 +189,6 @@ class ReceiverWatch:
             self._timers[1].cancel()
 
     def stop(self) -> None:
-        """Look no more."""
         while self._timers:
             self._node.destroy_timer(self._timers.pop())
 
@@ -333,7 +330,6 @@ class MergedStream:
         self._is_armed = False
 
     def begin(self, settings: MergerSettings) -> CommandMerger:
-        """Merge from now on."""
         merger = CommandMerger(settings)
         with self._lock:
             self.output.set_joints(settings.names)
@@ -343,7 +339,6 @@ class MergedStream:
         return merger
 
     def end(self) -> None:
-        """Merge no more."""
         with self._lock:
             self.merger = None
         self._disarm()
@@ -386,7 +381,6 @@ class MergedStream:
             self._changed(merger)
 
     def zero(self) -> None:
-        """Send a zero for every joint, if anything has been sent before."""
         with self._sending():
             self.output.zero()
 
@@ -454,7 +448,6 @@ class MergedStream:
         return min(within, merger.shortest_timeout)  # a joint may come back at any time
 
     def cut(self) -> None:
-        """Leave all joints without effort."""
         if not self._is_cut:
             self._is_cut = True
             for _ in range(_BURST):

@@ -55,7 +55,6 @@ def column_of(decoded: TrajectoryArrays | MixedTrajectory, joint: str) -> Column
 
 
 def to_message(trajectory: JointTrajectory) -> JointTrajectoryMessage:
-    """Return the message of a trajectory."""
     seconds, nanoseconds = divmod(trajectory.stamp_ns, NANOSECONDS)
     message = JointTrajectoryMessage(joint_names=list(trajectory.joint_names))
     message.header.stamp = Time(sec=seconds, nanosec=nanoseconds)
@@ -132,7 +131,6 @@ class ReferenceDecoder:
         self._thread: threading.Thread | None = None
 
     def decode(self, source: object, raw: bytes, take: Callable[[Decoded], None]) -> None:
-        """Decode a message soon."""
         with self._changed:
             self._waiting[source] = raw, take
             if self._thread is None:
@@ -162,7 +160,6 @@ def _attempt(raw: bytes) -> Decoded:
 
 @cache
 def reference_decoder() -> ReferenceDecoder:
-    """Return the one of this process."""
     return ReferenceDecoder()
 
 
@@ -201,7 +198,6 @@ class ControllerReferences:
         self._discarded = self._arrived
 
     def close(self) -> None:
-        """Listen no more."""
         self.discard()
         for each in self._subscriptions:
             self._node.destroy_subscription(each)
