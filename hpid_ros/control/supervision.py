@@ -30,7 +30,7 @@ class Watchdog:
 
     A driver that repeats its last state for ever is as silent as one that has ended. Two threads
     may ask: one that gives the effort, which nothing may delay (:meth:`is_silent`,
-    :meth:`within`), and the one of the loop, to which it is told (:meth:`look`). All times are
+    :meth:`time_left`), and the one of the loop, to which it is told (:meth:`look`). All times are
     of one steady clock, in [ns].
     """
 
@@ -53,7 +53,7 @@ class Watchdog:
         timeout = self.timeout
         return math.inf if timeout is None else max(timeout / LOOKS, _SHORTEST_PERIOD)
 
-    def within(self, now_ns: int) -> float:
+    def time_left(self, now_ns: int) -> float:
         """Return the time in [s] until the next check is due."""
         timeout = self.timeout  # another thread may change it
         if timeout is None:

@@ -304,7 +304,7 @@ class JointController(ManagedNode):
     def check(self) -> float:
         """Give the effort for a state timeout, and publish the claim where it is due."""
         self._commands.fall_back(self._supervised.timeout_effort, self._watchdog.is_silent)
-        return min(self._watchdog.within(), self._claim.keep())
+        return min(self._watchdog.time_left(), self._claim.keep())
 
     def cut_effort(self) -> bool:
         self._commands.cut()

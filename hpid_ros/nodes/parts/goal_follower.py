@@ -50,7 +50,7 @@ class GroupStates:
 
     def __init__(self, settings: GroupSettings) -> None:
         self._joints = settings.joints
-        self._timeout = settings.state_timeout
+        self._timeout = settings.fixed.state_timeout
         self._sources = [MeasuredVelocity(_VELOCITY_FILTER) for _ in settings.joints]
         self._unwrappers = [
             Unwrapper(math.tau) if facts.is_endless else None for facts in settings.facts
@@ -112,7 +112,7 @@ class GroupReferences:
     """The references of all joints of a group."""
 
     def __init__(self, settings: GroupSettings) -> None:
-        self._joints, self._takeover_time = settings.joints, settings.takeover_time
+        self._joints, self._takeover_time = settings.joints, settings.fixed.takeover_time
         self._following = [Following() for _ in settings.joints]
         for following, facts in zip(self._following, settings.facts, strict=True):
             following.turn = math.tau if facts.takes_shorter_way else 0.0
@@ -352,7 +352,7 @@ class GoalFollower:
     def note_timeout(self, silence: float) -> Outcome | None:
         """Note that no new state has come for too long."""
         self._silence = silence
-        if self._active is None or self.settings.is_simulated:
+        if self._active is None or self.settings.fixed.state_clock == "simulated":
             return None
         # Where the joints are is not known: they stop when states come again.
         self._active, self._is_hold_due = None, True
@@ -376,7 +376,8 @@ class GoalFollower:
             return None
         self._silence = 0.0
         if self._late_by:
-            patience = max(self.settings.state_timeout, self.settings.reference_timeout)
+            fixed = self.settings.fixed
+            patience = max(fixed.state_timeout, fixed.reference_timeout)
             self._late_until_ns = stamp_ns + round((self._late_by + patience) * NANOSECONDS)
             self._late_by = 0.0
         if self._is_hold_due:
@@ -456,7 +457,7 @@ class GoalFollower:
     ) -> Outcome | None:
         """Abort if a controller follows something else for longer than a glide takes."""
         outside = active.outside(joint, stamp_ns, abs(off) > _AGREES_WITHIN)
-        if outside <= self.settings.takeover_time + _SETTLES_WITHIN:
+        if outside <= self.settings.fixed.takeover_time + _SETTLES_WITHIN:
             return None
         name, unit = self.settings.joints[joint], self.settings.facts[joint].unit
         line = (
@@ -468,7 +469,7 @@ class GoalFollower:
 
     def _lost_controller(self) -> str:
         """Return whose controller publishes its reference no more; empty if all do."""
-        timeout_ns = round(self.settings.reference_timeout * NANOSECONDS)
+        timeout_ns = round(self.settings.fixed.reference_timeout * NANOSECONDS)
         now_ns = self._states.now_ns
         if not timeout_ns or now_ns is None:
             return ""
@@ -555,7 +556,7 @@ class GoalFollower:
     def _brakings(self) -> list[Braking]:
         settings = self.settings
         return [
-            Braking(deceleration, settings.stop_duration, facts.lower, facts.upper)
+            Braking(deceleration, settings.goals.stop_duration, facts.lower, facts.upper)
             for deceleration, facts in zip(settings.decelerations, settings.facts, strict=True)
         ]
 
@@ -563,7 +564,7 @@ class GoalFollower:
         """Return where a joint comes to rest that is to hold and glides there."""
         # The glide's velocity then falls steadily: 1 - 3 s^2 + 2 s^3 of what it was.
         facts = self.settings.facts[joint]
-        rest = position + 0.5 * velocity * self.settings.takeover_time
+        rest = position + 0.5 * velocity * self.settings.fixed.takeover_time
         return min(max(rest, facts.lower), facts.upper)
 
     def _error(self, joint: int, desired: Sequence[float]) -> Error:

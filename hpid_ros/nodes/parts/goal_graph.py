@@ -61,7 +61,7 @@ class FollowerInputs:
             node.create_subscription(JointState, topic, take, NEWEST_STATES, raw=True)
         self._silence, self._seen_ns = 0.0, follower.now_ns
         self._looked_at = time.monotonic()
-        self._look_period = follower.settings.state_timeout / _LOOKS
+        self._look_period = follower.settings.fixed.state_timeout / _LOOKS
         steady_timer(node, self._look_period, self._look_for_states)
 
     def _on_state(self, raw: bytes) -> None:
@@ -100,7 +100,7 @@ class FollowerInputs:
             self._seen_ns, self._silence = self._follower.now_ns, 0.0
             return
         self._silence += self._look_period
-        if self._silence > self._follower.settings.state_timeout:
+        if self._silence > self._follower.settings.fixed.state_timeout:
             self._act(self._follower.note_timeout(self._silence))
 
 

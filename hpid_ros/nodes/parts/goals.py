@@ -283,13 +283,8 @@ class GroupSettings:
     facts: tuple[JointFacts, ...]  # what is known of each, in the same order
     tolerances: Tolerances  # of goals that ask for no others
     decelerations: tuple[float, ...]  # [rad/s^2] with which each stops; 0 for none of its own
-    stop_duration: float  # [s] how long a joint without one takes to stop
-    allows_partial_goals: bool  # whether goals may name some joints only
-    allows_final_velocity: bool  # whether the last point may have a velocity
-    state_timeout: float  # [s] how old a joint's state may be
-    is_simulated: bool  # whether states may stay away because the simulation was paused
-    takeover_time: float  # [s] how long controllers glide
-    reference_timeout: float  # [s] how old a controller's reference may be; 0 for any
+    goals: GoalParameters
+    fixed: FixedParameters
 
     @classmethod
     def from_parameters(
@@ -310,13 +305,8 @@ class GroupSettings:
             tuple(facts.get(joint, JointFacts()) for joint in joints),
             tolerances,
             tuple(each.max_deceleration_on_cancel for each in own),
-            goals.stop_duration,
-            goals.allows_partial,
-            goals.allows_final_velocity,
-            fixed.state_timeout,
-            fixed.state_clock == "simulated",
-            fixed.takeover_time,
-            fixed.reference_timeout,
+            goals,
+            fixed,
         )
 
 
@@ -373,14 +363,14 @@ class GoalRequest:
                 line = unknown_name("joint", joint, settings.joints)
                 raise GoalError(line, ResultCode.INVALID_JOINTS)
         lacking = [joint for joint in settings.joints if joint not in self.names]
-        if lacking and not settings.allows_partial_goals:
+        if lacking and not settings.goals.allows_partial:
             raise GoalError(
                 f"the goal lacks {', '.join(lacking)}; it must name all joints unless "
                 f"allow_partial_joints_goal is true",
                 ResultCode.INVALID_JOINTS,
             )
         last = self.arrays.velocities[-1]
-        if not settings.allows_final_velocity:
+        if not settings.goals.allows_final_velocity:
             for joint, velocity in zip(self.names, last.tolist(), strict=True):
                 if abs(velocity) > _AT_REST:  # NaN, where there is none, is not
                     unit = settings.facts[settings.joints.index(joint)].unit

@@ -233,9 +233,9 @@ class StateWatchdog:
         """Return whether states are missing, and an effort is given; on any thread."""
         return self._watchdog.is_silent(time.perf_counter_ns())
 
-    def within(self) -> float:
+    def time_left(self) -> float:
         """Return the time in [s] until there may be a timeout; on any thread."""
-        return self._watchdog.within(time.perf_counter_ns())
+        return self._watchdog.time_left(time.perf_counter_ns())
 
     def _destroy_timer(self) -> None:
         if self._timer is not None:

@@ -412,7 +412,7 @@ class CommandMerger:
         return self._merged(now_ns)
 
     def look(self, now_ns: int) -> Merged | None:
-        """See who has fallen silent and what is due; to be called when :meth:`within` says."""
+        """See who has fallen silent and what is due; to be called when :meth:`time_left` says."""
         self._forgive(now_ns)
         has_changed = self._fall_silent(now_ns)
         if not self._may_send(now_ns):
@@ -425,7 +425,7 @@ class CommandMerger:
             return self._merged(now_ns)
         return None
 
-    def within(self, now_ns: int) -> float:
+    def time_left(self, now_ns: int) -> float:
         """Return the time in [s] until :meth:`look` is due, if nothing comes until then.
 
         Whoever asks promises to look then: who comes later stood still, and did not hear anybody.

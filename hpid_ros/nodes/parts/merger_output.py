@@ -442,10 +442,10 @@ class MergedStream:
             silences = merger.silences
             self._send(merger.look(now_ns), merger, now_ns)
             has_changed = merger.silences > silences
-            within = merger.within(now_ns)
+            time_left = merger.time_left(now_ns)
         if has_changed:
             self._node.hand_over(self._changed, merger)
-        return min(within, merger.shortest_timeout)  # a joint may come back at any time
+        return min(time_left, merger.shortest_timeout)  # a joint may come back at any time
 
     def cut(self) -> None:
         if not self._is_cut:

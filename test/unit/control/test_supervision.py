@@ -176,14 +176,14 @@ def test_whatever_interrupts_the_effort_goes_on_from_what_was_in_force(events, f
 
 def test_a_watchdog_says_when_to_look_again():
     watchdog = Watchdog()
-    assert watchdog.within(0) == math.inf
+    assert watchdog.time_left(0) == math.inf
     assert not watchdog.is_silent(10**12)
     watchdog.timeout = 0.1
-    assert watchdog.within(0) == 0.1  # nothing has come yet: there is no silence
+    assert watchdog.time_left(0) == 0.1  # nothing has come yet: there is no silence
     assert not watchdog.is_silent(10**12)
     watchdog.observe(1, 10**9)
-    assert watchdog.within(10**9 + 40 * MS) == pytest.approx(0.06)
-    assert watchdog.within(10**9 + 200 * MS) == watchdog.period == 0.025
+    assert watchdog.time_left(10**9 + 40 * MS) == pytest.approx(0.06)
+    assert watchdog.time_left(10**9 + 200 * MS) == watchdog.period == 0.025
     assert watchdog.is_silent(10**9 + 101 * MS)
     watchdog.forget()
     assert not watchdog.is_silent(10**9 + 101 * MS)

@@ -37,7 +37,7 @@ class Robot:
     def wait(self, duration_ns):
         """Let time pass, with a look whenever one is due."""
         end = self.now + duration_ns
-        while (within := self.merger.within(self.now)) * 1e9 < end - self.now + 0.5:
+        while (within := self.merger.time_left(self.now)) * 1e9 < end - self.now + 0.5:
             self.now += round(within * 1e9)
             self._note(self.merger.look(self.now))
         self.now = max(self.now, end)
@@ -303,11 +303,11 @@ def test_commands_without_stamps_are_merged_round_by_round():
 def test_one_that_stood_still_itself_is_patient_anew():
     """Its own freeze is no silence of the joints: it could not hear them."""
     robot = Robot().warm()
-    robot.merger.within(robot.now)
+    robot.merger.time_left(robot.now)
     robot.now += 100 * TIMEOUT
     assert robot.merger.look(robot.now) is None
     assert not robot.merger.silent
-    robot.merger.within(robot.now)
+    robot.merger.time_left(robot.now)
     robot.now += 100 * TIMEOUT
     assert robot.merger.look(robot.now).efforts == FALLBACKS  # a second time without a command
 
