@@ -45,7 +45,6 @@ class TopicBatch(NamedTuple):
     places: Integers  # ascending numbers that order all messages of the bag as its files do, (n,)
 
     def raw(self, index: int) -> bytes:
-        """Return one serialised message."""
         start = int(self.starts[index])
         return self.buffer[start : start + int(self.sizes[index])].tobytes()
 
@@ -137,7 +136,6 @@ class Allowance:
 
 
 def decompressed(compression: str, raw: bytes, size: int, crc: int, allowance: Allowance) -> bytes:
-    """Return a chunk's records."""
     allowance.require(len(raw), size)
     records, is_whole = _unpacked(compression, raw, size)
     allowance.spend(len(raw), len(records))

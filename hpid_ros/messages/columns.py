@@ -58,11 +58,9 @@ class Walker(Cursor):
         return self._pass(4, _STAMP)
 
     def array(self) -> Doubles:
-        """Pass the next sequence of doubles."""
         return self.fixed_array(self.scalar("I"))
 
     def fixed_array(self, count: int) -> Doubles:
-        """Pass that many doubles."""
         return Doubles(self._pass(8, 8 * count) if count else self.offset, count)
 
     def is_at_end(self) -> bool:
@@ -312,7 +310,6 @@ class LayoutFamily:
         return np.array_equal(layout.mask, self._mask) and layout.order == self.layouts[0].order
 
     def add(self, layout: Layout) -> None:
-        """Add a layout of this family."""
         if len(self.layouts) == _MOST_LAYOUTS:
             self.layouts.clear()
         self.layouts.append(layout)
@@ -348,7 +345,6 @@ class JointSamples(NamedTuple):
     values: Numbers  # the numbers, (n,)
 
     def picked(self, which: Integers | Mask) -> JointSamples:
-        """Return some of the samples."""
         stamps, log_times, places = (
             None if part is None else part[which] for part in (self[0], self[1], self[2])
         )
@@ -452,7 +448,6 @@ class JointStream:
             left = left[left != size]
 
     def joints(self) -> frozenset[str]:
-        """Return the joints that have numbers."""
         return frozenset(self._groups_of)
 
     def take(self, joint: str) -> JointSamples | None:
@@ -474,7 +469,6 @@ class JointStream:
         return samples.picked(np.lexsort((samples.places, samples.log_times_ns)))
 
     def _add_size(self, batch: TopicBatch, size: int) -> None:
-        """Take messages of one length."""
         words = -(-(size + ENCAPSULATION) // WORD)
         rows = gather_words(batch.buffer, batch.starts - ENCAPSULATION, words)
         families = self._families.setdefault(size, [])

@@ -390,7 +390,7 @@ class JointRun:
             answers_states=answers,
             reference=kind,
             references=count,
-            reference_from=None if begin is None else _seconds(begin - window.origin_ns),
+            reference_from=None if begin is None else (begin - window.origin_ns) / NANOSECONDS,
             effort=effort if len(commands.stamps_ns) else NONE,
             no_effort="" if len(commands.stamps_ns) else self._no_effort,
         )
@@ -577,10 +577,6 @@ class JointRun:
         if not header.any() or start_ns <= 0:
             start_ns = 0  # the states' headers do not say when it began
         return event._replace(column=dataclasses.replace(column, stamp_ns=start_ns))
-
-
-def _seconds(difference_ns: int) -> float:
-    return difference_ns / NANOSECONDS
 
 
 def _quality(samples: Ordered, window: Window) -> StampQuality:

@@ -57,7 +57,6 @@ class Cursor:
         return int(value)
 
     def string(self) -> str:
-        """Return a text."""
         length = self.scalar("I")
         self.require(length)
         raw = bytes(self.raw[self.offset : self.offset + length])
@@ -68,7 +67,6 @@ class Cursor:
             raise MessageError(f"a {self._kind} name must be UTF-8, not {raw!r}") from None
 
     def strings(self) -> tuple[str, ...]:
-        """Return a sequence of texts."""
         count = self.scalar("I")
         if count > len(self.raw):
             raise MessageError(
@@ -77,12 +75,10 @@ class Cursor:
         return tuple(self.string() for _ in range(count))
 
     def double(self) -> float:
-        """Return a double."""
         (value,) = self._values("d", 1)
         return float(value)
 
     def doubles(self) -> tuple[float, ...]:
-        """Return a sequence of doubles."""
         return self._values("d", self.scalar("I"))
 
     def integers(self, code: str) -> tuple[int, ...]:
@@ -133,7 +129,6 @@ class Writer:
         self.scalar("I", nanoseconds)
 
     def string(self, text: str) -> None:
-        """Append a text."""
         raw = text.encode() + b"\x00"
         self.scalar("I", len(raw))
         self._raw += raw
@@ -303,7 +298,6 @@ class JointStateTemplate:
         velocity: Sequence[float] = (),
         effort: Sequence[float] = (),
     ) -> bytes:
-        """Return the serialised message."""
         layout, buffer = self.layout, self._buffer
         self._stamp.pack_into(buffer, STAMP_OFFSET, *divmod(stamp_ns, NANOSECONDS))
         if layout.position:
@@ -449,7 +443,6 @@ class RobotReader:
         self._picks: tuple[_Pick | None, ...] = ()
 
     def read(self, raw: bytes) -> RobotSample:
-        """Return the joints' sample."""
         layout = self._layout
         if layout is None or not layout.matches(raw):
             return self._learn(raw)

@@ -82,7 +82,6 @@ class MixedTrajectory(NamedTuple):
 def decode_trajectory(
     raw: bytes, most_points: int = MOST_POINTS, most_mixed_points: int = MOST_MIXED_POINTS
 ) -> TrajectoryArrays | MixedTrajectory:
-    """Decode a serialised JointTrajectory."""
     cursor = Cursor(raw, "JointTrajectory")
     seconds, nanoseconds = cursor.scalar("i"), cursor.scalar("I")
     require_nanoseconds(nanoseconds)
@@ -252,7 +251,6 @@ def _merged(points: tuple[_Records, _Records], field: str) -> NDArray[Any]:
 def encode_trajectory(
     stamp_ns: int, names: Sequence[str], times_ns: NDArray[np.int64], arrays: Sequence[Numbers]
 ) -> bytes:
-    """Serialise a JointTrajectory, little endian."""
     writer = Writer()
     writer.time(stamp_ns)
     writer.string("")
@@ -273,7 +271,7 @@ def encode_trajectory(
 
 
 def encode_joint_trajectory(trajectory: JointTrajectory) -> bytes:
-    """Serialise a trajectory without its efforts."""
+    """Serialise a trajectory, without its efforts."""
     points, names = trajectory.points, trajectory.joint_names
     none = (np.nan,) * len(names)
     arrays = [np.array([point[k] or none for point in points], dtype=float) for k in (1, 2, 3)]
@@ -305,7 +303,6 @@ def _as_records(
 
 
 def decode_float64(raw: bytes) -> float:
-    """Decode a serialised ``std_msgs/msg/Float64``."""
     if len(raw) != ENCAPSULATION + 8 or raw[0] != 0 or raw[1] not in (0, 1):
         raise MessageError(f"a Float64 has 12 bytes in plain CDR, not {len(raw)}")
     (value,) = struct.unpack_from("<d" if raw[1] else ">d", raw, ENCAPSULATION)

@@ -83,7 +83,6 @@ class Fields:
         return taken
 
     def text(self) -> str:
-        """Return the next text."""
         try:
             return self.take(self.number(4)).decode()
         except UnicodeDecodeError:
@@ -334,7 +333,6 @@ class Arena:
         self.fill = chunk.end
 
     def clear(self) -> None:
-        """Forget all chunks."""
         self.chunks, self.fill = [], SLACK
 
 
@@ -512,7 +510,6 @@ class McapSummary(NamedTuple):
 
 
 def read_summary(stream: BinaryIO, size: int) -> McapSummary:
-    """Read the summary of a file."""
     tail_size = FRAME_SIZE + _FOOTER_FIELDS + len(MAGIC)
     if size < tail_size + len(MAGIC):
         raise BagError("no footer")
@@ -612,7 +609,6 @@ class McapFile:
             report("the index is missing or damaged; it was read without")
 
     def topics(self) -> dict[str, TopicInfo]:
-        """Return the topics by full name."""
         topics: dict[str, TopicInfo] = {}
         for number, channel in self._catalogue.channels.items():
             before = topics.get(channel.topic)
@@ -627,7 +623,6 @@ class McapFile:
         return topics
 
     def close(self) -> None:
-        """Close the file."""
         self._stream.close()
 
     def batches(

@@ -61,7 +61,6 @@ def encode_odometry(
     twist: tuple[Vector, Vector],
     twist_covariance: Sequence[float],
 ) -> bytes:
-    """Return a serialised ``nav_msgs/msg/Odometry``."""
     writer = _begun(header)
     writer.string(child)
     for values in (*pose, pose_covariance, *twist, twist_covariance):
@@ -70,14 +69,12 @@ def encode_odometry(
 
 
 def encode_vector(header: Stamp, vector: Vector) -> bytes:
-    """Return a serialised ``geometry_msgs/msg/Vector3Stamped``."""
     writer = _begun(header)
     writer.doubles(vector)
     return writer.raw
 
 
 def encode_pose(header: Stamp, pose: PoseValues) -> bytes:
-    """Return a serialised ``geometry_msgs/msg/PoseStamped``."""
     writer = _begun(header)
     for values in pose:
         writer.doubles(values)
@@ -85,7 +82,6 @@ def encode_pose(header: Stamp, pose: PoseValues) -> bytes:
 
 
 def encode_poses(header: Stamp, poses: Sequence[PoseValues]) -> bytes:
-    """Return a serialised ``geometry_msgs/msg/PoseArray``."""
     writer = _begun(header)
     writer.scalar("I", len(poses))
     for pose in poses:
@@ -137,7 +133,6 @@ def decode_text(raw: bytes) -> str:
 
 
 def decode_parameter_event(raw: bytes) -> ParameterEvent:
-    """Return what a serialised ``rcl_interfaces/msg/ParameterEvent``."""
     cursor = Cursor(raw, _EVENT)
     cursor.scalar("i")
     cursor.scalar("I")  # the stamp is that of the sender's clock
@@ -191,7 +186,6 @@ class MultiArrayTemplate:
         self._numbers = struct.Struct(f"<{count}d")
 
     def encode(self, stamp_ns: int, *, effort: Sequence[float]) -> bytes:
-        """Return the serialised message."""
         return self._head + self._numbers.pack(*effort)
 
 
@@ -237,7 +231,6 @@ class DynamicJointStateTemplate:
         self._stamp, self._number = struct.Struct("<iI"), struct.Struct("<d")
 
     def encode(self, stamp_ns: int, *, effort: Sequence[float]) -> bytes:
-        """Return the serialised message."""
         self._stamp.pack_into(self._buffer, ENCAPSULATION, *divmod(stamp_ns, NANOSECONDS))
         for offset, number in zip(self._offsets, effort, strict=True):
             self._number.pack_into(self._buffer, offset, number)

@@ -225,7 +225,6 @@ class TopicChoice:
 
     @property
     def all(self) -> frozenset[str]:
-        """All topics that are read."""
         references = self.references
         return frozenset(
             (
@@ -241,7 +240,6 @@ class TopicChoice:
 
 
 def choose_topics(where: str, types: Mapping[str, str], selection: BagSelection) -> TopicChoice:
-    """Find the topics of a run."""
     return _Chooser(where, types, selection).choice()
 
 

@@ -52,7 +52,6 @@ _KEY = "rosbag2_bagfile_information"
 
 
 def read_metadata(folder: Path) -> dict[str, Any]:
-    """Return the information of a bag."""
     path = folder / METADATA
     if not path.is_file():
         raise BagError(f"{METADATA} is {'no file' if path.exists() else 'missing'}")
@@ -104,7 +103,6 @@ STOOD_STILL = "hpid_ros/stood_still"
 
 
 def missed_entries(missed: Mapping[str, int], stood_still: float) -> dict[str, str]:
-    """Return the entries for the metadata."""
     counts = json.dumps(dict(missed), sort_keys=True)
     return {MISSED: counts, STOOD_STILL: f"{stood_still:.3f}"}
 
@@ -243,7 +241,6 @@ class SqliteFile:
         return {name: info for name, (_, info) in self._topics.items()}
 
     def close(self) -> None:
-        """Close the file."""
         self._stack.close()
 
     def batches(

@@ -88,13 +88,11 @@ class Turn:
     law: TimeLaw  # when
 
     def motion(self, shares: Numbers) -> LegMotion:
-        """Return the motion, as for :class:`Leg`."""
         u, du, ddu = self.law.at(shares)
         still = np.zeros_like(shares)
         return LegMotion(still, still, still, self.angle * u, self.angle * du, self.angle * ddu)
 
     def places(self, shares: Numbers) -> tuple[Numbers, Numbers, Numbers]:
-        """Return the places, as for :class:`Leg`."""
         here = np.ones_like(shares)
         return self.pose.x * here, self.pose.y * here, self.angle * self.law.at(shares)[0]
 
@@ -132,7 +130,6 @@ class DrivenLeg:
         self._first = tangents[0]
 
     def motion(self, shares: Numbers) -> LegMotion:
-        """Return the motion, as for :class:`Leg`."""
         u, du, ddu = self._law.at(shares)
         tangent, bend, jerk = (self._value(order, u) for order in (1, 2, 3))
         length = np.hypot(*tangent.T)
@@ -151,7 +148,6 @@ class DrivenLeg:
         )
 
     def places(self, shares: Numbers) -> tuple[Numbers, Numbers, Numbers]:
-        """Return the places, as for :class:`Leg`."""
         u = self._law.at(shares)[0]
         x, y = self._value(0, u).T
         return x, y, self._turns(u, self._value(1, u))

@@ -79,7 +79,6 @@ class ArmMotion:
             self._rows.append(self._at_rest(self.positions))
 
     def move(self, target: Numbers) -> None:
-        """Move every joint with least jerk."""
         distance = np.abs(target - self.positions)
         if not distance.any():
             return
@@ -109,7 +108,6 @@ class ArmMotion:
         self._add_spline(times_ns, solutions)
 
     def trajectory(self) -> JointTrajectory:
-        """Return the motion."""
         points = tuple(
             TrajectoryPoint(row.time_ns, *(tuple(values.tolist()) for values in row[1:]))
             for row in self._rows
@@ -178,7 +176,6 @@ class BaseMotion:
             self._add((x, y, before + angle), self._after(abs(angle) / self._turn_speed))
 
     def drive(self, distance: float) -> None:
-        """Drive straight on."""
         x, y, heading = self.pose
         if abs(distance) > _NEAR:
             there = (x + distance * math.cos(heading), y + distance * math.sin(heading), heading)
@@ -186,7 +183,6 @@ class BaseMotion:
             self._add(there, self._after(abs(distance) / self._drive_speed), direction)
 
     def trajectory(self, base: DifferentialDrive, velocity_limit: float) -> JointTrajectory:
-        """Return the wheels' trajectories."""
         if len(self._poses) == 1:
             self._add(self.pose, self.time_ns + NANOSECONDS)
         return base_path(
@@ -250,7 +246,6 @@ def plan_bricks(
     folded: npt.ArrayLike,
     options: PlanOptions | None = None,
 ) -> BrickPlan:
-    """Plan a brick task."""
     if not goals:
         raise TrajectoryError("a brick task must have at least one brick, not none")
     planner = _Planner(robot, arm, np.asarray(folded, dtype=float), options or PlanOptions())
@@ -284,7 +279,6 @@ class _Planner:
         self._reach_down(goal, "place", quarter)
 
     def trajectory(self) -> JointTrajectory:
-        """Return what was put together."""
         arm, base = self._arm_motion, self._robot.base
         if base is None:
             return arm.trajectory()

@@ -105,15 +105,10 @@ def multisine(
     schroeder = -np.pi * np.arange(count) * (np.arange(count) + 1) / count
     tried = [schroeder, *draw.uniform(0.0, 2.0 * np.pi, (_DRAWS, count))]
     courses = [_sum(times, 2.0 * np.pi * base * turns, phases, window) for phases in tried]
-    factors = [_even_factor(each, limits) for each in courses]
-    best = int(np.argmax(factors))
-    course = courses[best]
+    # The largest by its root mean square velocity within the limits.
+    sizes = [each.factor_within(limits) * np.sqrt(np.mean(each.velocity**2)) for each in courses]
+    course = courses[int(np.argmax(sizes))]
     return course.scaled(course.factor_within(limits))
-
-
-def _even_factor(course: Course, limits: Peaks) -> float:
-    """Return how large a course gets within limits, by its root mean square velocity."""
-    return course.factor_within(limits) * float(np.sqrt(np.mean(course.velocity**2)))
 
 
 def _sum(times: Numbers, rates: Numbers, phases: Numbers, window: Course) -> Course:
@@ -232,7 +227,6 @@ class Wish(NamedTuple):
     acceleration: float = math.inf  # [rad/s^2] inf for no wish
 
     def require(self) -> None:
-        """Refuse numbers that are no wish."""
         if not 0.0 < self.share <= 0.9:
             raise SettingError(f"a share of the limits must be in (0, 0.9], not {self.share:g}")
         for name, value in self._asdict().items():
@@ -310,17 +304,7 @@ def there_and_back(duration: float, limits: Peaks, *, is_fast: bool) -> Course:
 
 
 def sine(duration: float, frequency: float, fade: float, limits: Peaks) -> Course:
-    """Return whole periods of a sine with a soft start and a soft end.
-
-    Args:
-        duration: In [s]; the nearest whole number of periods is taken, at least one.
-        frequency: In [Hz].
-        fade: Time of the soft start, and of the soft end, in [s]; at most 0.4 of the whole.
-        limits: Its amplitude, and what else it may reach.
-
-    Raises:
-        SettingError: A number is none that can be used.
-    """
+    """Return whole periods, at least one, of a sine with a soft start and a soft end."""
     for name, value in (("duration", duration), ("frequency", frequency), ("fade", fade)):
         if not 0.0 < value < math.inf:
             raise SettingError(f"the {name} of a sine must be positive, not {value:g}")
@@ -388,7 +372,6 @@ class ExcitationPlan:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the joints."""
         return tuple(each.bounds.joint for each in self.joints)
 
     @property
@@ -406,7 +389,6 @@ class ExcitationPlan:
 
     @classmethod
     def from_mapping(cls, values: Mapping[str, Any]) -> ExcitationPlan:
-        """Return the plan of :meth:`as_mapping`."""
         try:
             joints = tuple(_planned(each) for each in values["joints"])
             names = ("times", "positions", "velocities", "accelerations")
@@ -512,7 +494,6 @@ class RelayWish(NamedTuple):
     cycles: int = 8  # whole cycles
 
     def require(self) -> None:
-        """Refuse numbers that are no wish."""
         if not 0.0 < self.share <= 0.8:
             raise SettingError(f"the share of the effort must be in (0, 0.8], not {self.share:g}")
         if not (math.isfinite(self.effort) and self.effort >= 0.0):

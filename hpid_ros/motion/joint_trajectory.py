@@ -69,7 +69,6 @@ class Column:
         return bool(getattr(self.knots, "gives_effort", False))
 
     def start(self, now_ns: int, position: float, velocity: float = 0.0) -> SplineReference:
-        """Take over at an instant."""
         start_ns = self.stamp_ns or now_ns
         return SplineReference(self.knots, start_ns, Knot(now_ns - start_ns, position, velocity))
 
@@ -360,7 +359,6 @@ class KnotArrays(Sequence[Knot]):
         return not np.isnan(self._rest[2]).any()
 
     def __len__(self) -> int:
-        """Return the number of knots."""
         return len(self._times_ns)
 
     @overload

@@ -173,7 +173,6 @@ class PathSection(Record):
     curvature_limit: float | None = quantity("Of the path", "1/m", default=None, above=0.0)
 
     def trajectory(self) -> JointTrajectory:
-        """Return what the wheels follow."""
         legs = self.directions
         limits = {
             name: value

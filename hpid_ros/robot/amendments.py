@@ -98,7 +98,6 @@ class JointAmendment(Record):
             raise SettingError("gear_ratio must not be 0")
 
     def given(self) -> dict[str, float]:
-        """Return what is known, by name."""
         return {name: value for name, value in vars(self).items() if value is not None}
 
 
@@ -318,7 +317,6 @@ class Wheels(Record):
         return cls(drive.left, drive.right, drive.radius, drive.separation)
 
     def drive(self, description: RobotDescription) -> DifferentialDrive:
-        """Return the drive of a robot."""
         return DifferentialDrive.of(description, *vars(self).values())
 
 

@@ -106,7 +106,6 @@ class RobotStates:
         velocities: Sequence[float] | None,
         efforts: Sequence[float] | None,
     ) -> RobotState | None:
-        """Take one measured state."""
         state = self._state
         if stamp_ns == self._stamp_ns and state is not None:
             return state
@@ -404,7 +403,6 @@ def with_inertia(settings: LoopSettings, robot: str) -> LoopSettings:
 
 
 def robot_xml(source: str) -> str:
-    """Return the text of a URDF."""
     if source.lstrip().startswith("<"):
         return source
     return RobotDescription.load(find_resource(source)).xml

@@ -200,7 +200,6 @@ class Settling(NamedTuple):
 
     @classmethod
     def of(cls, settings: LoopSettings, coupling: Coupling) -> Settling:
-        """Judge a loop with decoupling."""
         period = settings.timing.control_period
         time_constant = settings.model.effort_filter_time_constant
         if time_constant < 0.0:

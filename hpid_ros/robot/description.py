@@ -100,7 +100,6 @@ class JointDescription:
 def read_joint(
     element: ElementTree.Element, rotors: Mapping[str, tuple[float, float]], origin: str
 ) -> JointDescription | None:
-    """Read one joint."""
     name, joint_type = element.get("name", ""), element.get("type", "")
     if joint_type in OTHER_TYPES:
         return None
@@ -219,7 +218,6 @@ class RobotDescription:
 
     @classmethod
     def load(cls, source: str | Path) -> RobotDescription:
-        """Read a URDF."""
         if isinstance(source, str) and source.lstrip().startswith("<"):
             return _parse(source.lstrip(), "robot description", None)
         path = Path(source)

@@ -41,7 +41,6 @@ class Wheel(NamedTuple):
 
 
 def read_wheel(description: RobotDescription, joint: str) -> Wheel:
-    """Read a wheel."""
     robot = ElementTree.fromstring(description.xml)
     parents = {_child(each): each for each in robot.findall("joint")}
     wheel = description.joints[joint]

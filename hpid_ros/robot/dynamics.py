@@ -59,7 +59,6 @@ def build_model(
     mass_scale: float = 1.0,
     locked: Iterable[str] = (),
 ) -> pinocchio.Model:
-    """Build the model of a robot."""
     if not (math.isfinite(payload_mass) and payload_mass >= 0.0):
         raise SettingError(f"payload_mass {payload_mass!r} must be a finite number >= 0 [kg]")
     if not (math.isfinite(mass_scale) and mass_scale > 0.0):
@@ -115,7 +114,6 @@ class Dynamics:
         payload_mass: float = 0.0,
         payload_link: str = PAYLOAD_LINK,
     ) -> None:
-        """Build the model."""
         self.description = description
         self._model = build_model(
             description,

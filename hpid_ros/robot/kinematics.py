@@ -123,7 +123,6 @@ class Kinematics:
         joints: Iterable[str] | None = None,
         others: Mapping[str, float] | None = None,
     ) -> None:
-        """Build the model."""
         self.description = description
         self.link = description.link(link)
         self._model = bare_model(description)
@@ -135,18 +134,17 @@ class Kinematics:
         self.joints = tuple(joint.name for joint in chosen)
         self.lower = np.array([joint.lower for joint in chosen])
         self.upper = np.array([joint.upper for joint in chosen])
-        self._rows = [self._row(name) for name in self.joints]
+        self._rows = [velocity_index(self._model, name) for name in self.joints]
         self._motion = np.zeros(self._model.nv)
         for name, position in (others or {}).items():
             (joint,) = description.select([name])
             if not np.isfinite(position):
                 raise SettingError(f"position {position} of joint {name!r} is not finite")
-            self._motion[self._row(joint.name)] = position
+            self._motion[velocity_index(self._model, joint.name)] = position
         self._neutral = pinocchio.neutral(self._model)
         self._links = self._serial_chain()
 
     def pose(self, positions: npt.ArrayLike) -> LinkPose:
-        """Return where the link is."""
         placement = self._placement(self._checked(positions))
         return LinkPose(placement.translation.copy(), placement.rotation.copy())
 
@@ -243,16 +241,13 @@ class Kinematics:
             joint = self.description.joints[name]
             axis = np.array(joint.axis) / np.linalg.norm(joint.axis)
             column = self.joints.index(name) if name in self.joints else None
-            still = float(self._motion[self._row(name)])
+            still = float(self._motion[velocity_index(self._model, name)])
             rotation, origin = placement.rotation.copy(), placement.translation.copy()
             pieces.append(
                 ChainJoint(rotation, origin, axis, joint.type == "prismatic", column, still)
             )
         tip = frame.placement
         return SerialChain(tuple(pieces), tip.rotation.copy(), tip.translation.copy())
-
-    def _row(self, name: str) -> int:
-        return int(self._model.joints[self._model.getJointId(name)].idx_v)
 
 
 def link_poses(

@@ -48,14 +48,12 @@ class BulletPhysics:
         )
 
     def joint_states(self) -> Sequence[tuple[float, float]]:
-        """Return position and velocity of each driven joint."""
         states: Sequence[tuple[float, float]] = self._client.getJointStates(
             self._scene.body, self._scene.driven
         )
         return states
 
     def advance(self, torques: Sequence[float], steps: int = 1) -> None:
-        """Take physics steps."""
         for _ in range(steps):
             # Bullet forgets applied torques after every step.
             self._client.setJointMotorControlArray(
@@ -64,7 +62,6 @@ class BulletPhysics:
             self._client.stepSimulation()
 
     def set_damping(self, damping: Sequence[float]) -> None:
-        """Set the viscous friction of each driven joint: Bullet's joint damping."""
         self._damping = damping
         for index, value in zip(self._scene.driven, damping, strict=True):
             self._client.changeDynamics(self._scene.body, index, jointDamping=value)
@@ -79,7 +76,6 @@ class BulletPhysics:
         brake_joints(self._client, self._scene.body, self._scene.driven, forces)
 
     def push(self, link: str, force: Vector, torque: Vector) -> None:
-        """Push a link in the next step."""
         client, body, index = self._client, self._scene.body, self._scene.links[link]
         origin = _link_pose(client, body, index).position
         centre = _centre_of_mass(client, body, index)
@@ -95,27 +91,21 @@ class BulletPhysics:
         )
 
     def load(self, mass: float) -> None:
-        """Put a solid cube at the payload link's centre of mass."""
         self._scene.load_payload(self._client, mass)
 
     def link_pose(self, link: str) -> Pose:
-        """Return the pose of a link's frame."""
         return _link_pose(self._client, self._scene.body, self._scene.links[link])
 
     def root_pose(self) -> Pose:
-        """Return the pose of the root link's frame."""
         return _link_pose(self._client, self._scene.body, _ROOT)
 
     def root_twist(self) -> Twist:
-        """Return the velocity of the root link's frame, in that frame."""
         return _root_twist(self._client, self._scene.body)
 
     def brick_pose(self, index: int) -> Pose:
-        """Return the pose of a brick's centre."""
         return box_pose(self._client, self._scene.bricks[index])
 
     def hold(self, index: int) -> None:
-        """Fix a brick to the hand as it lies there."""
         robot, body, client = self._scene.body, self._scene.bricks[index], self._client
         link = self._scene.links[self._settings.workplace.gripper.link]
         # Bullet wants the frame as the link's centre of mass sees it.
@@ -139,22 +129,18 @@ class BulletPhysics:
         client.changeConstraint(self._held, maxForce=_UNYIELDING)
 
     def release(self) -> None:
-        """Let go of the brick that is held."""
         if self._held is not None:
             self._client.removeConstraint(self._held)
         self._held = None
 
     def grip_force(self) -> Vector:
-        """Return the force between hand and held brick in the last step."""
         state = self._client.getConstraintState(self._held)
         return state[0], state[1], state[2]
 
     def keep(self) -> None:
-        """Take the present state as the one at time 0."""
         self._at_start: int = self._client.saveState()
 
     def restart(self) -> None:
-        """Go back to time 0."""
         if self._scene.bricks:
             # Of bricks that were moved Bullet keeps contacts that are not in the saved state.
             self._client.removeState(self._at_start)
@@ -170,7 +156,6 @@ class BulletPhysics:
         self._client.restoreState(self._at_start)
 
     def close(self) -> None:
-        """Disconnect from PyBullet."""
         self._client.close()
 
 

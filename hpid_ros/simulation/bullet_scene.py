@@ -103,7 +103,6 @@ class Client:
 
 
 def put_boxes(client: Client, boxes: Iterable[Support]) -> tuple[int, ...]:
-    """Put boxes into a simulation."""
     bodies = []
     for box in boxes:
         shape = client.createCollisionShape(
@@ -130,14 +129,12 @@ def let_hand_pass(client: Client, robot: int, link: int, bricks: Iterable[int]) 
 
 
 def still(client: Client, bodies: Iterable[int]) -> None:
-    """Take away the speed of bodies."""
     nothing = (0.0, 0.0, 0.0)
     for body in bodies:
         client.resetBaseVelocity(body, nothing, nothing)
 
 
 def box_pose(client: Client, body: int) -> Pose:
-    """Return where a box's centre is."""
     return Pose(*client.getBasePositionAndOrientation(body))
 
 

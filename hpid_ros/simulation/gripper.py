@@ -112,16 +112,13 @@ class Gripper:
 
     @property
     def held(self) -> Brick | None:
-        """The brick in the hand."""
         return None if self._held is None else self._bricks[self._held]
 
     def actuate(self, now_ns: int) -> None:
-        """Do what is due."""
         while self._pending and self._pending[-1].time_ns <= now_ns:
             self.move(self._pending.pop().is_closed, now_ns)
 
     def move(self, is_closed: bool, now_ns: int) -> GripEvent | None:
-        """Close or open the fingers."""
         event = self._close(now_ns) if is_closed else self._open(now_ns)
         if event is not None:
             self.events.append(event)

@@ -93,7 +93,6 @@ class Barrier:
                 self._silent.remove(name)
 
     def answer(self, stamp_ns: int, names: Sequence[str], efforts: Sequence[float]) -> bool:
-        """Take a command."""
         was_waiting = bool(self._missing) or self.is_abandoned
         for name, effort in zip(names, efforts, strict=True):
             counts = self.counts.get(name)

@@ -60,13 +60,11 @@ class MujocoPhysics:
             self._show()
 
     def joint_states(self) -> Sequence[tuple[float, float]]:
-        """Return position and velocity of each driven joint."""
         data = self.data
         positions, velocities = data.qpos[self._positions], data.qvel[self._velocities]
         return list(zip(positions.tolist(), velocities.tolist(), strict=True))
 
     def advance(self, torques: Sequence[float], steps: int = 1) -> None:
-        """Take physics steps."""
         data = self.data
         data.qfrc_applied[self._velocities] = torques
         mujoco.mj_step(self.model, data, steps)
@@ -82,15 +80,12 @@ class MujocoPhysics:
             self._viewer.sync()
 
     def set_damping(self, damping: Sequence[float]) -> None:
-        """Set the viscous friction of each driven joint."""
         self.model.dof_damping[self._velocities] = damping
 
     def brake(self, forces: Sequence[float]) -> None:
-        """Set the Coulomb friction of each driven joint: a constraint with a largest force."""
         self.model.dof_frictionloss[self._velocities] = forces
 
     def push(self, link: str, force: Vector, torque: Vector) -> None:
-        """Push a link in the next step."""
         self._follow()
         body = self._built.links[link]
         arm = self.data.xpos[body] - self.data.xipos[body]
@@ -99,7 +94,6 @@ class MujocoPhysics:
         self._is_pushed = True
 
     def load(self, mass: float) -> None:
-        """Put a solid cube at the payload link's centre of mass."""
         body = self._payload
         own_mass, own_moments = self._bare
         self.model.body_mass[body] = own_mass + mass
@@ -107,15 +101,12 @@ class MujocoPhysics:
         self._renew()
 
     def link_pose(self, link: str) -> Pose:
-        """Return the pose of a link's frame."""
         return self._pose(self._built.links[link])
 
     def root_pose(self) -> Pose:
-        """Return the pose of the root link's frame."""
         return self._pose(self._root)
 
     def root_twist(self) -> Twist:
-        """Return the velocity of the root link's frame, in that frame."""
         if self._settings.fixed_base:
             return Twist((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
         self._follow()
@@ -125,11 +116,9 @@ class MujocoPhysics:
         return Twist(_vector(turn.T @ linear), _vector(angular))
 
     def brick_pose(self, index: int) -> Pose:
-        """Return the pose of a brick's centre."""
         return self._pose(self._built.bricks[index])
 
     def hold(self, index: int) -> None:
-        """Fix a brick to the hand as it lies there."""
         self._follow()
         weld, model, data = self._built.welds[index], self.model, self.data
         hand = self._built.links[self._settings.workplace.gripper.link]
@@ -144,33 +133,28 @@ class MujocoPhysics:
         self._held = weld
 
     def release(self) -> None:
-        """Let go of the brick that is held."""
         if self._held is not None:
             self.data.eq_active[self._held] = 0
         self._held = None
 
     def grip_force(self) -> Vector:
-        """Return the force between hand and held brick in the last step."""
         data = self.data
         is_equality = data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY
         rows = np.flatnonzero(is_equality & (data.efc_id == self._held))
         return _vector(data.efc_force[rows[:3]])
 
     def keep(self) -> None:
-        """Take the present state as the one at time 0."""
         data = self.data
         self._start = data.qpos.copy(), data.qvel.copy(), data.qacc_warmstart.copy()
         self._constants = {name: getattr(self.model, name).copy() for name in _KEPT}
 
     def restart(self) -> None:
-        """Go back to time 0."""
         for name, values in self._constants.items():
             getattr(self.model, name)[:] = values
         self._renew()
         self._begin(*self._start)
 
     def close(self) -> None:
-        """Free the engine."""
         if self._viewer is not None:
             self._viewer.close()
         self._viewer = self.data = None

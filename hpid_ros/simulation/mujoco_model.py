@@ -76,7 +76,6 @@ class _Shape(NamedTuple):
 
 
 def build_model(settings: WorldSettings, description: RobotDescription) -> MujocoModel:
-    """Return the model of a world."""
     root = ElementTree.fromstring(description.xml)
     spec = _spec(settings)
     is_touched = not settings.fixed_base or bool(settings.workplace)

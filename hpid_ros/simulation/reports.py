@@ -214,7 +214,6 @@ the same units per s^2 of the twist.
 
 
 def wheel_odometry(report: BaseReport) -> OdometryValues:
-    """Return what the wheels say."""
     x, y, heading = report.pose
     (xx, xy, xh, yy, yh, hh), (linear, angular) = report.covariance, report.twist_variance
     return (
@@ -362,6 +361,5 @@ class Reports:
 
 
 def grip_words(event: GripEvent) -> str:
-    """Return an event as a text."""
     reason = f": {event.reason}" if event.reason else ""
     return f"{event.brick} {event.outcome} at {event.stamp_ns / NANOSECONDS:.3f} s{reason}"

@@ -26,27 +26,6 @@ from hpid_ros.simulation.settings import (
 )
 
 
-class EffortLimits:
-    """Holds efforts to what the joints' motors can give."""
-
-    def __init__(self, joints: Sequence[JointDescription]) -> None:
-        self._joints = joints
-        self._limits = [min(joint.effort, sys.float_info.max) for joint in joints]
-
-    def hold(self, efforts: Sequence[float]) -> list[float]:
-        """Return the torques at the joints for their commanded efforts, all in [N m]."""
-        if len(efforts) != len(self._limits):
-            raise SettingError(f"{len(efforts)} efforts for {len(self._limits)} driven joints")
-        held = [float(effort) for effort in efforts]
-        for index, (effort, limit) in enumerate(zip(held, self._limits, strict=True)):
-            if not -limit <= effort <= limit:
-                if not math.isfinite(effort):
-                    name = self._joints[index].name
-                    raise SettingError(f"effort {effort} of joint {name!r} is not finite")
-                held[index] = math.copysign(limit, effort)
-        return held
-
-
 class Drivetrain:
     """Turns the efforts of one control period into torques, physics step by physics step.
 
@@ -68,7 +47,6 @@ class Drivetrain:
         physics.brake([drive.friction for drive in self._drives])
 
     def reset(self) -> None:
-        """Forget the past of every drive."""
         for drive in self._drives:
             drive.reset()
 
@@ -188,11 +166,9 @@ class DisturbanceSchedule:
 
     @property
     def is_pushing(self) -> bool:
-        """Whether a push is under way."""
         return bool(self._pulses)
 
     def advance(self, now_ns: int) -> None:
-        """Begin the disturbances that are due."""
         while self._pending and self._pending[-1].start_ns <= now_ns:
             event = self._pending.pop()
             if isinstance(event, PayloadChange):
@@ -211,7 +187,6 @@ class DisturbanceSchedule:
     def push(
         self, link: str, force: Sequence[float], torque: Sequence[float], duration_ns: int
     ) -> None:
-        """Push a link; see :meth:`~hpid_ros.simulation.world.World.apply_wrench`."""
         settings = self._settings
         steps = round(duration_ns * settings.physics_steps / settings.control_period_ns)
         name = self._description.link(link)
@@ -219,7 +194,6 @@ class DisturbanceSchedule:
         self._pulses.append(pulse)
 
     def load(self, mass: float) -> None:
-        """Change the payload; see :meth:`~hpid_ros.simulation.world.World.set_payload`."""
         self._description.link(self._settings.payload_link)
         self._physics.load(require_mass("payload_mass", mass))
 
@@ -233,12 +207,11 @@ class World:
     """
 
     def __init__(self, settings: WorldSettings) -> None:
-        """Build the world."""
         self.settings = settings
         self.description = RobotDescription.load(settings.robot_description)
         joints = self.description.select(settings.joints)
         settings.start(self.description)
-        self._limits = EffortLimits(joints)
+        self._limits = [min(joint.effort, sys.float_info.max) for joint in joints]
         self._encoders = settings.encoders
         for link in settings.links:
             self.description.link(link)
@@ -322,7 +295,7 @@ class World:
         Raises:
             SettingError: There is not one finite effort for each driven joint.
         """
-        torques = self._limits.hold(efforts)
+        torques = self._held(efforts)
         self._schedule.advance(self.time_ns)
         if self.gripper is not None:
             self.gripper.actuate(self.time_ns)
@@ -337,6 +310,19 @@ class World:
             self.gripper.update(self.time_ns)
         if self._sensors is not None:
             self._sensors.sample(self.true_positions())
+
+    def _held(self, efforts: Sequence[float]) -> list[float]:
+        """Return efforts held to what the joints' motors can give, in [N m]."""
+        if len(efforts) != len(self._limits):
+            raise SettingError(f"{len(efforts)} efforts for {len(self._limits)} driven joints")
+        held = [float(effort) for effort in efforts]
+        for index, (effort, limit) in enumerate(zip(held, self._limits, strict=True)):
+            if not -limit <= effort <= limit:
+                if not math.isfinite(effort):
+                    name = self.settings.joints[index]
+                    raise SettingError(f"effort {effort} of joint {name!r} is not finite")
+                held[index] = math.copysign(limit, effort)
+        return held
 
     def link_pose(self, name: str) -> Pose:
         """Return the pose of a link's frame."""
@@ -363,7 +349,6 @@ class World:
         self._schedule.load(mass)
 
     def _begin(self) -> None:
-        """Start counting at time 0."""
         self._periods = 0
         self._applied = (0.0,) * len(self.settings.joints)
         self._states = None
