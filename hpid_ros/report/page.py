@@ -183,6 +183,7 @@ def _packed(figure: Figure) -> dict[str, object]:
         "yLog": figure.y_log,
         "free": figure.is_free,
         "points": figure.kind == "points",
+        "mark": figure.mark if any(panel.marks for panel in figure.panels) else "",
     }
 
 

@@ -112,15 +112,8 @@ class Chart {
     pen.clip();
     for (const mark of this.panel.marks) {
       pen.strokeStyle = color(mark.run < 0 ? "--soft" : `--run-${data.runs[mark.run].style}`);
-      this.stroke(
-        pen,
-        [
-          [this.figure.xLog ? Math.log10(mark.x) : mark.x, y0],
-          [this.figure.xLog ? Math.log10(mark.x) : mark.x, y1],
-        ],
-        [2, 3],
-        1,
-      );
+      const x = this.figure.xLog ? Math.log10(mark.x) : mark.x;
+      this.segment(pen, x, y0, x, y1, [2, 3], 1);
     }
     const order = [...this.shown].sort((a, b) => (a.run < 0 ? -1 : b.run < 0 ? 1 : 0));
     for (const line of order) this.line(pen, color, line, x0, x1);
@@ -157,15 +150,7 @@ class Chart {
       const x = this.toX(at),
         half = pen.measureText(text).width / 2;
       if (x < LEFT - 1 || x > right + 1) continue;
-      this.stroke(
-        pen,
-        [
-          [at, ys[0]],
-          [at, ys[1]],
-        ],
-        [],
-        1,
-      );
+      this.segment(pen, at, ys[0], at, ys[1], [], 1);
       this.tick(pen, color, x, floor, 0, 5);
       if (x - half < free || x + half > width) continue;
       pen.fillText(text, x, height - BOTTOM + 6);
@@ -175,59 +160,33 @@ class Chart {
     pen.textBaseline = "middle";
     let ceiling = height;
     for (const [at, text] of yTicks) {
-      this.stroke(
-        pen,
-        [
-          [xs[0], at],
-          [xs[1], at],
-        ],
-        [],
-        1,
-      );
+      this.segment(pen, xs[0], at, xs[1], at, [], 1);
       this.tick(pen, color, LEFT, this.toY(at), -5, 0);
       if (this.toY(at) > ceiling - 14) continue;
       pen.fillText(text, LEFT - 6, this.toY(at));
       ceiling = this.toY(at);
     }
     pen.strokeStyle = color("--soft");
-    this.stroke(
-      pen,
-      [
-        [xs[0], ys[1]],
-        [xs[0], ys[0]],
-        [xs[1], ys[0]],
-      ],
-      [],
-      1,
-    );
-    if (this.panel.level != null) {
-      this.stroke(
-        pen,
-        [
-          [xs[0], this.panel.level],
-          [xs[1], this.panel.level],
-        ],
-        [],
-        0.6,
-      );
-    }
+    this.segment(pen, xs[0], ys[1], xs[0], ys[0], [], 1);
+    this.segment(pen, xs[0], ys[0], xs[1], ys[0], [], 1);
+    const { level } = this.panel;
+    if (level != null) this.segment(pen, xs[0], level, xs[1], level, [], 0.6);
   }
   tick(pen, color, x, y, wide, high) {
     pen.save();
     pen.strokeStyle = color("--soft");
-    pen.setLineDash([]);
-    pen.lineWidth = 1;
     pen.beginPath();
     pen.moveTo(x, y);
     pen.lineTo(x + wide, y + high);
     pen.stroke();
     pen.restore();
   }
-  stroke(pen, points, dashes, width) {
+  segment(pen, x0, y0, x1, y1, dashes, width) {
     pen.setLineDash(dashes);
     pen.lineWidth = width;
     pen.beginPath();
-    points.forEach(([x, y]) => pen.lineTo(this.toX(x), this.toY(y)));
+    pen.moveTo(this.toX(x0), this.toY(y0));
+    pen.lineTo(this.toX(x1), this.toY(y1));
     pen.stroke();
     pen.setLineDash([]);
   }
@@ -236,13 +195,7 @@ class Chart {
     pen.strokeStyle = pen.fillStyle = color(style ? `--run-${style.style}` : "--reference");
     pen.lineJoin = "round";
     if (this.figure.points) {
-      if (x.length > 1)
-        this.stroke(
-          pen,
-          [...x].map((each, k) => [each, y[k]]),
-          [],
-          1.5,
-        );
+      if (x.length > 1) this.segment(pen, x[0], y[0], x[1], y[1], [], 1.5);
       else this.marker(pen, style.style, this.toX(x[0]), this.toY(y[0]));
       return;
     }
@@ -286,27 +239,11 @@ class Chart {
       const near = this.nearest(cursor);
       if (!near) return;
       const [x, y] = [near.line.x[near.k], near.line.y[near.k]];
-      this.stroke(
-        pen,
-        [
-          [x, y0],
-          [x, y1],
-        ],
-        [2, 2],
-        1,
-      );
+      this.segment(pen, x, y0, x, y1, [2, 2], 1);
       this.readout.textContent = `${label(near.line)}: ${shown(x, xLog)}, ${shown(y, yLog)}`;
       return;
     }
-    this.stroke(
-      pen,
-      [
-        [cursor, y0],
-        [cursor, y1],
-      ],
-      [2, 2],
-      1,
-    );
+    this.segment(pen, cursor, y0, cursor, y1, [2, 2], 1);
     const values = this.shown
       .filter((line) => line.x.length)
       .map((line) => `${label(line)} ${shown(valueAt(line, cursor), yLog)}`);

@@ -102,6 +102,7 @@ for (const figure of data.figures) {
   const runs = [...new Set(figure.panels.flatMap((panel) => panel.lines.map((line) => line.run)))];
   const bar = make("div", { class: "controls" }, ...runs.filter((k) => k >= 0).map(legendButtons));
   if (runs.includes(-1)) bar.append(make("span", { class: "soft" }, "thick grey: reference"));
+  if (figure.mark) bar.append(make("span", { class: "soft" }, `dotted: ${figure.mark}`));
   const buttons = [
     ["+", "zoom in", 0.5],
     ["\u2212", "zoom out", 2],
