@@ -12,25 +12,13 @@ from harness.fork_server import run_node
 from harness.graph import ros_arguments
 
 
-def served(harness, **parameters):
-    """Start the page and return its process and its address."""
-    process = harness.processes.start(
-        "live_tuner",
-        "live.live_tuner",
-        ros_arguments(port=0, open_browser=False, **parameters),
-    )
-    events = []
-    harness.wait(
-        lambda: events.extend(process.read_events()) or events or process.process.poll(),
-        what="the page",
-    )
-    assert events, process.last_words()
-    return process, events[0]["url"]
-
-
 def test_the_page_is_served_to_whoever_has_the_token_and_ends_without_a_trace(harness):
     harness.start_controller()
-    process, url = served(harness)
+    arguments = ros_arguments(port=0, open_browser=False)
+    process = harness.processes.start("live_tuner", "live.live_tuner", arguments)
+    events = []
+    harness.wait(lambda: events.extend(process.read_events()) or events, what="the page")
+    url = events[0]["url"]
     with build_opener(HTTPCookieProcessor()).open(url, timeout=20.0) as answer:
         assert answer.status == 200
     parts = urlsplit(url)
@@ -48,7 +36,7 @@ def test_the_page_is_served_to_whoever_has_the_token_and_ends_without_a_trace(ha
     ("arguments", "line"),
     [
         ({"port": 70000}, "port must lie in [0, 65535], not 70000"),
-        ({"host": "0.0.0.0"}, "host 0.0.0.0 lets others on the network move this robot"),
+        ({"host": "0.0.0.0"}, "host 0.0.0.0 lets others on the network move"),
         ({"rate": 200.0}, "rate must lie in [5, 60], not 200"),
     ],
 )

@@ -18,43 +18,41 @@ from hpid_ros.nodes.parts.references import TrajectorySubscriptions, to_message
 MS = 1_000_000
 
 
-def test_a_late_command_is_taken_and_stands_until_the_next():
+def held_after(*acts):
+    """Return the commands of joint a after some acts: times of states, or answers in [ms]."""
+    held = HeldCommands(["a"], 100 * MS)
+    for act in acts:
+        if isinstance(act, int):
+            held.begin(act * MS)
+        else:
+            stamp, effort = act
+            held.answer(stamp * MS, ["a"], [effort])
+    return held.finish(), held.counts["a"]
+
+
+@pytest.mark.parametrize(
+    ("acts", "effort", "counts"),
+    [
+        ((5, (2, 1.5), 6), 1.5, {"stale": 1}),  # late, and stands until the next
+        ((5, (2, 1.5), 6, (3, -2.0)), -2.0, {"stale": 2}),
+        ((0, (0, 1.5), 100), 1.5, {}),
+        ((0, (0, 1.5), 101), 0.0, {"unanswered": 1}),  # too old
+        ((50, (50, 1.5), 0), 0.0, {}),  # a clock that goes back
+        ((0, (0, float("nan"))), 0.0, {"invalid": 1}),
+    ],
+)
+def test_which_command_a_paced_robot_acts_on(acts, effort, counts):
+    found, counted = held_after(*acts)
+    assert found == [effort]
+    for name, number in counts.items():
+        assert getattr(counted, name) == number
+
+
+def test_commands_of_foreign_joints_are_counted():
     held = HeldCommands(["a", "b"], 100 * MS)
-    held.begin(5 * MS)
-    held.answer(2 * MS, ["a"], [1.5])
-    held.begin(6 * MS)
-    assert held.finish() == [1.5, 0.0]
-    held.answer(3 * MS, ["a"], [-2.0])
-    assert held.finish() == [-2.0, 0.0]
-    assert held.counts["a"].stale == 2
-    assert held.silent == ("b",)
-
-
-def test_a_command_that_is_too_old_leaves_its_joint_without_effort():
-    held = HeldCommands(["a"], 100 * MS)
     held.begin(0)
-    held.answer(0, ["a"], [1.5])
-    held.begin(100 * MS)
-    assert held.finish() == [1.5]
-    held.begin(101 * MS)
-    assert held.finish() == [0.0]
-    assert held.counts["a"].unanswered == 1
-
-
-def test_a_clock_that_goes_back_ends_all_commands():
-    held = HeldCommands(["a"], 100 * MS)
-    held.begin(50 * MS)
-    held.answer(50 * MS, ["a"], [1.5])
-    held.begin(0)
-    assert held.finish() == [0.0]
-
-
-def test_a_command_that_is_not_finite_is_zero_and_foreign_joints_are_counted():
-    held = HeldCommands(["a"], 100 * MS)
-    held.begin(0)
-    held.answer(0, ["a", "c"], [float("nan"), 1.0])
-    assert held.finish() == [0.0]
-    assert (held.counts["a"].invalid, held.foreign) == (1, 1)
+    held.answer(0, ["a", "c"], [1.0, 1.0])
+    assert (held.foreign, held.silent) == (1, ("b",))
 
 
 def test_a_paced_robot_acts_on_answers_to_earlier_states(harness):
