@@ -21,6 +21,9 @@ if TYPE_CHECKING:
     from hpid_ros.robot.kinematics import LinkPose
 
 
+Triple = tuple[float, float, float]
+
+
 @dataclass(frozen=True)
 class TaskRobot:
     """The robot that does a task."""
@@ -70,12 +73,15 @@ class PlanOptions(Record):
     )
 
 
-class Placement(NamedTuple):
-    """Where a brick is, in the frame ``odom``."""
+@dataclass(frozen=True)
+class Placement(Record):
+    """Where a brick is put."""
 
-    position: tuple[float, float, float]  # [m] its centre x, y, z
-    yaw: float = 0.0  # [rad] its turn about z
-    approach: float | None = None  # [rad] heading of the base before it
+    position: Triple = quantity("Its centre x, y, z in the frame odom", "m")
+    yaw: float = quantity("Its turn about z", "rad", default=0.0)
+    approach: float | None = quantity(
+        "Heading of the base before it; straight from where it is if left out", "rad", default=None
+    )
 
 
 @dataclass(frozen=True)
@@ -83,7 +89,7 @@ class BrickGoal:
     """A brick, where it is, and where it shall be."""
 
     name: str  # name of the brick
-    size: tuple[float, float, float]  # [m] edges along its own x, y, z
+    size: Triple  # [m] edges along its own x, y, z
     pick: Placement  # where it is
     place: Placement  # where it shall be
 
@@ -129,6 +135,9 @@ class Waypoints(Record):
         "For each joint one position for each time", "rad"
     )
 
+    def trajectory(self, kind: str) -> JointTrajectory:
+        return (step if kind == "step" else minimum_jerk)(self.times, self.positions)
+
 
 @dataclass(frozen=True)
 class Oscillation(Record):
@@ -146,6 +155,10 @@ class Oscillations(Record):
 
     duration: float = quantity("Of the reference", "s", above=0.0)
     joints: Mapping[str, Oscillation] = quantity("The sine of each joint")
+
+    def trajectory(self, kind: str) -> JointTrajectory:
+        signals = {joint: asdict(each) for joint, each in self.joints.items()}
+        return sine(self.duration, signals)
 
 
 @dataclass(frozen=True)
@@ -172,7 +185,7 @@ class PathSection(Record):
     velocity_limit: float | None = quantity("Of a wheel", "rad/s", default=None, above=0.0)
     curvature_limit: float | None = quantity("Of the path", "1/m", default=None, above=0.0)
 
-    def trajectory(self) -> JointTrajectory:
+    def trajectory(self, kind: str) -> JointTrajectory:
         legs = self.directions
         limits = {
             name: value
@@ -189,7 +202,7 @@ class PathSection(Record):
         )
 
 
-_KINDS: dict[str, type[Record]] = {
+_KINDS: dict[str, type[Waypoints | Oscillations | PathSection]] = {
     "minimum_jerk": Waypoints,
     "step": Waypoints,
     "sine": Oscillations,
@@ -215,7 +228,7 @@ def reference_from(values: object, where: str = "reference") -> JointTrajectory:
     record = take_record(_KINDS[kind], section)
     section.finish()
     try:
-        return _trajectory(kind, record)
+        return record.trajectory(kind)
     except HpidError as error:
         raise TrajectoryError(f"{where}: {error}") from None
 
@@ -240,16 +253,6 @@ def of_kind(name: str, schema: dict[str, Any]) -> dict[str, Any]:
     return {**schema, "properties": properties, "required": ["kind", *schema.get("required", ())]}
 
 
-def _trajectory(kind: str, record: Record) -> JointTrajectory:
-    if isinstance(record, PathSection):
-        return record.trajectory()
-    if isinstance(record, Oscillations):
-        signals = {joint: asdict(each) for joint, each in record.joints.items()}
-        return sine(record.duration, signals)
-    assert isinstance(record, Waypoints)
-    return (step if kind == "step" else minimum_jerk)(record.times, record.positions)
-
-
 def _combined(section: Section) -> JointTrajectory:
     parts = section.take("parts")
     section.finish()
@@ -268,20 +271,6 @@ def _combined(section: Section) -> JointTrajectory:
 BRICKS = "bricks"
 HAND = "payload"
 """Link that holds a brick where ``scene.gripper`` names none."""
-
-
-Triple = tuple[float, float, float]
-
-
-@dataclass(frozen=True)
-class Target(Record):
-    """Where a brick is put."""
-
-    position: Triple = quantity("Its centre x, y, z in the frame odom", "m")
-    yaw: float = quantity("Its turn about z", "rad", default=0.0)
-    approach: float | None = quantity(
-        "Heading of the base before it; straight from where it is if left out", "rad", default=None
-    )
 
 
 @dataclass(frozen=True)
@@ -315,7 +304,7 @@ class CarriedBrick(Record):
     """One brick of a task."""
 
     brick: str = quantity("Its name in the scene")
-    place: Target = quantity("Where it is put")
+    place: Placement = quantity("Where it is put")
     pick: Belief | None = quantity(
         "Where it is taken, if it is believed elsewhere than the scene has it", default=None
     )
@@ -349,7 +338,7 @@ class KnownScene(NamedTuple):
     """What a plan knows of the scene."""
 
     # size and place of each brick, by name
-    bricks: Mapping[str, tuple[tuple[float, float, float], Placement]]
+    bricks: Mapping[str, tuple[Triple, Placement]]
     hand: str = HAND  # link that holds a brick
     opening: float = math.inf  # [m] widest brick that it can take
 
@@ -415,8 +404,7 @@ def _goal(goal: CarriedBrick, where: str, scene: KnownScene) -> BrickGoal:
         raise TrajectoryError(f"{where}.brick: {unknown_name('brick', goal.brick, scene.bricks)}")
     size, known = scene.bricks[goal.brick]
     pick = known if goal.pick is None else goal.pick.over(known)
-    place = goal.place
-    return BrickGoal(goal.brick, size, pick, Placement(place.position, place.yaw, place.approach))
+    return BrickGoal(goal.brick, size, pick, goal.place)
 
 
 def _task_robot(
