@@ -5,14 +5,13 @@ import os
 import signal
 import subprocess
 import sys
-import threading
-import time
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from harness.experiments import write_experiment
+from harness.studies import wait_until
 from mcap_ros2.reader import read_ros2_messages
 
 from hpid_ros.base.errors import RunError
@@ -42,22 +41,19 @@ def compared(tmp_path_factory):
 
 
 def test_graph_and_in_process_engine_agree_to_the_last_bit(compared, tmp_path):
-    results = [
-        compared,
-        *(
-            run_compare(
-                compared.result.experiment,
-                tmp_path / name,
-                in_process=name == "in-process",
-                has_figures=False,
-            )
-            for name in ("again", "in-process")
-        ),
+    experiment, here = compared.result.experiment, tmp_path / "here"
+    in_process = run_compare(experiment, here, in_process=True, has_figures=False)
+    first, other = [
+        (each.folder.path / "result.json").read_bytes() for each in (compared, in_process)
     ]
-    first, *others = [(each.folder.path / "result.json").read_bytes() for each in results]
-    assert others == [first, first]
-    graph, _, in_process = (read_run(each.folder.bag("hPID"), "run").joints for each in results)
-    for one, other in zip(graph, in_process, strict=True):
+    assert other == first
+    require_equal_runs(compared, in_process)
+
+
+def require_equal_runs(*results):
+    for one, other in zip(
+        *(read_run(each.folder.bag("hPID"), "run").joints for each in results), strict=True
+    ):
         assert np.array_equal(one.position, other.position)
         assert np.array_equal(one.effort, other.effort)
 
@@ -74,10 +70,7 @@ def test_an_observer_knows_the_same_efforts_on_the_graph_and_in_the_engine(
         run_compare(experiment, tmp_path / name, in_process=name == "engine", has_figures=False)
         for name in ("graph", "engine")
     ]
-    graph, engine = (read_run(each.folder.bag("hPID"), "run").joints for each in results)
-    for one, other in zip(graph, engine, strict=True):
-        assert np.array_equal(one.position, other.position)
-        assert np.array_equal(one.effort, other.effort)
+    require_equal_runs(*results)
 
 
 def test_result_folder_is_whole(compared):
@@ -250,27 +243,21 @@ def test_whatever_ends_a_comparison_ends_its_nodes_and_leaves_a_readable_bag(
     experiment_file, tmp_path, number
 ):
     folder = tmp_path / "result"
-    command = [
-        sys.executable,
-        "-m",
-        "hpid_ros.cli.main",
-        "compare",
-        experiment_file(duration=100.0),
-    ]
+    command = [sys.executable, "-m", "hpid_ros.cli.main", "compare", "--output", folder]
     hpid = subprocess.Popen(
-        [*command, "--output", folder],
+        [*command, experiment_file(duration=100.0)],
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
         preexec_fn=heed_interrupts,
     )
     try:
         mcap = folder / "bags" / "PID" / "PID.mcap"
-        wait_for(lambda: mcap.exists() and mcap.stat().st_size > 200_000, 60.0)
+        wait_until(lambda: mcap.exists() and mcap.stat().st_size > 200_000, 60.0)
         nodes = processes_below(hpid.pid)
         assert len(nodes) == 11
         hpid.send_signal(number)
         hpid.wait(timeout=60)
-        wait_for(lambda: not [pid for pid in nodes if Path(f"/proc/{pid}").exists()], 20.0)
+        wait_until(lambda: not [pid for pid in nodes if Path(f"/proc/{pid}").exists()], 20.0)
     finally:
         hpid.kill()
         hpid.wait()
@@ -280,21 +267,6 @@ def test_whatever_ends_a_comparison_ends_its_nodes_and_leaves_a_readable_bag(
     if number == signal.SIGINT:
         assert hpid.returncode == 130
         assert b"Traceback" not in hpid.stderr.read()
-
-
-def wait_for(condition, within):
-    deadline = time.monotonic() + within
-    pause = threading.Event()
-    while not condition():
-        assert time.monotonic() < deadline, f"waited {within} s in vain"
-        pause.wait(0.02)
-
-
-def test_domains_are_not_shared():
-    with own_domain() as one, own_domain() as other:
-        assert one != other
-    with own_domain() as again:
-        assert again not in (one, other)  # what a killed process left there goes first
 
 
 def test_the_self_check_sees_a_network_socket(tmp_path):

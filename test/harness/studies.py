@@ -1,6 +1,8 @@
-"""Studies of two short experiments, as a user runs them."""
+"""Studies of two short experiments, as a user runs them; waiting for what a process does."""
 
 import json
+import threading
+import time
 
 from hpid_ros.cli.main import main
 
@@ -11,6 +13,14 @@ def study(files, folder, *options, seeds=2, jobs=1):
     """Run ``hpid study`` and return its exit code."""
     arguments = [*map(str, files), "--seeds", str(seeds), "--jobs", str(jobs), "-o", str(folder)]
     return main(["study", *arguments, *map(str, options)])
+
+
+def wait_until(is_true, within=120.0):
+    """Wait for a condition."""
+    deadline, pause = time.monotonic() + within, threading.Event()
+    while not is_true():
+        assert time.monotonic() < deadline, f"waited {within} s in vain"
+        pause.wait(0.02)
 
 
 def saved(folder):

@@ -22,9 +22,8 @@ from hpid_ros.experiment.progress import NoProgress, RunReport
 from hpid_ros.experiment.result import compute, save
 from hpid_ros.experiment.result_folder import ResultFolder
 from hpid_ros.messages.messages import PoseColumns, read_poses, read_statuses
-from hpid_ros.messages.reports import POSE, POSES, Stamp, Status, encode_pose, encode_status
+from hpid_ros.messages.reports import POSE, POSES
 from hpid_ros.messages.series import JointSeries, RunSeries
-from hpid_ros.messages.writer import BagWriter
 from hpid_ros.metrics.task import EndEffector, TaskFrame, moving_joints
 from hpid_ros.robot.description import RobotDescription
 from hpid_ros.robot.differential_drive import DifferentialDrive
@@ -324,23 +323,6 @@ def test_a_run_without_the_arm_has_no_end_effector():
     with pytest.raises(BagError, match="no joint that moves 'payload'"):
         EndEffector(TaskFrame(ROBOT, "payload"), run)
     assert moving_joints(ROBOT, "base_link") == frozenset()
-
-
-def test_messages_come_back_as_they_were(tmp_path):
-    status = Status(1_500_000_001, 1, "light", "missed: far", {"distance [m]": repr(0.1 + 0.2)})
-    pose = ((0.1, -0.2, 0.3), (0.0, 0.6, 0.0, 0.8))
-    with BagWriter(tmp_path / "bag") as writer:
-        events = writer.add_topic("/grip_events", "diagnostic_msgs/msg/DiagnosticArray")
-        poses = writer.add_topic("/ee_pose", POSE)
-        writer.write(events, 1, encode_status(status))
-        writer.write(poses, 2, encode_pose(Stamp(7, "odom"), pose))
-    assert read_statuses(tmp_path / "bag", "grip_events") == [status]
-    columns = read_poses(tmp_path / "bag", "ee_pose", POSE)
-    assert columns.stamps_ns.tolist() == [7]
-    assert columns.positions.tolist() == [[list(pose[0])]]
-    assert columns.orientations.tolist() == [[list(pose[1])]]
-    assert read_poses(tmp_path / "bag", "brick_poses") is None
-    assert read_statuses(tmp_path / "bag", "other") == []
 
 
 def test_metrics_tell_the_end_effector_of_any_bag(small_result, tmp_path, capsys):

@@ -3,25 +3,16 @@
 import json
 import subprocess
 import sys
-import threading
-import time
 from pathlib import Path
 
 import pytest
+from harness.studies import wait_until
 
 from hpid_ros.base.errors import ExperimentError, ResultExistsError
 from hpid_ros.base.files import write_file
 from hpid_ros.cli.commands import BAD_INPUT, DONE
 from hpid_ros.cli.main import main
 from hpid_ros.experiment.result_folder import MARKER, Marker, ResultFolder
-
-
-def wait_for(condition, within):
-    deadline = time.monotonic() + within
-    pause = threading.Event()
-    while not condition():
-        assert time.monotonic() < deadline, f"waited {within} s in vain"
-        pause.wait(0.02)
 
 
 def files_in(folder):
@@ -42,10 +33,7 @@ def made(path, text="old", force=False, label="PID", **others):
         bag = folder.bag(label)
         bag.mkdir(parents=True)
         (bag / f"{label}.mcap").write_text(text)
-        nodes = folder.nodes(label)
-        (nodes / "robot.urdf").write_text("<robot/>")
-        parameters = {"robot_description": str((nodes / "robot.urdf").resolve())}
-        (nodes / "controllers.yaml").write_text(json.dumps(parameters))
+        (folder.nodes(label) / "robot.urdf").write_text("<robot/>")
     return folder
 
 
@@ -60,7 +48,6 @@ def test_a_result_is_replaced_by_what_the_package_wrote_and_nothing_else_is_touc
     folder = made(output, "new", force=True, label="hPID")
     assert folder.path == output
     names = {"result.json", "bags/hPID/hPID.mcap", "nodes/hPID/robot.urdf"}
-    names |= {"nodes/hPID/controllers.yaml"}
     assert set(files_in(output)) == {*names, *foreign, MARKER}
     assert (output / "result.json").read_text() == "new"
     assert all((output / name).read_text() == text for name, text in foreign.items())
@@ -68,15 +55,6 @@ def test_a_result_is_replaced_by_what_the_package_wrote_and_nothing_else_is_touc
     assert "left alone" in caplog.text
     assert all(name in caplog.text for name in foreign)
     assert not (output / "nodes" / "PID").exists()
-
-
-def test_parameter_files_name_the_robot_where_it_is_in_the_end(tmp_path):
-    for force in (False, True):
-        made(tmp_path / "result", force=force)
-        nodes = tmp_path / "result" / "nodes" / "PID"
-        named = json.loads((nodes / "controllers.yaml").read_text())["robot_description"]
-        assert named == str((nodes / "robot.urdf").resolve())
-        assert Path(named).is_file()
 
 
 def test_a_result_in_parts_is_replaced_as_a_whole(tmp_path):
@@ -153,17 +131,16 @@ def test_somebody_elses_file_is_not_written_over(tmp_path):
     assert (aside / "result.json").read_text() == "new"
 
 
-def refused(path, words, capsys, experiment, *options):
-    command = ["compare", str(experiment), "--in-process", "-o", str(path), *options]
+def refused(path, words, capsys, experiment):
+    command = ["compare", str(experiment), "--in-process", "-o", str(path), "--force"]
     assert main(command) == BAD_INPUT
     (line,) = capsys.readouterr().err.splitlines()
     assert words in line
 
 
-@pytest.mark.parametrize("options", [(), ("--force",)])
 @pytest.mark.parametrize("place", [".", "..", "/", "input", "input/..", "home"])
 def test_the_folders_that_nobody_means_are_refused(
-    experiment_file, tmp_path, capsys, monkeypatch, place, options
+    experiment_file, tmp_path, capsys, monkeypatch, place
 ):
     """Also with a marker in them, which somebody may have put there."""
     experiment = experiment_file()
@@ -176,7 +153,7 @@ def test_the_folders_that_nobody_means_are_refused(
     monkeypatch.chdir(folders["work"])
     before = files_in(tmp_path)
     path = Path(place) if place in (".", "..", "/") else tmp_path / place
-    refused(path, "a result needs a folder of its own", capsys, experiment, *options)
+    refused(path, "a result needs a folder of its own", capsys, experiment)
     assert files_in(tmp_path) == before
 
 
@@ -193,7 +170,7 @@ def test_folders_without_a_marker_links_and_files_are_refused(experiment_file, t
         ("link", "is a symbolic link"),
         ("file", "is no folder"),
     ):
-        refused(tmp_path / name, words, capsys, experiment, "--force")
+        refused(tmp_path / name, words, capsys, experiment)
     assert files_in(tmp_path) == before
 
 
@@ -235,7 +212,6 @@ def test_links_are_not_followed_when_a_result_is_removed(tmp_path, is_unfinished
         Marker(frozenset({"result.json"}), frozenset({"bags/PID", "nodes/PID"})).write(output)
     precious = tmp_path / "precious"
     write_file(precious / "PID" / "PID.mcap", "mine")
-    write_file(precious / "PID" / "controllers.yaml", "mine")
     (output / "bags").rename(tmp_path / "elsewhere")
     (output / "bags").symlink_to(precious)
     (output / "nodes" / "PID").rename(tmp_path / "nodes")
@@ -244,12 +220,12 @@ def test_links_are_not_followed_when_a_result_is_removed(tmp_path, is_unfinished
     (output / "result.json").symlink_to(precious / "PID" / "PID.mcap")
     with ResultFolder.create(output, force=True) as folder:
         folder.write("other.txt", "new")
-    assert files_in(precious) == {"PID/PID.mcap": b"mine", "PID/controllers.yaml": b"mine"}
+    assert files_in(precious) == {"PID/PID.mcap": b"mine"}
     assert (output / "bags").is_symlink()
     assert (output / "result.json").is_symlink()
     with pytest.raises(ResultExistsError, match="in the way"):
         made(output, "new", force=True)
-    assert files_in(precious) == {"PID/PID.mcap": b"mine", "PID/controllers.yaml": b"mine"}
+    assert files_in(precious) == {"PID/PID.mcap": b"mine"}
 
 
 def test_an_interrupted_comparison_keeps_the_former_result_and_its_own_readable_bags(
@@ -269,7 +245,7 @@ def test_an_interrupted_comparison_keeps_the_former_result_and_its_own_readable_
     )
     try:
         bags = "unfinished-*/bags/*/*.mcap"
-        wait_for(lambda: any(file.stat().st_size > 100_000 for file in output.glob(bags)), 120.0)
+        wait_until(lambda: any(file.stat().st_size > 100_000 for file in output.glob(bags)))
         run.terminate()
         _, told = run.communicate(timeout=60)
     finally:
@@ -303,15 +279,11 @@ def test_a_file_is_replaced_as_a_whole_or_not_at_all(tmp_path, monkeypatch):
 @pytest.mark.parametrize("link", ["result.json", "bags", "bags/a", "bags/a/a.mcap"])
 def test_nothing_is_written_through_a_link_in_a_result(tmp_path, link):
     """A result of a stranger's that lists a link as its own file leads nowhere else."""
-    place, elsewhere, names = (
-        tmp_path / "r",
-        tmp_path / "elsewhere",
-        ("result.json", "bags/a/a.mcap"),
-    )
+    place, elsewhere = tmp_path / "r", tmp_path / "elsewhere"
 
     def write(folder, text):
         with folder:
-            for name in names:
+            for name in ("result.json", "bags/a/a.mcap"):
                 folder.write(name, text)
 
     write(ResultFolder.create(place), "old")
